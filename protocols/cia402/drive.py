@@ -12,10 +12,10 @@ from __future__ import annotations
 
 from protocols.canopen import objects as co
 from protocols.canopen import sdo
-from protocols.canopen.client import DOUBLED, NEVER, Job, Outcome, Purpose, SdoClient
+from protocols.canopen.client import NEVER, Job, Outcome, Purpose, SdoClient
 from protocols.canopen.mapping import Setup
 from protocols.canopen.objects import Key, Type, from_bytes, to_bytes
-from protocols.canopen.pdo import DISABLED, Packing, packing
+from protocols.canopen.pdo import DISABLED
 from protocols.canopen.scan import describe
 from protocols.canopen.services import Nmt, NmtCommand, NmtState, encode, sdo_rx_id
 from protocols.cia402 import faults, profile, setpoints
@@ -25,7 +25,7 @@ from protocols.cia402.objects import OBJECTS
 from protocols.cia402.options import Options
 from protocols.cia402.polls import Polls
 from protocols.cia402.profile import Demand, Mode, PowerState, Status
-from protocols.cia402.setpoints import FAMILIES, TARGET_OF, Arrival, Handshake, Output, Values
+from protocols.cia402.setpoints import FAMILIES, TARGET_OF, Arrival, Handshake, Layouts, Output, Values
 from protocols.cia402.setup import Known
 from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, SECOND, Command, Event, Fault, Hold, Impedance, Nanos
@@ -86,8 +86,7 @@ class Drive:
         self.known.forget()
         self.polls.forget()
         self.beats = StateCheck()
-        self.tpdos: dict[int, tuple[tuple[Key, ...], Packing]] = {}
-        """Its TPDOs by identifier: their objects and packing."""
+        self.tpdos: Layouts = {}
         # what was received
         self.nmt: NmtState | None = None
         self.statusword: int | None = None
@@ -266,14 +265,8 @@ class Drive:
         """Decode its TPDOs from now on."""
         options, pdos = self.options, (self.known.pdos or {}).values()
         tpdos = [pdo for pdo in pdos if pdo.kind == "TPDO" and pdo.entries and not pdo.cob & DISABLED]
-        self.tpdos = {pdo.id: (pdo.keys, packing(OBJECTS, pdo.entries)) for pdo in tpdos}
+        self.tpdos = setpoints.layouts(tpdos)
         self.polls.expect(tpdos, options.sync_ms * MILLISECOND if options.feedback == "sync" else 0)
-
-    def doubled(self) -> str:
-        """Return why there must be two devices, if so."""
-        if self.client.doubled < DOUBLED:
-            return ""
-        return "every request is answered twice (by two devices, or to two hosts)"
 
     # -- reported -------------------------------------------------------------------------------------
 
@@ -390,7 +383,7 @@ class Drive:
 
     def _hand_over(self, now: Nanos, values: Values) -> int:
         """Return the controlword of PP's handshake; put its target into the values."""
-        acknowledged = bool((self.statusword or 0) & Status.SETPOINT_ACKNOWLEDGED)
+        acknowledged = bool((self.statusword or 0) & Status.BIT_12)
         target = values[o.TARGET_POSITION]
         control, given = self.handshake.step(now, self.reports, target, acknowledged=acknowledged)
         values[o.TARGET_POSITION] = given
@@ -449,7 +442,8 @@ class Drive:
 
     def home(self, *, zero: bool) -> str:
         """Begin homing, or return why that is impossible."""
-        if not self.known.can_home:
+        modes = self.known.read.get(o.SUPPORTED_MODES, 0)
+        if not self.known.complete or not profile.supports(modes, Mode.HM):
             return "it has no homing mode (object 6502), or is not known yet"
         if self.mode is not State.ARMED or not self.holding:
             return "it must be armed and hold: command hold first"
@@ -597,7 +591,7 @@ class Drive:
         if self.client.job is None and not self.known.unusable:
             reads = self.known.pdos is None and not self.client.has(Purpose.STARTUP)
             times += [0] if reads else []
-            times += [self.polls.due()] if self.known.units and not self.client.has(Purpose.POLL) else []
+            times += [self.polls.due] if self.known.units and not self.client.has(Purpose.POLL) else []
             times += [self.check_at] if self.reports and not self.client.has(Purpose.CHECK) else []
         return min(times)
 

@@ -8,14 +8,13 @@ cleared by ClearFault alone, by a rising edge of bit 7 of the controlword.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any, TypeAlias
 
 from protocols import messages as msg
 from protocols.canopen import objects as co
 from protocols.canopen import sdo
 from protocols.canopen import services as cs
-from protocols.canopen.client import Job, Outcome, Purpose
+from protocols.canopen.client import DOUBLED, Job, Outcome, Purpose
 from protocols.canopen.master import Master
 from protocols.canopen.objects import Type, to_bytes
 from protocols.canopen.scan import DURATION, PERIOD, Scan, describe
@@ -41,6 +40,7 @@ REBOOT_TIMEOUT, REBOOT_AGAIN = 8000 * MILLISECOND, 2000 * MILLISECOND
 SAVING = 6000 * MILLISECOND
 SIGNATURES = {"save": (co.STORE, b"save"), "load": (co.RESTORE, b"load")}
 """Parameters that are written with 1: all is saved, or at the next restart as delivered."""
+TWICE = "every request is answered twice (by two devices, or to two hosts)"
 DRIVER_OBJECTS = frozenset({o.CONTROLWORD, o.MODE, *o.TARGETS, co.CONSUMER_HEARTBEAT})
 """Objects that only the driver itself writes, like the PDO parameters."""
 
@@ -102,12 +102,22 @@ class Cia402Adapter(Adapter[Drive]):
             return (self._on_message(t, host, frame),)
         return (Rx.IGNORED,)
 
-    def _report(self, t: Nanos, host: DriveHost, values: Values, **others: Any) -> DriveReport:  # noqa: ANN401 -- fields
-        """Return what objects of state and motion report; `others`: fields of the report."""
+    def _report(
+        self,
+        t: Nanos,
+        host: DriveHost,
+        values: Values,
+        *,
+        judged: bool = False,
+        **others: Any,  # noqa: ANN401
+    ) -> DriveReport:
+        """Return what objects of state and motion report. `judged`: what was read may have changed its mode;
+        `others`: fields of the report."""
         drive, mode = host.own, None
         drive.take(values)
         # What neither gives torque nor rests for certain confirms no release.
-        if o.STATUSWORD in values and (drive.rests or host.phase is not Phase.RELEASING):
+        free, shown = host.phase is not Phase.RELEASING, o.STATUSWORD in values
+        if (shown and drive.rests) or (free and (shown or judged)):
             mode = drive.mode if host.once_commanded else drive.first_mode
         faults = drive.codes if drive.codes or host.active else None
         units = drive.known.units
@@ -123,7 +133,7 @@ class Cia402Adapter(Adapter[Drive]):
         if isinstance(response, sdo.Uploaded) and (response.index, response.sub) == co.SERIAL_NUMBER:
             asked = drive.client.repeats(response)  # of the device, or of another one beside it
             serial = int.from_bytes(response.data, "little") or None if asked else None
-        two = drive.doubled()
+        two = TWICE if drive.client.doubled >= DOUBLED else ""
         others: dict[str, Any] = {"serial": known if two else serial, "duplicate": two, "content": outcome}
         if outcome is None:
             return Report(host, host.address, **others)
@@ -133,11 +143,8 @@ class Cia402Adapter(Adapter[Drive]):
             host.forget(t)
             return Report(host, host.address, drive.mode, "another device responds", **others)
         note = drive.describe() if serial is not None else ""
-        report = self._report(t, host, values, note=note, events=drive.take_events(), **others)
-        if outcome.job.purpose is Purpose.STARTUP and host.phase is not Phase.RELEASING:
-            mode = drive.mode if host.once_commanded else drive.first_mode
-            return replace(report, mode=mode)  # what was read may change it
-        return report
+        judged = outcome.job.purpose is Purpose.STARTUP
+        return self._report(t, host, values, judged=judged, note=note, events=drive.take_events(), **others)
 
     def _on_message(self, t: Nanos, host: DriveHost, frame: CanFrame) -> DriveReport | Rx:
         drive = host.own
@@ -254,11 +261,11 @@ class Cia402Adapter(Adapter[Drive]):
                 timeout = drive.options.home_timeout_ms * MILLISECOND
                 return why or _waiting(now, request, host, timeout)
             case msg.ReadParameter(_, name):
-                job = _read(name, drive.token())
+                job = _job(name, None, drive.token())
             case msg.WriteParameter(_, name) if name in SIGNATURES and host.running:
                 return ARMED
             case msg.WriteParameter(_, name, value):
-                job = _write(name, value, drive.token())
+                job = _job(name, value, drive.token())
             case _:
                 return f"cia402 has no {type(request).__name__}"
         if isinstance(job, str):
@@ -357,20 +364,16 @@ def _waiting(
 # -- parameters ------------------------------------------------------------------------------------------
 
 
-def _read(name: str, token: int) -> Job | str:
-    """Return the upload of a parameter, or why there is none."""
-    key = OBJECTS.find(name)
-    return _unknown(name) if key is None else Job(Purpose.REQUEST, key, token=token)
-
-
-def _write(name: str, value: float, token: int) -> Job | str:
-    """Return the download of a parameter, or why there is none."""
-    if name in SIGNATURES:
+def _job(name: str, value: float | None, token: int) -> Job | str:
+    """Return the upload of a parameter (`value` None), or the download, or why there is none."""
+    if name in SIGNATURES and value is not None:
         key, signature = SIGNATURES[name]
         return Job(Purpose.REQUEST, key, signature, 10, token) if value == 1 else f"{name} takes 1"
     found = OBJECTS.find(name)
     if found is None:
-        return _unknown(name)
+        return f'{name!r} is no object: give its name, or its address like "6081" or "608F:01"'
+    if value is None:
+        return Job(Purpose.REQUEST, found, token=token)
     known = OBJECTS.get(found)
     if known is None or known.type is Type.TEXT:
         return f"the type of {co.title(found)} is not known: not written"
@@ -382,7 +385,3 @@ def _write(name: str, value: float, token: int) -> Job | str:
         return Job(Purpose.REQUEST, found, to_bytes(known.type, int(value)), token=token)
     except ValueError as error:
         return str(error)
-
-
-def _unknown(name: str) -> str:
-    return f'{name!r} is no object: give its name, or its address like "6081" or "608F:01"'

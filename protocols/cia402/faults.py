@@ -17,7 +17,6 @@ from collections.abc import Mapping
 
 from protocols.plugin import FaultInfo
 
-OVERCURRENT = 0x2310
 FOLLOWING_ERROR = 0x8611
 NOT_ARMED = 0x1_0001
 DUPLICATE_NODE = 0x1_0002

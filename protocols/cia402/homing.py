@@ -14,7 +14,7 @@ from protocols.canopen import sdo
 from protocols.canopen.client import Job, Outcome, Purpose
 from protocols.canopen.objects import Type, from_bytes, to_bytes
 from protocols.cia402 import objects as o
-from protocols.cia402.profile import Control, Demand, HomingStatus, Mode, homing_of
+from protocols.cia402.profile import Control, Demand, Mode, Status
 from protocols.cia402.setpoints import Values, standstill
 
 METHODS = (37, 35)
@@ -71,9 +71,9 @@ class Homing:
             return False, self.failed
         if self.began_at is None or reports < self.began_at + REPORTS:
             return None
-        match homing_of(statusword):
-            case HomingStatus.DONE:
+        match statusword & (Status.BIT_13 | Status.BIT_12):
+            case Status.BIT_12 if statusword & Status.REACHED:
                 return True, "the present position is zero" if self.zero else "home is found"
-            case HomingStatus.ERROR_MOVING | HomingStatus.ERROR_STOPPED:
+            case Status.BIT_13:
                 return False, "it reports a homing error (bit 13 of its statusword)"
         return None

@@ -41,8 +41,8 @@ class Polls:
     """Which objects of one drive are polled when. Plain data."""
 
     period: Nanos
-    _at: Nanos = 0
-    """When the next poll is due, or later."""
+    due: Nanos = 0
+    """When `next` has something to poll, or to plan."""
     _hurried: bool = False
     _polled: dict[Key, Nanos] = field(default_factory=dict)
     """When each object was last polled."""
@@ -53,11 +53,11 @@ class Polls:
 
     def forget(self) -> None:
         """Begin anew: the drive may have restarted."""
-        self._polled, self._fresh, self._validity, self._at = {}, {}, {}, 0
+        self._polled, self._fresh, self._validity, self.due = {}, {}, {}, 0
 
     def expect(self, tpdos: Iterable[Pdo], sync: Nanos) -> None:
         """Expect these TPDOs from now on; `sync`: the period of SYNC, 0: not known."""
-        self._validity, self._at = {}, 0
+        self._validity, self.due = {}, 0
         for pdo in tpdos:
             period = pdo.period(sync)
             if period is not None:
@@ -72,22 +72,22 @@ class Polls:
     def invalidate(self, key: Key) -> None:
         """Poll an object at once: its last value is not valid any more."""
         self._polled.pop(key, None)
-        self._at = 0
+        self.due = 0
 
     def next(self, now: Nanos, absent: Collection[Key], *, hurried: bool, failed: bool) -> Key | None:
         """Return the object that is polled now; None if none is due. `hurried`: a change of state is
         expected; `failed`: it is in fault, and the error code is not known."""
-        self._at = self._at if hurried is self._hurried else 0
+        self.due = self.due if hurried is self._hurried else 0
         self._hurried = hurried
-        if now < self._at:
+        if now < self.due:
             return None
         rows = {**(HURRIED if hurried else POLLED), **({o.ERROR_CODE: 1} if failed else {})}
         times = {key: self._due_at(key, rows[key]) for key in rows if key not in absent}
-        self._at = min(times.values(), default=NEVER)
-        if now < self._at:
+        self.due = min(times.values(), default=NEVER)
+        if now < self.due:
             return None
         key = max(times, key=lambda key: (now - times[key]) / rows[key])
-        self._polled[key], self._at = now, 0
+        self._polled[key], self.due = now, 0
         return key
 
     def _due_at(self, key: Key, periods: int) -> Nanos:
@@ -96,11 +96,7 @@ class Polls:
 
     def hasten(self) -> None:
         """Plan anew: the state has changed."""
-        self._at = 0
-
-    def due(self) -> Nanos:
-        """Return when `next` has something to poll, or to plan."""
-        return self._at
+        self.due = 0
 
 
 def feedback(motor: str, t: Nanos, values: Mapping[Key, int], units: Units) -> Feedback | None:

@@ -9,7 +9,7 @@ Source: package canopen 2.4.1 `profiles/p402.py` (`State402`, `OperationMode`, `
 
 from __future__ import annotations
 
-from enum import Enum, IntEnum, IntFlag
+from enum import Enum, IntEnum
 
 
 class PowerState(Enum):
@@ -48,27 +48,22 @@ def state_of(statusword: int) -> PowerState | None:
     return _BY_STATUS[statusword & 0x7F]
 
 
-class Status(IntFlag):
-    """Bits of the statusword beside those of the state. Bits 10, 12 and 13 depend on the mode."""
+class Status:
+    """Bits of the statusword beside those of the state. The last three depend on the mode."""
 
     VOLTAGE_ENABLED = 1 << 4
-    WARNING = 1 << 7
     REMOTE = 1 << 9
-    TARGET_REACHED = 1 << 10
-    INTERNAL_LIMIT = 1 << 11
-    SETPOINT_ACKNOWLEDGED = 1 << 12  # PP
-    ZERO_SPEED = 1 << 12  # PV
-    HOMING_ATTAINED = 1 << 12  # HM
-    FOLLOWS_COMMAND = 1 << 12  # CSP, CSV, CST
-    FOLLOWING_ERROR = 1 << 13  # PP, CSP
-    HOMING_ERROR = 1 << 13  # HM
+    LIMITED = 1 << 11
+    REACHED = 1 << 10
+    BIT_12 = 1 << 12  # PP: set-point acknowledged; PV: zero speed; HM: attained; cyclic: follows the command
+    BIT_13 = 1 << 13  # PP, CSP: following error; HM: error
 
 
-class Control(IntFlag):
+class Control:
     """Bits of the controlword beside those of a demand."""
 
     NEW_SETPOINT = 1 << 4  # PP
-    START_HOMING = 1 << 4  # HM
+    START_HOMING = NEW_SETPOINT  # HM
     CHANGE_IMMEDIATELY = 1 << 5  # PP: do not finish the set-point before
     RELATIVE = 1 << 6  # PP
     FAULT_RESET = 1 << 7  # obeyed on its rising edge
@@ -136,32 +131,9 @@ def mode_name(value: int) -> str:
 
 def mode_bit(mode: Mode) -> int:
     """Return the bit of a mode in object 6502 (supported drive modes); 0 for no mode."""
-    return 0 if mode is Mode.NONE else 1 << (mode - 1)
+    return 1 << mode >> 1
 
 
 def supports(supported: int, mode: Mode) -> bool:
-    """True if a value of object 6502 (supported drive modes) includes a mode."""
-    bit = mode_bit(mode)
-    return supported & bit == bit
-
-
-class HomingStatus(Enum):
-    """State of a homing procedure: bits 13, 12 and 10 of the statusword in mode HM."""
-
-    IN_PROGRESS = 0x0000
-    INTERRUPTED = 0x0400
-    """Or not started."""
-    ATTAINED = 0x1000
-    """The target is not reached yet."""
-    DONE = 0x1400
-    ERROR_MOVING = 0x2000
-    ERROR_STOPPED = 0x2400
-
-
-HOMING_MASK = 0x3400
-
-
-def homing_of(statusword: int) -> HomingStatus | None:
-    """Decode the state of homing; None for a combination without meaning."""
-    value = statusword & HOMING_MASK
-    return HomingStatus(value) if value in {status.value for status in HomingStatus} else None
+    """True if a value of object 6502 includes a mode; no mode is always included."""
+    return not mode or bool(supported & mode_bit(mode))

@@ -12,7 +12,7 @@ Source: CiA 402-2 "finite state automaton", "profile position mode"; package can
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, TypeAlias
 
@@ -30,6 +30,8 @@ from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, Command, Hold, Nanos, Position, Torque, Velocity
 
 Values: TypeAlias = dict[Key, int]
+Layouts: TypeAlias = dict[int, tuple[tuple[Key, ...], Packing]]
+"""The objects of PDOs and their packing, by identifier."""
 
 
 class Family(NamedTuple):
@@ -187,20 +189,9 @@ class Arrival:
         return ""
 
 
-@dataclass(slots=True)
-class _Rpdo:
-    id: int
-    keys: tuple[Key, ...]
-    packing: Packing
-    data: bytes = b""
-    sent_at: Nanos = 0
-
-    def frame(self, now: Nanos, data: bytes) -> CanFrame:
-        self.data, self.sent_at = data, now
-        return CanFrame(self.id, data)
-
-    def forget(self) -> None:
-        self.data = b""
+def layouts(pdos: Iterable[Pdo]) -> Layouts:
+    """Return how these PDOs are packed."""
+    return {pdo.id: (pdo.keys, packing(OBJECTS, pdo.entries)) for pdo in pdos}
 
 
 @dataclass(slots=True)
@@ -213,7 +204,9 @@ class Output:
     """Period at which the target is repeated by SDO, changed or not."""
     OFFSETS = (o.VELOCITY_OFFSET, o.TORQUE_OFFSET)
 
-    rpdos: list[_Rpdo] = field(default_factory=list)
+    rpdos: Layouts = field(default_factory=dict)
+    sent: dict[int, tuple[bytes, Nanos]] = field(default_factory=dict)
+    """The data of each last, and when that was."""
     mapped: frozenset[Key] = frozenset()
     """The objects in RPDOs."""
     synchronous: bool = False
@@ -227,8 +220,8 @@ class Output:
     def configure(self, pdos: Sequence[Pdo], offsets: Values) -> None:
         """Use these RPDOs, the one with the controlword last; `offsets` are what the drive has now."""
         ordered = sorted(pdos, key=lambda pdo: (o.CONTROLWORD in pdo.keys, pdo.number))
-        self.rpdos = [_Rpdo(pdo.id, pdo.keys, packing(OBJECTS, pdo.entries)) for pdo in ordered]
-        self.mapped = frozenset(key for rpdo in self.rpdos for key in rpdo.keys)
+        self.rpdos, self.sent = layouts(ordered), {}
+        self.mapped = frozenset(key for pdo in pdos for key in pdo.keys)
         self.synchronous = any(pdo.synchronous for pdo in pdos)
         self.written, self.written_at = dict(offsets), {}
 
@@ -236,10 +229,12 @@ class Output:
         """Return the RPDOs to be sent now; `moving`: the object that moves the motor, or commands its
         state."""
         frames = []
-        for rpdo in self.rpdos:
-            data = rpdo.packing.pack([values.get(key, 0) for key in rpdo.keys])
-            if data != rpdo.data or moving in rpdo.keys or now >= rpdo.sent_at + self.REFRESH:
-                frames.append(rpdo.frame(now, data))
+        for id_, (keys, layout) in self.rpdos.items():
+            data = layout.pack([values.get(key, 0) for key in keys])
+            before, at = self.sent.get(id_, (b"", 0))
+            if data != before or moving in keys or now >= at + self.REFRESH:
+                self.sent[id_] = data, now
+                frames.append(CanFrame(id_, data))
         return frames
 
     def demand(self, now: Nanos, demand: Demand, position: int, mode: int) -> list[CanFrame]:
@@ -275,5 +270,4 @@ class Output:
     def forget(self) -> None:
         """Send everything again: what the drive has received is not known."""
         self.written.clear()
-        for rpdo in self.rpdos:
-            rpdo.forget()
+        self.sent.clear()

@@ -137,11 +137,10 @@ class Settings:
         check_bounds(self, others)
 
 
-SETTING_OBJECTS: dict[str, Key] = {
-    each.name: each.metadata["object"] for each in fields(Settings) if "object" in each.metadata
-}
+_STORED = [each for each in fields(Settings) if "object" in each.metadata]
+SETTING_OBJECTS: dict[str, Key] = {each.name: each.metadata["object"] for each in _STORED}
 """The settings that are objects of the dictionary."""
-_ROWS = [each.metadata for each in fields(Settings) if "object" in each.metadata]
+_ROWS = [each.metadata for each in _STORED]
 ONLY: dict[Key, Sequence[int]] = {row["object"]: row["only"] for row in _ROWS if row["only"]}
 """The values that the twin supports of an object; others are refused."""
 LOWEST: dict[Key, int] = {row["object"]: row["low"] for row in _ROWS if row["low"] > 0} | {

@@ -152,11 +152,6 @@ class Known:
         modes = [mode for family in families for mode in (family.cyclic, family.profile)[::order]]
         return next((mode for mode in modes if supports(self.read.get(o.SUPPORTED_MODES, 0), mode)), None)
 
-    @property
-    def can_home(self) -> bool:
-        """True if it has a homing mode."""
-        return self.complete and supports(self.read.get(o.SUPPORTED_MODES, 0), Mode.HM)
-
     def usable(self, kind: Kind) -> list[Pdo]:
         """Return its PDOs that can be used as they are."""
         synced = self.options.feedback == "sync"

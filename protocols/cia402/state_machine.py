@@ -16,36 +16,31 @@ from protocols.cia402.profile import Demand, PowerState
 HOLDING_QUICK_STOPS = (5, 6, 7)
 """Option codes 605A with which a drive stays in QUICK STOP ACTIVE, and holds."""
 
-_SOD = PowerState.SWITCH_ON_DISABLED
-_READY = PowerState.READY
-_ON = PowerState.SWITCHED_ON
-_ENABLED = PowerState.OPERATION_ENABLED
-_QUICK = PowerState.QUICK_STOP
-_FAULT = PowerState.FAULT
-
+S, D = PowerState, Demand
 TRANSITIONS: dict[tuple[PowerState, Demand], PowerState] = {
-    (_SOD, Demand.SHUTDOWN): _READY,  # 2
-    (_READY, Demand.SWITCH_ON): _ON,  # 3
-    (_READY, Demand.ENABLE_OPERATION): _ENABLED,  # 3 and 4
-    (_READY, Demand.DISABLE_VOLTAGE): _SOD,  # 7
-    (_READY, Demand.QUICK_STOP): _SOD,  # 7
-    (_ON, Demand.ENABLE_OPERATION): _ENABLED,  # 4
-    (_ON, Demand.SHUTDOWN): _READY,  # 6
-    (_ON, Demand.DISABLE_VOLTAGE): _SOD,  # 10
-    (_ON, Demand.QUICK_STOP): _SOD,  # 10
-    (_ENABLED, Demand.SWITCH_ON): _ON,  # 5
-    (_ENABLED, Demand.SHUTDOWN): _READY,  # 8
-    (_ENABLED, Demand.DISABLE_VOLTAGE): _SOD,  # 9
-    (_ENABLED, Demand.QUICK_STOP): _QUICK,  # 11
-    (_QUICK, Demand.DISABLE_VOLTAGE): _SOD,  # 12
-    (_FAULT, Demand.FAULT_RESET): _SOD,  # 15
+    (S.SWITCH_ON_DISABLED, D.SHUTDOWN): S.READY,  # 2
+    (S.READY, D.SWITCH_ON): S.SWITCHED_ON,  # 3
+    (S.READY, D.ENABLE_OPERATION): S.OPERATION_ENABLED,  # 3 and 4
+    (S.READY, D.DISABLE_VOLTAGE): S.SWITCH_ON_DISABLED,  # 7
+    (S.READY, D.QUICK_STOP): S.SWITCH_ON_DISABLED,  # 7
+    (S.SWITCHED_ON, D.ENABLE_OPERATION): S.OPERATION_ENABLED,  # 4
+    (S.SWITCHED_ON, D.SHUTDOWN): S.READY,  # 6
+    (S.SWITCHED_ON, D.DISABLE_VOLTAGE): S.SWITCH_ON_DISABLED,  # 10
+    (S.SWITCHED_ON, D.QUICK_STOP): S.SWITCH_ON_DISABLED,  # 10
+    (S.OPERATION_ENABLED, D.SWITCH_ON): S.SWITCHED_ON,  # 5
+    (S.OPERATION_ENABLED, D.SHUTDOWN): S.READY,  # 8
+    (S.OPERATION_ENABLED, D.DISABLE_VOLTAGE): S.SWITCH_ON_DISABLED,  # 9
+    (S.OPERATION_ENABLED, D.QUICK_STOP): S.QUICK_STOP,  # 11
+    (S.QUICK_STOP, D.DISABLE_VOLTAGE): S.SWITCH_ON_DISABLED,  # 12
+    (S.FAULT, D.FAULT_RESET): S.SWITCH_ON_DISABLED,  # 15
 }
+del S, D
 
 
 def next_state(state: PowerState, demand: Demand | None, quick_stop_option: int) -> PowerState:
     """Return the state of a drive after a demand; the same if the state does not obey it."""
     if demand is None:
         return state
-    if (state, demand) == (_QUICK, Demand.ENABLE_OPERATION):  # 16
-        return _ENABLED if quick_stop_option in HOLDING_QUICK_STOPS else state
+    if (state, demand) == (PowerState.QUICK_STOP, Demand.ENABLE_OPERATION):  # 16
+        return PowerState.OPERATION_ENABLED if quick_stop_option in HOLDING_QUICK_STOPS else state
     return TRANSITIONS.get((state, demand), state)

@@ -155,42 +155,35 @@ class Cia402Twin(Firmware):
 
     def _statusword(self) -> int:
         memory, motor = self.memory, self.motor
-        status = STATE_BITS[memory.state][1] | ALWAYS | (LIMITED if motor.limited else 0)
+        status = STATE_BITS[memory.state][1] | Status.VOLTAGE_ENABLED | Status.REMOTE
+        status |= Status.LIMITED if motor.limited else 0
         if memory.state is PowerState.QUICK_STOP:
-            return status | (REACHED if motor.at_standstill else 0)
+            return status | (Status.REACHED if motor.at_standstill else 0)
         if memory.mode is Mode.HM:  # the homing state is shown also while it is not enabled
             under_way = motor.homing or memory.homing_requested
-            return status | (0 if under_way else REACHED | (BIT_12 if motor.homed else 0))
+            return status | (0 if under_way else Status.REACHED | (Status.BIT_12 if motor.homed else 0))
         return status | self._mode_bits() if memory.enabled else status
 
     def _mode_bits(self) -> int:
         memory, motor, values = self.memory, self.motor, self.memory.values
-        error = BIT_13 if motor.following_error else 0
+        error = Status.BIT_13 if motor.following_error else 0
         match memory.mode:
             case Mode.CSP:
-                return BIT_12 | error
+                return Status.BIT_12 | error
             case Mode.CSV | Mode.CST:
-                return BIT_12
+                return Status.BIT_12
             case Mode.PP:
-                acknowledged = BIT_12 if memory.acknowledged else 0
+                acknowledged = Status.BIT_12 if memory.acknowledged else 0
                 return error | acknowledged | self._reached(values[o.POSITION_WINDOW_TIME])
             case Mode.PV:
                 slow = abs(motor.encoder.velocity) <= memory.units.velocity(values[o.VELOCITY_THRESHOLD])
-                return (BIT_12 if slow else 0) | self._reached(values[o.VELOCITY_WINDOW_TIME])
+                return (Status.BIT_12 if slow else 0) | self._reached(values[o.VELOCITY_WINDOW_TIME])
             case Mode.PT:
                 return self._reached(0)
         return 0
 
     def _reached(self, after_ms: int) -> int:
-        return REACHED if self.motor.has_arrived(after_ms) else 0
-
-
-ALWAYS = int(Status.VOLTAGE_ENABLED | Status.REMOTE)
-LIMITED = int(Status.INTERNAL_LIMIT)
-REACHED = int(Status.TARGET_REACHED)
-BIT_12 = int(Status.FOLLOWS_COMMAND)
-"""Also set-point acknowledged, zero speed, homing attained."""
-BIT_13 = int(Status.FOLLOWING_ERROR)
+        return Status.REACHED if self.motor.has_arrived(after_ms) else 0
 
 
 def _fit(type_: Type, value: float) -> int:

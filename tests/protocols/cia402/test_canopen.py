@@ -20,7 +20,6 @@ import pytest
 from canopen.profiles.p402 import BaseNode402
 
 import protocols.cia402
-from protocols.cia402.faults import OVERCURRENT
 from protocols.cia402.options import Settings
 from protocols.cia402.profile import Mode
 from protocols.frames import CanFrame
@@ -37,6 +36,8 @@ MODES = {
     Mode.CSV: "CYCLIC SYNCHRONOUS VELOCITY",
     Mode.CST: "CYCLIC SYNCHRONOUS TORQUE",
 }
+
+OVERCURRENT = 0x2310
 
 
 class Rig:

@@ -8,8 +8,9 @@ from canopen.emcy import EmcyError
 from canopen.profiles.p402 import Homing, State402
 
 from protocols.canopen.objects import Type
+from protocols.cia402 import homing
 from protocols.cia402.faults import FAULTS, fault_info, register_of
-from protocols.cia402.profile import STATE_BITS, HomingStatus, PowerState, homing_of, state_of
+from protocols.cia402.profile import STATE_BITS, PowerState, state_of
 from protocols.cia402.settings import Settings, units_of_settings
 from protocols.cia402.state_machine import TRANSITIONS
 from protocols.frames import CanFrame
@@ -40,10 +41,19 @@ def test_every_statusword_as_the_package_has_them() -> None:
 
 
 def test_homing_bits_as_the_package_has_them() -> None:
-    assert {mask for mask, _ in Homing.STATES.values()} == {0x3400}
-    assert {value for _, value in Homing.STATES.values()} == {h.value for h in HomingStatus}
-    assert homing_of(0x1637) is HomingStatus.DONE
-    assert homing_of(0x3000) is None
+    begun, ended = homing.Homing(token=1, zero=False, began_at=0), {}
+    for name, (mask, value) in Homing.STATES.items():
+        results = {begun.result(value | others, homing.REPORTS) for others in (0x0237, 0xFFFF & ~mask)}
+        (ended[name],) = (result and result[0] for result in results)
+    assert begun.result(0x3000, homing.REPORTS) is None
+    assert ended == {
+        "IN PROGRESS": None,
+        "INTERRUPTED": None,
+        "ATTAINED": None,
+        "TARGET REACHED": True,
+        "ERROR VELOCITY IS NOT ZERO": False,
+        "ERROR VELOCITY IS ZERO": False,
+    }
 
 
 def test_every_transition_of_the_package_is_the_twins() -> None:
