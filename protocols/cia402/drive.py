@@ -14,8 +14,8 @@ from protocols.canopen import objects as co
 from protocols.canopen import sdo
 from protocols.canopen.client import NEVER, Job, Outcome, Purpose, SdoClient
 from protocols.canopen.mapping import Setup
-from protocols.canopen.objects import Key, Type, from_bytes, to_bytes
-from protocols.canopen.pdo import DISABLED
+from protocols.canopen.objects import Key, Type, from_bytes, title, to_bytes
+from protocols.canopen.pdo import DISABLED, NO_RTR
 from protocols.canopen.scan import describe
 from protocols.canopen.services import Nmt, NmtCommand, NmtState, encode, sdo_rx_id
 from protocols.cia402 import faults, profile, setpoints
@@ -245,6 +245,8 @@ class Drive:
                 self.rounds += 1
             case Purpose.REQUEST if self.homing is not None and job.token == self.homing.token:
                 self.client.put(*self.homing.on_method(outcome))
+            case Purpose.CHECK if key[0] in co.PDO_PARAMETERS and abort is None and self.configured:
+                self._on_cob_id(key, outcome.value)
             case Purpose.CHECK if key in o.TARGETS:
                 if failure := self.arrival.on_outcome(t, outcome):
                     self.failures.append((faults.NOT_ARMED, failure))
@@ -429,6 +431,16 @@ class Drive:
             self.configured = True
         return self.configured
 
+    def _on_cob_id(self, key: Key, data: bytes) -> None:
+        """Handle the COB-ID of an RPDO in use, as read back: a late copy of a write may have disabled it."""
+        found, wanted = from_bytes(Type.U32, data), self.known.cob_ids().get(key)
+        if found is None or wanted is None or not (found ^ wanted) & ~NO_RTR:
+            return
+        cause = f"{title(key)} is {found:08X} and was set to {wanted:08X}: it was configured anew meanwhile"
+        self.failures.append((faults.NOT_CONFIGURED, cause))
+        self.configured = False
+        self.give_up_setup()
+
     def give_up_setup(self) -> None:
         """Forget a setup that is not done, and what it may have written."""
         if self.setup is None or self.configured:
@@ -579,6 +591,8 @@ class Drive:
             self.check_at = now + (RECHECK if client.doubled else CHECK)
             has_serial = co.SERIAL_NUMBER not in self.known.absent
             jobs.append(Job(Purpose.CHECK, co.SERIAL_NUMBER if has_serial else co.DEVICE_TYPE))
+            if self.configured:
+                jobs += [Job(Purpose.CHECK, key) for key in self.known.cob_ids()]
         if self.known.units is not None and not client.has(Purpose.POLL):
             lacking, failed = self.known.absent, self.code_wanted
             polled = self.polls.next(now, lacking, hurried=self.hurried, failed=failed)

@@ -189,8 +189,7 @@ class Cia402Adapter(Adapter[Drive]):
         self._commanded_at = now if frames else self._commanded_at
         return frames
 
-    def command(self, now: Nanos, host: DriveHost, command: Command) -> Sequence[Frame]:
-        return self.arm(now, host, command)
+    command = arm
 
     def release(self, now: Nanos, host: DriveHost) -> Sequence[Frame]:
         return host.own.release(now, host.since)

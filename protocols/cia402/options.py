@@ -7,7 +7,6 @@ from typing import Literal
 
 from protocols.canopen.master import BEATS
 from protocols.canopen.services import MAX_NODE
-from protocols.cia402.settings import Settings as Settings
 from protocols.toolkit.options import bounded, check_bounds
 from protocols.toolkit.table import FLOAT_MAX
 

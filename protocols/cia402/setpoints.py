@@ -13,7 +13,7 @@ Source: CiA 402-2 "finite state automaton", "profile position mode"; package can
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import NamedTuple, TypeAlias
 
 from protocols.canopen import sdo
@@ -60,18 +60,15 @@ def values_of(command: Command, mode: Mode, units: Units, rest: int) -> Values:
     """Return the set-points of a command in a mode. `rest`: the target position if the command has none.
 
     Feed-forwards are objects of the cyclic modes: a profile mode generates its own."""
-    if mode not in CYCLIC and isinstance(command, Position | Velocity):
-        command = replace(command, torque=0.0)
-        command = replace(command, velocity=0.0) if isinstance(command, Position) else command
-    values = standstill(rest)
+    values, feeds = standstill(rest), mode in CYCLIC
     match command:
         case Position(_, position, velocity, torque):
             values[o.TARGET_POSITION] = units.to_position(position)
-            values[o.VELOCITY_OFFSET] = units.to_velocity(velocity) if velocity else 0
-            values[o.TORQUE_OFFSET] = units.to_torque(torque) if torque else 0
+            values[o.VELOCITY_OFFSET] = units.to_velocity(velocity) if velocity and feeds else 0
+            values[o.TORQUE_OFFSET] = units.to_torque(torque) if torque and feeds else 0
         case Velocity(_, velocity, torque):
             values[o.TARGET_VELOCITY] = units.to_velocity(velocity)
-            values[o.TORQUE_OFFSET] = units.to_torque(torque) if torque else 0
+            values[o.TORQUE_OFFSET] = units.to_torque(torque) if torque and feeds else 0
         case Torque(_, torque):
             values[o.TARGET_TORQUE] = units.to_torque(torque)
     return values

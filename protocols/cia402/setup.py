@@ -158,6 +158,11 @@ class Known:
         pdos = [pdo for pdo in (self.pdos or {}).values() if pdo.kind == kind]
         return [pdo for pdo in pdos if pdo.usable(self.node, OBJECTS, FILLED, synced=synced)]
 
+    def cob_ids(self) -> dict[Key, int]:
+        """Return the COB-IDs of the RPDOs in use, by their object."""
+        used = self.usable("RPDO")
+        return {(mapping.parameters(pdo.kind, pdo.number)[0], co.COB_ID): pdo.cob for pdo in used}
+
     # -- what is written to it ------------------------------------------------------------------------
 
     def setup(self) -> Setup:
