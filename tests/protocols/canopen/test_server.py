@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from canopen.objectdictionary import ODVariable
 
-from protocols.cia402.options import Settings
+from protocols.cia402.settings import Settings
 from protocols.frames import CanFrame
 from tests.protocols.cia402.bus import TwinOnShaft
 from tests.protocols.cia402.stack import Slave, dictionary

@@ -8,7 +8,7 @@ from typing import Any
 import canopen
 
 from protocols.cia402 import plugin
-from protocols.cia402.options import Settings
+from protocols.cia402.settings import Settings
 from protocols.conformance.bench import Shaft
 from protocols.frames import CanFrame, Frame
 from protocols.messages import MILLISECOND, Command, Event, Feedback, Request

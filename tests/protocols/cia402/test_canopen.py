@@ -20,8 +20,8 @@ import pytest
 from canopen.profiles.p402 import BaseNode402
 
 import protocols.cia402
-from protocols.cia402.options import Settings
 from protocols.cia402.profile import Mode
+from protocols.cia402.settings import Settings
 from protocols.frames import CanFrame
 from tests.protocols.cia402.bus import TwinOnShaft
 

@@ -12,7 +12,8 @@ import pytest
 from protocols import messages as msg
 from protocols.cia402 import plugin
 from protocols.cia402.faults import FAULTS, register_of
-from protocols.cia402.options import Options, Settings
+from protocols.cia402.options import Options
+from protocols.cia402.settings import Settings
 from protocols.conformance import CLAUSES, check
 from protocols.frames import CanFrame, Frame, exact
 from protocols.plugin import Device
