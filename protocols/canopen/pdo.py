@@ -13,7 +13,6 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
 
 from protocols.canopen.objects import Key, Objects
 
@@ -43,9 +42,6 @@ class Entry:
         return self.index, self.sub
 
 
-Mapping: TypeAlias = tuple[Entry, ...]
-
-
 def decode_entry(value: int) -> Entry:
     """Decode an entry of object 160x or 1Axx."""
     return Entry(value >> 16, value >> 8 & 0xFF, value & 0xFF)
@@ -61,7 +57,7 @@ def entry(objects: Objects, key: Key) -> Entry:
     return Entry(*key, objects[key].type.bits)
 
 
-def mapping(objects: Objects, *keys: Key) -> Mapping:
+def mapping(objects: Objects, *keys: Key) -> tuple[Entry, ...]:
     """Return a mapping of known objects, each in its whole length."""
     return tuple(entry(objects, key) for key in keys)
 
@@ -75,7 +71,7 @@ def is_synchronous(transmission: int) -> bool:
 class Packing:
     """A mapping compiled for packing and unpacking."""
 
-    entries: Mapping
+    entries: tuple[Entry, ...]
     size: int
     """Bytes of the frame."""
     form: str
@@ -126,7 +122,6 @@ def packing(objects: Objects, entries: Sequence[Entry]) -> Packing:
     if any(not one.bits for one in entries):
         raise ValueError("an entry without bits")
     signed = tuple(one.key in objects and objects[one.key].type.signed for one in entries)
-    usual = all(one.bits in _LETTERS for one in entries)
     letters = [_LETTERS.get(one.bits, "") for one in entries]
-    form = "<" + "".join(x if s else x.upper() for x, s in zip(letters, signed, strict=True)) if usual else ""
-    return Packing(tuple(entries), -(-bits // 8), form, signed)
+    form = "<" + "".join(x if s else x.upper() for x, s in zip(letters, signed, strict=True))
+    return Packing(tuple(entries), -(-bits // 8), form if all(letters) else "", signed)

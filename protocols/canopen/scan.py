@@ -58,14 +58,13 @@ class Scan:
         if self._asked.get(node) != key:
             return False
         known = self.found.setdefault(node, {})
-        first = key not in known
         value = int.from_bytes(response.data, "little") if isinstance(response, sdo.Uploaded) else -1
-        known.setdefault(key, value)
         if key == o.SERIAL_NUMBER and value > 0 and value not in self.serials.get(node, ()):
             self.serials.setdefault(node, []).append(value)
-        at = IDENTITY.index(key) + 1
-        if first and at < len(IDENTITY):
-            self._next.append((node, IDENTITY[at]))
+        if key not in known:
+            known[key] = value
+            if len(known) < len(IDENTITY):
+                self._next.append((node, IDENTITY[len(known)]))
         return True
 
 

@@ -110,7 +110,8 @@ Request: TypeAlias = Download | DownloadStart | DownloadSegment | Upload | Uploa
 Response: TypeAlias = Downloaded | SegmentDownloaded | Uploaded | UploadStart | UploadedSegment | Abort
 
 ABORT = 0x80
-_HEAD = struct.Struct("<BHB4s")
+HEAD = struct.Struct("<BHB4s")
+"""Command, index, subindex, and data or a size."""
 _LONG = struct.Struct("<BHBI")
 
 
@@ -122,7 +123,7 @@ def encode(message: Request) -> bytes:
         size = len(message.data)
         if not 1 <= size <= EXPEDITED:
             raise ValueError(f"{size} bytes are no expedited transfer")
-        return _HEAD.pack(0x23 | (EXPEDITED - size) << 2, message.index, message.sub, message.data)
+        return HEAD.pack(0x23 | (EXPEDITED - size) << 2, message.index, message.sub, message.data)
     match message:
         case DownloadStart(index, sub, size):
             return _LONG.pack(0x21, index, sub, size)
@@ -139,7 +140,7 @@ def decode_response(data: bytes) -> Response | None:
     """Decode a response; None if it is malformed. Expedited data without a size are four bytes."""
     if len(data) != SIZE:
         return None
-    command, index, sub, rest = _HEAD.unpack(data)
+    command, index, sub, rest = HEAD.unpack(data)
     match command >> 5:
         case 2 if command & 2:
             return Uploaded(index, sub, rest[: EXPEDITED - (command >> 2 & 3)] if command & 1 else rest)

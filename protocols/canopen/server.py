@@ -11,7 +11,6 @@ segment without a beginning with a general error, and so does this.)
 
 from __future__ import annotations
 
-import struct
 from dataclasses import dataclass
 
 from protocols.canopen import sdo
@@ -20,7 +19,6 @@ from protocols.canopen.objects import Key
 
 LONGEST = 256
 """Bytes that are accepted in segments; there is no longer object."""
-_HEAD = struct.Struct("<BHB4s")
 
 
 @dataclass(slots=True)
@@ -42,7 +40,7 @@ class SdoServer:
         """Serve a request; return its response, and the object that it wrote."""
         if len(data) != sdo.SIZE:
             return None, None
-        command, index, sub, rest = _HEAD.unpack(data)
+        command, index, sub, rest = sdo.HEAD.unpack(data)
         kind = command >> 5
         if kind in (0, 3):
             code, response = self._segment(dictionary, command, data[1:])
@@ -54,20 +52,20 @@ class SdoServer:
             code, response = self._begin(dictionary, command, rest)
         if code:
             self.outgoing = self.incoming = None
-            return _HEAD.pack(sdo.ABORT, *self.key, code.to_bytes(4, "little")), None
+            return sdo.HEAD.pack(sdo.ABORT, *self.key, code.to_bytes(4, "little")), None
         ends_download = (kind == 1 and command & 2) or (kind == 0 and command & 1)
         return response, self.key if ends_download else None
 
     def _begin(self, dictionary: Dictionary, command: int, rest: bytes) -> tuple[int, bytes]:
         """Begin a transfer; return (abort code, response)."""
-        done = _HEAD.pack(0x60, *self.key, bytes(4))
+        done = sdo.HEAD.pack(0x60, *self.key, bytes(4))
         if command >> 5 == 2:
             code, value = dictionary.read(self.key)
             if len(value) <= sdo.EXPEDITED:
                 head = 0x43 | (sdo.EXPEDITED - len(value)) << 2
-                return code or (0 if value else sdo.NO_DATA), _HEAD.pack(head, *self.key, value)
+                return code or (0 if value else sdo.NO_DATA), sdo.HEAD.pack(head, *self.key, value)
             self.outgoing = value
-            return 0, _HEAD.pack(0x41, *self.key, len(value).to_bytes(4, "little"))
+            return 0, sdo.HEAD.pack(0x41, *self.key, len(value).to_bytes(4, "little"))
         if command >> 5 != 1:
             return sdo.UNKNOWN_COMMAND, b""
         if not command & 2:
