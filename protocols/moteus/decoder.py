@@ -177,11 +177,13 @@ class Memory:
 
     def _has_own_bounds(self) -> bool:
         """True if stay-within has the bounds of the options: between others it may pull anywhere."""
-        bounds = [self.command[f"command_within_{end}_bound"] * tau for end in ("lower", "upper")]
-        return all(
-            isclose(bound, own, rel_tol=1e-6) or (isnan(bound) and isnan(own))
-            for bound, own in zip(bounds, self.within, strict=True)
-        )
+        low, high = (self.command[f"command_within_{end}_bound"] * tau for end in ("lower", "upper"))
+        return _is_same(low, self.within[0]) and _is_same(high, self.within[1])
+
+
+def _is_same(bound: float, own: float) -> bool:
+    """True if two bounds are the same, as binary32; NaN: none."""
+    return isclose(bound, own, rel_tol=1e-6) or (isnan(bound) and isnan(own))
 
 
 def _mask(subframe: Subframe) -> Sequence[tuple[int, bytes]]:

@@ -214,8 +214,8 @@ class MoteusAdapter(Adapter[Motor]):
     def refuse(self, host: Host[Motor], command: Command) -> str:
         if isinstance(command, msg.Impedance) and not all(host.options.gains):
             return "its gains are scaled, not set: give kp and kd under options, as on the device"
-        at, options = host.position or 0.0, host.options
-        outside = at < options.within_min or at > options.within_max
+        at, low, high = host.position, host.options.within_min, host.options.within_max
+        outside = at is not None and (at < low or at > high)
         if outside and isinstance(command, msg.Torque) and host.mode is not Mode.ARMED:
             return "it stands outside within_min … within_max: the device would pull it back"
         return ""
