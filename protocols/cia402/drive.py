@@ -24,7 +24,7 @@ from protocols.cia402.homing import Homing
 from protocols.cia402.objects import OBJECTS
 from protocols.cia402.options import Options
 from protocols.cia402.polls import Polls
-from protocols.cia402.profile import Demand, Mode, PowerState, Status
+from protocols.cia402.profile import POWERED, Demand, Mode, PowerState, Status
 from protocols.cia402.setpoints import FAMILIES, TARGET_OF, Arrival, Handshake, Layouts, Output, Values
 from protocols.cia402.setup import Known
 from protocols.frames import CanFrame
@@ -35,7 +35,6 @@ from protocols.toolkit.duplicates import StateCheck
 from protocols.toolkit.host import Phase
 
 FAULTY = (PowerState.FAULT, PowerState.FAULT_REACTION)
-ENERGISED = (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP)
 CALM = (PowerState.NOT_READY, PowerState.SWITCH_ON_DISABLED, PowerState.READY, PowerState.FAULT)
 """States that confirm that it is disarmed."""
 READING = "reading its object dictionary"
@@ -210,7 +209,7 @@ class Drive:
             self.mode, self.detail = State.FAULT, self.known.unusable
         elif power in FAULTY or self.estopped_at is not None:
             self.mode = State.FAULT
-        elif power in ENERGISED:
+        elif power in POWERED:
             self.mode = State.ARMED
         elif power in (None, PowerState.NOT_READY) or not complete:
             self.mode = State.INITIALISING

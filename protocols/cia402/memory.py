@@ -23,7 +23,7 @@ from protocols.canopen.objects import Key, title
 from protocols.canopen.services import NmtCommand
 from protocols.cia402 import objects as o
 from protocols.cia402.objects import OBJECTS, TARGETS
-from protocols.cia402.profile import Control, Demand, Mode, PowerState, demand_of, supports
+from protocols.cia402.profile import POWERED, Control, Demand, Mode, PowerState, demand_of, supports
 from protocols.cia402.settings import LOWEST, ONLY, SETTING_OBJECTS, Settings, twin_units
 from protocols.cia402.state_machine import HOLDING_QUICK_STOPS, next_state
 from protocols.cia402.units import READ
@@ -36,8 +36,6 @@ NMT_STATE = "NMT state"
 DISCONNECTS = (NmtCommand.STOP, NmtCommand.RESET_COMMUNICATION)
 """With these the host is lost, to a drive that gives torque: the reaction is in 6007."""
 MODES = {int(mode): mode for mode in Mode}
-POWERED = (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP)
-"""The states in which a drive gives torque."""
 USUAL_RPDOS = ((o.CONTROLWORD, o.MODE, o.TARGET_POSITION), (o.TARGET_VELOCITY, o.TARGET_TORQUE))
 USUAL_TPDOS = ((o.STATUSWORD, o.MODE_DISPLAY, o.POSITION), (o.VELOCITY, o.TORQUE, o.ERROR_CODE))
 """PDOs of a drive that is delivered with a mapping (`Settings.pdos`)."""

@@ -25,6 +25,8 @@ class PowerState(Enum):
     FAULT = "FAULT"
 
 
+POWERED = (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP)
+"""The states in which a drive gives torque."""
 STATE_BITS: dict[PowerState, tuple[int, int]] = {
     PowerState.NOT_READY: (0x4F, 0x00),
     PowerState.SWITCH_ON_DISABLED: (0x4F, 0x40),

@@ -17,9 +17,9 @@ from protocols.canopen.objects import Type
 from protocols.canopen.services import NmtCommand, sdo_rx_id
 from protocols.cia402 import objects as o
 from protocols.cia402.faults import FAULTS, register_of
-from protocols.cia402.memory import DISCONNECTS, POWERED, Memory, dictionary_of
+from protocols.cia402.memory import DISCONNECTS, Memory, dictionary_of
 from protocols.cia402.motor import Motor
-from protocols.cia402.profile import STATE_BITS, Mode, PowerState, Status
+from protocols.cia402.profile import POWERED, STATE_BITS, Mode, PowerState, Status
 from protocols.cia402.settings import Settings
 from protocols.frames import CanFrame, Frame
 from protocols.messages import Event, Nanos, Torque
