@@ -31,6 +31,10 @@ from protocols.zlac8015d.options import Options
 ARMING, ANSWER, RETRY = 15_000 * MILLISECOND, 2000 * MILLISECOND, 300 * MILLISECOND
 START: Nanos = 50 * MILLISECOND
 """Period in which a node is started that sends no TPDO."""
+STARTS = 10
+"""NMT starts without TPDOs after which it is set up anew."""
+CHECK: Nanos = 1000 * MILLISECOND
+"""Period in which the COB-ID of the RPDO is read back."""
 MISSED = 10
 """Periods without a TPDO after which it is read by SDO again."""
 TPDOS: Mapping[int, pdo.Packing] = {
@@ -41,6 +45,7 @@ TPDOS: Mapping[int, pdo.Packing] = {
 KEYS = {number: [entry.key for entry in packing.entries] for number, packing in TPDOS.items()}
 NUMBERS = {tpdo_id(number, 0): number for number in TPDOS}
 RPDO = 2
+RPDO_COB_ID = (o.RPDO_COMMUNICATION + RPDO - 1, o.COB_ID)
 EXPECTED = (services.SDO_TX_BASE, services.HEARTBEAT_BASE, services.EMCY_BASE, *NUMBERS)
 """Bases of the identifiers that a drive sends."""
 Motor: TypeAlias = "tuple[Drive, int]"
@@ -95,6 +100,10 @@ class Drive:
         """Begin to set it up."""
         self.stopped = False
         """It was made pre-operational for that."""
+        self.starts = 0
+        """NMT starts since then."""
+        self.check_at: Nanos = 0
+        """When the COB-ID of its RPDO is read back next."""
         self.setup = Setup(z.OBJECTS, self._plan())
 
     def _plan(self) -> list[Write]:
@@ -104,7 +113,7 @@ class Drive:
         plan = [Write(key, value) for key, value in whole.items()]
         plan += [Write((index, side), value) for index, value in ramps.items() for side in self.sides]
         set_point = pdo.mapping(z.OBJECTS, z.SET_POINT)
-        plan += _pdo(o.RPDO_COMMUNICATION + RPDO - 1, rpdo_id(RPDO, node), set_point)
+        plan += _pdo(RPDO_COB_ID[0], rpdo_id(RPDO, node), set_point)
         timer = options.feedback_ms * MILLISECOND // z.TIMER_UNIT
         for number in (*self.sides, z.BOTH):
             entries = TPDOS[number].entries
@@ -136,7 +145,9 @@ class Drive:
             self.client.put(job)
         elif self.setup.done and not self.flows(now):
             if now >= self.start_at:
-                self.start_at = now + START
+                self.start_at, self.starts = now + START, self.starts + 1
+                if self.starts > STARTS:
+                    self._begin()  # a late copy of a write may have disabled its TPDOs
                 return (services.encode(Nmt(NmtCommand.START, self.node)),)
         elif self.setup.done and state is not None:
             self.client.put(_write(Purpose.SETUP, z.SET_POINT, 0))
@@ -176,6 +187,9 @@ class Drive:
             motion = [key for side in self.sides for key in z.motion(side)]
             if not flows:
                 self.client.put(*(Job(Purpose.POLL, key) for key in (z.FAULT_CODE, z.STATUS, *motion)))
+        if self.setup.done and now >= self.check_at:
+            self.check_at = now + CHECK
+            self.client.put(Job(Purpose.CHECK, RPDO_COB_ID))
         request, outcome = self.client.poll(now)
         if outcome is not None:
             self.on_outcome(outcome)
@@ -190,6 +204,11 @@ class Drive:
         key, data = outcome.job.key, outcome.value
         if outcome.job == self.setup.job():
             self.setup.on_outcome(outcome)
+            return {}
+        if key == RPDO_COB_ID:
+            if self.setup.done and int.from_bytes(data, "little") & pdo.DISABLED:
+                self.release()  # a late copy of a write has disabled it: set-points do not arrive
+                self._begin()
             return {}
         if key == z.STATUS and len(data) == 2:
             data *= 2  # both motors have the same

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import pytest
 
 from protocols import messages as msg
-from protocols.canopen import services
+from protocols.canopen import pdo, sdo, services
 from protocols.conformance.bench import Bench, StepResult, make_bench
 from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, Command, Mode
@@ -197,3 +197,18 @@ def test_motors_of_a_drive_have_the_same_options() -> None:
     for address in (0, 128, 256):
         with pytest.raises(ValueError, match="must be 1 to 127, or 129 to 255"):
             plugin.spec(Device("left", address, Options(), Settings()))
+
+
+@pytest.mark.parametrize("index", [0x1401, 0x1800, 0x1802])
+def test_a_pdo_that_a_late_copy_of_a_write_has_disabled_is_set_up_again(index: int) -> None:
+    """Without set-points or reports no drive stays enabled; commanded on, it is armed and obeys again."""
+    bench, cob = pair(), {0x1401: 0x305, 0x1800: 0x185, 0x1802: 0x385}[index]
+    until(bench, lambda: armed(bench), turn(2.0, -2.0))
+    write = sdo.encode(sdo.Download(index, 1, (cob | pdo.DISABLED).to_bytes(4, "little")))
+    for twin in bench.twins:
+        twin.receive(bench.now, CanFrame(services.sdo_rx_id(5), write))
+    bench.steps(4000, turn(0.0, 3.0))
+    until(bench, lambda: armed(bench), turn(0.0, 3.0))
+    bench.steps(500, turn(0.0, 3.0))
+    assert bench.shafts["left"].velocity == pytest.approx(0.0, abs=z.RPM)
+    assert bench.shafts["right"].velocity == pytest.approx(3.0, abs=z.RPM)
