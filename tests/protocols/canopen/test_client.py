@@ -157,7 +157,7 @@ def test_segments_that_another_host_interrupts_are_requested_anew_but_not_for_ev
 
 
 def test_an_object_rests_while_responses_about_it_may_be_under_way() -> None:
-    """A doubled earlier confirmation must not count for a new request (issue 10, 2)."""
+    """A doubled earlier confirmation must not count for a new request."""
     host, count = client(), (0x1600, 0)
     host.put(Job(Purpose.SETUP, count, b"\0"))
     host.poll(0)

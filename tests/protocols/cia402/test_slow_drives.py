@@ -1,6 +1,6 @@
 """Idle during the set-up of a drive that needs 60 ms for each SDO request, or whose responses come once more.
 
-What counts is what stands in the drive afterwards (issue 10, 2)."""
+What counts is what stands in the drive afterwards."""
 
 from __future__ import annotations
 
