@@ -105,7 +105,7 @@ class RegisterAdapter(Adapter[Motor]):
 
     def polled(self, options: Any) -> Sequence[str]:  # noqa: ANN401
         """Return the registers that are read with every question and command."""
-        return ()
+        return (self.turns,) if self.turns else ()
 
     def about(self, operation: str, address: int, name: str, value: float = 0.0) -> Sequence[Frame]:
         """Return what reads or writes a register ("read", "write"; where a device does not answer what was

@@ -13,7 +13,7 @@ from gateway.cli.main import main
 from gateway.core.step import decoder_of
 from gateway.errors import ConfigError
 from protocols.frames import BusState, CanFrame
-from protocols.messages import Command, Feedback, Idle, Mode, Velocity
+from protocols.messages import Command, Feedback, Home, Idle, Mode, Velocity
 from tests.gateway.rig import Rig, notes_in
 
 MIXED = """
@@ -61,9 +61,14 @@ def rig() -> Rig:
     return made
 
 
+def test_a_request_that_a_protocol_does_not_know_is_refused_before_it_reaches_a_driver(rig: Rig) -> None:
+    texts = [f"{note.source}: {note.text}" for note in notes_in(rig.run(0.1, Home("servo")))]
+    assert "servo: Home: refused: its protocol cannot do this" in texts
+
+
 def test_each_motor_obeys_its_own_commands_only(rig: Rig) -> None:
     for turning in MOTORS:
-        ticks = rig.run(0.8, Velocity(turning, 2.0))
+        ticks = rig.run(1.5, Velocity(turning, 2.0))  # a CANopen drive is set up first
         assert rig.velocity(turning) == pytest.approx(2.0, abs=0.1)
         assert all(abs(rig.velocity(name)) < 0.02 for name in MOTORS if name != turning)
         decoder = decoder_of(rig.robot, "can0")

@@ -162,14 +162,12 @@ def test_requests_are_answered_done_or_refused_with_the_reason(rig: Rig) -> None
     ticks = rig.run(
         3.0,
         msg.Reboot("left"),
-        msg.Home("left"),
         msg.Reboot("lefft"),
         msg.ClearFault("right"),
         msg.Scan("can0"),
     )
     texts = [f"{n.source}: {n.text}" for n in notes_in(ticks)]
     assert any(t.startswith("left: Reboot: done") for t in texts)
-    assert "left: Home: refused: its protocol cannot do this" in texts
     assert "lefft: Reboot: refused: there is no motor 'lefft'; there are left, right" in texts
     assert any(t.startswith("right: ClearFault: done") for t in texts)
     assert sum("odrive_can at address" in t for t in texts) == 2
