@@ -259,8 +259,8 @@ class Drive:
         if self.known.unusable:
             self.note(t, faults.WRONG_DEVICE, self.known.unusable)
         self._judge()
-        told = value is not None and key in (o.STATUSWORD, o.MODE_DISPLAY, o.ERROR_CODE)
-        return {key: value} if value is not None and told else {}
+        reported = value is not None and key in (o.STATUSWORD, o.MODE_DISPLAY, o.ERROR_CODE)
+        return {key: value} if value is not None and reported else {}
 
     def _expect(self) -> None:
         """Decode its TPDOs from now on."""

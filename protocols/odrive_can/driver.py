@@ -323,8 +323,8 @@ class OdriveAdapter(Adapter[Axis]):
             notes["ran"] = True
             return None
         notes["beats"] = notes.get("beats", 0) + 1
-        told = notes["beats"] >= HEARTBEATS and (axis.faulty or axis.result not in errors.INCONCLUSIVE)
-        if not (notes.get("ran") or told):
+        certain = notes["beats"] >= HEARTBEATS and (axis.faulty or axis.result not in errors.INCONCLUSIVE)
+        if not (notes.get("ran") or certain):
             return None
         if axis.result == errors.SUCCESS and not axis.faulty:
             return pending.done(t, "it has ended")

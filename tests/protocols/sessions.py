@@ -142,7 +142,7 @@ class Motor:
     given: Command
     until: Nanos = 0
     """When something else is commanded."""
-    said: dict[Command, Nanos] = field(default_factory=dict)
+    given_at: dict[Command, Nanos] = field(default_factory=dict)
     """All that was commanded, and when last."""
     obeys: Command | None = None
     """As its decoder reads it."""
@@ -169,7 +169,7 @@ class Motor:
     def command(self, now: Nanos, given: Command, until: Nanos) -> None:
         """Give it a command until then."""
         self.given, self.until = given, until
-        self.said[given] = now
+        self.given_at[given] = now
         self.judge()
 
     def obey(self, now: Nanos, received: Command, age: Nanos) -> None:
@@ -177,7 +177,7 @@ class Motor:
         if received == self.obeys:
             return
         self.obeys = received
-        recent = [each for each, at in self.said.items() if at >= now - age]
+        recent = [each for each, at in self.given_at.items() if at >= now - age]
         assert self.was_said(received, recent), f"not commanded: {received}; but {recent}"
         self.judge()
 
@@ -207,12 +207,12 @@ class Motor:
             return True
         if any(self.same(each, received) for each in recent):
             return True
-        said = [self.spec.canonical(each) for each in recent]
+        wanted = [self.spec.canonical(each) for each in recent]
         for name, key in numbers(type(received), self.spec.ranges):
             value, bounds = getattr(received, name), self.spec.ranges[key]
             if name == "position" and self.stays(msg.Position(self.name, value), self.ever):
                 continue
-            if not any(close(getattr(each, name, 0.0), value, bounds) for each in said):
+            if not any(close(getattr(each, name, 0.0), value, bounds) for each in wanted):
                 return False
         return True
 
@@ -402,7 +402,7 @@ class Session:
             self.due = now + self.quality.period if now >= self.due else self.due
             given = [motor.given for motor in self.motors.values()]
             for motor in self.motors.values():
-                motor.said[motor.given] = now
+                motor.given_at[motor.given] = now
             events, frames = self.driver.send(now, [*requests, *given])
             self._on_events(events)
             for frame in frames:
