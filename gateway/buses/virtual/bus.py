@@ -5,8 +5,9 @@ first what has arrived is delivered; then every device runs, in the order of the
 encoder or sensor measures; then the world moves under the torques. Frames take their time on the medium,
 contend by priority, and are timestamped when they end. A packet holds nothing but what a twin has sent, and a
 twin is given nothing but its own shaft or readings: the true pose does not come this way. Faults that a test
-or a campaign wants (disconnected, power-cycled and duplicate devices, a lost interface) are methods of
-TwinWorld; nothing else makes them happen.
+or a campaign wants (disconnected, power-cycled and duplicate devices, another host, a lost interface) are
+methods of TwinWorld and TwinBus, false measurements, torques and transmissions the functions of `tamper`;
+nothing else makes them happen.
 """
 
 from __future__ import annotations
@@ -14,10 +15,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from heapq import heappop, heappush
 
 import numpy as np
 
 from gateway.buses.virtual.medium import Medium, Transmission
+from gateway.buses.virtual.tamper import Tamper
 from gateway.core.robot import TWIN, BusSettings, Motor, Robot, Sensor
 from gateway.sim.files import STEP, BenchFile, ShaftFile
 from gateway.sim.load import load_world
@@ -78,6 +81,9 @@ class TwinBus:
         self._world = world
         self._states: list[BusState] = []
         self._packets: list[Packet] = []
+        self._late: list[tuple[Nanos, int, Transmission]] = []
+        """What `Tamper.transmission` lets arrive, by time; with a number, since frames have no order."""
+        self._delayed = 0
         self._full = self._gone = False
 
     def read(self, now: Nanos) -> tuple[Sequence[BusState], Sequence[Packet]]:
@@ -110,11 +116,22 @@ class TwinBus:
         if self.from_devices.pending and self.from_devices is not self._from_host:
             for transmission in self.from_devices.run(until):
                 self._arrive(transmission)
+        while self._late and self._late[0][0] <= until:
+            self._deliver(heappop(self._late)[2])
         if self._full and not self._from_host.waiting(HOST):
             self._full = False
             self._states.append(BusState.UP)
 
     def _arrive(self, transmission: Transmission) -> None:
+        tamper = self._world.tamper.transmission
+        if tamper is None:
+            self._deliver(transmission)
+            return
+        for instead in tamper(self.name, transmission):
+            self._delayed += 1
+            heappush(self._late, (instead.t, self._delayed, instead))
+
+    def _deliver(self, transmission: Transmission) -> None:
         if transmission.sender != HOST:
             if not self._gone:
                 self._packets.append(Packet(transmission.t, self.name, transmission.frame))
@@ -125,12 +142,17 @@ class TwinBus:
                 device.twin.receive(transmission.t, transmission.frame)
                 device.received = True
 
-    def lose(self) -> None:
-        """The host's interface vanishes: nothing is sent or received."""
+    def intrude(self, t: Nanos, sender: str, frames: Sequence[Frame]) -> None:
+        """Queue frames of another sender: a second host, foreign traffic."""
+        for frame in frames:
+            self.from_devices.send(t, sender, frame)
+
+    def lose(self, state: BusState = BusState.GONE) -> None:
+        """The host's interface vanishes or, with OFF, goes bus-off: nothing is sent or received."""
         self._gone = True
         self._from_host.clear()
         self._packets.clear()
-        self._states.append(BusState.GONE)
+        self._states.append(state)
 
     def restore(self) -> None:
         """The host's interface is back."""
@@ -148,6 +170,7 @@ class TwinWorld:
             for name, settings in robot.buses.items()
             if settings.interface == TWIN
         }
+        self.tamper = Tamper()
         self._seed = seed
         self._began = False
         self._count = 2.0 * math.pi / self.world.counts_per_turn
@@ -194,8 +217,12 @@ class TwinWorld:
                 device.own_shaft.step(torque)
         for device in self._sensors:
             _run_sensor(t, device)
-        self.world.step(torques)
-        for reading in self.world.readings():
+        tamper = self.tamper
+        self.world.step(torques if tamper.torques is None else tamper.torques(torques))
+        for true in self.world.readings():
+            reading = true if tamper.reading is None else tamper.reading(true)
+            if reading is None:
+                continue
             for device in self._sensors:
                 if device.settings.name == reading.sensor:
                     device.readings.append(reading)
@@ -208,7 +235,10 @@ class TwinWorld:
         motor, shaft = device.settings.name, device.own_shaft
         position, velocity = (shaft.position, shaft.velocity) if shaft else self.world.shaft(motor)
         counted = math.floor(position * ratio / self._count) * self._count
-        torques, frames = device.twin.step(t, (Feedback(motor, t, counted, velocity * ratio),))
+        measured = Feedback(motor, t, counted, velocity * ratio)
+        if self.tamper.measured is not None:
+            measured = self.tamper.measured(motor, measured)
+        torques, frames = device.twin.step(t, (measured,))
         device.send(t, frames)
         return sum(torque.torque for torque in torques if torque.motor == motor) * ratio
 
