@@ -1,8 +1,8 @@
-"""What falsifies the simulated world: the functions that a test or a campaign of faults puts in its way.
+"""What falsifies the simulated world: functions that a test, or a campaign of faults, puts in its way.
 
-Rules. Each function stands between the truth and one receiver, gets what is true, and returns what is received
-instead; None, and all is as it is. TwinWorld calls them, and nothing else: a twin, a driver or the gateway
-cannot distinguish a falsified world from one with such a fault. Their state is the caller's.
+Rules. Each function stands between the truth and one receiver, gets what is true, and returns what is
+received instead; where it is None all is as it is. TwinWorld calls them, and nothing else: no twin, driver or
+gateway can distinguish a falsified world from one that has such a fault. Their state is the caller's.
 
     world.tamper.measured = lambda motor, true: replace(true, velocity=0.0)       # an encoder without speed
     world.tamper.torques = lambda torques: torques | {"left": 0.0}                # a motor without torque
