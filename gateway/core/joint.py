@@ -69,7 +69,7 @@ class Joint:
         """The newest value of each quantity, at the output shaft; t is the newest motion's."""
         self.mode = Mode.OFFLINE
         self.detail = ""
-        self._armed = False
+        self.armed = False
         """Whether its last report of a mode was ARMED."""
         self.faults: dict[tuple[int, str], msg.Fault] = {}
         """Latched, in the order in which they came."""
@@ -103,7 +103,7 @@ class Joint:
             if self._is_unexpected_disarm(event):
                 self.latch(self._unexpected_disarm(event))
             if event.mode is not Mode.OFFLINE:  # an offline device may still be armed
-                self._armed = event.mode is Mode.ARMED
+                self.armed = event.mode is Mode.ARMED
             self.mode, self.detail = event.mode, event.detail
             self._check_idle(event.t)
             return event
@@ -112,7 +112,7 @@ class Joint:
 
     def _is_unexpected_disarm(self, event: msg.State) -> bool:
         disarmed = event.mode in (Mode.READY, Mode.INITIALISING)
-        return self._armed and disarmed and not isinstance(self._out, msg.Idle)
+        return self.armed and disarmed and not isinstance(self._out, msg.Idle)
 
     def _check_idle(self, now: Nanos) -> None:
         """Latch a fault if the device is armed against our will: by a late frame, or another host."""
@@ -185,7 +185,7 @@ class Joint:
         a motor that comes back must not start by itself."""
         if new is not None:
             self._accept(now, new)
-        if self.owned and self._armed and self.feedback_lost(now):
+        if self.owned and self.armed and self.feedback_lost(now):
             self.latch(self._feedback_lost_fault(now))
         self._check_idle(now)
         wanted = self._wanted(now, stopped, last)

@@ -3,24 +3,27 @@
 Rules. No clock, bus, thread, file or randomness in here or below: a step follows from the robot file and the
 inputs so far, hence a replay of recorded inputs repeats it to the byte. The way from a measurement to a
 command is the order of the lines of `step`. Every joint has exactly one command at every step. Every
-outgoing frame passes through `_out`, and only there.
+outgoing frame passes the guard in `_out`, and only there. A driver that raises is a fault of its motors, and
+keeps nothing from the others. Nothing was received, or measured, later than now.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from math import isfinite
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias, TypeVar
 
 from brain.belief import Belief
 from brain.brain import Brain
+from gateway.core.guard import Blocked, Guard
 from gateway.core.joint import Joint
 from gateway.core.tick import Inputs, Note, Outputs
 from protocols import messages as msg
 from protocols.frames import BusState, Frame, Packet
-from protocols.messages import Command, Event, Instruction, Mode, Nanos, Obeyed, Request, Task
-from protocols.plugin import CommandDecoder, Driver, RxCounters
+from protocols.messages import Command, Event, Instruction, Mode, Nanos, Request, Task
+from protocols.plugin import Driver, RxCounters
 
 if TYPE_CHECKING:
     from gateway.core.robot import Robot
@@ -32,6 +35,18 @@ MotorRequest: TypeAlias = (
     msg.ClearFault | msg.Estop | msg.Zero | msg.Home | msg.ReadParameter | msg.WriteParameter | msg.Reboot
 )
 """The requests to one motor, or to all."""
+
+
+FRAME_BLOCKED = -4
+"""Our own fault code: the guard has held back a frame to the device."""
+DRIVER_FAILED = -5
+"""Our own fault code: the driver of the device has raised an exception."""
+
+LEFT_ARMED = "left armed: cut its supply"
+"""The note on a motor that still reports being armed when the run has been left."""
+Result = TypeVar("Result")
+_NOTHING: Sequence[Event] = ()
+_NO_FRAMES: Sequence[Frame] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,17 +78,24 @@ class Gateway:
         )
         self.stopped = ""
         """Why an operator has stopped the robot; "" if no stop is in force."""
+        self._at_once = False
+        """Whether the run is left without time to brake."""
         self._drivers: list[_BusDriver] = []
         """In the order of the robot file."""
         for bus in robot.buses:
             for plugin, devices in robot.by_protocol(bus):
                 motors = frozenset(one.name for one in devices if one.name in self.joints)
                 self._drivers.append(_BusDriver(bus, plugin.name, motors, plugin.driver(devices)))
-        self._on_bus = {bus: [one.driver for one in self._drivers if one.bus == bus] for bus in robot.buses}
+        self._on_bus = {bus: [one for one in self._drivers if one.bus == bus] for bus in robot.buses}
+        self.guard = Guard(robot)
+        self._now: Nanos = 0
+        """Time of the last step."""
         self._requests: list[Request] = []
         """For the drivers, in this step."""
         self._late: list[Event] = []
         """Events that arose while sending: processed first in the next step."""
+        self._failures: set[str] = set()
+        """Of drivers without motors: each is noted once."""
         self._notes: list[Note] = []
 
     # -- the step -----------------------------------------------------------------------------
@@ -88,26 +110,33 @@ class Gateway:
         Returns:
             Outputs: the packets to send, in order; the events that the brain saw; notes for a person.
         """
+        self._now = now
         self._on_bus_states(now, inputs.states)
-        events = self._receive(inputs.packets)
+        events = self._receive(now, inputs.packets)
         tasks = self._on_instructions(now, inputs.instructions)
         stopped = self.why_stopped()
         wanted = {command.motor: command for command in self.brain.step(now, events, tasks, stopped)}
         commands = {
-            name: joint.command(now, wanted.get(name), bool(stopped)) for name, joint in self.joints.items()
+            name: joint.command(now, wanted.get(name), bool(stopped), last=self._at_once)
+            for name, joint in self.joints.items()
         }
         packets = self._send(now, commands)
         return Outputs(tuple(packets), tuple(events), self._take_notes())
 
-    def leave(self, now: Nanos) -> tuple[Packet, ...]:
+    def leave(self, now: Nanos, inputs: Inputs | None = None) -> tuple[Packet, ...]:
         """Return the frames of every commanded motor's stop action, without the brain: after an error.
 
         Args:
             now: the time of the last frames [ns].
+            inputs: what was received since; its instructions are not carried out.
 
         Returns:
             tuple[Packet, ...]: to be sent at once, whatever else fails.
         """
+        self._now = now
+        if inputs is not None:
+            self._on_bus_states(now, inputs.states)
+            self._receive(now, inputs.packets)
         commands = {
             name: joint.command(now, None, stopped=True, last=True) for name, joint in self.joints.items()
         }
@@ -115,19 +144,19 @@ class Gateway:
 
     def due(self) -> Nanos | None:
         """Return when a driver next has to send by itself; None if none has to."""
-        times = [due for one in self._drivers if (due := one.driver.due()) is not None]
-        return min(times, default=None)
+        times = [self._call(one, one.driver.due, None) for one in self._drivers]
+        return min((due for due in times if due is not None), default=None)
 
     def belief(self) -> Belief:
         """Return the brain's state estimate."""
         return self.brain.belief()
 
     def still_armed(self) -> list[str]:
-        """Return the motors that we have commanded, that are to be disarmed, and that report being armed."""
+        """Return the motors that we have commanded, that are to be disarmed, and that last reported ARMED."""
         return [
             name
             for name, joint in self.joints.items()
-            if joint.owned and joint.mode is Mode.ARMED and joint.settings.stop_action != "hold"
+            if joint.owned and joint.armed and joint.settings.stop_action != "hold"
         ]
 
     def why_stopped(self) -> str:
@@ -151,23 +180,26 @@ class Gateway:
 
     def _on_bus_states(self, now: Nanos, states: Sequence[tuple[str, BusState]]) -> None:
         for bus, state in states:
-            for driver in self._on_bus[bus]:
-                driver.bus(now, state)
+            for one in self._on_bus[bus]:
+                self._call(one, partial(one.driver.bus, now, state), None)
             bad = state in (BusState.OFF, BusState.GONE, BusState.FULL)
             self._note("error" if bad else "warning", bus, _BUS_TEXTS[state])
 
-    def _receive(self, packets: Sequence[Packet]) -> list[Event]:
-        events = self._on_events(self._late)
+    def _receive(self, now: Nanos, packets: Sequence[Packet]) -> list[Event]:
+        events = self._on_events(now, self._late)
         self._late = []
         for packet in packets:
-            for driver in self._on_bus[packet.bus]:
-                events += self._on_events(driver.receive(packet.t, packet.frame))
+            t = min(packet.t, now)
+            for one in self._on_bus[packet.bus]:
+                received = self._call(one, partial(one.driver.receive, t, packet.frame), _NOTHING)
+                events += self._on_events(now, received)
         return events
 
-    def _on_events(self, events: Iterable[Event]) -> list[Event]:
+    def _on_events(self, now: Nanos, events: Iterable[Event]) -> list[Event]:
         """Pass the events of motors through their joints; return what goes on to the brain."""
         passed: list[Event] = []
-        for event in events:
+        for given in events:
+            event = given if given.t <= now else replace(given, t=now)
             if not isinstance(event, (msg.Feedback, msg.State, msg.Fault)):
                 self._note_answer(event)
                 passed.append(event)
@@ -218,12 +250,15 @@ class Gateway:
                     self.stopped = reason or "an operator sent stop"
                     self._note("warning", "operator", f"stopped: {self.stopped}")
                     self._requests.append(one)
-                case msg.Leave(reason):
+                case msg.Leave(reason, at_once, last):
                     self.stopped = self.stopped or reason
-                    self._note("info", "operator", f"leaving: {reason}")
+                    self._at_once = at_once
+                    self._note("info", "operator", f"leaving{' at once' * at_once}: {reason}")
+                    for name in self.still_armed() if last else ():
+                        self._note("error", name, LEFT_ARMED)
                 case msg.Release():
                     text = "released" if self.stopped else "nothing to release: no stop is in force"
-                    self.stopped = ""
+                    self.stopped, self._at_once = "", False
                     self._note("info", "operator", text)
                 case msg.Set(key, value):
                     self._set(key, value)
@@ -266,16 +301,52 @@ class Gateway:
         requests, self._requests = self._requests, []
         packets: list[Packet] = []
         for one in self._drivers:
-            messages: list[Command | Request] = [r for r in requests if _is_for(r, one)]
-            messages += [command for name, command in commands.items() if name in one.motors]
-            events, frames = one.driver.send(now, messages)
+            asked = [request for request in requests if _is_for(request, one)]
+            for request in asked:
+                self.guard.ask(now, request)
+            given = [command for name, command in commands.items() if name in one.motors]
+            send = partial(one.driver.send, now, [*asked, *given])
+            events, frames = self._call(one, send, (_NOTHING, _NO_FRAMES))
             self._late += events
-            packets += self._out(now, one.bus, frames)
+            packets += self._out(now, one, frames)
         return packets
 
-    def _out(self, now: Nanos, bus: str, frames: Sequence[Frame]) -> Iterable[Packet]:
-        """The one place through which every outgoing frame passes: the place of a guard."""
-        return [Packet(now, bus, frame) for frame in frames]
+    def _out(self, now: Nanos, one: _BusDriver, frames: Sequence[Frame]) -> Iterable[Packet]:
+        """Pass frames through the guard: the one place through which every outgoing frame goes."""
+        stopped = bool(self.why_stopped())
+        passed, blocked = self.guard.check(now, one.bus, one.protocol, frames, self.joints, stopped)
+        for each in blocked:
+            self._on_blocked(one, each)
+        return [Packet(now, one.bus, frame) for frame in passed]
+
+    def _on_blocked(self, one: _BusDriver, blocked: Blocked) -> None:
+        self._latch(
+            one,
+            blocked.motors or one.motors,
+            FRAME_BLOCKED,
+            f"frame blocked by the guard: {blocked.rule}",
+            blocked.text,
+        )
+
+    def _call(self, one: _BusDriver, call: Callable[[], Result], otherwise: Result) -> Result:
+        """Call a driver. If it raises, this is a fault of its motors, and `otherwise` is returned."""
+        try:
+            return call()
+        except Exception as error:  # noqa: BLE001 -- a plugin may raise anything; the others must go on
+            name = f"the driver {one.protocol} on {one.bus} has failed"
+            self._latch(one, one.motors, DRIVER_FAILED, name, f"{type(error).__name__}: {error}")
+            return otherwise
+
+    def _latch(self, one: _BusDriver, motors: Iterable[str], code: int, name: str, cause: str) -> None:
+        """Latch a fault of a driver in its motors' joints; if it has none, stop the robot."""
+        remedy = "this is a defect of the driver: report it with the recording; restart the gateway"
+        for motor in motors:
+            self.joints[motor].latch(msg.Fault(motor, self._now, code, name, cause, remedy))
+        if not one.motors:
+            self.stopped = self.stopped or name
+            if name not in self._failures:
+                self._failures.add(name)
+                self._note("error", one.bus, f"{name}; likely cause: {cause}; {remedy}")
 
     # -- notes --------------------------------------------------------------------------------
 
@@ -296,22 +367,6 @@ class Gateway:
                 self._note("error", name, f"fault: {fault.name}{cause}{remedy}")
         notes, self._notes = tuple(self._notes), []
         return notes
-
-
-class _BusDecoder:
-    """The command decoders of all protocols of a bus as one."""
-
-    def __init__(self, decoders: Sequence[CommandDecoder]) -> None:
-        self._decoders = decoders
-
-    def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
-        """Decode what any device on the bus would obey."""
-        return [message for decoder in self._decoders for message in decoder.decode(t, frame)]
-
-
-def decoder_of(robot: Robot, bus: str) -> CommandDecoder:
-    """Return a decoder of what the devices on a bus would obey."""
-    return _BusDecoder([plugin.decoder(devices) for plugin, devices in robot.by_protocol(bus)])
 
 
 def _is_for(request: Request, driver: _BusDriver) -> bool:

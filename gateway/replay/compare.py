@@ -20,8 +20,9 @@ from typing import Literal, TypeAlias, TypeVar
 from brain.belief import Belief
 from brain.perception.mount import Mount
 from gateway.config import parse_robot
+from gateway.core.guard import decoder_of
 from gateway.core.robot import Robot
-from gateway.core.step import Gateway, decoder_of
+from gateway.core.step import Gateway
 from gateway.core.tick import Inputs, Note, Outputs, Tick
 from gateway.errors import RecordingError
 from gateway.recording import Recording, Step, environment

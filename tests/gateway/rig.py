@@ -9,8 +9,9 @@ from brain.belief import Belief
 from gateway import config
 from gateway.buses.virtual.bus import TwinWorld, open_world
 from gateway.core.clock import SimulatedClock
+from gateway.core.guard import decoder_of
 from gateway.core.robot import Robot
-from gateway.core.step import Gateway, decoder_of
+from gateway.core.step import Gateway
 from gateway.core.tick import Note, Tick
 from gateway.runtime.loop import LoopStats, Record, live
 from protocols.messages import SECOND, Command, Instruction, Nanos

@@ -10,7 +10,7 @@ from mcap.reader import make_reader
 
 from gateway import config
 from gateway.cli.main import main
-from gateway.core.step import decoder_of
+from gateway.core.guard import decoder_of
 from gateway.errors import ConfigError
 from protocols.frames import BusState, CanFrame
 from protocols.messages import Command, Feedback, Home, Idle, Mode, Velocity

@@ -1,0 +1,271 @@
+"""The guard: it reads every outgoing frame as the devices will, and passes or blocks it.
+
+Rules. It trusts neither the brain nor a driver: of each frame it takes only what the devices' own command
+decoders make of it, and holds that against the limits of the robot file, the feedback, and what has been
+asked for. It cannot be switched off. Whatever it does not understand must be read-only, or belong to a device
+that was commanded. Idle always passes to a device that is ours. It decodes on a copy first: a blocked frame
+leaves no trace in what the devices are taken to have received.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
+
+from gateway.core.joint import Joint
+from protocols import messages as msg
+from protocols.frames import CanFrame, Frame, any_matches
+from protocols.messages import MILLISECOND, SECOND, Command, Nanos, Obeyed, Request
+from protocols.plugin import CommandDecoder
+
+if TYPE_CHECKING:
+    from gateway.core.robot import Motor, Robot
+
+REQUEST_LASTS: Nanos = 60 * SECOND
+"""How long after a request its frames may be sent: homing takes its time."""
+LATENCY: Nanos = 50 * MILLISECOND
+"""What a device obeys may be this much ahead of what it last obeyed: a joint's set-point moves on while the
+device is being armed, and while a set-point waits for its SYNC."""
+
+
+@dataclass(frozen=True, slots=True)
+class Blocked:
+    """A frame that was not sent."""
+
+    frame: Frame
+    motors: tuple[str, ...]
+    """The motors that it is for; () if that is not known."""
+    rule: str
+    """What it breaks, in a few words."""
+    detail: str
+    """The numbers."""
+
+    @property
+    def text(self) -> str:
+        """The rule, the numbers and the frame."""
+        frame = str(self.frame) if isinstance(self.frame, CanFrame) else self.frame.hex().upper()
+        return f"{self.rule}{f' ({self.detail})' if self.detail else ''}: {frame}"
+
+
+Objection: TypeAlias = tuple[str, str]
+"""The rule that is broken, and the numbers."""
+
+
+class _BusDecoder:
+    """The command decoders of all protocols of a bus as one."""
+
+    def __init__(self, decoders: Sequence[CommandDecoder]) -> None:
+        self._decoders = decoders
+
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
+        """Decode what any device on the bus would obey."""
+        return [message for decoder in self._decoders for message in decoder.decode(t, frame)]
+
+
+def decoder_of(robot: Robot, bus: str) -> CommandDecoder:
+    """Return a decoder of what the devices on a bus would obey."""
+    return _BusDecoder([plugin.decoder(devices) for plugin, devices in robot.by_protocol(bus)])
+
+
+class Guard:
+    """Reads what is sent to the devices of one robot. Its state is plain data."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._motors = robot.motors
+        self._specs = {
+            (bus, plugin.name): {one.name: (robot.motors | robot.sensors)[one.name].spec for one in devices}
+            for bus in robot.buses
+            for plugin, devices in robot.by_protocol(bus)
+        }
+        """By bus and protocol, then by device."""
+        self._sent = {bus: decoder_of(robot, bus) for bus in robot.buses}
+        """What the devices have received: the frames that were passed."""
+        self._trial = {bus: decoder_of(robot, bus) for bus in robot.buses}
+        """The same, for trying the next frame."""
+        self._last: dict[str, tuple[Nanos, Command]] = {}
+        """The last set-point that each motor was sent."""
+        self._asked: dict[tuple[str, type[Request]], Nanos] = {}
+        """When each request was last passed on to a driver, by motor (or bus) and type."""
+
+    def ask(self, now: Nanos, request: Request) -> None:
+        """Note a request that a driver is given: its frames are asked for. Stop is asked of every device."""
+        about = getattr(request, "motor", getattr(request, "bus", ""))
+        self._asked[about, type(request)] = now
+
+    def check(
+        self,
+        now: Nanos,
+        bus: str,
+        protocol: str,
+        frames: Sequence[Frame],
+        joints: Mapping[str, Joint],
+        stopped: bool,
+    ) -> tuple[list[Frame], list[Blocked]]:
+        """Return the frames of one driver that may be sent, in order, and those that may not.
+
+        Args:
+            now: the time of the step [ns].
+            bus: where they go.
+            protocol: whose driver made them.
+            frames: in the order in which they are to be sent.
+            joints: by motor: mode, faults and feedback as of now.
+            stopped: whether the whole robot must not move.
+        """
+        passed: list[Frame] = []
+        blocked: list[Blocked] = []
+        for frame in frames:
+            obeyed: Sequence[Obeyed] = ()
+            objection: Objection | None
+            try:
+                obeyed = self._trial[bus].decode(now, frame)
+                objection = self._objection(now, bus, protocol, frame, obeyed, joints, stopped)
+            except Exception as error:  # noqa: BLE001 -- a plugin's: what cannot be read must not go out
+                objection = "its decoder failed", f"{type(error).__name__}: {error}"
+            if objection is not None:
+                self._trial[bus] = copy.deepcopy(self._sent[bus])
+                motors = self._motors_of(bus, protocol, frame, obeyed)
+                blocked.append(Blocked(frame, motors, *objection))
+                continue
+            self._sent[bus].decode(now, frame)
+            for one in obeyed:
+                if isinstance(one, Command):
+                    self._last[one.motor] = (now, one)
+            passed.append(frame)
+        return passed, blocked
+
+    # -- whose it is --------------------------------------------------------------------------------
+
+    def _concerned(self, bus: str, protocol: str, frame: Frame) -> list[str]:
+        """Return the devices of a driver that a frame may be for; on a serial line all."""
+        specs = self._specs[bus, protocol]
+        if not isinstance(frame, CanFrame):
+            return list(specs)
+        return [name for name, spec in specs.items() if any_matches(spec.sends, frame)]
+
+    def _motors_of(self, bus: str, protocol: str, frame: Frame, obeyed: Sequence[Obeyed]) -> tuple[str, ...]:
+        named = dict.fromkeys(name for one in obeyed if (name := getattr(one, "motor", "")))
+        found = named or self._concerned(bus, protocol, frame)
+        return tuple(name for name in found if name in self._motors)
+
+    def _was_asked(self, now: Nanos, about: str, kind: type[Request]) -> bool:
+        at = self._asked.get((about, kind))
+        return at is not None and now - at <= REQUEST_LASTS
+
+    def _is_ours(self, now: Nanos, joint: Joint) -> bool:
+        """True if we have commanded the device, or an operator has asked something of it."""
+        asked = (self._was_asked(now, joint.name, kind) for kind in ASKED)
+        return joint.owned or any(asked) or self._was_asked(now, "", msg.Stop)
+
+    # -- what it would do ---------------------------------------------------------------------------
+
+    def _objection(
+        self,
+        now: Nanos,
+        bus: str,
+        protocol: str,
+        frame: Frame,
+        obeyed: Sequence[Obeyed],
+        joints: Mapping[str, Joint],
+        stopped: bool,
+    ) -> Objection | None:
+        for one in obeyed:
+            name = getattr(one, "motor", "")
+            if isinstance(one, msg.SetId):
+                if not self._was_asked(now, bus, msg.SetId):
+                    return "a request that was not made", "SetId"
+            elif name not in joints:
+                return "a command to a device that is not a motor of this robot", name
+            elif (found := self._objection_to(now, one, joints[name], stopped)) is not None:
+                return found
+        if obeyed or any(spec.read_only(frame) for spec in self._specs[bus, protocol].values()):
+            return None
+        concerned = self._concerned(bus, protocol, frame)
+        if any(name in joints and self._is_ours(now, joints[name]) for name in concerned):
+            return None
+        if self._was_asked(now, bus, msg.SetId) or self._was_asked(now, bus, msg.Scan):
+            return None
+        if not concerned:
+            return "not a frame to any device of this driver", ""
+        return "not read-only, and its device was not commanded", ", ".join(concerned)
+
+    def _objection_to(self, now: Nanos, one: Obeyed, joint: Joint, stopped: bool) -> Objection | None:
+        if not self._is_ours(now, joint):
+            return "a command to a device that was not commanded", type(one).__name__
+        match one:
+            case msg.Arm():
+                if (stopped or joint.faults) and not joint.armed:
+                    return "arming against a stop or a fault", next(iter(joint.faults), ("", ""))[1]
+            case msg.Idle() | msg.Hold():
+                pass
+            case msg.Velocity() | msg.Position() | msg.Torque() | msg.Impedance():
+                return self._outside(now, one, joint)
+            case msg.ReadParameter() | msg.WriteParameter():
+                pass  # a driver sets up the device that it commands
+            case _:
+                if not self._was_asked(now, joint.name, type(one)):
+                    return "a request that was not made", type(one).__name__
+        return None
+
+    def _outside(self, now: Nanos, one: SetPoint, joint: Joint) -> Objection | None:
+        """Return which number of a set-point is beyond the limits of the robot file."""
+        motor = self._motors[joint.name]
+        limits, measured = motor.joint.limits, joint.feedback
+        values = _Values(one, motor)
+        for quantity, limit in (("velocity", limits.velocity), ("torque", limits.torque)):
+            value, slack = values.of(quantity)
+            if value - value != 0.0:  # infinities and NaN less themselves are NaN
+                return "not finite", f"{quantity} {value}"
+            if abs(value) > limit + slack:
+                return f"{quantity} beyond the limit", f"{value:g}, limit {limit:g}"
+        at, last = self._last.get(joint.name, (now - motor.joint.command_timeout, None))
+        dt = (min(now - at, motor.joint.command_timeout) + LATENCY) / SECOND
+        if isinstance(one, msg.Velocity):
+            value, slack = values.of("velocity")
+            before = [measured.velocity or 0.0]
+            before += [_Values(last, motor).of("velocity")[0]] if isinstance(last, msg.Velocity) else []
+            slower = any(abs(value) <= abs(v) + slack and value * v >= 0.0 for v in before)
+            if not slower and all(abs(value - v) > limits.acceleration * dt + slack for v in before):
+                return "acceleration beyond the limit", f"velocity {value:g} after {before[-1]:g}"
+        if not isinstance(one, msg.Position | msg.Impedance):
+            return None
+        value, slack = values.of("position")
+        if value - value != 0.0:
+            return "not finite", f"position {value}"
+        if abs(limits.inside(value) - value) > slack:
+            return "position beyond the limit", f"{value:g}, limits {limits.position}"
+        if isinstance(one, msg.Position) and measured.position is not None:
+            from_here = [measured.position, limits.inside(measured.position)]
+            from_here += [_Values(last, motor).of("position")[0]] if isinstance(last, msg.Position) else []
+            if all(abs(value - p) > limits.velocity * dt + slack for p in from_here):
+                return "a jump of the position", f"{value:g} after {from_here[-1]:g}"
+        return None
+
+
+SetPoint: TypeAlias = msg.Velocity | msg.Position | msg.Torque | msg.Impedance
+ASKED: tuple[type[Request], ...] = (
+    msg.ClearFault,
+    msg.Estop,
+    msg.Zero,
+    msg.Home,
+    msg.WriteParameter,
+    msg.Reboot,
+)
+"""Requests after which a device may receive frames that are not read-only."""
+
+
+class _Values:
+    """The numbers of a set-point at the joint's output shaft, each with the error of its encoding."""
+
+    def __init__(self, one: SetPoint, motor: Motor) -> None:
+        self._one, self._ranges = one, motor.spec.ranges
+        self._ratio = motor.joint.gear * motor.joint.sign
+
+    def of(self, quantity: str) -> tuple[float, float]:
+        """Return "position", "velocity" or "torque", and its slack; 0 where the set-point has none."""
+        value = getattr(self._one, quantity, 0.0)
+        factor = self._ratio if quantity == "torque" else 1.0 / self._ratio
+        known = self._ranges.get(f"{type(self._one).__name__}.{quantity}")
+        slack = 0.0 if known is None else known.resolution + known.relative * abs(value)
+        return value * factor, slack * abs(factor) + 1e-9
