@@ -60,7 +60,10 @@ CODES: dict[int, type[Message]] = {
 }
 """The message type of each code, the first element of a packed message. A code is never reused. Arm has none:
 it is decoded from frames, and neither sent nor recorded."""
-ADDED_FIELDS: dict[type[Message], list[Any]] = {messages.Found: [False]}
+ADDED_FIELDS: dict[type[Message], list[Any]] = {
+    messages.Found: [False],
+    messages.Leave: [False, False],
+}
 """Defaults of fields that were added at the end of a message: older recordings lack them."""
 _INT_LOW, _INT_HIGH = -(2**63), 2**64 - 1
 

@@ -120,6 +120,10 @@ class Leave:
     """The run ends: every joint that was commanded gives its stop action."""
 
     reason: str = ""
+    at_once: bool = False
+    """Whether there is no time to brake: Idle in its place."""
+    last: bool = False
+    """Whether no step follows: motors that are still armed are noted."""
 
 
 @value

@@ -42,7 +42,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def run(options: Namespace) -> int:
-    """Return 1 unless the true pose was near every goal."""
+    """Return 1 unless the true pose was near every goal, and every motor is disarmed."""
     robot = load_robot(options.robot)
     try:
         options.out.mkdir(parents=True, exist_ok=True)
@@ -63,7 +63,7 @@ def run(options: Namespace) -> int:
     draw(tour, picture)
     print_recording(session)
     print(f"picture: {picture}\nreplay it: gateway replay {recording}")
-    return 0 if tour.near == len(goals) else 1
+    return 0 if tour.near == len(goals) and not session.gateway.still_armed() else 1
 
 
 def _drive(session: Session, tour: Tour) -> None:

@@ -56,7 +56,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def run(options: Namespace) -> int:
-    """Return 1 if the motor is left in fault."""
+    """Return 1 if the motor is left in fault or armed."""
     robot = with_interfaces(load_robot(options.robot), dict(options.bus))
     robot = single_motor(robot, options.motor, options.speed)
     if not sys.stdin.isatty():
@@ -68,8 +68,7 @@ def run(options: Namespace) -> int:
         with raw_mode(terminal), log_above(line):
             drive(session, options.motor, lambda: read_keys(terminal), line.draw)
         line.end()
-        in_fault = session.joints[options.motor].faults
-    return 1 if in_fault else 0
+    return 1 if session.joints[options.motor].faults or session.gateway.still_armed() else 0
 
 
 def single_motor(robot: Robot, motor: str, speed: float | None = None) -> Robot:

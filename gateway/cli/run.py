@@ -11,6 +11,7 @@ from pathlib import Path
 from brain.belief import BrainState
 from gateway.cli import arguments
 from gateway.config import load_robot, with_interfaces
+from gateway.core.step import LEFT_ARMED
 from gateway.operator import Operator
 from gateway.operator.status import status_text
 from gateway.runtime.process import request_realtime
@@ -38,7 +39,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def run(options: Namespace) -> int:
-    """Return 1 if a motor was left in fault or a goal was not reached."""
+    """Return 1 if a motor was left in fault or armed, or a goal was not reached."""
     robot = with_interfaces(load_robot(options.robot), dict(options.bus))
     if options.realtime is not None and (refused := request_realtime(options.realtime)):
         print(refused, file=sys.stderr)
@@ -59,18 +60,23 @@ def _drive(session: Session, operator: Operator, options: Namespace) -> int:
 
     def poll() -> Sequence[Instruction]:
         instructions = operator.poll(lambda: status_text(session))
-        if operator.leaving and not session.leaving:
-            session.leaving = "an operator sent quit"
+        if operator.leaving and not session.reasons:
+            session.leave("an operator sent quit")
         return instructions
 
     faults = ""
-    with closing(session.run(options.seconds, poll=poll, dry_run=options.dry_run)) as ticks:
-        for tick in ticks:
-            for note in tick.outputs.notes:
-                operator.report(f"{note.source}: {note.text}")
-            faults = session.gateway.in_fault()
-            if options.fast and options.seconds is None and _all_done(session, len(options.goal)):
-                break
+    try:
+        with closing(session.run(options.seconds, poll=poll, dry_run=options.dry_run)) as ticks:
+            for tick in ticks:
+                for note in tick.outputs.notes:
+                    operator.report(f"{note.source}: {note.text}")
+                faults = session.gateway.in_fault()
+                if options.fast and options.seconds is None and _all_done(session, len(options.goal)):
+                    break
+    finally:
+        left = session.gateway.still_armed()
+        for motor in left:
+            operator.report(f"{motor}: {LEFT_ARMED}")
     stats = session.stats
     print(
         f"{stats.ticks} ticks, {stats.received} packets in, {stats.sent} out, {stats.missed} ticks missed, "
@@ -78,7 +84,7 @@ def _drive(session: Session, operator: Operator, options: Namespace) -> int:
     )
     if faults:
         print(f"left in fault: {faults}", file=sys.stderr)
-    return 1 if faults or session.belief.reached < len(options.goal) else 0
+    return 1 if faults or left or session.belief.reached < len(options.goal) else 0
 
 
 def _all_done(session: Session, goals: int) -> bool:

@@ -1,15 +1,22 @@
 """The live loop: step the gateway at its period, on real buses or on twins, and leave safely.
 
 Rules. The loop owns what the step must not: buses, clock, recorder, operator. It is a generator of ticks, so
-that a caller can watch and stop it; wrap it in `contextlib.closing`, since closing it sends the stop action.
-Deadlines are absolute; one that was missed is counted and reported, never caught up. Whatever the reason for
-leaving, the stop action of every commanded joint goes out first.
+that a caller can watch and stop it; wrap it in `contextlib.closing`, since closing it takes the way out.
+Deadlines are absolute; one that was missed is counted and reported, never caught up.
+
+The way out (`_leave`) is the same whatever the reason: a signal, a caller that is done or raises, an
+exception in the step, a bus, the recorder or the operator. First the stop action, for the joints' braking
+time at most; then Idle; then motors that still report being armed are noted and logged. Nothing interrupts
+it: a second reason only ends the time to brake. What fails in it is logged, and does not keep the frames
+from the rest. After a failed step, joints and drivers alone give the frames.
 """
 
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
@@ -18,22 +25,26 @@ from gateway.buses import Bus
 from gateway.buses.frame_time import frame_time
 from gateway.core.clock import Clock
 from gateway.core.robot import Robot
-from gateway.core.step import Gateway
+from gateway.core.step import LEFT_ARMED, Gateway
 from gateway.core.tick import Inputs, Note, Tick
 from protocols.frames import BusState, Packet
-from protocols.messages import MILLISECOND, Instruction, Leave, Nanos
+from protocols.messages import MILLISECOND, SECOND, Instruction, Leave, Nanos
 
 log = logging.getLogger("gateway")
 
 LEFT = "the run ends"
 """Why the gateway is stopped once a run has ended."""
-DISARM_TIMEOUT = 200 * MILLISECOND
-"""How long leaving waits, after the braking time, for the devices to report that they are disarmed."""
+LONGEST_BRAKING: Nanos = 10 * SECOND
+"""Bound of the time to brake, whatever the joints ask for."""
+DISARM_TIMEOUT: Nanos = 200 * MILLISECOND
+"""How long leaving waits, after the time to brake, for the devices to report that they are disarmed."""
+SETTLING: Nanos = 100 * MILLISECOND
+"""Motors that have been commanded are watched for this time at least: one may be about to arm."""
 MIN_STEP = MILLISECOND
 """A driver that is due between two periods gets a step of its own, but no sooner than this after the last."""
 
 Record: TypeAlias = Callable[[Tick, Belief], None]
-"""Where ticks go. Never raises, and never waits for a disk in real time."""
+"""Where ticks go. Never waits for a disk in real time."""
 
 
 @dataclass(slots=True)
@@ -67,59 +78,117 @@ def live(
     until: Nanos | None = None,
     stats: LoopStats | None = None,
     dry_run: bool = False,
+    reasons: Sequence[str] = (),
 ) -> Generator[Tick]:
-    """Step the gateway at its period, and when a driver is due, until `until` or until closed.
+    """Step the gateway at its period, and when a driver is due, until `until`, a reason, or until closed.
 
     `poll` returns what an operator has asked for since the last step. With `dry_run`, everything is done but
-    writing to the buses. Ticks are numbered on from `stats.ticks`."""
-    stats = stats if stats is not None else LoopStats()
-    leaving = False
+    writing to the buses. Ticks are numbered on from `stats.ticks`. `reasons` to leave may be added at any
+    time, also by a signal: the first takes the way out, the second ends the time to brake."""
+    run = _Run(gateway, buses, clock, record, stats if stats is not None else LoopStats(), dry_run)
+    try:
+        for now in moments(clock, gateway.robot.period, gateway.due, run.stats):
+            if reasons or (until is not None and now >= until):
+                break
+            made = run.tick(now, poll())
+            for error in run.errors.values():
+                raise error
+            yield made
+    finally:
+        if reasons:
+            log.warning("leaving: %s", reasons[0])
+        _leave(run, reasons)
 
-    def tick(now: Nanos, instructions: Sequence[Instruction]) -> Tick:
-        states, packets = read(buses, now)
-        inputs = Inputs(tuple(states), tuple(packets), tuple(instructions))
-        outputs = gateway.step(now, inputs)
-        if not dry_run:
-            write(buses, now, outputs.packets)
-        made = Tick(stats.ticks, now, inputs, outputs)
+
+@dataclass(slots=True)
+class _Run:
+    """A gateway with all that a tick of it needs."""
+
+    gateway: Gateway
+    buses: Mapping[str, Bus]
+    clock: Clock
+    record: Record | None
+    """None after it has raised."""
+    stats: LoopStats
+    dry_run: bool
+    leaving: bool = False
+    step_failed: bool = False
+    """Whether the last step has raised: nothing of it can be trusted but joints and drivers."""
+    errors: dict[str, Exception] = field(default_factory=dict)
+    """The first exception of each bus."""
+
+    def tick(self, now: Nanos, instructions: Sequence[Instruction]) -> Tick:
+        """Read, step, write, record. What a bus raises is kept in `errors`."""
+        inputs = self._inputs(now, instructions)
+        self.step_failed = True
+        outputs = self.gateway.step(now, inputs)
+        self.step_failed = False
+        self._write(now, outputs.packets)
+        made = Tick(self.stats.ticks, now, inputs, outputs)
+        self.stats.ticks += 1
+        record, self.record = self.record, None
         if record is not None:
-            record(made, gateway.belief())
-        _log_notes(outputs.notes, leaving)
-        _count(stats, gateway.robot, made, clock.now() - now)
+            record(made, self.gateway.belief())
+        self.record = record
+        _log_notes(outputs.notes, self.leaving)
+        _count(self.stats, self.gateway.robot, made, self.clock.now() - now)
         return made
 
-    failed = True
-    try:
-        for now in moments(clock, gateway.robot.period, gateway.due, stats):
-            if until is not None and now >= until:
-                break
-            yield tick(now, poll())
-        failed = False
-    except GeneratorExit:
-        failed = False
-        raise
-    finally:
-        if failed:
-            # The step itself raised: nothing of it can be trusted but the joints and the drivers.
-            if not dry_run:
-                write(buses, clock.now(), gateway.leave(clock.now()))
-        else:
-            leaving = True
-            _stop_and_wait(gateway, clock, tick)
+    def last_frames(self, now: Nanos) -> None:
+        """Read and write as `tick` does, without a step."""
+        self._write(now, self.gateway.leave(now, self._inputs(now)))
+
+    def _inputs(self, now: Nanos, instructions: Sequence[Instruction] = ()) -> Inputs:
+        states, packets = read(self.buses, now, self.errors)
+        return Inputs(tuple(states), tuple(packets), tuple(instructions))
+
+    def _write(self, now: Nanos, packets: Sequence[Packet]) -> None:
+        if not self.dry_run:
+            write(self.buses, now, packets, self.errors)
 
 
-def _stop_and_wait(
-    gateway: Gateway, clock: Clock, tick: Callable[[Nanos, Sequence[Instruction]], Tick]
-) -> None:
-    """Send the stop action at once, and step on until the devices report that they are disarmed."""
-    start = clock.now()
-    tick(start, (Leave(LEFT),))
-    timeout = DISARM_TIMEOUT + max(joint.braking_time for joint in gateway.joints.values())
-    while gateway.still_armed() and clock.now() - start < timeout:
-        clock.wait(clock.now() + gateway.robot.period)
-        tick(clock.now(), ())
+def _leave(run: _Run, reasons: Sequence[str]) -> None:
+    """Take the way out, as the rules of this file describe it."""
+    gateway, clock, known = run.gateway, run.clock, set(run.errors)
+    joints = gateway.joints.values()
+    braking = min(LONGEST_BRAKING, max((joint.braking_time for joint in joints), default=0))
+    phases = (  # the instruction, the longest time, and how many reasons it outlasts
+        (Leave(LEFT), braking, 1),
+        (Leave(LEFT, at_once=True), DISARM_TIMEOUT, math.inf),
+    )
+    run.leaving = True
+    settled = clock.now() + (SETTLING if any(joint.owned for joint in joints) else 0)
+    done = False
+    for instruction, longest, outlasts in phases:
+        end = clock.now() + longest
+        instructions: tuple[Instruction, ...] = (instruction,)
+        while not done and len(reasons) <= outlasts and (instructions or clock.now() < end):
+            _tick_of_leaving(run, instructions)
+            instructions = ()
+            done = not gateway.still_armed() and clock.now() >= settled
+            if not done:
+                clock.wait(clock.now() + gateway.robot.period)
     if still := gateway.still_armed():
-        log.error("%s: not reported as disarmed: cut the supply", ", ".join(still))
+        _tick_of_leaving(run, (Leave(LEFT, at_once=True, last=True),))
+    for name in still:
+        log.critical("%s: %s", name, LEFT_ARMED)
+    for name in run.errors.keys() - known:
+        log.error("%s: %r", name, run.errors[name])
+
+
+def _tick_of_leaving(run: _Run, instructions: Sequence[Instruction]) -> None:
+    """Make a tick, or give the last frames if the step has failed; log what raises."""
+    now = run.clock.now()
+    try:
+        if not run.step_failed:
+            run.tick(now, instructions)
+    except Exception as error:  # noqa: BLE001 -- whatever it is, the motors come first
+        log.error("while leaving: %r", error)
+    try:
+        if run.step_failed:
+            run.last_frames(now)
+    except Exception as error:  # noqa: BLE001 -- the same; one frame more is sent in the next period
+        log.error("while leaving: %r", error)
 
 
 def moments(
@@ -140,26 +209,49 @@ def moments(
         clock.wait(min(deadline, between) if between + MIN_STEP <= deadline else deadline)
 
 
-def read(buses: Mapping[str, Bus], now: Nanos) -> tuple[list[tuple[str, BusState]], list[Packet]]:
-    """Return the state changes and the packets of all buses: packets by time, then by order of the buses."""
+def read(
+    buses: Mapping[str, Bus], now: Nanos, errors: dict[str, Exception] | None = None
+) -> tuple[list[tuple[str, BusState]], list[Packet]]:
+    """Return the state changes and the packets of all buses: packets by time, then by order of the buses.
+
+    With `errors`, what a bus raises is kept there, and keeps nothing from the others."""
     states: list[tuple[str, BusState]] = []
     packets: list[Packet] = []
     for name, bus in buses.items():
-        changes, arrived = bus.read(now)
-        states += [(name, state) for state in changes]
-        packets += arrived
+        with _kept(errors, name):
+            changes, arrived = bus.read(now)
+            states += [(name, state) for state in changes]
+            packets += arrived
     packets.sort(key=lambda packet: packet.t)
     return states, packets
 
 
-def write(buses: Mapping[str, Bus], now: Nanos, packets: Sequence[Packet]) -> None:
-    """Hand each bus its frames, in order."""
+def write(
+    buses: Mapping[str, Bus],
+    now: Nanos,
+    packets: Sequence[Packet],
+    errors: dict[str, Exception] | None = None,
+) -> None:
+    """Hand each bus its frames, in order. `errors`: as in `read`."""
     if not packets:
         return
     for name, bus in buses.items():
         frames = [p.frame for p in packets if p.bus == name]
         if frames:
-            bus.write(now, frames)
+            with _kept(errors, name):
+                bus.write(now, frames)
+
+
+@contextmanager
+def _kept(errors: dict[str, Exception] | None, bus: str) -> Iterator[None]:
+    """Keep the first exception of a bus, if there is a place for it."""
+    try:
+        yield
+    except Exception as error:
+        if errors is None:
+            raise
+        error.add_note(f"bus {bus}")
+        errors.setdefault(bus, error)
 
 
 _LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
@@ -172,7 +264,6 @@ def _log_notes(notes: Sequence[Note], leaving: bool) -> None:
 
 
 def _count(stats: LoopStats, robot: Robot, tick: Tick, took: Nanos) -> None:
-    stats.ticks += 1
     stats.longest_step = max(stats.longest_step, took)
     stats.sent += len(tick.outputs.packets)
     stats.received += len(tick.inputs.packets)

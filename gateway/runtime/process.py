@@ -10,26 +10,28 @@ from contextlib import ExitStack, contextmanager
 
 
 @contextmanager
-def signals(stop: Callable[[str], None]) -> Iterator[None]:
-    """While inside, SIGINT, SIGTERM and SIGHUP call `stop` with their name.
+def signals(received: Callable[[str], object], *, suspend: bool = True) -> Iterator[None]:
+    """While inside, SIGINT, SIGTERM, SIGHUP and SIGQUIT call `received` with their name; none raises.
 
-    A second one raises KeyboardInterrupt. A terminal that is closed (SIGHUP) must not leave motors turning;
-    under nohup the signal stays ignored. Only the main thread can handle signals: in another one this does
+    Without `suspend`, SIGTSTP does so, too, and using the terminal from the background does not stop the
+    process: one that is stopped, as one whose terminal is closed (SIGHUP), must not leave motors turning.
+    Under nohup SIGHUP stays ignored. Only the main thread can handle signals: in another one this does
     nothing."""
-    seen: list[int] = []
 
     def handler(number: int, _frame: object) -> None:
-        if seen:
-            raise KeyboardInterrupt
-        seen.append(number)
-        stop(signal.Signals(number).name)
+        received(signal.Signals(number).name)
 
+    handlers: dict[signal.Signals, Callable[[int, object], None] | signal.Handlers]
+    handlers = dict.fromkeys((signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT), handler)
+    if not suspend:
+        handlers[signal.SIGTSTP] = handler
+        handlers[signal.SIGTTIN] = handlers[signal.SIGTTOU] = signal.SIG_IGN
     with ExitStack() as stack:
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        for number, new in handlers.items():
             if number is signal.SIGHUP and signal.getsignal(number) is signal.SIG_IGN:
                 continue
             try:
-                before = signal.signal(number, handler)
+                before = signal.signal(number, new)
             except ValueError:  # not the main thread: that one handles the signals
                 break
             stack.callback(signal.signal, number, before)

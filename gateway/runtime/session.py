@@ -1,6 +1,7 @@
 """A session: everything that a live run needs, opened in order and closed in the opposite one.
 
-Rules. Buses are opened before anything is armed, and closed after the stop action was sent. The simulated
+Rules. Buses are opened before anything is armed, and closed after the stop action was sent. From before the
+first is opened until the last is closed, a signal is a reason to leave, and raises nothing. The simulated
 world is made only for buses whose interface is "twin". What cannot be opened raises `BusError` before
 anything has moved.
 """
@@ -49,8 +50,8 @@ class Session:
     """The simulated world behind the buses whose interface is "twin"; None if there is none."""
     recorder: Recorder | None
     stats: loop.LoopStats = field(default_factory=loop.LoopStats)
-    leaving: str = ""
-    """Why the run is to end before its time (a signal, an operator's quit); "" if it is not."""
+    reasons: list[str] = field(default_factory=list)
+    """Why the run is to end before its time: `leave`."""
     _submitted: list[Instruction] = field(default_factory=list)
     _ticks: Generator[Tick] | None = None
     _stopped: bool = False
@@ -65,6 +66,14 @@ class Session:
         """
         self._submitted += instructions
 
+    def leave(self, reason: str) -> None:
+        """End the run before its time, as a signal does: with the stop action, the second time at once.
+
+        Args:
+            reason: for the log. Nothing that follows the second changes anything.
+        """
+        self.reasons.append(reason)
+
     def run(
         self,
         seconds: float | None = None,
@@ -76,7 +85,7 @@ class Session:
 
         Args:
             seconds: how long, in the session's own time; None: until the caller leaves the loop, a signal
-                comes, or `leaving` is set.
+                comes, or `leave` is called.
             poll: returns more instructions before each step.
             dry_run: do everything but write to the buses.
 
@@ -109,14 +118,12 @@ class Session:
             until=until,
             stats=self.stats,
             dry_run=dry_run,
+            reasons=self.reasons,
         )
         with closing(ticks):
             for tick in ticks:
                 self._stopped = bool(self.gateway.stopped)
                 yield tick
-                if self.leaving:
-                    log.warning("leaving: %s", self.leaving)
-                    return
 
     def close(self) -> None:
         """End a run that was not ended, as `run` does. Called when the session is left."""
@@ -182,7 +189,9 @@ def open_session(
     if record is not None and Path(record).exists():
         raise UserError(f"{record}: the file exists already; a recording is never overwritten")
     clock = SimulatedClock() if simulated else WallClock()
+    reasons: list[str] = []
     with ExitStack() as stack:
+        stack.enter_context(signals(reasons.append, suspend=False))
         buses, twins = _open_buses(robot, clock, seed, stack)
         recorder = None
         if record is not None:
@@ -196,9 +205,8 @@ def open_session(
             log.warning("%s", caution)
         stack.enter_context(quiet_collector())
         _discard_stale(robot, buses, clock)
-        session = Session(robot, gateway, clock, buses, twins, recorder)
-        stack.enter_context(signals(lambda name: setattr(session, "leaving", name)))
-        stack.callback(session.close)  # while signals are handled: none interrupts the stop
+        session = Session(robot, gateway, clock, buses, twins, recorder, reasons=reasons)
+        stack.callback(session.close)
         yield session
 
 

@@ -306,7 +306,7 @@ def test_however_it_ends_in_motion_the_stop_command_is_sent(end: bytes | signal.
         jogged = Jogged([*keys, (9.0, b"q")])
         number = end
         jogged.at[SECOND] = lambda: os.kill(os.getpid(), number)
-    with hangup(signal.SIG_DFL), signals(lambda name: setattr(jogged.made, "leaving", name)):
+    with hangup(signal.SIG_DFL), signals(jogged.made.leave):
         jogged.drive()
     assert jogged.clock.now() < 2 * SECOND
     assert isinstance(jogged.obeyed()[-1][1], Idle)
