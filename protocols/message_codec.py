@@ -65,6 +65,8 @@ ADDED_FIELDS: dict[type[Message], list[Any]] = {
     messages.Leave: [False, False],
 }
 """Defaults of fields that were added at the end of a message: older recordings lack them."""
+MAX_ITEMS = 64
+"""Items of an array: more than any message has fields."""
 _INT_LOW, _INT_HIGH = -(2**63), 2**64 - 1
 
 
@@ -287,7 +289,7 @@ def _converted(converters: Sequence[tuple[frozenset[type], _Convert]], values: S
 def unpack_fields(data: bytes) -> tuple[Layout, list[Any]] | None:
     """Decode the layout and fields of a message; None if the bytes hold none. Never raises."""
     try:
-        row = msgpack.unpackb(data)
+        row = msgpack.unpackb(data, max_array_len=MAX_ITEMS, max_map_len=0, max_ext_len=0)
         if type(row) is not list or not row or type(row[0]) is not int:
             return None
         layout = LAYOUTS.get(row[0])

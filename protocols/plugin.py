@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from importlib.metadata import EntryPoint, distributions, entry_points
 from itertools import groupby
+from math import inf
 from typing import Any, Literal, Protocol
 
 from protocols.frames import BusState, Frame, IdMask
@@ -120,6 +121,27 @@ class FaultInfo:
     such as the result of a request that the next request replaces; the joint latches it all the same."""
 
 
+DRIVER_WRITES = "the driver writes it before it arms"
+"""Why a `Setting` is protected that may differ at any time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """One parameter of a device's configuration, by its name for ReadParameter."""
+
+    expected: float | None = None
+    """The value that the robot file states; None: none."""
+    low: float = -inf
+    high: float = inf
+    """The lowest and highest value that may be written."""
+    protected: str = ""
+    """Why a tool never writes it (an address, a calibration); "" if it may."""
+    limit: Literal["", "velocity", "torque"] = ""
+    """The limit of the joint that it must not be below."""
+    unit: float = 1.0
+    """One unit of the parameter at the device's shaft, in the limit's unit in SI."""
+
+
 def unchanged(command: Command) -> Command:
     """Return the command: to the device, no two commands are the same."""
     return command
@@ -158,6 +180,10 @@ class Spec:
     """By `Fault.code`: every fault that the device can report, as its driver reports it."""
     parameters: tuple[str, ...] = ()
     """Parameters that ReadParameter reads, by the device's names for them: all, or some of each kind."""
+    configuration: Mapping[str, Setting] = field(default_factory=dict)
+    """By parameter: what is configured on the device, all of which ReadParameter reads."""
+    save: str = ""
+    """The parameter that saves the configuration when 1 is written; "": none is needed, or there is none."""
     canonical: Callable[[Command], Command] = unchanged
     """Commands of which it returns the same are the same to the device, such as Torque and an Impedance
     without gains. It returns one of `commands`, with ranges of its own. A function of a module or a frozen

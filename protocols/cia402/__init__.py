@@ -9,23 +9,40 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal
 
 from protocols import messages as msg
 from protocols.canopen import names
+from protocols.canopen import objects as co
 from protocols.canopen import services as cs
-from protocols.canopen.objects import PDO_NUMBERS, Type
+from protocols.canopen.objects import PDO_NUMBERS, Key, Type
+from protocols.cia402 import objects as o
 from protocols.cia402.driver import Cia402Adapter
 from protocols.cia402.faults import FAULTS
 from protocols.cia402.memory import Cia402Decoder
+from protocols.cia402.objects import OBJECTS
 from protocols.cia402.options import Options
 from protocols.cia402.profile import supports
 from protocols.cia402.setpoints import FAMILIES
-from protocols.cia402.settings import Settings, units_of_settings
+from protocols.cia402.settings import SETTING_OBJECTS, Settings, units_of_settings
 from protocols.cia402.twin import Cia402Twin
+from protocols.cia402.units import READ
 from protocols.frames import EXTENDED_BIT, exact
 from protocols.messages import MILLISECOND, Command, Request
-from protocols.plugin import Device, Driver, FeedbackKind, Plugin, Range, Spec, Watchdog
+from protocols.plugin import (
+    DRIVER_WRITES,
+    Device,
+    Driver,
+    FeedbackKind,
+    Plugin,
+    Range,
+    Setting,
+    Spec,
+    Watchdog,
+)
 from protocols.toolkit.assembly import driver_of
+from protocols.toolkit.options import configuration
 
 __all__ = ["Options", "Settings", "plugin"]
 
@@ -73,6 +90,37 @@ def _is_cyclic(options: Options, settings: Settings, kind: type[Command]) -> boo
     return cyclic and (options.modes == "cyclic" or not profile)
 
 
+PROTECTED: dict[Key, str] = {
+    **dict.fromkeys((co.VENDOR_ID, co.PRODUCT_CODE, co.REVISION, co.SERIAL_NUMBER), "it names the drive"),
+    o.SUPPORTED_MODES: "the drive is made so",
+    o.ENCODER_INCREMENTS: "it belongs to the encoder that is mounted",
+    o.HOME_OFFSET: "it is where the zero was found",
+    co.PRODUCER_HEARTBEAT: DRIVER_WRITES,
+    co.CONSUMER_HEARTBEAT: DRIVER_WRITES,
+}
+
+
+def configured(options: Options, settings: Settings) -> dict[str, Setting]:
+    """Return the objects that are configuration; stated are those of units and watchdog."""
+    units, lacks = units_of_settings(settings), {int(index, 16) for index in settings.lacks.split()}
+    keys = {n: k for n, k in SETTING_OBJECTS.items() if k != o.DIGITAL_INPUTS and k[0] not in lacks}
+    why = {name: PROTECTED[key] for name, key in keys.items() if key in PROTECTED}
+    if not options.watchdog_ms:
+        why["heartbeat_consumer"] = "the driver alone configures heartbeats"
+    watched = (co.CONSUMER_HEARTBEAT, o.ABORT_CONNECTION)
+    stated = [name for name, key in keys.items() if key in (*READ, *watched)]
+    found = configuration(settings, {OBJECTS[key].name: name for name, key in keys.items()}, stated, why)
+    limits: dict[Key, tuple[Literal["velocity", "torque"], float]] = {
+        o.MAX_MOTOR_SPEED: ("velocity", math.tau / 60.0 / units.gear),
+        o.MAX_PROFILE_VELOCITY: ("velocity", units.velocity(1)),
+        o.MAX_TORQUE: ("torque", units.torque(1)),
+    }
+    for key, (limit, unit) in limits.items():
+        if (name := OBJECTS[key].name) in found:
+            found[name] = replace(found[name], limit=limit, unit=unit)
+    return found
+
+
 def spec(device: Device) -> Spec:
     """Return the contract of one drive. ValueError if its address is not possible."""
     options, settings, node = device.options, device.settings, device.address
@@ -114,6 +162,8 @@ def spec(device: Device) -> Spec:
         stop_clears_faults=False,
         faults=FAULTS,
         parameters=("6041", "6064"),
+        configuration=configured(options, settings),
+        save="save",
         receives_also=((cs.SDO_TX_BASE, any_node), (cs.HEARTBEAT_BASE, any_node), *other_producer),
     )
 

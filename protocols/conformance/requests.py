@@ -236,6 +236,62 @@ def _must_answer_once(bench: Bench, request: Request, spec: Spec) -> None:
         raise Failure("the spec lists this parameter, and it is not read", (), (request, *answers))
 
 
+# -- configuration -----------------------------------------------------------------------------------------
+
+
+def configuration_is_read_and_written(case: Case) -> None:
+    """Each parameter of the configuration is read; one that is not protected is written and read back."""
+    if not case.spec.configuration:
+        raise Inapplicable("the spec lists no configuration")
+    bench = case.start()
+    bench.steps(KNOWN)
+    for name, setting in case.spec.configuration.items():
+        held = _value_of(bench, name)
+        if setting.protected:
+            continue
+        others = (
+            held + 1.0,
+            held - 1.0,
+            (held + max(setting.low, -1e6)) / 2,
+            (held + min(setting.high, 1e6)) / 2,
+        )
+        tried = [each for each in others if setting.low <= each <= setting.high and each != held]
+        written = next((each for each in tried if _is_done(bench, name, each)), None)
+        if written is None and tried:
+            text = f"{name} is listed as configuration, and not protected: no other value is accepted"
+            raise Failure(text, (), tuple(msg.WriteParameter(ALPHA, name, each) for each in tried))
+        for value in (written, held) if written is not None else ():
+            if value == held and not _is_done(bench, name, held):
+                raise Failure(
+                    f"{name}: the value that it had is refused", (), (msg.WriteParameter(ALPHA, name, held),)
+                )
+            read = _value_of(bench, name)
+            if not math.isclose(read, value, rel_tol=1e-6, abs_tol=1e-6):
+                text = f"{name} was written, and {read} is read"
+                raise Failure(text, (), (msg.WriteParameter(ALPHA, name, value),))
+
+
+def _value_of(bench: Bench, name: str) -> float:
+    answer = _answer_to(bench, msg.ReadParameter(ALPHA, name))
+    if not isinstance(answer, msg.Parameter):
+        raise Failure(f"{name} is listed as configuration, and is not read", (), (answer,) if answer else ())
+    return answer.value
+
+
+def _is_done(bench: Bench, name: str, value: float) -> bool:
+    return isinstance(_answer_to(bench, msg.WriteParameter(ALPHA, name, value)), msg.Done)
+
+
+def _answer_to(bench: Bench, request: Request) -> msg.Done | msg.Refused | msg.Parameter | None:
+    """Return the first answer to a request; None: none came."""
+    for count in range(ANSWERED):
+        step = bench.step((request,) if count == 0 else ())
+        for event in step.events:
+            if isinstance(event, _ANSWERS) and _answers(event, request):
+                return event
+    return None
+
+
 # -- well-formed messages ------------------------------------------------------------------------------------
 
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from protocols import messages as msg
 from protocols.damiao.driver import DamiaoAdapter
+from protocols.damiao.options import REGISTERS as STORED
 from protocols.damiao.options import Options, Settings
-from protocols.damiao.table import ADDRESSES, ANY, FAULTS, MODELS, REGISTERS, REPLY_BASE
+from protocols.damiao.table import ADDRESSES, ANY, FAULTS, MODELS, REGISTERS, REPLY_BASE, SAVE, ranges_of
 from protocols.damiao.twin import DamiaoTwin, motor_of
 from protocols.frames import exact
 from protocols.messages import MILLISECOND, Command
-from protocols.plugin import Device, Plugin, Range, Spec, Watchdog
+from protocols.plugin import DRIVER_WRITES, Device, Plugin, Range, Setting, Spec, Watchdog
 from protocols.toolkit.assembly import can_motor, decoder_of, driver_of
+from protocols.toolkit.options import configuration
 from protocols.toolkit.table import BINARY32
 
 __all__ = ["plugin"]
@@ -41,6 +43,24 @@ def ranges(options: Options) -> dict[str, Range]:
     return commanded | {f"Feedback.{name}": value for name, value in measured.items()}
 
 
+PROTECTED: dict[str, str] = {
+    **dict.fromkeys(("ESC_ID", "MST_ID"), "it is an address: a mistake ends all communication"),
+    "can_br": "it is the bit rate: a mistake ends all communication",
+    **dict.fromkeys(("SN", "hw_ver", "sw_ver", "sub_ver"), "it names the motor"),
+    **dict.fromkeys(("NPP", "Rs", "Ls", "Flux", "Gr", "Damp", "Inertia"), "it was measured of the motor"),
+    **dict.fromkeys(("TIMEOUT", "CTRL_MODE"), DRIVER_WRITES),
+}
+
+
+def configured(device: Device) -> dict[str, Setting]:
+    """Return the registers that are configuration; those of the ranges are the model's."""
+    _, v, t = MODELS[device.options.model]
+    found = configuration(device.settings, {name: name for name in STORED})
+    ranges = {name: Setting(each, 0.0) for name, each in ranges_of(device.options.model).items()}
+    found |= ranges | {"VMAX": Setting(v, 0.0, limit="velocity"), "TMAX": Setting(t, 0.0, limit="torque")}
+    return found | {name: Setting(protected=why) for name, why in PROTECTED.items()}
+
+
 def spec(device: Device) -> Spec:
     """Return the contract of one motor. Raises ValueError if its address cannot be one."""
     options: Options = device.options
@@ -55,6 +75,8 @@ def spec(device: Device) -> Spec:
         watchdog=Watchdog(round(options.timeout_ms * MILLISECOND), enabled=True),
         faults=FAULTS,
         parameters=tuple(REGISTERS.by_name),
+        configuration=configured(device),
+        save=SAVE,
         receives_also=((REPLY_BASE, 0x7F0),),
         canonical=options.gains.canonical,
     )

@@ -8,7 +8,7 @@ from typing import Literal
 from protocols.damiao import table as dm
 from protocols.toolkit.mit import ImpedanceGains
 from protocols.toolkit.options import bounded, check_bounds
-from protocols.toolkit.table import Table
+from protocols.toolkit.table import FLOAT_MAX, Table
 
 # fmt: off
 Model = Literal[
@@ -76,6 +76,35 @@ class Settings:
     """SN; 0: derived from the address"""
     temperature: int = bounded(30, 0, 255)
     """°C"""
+    # Registers; bounds as damiao-motor documents them. V, °C, share of the largest current, rad/s², rad/s …
+    UV_Value: float = bounded(15.0, 10.0, FLOAT_MAX)
+    OV_Value: float = bounded(32.0, 0.0, FLOAT_MAX)
+    OT_Value: float = bounded(100.0, 80.0, 200.0)
+    OC_Value: float = bounded(0.98, 0.0, 1.0)
+    ACC: float = bounded(500.0, 0.0, FLOAT_MAX)
+    DEC: float = bounded(-500.0, -FLOAT_MAX, 0.0)
+    MAX_SPD: float = bounded(300.0, 0.0, FLOAT_MAX)
+    KT_Value: float = bounded(0.0, 0.0, FLOAT_MAX)
+    I_BW: float = bounded(1000.0, 100.0, 10_000.0)
+    V_BW: float = bounded(100.0, 0.0, 500.0)
+    KP_ASR: float = bounded(0.004, 0.0, FLOAT_MAX)
+    KI_ASR: float = bounded(0.002, 0.0, FLOAT_MAX)
+    KP_APR: float = bounded(50.0, 0.0, FLOAT_MAX)
+    KI_APR: float = bounded(1.0, 0.0, FLOAT_MAX)
+    GREF: float = bounded(1.0, 0.0, 1.0)
+    Deta: float = bounded(4.0, 1.0, 30.0)
+    IQ_c1: float = bounded(1000.0, 100.0, 10_000.0)
+    VL_c1: float = bounded(1000.0, 0.0, 10_000.0)
 
     def __post_init__(self) -> None:
         check_bounds(self)
+
+    @property
+    def registers(self) -> dict[str, float]:
+        """The registers as saved."""
+        stored = {name: getattr(self, name) for name in REGISTERS}
+        return stored | {"TIMEOUT": round(self.timeout_ms / dm.TIMEOUT_UNIT_MS), "CTRL_MODE": self.mode}
+
+
+REGISTERS = tuple(name for name in Settings.__slots__ if name in dm.REGISTERS.by_name)
+"""The settings that are registers of the same name."""

@@ -91,7 +91,7 @@ def motor_of(device: Device) -> Motor:
     """Return a motor as it is when switched on."""
     settings: Settings = device.settings
     registers = dict.fromkeys(REGISTERS.by_name, 0.0) | dm.ranges_of(device.options.model)
-    registers |= {"TIMEOUT": round(settings.timeout_ms / dm.TIMEOUT_UNIT_MS), "CTRL_MODE": settings.mode}
+    registers |= settings.registers
     registers |= {"ESC_ID": device.address, "MST_ID": device.options.reply(device.address), "VBus": 24.0}
     registers |= {"SN": settings.serial or 0xDA310000 + device.address}
     return Motor(device.name, device.address, registers)

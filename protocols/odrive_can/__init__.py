@@ -16,7 +16,7 @@ from protocols.frames import EXTENDED_BIT
 from protocols.messages import SECOND
 from protocols.odrive_can import errors, table
 from protocols.odrive_can.driver import OdriveAdapter
-from protocols.odrive_can.options import Options, Settings, line_of
+from protocols.odrive_can.options import Options, Settings, configured, line_of
 from protocols.odrive_can.twin import OdriveTwin, Twin05, Twin06, memory
 from protocols.plugin import CommandDecoder, Device, Driver, FeedbackKind, Plugin, Range, Spec, Watchdog
 from protocols.toolkit.assembly import TableDecoder, can_motor
@@ -102,6 +102,8 @@ def spec(device: Device) -> Spec:
         holds_unattended=not settings.enable_watchdog,
         faults=errors.DEVICE05 if line_of(device) == "0.5" else errors.DEVICE06,
         parameters=("Bus_Voltage", "Iq_Measured"),
+        configuration={} if line_of(device) == "0.5" else configured(options, settings),
+        save="" if line_of(device) == "0.5" else table.SAVE,
         receives_also=((0x06, 0x1F), (0x01, 0x1F)),
         obeys_also=((address << table.CMD_BITS | extended * EXTENDED_BIT, 0x9FFF_FFE0),),
     )

@@ -6,14 +6,15 @@ settings are the vendor's own (turns, N·m, A, V, °C, ms), so that they can be 
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from protocols.odrive_can.table import BROADCAST, MAX_EXTENDED_NODE, ControlMode, InputMode
-from protocols.plugin import Device
-from protocols.toolkit.options import bounded, check_bounds
+from protocols.plugin import Device, Setting
+from protocols.toolkit.options import bounded, check_bounds, configuration
 from protocols.toolkit.registers import Register, Registers, Type
 
 TYPES: Mapping[str, Type] = {
@@ -169,6 +170,60 @@ class Settings:
         if self.enable_watchdog and not self.watchdog_timeout > 0:
             others.append("watchdog_timeout must be above 0 when enable_watchdog is true")
         check_bounds(self, others)
+
+
+_GROUPS = {
+    "axis0.config": "enable_watchdog watchdog_timeout encoder_bandwidth",
+    "axis0.config.can": " ".join(name for name in Settings.__slots__ if name.endswith("_msg_rate_ms")),
+    "axis0.config.motor": "torque_constant current_soft_max current_hard_max phase_resistance"
+    " current_control_bandwidth=current_bandwidth",
+    "axis0.controller.config": "pos_gain vel_gain vel_integrator_gain vel_limit vel_limit_tolerance"
+    " enable_torque_mode_vel_limit vel_ramp_rate torque_ramp_rate input_filter_bandwidth"
+    " inertia spinout_electrical_power_threshold spinout_mechanical_power_threshold",
+    "axis0.trap_traj.config": "vel_limit=trap_vel_limit accel_limit=trap_accel_limit"
+    " decel_limit=trap_decel_limit",
+    "config": "dc_bus_undervoltage_trip_level dc_bus_overvoltage_trip_level dc_max_positive_current"
+    " dc_max_negative_current",
+}
+SETTING_OF: Mapping[str, str] = {
+    f"{group}.{item.partition('=')[0]}": item.rpartition("=")[2]
+    for group, items in _GROUPS.items()
+    for item in items.split()
+}
+"""The settings by the paths of their endpoints (the vendor's reference of 0.6.x)."""
+RELIED_ON = ("enable_watchdog", "watchdog_timeout", "encoder_msg_rate_ms", "heartbeat_msg_rate_ms")
+_PROTECTED = {
+    r"\.node_id$|baud_rate|can\.config\.protocol": "address or bit rate: a mistake ends all communication",
+    r"phase_(resistance|inductance)|motor_model|flux_linkage": "it was measured of the motor",
+    r"offset|direction|index|mapper|_valid$|pole_pairs|cpr|harmonic": "it is the encoder's calibration",
+}
+
+
+def configured(options: Options, settings: Settings) -> dict[str, Setting]:
+    """Return the endpoints of the robot file that are configuration: their paths contain `config`."""
+    paths = {path: each for path, each in options.registers().by_name.items() if "config" in path.split(".")}
+    known = {path: SETTING_OF[path] for path in paths if path in SETTING_OF}
+    found = {path: Setting() for path in paths} | configuration(settings, known, RELIED_ON)
+    for path, setting in found.items():
+        why = next((why for pattern, why in _PROTECTED.items() if re.search(pattern, path)), "")
+        found[path] = replace(setting, protected=why)
+    limits: dict[str, tuple[Literal["velocity", "torque"], float]] = {
+        "axis0.controller.config.vel_limit": ("velocity", math.tau),
+        "axis0.config.motor.current_soft_max": ("torque", settings.torque_constant),
+        "axis0.config.torque_soft_max": ("torque", 1.0),
+    }
+    for path in limits.keys() & found.keys():
+        found[path] = replace(found[path], limit=limits[path][0], unit=limits[path][1])
+    return found
+
+
+def saved(options: Options, settings: Settings) -> dict[int, int]:
+    """Return what the endpoints of the robot file hold as configured, in bits."""
+    registers = options.registers()
+    held = {
+        path: float(getattr(settings, SETTING_OF[path])) for path in registers.by_name if path in SETTING_OF
+    }
+    return {registers.by_name[path].number: registers.raw(path, value) for path, value in held.items()}
 
 
 def serial_of(settings: Settings, address: int) -> int:

@@ -7,7 +7,7 @@ point. One serial line carries any number of devices; numbers are sent exactly. 
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import get_args
 
 from protocols import messages as msg
@@ -16,8 +16,9 @@ from protocols.messages import COMMANDS, MILLISECOND, Command, Request
 from protocols.plain import table
 from protocols.plain.driver import OFFLINE, Options, PlainAdapter
 from protocols.plain.twin import PlainDecoder, PlainTwin, Settings
-from protocols.plugin import Device, FeedbackKind, Plugin, Range, Spec, Watchdog
+from protocols.plugin import Device, FeedbackKind, Plugin, Range, Setting, Spec, Watchdog
 from protocols.toolkit.assembly import driver_of
+from protocols.toolkit.options import configuration
 from protocols.toolkit.serial import Stream
 from protocols.toolkit.table import TINY
 
@@ -59,6 +60,13 @@ def ranges(options: Options) -> dict[str, Range]:
     }
 
 
+def configured(settings: Settings) -> dict[str, Setting]:
+    """Return what is configured on a motor: what the spec and a stop depend on is stated."""
+    names = {name: name for name in Settings.__slots__}
+    found = configuration(settings, names, ("watchdog_ms", "feedback_ms"), {"serial": "it names the device"})
+    return found | {"torque_limit": replace(found["torque_limit"], limit="torque")}
+
+
 def spec(device: Device) -> Spec:
     """Return the contract of one plain device. Raises ValueError for an address that it cannot have."""
     if device.address not in table.ADDRESSES:
@@ -82,6 +90,7 @@ def spec(device: Device) -> Spec:
         stop_clears_faults=False,
         faults=table.FAULTS if motor else {},
         parameters=Settings.__slots__ if motor else (),
+        configuration=configured(settings) if motor else {},
     )
 
 

@@ -10,7 +10,17 @@ from protocols.canopen import names, services
 from protocols.canopen.services import NODE_MASK
 from protocols.frames import exact
 from protocols.messages import MILLISECOND
-from protocols.plugin import Device, Driver, FeedbackKind, Plugin, Range, Spec, Watchdog
+from protocols.plugin import (
+    DRIVER_WRITES,
+    Device,
+    Driver,
+    FeedbackKind,
+    Plugin,
+    Range,
+    Setting,
+    Spec,
+    Watchdog,
+)
 from protocols.toolkit.assembly import driver_of
 from protocols.zlac8015d import table as z
 from protocols.zlac8015d.driver import EXPECTED, RPDO, ZlacAdapter
@@ -28,6 +38,9 @@ def spec(device: Device) -> Spec:
     options, node = device.options, device.address & NODE_MASK
     if not node or not 0 < device.address <= 0xFF:
         raise ValueError(f"address {device.address} of {device.name}: it must be 1 to 127, or 129 to 255")
+    side = z.side_of(device.address)
+    keys = z.OFFLINE_TIME, z.SYNCHRONOUS, (z.ACCELERATION, side), (z.DECELERATION, side)
+    configured = {z.OBJECTS[key].name: Setting(protected=DRIVER_WRITES) for key in keys}
     fastest, turns = options.max_rpm * z.RPM, 2**31 / options.counts * math.tau
     return Spec(
         bus="can",
@@ -39,7 +52,7 @@ def spec(device: Device) -> Spec:
         feedback_period=options.feedback_ms * MILLISECOND,
         offline_after=options.offline_ms * MILLISECOND,
         commands=frozenset({msg.Idle, msg.Velocity}),
-        requests=frozenset({msg.ClearFault}),
+        requests=frozenset({msg.ClearFault, msg.ReadParameter}),
         ranges={
             "Velocity.velocity": Range(-fastest, fastest, z.RPM / options.steps_per_rpm / 2 * MARGIN),
             "Feedback.position": Range(-turns, turns, math.pi / options.counts * MARGIN),
@@ -49,6 +62,8 @@ def spec(device: Device) -> Spec:
         holds_unattended=False,
         stop_clears_faults=False,
         faults=z.FAULTS,
+        parameters=tuple(configured),
+        configuration=configured,
     )
 
 

@@ -21,7 +21,7 @@ from protocols.canopen.mapping import Setup, Write
 from protocols.canopen.objects import Key, from_bytes, to_bytes
 from protocols.canopen.services import NODE_MASK, Nmt, NmtCommand, NmtState, rpdo_id, sdo_rx_id, tpdo_id
 from protocols.frames import CanFrame, Frame
-from protocols.messages import MILLISECOND, Command, Feedback, Nanos, Request
+from protocols.messages import MILLISECOND, Command, Event, Feedback, Nanos, Request
 from protocols.plugin import Device
 from protocols.toolkit.host import Host, Report, Timing
 from protocols.toolkit.motor_driver import NEVER, Adapter, MotorDriver, Pending, Rx
@@ -276,7 +276,7 @@ class ZlacAdapter(Adapter[Motor]):
         if not services.is_classic(frame) or frame.id & NODE_MASK not in self.drives:
             return (Rx.IGNORED,)
         drive = self.drives[frame.id & NODE_MASK]
-        function, values = frame.id & ~NODE_MASK, dict[Key, int]()
+        function, values, outcome = frame.id & ~NODE_MASK, dict[Key, int](), None
         if function in NUMBERS:
             number = NUMBERS[function]
             found = TPDOS[number].unpack(frame.data)
@@ -297,10 +297,15 @@ class ZlacAdapter(Adapter[Motor]):
                 drive.forget(t)
         else:
             return (Rx.IGNORED,)
-        return self._reports(t, drive, values, driver)
+        return self._reports(t, drive, values, driver, outcome)
 
     def _reports(
-        self, t: Nanos, drive: Drive, values: Mapping[Key, int], driver: MotorDriver[Motor]
+        self,
+        t: Nanos,
+        drive: Drive,
+        values: Mapping[Key, int],
+        driver: MotorDriver[Motor],
+        outcome: Outcome | None,
     ) -> list[Report[Motor]]:
         """Return a report of each motor that values are about; without any, that they are there."""
         twice = "every request is answered twice" if drive.client.doubled >= DOUBLED else ""
@@ -309,7 +314,9 @@ class ZlacAdapter(Adapter[Motor]):
         for side in (sub,) if sub in drive.sides else drive.sides:
             host = driver.at[drive.node + z.RIGHT_OFFSET * (side == z.RIGHT)]
             about = drive.report(t, host, values)
-            reports.append(Report(host, host.address, duplicate=twice, counted=not reports, **about))
+            reports.append(
+                Report(host, host.address, duplicate=twice, counted=not reports, content=outcome, **about)
+            )
         return reports
 
     # -- sent -------------------------------------------------------------------------------------------
@@ -341,11 +348,29 @@ class ZlacAdapter(Adapter[Motor]):
     def begin(
         self, now: Nanos, request: Request, host: Host[Motor] | None, driver: MotorDriver[Motor]
     ) -> Pending[Motor] | str:
-        if host is None or not isinstance(request, msg.ClearFault):
+        if host is None or not isinstance(request, msg.ClearFault | msg.ReadParameter):
             return "the drive cannot do that on this bus"
-        return Pending(request, host.name, now, now + ANSWER, now, host, (), RETRY, sent=1)
+        pending = Pending(request, host.name, now, now + ANSWER, now, host, (), RETRY, sent=1)
+        if isinstance(request, msg.ReadParameter):
+            key = z.OBJECTS.find(request.parameter)
+            if key is None or key not in z.OBJECTS or z.OBJECTS[key].type is o.Type.TEXT:
+                return f"{request.parameter!r} is no object with a number that is known here"
+            pending.notes["job"] = Job(Purpose.REQUEST, key, token=now)
+            host.own[0].client.put(pending.notes["job"])
+        return pending
 
     def frames(self, now: Nanos, pending: Pending[Motor]) -> Sequence[Frame]:
-        if pending.host is not None:
+        if pending.host is not None and isinstance(pending.request, msg.ClearFault):
             pending.host.own[0].control(Purpose.URGENT, z.DISABLE, z.RESET)
         return ()
+
+    def answer(self, t: Nanos, pending: Pending[Motor], report: Report[Motor]) -> Event | None:
+        request, outcome = pending.request, report.content
+        if not isinstance(request, msg.ReadParameter):
+            return super().answer(t, pending, report)
+        if not isinstance(outcome, Outcome) or outcome.job != pending.notes["job"]:
+            return None
+        value = from_bytes(z.OBJECTS[outcome.job.key].type, outcome.value)
+        if outcome.abort is not None or value is None:
+            return pending.refuse(t, sdo.abort_text(outcome.abort or sdo.LENGTH_MISMATCH))
+        return msg.Parameter(pending.name, t, request.parameter, float(value))
