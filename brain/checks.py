@@ -1,11 +1,19 @@
-"""Checks of settings, for `__post_init__`. Every message begins with the field's name."""
+"""Checks of settings, for `__post_init__`. Every message begins with the field's name.
+
+Rules. Every number of every settings dataclass has a lower and an upper bound, stated once, in that call: the
+robot file and `set` both refuse what lies beyond. Bounds are generous, and such that the work of a step is
+bounded at every combination that they allow.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import Field, fields
-from math import isfinite
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Protocol, TypeAlias
+
+from protocols.messages import MILLISECOND
+
+Range: TypeAlias = tuple[float, float] | tuple[float, float, str]
+"""Least and most, and a unit for the message. Of a `Nanos` field: in ms, as in the robot file."""
 
 
 class Settings(Protocol):
@@ -14,28 +22,23 @@ class Settings(Protocol):
     __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
 
 
-def finite(settings: Settings, *names: str) -> None:
-    """Raise ValueError unless these numbers (default: all) are finite."""
-    _require(settings, names, "must be finite", lambda _: True)
+def within(settings: Settings, **ranges: Range) -> None:
+    """Raise ValueError unless each of these fields is finite and from its least to its most value.
+
+    None passes: it means that a field is left to its default."""
+    for field in fields(settings):
+        value = getattr(settings, field.name)
+        if field.name not in ranges or value is None:
+            continue
+        low, high, *units = ranges[field.name]
+        if "Nanos" in str(field.type):
+            value, units = value / MILLISECOND, ["ms"]
+        if not low <= value <= high:  # NaN is not, either
+            unit = f" {units[0]}" if units else ""
+            raise ValueError(f"{field.name} must be from {low:.10g} to {high:.10g}{unit}, not {value:g}")
 
 
-def positive(settings: Settings, *names: str) -> None:
-    """Raise ValueError unless these numbers (default: all) are finite and above 0."""
-    _require(settings, names, "must be above 0", lambda value: value > 0)
-
-
-def not_negative(settings: Settings, *names: str) -> None:
-    """Raise ValueError unless these numbers (default: all) are finite and at least 0."""
-    _require(settings, names, "must not be negative", lambda value: value >= 0)
-
-
-def shares(settings: Settings, *names: str) -> None:
-    """Raise ValueError unless these numbers are at most 1."""
-    _require(settings, names, "is a share: at most 1", lambda value: value <= 1)
-
-
-def _require(settings: Settings, names: tuple[str, ...], bound: str, holds: Callable[[float], bool]) -> None:
-    for name in names or [field.name for field in fields(settings)]:
-        value = getattr(settings, name)
-        if isinstance(value, int | float) and not (isfinite(value) and holds(value)):
-            raise ValueError(f"{name} {bound}, not {value!r}")
+def ordered(settings: Settings, less: str, more: str) -> None:
+    """Raise ValueError if the second of two numbers is less than the first."""
+    if getattr(settings, more) < getattr(settings, less):
+        raise ValueError(f"{more} must not be less than {less}, {getattr(settings, less):g}")

@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
-from brain.checks import positive, shares
+from brain.checks import ordered, within
 from protocols.messages import MILLISECOND, SECOND, Event, Feedback, Fix, Imu, LaserScan, Mode, Nanos, State
 
 MIN_WINDOW_COUNT = 5
@@ -43,11 +43,19 @@ class HealthSettings:
     """and from which on it stands."""
 
     def __post_init__(self) -> None:
-        positive(self)
-        shares(self, "slow_age", "stand_age", "slow", "rejected_slow", "rejected_stop")
-        for less, more in (("slow_age", "stand_age"), ("rejected_slow", "rejected_stop")):
-            if getattr(self, more) < getattr(self, less):
-                raise ValueError(f"{more} must not be less than {less}")
+        within(
+            self,
+            slow_age=(0.01, 1.0),
+            stand_age=(0.01, 1.0),
+            give_up=(1.0, 60_000.0),
+            recover=(1.0, 60_000.0),
+            slow=(0.01, 1.0),
+            window=(10.0, 60_000.0),
+            rejected_slow=(0.01, 1.0),
+            rejected_stop=(0.01, 1.0),
+        )
+        ordered(self, "slow_age", "stand_age")
+        ordered(self, "rejected_slow", "rejected_stop")
 
 
 class HealthLevel(IntEnum):

@@ -1,7 +1,8 @@
 """The brain's settings, and changing one of them at run time.
 
 Rules. Frozen dataclasses with defaults, in SI; each validates itself. A change names a number by its dotted
-key, as in the robot file below [brain]; times are in milliseconds there, with `_ms` in the name.
+key, as in the robot file below [brain]; times are in milliseconds there, with `_ms` in the name. No change
+widens what the robot file allows: `AT_RUN_TIME` states in which direction each number may go from there.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
 from math import isfinite
-from typing import Literal, TypeVar
+from typing import Literal, TypeAlias, TypeVar
 
 from brain.bodies.differential import Differential
 from brain.bodies.joints import Joints
@@ -34,18 +35,65 @@ class BrainSettings:
     pursuit: PursuitSettings = field(default_factory=PursuitSettings)
     health: HealthSettings = field(default_factory=HealthSettings)
 
+    def __post_init__(self) -> None:
+        radius = self.differential.radius if self.differential else 0.0
+        reach = radius + self.planner.margin + self.planner.comfort
+        cells = reach / self.perception.grid.resolution
+        if cells > MAX_REACH:
+            text = f"the footprint's radius, margin and comfort are {reach:g} m, {cells:.0f} cells of the map"
+            raise ValueError(f"planner: {text}; expected at most {MAX_REACH}")
+
 
 S = TypeVar("S", bound=Settings)
 
-FIXED_AT_START = (
-    "perception.",
-    "differential.wheel_radius",
-    "differential.wheel_separation",
-    "differential.radius",
+MAX_REACH = 150
+"""Cells about an obstacle that the costmap treats differently: bounds its work, with the map's size."""
+
+Direction: TypeAlias = Literal["at most", "at least", "free"]
+
+AT_RUN_TIME: tuple[tuple[Direction, str, str], ...] = (
+    (
+        "at least",
+        "distances from obstacles, the cost of unknown ground, caution after trouble: they only get larger",
+        (
+            "planner.margin planner.comfort planner.dislike planner.unknown_multiplier health.recover_ms "
+            "pursuit.obstacle_distance"
+        ),
+    ),
+    (
+        "at most",
+        "limits, speeds, and shares of them: less is more cautious",
+        (
+            "differential.max_linear differential.max_angular differential.max_wheel_speed planner.escape "
+            "planner.slack planner.unknown_is_free health.slow pursuit.braking pursuit.creep "
+            "pursuit.lateral_acceleration pursuit.obstacle_speed"
+        ),
+    ),
+    (
+        "at most",
+        "times and shares of timeouts, after which something is noticed or ended: timeouts only get shorter",
+        (
+            "health.slow_age health.stand_age health.give_up_ms health.window_ms health.rejected_slow "
+            "health.rejected_stop health.contradicted_ms health.too_long_ms health.too_often "
+            "planner.period_ms planner.drive_timeout_ms planner.patience_ms pursuit.idle_after_ms"
+        ),
+    ),
+    ("at most", "the work of a step", "planner.expansions_per_step"),
+    (
+        "free",
+        "how a path is followed: every value within its bounds keeps the limits",
+        (
+            "pursuit.period_ms pursuit.lookahead_time pursuit.lookahead_min pursuit.lookahead_max "
+            "pursuit.turn_from pursuit.turn_until pursuit.turn_gain pursuit.tolerance pursuit.yaw_tolerance "
+            "planner.explore_ms"
+        ),
+    ),
 )
-"""Keys that keep the robot file's value: a change would invalidate the present estimate and map."""
-LIMITS = "differential.max_"
-"""Limits of the body: at run time they may be lowered, and raised again up to the robot file's value."""
+"""How a number may differ from the robot file's at run time, why, and which. It may always be changed back.
+
+All others are fixed at the start: geometry and perception, since a change would invalidate the present
+estimate and map; the body's accelerations, since more is rougher than the file allows, and less makes every
+stop longer."""
 
 
 def keys(settings: Settings, prefix: str = "") -> Iterator[tuple[str, float]]:
@@ -76,21 +124,25 @@ def changed(
     if key not in known:
         hint = suggestion(key, known) or f"there are {', '.join(known)}"
         return settings, f"there is no setting {key!r}; {hint}"
-    if key.startswith(FIXED_AT_START):
+    direction = next((kind for kind, _, names in AT_RUN_TIME if key in names.split()), "fixed")
+    if direction == "fixed":
         return settings, f"{key} is fixed at the start: change it in the robot file"
     if not isfinite(value):
         return settings, f"{key} must be a finite number, not {value}"
-    if key.startswith(LIMITS) and value > in_file[key]:
-        return settings, f"{key} must be at most {in_file[key]:g}, the value in the robot file, not {value:g}"
-    now = known[key]
+    now, limit = known[key], in_file[key]
     if isinstance(now, bool) and value not in (0.0, 1.0):
         return settings, f"{key} must be 0 or 1, not {value:g}"
     if isinstance(now, int) and not float(value).is_integer():
         return settings, f"{key} must be an integer, not {value:g}"
     try:
-        return _replaced(settings, key.split("."), type(now)(value)), ""
+        after = _replaced(settings, key.split("."), type(now)(value))
+    except OverflowError:
+        return settings, f"{key} is out of every bound: {value:g}"
     except ValueError as error:
         return settings, f"{key}: {error}"
+    if (direction == "at most" and value > limit) or (direction == "at least" and value < limit):
+        return settings, f"{key} must be {direction} {limit:g}, the value in the robot file, not {value:g}"
+    return after, ""
 
 
 def _replaced(settings: S, path: list[str], value: float) -> S:

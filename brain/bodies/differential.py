@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass
 
 from brain.belief import Pose
-from brain.checks import positive
+from brain.checks import within
 
 
 def wrap(angle: float) -> float:
@@ -64,7 +64,17 @@ class Differential:
     def __post_init__(self) -> None:
         if not self.left or not self.right or self.left == self.right:
             raise ValueError(f"left and right must name two motors, not {self.left!r} and {self.right!r}")
-        positive(self)
+        within(
+            self,
+            wheel_radius=(0.005, 2.0, "m"),
+            wheel_separation=(0.01, 5.0, "m"),
+            radius=(0.01, 3.0, "m"),
+            max_linear=(1e-3, 20.0, "m/s"),
+            max_angular=(1e-3, 50.0, "rad/s"),
+            max_linear_acceleration=(0.01, 100.0, "m/s²"),
+            max_angular_acceleration=(0.01, 500.0, "rad/s²"),
+            max_wheel_speed=(1e-3, 1e4, "rad/s"),
+        )
 
     @property
     def wheel_speed(self) -> float:

@@ -15,7 +15,7 @@ from math import atan2, hypot, sin, sqrt
 
 from brain.belief import Pose
 from brain.bodies.differential import wrap
-from brain.checks import positive, shares
+from brain.checks import ordered, within
 from brain.control.profile import REST, Twist
 from brain.planning.polyline import Point, Polyline
 from protocols.messages import MILLISECOND, SECOND, Nanos
@@ -57,10 +57,25 @@ class PursuitSettings:
     """After this time at rest with nothing to do, the motors are disarmed."""
 
     def __post_init__(self) -> None:
-        positive(self)
-        shares(self, "obstacle_speed", "braking")
-        if self.lookahead_max < self.lookahead_min:
-            raise ValueError(f"lookahead_max must not be less than lookahead_min, {self.lookahead_min}")
+        within(
+            self,
+            period=(1.0, 100.0),
+            lookahead_time=(0.01, 10.0, "s"),
+            lookahead_min=(0.01, 10.0, "m"),
+            lookahead_max=(0.01, 10.0, "m"),
+            lateral_acceleration=(0.01, 20.0, "m/s²"),
+            turn_from=(0.01, 3.2, "rad"),
+            turn_until=(0.001, 3.2, "rad"),
+            turn_gain=(0.01, 50.0),
+            obstacle_distance=(0.01, 10.0, "m"),
+            obstacle_speed=(0.01, 1.0),
+            braking=(0.05, 1.0),
+            creep=(1e-3, 0.5, "m/s"),
+            tolerance=(1e-3, 1.0, "m"),
+            yaw_tolerance=(1e-3, 3.2, "rad"),
+            idle_after=(10.0, 60_000.0),
+        )
+        ordered(self, "lookahead_min", "lookahead_max")
         if self.turn_until >= self.turn_from:
             raise ValueError(f"turn_until must be less than turn_from, {self.turn_from}")
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
-from brain.checks import finite, not_negative, positive
+from brain.checks import within
 from protocols.messages import MILLISECOND, Nanos
 
 CHI_SQUARE: dict[float, tuple[float, float, float]] = {
@@ -50,8 +50,22 @@ class EkfSettings:
     """Largest delay of a measurement."""
 
     def __post_init__(self) -> None:
-        finite(self)
-        positive(self, "start_sigma")
-        not_negative(self, *(field.name for field in fields(self) if not field.name.startswith("start_")))
+        within(
+            self,
+            start_x=(-1e4, 1e4, "m"),
+            start_y=(-1e4, 1e4, "m"),
+            start_yaw=(-10.0, 10.0, "rad"),
+            start_sigma=(1e-6, 100.0),
+            linear_noise=(0.0, 100.0),
+            angular_noise=(0.0, 100.0),
+            travel_noise=(0.0, 1.0),
+            sideways_noise=(0.0, 1.0),
+            bias_sigma=(0.0, 1.0, "rad/s"),
+            bias_noise=(0.0, 1.0),
+            slip_sigma=(0.0, 1.0),
+            slip_noise=(0.0, 1.0),
+            lockout=(0.0, 10_000.0),
+            rewind=(0.0, 1000.0),
+        )
         if self.confidence not in CHI_SQUARE:
             raise ValueError(f"confidence must be one of {list(CHI_SQUARE)}, not {self.confidence!r}")

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from brain.belief import Floats, MapView, Pose
-from brain.checks import finite, positive
+from brain.checks import within
 from brain.perception.mount import BodyScan, Bools, to_world
 
 Cells = npt.NDArray[np.int64]
@@ -54,13 +54,28 @@ class GridSettings:
     """m between neighbouring beams, below which no relevant obstacle fits unseen between them"""
 
     def __post_init__(self) -> None:
-        finite(self)
-        positive(self, "resolution", "width", "height", "hit", "miss", "high", "farthest")
-        if self.low >= 0.0 or self.gap < 0.0:
-            raise ValueError(f"low must be below 0 and gap not negative, not {self.low!r} and {self.gap!r}")
+        within(
+            self,
+            resolution=(0.01, 0.5, "m"),
+            width=(1.0, 1000.0, "m"),
+            height=(1.0, 1000.0, "m"),
+            center_x=(-1e4, 1e4, "m"),
+            center_y=(-1e4, 1e4, "m"),
+            hit=(0.01, 10.0),
+            miss=(0.01, 10.0),
+            low=(-20.0, -0.01),
+            high=(0.01, 20.0),
+            farthest=(0.5, 100.0, "m"),
+            gap=(0.0, 1.0, "m"),
+        )
         cells = self.width * self.height / self.resolution**2
-        if cells > 16e6 or min(self.width, self.height) < self.resolution:
-            raise ValueError(f"the map must have between 1 and 16 million cells, not {cells:.0f}")
+        if cells > MAX_CELLS:
+            text = f"{self.width:g} m × {self.height:g} m at {self.resolution:g} m are {cells:.0f} cells"
+            raise ValueError(f"width × height: {text}, and the map must have at most {MAX_CELLS}")
+
+
+MAX_CELLS = 1_000_000
+"""Of a map: 50 m × 50 m at 0.05 m. The costmap is made of all of them in one step."""
 
 
 class Grid:

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from brain.belief import Floats, Pose
-from brain.checks import finite
+from brain.checks import within
 from protocols.messages import LaserScan
 
 Vector = tuple[float, float, float]
@@ -34,7 +34,8 @@ class Mount:
     roll: float = 0.0
 
     def __post_init__(self) -> None:
-        finite(self)
+        metres, turn = (-10.0, 10.0, "m"), (-2.0 * math.pi, 2.0 * math.pi, "rad")
+        within(self, x=metres, y=metres, z=metres, yaw=turn, pitch=turn, roll=turn)
 
     def rotation(self) -> tuple[Vector, Vector, Vector]:
         """Return the rows of R, which rotates a vector of the sensor into the robot's frame."""

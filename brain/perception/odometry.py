@@ -15,7 +15,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from brain.bodies.differential import Differential
-from brain.checks import not_negative, positive
+from brain.checks import within
 from protocols.messages import MILLISECOND, Feedback, Nanos, seconds
 
 MAX_SAMPLES = 256
@@ -36,10 +36,7 @@ class OdometrySettings:
     """An angle that changes faster than the wheel's largest speed times this has jumped."""
 
     def __post_init__(self) -> None:
-        positive(self, "resolution", "jump_margin")
-        not_negative(self, "shortest")
-        if self.jump_margin < 1.0:
-            raise ValueError(f"jump_margin must be at least 1, not {self.jump_margin!r}")
+        within(self, resolution=(1e-8, 1.0, "rad"), shortest=(0.0, 100.0), jump_margin=(1.0, 10.0))
 
 
 @dataclass(frozen=True, slots=True)

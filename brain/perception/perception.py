@@ -19,7 +19,7 @@ import numpy as np
 
 from brain.belief import Estimate, Floats, Pose
 from brain.bodies.differential import Differential, arc
-from brain.checks import not_negative, positive
+from brain.checks import within
 from brain.perception.ekf import Ekf, Nis
 from brain.perception.ekf_settings import EkfSettings
 from brain.perception.grid import Grid, GridSettings
@@ -47,8 +47,14 @@ class WheelSettings:
     """m/s and rad/s: standard deviation of the twist at rest"""
 
     def __post_init__(self) -> None:
-        not_negative(self)
-        positive(self, "still_sigma")
+        within(
+            self,
+            jitter=(0.0, 0.1, "s"),
+            turn_slip=(0.0, 1.0),
+            slip_lasts=(0.0, 600.0, "s"),
+            still_for=(0.0, 10_000.0),
+            still_sigma=(1e-6, 1.0),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +76,18 @@ class PerceptionSettings:
     """Scans that have contradicted the map for this time are added: the place has changed."""
 
     def __post_init__(self) -> None:
-        positive(self, "gyro_sigma")
-        not_negative(self, "scan_wait", "redraw")
+        within(self, gyro_sigma=(1e-6, 1.0, "rad/s"), scan_wait=(0.0, 1000.0), redraw=(0.0, 60_000.0))
+        grid, match = self.grid, self.match
+        window = 2 * math.ceil(match.widest / grid.resolution) + 1
+        if match.beams * window**2 > MAX_MATCH_CELLS:
+            text = f"{match.beams} beams, each with {window} × {window} cells about it"
+            raise ValueError(f"match: {text}; expected at most {MAX_MATCH_CELLS} cells in all")
+        if window * grid.resolution > min(grid.width, grid.height):
+            raise ValueError(f"match: widest must be less than half the map, not {match.widest:g}")
+
+
+MAX_MATCH_CELLS = 200_000
+"""Cells of the map that one step of matching a scan examines."""
 
 
 class Perception:

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from brain.belief import Floats, Pose
 from brain.bodies.differential import wrap
-from brain.checks import positive, shares
+from brain.checks import ordered, within
 from brain.perception.grid import Grid, normalised
 from brain.perception.mount import BodyScan, to_world
 
@@ -54,8 +54,22 @@ class MatchSettings:
     """rad"""
 
     def __post_init__(self) -> None:
-        positive(self)
-        shares(self, "overlap")
+        within(
+            self,
+            beams=(10, 500),
+            steps=(1, 20),
+            reach=(0.01, 1.0, "m"),
+            widest=(0.01, 1.0, "m"),
+            sigma=(1e-3, 1.0, "m"),
+            straight=(1e-3, 1.0),
+            least=(3, 500),
+            overlap=(0.01, 1.0),
+            misfit=(0.01, 1.0),
+            hold=(1e-6, 1.0),
+            floor=(1e-4, 1.0, "m"),
+            floor_yaw=(1e-4, 1.0, "rad"),
+        )
+        ordered(self, "reach", "widest")
 
 
 @dataclass(frozen=True, slots=True)

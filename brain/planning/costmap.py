@@ -17,7 +17,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from brain.checks import finite, not_negative, positive
+from brain.checks import within
 from brain.planning.polyline import Point
 from protocols.messages import MILLISECOND, SECOND, Nanos
 
@@ -60,11 +60,20 @@ class PlannerSettings:
     """Watchdog of Drive: not repeated within this time, it ends (a lost operator means stop)."""
 
     def __post_init__(self) -> None:
-        not_negative(self, "margin", "comfort", "dislike", "slack")
-        positive(self, "expansions_per_step", "escape", "period", "explore", "patience", "drive_timeout")
-        finite(self, "unknown_multiplier")
-        if self.unknown_multiplier < 1.0:
-            raise ValueError(f"unknown_multiplier must be at least 1, not {self.unknown_multiplier}")
+        within(
+            self,
+            expansions_per_step=(1, 5000),
+            margin=(0.0, 1.0, "m"),
+            comfort=(0.0, 2.0, "m"),
+            dislike=(0.0, 100.0),
+            unknown_multiplier=(1.0, 100.0),
+            escape=(0.01, 2.0, "m"),
+            slack=(0.0, 2.0, "m"),
+            period=(50.0, 5000.0),
+            explore=(50.0, 60_000.0),
+            patience=(10.0, 600_000.0),
+            drive_timeout=(10.0, 2000.0),
+        )
 
 
 class Map(Protocol):

@@ -46,9 +46,9 @@ RESERVED = ("all", "brain", "operator", "scan")
 @dataclass(frozen=True, slots=True)
 class _Top:
     name: str
-    rate_hz: Annotated[float, "steps per second", Bounds(above=0.0, most=2000.0)] = 200.0
+    rate_hz: Annotated[float, "steps per second", Bounds(10.0, 1000.0)] = 200.0
     world: str | None = None
-    seed: Annotated[int, Bounds(least=0)] = 0
+    seed: Annotated[int, Bounds(0, 2**32 - 1)] = 0
 
 
 def load_robot(robot: str | Path, find: Find = plugin.load) -> Robot:

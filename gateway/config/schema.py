@@ -99,7 +99,9 @@ def _build(
     for key, field in own.items():
         hint = hints[field.name]
         if _is_time(field):
-            hint = Annotated[_Milliseconds, "milliseconds", *getattr(hint, "__metadata__", ())]
+            bounds = (one for one in getattr(hint, "__metadata__", ()) if isinstance(one, Bounds))
+            in_ms = (Bounds(one.least / MILLISECOND, one.most / MILLISECOND) for one in bounds)
+            hint = Annotated[_Milliseconds, "milliseconds", *in_ms]
         if key in table:
             values[field.name] = _field_value(hint, table[key], (*at, key), mistakes)
         elif _is_required(field):
@@ -169,7 +171,7 @@ def _converted(hint: object, value: object) -> object:
     if origin is Annotated:
         made = _converted(args[0], value)
         bounds = (one for one in args[1:] if isinstance(one, Bounds))
-        return made if made is _INVALID or all(one.admit(cast(float, made)) for one in bounds) else _INVALID
+        return made if made is _INVALID or all(one.admit(cast(float, value)) for one in bounds) else _INVALID
     if origin in (Union, UnionType):
         tried = (_converted(one, value) for one in args if one is not NoneType)
         return next((made for made in tried if made is not _INVALID), _INVALID)

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 from brain.perception.mount import Mount
 from gateway.config.errors import Key, Mistakes, shown, unknown
 from gateway.config.schema import build, keys
-from gateway.core.bounds import Bounds, PositiveInt, PositiveNanos
+from gateway.core.bounds import Bounds, PositiveNanos
 from gateway.core.joint import JointSettings
 from gateway.core.limits import Limits
 from gateway.core.robot import TWIN, BusSettings, Motor, Sensor
@@ -30,9 +30,9 @@ Table: TypeAlias = dict[str, Any]
 class _Bus:
     kind: Literal["can", "canfd", "serial"]
     interface: str
-    bitrate: PositiveInt = 0
-    data_bitrate: PositiveInt = 0
-    baudrate: PositiveInt = 0
+    bitrate: Annotated[int, Bounds(5_000, 1_000_000)] = 0
+    data_bitrate: Annotated[int, Bounds(5_000, 20_000_000)] = 0
+    baudrate: Annotated[int, Bounds(300, 50_000_000)] = 0
     receive_filter: Literal["all", "own"] = "all"
     shared_bus: Literal["unknown", "acknowledged"] = "unknown"
     """Whether the consequences of several protocols on one bus are known (gateway.config.validate)."""
@@ -44,7 +44,7 @@ class _Connection:
 
     protocol: str
     bus: str
-    address: Annotated[int, Bounds(least=0)]
+    address: Annotated[int, Bounds(0, 2**32 - 1)]
     options: dict[str, Any] = field(default_factory=dict)
     settings: dict[str, Any] = field(default_factory=dict)
 

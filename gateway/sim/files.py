@@ -12,22 +12,33 @@ import math
 from dataclasses import dataclass, field
 from typing import Annotated, Literal, TypeAlias
 
-from gateway.core.bounds import Bounds, NotNegative, Positive, PositiveInt
+from gateway.core.bounds import Bounds
 from protocols.messages import MILLISECOND, SECOND, Nanos
 
 STEP: Nanos = MILLISECOND
 """Time step of every world: the wheels' contacts were tested with it, and it is short for a motor's loops."""
 
-Fraction: TypeAlias = Annotated[float, Bounds(least=0.0, below=1.0)]
-Point: TypeAlias = tuple[float, float]
-Vector: TypeAlias = tuple[float, float, float]
+Fraction: TypeAlias = Annotated[float, Bounds(0.0, 0.9)]
+Length: TypeAlias = Annotated[float, Bounds(1e-3, 1e3)]
+Mass: TypeAlias = Annotated[float, Bounds(1e-3, 1e4)]
+Inertia: TypeAlias = Annotated[float, Bounds(1e-7, 1e3)]
+Torque: TypeAlias = Annotated[float, Bounds(-1e4, 1e4)]
+Resistance: TypeAlias = Annotated[float, Bounds(0.0, 1e3)]
+"""Of friction and damping"""
+Place: TypeAlias = Annotated[float, Bounds(-1e3, 1e3)]
+Angle: TypeAlias = Annotated[float, Bounds(-1e3, 1e3)]
+Noise: TypeAlias = Annotated[float, Bounds(0.0, 10.0)]
+Bias: TypeAlias = Annotated[float, Bounds(-10.0, 10.0)]
+Rate: TypeAlias = Annotated[float, Bounds(0.1, 1000.0)]
+Point: TypeAlias = tuple[Place, Place]
+Vector: TypeAlias = tuple[Bias, Bias, Bias]
 
 
 @dataclass(frozen=True, slots=True)
 class Encoder:
     """The encoder on the device's own shaft, before the gear."""
 
-    counts_per_turn: PositiveInt = 16384
+    counts_per_turn: Annotated[int, Bounds(1, 2**31)] = 16384
 
 
 # -- bench: bare shafts --------------------------------------------------------------------------------
@@ -37,15 +48,15 @@ class Encoder:
 class ShaftFile:
     """One joint's output shaft and its load."""
 
-    inertia: Positive = 0.006
+    inertia: Inertia = 0.006
     """kg·m², with the rotor's times gear²"""
-    damping: NotNegative = 0.002
+    damping: Resistance = 0.002
     """N·m·s/rad"""
-    friction: NotNegative = 0.02
+    friction: Resistance = 0.02
     """N·m, dry; holds a shaft at rest against any smaller torque"""
-    load: float = 0.0
+    load: Torque = 0.0
     """N·m, constant, as of a hanging weight; positive drives the shaft forward"""
-    stops: tuple[float, float] | None = None
+    stops: tuple[Angle, Angle] | None = None
     """rad, hard stops below and above; the shaft starts at 0"""
 
     def __post_init__(self) -> None:
@@ -72,9 +83,9 @@ class BenchFile:
 class Start:
     """Pose of the body at time 0: m, m, rad."""
 
-    x: float = 0.0
-    y: float = 0.0
-    yaw: float = 0.0
+    x: Place = 0.0
+    y: Place = 0.0
+    yaw: Angle = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,8 +94,8 @@ class Wall:
 
     start: Point
     end: Point
-    thickness: Positive = 0.1
-    height: Positive = 0.5
+    thickness: Length = 0.1
+    height: Length = 0.5
 
     def __post_init__(self) -> None:
         if math.dist(self.start, self.end) < self.thickness:
@@ -95,10 +106,10 @@ class Wall:
 class Box:
     """A box on the floor; size is its length along x, y and z before it is turned by yaw."""
 
-    x: float
-    y: float
-    size: tuple[Positive, Positive, Positive]
-    yaw: float = 0.0
+    x: Place
+    y: Place
+    size: tuple[Length, Length, Length]
+    yaw: Angle = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +118,7 @@ class Wheel:
 
     motor: str
     """Name of the motor in the robot file whose joint turns this wheel; forward is positive."""
-    radius_error: Annotated[float, Bounds(above=-0.1, below=0.1)] = 0.0
+    radius_error: Annotated[float, Bounds(-0.1, 0.1)] = 0.0
     """The wheel's true radius is wheel_radius × (1 + this): wear, pressure, load."""
 
 
@@ -120,7 +131,7 @@ class Slip:
 
     sigma: Fraction = 0.0
     """Standard deviation, as a fraction of the rolled distance."""
-    length: Positive = 0.3
+    length: Length = 0.3
     """m, correlation length (to 1/e) in rolled distance"""
 
 
@@ -130,22 +141,22 @@ class Body:
 
     left: Wheel
     right: Wheel
-    size: tuple[Positive, Positive, Positive] = (0.4, 0.2, 0.1)
-    mass: Positive = 5.0
+    size: tuple[Length, Length, Length] = (0.4, 0.2, 0.1)
+    mass: Mass = 5.0
     """kg, in total"""
-    height: Positive = 0.07
+    height: Length = 0.07
     """m, of the chassis' centre above the floor"""
-    wheel_radius: Positive = 0.05
-    wheel_separation: Positive = 0.22
-    wheel_width: Positive = 0.02
-    wheel_mass: Positive = 0.2
-    damping: NotNegative = 0.002
+    wheel_radius: Length = 0.05
+    wheel_separation: Length = 0.22
+    wheel_width: Length = 0.02
+    wheel_mass: Mass = 0.2
+    damping: Resistance = 0.002
     """N·m·s/rad, at the output shaft"""
-    armature: Positive = 0.002
+    armature: Inertia = 0.002
     """kg·m², rotor and gear, reflected to the output shaft"""
-    caster_offset: Positive = 0.16
+    caster_offset: Length = 0.16
     """m, in front of and behind the axle"""
-    caster_radius: Positive = 0.02
+    caster_radius: Length = 0.02
     slip: Slip = field(default_factory=Slip)
 
     def __post_init__(self) -> None:
@@ -159,13 +170,13 @@ class Body:
 class Lidar:
     """A planar lidar: beams evenly over a full turn, the first at -180 degrees, counter-clockwise."""
 
-    beams: Annotated[int, Bounds(least=2, most=10_000)] = 360
-    rate_hz: Positive = 10.0
-    range_min: NotNegative = 0.1
-    range_max: Positive = 10.0
-    noise: NotNegative = 0.0
+    beams: Annotated[int, Bounds(2, 10_000)] = 360
+    rate_hz: Rate = 10.0
+    range_min: Annotated[float, Bounds(0.0, 1e3)] = 0.1
+    range_max: Length = 10.0
+    noise: Noise = 0.0
     """m, standard deviation of one range"""
-    resolution: NotNegative = 0.0
+    resolution: Noise = 0.0
     """m; 0 is exact"""
     dropout: Fraction = 0.0
     """Fraction of the beams without a reading."""
@@ -180,14 +191,14 @@ class Lidar:
 class InertialUnit:
     """An IMU: noise per sample, constant bias, random walk of the gyro bias."""
 
-    rate_hz: Positive = 200.0
-    gyro_noise: NotNegative = 0.0
+    rate_hz: Rate = 200.0
+    gyro_noise: Noise = 0.0
     """rad/s, standard deviation of one sample"""
     gyro_bias: Vector = (0.0, 0.0, 0.0)
     """rad/s"""
-    gyro_walk: NotNegative = 0.0
+    gyro_walk: Noise = 0.0
     """rad/s per √s, random walk of the bias"""
-    accel_noise: NotNegative = 0.0
+    accel_noise: Noise = 0.0
     """m/s², standard deviation of one sample"""
     accel_bias: Vector = (0.0, 0.0, 0.0)
     """m/s²"""
@@ -209,7 +220,7 @@ class SceneFile:
     name: str
     body: Body
     start: Start = field(default_factory=Start)
-    friction: Positive = 1.0
+    friction: Annotated[float, Bounds(0.01, 10.0)] = 1.0
     """Coefficient, of the wheels on the floor, and of walls, boxes and chassis."""
     encoder: Encoder = field(default_factory=Encoder)
     lidars: dict[str, Lidar] = field(default_factory=dict)
@@ -221,7 +232,7 @@ class SceneFile:
     shafts: dict[str, ShaftFile] = field(default_factory=dict)
     walls: dict[str, Wall] = field(default_factory=dict)
     boxes: dict[str, Box] = field(default_factory=dict)
-    tour: tuple[tuple[float, float], ...] = ()
+    tour: tuple[Point, ...] = ()
     """m, goals for a demo, relative to where the robot starts"""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from math import inf, nan
 
 import pytest
@@ -13,8 +14,7 @@ from brain.health import HealthSettings
 from brain.perception.ekf_settings import EkfSettings
 from brain.perception.grid import GridSettings
 from brain.perception.mount import Mount
-from brain.perception.odometry import OdometrySettings
-from brain.perception.perception import PerceptionSettings, WheelSettings
+from brain.perception.perception import PerceptionSettings
 from brain.perception.scan_match import MatchSettings
 from brain.planning.costmap import PlannerSettings
 from brain.settings import changed, keys
@@ -60,16 +60,21 @@ def test_times_are_in_milliseconds_as_in_the_robot_file() -> None:
         ("pursuit.lookahed_time", 1.0, "did you mean 'pursuit.lookahead_time'"),
         ("nothing like it", 1.0, "there are differential.wheel_radius"),
         ("pursuit", 1.0, "there is no setting 'pursuit'"),
-        ("pursuit.lookahead_time", -1.0, "lookahead_time must be above 0"),
-        ("pursuit.lookahead_min", 3.0, "lookahead_max must not be less than lookahead_min, 3.0"),
+        ("pursuit.lookahead_time", -1.0, "lookahead_time must be from 0.01 to 10 s, not -1"),
+        ("pursuit.lookahead_min", 3.0, "lookahead_max must not be less than lookahead_min, 3"),
         ("pursuit.lookahead_time", nan, "must be a finite number, not nan"),
         ("health.slow", inf, "must be a finite number"),
-        ("health.slow_age", 0.95, "stand_age must not be less than slow_age"),
-        ("health.stand_age", 1.1, "stand_age is a share: at most 1, not 1.1"),
+        ("health.stand_age", 0.45, "stand_age must not be less than slow_age"),
+        ("health.stand_age", 1.1, "stand_age must be from 0.01 to 1, not 1.1"),
         ("planner.expansions_per_step", 10.5, "must be an integer, not 10.5"),
         ("planner.unknown_is_free", 2.0, "must be 0 or 1, not 2"),
-        ("planner.patience_ms", 0.0, "patience must be above 0"),
-        ("differential.max_linear", 0.0, "max_linear must be above 0"),
+        ("planner.margin", 10.0, "margin must be from 0 to 1 m, not 10"),
+        ("planner.patience_ms", 1e308, "planner.patience_ms is out of every bound: 1e+308"),
+        ("planner.patience_ms", 0.0, "patience must be from 10 to 600000 ms, not 0"),
+        ("differential.max_linear", 0.0, "max_linear must be from 0.001 to 20 m/s, not 0"),
+        ("planner.margin", 0.04, "must be at least 0.05, the value in the robot file, not 0.04"),
+        ("planner.drive_timeout_ms", 600.0, "must be at most 500, the value in the robot file, not 600"),
+        ("differential.max_linear_acceleration", 0.4, "is fixed at the start"),
         ("differential.max_linear", 0.7, "must be at most 0.6, the value in the robot file, not 0.7"),
         ("differential.wheel_radius", 0.06, "is fixed at the start: change it in the robot file"),
         ("perception.gyro_sigma", 0.1, "is fixed at the start"),
@@ -126,56 +131,31 @@ def test_a_motor_and_a_sensor_of_one_name_are_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "field", "value"),
+    ("settings", "values", "message"),
     [
-        (EkfSettings, "start_x", nan),
-        (EkfSettings, "start_sigma", 0.0),
-        (EkfSettings, "linear_noise", -1.0),
-        (EkfSettings, "confidence", 0.9),
-        (EkfSettings, "lockout", -1),
-        (EkfSettings, "bias_sigma", inf),
-        (GridSettings, "resolution", 0.0),
-        (GridSettings, "width", nan),
-        (GridSettings, "height", 0.01),
-        (GridSettings, "resolution", 0.001),
-        (GridSettings, "low", 0.1),
-        (GridSettings, "gap", -1.0),
-        (GridSettings, "hit", -0.1),
-        (HealthSettings, "slow", 0.0),
-        (HealthSettings, "slow", 1.5),
-        (HealthSettings, "slow_age", 0.0),
-        (HealthSettings, "slow_age", 0.95),
-        (HealthSettings, "stand_age", 0.4),
-        (HealthSettings, "stand_age", 1.01),
-        (HealthSettings, "give_up", 0),
-        (HealthSettings, "window", -1),
-        (MatchSettings, "beams", -1),
-        (MatchSettings, "reach", -1),
-        (MatchSettings, "sigma", -1),
-        (MatchSettings, "overlap", -1),
-        (MatchSettings, "overlap", 1.5),
-        (OdometrySettings, "resolution", 0.0),
-        (OdometrySettings, "resolution", nan),
-        (OdometrySettings, "shortest", -1),
-        (OdometrySettings, "jump_margin", 0.5),
-        (PerceptionSettings, "gyro_sigma", 0.0),
-        (PerceptionSettings, "gyro_sigma", nan),
-        (PerceptionSettings, "scan_wait", -1),
-        (PlannerSettings, "margin", -0.1),
-        (PlannerSettings, "period", 0),
-        (PlannerSettings, "unknown_multiplier", 0.5),
-        (PlannerSettings, "comfort", inf),
-        (PursuitSettings, "lookahead_min", 2.0),
-        (PursuitSettings, "turn_until", 1.0),
-        (PursuitSettings, "braking", 1.5),
-        (PursuitSettings, "tolerance", 0.0),
-        (PursuitSettings, "period", 0),
-        (WheelSettings, "jitter", -1.0),
-        (WheelSettings, "still_sigma", 0.0),
-        (WheelSettings, "slip_lasts", inf),
+        (EkfSettings, {"confidence": 0.9}, "confidence must be one of"),
+        (GridSettings, {"resolution": 0.02}, "width × height: 24 m × 24 m at 0.02 m are 1440000 cells"),
+        (HealthSettings, {"slow_age": 0.95}, "stand_age must not be less than slow_age, 0.95"),
+        (HealthSettings, {"rejected_stop": 0.2}, "rejected_stop must not be less than rejected_slow, 0.3"),
+        (MatchSettings, {"widest": 0.1}, "widest must not be less than reach, 0.15"),
+        (PerceptionSettings, {"match": MatchSettings(widest=1.0)}, "match: 120 beams, each with 41 × 41"),
+        (PerceptionSettings, {"grid": GridSettings(width=1.0, resolution=0.5)}, "match: widest must be less"),
+        (PursuitSettings, {"lookahead_min": 2.0}, "lookahead_max must not be less than lookahead_min, 2"),
+        (PursuitSettings, {"turn_until": 1.0}, "turn_until must be less than turn_from"),
+        (
+            BrainSettings,
+            {
+                "perception": PerceptionSettings(
+                    grid=GridSettings(0.01, 4.0, 4.0), match=MatchSettings(beams=20)
+                ),
+                "planner": PlannerSettings(margin=1.0, comfort=2.0),
+            },
+            "planner: the footprint's radius, margin and comfort are 3 m, 300 cells of the map",
+        ),
     ],
 )
-def test_settings_out_of_bounds_are_refused_by_name(settings: type, field: str, value: float) -> None:
-    cells = "cells" if (field, value) in (("height", 0.01), ("resolution", 0.001)) else field
-    with pytest.raises(ValueError, match=cells):
-        settings(**{field: value})
+def test_settings_that_do_not_go_together_are_refused(
+    settings: type, values: dict[str, object], message: str
+) -> None:
+    with pytest.raises(ValueError, match=re.escape(message)):
+        settings(**values)
