@@ -2,38 +2,91 @@
 
 Rules. Between this file and the bus, only the guard checks limits again; between this file and the brain,
 gears are unknown. A joint gives exactly one command per step (`command`), whether or not the brain gave one.
-Faults latch here until an operator clears them. Nothing can be switched off: every limit and timeout is a
-positive finite number. Inside, everything is at the output shaft; what goes to the driver, and what comes
-from it, is at the device's shaft (one turn of the joint is `gear` turns of the device, reversed if `sign`
-is -1).
+Faults latch here until an operator clears them. Nothing can be switched off: every limit and timeout has
+bounds on both sides, and a limit that is set at run time stays within the robot file's. Inside, everything
+is at the output shaft; what goes to the driver, and what comes from it, is at the device's shaft (one turn of
+the joint is `gear` turns of the device, reversed if `sign` is -1).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from math import isfinite
 from operator import attrgetter
-from typing import Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
-from gateway.core.bounds import Positive, PositiveNanos
+from gateway.core import following
+from gateway.core.bounds import Bounds
+from gateway.core.following import Following
 from gateway.core.limits import Limits, Profile
 from protocols import messages as msg
 from protocols.messages import MILLISECOND, SECOND, Command, Mode, Nanos
-from protocols.plugin import Spec
+from protocols.plugin import FeedbackKind, Spec
 
 JointEvent: TypeAlias = msg.Feedback | msg.State | msg.Fault
 
-FEEDBACK_LOST = -1
-"""Our own fault code: the device sent no feedback while it was commanded."""
-DISARMED_ITSELF = -2
-"""Our own fault code: the device disarmed itself while it was commanded."""
-ARMED_AGAINST_IDLE = -3
-"""Our own fault code: the device is armed although Idle has been commanded for longer than `DISARMING`."""
+FEEDBACK_LOST, DISARMED_ITSELF, ARMED_AGAINST_IDLE, STILL_ARMED = -1, -2, -3, -6
+"""Our own fault codes (-4 and -5: `gateway.core.step`; from -7 on: `gateway.core.following`)."""
+_OWN_FAULTS: dict[int, tuple[str, str, str]] = {
+    FEEDBACK_LOST: (
+        "silent: no feedback for more than {}",
+        "cable, supply, termination, the device's cyclic messages, or the device itself",
+        "repair it",
+    ),
+    DISARMED_ITSELF: (
+        "disarmed itself: {}",
+        "a restart, its watchdog, another host, or a second device at the same address",
+        "find the cause",
+    ),
+    ARMED_AGAINST_IDLE: (
+        "armed without being commanded",
+        "a frame that an adapter delivered late, another host, or a device that does not obey Idle",
+        "find the cause",
+    ),
+    STILL_ARMED: (
+        "{}: cut its supply",
+        "nothing that is sent reaches it (cable, transceiver, bus), or it does not obey",
+        "cut its supply; find the cause",
+    ),
+    following.NOT_FOLLOWED: (
+        "does not follow its set-points: {}",
+        "blocked, no torque (supply, phases), a stuck encoder, or a slower ramp of the device's own",
+        "find the cause",
+    ),
+    following.RUNS_AWAY: (
+        "runs away: {}",
+        "a reversed or defective encoder, wrong phases, gains, or an outer force",
+        "find the cause before anything moves",
+    ),
+    following.INCONSISTENT: (
+        "reports a position and a velocity that do not agree: {}",
+        "a frozen, jumping or slipping encoder, a wrong resolution, or a second device at the same address",
+        "check the encoder and its settings",
+    ),
+    following.NO_TORQUE: (
+        "does not give its torque: {}",
+        "supply, phases, a limit of the device's own that is lower than limits.torque",
+        "find the cause",
+    ),
+}
+"""By code: name (with a detail), cause, remedy."""
+_NOT_OBEYING = frozenset(_OWN_FAULTS) - {FEEDBACK_LOST, DISARMED_ITSELF}
+"""With such a fault a device is sent Idle, whatever its stop action."""
+_OWN_MOTION = frozenset({"Zero", "Home", "Reboot"})
+"""Requests under which a device moves, or gives its position another value, by itself."""
+
 DISARMING: Nanos = 500 * MILLISECOND
 """Time for a device to disarm after Idle, and to report it."""
+BRAKING_MOST: Nanos = 2 * SECOND
+"""The longest braking, whatever the limits are."""
+HOMING_MOST: Nanos = 60 * SECOND
+"""The longest own motion of a device, during which its set-points are not compared with what it measures."""
 AT_REST = 0.02
 """Fraction of the velocity limit below which a braking joint is at rest."""
+LEAST_SHARE = 0.05
+"""Of a limit in the robot file: the least that it may be set to while it runs."""
+
+Timeout: TypeAlias = Annotated[Nanos, Bounds(MILLISECOND, 2 * SECOND)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +94,7 @@ class JointSettings:
     """A motor's settings in the robot file that are the same for every protocol."""
 
     limits: Limits
-    gear: Positive = 1.0
+    gear: Annotated[float, Bounds(1e-3, 1e4)] = 1.0
     """Turns of the device's shaft per turn of the joint."""
     sign: Literal[1, -1] = 1
     on_command_timeout: Literal["idle", "hold"] = "idle"
@@ -52,9 +105,13 @@ class JointSettings:
     loop has failed."""
     on_fault: Literal["stop", "continue"] = "stop"
     """Whether a fault or lost feedback of this joint stops the whole robot, or only this joint."""
-    command_timeout: PositiveNanos = 100 * MILLISECOND
-    feedback_timeout: PositiveNanos = 100 * MILLISECOND
+    command_timeout: Timeout = 100 * MILLISECOND
+    feedback_timeout: Timeout = 100 * MILLISECOND
     """Age at which feedback counts as lost; the brain slows down and stands at fractions of it."""
+    following_time: Annotated[Nanos, Bounds(100 * MILLISECOND, SECOND)] = 300 * MILLISECOND
+    """For how long what is measured may be out of its bounds about the set-points (`following`)."""
+    following_share: Annotated[float, Bounds(0.05, 0.5)] = 0.3
+    """Share of a set-point of velocity by which it need not be followed."""
 
 
 class Joint:
@@ -63,8 +120,14 @@ class Joint:
     def __init__(self, name: str, settings: JointSettings, spec: Spec) -> None:
         self.name = name
         self.settings = settings
+        self._file = settings.limits
+        """The robot file's limits, which no change exceeds."""
         self._supported = spec.commands
+        self._replies_only = spec.feedback is FeedbackKind.REPLY
         self._ratio = settings.gear * settings.sign
+        self._following = Following(
+            settings.limits, spec, settings.gear, settings.following_time, settings.following_share
+        )
         self.feedback = msg.Feedback(name, 0)
         """The newest value of each quantity, at the output shaft; t is the newest motion's."""
         self.mode = Mode.OFFLINE
@@ -88,7 +151,14 @@ class Joint:
         self._out_at: Nanos = 0
         self._idle_at: Nanos = 0
         """When the first of the present Idles was sent."""
+        self._disarmed = True
+        """Whether the device has reported being disarmed since the last command but Idle."""
+        self._own_motion: tuple[str, Nanos] | None = None
+        """The request under which the device moves by itself, and since when."""
         self._received_at: Nanos | None = None
+        self._position_at: Nanos | None = None
+        self._position_lost = False
+        """Whether the device goes on moving and has ceased to report its position: that is beyond its range."""
         self._braking: Nanos | None = None
         """When the stop command began to brake."""
         self._profile = Profile()
@@ -101,9 +171,11 @@ class Joint:
             return self._on_feedback(event)
         if isinstance(event, msg.State):
             if self._is_unexpected_disarm(event):
-                self.latch(self._unexpected_disarm(event))
+                detail = f" ({event.detail})" if event.detail else ""
+                self.latch(self._fault(event.t, DISARMED_ITSELF, f"{event.mode}{detail}"))
             if event.mode is not Mode.OFFLINE:  # an offline device may still be armed
                 self.armed = event.mode is Mode.ARMED
+                self._disarmed = self._disarmed or not self.armed
             self.mode, self.detail = event.mode, event.detail
             self._check_idle(event.t)
             return event
@@ -115,10 +187,22 @@ class Joint:
         return self.armed and disarmed and not isinstance(self._out, msg.Idle)
 
     def _check_idle(self, now: Nanos) -> None:
-        """Latch a fault if the device is armed against our will: by a late frame, or another host."""
+        """Latch a fault if the device is armed against our will: it does not obey, or a late frame or another
+        host has armed it."""
         obeys = self.mode is not Mode.ARMED or not isinstance(self._out, msg.Idle)
         if self.owned and not obeys and now - self._idle_at > DISARMING:
-            self.latch(self._armed_against_idle(now))
+            code = ARMED_AGAINST_IDLE if self._disarmed else STILL_ARMED
+            self.latch(self._fault(now, code, "still armed"))
+
+    def on_request(self, now: Nanos, request: msg.Request) -> None:
+        """Note a request that is passed to the device."""
+        if type(request).__name__ in _OWN_MOTION:
+            self._own_motion = type(request).__name__, now
+
+    def on_answer(self, request: str) -> None:
+        """Note the answer to a request of this name."""
+        if self._own_motion is not None and self._own_motion[0] == request:
+            self._own_motion = None
 
     def _on_feedback(self, event: msg.Feedback) -> msg.Feedback | None:
         ratio, old, t = self._ratio, self.feedback, event.t
@@ -136,6 +220,9 @@ class Joint:
             t = old.t
         else:
             self._received_at = t
+            self._following.on_motion(t, position, velocity)
+        if position is not None:
+            self._position_at, self._position_lost = t, False
         self.feedback = msg.Feedback(
             self.name,
             t,
@@ -165,10 +252,11 @@ class Joint:
         self.faults.clear()
         self._command = None
         self._profile.forget()
+        self._following.restart()
 
     def feedback_age(self, now: Nanos) -> Nanos | None:
         """Return the age of the newest motion; None if the device has never reported any."""
-        return None if self._received_at is None else now - self._received_at
+        return None if self._received_at is None else max(0, now - self._received_at)
 
     def feedback_lost(self, now: Nanos) -> bool:
         """True if there is no feedback, or it is older than the timeout."""
@@ -185,31 +273,58 @@ class Joint:
         a motor that comes back must not start by itself."""
         if new is not None:
             self._accept(now, new)
+        if self._received_at is not None:  # a stamp from the future must not keep the joint from going blind
+            self._received_at = min(self._received_at, now)
         if self.owned and self.armed and self.feedback_lost(now):
-            self.latch(self._feedback_lost_fault(now))
+            limit = f"{self.settings.feedback_timeout / MILLISECOND:g} ms"
+            self.latch(self._fault(now, FEEDBACK_LOST, limit))
+        self._forget_lost_position()
+        self._judge(now, stopped)
         self._check_idle(now)
-        wanted = self._wanted(now, stopped, last)
-        if self._received_at is None:
-            wanted = msg.Idle(self.name)  # never arm a device that has reported nothing
-        out = self._limited(now, wanted)
+        out = self._limited(now, self._wanted(now, stopped, last), stopped)
         if not isinstance(out, msg.Idle):
             self.owned = True
+            self._disarmed = False
         elif not isinstance(self._out, msg.Idle):
             self._idle_at = now
         self._out, self._out_at = out, now
         return self._at_device(out)
 
+    def _forget_lost_position(self) -> None:
+        known, newest = self._position_at, self._received_at
+        if known is None or newest is None or newest - known <= self.settings.feedback_timeout:
+            return
+        self._position_at, self._position_lost = None, True
+        self.feedback = replace(self.feedback, position=None)
+        self._profile.forget()
+        self.refused = "its position is lost: the device no longer reports it"
+
+    def _judge(self, now: Nanos, stopped: bool) -> None:
+        """Latch a fault if the motion is not what the last command was to make."""
+        if self._own_motion is not None and now - self._own_motion[1] > HOMING_MOST:
+            self._own_motion = None
+        age = self.feedback_age(now)
+        idle = self.mode is not Mode.ARMED or isinstance(self._out, msg.Idle) or self._own_motion is not None
+        if idle or age is None:
+            self._following.restart()
+        elif found := self._following.judge(now, self._out, self.feedback, age):
+            code, detail = found
+            if stopped and isinstance(self._out, msg.Hold):
+                code, detail = STILL_ARMED, f"still moves ({detail})"
+            self.latch(self._fault(now, code, detail))
+
     @property
     def braking_time(self) -> Nanos:
-        """Longest time that the stop command may brake: twice what the limits need."""
+        """Longest time that the stop command may brake: twice what the limits need, within a bound."""
         if self.settings.stop_action != "brake":
             return 0
-        return round(2.0 * self.settings.limits.velocity / self.settings.limits.acceleration * SECOND)
+        needed = 2.0 * self._file.velocity / self._file.acceleration
+        return round(min(needed * SECOND, BRAKING_MOST))
 
     def _stop_command(self, now: Nanos, last: bool) -> Command:
-        if any(code == ARMED_AGAINST_IDLE for code, _ in self.faults):
+        if any(code in _NOT_OBEYING for code, _ in self.faults):
             return msg.Idle(self.name)
-        if self.settings.stop_action == "hold":
+        if self.settings.stop_action == "hold" and self.armed:  # Hold would arm another
             return msg.Hold(self.name)
         if self.settings.stop_action == "brake" and not last and self._may_brake(now):
             return msg.Velocity(self.name, 0.0)
@@ -225,36 +340,10 @@ class Joint:
         moving = abs(self.feedback.velocity or 0.0) > AT_REST * self.settings.limits.velocity
         return moving and now - self._braking < self.braking_time
 
-    def _feedback_lost_fault(self, now: Nanos) -> msg.Fault:
-        limit = f"{self.settings.feedback_timeout / MILLISECOND:g} ms"
+    def _fault(self, now: Nanos, code: int, detail: str = "") -> msg.Fault:
+        name, cause, remedy = _OWN_FAULTS[code]
         return msg.Fault(
-            self.name,
-            now,
-            FEEDBACK_LOST,
-            f"silent: no feedback for more than {limit}",
-            "cable, supply, termination, the device's cyclic messages, or the device itself",
-            f"repair it, then clear {self.name}",
-        )
-
-    def _unexpected_disarm(self, event: msg.State) -> msg.Fault:
-        detail = f" ({event.detail})" if event.detail else ""
-        return msg.Fault(
-            self.name,
-            event.t,
-            DISARMED_ITSELF,
-            f"disarmed itself: {event.mode}{detail}",
-            "a restart, its watchdog, another host, or a second device at the same address",
-            f"find the cause, then clear {self.name}",
-        )
-
-    def _armed_against_idle(self, now: Nanos) -> msg.Fault:
-        return msg.Fault(
-            self.name,
-            now,
-            ARMED_AGAINST_IDLE,
-            "armed without being commanded",
-            "a frame that an adapter delivered late, another host, or a device that does not obey Idle",
-            f"find the cause, then clear {self.name}",
+            self.name, now, code, name.format(detail), cause, f"{remedy}, then clear {self.name}"
         )
 
     def _accept(self, now: Nanos, new: Command) -> None:
@@ -282,11 +371,22 @@ class Joint:
             return msg.Hold(self.name) if self.settings.on_command_timeout == "hold" else msg.Idle(self.name)
         return self._command
 
-    def _limited(self, now: Nanos, wanted: Command) -> Command:
+    def _limited(self, now: Nanos, wanted: Command, stopped: bool) -> Command:
+        if self._received_at is None and not isinstance(wanted, msg.Idle):
+            # Nothing arms a device that has reported nothing, unless it reports only what it is commanded.
+            wanted = self._at_rest(msg.Torque, msg.Velocity) if self._replies_only else msg.Idle(self.name)
+        elif self._position_lost and isinstance(wanted, msg.Hold):
+            wanted = self._at_rest(msg.Velocity)
         if self.mode is not Mode.ARMED:
             self._profile.forget()  # it starts at the position that the shaft has when the device is armed
-        dt = min(now - self._out_at, self.settings.command_timeout) / SECOND
-        return self._profile.limited(wanted, dt, self.feedback, self.settings.limits)
+        dt = max(0, min(now - self._out_at, self.settings.command_timeout)) / SECOND
+        limits = self._file if stopped or self.faults else self.settings.limits
+        return self._profile.limited(wanted, dt, self.feedback, limits)
+
+    def _at_rest(self, *kinds: type[msg.Torque | msg.Velocity]) -> Command:
+        """Return the first of these commands that the device has, with the value 0, else Idle."""
+        able = (kind(self.name, 0.0) for kind in kinds if kind in self._supported)
+        return next(able, msg.Idle(self.name))
 
     def _at_device(self, out: Command) -> Command:
         ratio = self._ratio
@@ -310,11 +410,13 @@ class Joint:
         return out
 
     def change(self, key: str, value: float) -> str:
-        """Set a limit at run time; return "" or why not. A limit may be lowered or raised, never removed."""
+        """Set a limit at run time, to no more than the robot file's; return "" or why not."""
         if key not in ("velocity", "acceleration", "torque"):
             return f"no limit {key!r} of {self.name}; there are velocity, acceleration, torque"
-        if not (isfinite(value) and value > 0.0):
-            return f"{self.name}.{key} must be a positive finite number, not {value}"
+        most: float = getattr(self._file, key)
+        if not LEAST_SHARE * most <= value <= most:
+            bounds = f"from {LEAST_SHARE * most:g} to the robot file's {most:g}"
+            return f"{self.name}.{key} must be {bounds}, not {value:g}"
         change: dict[str, Any] = {key: value}
         self.settings = replace(self.settings, limits=replace(self.settings.limits, **change))
         return ""

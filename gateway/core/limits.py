@@ -7,30 +7,41 @@ shaft must be known and is not, nothing moves.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import copysign, sqrt
+from typing import Annotated
 
-from gateway.core.bounds import Positive
+from gateway.core.bounds import Bounds
 from protocols.messages import Command, Feedback, Hold, Idle, Impedance, Position, Torque, Velocity
+
+FARTHEST = 1e5
+"""rad: the farthest end of travel."""
+TAPER = 0.25
+"""Share of the limit of velocity over which an accelerating torque falls to nothing at the limit: measured
+velocities are old."""
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
     """Magnitudes at the joint's output shaft."""
 
-    velocity: Positive
+    velocity: Annotated[float, Bounds(1e-3, 1e3)]
     """rad/s"""
-    acceleration: Positive
+    acceleration: Annotated[float, Bounds(1e-2, 1e5)]
     """rad/s²"""
-    torque: Positive
+    torque: Annotated[float, Bounds(1e-4, 1e5)]
     """N·m"""
     position: tuple[float, float] | None = None
     """rad, lowest and highest; None for a wheel"""
 
     def __post_init__(self) -> None:
-        if self.position is not None and self.position[0] >= self.position[1]:
-            low, high = self.position
-            raise ValueError(f"position is [{low:g}, {high:g}], expected the lowest first")
+        if self.position is None:
+            return
+        low, high = self.position
+        if not -FARTHEST <= low < high <= FARTHEST:
+            raise ValueError(
+                f"position is [{low:g}, {high:g}], expected the lowest first, within ±{FARTHEST:g}"
+            )
 
     def inside(self, position: float) -> float:
         """Return the nearest position within the range."""
@@ -43,8 +54,8 @@ class Limits:
         """Return a torque within its limit that accelerates no shaft beyond its velocity or end of travel."""
         torque = clamp(wanted, self.torque)
         velocity, position = measured.velocity, measured.position
-        if velocity is not None and abs(velocity) > self.velocity and velocity * torque > 0.0:
-            return 0.0
+        if velocity is not None and velocity * torque > 0.0:
+            torque *= max(0.0, min(1.0, (self.velocity - abs(velocity)) / (TAPER * self.velocity)))
         if self.position is not None and position is not None:
             low, high = self.position
             if (position >= high and torque > 0.0) or (position <= low and torque < 0.0):
@@ -77,7 +88,8 @@ class Profile:
         if isinstance(wanted, Idle | Hold):
             self.forget()
             return wanted
-        if measured.position is None and (limits.position is not None or isinstance(wanted, Position)):
+        blind = isinstance(wanted, Position | Impedance) or limits.position is not None
+        if measured.position is None and blind:
             self.forget()
             return Idle(wanted.motor)
         match wanted:
@@ -90,12 +102,7 @@ class Profile:
                 return Torque(wanted.motor, limits.torque_now(wanted.torque, measured))
             case Impedance():
                 self.forget()
-                return replace(
-                    wanted,
-                    position=limits.inside(wanted.position),
-                    velocity=clamp(wanted.velocity, limits.velocity),
-                    torque=limits.torque_now(wanted.torque, measured),
-                )
+                return _spring(wanted, measured, limits)
 
     def _velocity_command(self, wanted: Velocity, dt: float, measured: Feedback, limits: Limits) -> Velocity:
         before = self._velocity
@@ -103,10 +110,10 @@ class Profile:
             before = clamp(measured.velocity or 0.0, limits.velocity)
         goal = clamp(wanted.velocity, limits.velocity)
         if limits.position is None:
-            velocity = _toward(before, goal, limits.acceleration * dt)
+            velocity = toward(before, goal, limits.acceleration * dt)
         else:
             here = measured.position or 0.0
-            velocity = _toward(before, limits.velocity_before_end(goal, here), limits.acceleration * dt)
+            velocity = toward(before, limits.velocity_before_end(goal, here), limits.acceleration * dt)
             velocity = limits.velocity_before_end(velocity, here)
         self._position, self._velocity = None, velocity
         return Velocity(wanted.motor, velocity, limits.torque_now(wanted.torque, measured))
@@ -121,7 +128,7 @@ class Profile:
         reach = 0.5 * limits.acceleration * dt
         stopping = max(0.0, sqrt(reach * reach + 2.0 * limits.acceleration * abs(rest)) - reach)
         speed = copysign(min(limits.velocity, stopping), rest)
-        velocity = _toward(self._velocity, speed, limits.acceleration * dt)
+        velocity = toward(self._velocity, speed, limits.acceleration * dt)
         move = velocity * dt
         if abs(move) >= abs(rest) and move * rest >= 0.0 and abs(velocity) <= 2.0 * limits.acceleration * dt:
             move, velocity = rest, 0.0
@@ -131,10 +138,31 @@ class Profile:
         return Position(wanted.motor, limits.inside(self._position), ahead, torque)
 
 
+def _spring(wanted: Impedance, measured: Feedback, limits: Limits) -> Impedance:
+    """Return a spring whose torque at the measured position and velocity is within the limits.
+
+    Where it would give more, it is softer: set-points that were moved could leave the range."""
+    position = limits.inside(wanted.position)
+    velocity = clamp(wanted.velocity, limits.velocity)
+    torque = limits.torque_now(wanted.torque, measured)
+    pull = wanted.stiffness * (position - (measured.position or 0.0))
+    drag = wanted.damping * (velocity - (measured.velocity or 0.0))
+    stiffness = wanted.stiffness * _share(pull, clamp(pull, limits.torque))
+    damping = wanted.damping * _share(drag, clamp(drag, limits.torque))
+    total = torque + clamp(pull, limits.torque) + clamp(drag, limits.torque)
+    share = _share(total, limits.torque_now(total, measured))
+    return Impedance(wanted.motor, position, velocity, share * torque, share * stiffness, share * damping)
+
+
+def _share(value: float, allowed: float) -> float:
+    return allowed / value if value else 1.0
+
+
 def clamp(value: float, limit: float) -> float:
     """Return the value within ± limit."""
     return limit if value > limit else -limit if value < -limit else value
 
 
-def _toward(value: float, goal: float, step: float) -> float:
+def toward(value: float, goal: float, step: float) -> float:
+    """Return the value after a step towards the goal."""
     return value + clamp(goal - value, step)

@@ -183,7 +183,7 @@ def test_limits_and_gains_are_set_while_it_runs_or_refused_with_the_reason(drive
     assert driven.velocity("left") == pytest.approx(2.0, abs=0.1)
     texts = [n.text for n in notes_in(ticks, "operator")]
     assert texts[0] == "left.limits.velocity = 2"
-    assert "positive finite" in texts[1]
+    assert "from 0.1 to the robot file's 2" in texts[1]
     assert "begins with none of brain, left, right" in texts[2]
 
 

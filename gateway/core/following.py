@@ -1,0 +1,220 @@
+"""Following errors: whether a joint does what it is commanded, and whether its feedback agrees with itself.
+
+Rules. Only an armed device that is commanded is judged. The measured quantity must lie in a band: that of the
+set-points, each side of which follows them with a lag (`LAG`), and a bound about it. The bounds are shares of
+the robot file's limits; what is beyond them for its time is a fault of the joint, and the device is disarmed,
+whatever its stop action: a loop that does not obey cannot brake or hold. Gaps longer than `GAP` begin the
+judgement anew (lost feedback has a fault of its own). State is plain data.
+
+    quantity             beyond the band by                                  for              fault
+    velocity (Velocity,  2.5 % of the limit, and `following_share`           following_time   NOT_FOLLOWED
+      Hold: 0)           of the set-point
+                         20 % of the limit, faster or backwards              60 ms            RUNS_AWAY
+    position (Position)  what 2.5 % of the limit of velocity does in 0.3 s   following_time   NOT_FOLLOWED
+    velocity (all)       20 % of the limit, beyond the limit                 60 ms            RUNS_AWAY
+    torque (Torque)      10 % of the limit, and half of the set-point        following_time   NO_TORQUE
+    position less the    as of position, and 50 ms of the velocity           40 ms            INCONSISTENT
+      velocity's integral  (with a memory of 1 s)
+
+Noticed, in these times after the motor is commanded to move (the default following_time is 0.3 s; a lag of
+0.1 s is part of the first): see `NOTICED_WITHIN`. What cannot be noticed in the joint alone:
+
+    scaled encoder       position and velocity agree, and the device's loop follows them: the base's motion
+                         (gyro, lidar) shows it; scaled in the position only, it is inconsistent
+    weak motor           as long as it follows; a torque that the device only calculates shows nothing
+    no torque in Torque  if the device reports what it should give: a shaft that stands may be blocked
+    slow motion          below 2.5 % of the limit of velocity, and moves of position below its bound
+    two motors swapped   each follows its own set-points: the base's motion shows it
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+from typing import TypeAlias
+
+from gateway.core.limits import Limits, toward
+from protocols.messages import MILLISECOND, SECOND, Command, Feedback, Hold, Nanos, Position, Torque, Velocity
+from protocols.plugin import Spec
+
+NOT_FOLLOWED, RUNS_AWAY, INCONSISTENT, NO_TORQUE = -7, -8, -9, -10
+"""Our own fault codes."""
+
+FLOOR = 0.025
+"""Share of a limit of velocity within which a velocity is followed."""
+FAST = 0.2
+"""Share of the limit of velocity by which a shaft that is faster than commanded runs away."""
+TORQUE_FLOOR, TORQUE_SHARE = 0.1, 0.5
+LAG = 0.1
+"""s, of a device and its reports behind the set-points."""
+SLACK = 0.3
+"""s of FLOOR: the bound of a position."""
+JITTER = 0.05
+"""s by which the stamps of reports may be wrong against each other."""
+MEMORY = 1.0
+"""s"""
+RUNAWAY_TIME: Nanos = 60 * MILLISECOND
+INCONSISTENT_TIME: Nanos = 40 * MILLISECOND
+LONGEST_STEP: Nanos = 20 * MILLISECOND
+"""What one step counts at most: a single look shows nothing that lasts."""
+GAP: Nanos = 100 * MILLISECOND
+
+NOTICED_WITHIN: dict[str, tuple[int, Nanos]] = {
+    "stuck encoder": (NOT_FOLLOWED, 500 * MILLISECOND),
+    "no torque": (NOT_FOLLOWED, 600 * MILLISECOND),
+    "runaway": (RUNS_AWAY, 300 * MILLISECOND),
+    "reversed encoder": (RUNS_AWAY, 400 * MILLISECOND),
+    "frozen feedback": (INCONSISTENT, 400 * MILLISECOND),
+    "jumping encoder": (INCONSISTENT, 150 * MILLISECOND),
+    "scaled position": (INCONSISTENT, 500 * MILLISECOND),
+}
+"""By fault: the code it has, and the declared time from when the set-point is beyond 10 % of the limit of
+velocity, at a following time of 0.3 s. A device may be quicker to notice by itself."""
+
+Finding: TypeAlias = tuple[int, str]
+"""Code and what was found, in numbers."""
+
+
+@dataclass(slots=True)
+class Band:
+    """Where a quantity may be that follows its set-points with a lag."""
+
+    low: float
+    high: float
+
+    def follow(self, setpoint: float, share: float) -> None:
+        """Let both sides follow by a share of their distance; neither leaves the set-point outside."""
+        self.high = max(setpoint, self.high + (setpoint - self.high) * share)
+        self.low = min(setpoint, self.low + (setpoint - self.low) * share)
+
+    def distance(self, measured: float) -> float:
+        """Return how far a value is outside."""
+        return max(measured - self.high, self.low - measured, 0.0)
+
+
+class Following:
+    """The judgement of one joint. All at the output shaft."""
+
+    def __init__(self, limits: Limits, spec: Spec, gear: float, time: Nanos, share: float) -> None:
+        self._limits = limits
+        self._time, self._share = time, share
+        place = spec.ranges.get("Feedback.position")
+        self._span = (place.high - place.low) / gear if place else inf
+        """A position that wraps jumps by this."""
+        self._slack = FLOOR * limits.velocity * SLACK + (2.0 * place.resolution / gear if place else 0.0)
+        self._at: Nanos = 0
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget what was before: the joint is not commanded, or its position was given another value."""
+        self._kind: type[Command] | None = None
+        self._band = Band(0.0, 0.0)
+        self._rest = 0.0
+        """The set-point of velocity of a shaft that comes to hold."""
+        self._since: dict[int, Nanos] = {}
+        """For how long each quantity has been out of bounds."""
+        self._found: Finding | None = None
+        self._forget_motion()
+
+    def _forget_motion(self) -> None:
+        self._moved_at: Nanos | None = None
+        self._velocity = self._travel = self._fastest = 0.0
+        self._position: float | None = None
+        self._position_at: Nanos = 0
+        self._offset: float | None = None
+        """Position less the velocity's integral, as remembered."""
+        self._wrong_since: Nanos | None = None
+
+    # -- the feedback against itself -------------------------------------------------------------------
+
+    def on_motion(self, t: Nanos, position: float | None, velocity: float | None) -> None:
+        """Note what was measured at `t`; None: not in this report."""
+        if self._kind is None:
+            return
+        last = self._moved_at
+        if last is not None and not 0 <= t - last <= GAP:
+            self._forget_motion()
+            last = None
+        if velocity is not None:
+            if last is not None:
+                span = (t - last) / SECOND
+                self._travel += 0.5 * (self._velocity + velocity) * span
+                self._fastest *= max(0.0, 1.0 - span / (4.0 * LAG))
+            self._fastest = max(self._fastest, abs(velocity))
+            self._moved_at, self._velocity = t, velocity
+        if position is not None and self._moved_at is not None:
+            self._compare(t, position, self._travel + self._velocity * (t - self._moved_at) / SECOND)
+
+    def _compare(self, t: Nanos, position: float, travel: float) -> None:
+        offset, before = self._offset, self._position
+        if offset is None or before is None or abs(position - before) > 0.5 * self._span:
+            self._offset, self._position, self._position_at = position - travel, position, t
+            return
+        wrong = position - travel - offset
+        self._offset = offset + wrong * min(1.0, (t - self._position_at) / SECOND / MEMORY)
+        self._position, self._position_at = position, t
+        if abs(wrong) <= self._slack + JITTER * self._fastest:
+            self._wrong_since = None
+        elif self._wrong_since is None:
+            self._wrong_since = t
+        elif t - self._wrong_since >= INCONSISTENT_TIME and self._found is None:
+            self._found = INCONSISTENT, f"{wrong:.2g} rad apart"
+
+    # -- the feedback against the command --------------------------------------------------------------
+
+    def judge(self, now: Nanos, sent: Command, measured: Feedback, age: Nanos) -> Finding | None:
+        """Return what is wrong with the motion under the command that was last sent; None if nothing is.
+
+        `age`: of what was measured."""
+        dt = min(now - self._at, LONGEST_STEP)
+        self._at = now
+        if age > GAP:
+            self.restart()
+            return None
+        velocity = measured.velocity or 0.0
+        if self._kind is not type(sent):
+            self._begin(sent, measured)
+        found = self._found
+        limit = self._limits.velocity
+        fast, setpoint, actual, bound, code = abs(velocity) - limit, 0.0, None, 0.0, NOT_FOLLOWED
+        if isinstance(sent, Velocity | Hold):
+            self._rest = toward(self._rest, 0.0, 0.5 * self._limits.acceleration * dt / SECOND)
+            setpoint, actual = sent.velocity if isinstance(sent, Velocity) else self._rest, measured.velocity
+        elif isinstance(sent, Position):
+            setpoint, actual, bound = sent.position, measured.position, self._slack
+        elif isinstance(sent, Torque):
+            setpoint, actual, code = sent.torque, measured.torque, NO_TORQUE
+        if actual is not None:
+            band = self._band
+            band.follow(setpoint, min(1.0, dt / SECOND / LAG))
+            size = max(abs(band.low), abs(band.high))
+            if code == NO_TORQUE:
+                bound = TORQUE_FLOOR * self._limits.torque + TORQUE_SHARE * size
+            elif not isinstance(sent, Position):
+                bound = FLOOR * limit + self._share * size
+                fast = max(fast, velocity - max(band.high, 0.0), min(band.low, 0.0) - velocity)
+            if self._lasts(code, band.distance(actual) > bound, dt, self._time):
+                found = found or (code, f"{setpoint:.3g} commanded, {actual:.3g} measured")
+        if self._lasts(RUNS_AWAY, fast > FAST * limit, dt, RUNAWAY_TIME):
+            found = RUNS_AWAY, f"{velocity:.3g} rad/s measured"
+        return found
+
+    def _begin(self, sent: Command, measured: Feedback) -> None:
+        """Begin with another kind of command: the band includes what is measured."""
+        if self._kind is None:
+            self._forget_motion()
+        self._kind = type(sent)
+        self._since.clear()
+        self._rest = measured.velocity or 0.0
+        actual: float | None = self._rest
+        if isinstance(sent, Position):
+            actual = measured.position
+        elif isinstance(sent, Torque):
+            actual = measured.torque
+        self._band = Band(actual or 0.0, actual or 0.0)
+
+    def _lasts(self, code: int, beyond: bool, dt: Nanos, time: Nanos) -> bool:
+        """True if a bound has been exceeded for a time; within it, that time runs backwards."""
+        since = self._since.get(code, 0)
+        self._since[code] = since = since + dt if beyond else max(0, since - dt)
+        return since > time
