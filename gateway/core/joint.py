@@ -86,7 +86,7 @@ AT_REST = 0.02
 LEAST_SHARE = 0.05
 """Of a limit in the robot file: the least that it may be set to while it runs."""
 
-Timeout: TypeAlias = Annotated[Nanos, Bounds(MILLISECOND, 2 * SECOND)]
+TimeoutNanos: TypeAlias = Annotated[Nanos, Bounds(MILLISECOND, 2 * SECOND)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,8 +105,8 @@ class JointSettings:
     loop has failed."""
     on_fault: Literal["stop", "continue"] = "stop"
     """Whether a fault or lost feedback of this joint stops the whole robot, or only this joint."""
-    command_timeout: Timeout = 100 * MILLISECOND
-    feedback_timeout: Timeout = 100 * MILLISECOND
+    command_timeout: TimeoutNanos = 100 * MILLISECOND
+    feedback_timeout: TimeoutNanos = 100 * MILLISECOND
     """Age at which feedback counts as lost; the brain slows down and stands at fractions of it."""
     following_time: Annotated[Nanos, Bounds(100 * MILLISECOND, SECOND)] = 300 * MILLISECOND
     """For how long what is measured may be out of its bounds about the set-points (`following`)."""
