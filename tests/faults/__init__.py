@@ -1,0 +1,1 @@
+"""Faults in the simulated world, one by one: what is injected, what must notice it, and how far it may go."""
