@@ -10,6 +10,7 @@ given is imported, so that `gateway --help` is quick.
 from __future__ import annotations
 
 import argparse
+import errno
 import logging
 import os
 import sys
@@ -27,6 +28,7 @@ COMMANDS = {
     "recover": "repair a recording that was cut off or damaged",
     "watch": "listen to buses or to a recording, without ever sending",
     "jog": "turn one motor slowly, as long as a key is held",
+    "motor": "read, compare and restore what is configured on the motors",
     "check": "read a robot file and print its meaning, or every mistake in it",
     "protocols": "list the installed protocols, check one, or start a new one",
     "ask": "send a line to a running robot, as on its terminal",
@@ -45,8 +47,10 @@ def main(arguments: list[str] | None = None) -> int:
         text = str(error)
         print(f"gateway {options.command}:", text, sep="\n" if "\n" in text else " ", file=sys.stderr)
         return 2
-    except BrokenPipeError:  # the reader of our output has gone, which is not our error
-        return 1
+    except OSError as error:
+        if error.errno not in (errno.EPIPE, errno.EIO):
+            raise
+        return 1  # the reader of our output has gone, or its terminal was closed, which is not our error
     else:
         return status
     finally:

@@ -127,7 +127,8 @@ class Recorder:
 
     def _drop(self, tick: Tick) -> None:
         if not self._gap:
-            reason = "it is closed" if self._closing else "the disk is too slow"
+            reason = "the disk is too slow" if self._thread.is_alive() else "nothing writes it any more"
+            reason = "it is closed" if self._closing else reason
             self._report(
                 f"ticks from {tick.number} on are missing in {self.path}: {reason}; the robot continues"
             )
@@ -135,6 +136,13 @@ class Recorder:
         self._gap += 1
 
     def _run(self) -> None:
+        try:
+            self._write_until_closed()
+        except Exception as error:  # noqa: BLE001 -- whatever it is, it is reported, and the robot continues
+            self._report(f"the recording ends here: {self.path}: {error!r}; the robot continues")
+        self._report(self._writer.finish())
+
+    def _write_until_closed(self) -> None:
         closing = False
         while not closing:
             self._wake.wait(POLL_PERIOD)
@@ -146,7 +154,6 @@ class Recorder:
                 self._queue.popleft()  # only now: until it is in the chunk, it is queued
                 self._room.set()
             self._report(self._writer.flush())
-        self._report(self._writer.finish())
 
     def _report(self, trouble: str) -> None:
         if trouble:

@@ -168,6 +168,8 @@ def _leave(run: _Run, reasons: Sequence[str]) -> None:
             done = not gateway.still_armed() and clock.now() >= settled
             if not done:
                 clock.wait(clock.now() + gateway.robot.period)
+        if not done and len(reasons) > outlasts:
+            log.warning("leaving at once: %s", reasons[1])
     if still := gateway.still_armed():
         _tick_of_leaving(run, (Leave(LEFT, at_once=True, last=True),))
     for name in still:

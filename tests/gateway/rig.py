@@ -58,16 +58,24 @@ class Rig:
         self.ticks: list[Tick] = []
         self.record: Record = lambda _tick, _belief: None
         """Gets each tick, too."""
+        self.reasons: list[str] = []
+        """To leave; may be added at any time."""
         self._queued: list[Instruction] = []
         self._live = live(
-            self.gateway, self.world.buses, self.clock, poll=self._poll, record=self._record, stats=self.stats
+            self.gateway,
+            self.world.buses,
+            self.clock,
+            poll=lambda: self.poll(),
+            record=self._record,
+            stats=self.stats,
+            reasons=self.reasons,
         )
 
     def _record(self, tick: Tick, belief: Belief) -> None:
         self.ticks.append(tick)
         self.record(tick, belief)
 
-    def _poll(self) -> Sequence[Instruction]:
+    def poll(self) -> Sequence[Instruction]:
         instructions, self._queued = self._queued, []
         return instructions
 

@@ -1,0 +1,369 @@
+"""What is configured on the motors: read, compared with the robot file or an earlier dump, and restored.
+
+Rules. Requests go through gateway, driver and live loop like any others, one at a time per motor; nothing
+is commanded, so that all frames but those that write are read-only. Which parameters there are, what the
+robot file states of them and which are never written is the plugin's (`Spec.configuration`). A dump is
+checked as a whole before anything is written; what is written is read back, and saved on the device only if
+all of it is as it should be.
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from math import isclose, isfinite
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from brain.bodies.joints import Joints
+from gateway.config.errors import unknown
+from gateway.core.clock import date
+from gateway.core.robot import Motor, Robot
+from gateway.core.tick import Tick
+from gateway.errors import UserError
+from gateway.runtime.session import Session
+from protocols import messages as msg
+from protocols.messages import SECOND, Event, Mode, Nanos, Request
+from protocols.plugin import DRIVER_WRITES
+
+ANSWER: Nanos = 15 * SECOND
+"""Time after which a request counts as not answered; drivers answer sooner (conformance: 8 s)."""
+READY: Nanos = 3 * SECOND
+"""Time in which the motors may report their states."""
+KNOWN = (Mode.READY, Mode.FAULT)
+"""States in which a motor is written to."""
+UNITS = {"velocity": "rad/s", "torque": "N·m"}
+NO_PARAMETER = "no parameter of this motor's protocol and options"
+
+Answer: TypeAlias = msg.Done | msg.Refused | msg.Parameter
+Print: TypeAlias = Callable[[str], None]
+
+
+@dataclass(slots=True)
+class Reading:
+    """What is configured on one motor, as read or as in a dump."""
+
+    protocol: str
+    address: int
+    serial: int | None = None
+    firmware: str = ""
+    values: dict[str, float] = field(default_factory=dict)
+    not_read: dict[str, str] = field(default_factory=dict)
+    """The reason, by parameter."""
+    shared: bool = False
+    """More than one device answers at its address."""
+
+
+Readings: TypeAlias = dict[str, Reading]
+"""By motor."""
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """One parameter that is not as it should be."""
+
+    motor: str
+    parameter: str
+    found: float | None
+    """None: it was not read."""
+    wanted: float | None
+    """None: there is no one value that is right."""
+    text: str
+    """What should be, or what the difference means."""
+    left: str = ""
+    """Why `restore` leaves it; "" if it writes it."""
+
+    def __str__(self) -> str:
+        found = "not read" if self.found is None else shown(self.found)
+        left = f"; left: {self.left}" if self.left else ""
+        return f"{self.motor}.{self.parameter} = {found}: {self.text}{left}"
+
+
+class Interrupted(UserError):
+    """A signal came, or a bus failed, before all was done."""
+
+
+def motors_only(robot: Robot) -> Robot:
+    """Return the robot without sensors and without a base: nothing commands its motors."""
+    buses = {motor.bus: robot.buses[motor.bus] for motor in robot.motors.values()}
+    brain = replace(robot.brain, body="joints", differential=None, joints=Joints(tuple(robot.motors)))
+    world = robot.world if robot.brain.body == "joints" else None
+    return replace(robot, world=world, buses=buses, sensors={}, brain=brain)
+
+
+# -- reading and writing ------------------------------------------------------------------------------
+
+
+class Motors:
+    """The motors of a session that runs, as receivers of requests."""
+
+    def __init__(self, session: Session) -> None:
+        self.session, self.motors = session, session.robot.motors
+        self._ticks: Generator[Tick] = session.run()
+
+    def close(self) -> None:
+        """End the run."""
+        self._ticks.close()
+
+    def mode(self, motor: str) -> Mode:
+        """Return the state of a motor as reported last."""
+        return self.session.joints[motor].mode
+
+    def ask(self, requests: Sequence[Request]) -> tuple[dict[str, Answer], list[msg.Found]]:
+        """Make one request of each motor (or bus) at once. Returns the answers by name, and what was found."""
+        wanted = {getattr(each, "motor", getattr(each, "bus", "")): each for each in requests}
+        answers, found = dict[str, Answer](), list[msg.Found]()
+        self.session.submit(*requests)
+        for event in self._events(ANSWER, lambda: answers.keys() == wanted.keys()):
+            if isinstance(event, msg.Found):
+                found.append(event)
+            for name, request in wanted.items():
+                if isinstance(event, Answer) and _answers(event, name, request):
+                    answers[name] = event
+        return answers, found
+
+    def read(self) -> Readings:
+        """Read what is configured on all motors."""
+        for _ in self._events(
+            READY, lambda: all(self.mode(name) in (*KNOWN, Mode.ARMED) for name in self.motors)
+        ):
+            pass
+        readings = {name: Reading(one.plugin.name, one.device.address) for name, one in self.motors.items()}
+        self._identify(readings)
+        names = {name: list(motor.spec.configuration) for name, motor in self.motors.items()}
+        for at in range(max(map(len, names.values()), default=0)):
+            asked = {name: each[at] for name, each in names.items() if at < len(each)}
+            answers, _ = self.ask([msg.ReadParameter(name, each) for name, each in asked.items()])
+            for name, parameter in asked.items():
+                answer = answers.get(name)
+                if isinstance(answer, msg.Parameter) and isfinite(answer.value):
+                    readings[name].values[parameter] = answer.value
+                else:
+                    readings[name].not_read[parameter] = _reason(answer)
+        return readings
+
+    def write(self, motor: str, parameter: str, value: float) -> str:
+        """Write a parameter and read it back. Returns what is wrong, "" if it is as written."""
+        if self.mode(motor) not in KNOWN:
+            return f"{motor} is {self.mode(motor)}"
+        answers, _ = self.ask([msg.WriteParameter(motor, parameter, value)])
+        if not isinstance(answers.get(motor), msg.Done):
+            return _reason(answers.get(motor))
+        if parameter == self.motors[motor].spec.save:
+            return ""
+        answers, _ = self.ask([msg.ReadParameter(motor, parameter)])
+        answer = answers.get(motor)
+        if not isinstance(answer, msg.Parameter):
+            return f"not read back: {_reason(answer)}"
+        return "" if is_same(answer.value, value) else f"{shown(answer.value)} is read back"
+
+    def _identify(self, readings: Readings) -> None:
+        """Read serial numbers and firmware by a scan of each bus, where the protocol has one."""
+        for bus in self.session.robot.buses:
+            here = {name: one for name, one in self.motors.items() if one.bus == bus}
+            if not any(msg.Scan in motor.spec.requests for motor in here.values()):
+                continue
+            for event in self.ask([msg.Scan(bus)])[1]:
+                same = [n for n, each in readings.items() if (each.protocol, each.address) == _key(event)]
+                # An answer does not tell its bus: of two that have one address, neither is known.
+                if len(same) == 1 and same[0] in here:
+                    one = readings[same[0]]
+                    one.shared |= event.duplicate_address or one.serial not in (None, event.serial)
+                    one.serial = event.serial
+                    one.firmware = event.detail.removeprefix(same[0]).removeprefix(", ")
+
+    def _events(self, timeout: Nanos, done: Callable[[], bool]) -> Generator[Event]:
+        """Step until that is so, at most until the timeout; yield the events. Raises Interrupted."""
+        until = self.session.clock.now() + timeout
+        while not done() and self.session.clock.now() < until:
+            tick = next(self._ticks, None)
+            if tick is None:
+                raise Interrupted(f"interrupted: {next(iter(self.session.reasons), 'the run has ended')}")
+            yield from tick.outputs.events
+
+
+def shown(value: float) -> str:
+    """Return a value as text: integers whole, others to what binary32 holds."""
+    return str(int(value)) if value == int(value) and abs(value) < 1e15 else f"{value:.7g}"
+
+
+def is_same(one: float, other: float) -> bool:
+    """True if two values are the same to a device that keeps binary32."""
+    return isclose(one, other, rel_tol=1e-6, abs_tol=1e-12)
+
+
+def _key(event: msg.Found) -> tuple[str, int]:
+    return event.protocol, event.address
+
+
+def _answers(event: Answer, name: str, request: Request) -> bool:
+    if isinstance(event, msg.Parameter):
+        read = getattr(request, "parameter", "") if isinstance(request, msg.ReadParameter) else ""
+        return (event.motor, event.parameter) == (name, read)
+    return (event.name, event.request) == (name, type(request).__name__)
+
+
+def _reason(answer: Answer | None) -> str:
+    match answer:
+        case msg.Refused(reason=reason):
+            return reason
+        case msg.Done(detail=detail):
+            return f"no number: {detail}"
+        case msg.Parameter(value=value):
+            return f"{value} is no finite number"
+    return "no answer"
+
+
+# -- comparing ----------------------------------------------------------------------------------------
+
+
+def against_robot(robot: Robot, readings: Readings) -> tuple[list[Difference], list[str]]:
+    """Return what differs from the robot file, and remarks: devices' limits wider than the joint's."""
+    found, remarks = list[Difference](), list[str]()
+    for name, motor in robot.motors.items():
+        for parameter, setting in motor.spec.configuration.items():
+            value, expected = readings[name].values.get(parameter), setting.expected
+            if setting.protected == DRIVER_WRITES:
+                continue
+            if value is None:
+                if expected is not None or setting.limit:
+                    reason = readings[name].not_read.get(parameter, "")
+                    found.append(Difference(name, parameter, None, expected, reason))
+            elif expected is not None and not is_same(value, expected):
+                text = f"the robot file has {shown(expected)}"
+                found.append(Difference(name, parameter, value, expected, text, setting.protected))
+            elif setting.limit:
+                gear = motor.joint.gear if setting.limit == "torque" else 1.0 / motor.joint.gear
+                reached, most = abs(value) * setting.unit * gear, getattr(motor.joint.limits, setting.limit)
+                text = f"{reached:.4g} {UNITS[setting.limit]} at the joint, whose limit is {most:g}"
+                if reached < most and not is_same(reached, most):
+                    found.append(Difference(name, parameter, value, None, f"the device allows only {text}"))
+                elif reached > most and not is_same(reached, most):
+                    remarks.append(f"{name}.{parameter} = {shown(value)}: the device allows {text}")
+    return found, remarks
+
+
+def against_dump(robot: Robot, readings: Readings, dump: Readings) -> list[Difference]:
+    """Return what differs from a dump, in the order of the dump."""
+    found = []
+    for name, saved in dump.items():
+        settings, now = robot.motors[name].spec.configuration, readings[name]
+        for parameter, wanted in saved.values.items():
+            value = now.values.get(parameter)
+            if value is not None and is_same(value, wanted):
+                continue
+            setting = settings.get(parameter)
+            left = NO_PARAMETER if setting is None else setting.protected
+            if value is None and not left:
+                left = f"not read: {now.not_read.get(parameter, '')}"
+            if left != DRIVER_WRITES:
+                text = f"the dump has {shown(wanted)}"
+                found.append(Difference(name, parameter, value, wanted, text, left))
+    return found
+
+
+# -- dumps ----------------------------------------------------------------------------------------------
+
+
+def dump_text(robot: Robot, readings: Readings) -> str:
+    """Return readings as TOML."""
+    lines = [f"robot = {quoted(robot.name)}", f"date = {quoted(date())}"]
+    for name, one in readings.items():
+        lines += ["", f"[motors.{name}]", f"protocol = {quoted(one.protocol)}"]
+        lines += [f"bus = {quoted(robot.motors[name].bus)}", f"address = {one.address}"]
+        lines += [f"serial = {one.serial}"] if one.serial is not None else []
+        lines += [f"firmware = {quoted(one.firmware)}"] if one.firmware else []
+        lines += ["", f"[motors.{name}.values]"] if one.values else []
+        lines += [f"{quoted(parameter)} = {value!r}" for parameter, value in one.values.items()]
+        lines += ["", f"[motors.{name}.not_read]"] if one.not_read else []
+        lines += [f"{quoted(parameter)} = {quoted(reason)}" for parameter, reason in one.not_read.items()]
+    return "\n".join(lines) + "\n"
+
+
+def quoted(text: str) -> str:
+    """Return a text as a TOML string, on one line and without control characters."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def read_dump(path: Path, robot: Robot) -> Readings:
+    """Read a dump of this robot. Raises UserError with all that is wrong with it."""
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {error.strerror}") from error
+    except (ValueError, RecursionError) as error:  # of TOML, UTF-8, or an integer of too many digits
+        raise UserError(f"{path}: is no TOML: {error}") from error
+    motors = table.get("motors")
+    if not isinstance(motors, dict) or not isinstance(table.get("robot"), str):
+        raise UserError(f"{path}: is no dump: `gateway motor dump ROBOT --out FILE` makes one")
+    if table["robot"] != robot.name:
+        raise UserError(f"{path}: is a dump of the robot {table['robot']!r}, not of {robot.name!r}")
+    wrong = list[str]()
+    dump = {name: _one(name, each, robot.motors, wrong) for name, each in motors.items()}
+    if wrong:
+        raise UserError("\n".join(f"{path}: {each}" for each in wrong))
+    return dump
+
+
+def _one(name: str, table: Any, motors: Mapping[str, Motor], wrong: list[str]) -> Reading:  # noqa: ANN401 -- TOML
+    if name not in motors:
+        wrong.append(unknown("motor", name, motors))
+        return Reading("", 0)
+    plugin, settings = motors[name].plugin.name, motors[name].spec.configuration
+    table = table if isinstance(table, dict) else {}
+    protocol, address, serial = table.get("protocol"), table.get("address"), table.get("serial")
+    values = table.get("values", {})
+    if protocol != plugin:
+        wrong.append(f"{name}: the dump is of the protocol {protocol!r}, the robot file has {plugin!r}")
+    if type(address) is not int or type(serial) not in (int, type(None)) or not isinstance(values, dict):
+        wrong.append(f"{name}: address and serial must be integers, values a table")
+        return Reading(plugin, 0)
+    for parameter, value in values.items():
+        setting = settings.get(parameter)
+        if type(value) not in (int, float) or not isfinite(value):
+            wrong.append(f"{name}.{parameter}: {value!r} is no finite number")
+        elif setting is not None and not setting.protected and not setting.low <= value <= setting.high:
+            wrong.append(f"{name}.{parameter}: {value!r} is outside {setting.low:g} … {setting.high:g}")
+    return Reading(plugin, address, serial, values=values)
+
+
+def same_devices(readings: Readings, dump: Readings) -> list[str]:
+    """Return in words which motors are not those of which the dump was made."""
+    wrong = []
+    for name, saved in dump.items():
+        now = readings[name]
+        if now.shared:
+            wrong.append(f"{name}: more than one device answers at address {now.address}")
+        elif None not in (saved.serial, now.serial) and saved.serial != now.serial:
+            text = f"the device has the serial number {now.serial}, the dump is of {saved.serial}"
+            wrong.append(f"{name}: {text}")
+        elif None in (saved.serial, now.serial) and saved.address != now.address:
+            text = f"address {now.address}, the dump is of address {saved.address}"
+            wrong.append(f"{name}: {text}, and no serial number shows that it is the same device")
+    return wrong
+
+
+def restore(motors: Motors, differences: Sequence[Difference], report: Print) -> bool:
+    """Write what differs and is not to be left, and save it. Returns whether all was done."""
+    concerned = dict.fromkeys(each.motor for each in differences if not each.left)
+    if refused := [f"{name} is {motors.mode(name)}" for name in concerned if motors.mode(name) not in KNOWN]:
+        raise UserError(f"nothing is written: {', '.join(refused)}; disarm it first")
+    good = True
+    for name in concerned:
+        wanted = {each.parameter: each.wanted for each in differences if each.motor == name and not each.left}
+        failed = False
+        for parameter, value in wanted.items():
+            wrong = motors.write(name, parameter, value or 0.0)
+            report(f"{name}.{parameter}: {wrong or f'written: {shown(value or 0.0)}'}")
+            failed |= bool(wrong)
+        save = motors.motors[name].spec.save
+        if failed and save:
+            report(f"{name}: not saved: what was written is lost when it is switched off")
+        elif save:
+            wrong = motors.write(name, save, 1.0)
+            report(f"{name}: {f'not saved: {wrong}' if wrong else 'saved'}")
+            failed = bool(wrong)
+        good &= not failed
+    return good
