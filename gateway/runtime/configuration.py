@@ -112,7 +112,7 @@ class Motors:
         return self.session.joints[motor].mode
 
     def ask(self, requests: Sequence[Request]) -> tuple[dict[str, Answer], list[msg.Found]]:
-        """Make one request of each motor (or bus) at once. Returns the answers by name, and what was found."""
+        """Make one request of each motor, or of a bus. Returns the answers by name, and what was found."""
         wanted = {getattr(each, "motor", getattr(each, "bus", "")): each for each in requests}
         answers, found = dict[str, Answer](), list[msg.Found]()
         self.session.submit(*requests)
@@ -126,10 +126,8 @@ class Motors:
 
     def read(self) -> Readings:
         """Read what is configured on all motors."""
-        for _ in self._events(
-            READY, lambda: all(self.mode(name) in (*KNOWN, Mode.ARMED) for name in self.motors)
-        ):
-            pass
+        reported = (*KNOWN, Mode.ARMED)
+        list(self._events(READY, lambda: all(self.mode(name) in reported for name in self.motors)))
         readings = {name: Reading(one.plugin.name, one.device.address) for name, one in self.motors.items()}
         self._identify(readings)
         names = {name: list(motor.spec.configuration) for name, motor in self.motors.items()}

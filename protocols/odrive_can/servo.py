@@ -74,10 +74,6 @@ class Servo:
         self._electrical_slow = 0.0
         self._mechanical_slow = 0.0
 
-    def use(self, settings: Settings) -> None:
-        """Use other settings; gains, motor and encoder stay."""
-        self.settings = settings
-
     @property
     def current_set_point(self) -> float:
         """A"""

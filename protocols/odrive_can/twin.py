@@ -11,13 +11,11 @@ behaviour are in the README.
 
 from __future__ import annotations
 
-import contextlib
 import copy
 import math
 import struct
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, field
 
 from protocols import messages as msg
 from protocols.frames import CanFrame, Frame
@@ -268,7 +266,9 @@ class OdriveTwin(Firmware):
         """The state that is a procedure, while it runs; the shaft is not turned by it."""
         self.procedure_until: Nanos = 0
         self.disarm_reason = 0
-        self.use(device.settings)
+        sent = {row.name for row in self.table.rows if row.direction == "from_device"}
+        periods = {name: getattr(self.settings, key) for name, key in CYCLIC.items() if name in sent}
+        self._periods = {name: milliseconds(period) for name, period in periods.items() if period}
 
     # -- the firmware's own ---------------------------------------------------------------------------
 
@@ -405,14 +405,6 @@ class OdriveTwin(Firmware):
     def cyclic(self) -> Mapping[str, Nanos]:
         return self._periods
 
-    def use(self, settings: Settings) -> None:
-        """Use other settings."""
-        sent = {row.name for row in self.table.rows if row.direction == "from_device"}
-        periods = {name: getattr(settings, key) for name, key in CYCLIC.items() if name in sent}
-        self._periods = {name: milliseconds(period) for name, period in periods.items() if period}
-        self.settings = settings
-        self.servo.use(settings)
-
     def cycle(self, now: Nanos, dt: float, position: float, velocity: float) -> float:
         self.servo.encoder.measure(dt or 1.0, position / math.tau, velocity / math.tau)
         for name in list(self.servo.cycle(dt, self.memory)) if dt else ():
@@ -462,30 +454,17 @@ class Twin06(OdriveTwin):
             self._on_endpoint(t, decoded.values["Endpoint_ID"], written=decoded.name == "RxSdo")
 
     def _on_endpoint(self, t: Nanos, number: int, *, written: bool) -> None:
-        """Reply with what an endpoint holds; before 0.6.11 not to a write. A setting takes effect at once;
-        what else is written is kept, and nothing more."""
+        """Reply with what an endpoint holds; before 0.6.11 not to a write. A gain takes effect at once; what
+        else is written is kept, and nothing more."""
         registers, held = self.memory.registers, self.memory.endpoints.get(number, 0)
         name, value = registers.value(number, held)
         gain = SETTING_OF.get(name, name.rpartition(".")[2])
-        if written and name in SETTING_OF:
-            self._use_endpoints()
         if gain in self.servo.gains and written and value is not None:
             self.servo.configure([(gain, value)])
         elif gain in self.servo.gains:
             held = registers.raw(name, self.servo.gains[gain])
         if not written or self._version >= [0, 6, 11]:
             self.reply(t, self.table.encode("TxSdo", self.memory.node, Endpoint_ID=number, Value=held))
-
-    def _use_endpoints(self) -> None:
-        """Use what endpoints hold that are settings; what contradicts itself (a watchdog of 0 s) is kept."""
-        held = dict[str, Any]()
-        for number, bits in self.memory.endpoints.items():
-            path, value = self.memory.registers.value(number, bits)
-            if path in SETTING_OF and value is not None:
-                name = SETTING_OF[path]
-                held[name] = type(getattr(self.settings, name))(value)
-        with contextlib.suppress(ValueError):
-            self.use(replace(self.device.settings, **held))
 
     def report(self, name: str) -> Frame | None:
         """A device without an address sends nothing by itself."""
@@ -525,7 +504,6 @@ class Twin06(OdriveTwin):
             delivered = Settings()
             self._flash = (BROADCAST, gains_of(delivered), saved(self.device.options, delivered))
         self.restart_with(t, *self._flash)
-        self._use_endpoints()
         self.starts_until = self.silent_until + milliseconds(self.settings.initializing_ms)
         self.silent_until = NEVER if action == table.BOOT_LOADER else self.silent_until
         self.disarm_reason, self.result = 0, errors.SUCCESS

@@ -14,7 +14,7 @@ from protocols.message_codec import LAYOUTS, pack_fields
 from protocols.messages import MILLISECOND, Command, Event, Message, Mode, Nanos, Obeyed
 from protocols.odrive_can import plugin as odrive
 from protocols.plain import table
-from protocols.plain.twin import PlainDecoder, PlainTwin
+from protocols.plain.twin import PlainDecoder, PlainTwin, Settings
 from protocols.plugin import Device
 from protocols.toolkit.motor_driver import Rx
 from protocols.toolkit.serial import Stream
@@ -230,6 +230,15 @@ class AnswersTwice(PlainDriver):
         events = super().receive(t, frame)
         read = [event for event in events if isinstance(event, msg.Parameter)]
         return [*events, *(msg.Done(event.t, "ReadParameter", event.motor) for event in read)]
+
+
+@found_by("configuration")
+class ForgetsWhatIsWritten(PlainTwin):
+    """Confirms that a setting is written, and keeps the one before."""
+
+    def configure(self, settings: Settings) -> None:
+        if self.now is None:
+            super().configure(settings)
 
 
 @alters("answers")

@@ -1,0 +1,161 @@
+"""`gateway motor`: what is configured on the motors: read it, compare it, restore it from a dump.
+
+Rules. `dump` and `diff` send read-only frames alone; `restore` too, unless --yes is given. Exit status: 1 if
+something differs, could not be read, or could not be restored.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+from argparse import ArgumentParser, Namespace
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+from gateway.cli import arguments
+from gateway.config import load_robot, with_interfaces
+from gateway.core.robot import TWIN, Robot
+from gateway.errors import UserError
+from gateway.runtime import configuration
+from gateway.runtime.configuration import Difference, Interrupted, Motors, Readings, quoted
+from gateway.runtime.session import open_session
+
+log = logging.getLogger("gateway")
+
+ACTIONS = {
+    "dump": "read what is configured on the motors, and print it or write it to a file",
+    "diff": "compare it with the robot file, or with an earlier dump",
+    "restore": "write what differs from a dump, but what is protected",
+}
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    what = parser.add_subparsers(dest="what", required=True, metavar="dump | diff | restore")
+    for name, text in ACTIONS.items():
+        one = what.add_parser(name, help=text, description=f"{text.capitalize()}.")
+        arguments.add_verbosity(one)
+        arguments.add_robot(one)
+        if name == "dump":
+            one.add_argument("--out", type=Path, metavar="FILE", help="write a dump, as TOML, to a new file")
+        else:
+            some = "?" if name == "diff" else None
+            one.add_argument(
+                "dump", type=Path, nargs=some, metavar="DUMP", help="what `dump --out` has written"
+            )
+        if name == "restore":
+            one.add_argument("--yes", action="store_true", help="write; without it nothing is written")
+        arguments.add_bus(one, "where a bus is: can0=socketcan:can0")
+
+
+def run(options: Namespace) -> int:
+    """Do one of the three."""
+    robot = with_interfaces(load_robot(options.robot), dict(options.bus))
+    try:
+        return _dump(robot, options.out) if options.what == "dump" else _compare(robot, options)
+    except Interrupted as error:
+        print(
+            f"{error}; what is not listed as saved is lost when the device is switched off", file=sys.stderr
+        )
+        return 1
+
+
+def _compare(robot: Robot, options: Namespace) -> int:
+    dump = configuration.read_dump(options.dump, robot) if options.dump is not None else None
+    with _open(robot) as motors:
+        readings = motors.read()
+        if dump is None:
+            differences, remarks = configuration.against_robot(robot, readings)
+            _print([*map(str, differences), *(f"remark: {each}" for each in remarks)])
+            return _summary(robot, readings, differences, "the robot file")
+        if wrong := configuration.same_devices(readings, dump):
+            raise UserError("\n".join(wrong))
+        differences = configuration.against_dump(robot, readings, dump)
+        if options.what == "diff":
+            _print(map(str, differences))
+            return _summary(robot, readings, differences, "the dump")
+        return _restore(motors, differences, write=options.yes)
+
+
+@contextmanager
+def _open(robot: Robot) -> Iterator[Motors]:
+    """Open a robot's motors alone; in simulated time if they are all simulated."""
+    robot = configuration.motors_only(robot)
+    simulated = all(bus.interface == TWIN for bus in robot.buses.values())
+    log.addFilter(_is_news)
+    try:
+        with open_session(robot, simulated=simulated) as session, closing(Motors(session)) as motors:
+            yield motors
+    finally:
+        log.removeFilter(_is_news)
+
+
+def _is_news(record: logging.LogRecord) -> bool:
+    """False for refusals, which are printed by parameter, and for a brain that commands nothing."""
+    source, text = (*map(str, record.args or ()), "", "")[:2]
+    return source != "brain" and ": refused: " not in text
+
+
+def _dump(robot: Robot, out: Path | None) -> int:
+    if out is not None and out.exists():
+        raise UserError(f"{out}: the file exists already; a dump is never overwritten")
+    with _open(robot) as motors:
+        readings = motors.read()
+    if out is not None:
+        try:
+            out.write_text(configuration.dump_text(robot, readings), encoding="utf-8")
+        except OSError as error:
+            raise UserError(f"{out}: cannot be written: {error.strerror}") from error
+    for name, one in readings.items():
+        motor = robot.motors[name]
+        serial = "" if one.serial is None else f", serial number {one.serial:X}"
+        firmware = f", {_plain(one.firmware)}" if one.firmware else ""
+        print(f"{name}: {one.protocol} at address {one.address} on {motor.bus}{serial}{firmware}")
+        width = max(map(len, motor.spec.configuration), default=0)
+        for parameter, setting in motor.spec.configuration.items():
+            value = one.values.get(parameter)
+            shown = (
+                f"not read: {_plain(one.not_read[parameter])}"
+                if value is None
+                else configuration.shown(value)
+            )
+            left = f"  (left: {setting.protected})" if setting.protected else ""
+            print(f"  {parameter:<{width}}  {shown}{left}")
+        if not motor.spec.configuration:
+            print(f"  {_NOTHING}")
+    return 1 if any(one.not_read for one in readings.values()) else 0
+
+
+_NOTHING = "nothing: its protocol lists no configuration with these options (see the protocol's README)"
+
+
+def _restore(motors: Motors, differences: Sequence[Difference], *, write: bool) -> int:
+    to_write = [each for each in differences if not each.left]
+    _print(str(each) for each in differences if each.left or not write)
+    if not write:
+        print(f"{len(to_write)} to be written; nothing was: give --yes for that")
+        return 1 if to_write else 0
+    good = configuration.restore(motors, differences, print)
+    left = len(differences) - len(to_write)
+    print(f"{len(to_write)} to be written, {left} left; {'done' if good else 'NOT all was done'}")
+    return 0 if good else 1
+
+
+def _summary(robot: Robot, readings: Readings, differences: Sequence[Difference], other: str) -> int:
+    compared = sum(len(one.values) for one in readings.values())
+    print(f"{robot.name}: {compared} parameters read, {len(differences)} differ from {other}")
+    for name, motor in robot.motors.items():
+        if not motor.spec.configuration:
+            print(f"{name}: {_NOTHING}")
+    return 1 if differences else 0
+
+
+def _print(lines: Iterator[str] | Sequence[str]) -> None:
+    for line in lines:
+        print(_plain(line))
+
+
+def _plain(text: str) -> str:
+    """Return a text of a device without control characters."""
+    return quoted(text)[1:-1].replace('\\"', '"').replace("\\\\", "\\")
