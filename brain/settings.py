@@ -46,7 +46,7 @@ class BrainSettings:
 
 S = TypeVar("S", bound=Settings)
 
-MAX_REACH = 150
+MAX_REACH = 100
 """Cells about an obstacle that the costmap treats differently: bounds its work, with the map's size."""
 
 Direction: TypeAlias = Literal["at most", "at least", "free"]

@@ -206,9 +206,12 @@ class Grid:
 
     def _rays(self, start: npt.NDArray[np.int64], stops: Cells) -> Indices:
         """Return the cells on the lines from a cell to others, without the last: one per step of the longer
-        side, the other coordinate rounded (Bresenham, 1965), all lines at once."""
+        side, the other coordinate rounded (Bresenham, 1965), all lines at once; of too many, evenly chosen
+        ones."""
         steps = stops - start
         lengths = np.max(np.abs(steps), axis=1)
+        every = math.ceil(len(steps) * int(lengths.max(initial=0)) / MAX_RAY_CELLS)
+        steps, lengths = steps[:: every or 1], lengths[:: every or 1]
         if not lengths.any():
             return np.zeros(0, dtype=np.int64)
         largest = max(lengths.max(), *np.abs(start))
@@ -224,9 +227,10 @@ class Grid:
         return flat
 
     def _fill_gaps(self, origin: Floats, yaw: float, scan: BodyScan, ends: Floats) -> None:
-        """Mark unknown cells in the narrow gaps between neighbouring beams as free."""
+        """Mark unknown cells in the narrow gaps between neighbouring beams as free, up to `MAX_GAP_REACH`."""
         corners = np.minimum(ends.min(axis=0), origin), np.maximum(ends.max(axis=0), origin)
-        low, high = self.cells(np.array(corners))
+        far = MAX_GAP_REACH * self.resolution
+        low, high = self.cells(np.clip(np.array(corners), origin - far, origin + far))
         left, bottom = np.maximum(low, 0)
         right, top = np.minimum(high + 1, (self.columns, self.rows))
         if left >= right or bottom >= top:
@@ -257,6 +261,10 @@ class Grid:
         self.hits[touched] = after
 
 
+MAX_RAY_CELLS = 400_000
+"""Cells on the rays of one scan; with more, every second (third …) beam clears. Every hit still counts."""
+MAX_GAP_REACH = 256
+"""Cells from the lidar within which gaps between beams are filled."""
 MAX_MEAN_HITS = 10
 """Hits in a cell's mean: the first ones, from when the pose was best known."""
 OBSERVED_FREE = np.float32(-1e-3)
@@ -288,17 +296,20 @@ def _gap_range(dx: Floats, dy: Floats, yaw: float, scan: BodyScan) -> Floats:
 
 
 def _inflated(occupied: Bools, radius: float) -> Bools:
-    """Return the cells whose middle is closer than the radius [cells] to any part of a cell that is set."""
-    reach = max(math.ceil(radius + 0.5), 0)
-    span = np.arange(-reach, reach + 1)
-    near = np.maximum(np.abs(span) - 0.5, 0.0)
-    inside = near[:, None] ** 2 + near[None, :] ** 2 < radius * radius
-    inside[reach, reach] = True
-    rows, columns = occupied.shape
-    wide = np.zeros((rows + 2 * reach, columns + 2 * reach), dtype=np.bool_)
-    disc = np.argwhere(inside)
-    offsets = disc[:, 0] * wide.shape[1] + disc[:, 1]
-    at_row, at_column = np.nonzero(occupied)
-    flat = wide.reshape(-1)
-    flat[((at_row * wide.shape[1] + at_column)[:, None] + offsets[None, :]).reshape(-1)] = True
-    return wide[reach : reach + rows, reach : reach + columns].copy()
+    """Return the cells whose middle is closer than the radius [cells] to any part of a cell that is set.
+
+    The disc is the union of its rows, the longest last: each is made of the one before, so that the work is
+    four passes over the map per cell of the radius, however much of it is occupied."""
+    rows = len(occupied)
+    near = np.maximum(np.arange(math.ceil(radius + 0.5) + 1) - 0.5, 0.0) ** 2
+    half_widths = np.count_nonzero(near[:, None] + near[None, :] < radius * radius, axis=1) - 1
+    inflated, row, width = occupied.copy(), occupied.copy(), 0
+    for up in reversed(range(min(len(near), rows))):
+        while width < half_widths[up]:
+            width += 1
+            row[:, width:] |= occupied[:, :-width]
+            row[:, :-width] |= occupied[:, width:]
+        if half_widths[up] >= 0:
+            inflated[up:] |= row[: rows - up]
+            inflated[: rows - up] |= row[up:]
+    return inflated

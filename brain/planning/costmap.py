@@ -11,7 +11,7 @@ check whether it has left it. Positions are in metres in the map's frame, cells 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import dist, floor, hypot, inf
+from math import floor, hypot, inf
 from typing import Protocol
 
 import numpy as np
@@ -116,10 +116,10 @@ class Costmap:
 
     def index(self, x: float, y: float) -> int | None:
         """Return the cell at a position [m]; None outside the map."""
-        column = floor((x - self.origin[0]) / self.resolution) + 1
-        row = floor((y - self.origin[1]) / self.resolution) + 1
-        if 0 < column < self.stride - 1 and 0 < row < len(self.level) // self.stride - 1:
-            return row * self.stride + column
+        column = (x - self.origin[0]) / self.resolution + 1.0
+        row = (y - self.origin[1]) / self.resolution + 1.0
+        if 1.0 <= column < self.stride - 1 and 1.0 <= row < len(self.level) // self.stride - 1:
+            return floor(row) * self.stride + floor(column)
         return None
 
     def centre(self, cell: int) -> Point:
@@ -198,12 +198,9 @@ def build_costmap(
     inner = level[1:-1, 1:-1]
     inner[:] = FREE + rings
     near = blocked
-    shells = []
     for ring in range(rings):
         near = dilated(near, diagonal=ring % 2 == 1)
-        shells.append(near)
-    for ring in reversed(range(rings)):
-        inner[shells[ring]] = FREE + ring
+        inner -= near.view(np.uint8)
     if not unknown_is_free:
         inner[unknown] = UNKNOWN
     inner[blocked] = BLOCKED
@@ -226,10 +223,13 @@ def planning_costmap(
     Unknown ground under the robot at `standing` counts as free. Unknown ground about the places
     `unreachable`, which stayed unknown when seen from near, counts as blocked."""
     resolution, corner = grid.resolution, (grid.origin_x, grid.origin_y)
-    blocked, unknown = grid.blocked(radius + settings.margin), grid.unknown
-    unknown = unknown & ~_disc(unknown.shape, corner, resolution, standing, radius)
+    blocked, unknown = grid.blocked(radius + settings.margin), grid.unknown.copy()
+    window, square = _around(unknown.shape, corner, resolution, standing, radius)
+    unknown[window] &= square > radius**2
+    blocked = blocked.copy() if unreachable else blocked
     for place in unreachable:
-        blocked = blocked | (unknown & _disc(unknown.shape, corner, resolution, place, radius))
+        window, square = _around(unknown.shape, corner, resolution, place, radius)
+        blocked[window] |= unknown[window] & (square <= radius**2)
     return build_costmap(
         blocked,
         unknown,
@@ -258,16 +258,21 @@ def nearest_cell(
 ) -> int | None:
     """Return the nearest cell within a distance [m] that has at least this level; None if there is none.
 
-    With `visible_in`, only cells on a straight line that is not blocked in that costmap."""
-    rows = len(costmap.level) // costmap.stride
-    level = np.frombuffer(costmap.level, np.uint8).reshape(rows, costmap.stride)
-    near = _disc((rows - 2, costmap.stride - 2), costmap.origin, costmap.resolution, place, within)
-    row, column = np.nonzero((level[1:-1, 1:-1] >= lowest) & near)
-    cells = [int(c) for c in (row + 1) * costmap.stride + column + 1]
-    for _, cell in sorted((dist(place, costmap.centre(cell)), cell) for cell in cells):
+    With `visible_in`, only cells on a straight line that is not blocked in that costmap: the nearest
+    `MAX_LINES` are tried."""
+    level = np.frombuffer(costmap.level, np.uint8).reshape(-1, costmap.stride)[1:-1, 1:-1]
+    window, square = _around(level.shape, costmap.origin, costmap.resolution, place, within)
+    row, column = np.nonzero((level[window] >= lowest) & (square <= within**2))
+    nearest = np.argsort(square[row, column], kind="stable")[:MAX_LINES]
+    first = (window[0].start + 1) * costmap.stride + window[1].start + 1
+    for cell in (first + row[nearest] * costmap.stride + column[nearest]).tolist():
         if visible_in is None or not visible_in.is_blocked(place, costmap.centre(cell)):
-            return cell
+            return int(cell)
     return None
+
+
+MAX_LINES = 500
+"""Straight lines that one search of the nearest place, or one shortening of a path, compares."""
 
 
 def dilated(mask: Mask, *, diagonal: bool) -> Mask:
@@ -281,8 +286,15 @@ def dilated(mask: Mask, *, diagonal: bool) -> Mask:
     return grown
 
 
-def _disc(shape: tuple[int, ...], corner: Point, resolution: float, centre: Point, radius: float) -> Mask:
-    x = corner[0] + (np.arange(shape[1]) + 0.5) * resolution - centre[0]
-    y = corner[1] + (np.arange(shape[0]) + 0.5) * resolution - centre[1]
-    inside: Mask = x[None, :] ** 2 + y[:, None] ** 2 <= radius**2
-    return inside
+def _around(
+    shape: tuple[int, ...], corner: Point, resolution: float, centre: Point, radius: float
+) -> tuple[tuple[slice, slice], npt.NDArray[np.float64]]:
+    """Return the rows and columns of a map that contain a circle, and the squared distance [m²] of the middle
+    of each of these cells from the centre."""
+    spans, squares = [], []
+    for count, low, at in zip(shape, reversed(corner), reversed(centre), strict=True):
+        first = min(max(floor((at - radius - low) / resolution), 0), count)
+        last = min(max(floor((at + radius - low) / resolution) + 1, first), count)
+        spans.append(slice(first, last))
+        squares.append((low + (np.arange(first, last) + 0.5) * resolution - at) ** 2)
+    return (spans[0], spans[1]), squares[1][None, :] + squares[0][:, None]

@@ -10,12 +10,13 @@ nothing is resumed: goals must be sent again. The map is checked periodically; a
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import islice, pairwise
 from math import hypot
 
 from brain.planning.astar import Searching
 from brain.planning.costmap import (
     BLOCKED,
+    MAX_LINES,
     Costmap,
     Map,
     PlannerSettings,
@@ -165,7 +166,7 @@ class Navigator:
         """Return why the rest of the path cannot be followed; "" if it can.
 
         Checked with the footprint alone, without the margin used for planning: so a wall that shifts by a
-        cell as it is seen better does not cost a path."""
+        cell as it is seen better does not cost a path. Of a path with very many corners, the next ones."""
         assert self.path is not None
         line = Polyline(self.path.points)
         along, off = line.project(here)
@@ -174,7 +175,7 @@ class Navigator:
         costmap = footprint_costmap(grid, self.radius)
         rest = [line.point(along), *(p for p, at in zip(line.points, line.at, strict=True) if at > along)]
         begin = along
-        for a, b in pairwise(rest):
+        for a, b in islice(pairwise(rest), MAX_LINES):
             begin += hypot(b[0] - a[0], b[1] - a[1])
             escaping = begin <= self.path.escape + costmap.resolution
             if not escaping and costmap.is_blocked(a, b):

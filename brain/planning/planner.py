@@ -11,12 +11,19 @@ of sight where that costs no more in the search's own metric, so clearance is ke
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from math import dist, inf
 from typing import TypeAlias
 
 from brain.planning.astar import CellPath, Search, Searching, Unreachable
-from brain.planning.costmap import BLOCKED, FREE, UNKNOWN, Costmap, PlannerSettings, nearest_cell
+from brain.planning.costmap import (
+    BLOCKED,
+    FREE,
+    MAX_LINES,
+    UNKNOWN,
+    Costmap,
+    PlannerSettings,
+    nearest_cell,
+)
 from brain.planning.polyline import Point
 
 
@@ -147,22 +154,30 @@ class PathQuery:
 
 
 SHORTCUT_CORNERS = 30
-"""Corners ahead to which a shortcut is tried: bounds the work of a step."""
+"""Corners ahead to which a shortcut is tried."""
 
 
 def shortcut(costmap: Costmap, points: list[Point]) -> tuple[Point, ...]:
-    """Return the path with fewer corners: a straight line replaces a part where it costs no more."""
+    """Return the path with fewer corners: a straight line replaces a part where it costs no more. After
+    `MAX_LINES` comparisons the rest stays as it is."""
     corners = [
         points[0],
         *(b for a, b, c in zip(points, points[1:], points[2:], strict=False) if _bends(a, b, c)),
     ]
     corners += points[-1:] if len(points) > 1 else []
-    cost = [costmap.line_cost(a, b) for a, b in pairwise(corners)]
-    kept, at = [corners[0]], 0
+    costs: dict[int, float] = {}
+
+    def cost(leg: int) -> float:
+        if leg not in costs:
+            costs[leg] = costmap.line_cost(corners[leg], corners[leg + 1])
+        return costs[leg]
+
+    kept, at, left = [corners[0]], 0, MAX_LINES
     while at < len(corners) - 1:
-        best, so_far = at + 1, cost[at]
-        for ahead in range(at + 2, min(at + SHORTCUT_CORNERS, len(corners))):
-            so_far += cost[ahead - 1]
+        best = at + 1
+        for ahead in range(at + 2, min(at + SHORTCUT_CORNERS, len(corners), at + 2 + left)):
+            so_far = sum(map(cost, range(at, ahead)))
+            left -= 1
             straight = costmap.line_cost(corners[at], corners[ahead])
             if straight == inf:
                 break
