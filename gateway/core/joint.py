@@ -151,6 +151,8 @@ class Joint:
         self._out_at: Nanos = 0
         self._idle_at: Nanos = 0
         """When the first of the present Idles was sent."""
+        self._idle_until: Nanos | None = None
+        """When the last Idle was sent, if the device has not been disarmed since."""
         self._disarmed = True
         """Whether the device has reported being disarmed since the last command but Idle."""
         self._own_motion: tuple[str, Nanos] | None = None
@@ -183,8 +185,12 @@ class Joint:
         return event
 
     def _is_unexpected_disarm(self, event: msg.State) -> bool:
-        disarmed = event.mode in (Mode.READY, Mode.INITIALISING)
-        return self.armed and disarmed and not isinstance(self._out, msg.Idle)
+        if not self.armed or event.mode not in (Mode.READY, Mode.INITIALISING):
+            return False
+        idle_until, self._idle_until = self._idle_until, None
+        obeyed = idle_until is not None and event.t - idle_until <= DISARMING  # a command came after Idle
+        ends = obeyed or self._braking is not None  # braking ends in Idle, too
+        return not ends and not isinstance(self._out, msg.Idle)
 
     def _check_idle(self, now: Nanos) -> None:
         """Latch a fault if the device is armed against our will: it does not obey, or a late frame or another
@@ -285,8 +291,10 @@ class Joint:
         if not isinstance(out, msg.Idle):
             self.owned = True
             self._disarmed = False
-        elif not isinstance(self._out, msg.Idle):
-            self._idle_at = now
+        else:
+            self._idle_until = now
+            if not isinstance(self._out, msg.Idle):
+                self._idle_at = now
         self._out, self._out_at = out, now
         return self._at_device(out)
 

@@ -353,6 +353,16 @@ def test_a_device_that_disarms_itself_latches() -> None:
     assert made.command(3 * STEP, msg.Velocity("m", 1.0), stopped=False) == msg.Idle("m")
 
 
+def test_a_device_that_reports_its_disarming_when_the_next_command_is_given_has_obeyed() -> None:
+    made = idle_since_10_ms()
+    made.command(3 * STEP, msg.Velocity("m", 1.0), stopped=False)
+    made.on_event(msg.State("m", 4 * STEP, Mode.READY))
+    made.on_event(msg.State("m", 5 * STEP, Mode.ARMED))
+    assert not made.faults
+    made.on_event(msg.State("m", 6 * STEP, Mode.READY))
+    assert [f.code for f in made.faults.values()] == [DISARMED_ITSELF]
+
+
 def test_disarming_by_command_is_no_fault() -> None:
     made = armed(joint())
     made.command(STEP, msg.Velocity("m", 1.0), stopped=False)
