@@ -96,8 +96,8 @@ class BaseBrain:
     ) -> Sequence[Command]:
         """Return the wheels' commands; Idle for the other motors."""
         self.perception.observe(now, events)
-        self._health.observe(events)
-        health = self._health.assess(now, self.perception.rejected)
+        self._health.observe(events, self.perception.absent)
+        health = self._health.assess(now, self.perception.rejected, self.perception.contradictions())
         waiting = self._waiting(now)
         lost = stopped or ("" if waiting else health.reason if health.level is HealthLevel.LOST else "")
         self._accept(now, tasks, lost, waiting)

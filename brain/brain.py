@@ -12,6 +12,7 @@ inputs give equal commands.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from brain.base_brain import BaseBrain
 from brain.belief import Belief, BrainTask
@@ -51,10 +52,11 @@ class Brain:
     ) -> Sequence[Command]:
         """Perceive, plan, control: return one command per motor, in the order of `motors`.
 
-        `now` must not decrease. `events` are those received since the last step, in order. `stopped` is why
-        the gateway has stopped the robot, or "": while it is set every command is Idle, and tasks are
-        dropped."""
-        return self._body.step(now, events, tasks, stopped)
+        `now` must not decrease. `events` are those received since the last step, in order; one stamped after
+        `now` counts as measured now, so that it keeps no source from going stale. `stopped` is why the
+        gateway has stopped the robot, or "": while it is set every command is Idle, and tasks are dropped."""
+        known = [event if event.t <= now else replace(event, t=now) for event in events]
+        return self._body.step(now, known, tasks, stopped)
 
     def belief(self) -> Belief:
         """Return estimate, goal, path, map and state as a value."""

@@ -2,17 +2,23 @@
 
 Rules. Every source (a motor's feedback, a sensor) is assessed by the age of its newest measurement, as a
 share of its own timeout (the robot file's, the only place where a timeout is set), and by the share of its
-measurements that perception has rejected. A worse level takes effect at once, a better one only after it has
-lasted for `recover`. A source that stays bad for `give_up` is lost: the tasks are dropped, and when it comes
-back the brain is ready, but does not go on by itself. A motor in fault is lost at once. At the start a motor
-that initialises is missing, even if it already measures; later some do so briefly whenever they are armed.
+measurements that perception has rejected. A reading that says nothing (an empty scan, a constant IMU) is no
+measurement: its source is late, with that as the cause. Sources that contradict each other (`motion_check`,
+or scans against the map) make the base stand. A worse level takes effect at once, a better one only after it
+has lasted for `recover`. What stays bad for `give_up`, a contradiction for `contradicted`, is lost: the tasks
+are dropped, and when all is well again the brain is ready, but does not go on by itself. So is a base that
+has been slow or standing for `too_long`, or `too_often` within `often_within`. A motor in fault is lost at
+once. At the start a motor that initialises is missing, even if it already measures; later some do so briefly
+whenever they are armed.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from types import MappingProxyType
 
 from brain.checks import ordered, within
 from protocols.messages import MILLISECOND, SECOND, Event, Feedback, Fix, Imu, LaserScan, Mode, Nanos, State
@@ -31,6 +37,14 @@ class HealthSettings:
     """and standing when older than this: a little before the joint's own feedback timeout, at 1.0."""
     give_up: Nanos = 5 * SECOND
     """After standing still for this time the tasks are dropped."""
+    contradicted: Nanos = 1 * SECOND
+    """After a contradiction of the sources for this time the tasks are dropped."""
+    too_long: Nanos = 10 * SECOND
+    """After this time of being slow or standing without interruption the tasks are dropped,"""
+    too_often: int = 5
+    """and when it has begun so many times"""
+    often_within: Nanos = 20 * SECOND
+    """within this time."""
     recover: Nanos = 300 * MILLISECOND
     """All sources must have been well for this time before full speed is allowed again."""
     slow: float = 0.3
@@ -48,6 +62,10 @@ class HealthSettings:
             slow_age=(0.01, 1.0),
             stand_age=(0.01, 1.0),
             give_up=(1.0, 60_000.0),
+            contradicted=(1.0, 60_000.0),
+            too_long=(100.0, 600_000.0),
+            too_often=(1, 100),
+            often_within=(100.0, 600_000.0),
             recover=(1.0, 60_000.0),
             slow=(0.01, 1.0),
             window=(10.0, 60_000.0),
@@ -78,6 +96,7 @@ class SourceHealth:
 
 
 OK = SourceHealth(HealthLevel.OK)
+NOTHING: Mapping[str, str] = MappingProxyType({})
 _MEASUREMENT_NAMES = {Feedback: "feedback", Imu: "reading", LaserScan: "scan", Fix: "fix"}
 
 
@@ -98,6 +117,8 @@ class Health:
         """Time of the newest measurement, by source,"""
         self._measurement: dict[str, str] = {}
         """and what it is called."""
+        self._absent: Mapping[str, str] = {}
+        """Why the newest reading says nothing, by sensor."""
         self._received: dict[str, int] = {}
         self._faults: dict[str, str] = {}
         """The motors in fault, with the detail of their state."""
@@ -108,20 +129,27 @@ class Health:
         self._bad_at: Nanos | None = None
         """and its time; None once recovered."""
         self._halted_since: Nanos | None = None
+        self._contradicted_since: Nanos | None = None
+        self._degraded: deque[Nanos] = deque()
+        """When being slow or standing began, each time."""
+        self._lost = ""
+        """Why the tasks were dropped; until all has been well for `recover`."""
         self._window_end: Nanos | None = None
         self._at_window_start: dict[str, tuple[int, int]] = {}
         """Received and rejected counts at the start of the window, by source."""
         self._rejected_share: dict[str, float] = {}
 
-    def observe(self, events: Sequence[Event]) -> None:
-        """Record which sources have reported, and when they measured."""
+    def observe(self, events: Sequence[Event], absent: Mapping[str, str] = NOTHING) -> None:
+        """Record which sources have reported, and when they measured; `absent`: sensors whose newest reading
+        says nothing, and why."""
+        self._absent = dict(absent)
         for event in events:
             if isinstance(event, State):
                 self._on_state(event)
             elif isinstance(event, Feedback):
                 if event.position is not None or event.velocity is not None:
                     self._on_measurement(event.motor, event)
-            elif isinstance(event, Imu | LaserScan | Fix):
+            elif isinstance(event, Imu | LaserScan | Fix) and event.sensor not in absent:
                 self._on_measurement(event.sensor, event)
 
     def missing(self) -> str:
@@ -132,13 +160,18 @@ class Health:
             for name, detail in self._initialising.items()
             if name in self._last
         ]
-        parts += [f"a reading of {name}" for name in self._sensors if name not in self._last]
+        parts += [
+            f"a reading of {name}{self._why_absent(name)}" for name in self._sensors if name not in self._last
+        ]
         return ", ".join(parts)
 
-    def assess(self, now: Nanos, rejected: Mapping[str, int]) -> SourceHealth:
+    def assess(
+        self, now: Nanos, rejected: Mapping[str, int], contradictions: Sequence[str] = ()
+    ) -> SourceHealth:
         """Return the worst of all sources, with memory: worse at once, better after `recover`."""
         self._update_window(now, rejected)
         worst = max((self.source(now, name) for name in self._last), key=lambda h: h.level, default=OK)
+        worst = self._with_contradictions(now, worst, contradictions)
         if worst.level >= HealthLevel.HALT:
             if self._halted_since is None:
                 self._halted_since = now
@@ -147,12 +180,45 @@ class Health:
         else:
             self._halted_since = None
         if worst.level > HealthLevel.OK:
+            if self._bad_at is None:
+                self._degraded.append(now)
             self._bad, self._bad_at = worst, now
-        elif self._bad_at is not None:
+            return self._limited(now, worst)
+        if self._bad_at is not None:
             if now - self._bad_at < self.settings.recover:
-                return SourceHealth(HealthLevel.SLOW, f"just recovered: {self._bad.reason}")
-            self._bad_at = None
+                recovering = SourceHealth(HealthLevel.SLOW, f"just recovered: {self._bad.reason}")
+                return SourceHealth(HealthLevel.LOST, self._lost) if self._lost else recovering
+            self._bad_at, self._lost = None, ""
         return worst
+
+    def _with_contradictions(
+        self, now: Nanos, worst: SourceHealth, contradictions: Sequence[str]
+    ) -> SourceHealth:
+        if not contradictions:
+            self._contradicted_since = None
+            return worst
+        since = self._contradicted_since = (
+            now if self._contradicted_since is None else self._contradicted_since
+        )
+        if now - since >= self.settings.contradicted:
+            self._lost = contradictions[0]
+        return max(worst, SourceHealth(HealthLevel.HALT, contradictions[0]), key=lambda h: h.level)
+
+    def _limited(self, now: Nanos, bad: SourceHealth) -> SourceHealth:
+        """Return what is bad as lost, if it has been for too long or too often."""
+        settings, began = self.settings, self._degraded
+        while began[0] < now - settings.often_within and len(began) > 1:
+            began.popleft()
+        if now - began[-1] >= settings.too_long:
+            self._lost = f"degraded for {settings.too_long / SECOND:g} s: {bad.reason}"
+        elif len(began) >= settings.too_often:
+            within = f"{len(began)} times within {settings.often_within / SECOND:g} s"
+            self._lost = f"degraded {within}: {bad.reason}"
+            self._degraded = deque([now])
+        return SourceHealth(HealthLevel.LOST, self._lost) if self._lost else bad
+
+    def _why_absent(self, name: str) -> str:
+        return f" ({self._absent[name]})" if name in self._absent else ""
 
     def source(self, now: Nanos, name: str) -> SourceHealth:
         """Return the health of one source, without memory."""
@@ -170,6 +236,7 @@ class Health:
             limit = round(share * timeout)
             if age > limit:
                 reason = f"{name}: no {self._measurement[name]} for more than {limit / MILLISECOND:g} ms"
+                reason += self._why_absent(name)
                 return SourceHealth(level, reason)
         share = self._rejected_share.get(name, 0.0)
         if share >= settings.rejected_slow:

@@ -20,6 +20,7 @@ from protocols.messages import MILLISECOND, Feedback, Nanos, seconds
 
 MAX_SAMPLES = 256
 """Samples of one wheel that are kept while the other is silent."""
+JUMPED = "position jumped"
 STAMP_ERROR: Nanos = 10 * MILLISECOND
 """Two samples may be stamped by this much closer together than their angles were measured."""
 
@@ -114,7 +115,7 @@ class Odometry:
                 return [], "" if feedback.t == last.t and angle == last.angle else "out of order"
             if self._jumped(last, feedback.t, angle):
                 self._restart()
-                defect = "position jumped"
+                defect = JUMPED
         self._wheels[feedback.motor].add(_Sample(feedback.t, angle))
         if feedback.motor == self._body.left:
             self._wanted.append(feedback.t)

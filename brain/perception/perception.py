@@ -24,11 +24,12 @@ from brain.perception.ekf import Ekf, Nis
 from brain.perception.ekf_settings import EkfSettings
 from brain.perception.grid import Grid, GridSettings
 from brain.perception.measurement import GateResult, Measurement, gyro, gyro_at_rest, pose_fix, wheels
+from brain.perception.motion_check import MotionCheck
 from brain.perception.motion_model import BIAS, POSE, SLIP, YAW, V, W, X, Y
 from brain.perception.mount import BodyScan, Mount, to_body
-from brain.perception.odometry import Odometry, OdometrySettings, Travel
+from brain.perception.odometry import JUMPED, Odometry, OdometrySettings, Travel
 from brain.perception.scan_match import MatchSettings, contradicts_map, match
-from protocols.messages import MILLISECOND, Event, Feedback, Imu, LaserScan, Nanos, seconds
+from protocols.messages import MILLISECOND, SECOND, Event, Feedback, Imu, LaserScan, Nanos, seconds
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,11 +73,20 @@ class PerceptionSettings:
     """Match scans against the map; if not, they are only added to it."""
     scan_wait: Nanos = 500 * MILLISECOND
     """Time that a scan waits for the wheels and the gyro."""
+    least_returns: float = 0.05
+    """A scan with returns from less than this share of its rays counts as none. 0: where open ground, without
+    any return, is to be expected; such a scan is still no proof of free space, and is not added to the map."""
     redraw: Nanos = 2000 * MILLISECOND
     """Scans that have contradicted the map for this time are added: the place has changed."""
 
     def __post_init__(self) -> None:
-        within(self, gyro_sigma=(1e-6, 1.0, "rad/s"), scan_wait=(0.0, 1000.0), redraw=(0.0, 60_000.0))
+        within(
+            self,
+            gyro_sigma=(1e-6, 1.0, "rad/s"),
+            scan_wait=(0.0, 1000.0),
+            redraw=(0.0, 60_000.0),
+            least_returns=(0.0, 1.0),
+        )
         grid, match = self.grid, self.match
         window = 2 * math.ceil(match.widest / grid.resolution) + 1
         if match.beams * window**2 > MAX_MATCH_CELLS:
@@ -86,6 +96,12 @@ class PerceptionSettings:
             raise ValueError(f"match: widest must be less than half the map, not {match.widest:g}")
 
 
+CONSTANT = "every value is as before: it does not measure"
+CONSTANT_COUNT, CONSTANT_FOR = 20, 200 * MILLISECOND
+"""An IMU measures nothing if so many readings over that time equal each other in all six numbers: noise alone
+changes the last digit of one of them. A scan does if it equals the one before."""
+MISFIT_FOR: Nanos = 300 * MILLISECOND
+"""Scans that contradict the map for this time are a contradiction."""
 MAX_MATCH_CELLS = 200_000
 """Cells of the map that one step of matching a scan examines."""
 
@@ -107,10 +123,15 @@ class Perception:
         self._vertical = {name: mount.rotation()[2] for name, mount in mounts.items()}
         self._ekf = Ekf(settings.ekf)
         self._odometry = Odometry(body, settings.odometry)
-        self._last_scan: dict[str, Nanos] = {}
+        self.absent: dict[str, str] = {}
+        """Why the newest reading of a sensor says nothing, by sensor; it counts as none."""
+        self._last_scan: dict[str, LaserScan] = {}
+        self._last_imu: dict[str, tuple[Imu, int]] = {}
+        """First reading of a row of equal ones, and how many they are."""
         self._scans: deque[LaserScan] = deque()
         self._moved_at: Nanos | None = None
         self._misfit_since: dict[str, Nanos] = {}
+        self._check = MotionCheck(body, settings.wheels.turn_slip)
         self._gyro: str | None = None
         self._rate = 0.0
 
@@ -139,6 +160,14 @@ class Perception:
         """Normalised innovations squared: by sensor, and of both wheels by the left one's name."""
         return self._ekf.nis
 
+    def contradictions(self) -> list[str]:
+        """Return what the sources show that cannot all be true, in words."""
+        return self._check.contradictions() + [
+            f"{name}: its scans do not fit the map"
+            for name, since in self._misfit_since.items()
+            if self._last_scan[name].t - since >= MISFIT_FOR
+        ]
+
     def observe(self, now: Nanos, events: Sequence[Event]) -> None:
         """Process the events since the last call, in order of arrival."""
         measurements: list[Measurement] = []
@@ -161,10 +190,14 @@ class Perception:
         travels, defect = self._odometry.observe(feedback)
         if defect:
             self._count(feedback.motor, defect)
+        if defect == JUMPED:
+            moved_at = -SECOND if self._moved_at is None else self._moved_at
+            self._check.on_jump(feedback.motor, feedback.t - moved_at < self.settings.wheels.still_for)
         return [self._wheel_measurement(travel) for travel in travels]
 
     def _wheel_measurement(self, travel: Travel) -> Measurement:
         distance, turn = self.body.forward(travel.left, travel.right)
+        self._check.on_wheels(travel.since, travel.t, travel.left, travel.right)
         self.raw = arc(self.raw, distance, turn)
         dt = seconds(travel.t - travel.since)
         resolution = self.settings.odometry.resolution
@@ -181,8 +214,11 @@ class Perception:
         base is being turned on its resting wheels)."""
         if self._moved_at is None or t - self._moved_at < self.settings.wheels.still_for:
             return False
-        variance = self.settings.gyro_sigma**2 + float(self._ekf.covariance[BIAS, BIAS])
-        return self._gyro is None or abs(self._rate - self.gyro_bias) < 4.0 * math.sqrt(variance)
+        sigma = math.hypot(self.settings.gyro_sigma, self._bias_sigma())
+        return self._gyro is None or abs(self._rate - self.gyro_bias) < 4.0 * sigma
+
+    def _bias_sigma(self) -> float:
+        return math.sqrt(float(self._ekf.covariance[BIAS, BIAS]))
 
     # -- gyro ----------------------------------------------------------------------------------
 
@@ -191,14 +227,29 @@ class Perception:
         if vertical is None:
             return []
         self._gyro = self._gyro or imu.sensor
+        if self._is_constant(imu):
+            return []
         if imu.sensor != self._gyro:
             self._count(imu.sensor, "not used beside another gyro")
             return []
         rate = sum(a * b for a, b in zip(vertical, imu.angular_velocity, strict=True))
         if math.isfinite(rate):
             self._rate = rate
+            self._check.on_gyro(imu.sensor, imu.t, rate - self.gyro_bias, self._bias_sigma())
         measurement = gyro_at_rest if self._at_rest(imu.t) else gyro
         return [measurement(imu.sensor, imu.t, rate, self.settings.gyro_sigma)]
+
+    def _is_constant(self, imu: Imu) -> bool:
+        first, count = self._last_imu.get(imu.sensor, (imu, 0))
+        if (imu.angular_velocity, imu.linear_acceleration) != (
+            first.angular_velocity,
+            first.linear_acceleration,
+        ):
+            first, count = imu, 0
+        self._last_imu[imu.sensor] = first, count + 1
+        constant = count + 1 >= CONSTANT_COUNT and imu.t - first.t >= CONSTANT_FOR
+        self._set_absent(imu.sensor, CONSTANT if constant else "")
+        return constant
 
     def _update(self, measurement: Measurement) -> GateResult:
         result = self._ekf.observe(measurement)
@@ -215,13 +266,28 @@ class Perception:
     def _on_scan(self, scan: LaserScan) -> None:
         if scan.sensor not in self._mounts:
             return
+        last = self._last_scan.get(scan.sensor)
         if not _is_valid(scan):
             self._count(scan.sensor, "not a scan")
-        elif scan.t <= self._last_scan.get(scan.sensor, scan.t - 1):
+        elif last is not None and scan.t <= last.t:
             self._count(scan.sensor, "out of order")
         else:
-            self._last_scan[scan.sensor] = scan.t
-            self._scans.append(scan)
+            self._last_scan[scan.sensor] = scan
+            returns = sum(scan.range_min <= length < scan.range_max for length in scan.ranges)
+            few = returns < self.settings.least_returns * len(scan.ranges)
+            reason = f"{returns} of {len(scan.ranges)} rays have returns" if few else ""
+            if returns and last is not None and np.array_equal(scan.ranges, last.ranges, equal_nan=True):
+                reason = CONSTANT
+            self._set_absent(scan.sensor, reason)
+            if returns and not reason:
+                self._scans.append(scan)
+
+    def _set_absent(self, name: str, reason: str) -> None:
+        if reason:
+            self.absent[name] = reason
+            self._count(name, "too few returns" if reason != CONSTANT else CONSTANT)
+        else:
+            self.absent.pop(name, None)
 
     def _process_scans(self, now: Nanos) -> None:
         while self._scans:
@@ -241,6 +307,7 @@ class Perception:
             self._count(scan.sensor, GateResult.LATE)
             return
         body_scan = to_body(scan, self._mounts[scan.sensor], self.settings.grid.farthest)
+        self._check.on_scan(scan.sensor, scan.t, body_scan)
         if self.settings.matching and not self._matched(scan, body_scan, *predicted):
             return
         self.map.add(_pose((self._ekf.at(scan.t) or predicted)[0]), body_scan)
@@ -291,9 +358,18 @@ def _pose(state: Floats) -> Pose:
     return Pose(float(state[X]), float(state[Y]), float(state[YAW]))
 
 
+MAX_BEAMS = 10_000
+"""Of a scan."""
+
+
 def _is_valid(scan: LaserScan) -> bool:
-    numbers = (scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max)
-    if not all(math.isfinite(number) for number in numbers) or not scan.ranges:
-        return False
-    turn = scan.angle_increment * (len(scan.ranges) - 1)
-    return scan.range_max > 0.0 and scan.angle_increment > 0.0 and turn < 2.0 * math.pi + 1e-6
+    """True if a scan is what a planar lidar can send: everything else in it would be work, or overflow."""
+    count, turn = len(scan.ranges), scan.angle_increment * (len(scan.ranges) - 1)
+    return (
+        0 < count <= MAX_BEAMS
+        and 1e-5 <= scan.angle_increment <= 2.0 * math.pi
+        and turn < 2.0 * math.pi + 1e-6
+        and abs(scan.angle_min) <= 4.0 * math.pi
+        and abs(scan.range_min) <= 1e3
+        and 0.0 < scan.range_max <= 1e4
+    )

@@ -14,7 +14,7 @@ from math import hypot, inf, isfinite, nan
 import pytest
 
 from brain.base_brain import BaseBrain
-from brain.belief import BrainState
+from brain.belief import BrainState, Pose
 from brain.bodies.differential import arc, wrap
 from brain.bodies.joints import Joints
 from brain.brain import Brain, BrainSettings
@@ -303,7 +303,7 @@ def test_a_motor_in_fault_stops_the_base() -> None:
 
 
 def test_manual_driving_obeys_the_limits_and_times_out() -> None:
-    trip = Trip(Office())
+    trip = Trip(Office(pose=Pose(-1.5, 1.0, 0.0)))
     trip.run(0.5)
     for _ in range(200):
         trip.tick([msg.Drive(5.0, 0.0)])

@@ -56,7 +56,7 @@ def apart(perception: Perception, truth: Pose) -> float:
 
 
 def reports(t: Nanos, left: float = 0.0, right: float = 0.0, rate: float = 0.0) -> list[Event]:
-    imu = Imu("imu", t, (0.0, 0.0, rate), (0.0, 0.0, 9.81))
+    imu = Imu("imu", t, (0.0, 0.0, rate), (1e-12 * t, 0.0, 9.81))  # no two readings are equal: noise
     return [Feedback("left", t, left), Feedback("right", t, right), imu]
 
 
@@ -315,7 +315,7 @@ def test_what_is_not_finite_never_enters(bad: float) -> None:
     belief.observe(1010 * MS, [*reports(1010 * MS), replace(scan, t=1005 * MS, ranges=(bad,) * 360)])
     assert belief.anomalies["left"] == {"not finite": 1}
     assert belief.anomalies["imu"] == {"not finite": 1}
-    assert belief.anomalies["lidar"] == {"not a scan": 4}
+    assert belief.anomalies["lidar"] == {"not a scan": 4, "too few returns": 1}
     assert np.isfinite(belief.map.log_odds).all()
     assert belief.estimate is not None
     assert np.isfinite(belief.estimate.covariance).all()
