@@ -74,8 +74,8 @@ class PerceptionSettings:
     scan_wait: Nanos = 500 * MILLISECOND
     """Time that a scan waits for the wheels and the gyro."""
     least_returns: float = 0.05
-    """A scan with returns from less than this share of its rays counts as none. 0: where open ground, without
-    any return, is to be expected; such a scan is still no proof of free space, and is not added to the map."""
+    """A scan with returns from less than this share of its rays counts as none. 0: in open ground, where no
+    return is to be expected; such a scan is no proof of free space, either, and is not added to the map."""
     redraw: Nanos = 2000 * MILLISECOND
     """Scans that have contradicted the map for this time are added: the place has changed."""
 
