@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Sequence
 from contextlib import closing
 from dataclasses import replace
 from itertools import islice
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from benchmarks.measure import Effort, Figures, figures
 from benchmarks.rows import Row, Target, span
@@ -19,15 +19,21 @@ from brain.bodies.joints import Joints
 from gateway import config
 from gateway.buses.virtual.bus import open_world
 from gateway.core.clock import SimulatedClock, stopwatch
+from gateway.core.guard import Blocked
 from gateway.core.robot import Robot
 from gateway.core.step import Gateway
 from gateway.core.tick import Tick
 from gateway.runtime.loop import live
 from gateway.runtime.process import quiet_collector
+from protocols.frames import Frame
 from protocols.messages import MILLISECOND, SECOND, Feedback, Instruction, Nanos, Position, Velocity
 
 GROUP = "a step of the gateway (all motors report, all are commanded)"
+GUARD = "the guard (for each frame that goes out, part of the step)"
 TICK = "a tick of 5 ms"
+FRAME = "the frame on a bus of 1 Mbit/s"
+CAN_FRAME: Nanos = 130_000
+"""8 bytes with an 11-bit id, the worst but for a few bits of stuffing"""
 SETTLED = 300 * MILLISECOND
 """When targets are asked for: by then every motor has reported."""
 WARM = 600 * MILLISECOND
@@ -47,7 +53,31 @@ def steps(effort: Effort) -> list[Row]:
     found = time_steps(drives, effort.of(9, 1))
     targets = {name: Target(at_most=0.4 * MILLISECOND) for name in drives if name.startswith("12")}
     tick = {name: (span(TICK, robot.period),) for name, (robot, _) in drives.items()}
-    return [Row(GROUP, name, found[name], tick[name], targets.get(name)) for name in drives]
+    checked = {name: guard_time(*drives[name]) for name in drives}
+    frame = (span(FRAME, CAN_FRAME),)
+    return [
+        *(Row(GROUP, name, found[name], tick[name], targets.get(name)) for name in drives),
+        *(Row(GUARD, name, checked[name], frame, None) for name in drives),
+    ]
+
+
+def guard_time(robot: Robot, ticks: Sequence[Tick]) -> Figures:
+    """Nanoseconds that the guard takes for each frame that goes out."""
+    gateway = Gateway(robot)
+    check, took = gateway.guard.check, list[float]()
+
+    def timed_check(*given: Any) -> tuple[list[Frame], list[Blocked]]:  # noqa: ANN401 -- passed on
+        began = stopwatch()
+        passed, blocked = check(*given)
+        if passed:
+            took.append((stopwatch() - began) / len(passed))
+        return passed, blocked
+
+    gateway.guard.check = timed_check  # type: ignore[method-assign] -- the clock around it
+    with quiet_collector():
+        for tick in ticks:
+            gateway.step(tick.now, tick.inputs)
+    return figures(took)
 
 
 def first(robot: Robot, motors: int) -> Robot:

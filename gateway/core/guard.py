@@ -69,20 +69,48 @@ def decoder_of(robot: Robot, bus: str) -> CommandDecoder:
     return _BusDecoder([plugin.decoder(devices) for plugin, devices in robot.by_protocol(bus)])
 
 
+class _Receivers:
+    """Command decoders of the devices on a bus: a frame is decoded by those only that listen to its id."""
+
+    def __init__(self, robot: Robot, bus: str) -> None:
+        devices = [
+            (spec, plugin.decoder([device]))
+            for plugin, group in robot.by_protocol(bus)
+            for device in group
+            for spec in [plugin.spec(device)]
+        ]
+        self._decoders = [decoder for _, decoder in devices]
+        self._ids = [(*spec.sends, *spec.obeys_also) for spec, _ in devices]
+        self._by_id: dict[tuple[int, bool], list[int]] = {}
+        """The decoders by the id of a frame and its format: filled as ids are used."""
+
+    def decode(self, t: Nanos, frame: Frame) -> list[Obeyed]:
+        """Decode what any device on the bus would obey."""
+        if isinstance(frame, CanFrame):
+            key = (frame.id, frame.extended)
+            numbers = self._by_id.get(key)
+            if numbers is None:
+                numbers = [n for n, ids in enumerate(self._ids) if any_matches(ids, frame)]
+                self._by_id[key] = numbers
+        else:
+            numbers = list(range(len(self._decoders)))
+        return [one for number in numbers for one in self._decoders[number].decode(t, frame)]
+
+
 class Guard:
     """Reads what is sent to the devices of one robot. Its state is plain data."""
 
     def __init__(self, robot: Robot) -> None:
-        self._motors = robot.motors
+        self._motors = {name: _Bounds(motor) for name, motor in robot.motors.items()}
         self._specs = {
             (bus, plugin.name): {one.name: (robot.motors | robot.sensors)[one.name].spec for one in devices}
             for bus in robot.buses
             for plugin, devices in robot.by_protocol(bus)
         }
         """By bus and protocol, then by device."""
-        self._sent = {bus: decoder_of(robot, bus) for bus in robot.buses}
+        self._sent = {bus: _Receivers(robot, bus) for bus in robot.buses}
         """What the devices have received: the frames that were passed."""
-        self._trial = {bus: decoder_of(robot, bus) for bus in robot.buses}
+        self._trial = {bus: _Receivers(robot, bus) for bus in robot.buses}
         """The same, for trying the next frame."""
         self._last: dict[str, tuple[Nanos, Command]] = {}
         """The last set-point that each motor was sent."""
@@ -210,36 +238,30 @@ class Guard:
 
     def _outside(self, now: Nanos, one: SetPoint, joint: Joint) -> Objection | None:
         """Return which number of a set-point is beyond the limits of the robot file."""
-        motor = self._motors[joint.name]
-        limits, measured = motor.joint.limits, joint.feedback
-        values = _Values(one, motor)
+        bounds, measured = self._motors[joint.name], joint.feedback
+        limits = bounds.limits
         for quantity, limit in (("velocity", limits.velocity), ("torque", limits.torque)):
-            value, slack = values.of(quantity)
-            if value - value != 0.0:  # infinities and NaN less themselves are NaN
-                return "not finite", f"{quantity} {value}"
-            if abs(value) > limit + slack:
+            value = bounds.at_joint(one, quantity)
+            if not abs(value) <= limit + bounds.slack(one, quantity):  # NaN is neither
                 return f"{quantity} beyond the limit", f"{value:g}, limit {limit:g}"
-        at, last = self._last.get(joint.name, (now - motor.joint.command_timeout, None))
-        dt = (min(now - at, motor.joint.command_timeout) + LATENCY) / SECOND
+        at, last = self._last.get(joint.name, (now - bounds.timeout, None))
+        dt = (min(now - at, bounds.timeout) + LATENCY) / SECOND
         if isinstance(one, msg.Velocity):
-            value, slack = values.of("velocity")
+            value, slack = bounds.at_joint(one, "velocity"), bounds.slack(one, "velocity")
             before = [measured.velocity or 0.0]
-            before += [_Values(last, motor).of("velocity")[0]] if isinstance(last, msg.Velocity) else []
+            before += [bounds.at_joint(last, "velocity")] if isinstance(last, msg.Velocity) else []
             slower = any(abs(value) <= abs(v) + slack and value * v >= 0.0 for v in before)
             if not slower and all(abs(value - v) > limits.acceleration * dt + slack for v in before):
                 return "acceleration beyond the limit", f"velocity {value:g} after {before[-1]:g}"
-        if not isinstance(one, msg.Position | msg.Impedance):
-            return None
-        value, slack = values.of("position")
-        if value - value != 0.0:
-            return "not finite", f"position {value}"
-        if abs(limits.inside(value) - value) > slack:
-            return "position beyond the limit", f"{value:g}, limits {limits.position}"
-        if isinstance(one, msg.Position) and measured.position is not None:
-            from_here = [measured.position, limits.inside(measured.position)]
-            from_here += [_Values(last, motor).of("position")[0]] if isinstance(last, msg.Position) else []
-            if all(abs(value - p) > limits.velocity * dt + slack for p in from_here):
-                return "a jump of the position", f"{value:g} after {from_here[-1]:g}"
+        elif isinstance(one, msg.Position | msg.Impedance):
+            value, slack = bounds.at_joint(one, "position"), bounds.slack(one, "position")
+            if not abs(limits.inside(value) - value) <= slack:  # NaN and infinities are not
+                return "position beyond the limit", f"{value:g}, limits {limits.position}"
+            if isinstance(one, msg.Position) and measured.position is not None:
+                places = [measured.position, limits.inside(measured.position)]
+                places += [bounds.at_joint(last, "position")] if isinstance(last, msg.Position) else []
+                if all(abs(value - place) > limits.velocity * dt + slack for place in places):
+                    return "a jump of the position", f"{value:g} after {places[-1]:g}"
         return None
 
 
@@ -255,17 +277,23 @@ ASKED: tuple[type[Request], ...] = (
 """Requests after which a device may receive frames that are not read-only."""
 
 
-class _Values:
-    """The numbers of a set-point at the joint's output shaft, each with the error of its encoding."""
+class _Bounds:
+    """The limits of a motor in the robot file, and how its numbers are seen at the joint's output shaft."""
 
-    def __init__(self, one: SetPoint, motor: Motor) -> None:
-        self._one, self._ranges = one, motor.spec.ranges
+    def __init__(self, motor: Motor) -> None:
+        self.limits, self.timeout = motor.joint.limits, motor.joint.command_timeout
+        self._ranges = motor.spec.ranges
         self._ratio = motor.joint.gear * motor.joint.sign
 
-    def of(self, quantity: str) -> tuple[float, float]:
-        """Return "position", "velocity" or "torque", and its slack; 0 where the set-point has none."""
-        value = getattr(self._one, quantity, 0.0)
-        factor = self._ratio if quantity == "torque" else 1.0 / self._ratio
-        known = self._ranges.get(f"{type(self._one).__name__}.{quantity}")
-        slack = 0.0 if known is None else known.resolution + known.relative * abs(value)
-        return value * factor, slack * abs(factor) + 1e-9
+    def at_joint(self, one: SetPoint, quantity: str) -> float:
+        """Return "position", "velocity" or "torque"; 0 where the set-point has none."""
+        value: float = getattr(one, quantity, 0.0)
+        return value * self._ratio if quantity == "torque" else value / self._ratio
+
+    def slack(self, one: SetPoint, quantity: str) -> float:
+        """Return the error of the encoding of a quantity."""
+        known = self._ranges.get(f"{type(one).__name__}.{quantity}")
+        if known is None:
+            return 1e-9
+        error: float = known.resolution + known.relative * abs(getattr(one, quantity))
+        return 1e-9 + abs(error * self._ratio if quantity == "torque" else error / self._ratio)

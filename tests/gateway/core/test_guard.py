@@ -1,0 +1,333 @@
+"""The guard: what goes to a bus is what the devices may obey, whatever brain, joint and driver make of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from math import tau
+from struct import pack
+from typing import NoReturn
+
+import pytest
+
+from gateway import config
+from gateway.core.guard import Guard, decoder_of
+from gateway.core.joint import Joint
+from gateway.core.step import DRIVER_FAILED, FRAME_BLOCKED, Gateway
+from gateway.core.tick import Inputs
+from protocols import messages as msg
+from protocols.frames import CanFrame, Frame, Packet
+from protocols.messages import MILLISECOND, SECOND, Command, Mode, Nanos, Request
+from tests.gateway.rig import BENCH, Rig, notes_in, sent_commands
+
+LEFT, RIGHT, NOBODY = 1, 2, 9
+"""Addresses."""
+ROBOT = config.parse_robot(
+    BENCH.replace("[motors.right]", "[motors.right]\nlimits.position = [-2.0, 2.0]\nsign = -1")
+)
+GEAR = 8.0
+LIMIT = 20.0
+"""rad/s"""
+
+
+def odrive(address: int, command: int, data: bytes) -> CanFrame:
+    """A frame to an ODrive."""
+    return CanFrame(address << 5 | command, data)
+
+
+def mode(address: int, control: int, inputs: int = 1) -> CanFrame:
+    """Set_Controller_Mode."""
+    return odrive(address, 0x0B, pack("<II", control, inputs))
+
+
+def arm(address: int) -> CanFrame:
+    """Set_Axis_State, closed loop."""
+    return odrive(address, 0x07, pack("<II", 8, 0)[:4])
+
+
+def velocity(address: int, value: float, torque: float = 0.0) -> CanFrame:
+    """Set_Input_Vel at the joint's output shaft [rad/s, N·m]."""
+    return odrive(address, 0x0D, pack("<ff", value * GEAR / tau, torque / GEAR))
+
+
+def torque(address: int, value: float) -> CanFrame:
+    """Set_Input_Torque at the output shaft [N·m]."""
+    return odrive(address, 0x0E, pack("<f", value / GEAR))
+
+
+def position(address: int, value: float, ahead: float = 0.0) -> CanFrame:
+    """Set_Input_Pos at the output shaft [rad, rad/s]."""
+    return odrive(address, 0x0C, pack("<fhh", value * GEAR / tau, round(ahead * GEAR / tau * 1000), 0))
+
+
+IDLE = odrive(LEFT, 0x07, pack("<I", 1))
+POLL = CanFrame(LEFT << 5 | 0x09, remote=True)
+CLEAR = odrive(LEFT, 0x18, b"")
+REBOOT = odrive(LEFT, 0x16, b"\0")
+
+
+@dataclass
+class Situation:
+    """What the guard knows when a frame comes."""
+
+    owned: bool = True
+    mode: Mode = Mode.ARMED
+    fault: bool = False
+    stopped: bool = False
+    asked: tuple[Request, ...] = ()
+    asked_ago: Nanos = 0
+    before: tuple[CanFrame, ...] = ()
+    """Frames that were passed, 5 ms before."""
+    measured: dict[str, float] = field(default_factory=dict)
+
+
+def verdict(situation: Situation, frame: Frame) -> str:
+    """Return the rule that a frame breaks; "" if it is passed."""
+    guard, now = Guard(ROBOT), 100 * SECOND
+    joints = {}
+    for name, motor in ROBOT.motors.items():
+        joint = joints[name] = Joint(name, motor.joint, motor.spec)
+        ratio = motor.joint.gear * motor.joint.sign
+        at_device = {quantity: value * ratio for quantity, value in situation.measured.items()}
+        at_rest = {"position": 0.0, "velocity": 0.0}
+        shaft = at_rest | at_device
+        joint.on_event(msg.Feedback(name, now, shaft["position"], shaft["velocity"], *(None,) * 4))
+        joint.on_event(msg.State(name, now, situation.mode, ""))
+        joint.owned = situation.owned
+        if situation.fault:
+            joint.latch(msg.Fault(name, now, 1, "a fault", "", ""))
+    for request in situation.asked:
+        guard.ask(now - situation.asked_ago, request)
+    before = guard.check(now - 5 * MILLISECOND, "can0", "odrive_can", situation.before, joints, stopped=False)
+    assert before == (list(situation.before), [])
+    passed, blocked = guard.check(now, "can0", "odrive_can", [frame], joints, situation.stopped)
+    assert len(passed) + len(blocked) == 1
+    return blocked[0].rule if blocked else ""
+
+
+TURNING = (mode(LEFT, 2), arm(LEFT), mode(RIGHT, 2), arm(RIGHT))
+"""In velocity control."""
+PUSHING = (mode(LEFT, 1), arm(LEFT))
+MOVING = (mode(LEFT, 3), arm(LEFT), mode(RIGHT, 3), arm(RIGHT))
+"""In position control."""
+FRESH = Situation(owned=False, mode=Mode.READY)
+OURS = Situation(mode=Mode.READY)
+NOT_OURS = "a command to a device that was not commanded"
+NOT_MADE = "a request that was not made"
+AGAINST = "arming against a stop or a fault"
+TOO_FAST = "velocity beyond the limit"
+TOO_FAR = "position beyond the limit"
+TOO_STRONG = "torque beyond the limit"
+NO_SET_UP = "not read-only, and its device was not commanded"
+JERKS = "acceleration beyond the limit"
+JUMPS = "a jump of the position"
+
+
+def turning(measured: float = 0.0, *before: CanFrame) -> Situation:
+    """Both in velocity control, at a measured velocity [rad/s]."""
+    return Situation(before=(*TURNING, *before), measured={"velocity": measured})
+
+
+def moving(measured: float = 0.0, *before: CanFrame) -> Situation:
+    """Both in position control, at a measured position [rad]."""
+    return Situation(before=(*MOVING, *before), measured={"position": measured})
+
+
+def asked(request: Request, ago: Nanos = 0, situation: Situation = OURS) -> Situation:
+    """After a request of the operator."""
+    return replace(situation, asked=(request,), asked_ago=ago)
+
+
+CASES: list[tuple[str, Situation, Frame, str]] = [
+    ("read-only, before any command", FRESH, POLL, ""),
+    ("arming before any command", FRESH, arm(LEFT), NOT_OURS),
+    ("Idle before any command", FRESH, IDLE, NOT_OURS),
+    ("Idle, after the operator's stop", asked(msg.Stop(), 0, FRESH), IDLE, ""),
+    ("set-up before any command", FRESH, mode(LEFT, 2), NO_SET_UP),
+    ("set-up of a commanded device", OURS, mode(LEFT, 2), ""),
+    ("to no device of the robot", OURS, arm(NOBODY), "not a frame to any device of this driver"),
+    ("arming a commanded device", OURS, arm(LEFT), ""),
+    ("arming against a stop", replace(OURS, stopped=True), arm(LEFT), AGAINST),
+    ("arming against a fault", replace(OURS, fault=True), arm(LEFT), AGAINST),
+    ("armed already, in a stop: it brakes", Situation(stopped=True), arm(LEFT), ""),
+    ("Idle in a stop", Situation(stopped=True, fault=True), IDLE, ""),
+    ("clearing unasked", OURS, CLEAR, NOT_MADE),
+    ("clearing", asked(msg.ClearFault("left")), CLEAR, ""),
+    ("clearing another", asked(msg.ClearFault("right")), CLEAR, NOT_MADE),
+    ("clearing, asked long ago", asked(msg.ClearFault("left"), 61 * SECOND), CLEAR, NOT_MADE),
+    ("clearing, asked a minute ago", asked(msg.ClearFault("left"), 60 * SECOND), CLEAR, ""),
+    ("a restart unasked", OURS, REBOOT, NOT_MADE),
+    ("a restart of what was not commanded", asked(msg.Reboot("left"), 0, FRESH), REBOOT, ""),
+    ("at the limit", turning(LIMIT), velocity(LEFT, LIMIT), ""),
+    ("beyond the limit", turning(LIMIT), velocity(LEFT, LIMIT + 0.01), TOO_FAST),
+    ("beyond it backwards", turning(-LIMIT), velocity(LEFT, -LIMIT - 0.01), TOO_FAST),
+    ("reversed: at the limit", turning(LIMIT), velocity(RIGHT, -LIMIT), ""),
+    ("feed-forward at the limit", turning(), velocity(LEFT, 0.0, 2.0), ""),
+    ("feed-forward beyond it", turning(), velocity(LEFT, 0.0, -2.01), TOO_STRONG),
+    ("torque at the limit", Situation(before=PUSHING), torque(LEFT, 2.0), ""),
+    ("torque beyond the limit", Situation(before=PUSHING), torque(LEFT, -2.01), TOO_STRONG),
+    ("faster, within 55 ms of acceleration", turning(0.0, velocity(LEFT, 1.0)), velocity(LEFT, 4.29), ""),
+    ("faster than that", turning(0.0, velocity(LEFT, 1.0)), velocity(LEFT, 4.31), JERKS),
+    ("as measured", turning(12.0), velocity(LEFT, 12.0), ""),
+    ("slower at once", turning(12.0), velocity(LEFT, 0.0), ""),
+    ("to the other direction", turning(12.0), velocity(LEFT, -12.0), JERKS),
+    ("a position near", moving(), position(LEFT, 1.09), ""),
+    ("a jump", moving(), position(LEFT, 1.11), JUMPS),
+    ("a jump back to zero", moving(12.5), position(LEFT, 0.0), JUMPS),
+    ("on from the last set-point", moving(0.0, position(LEFT, 1.0)), position(LEFT, 2.09), ""),
+    ("within the range", moving(1.9), position(RIGHT, -2.0), ""),
+    ("out of the range", moving(1.9), position(RIGHT, -2.01), TOO_FAR),
+    ("back into the range", moving(9.0), position(RIGHT, -2.0), ""),
+    ("feed-forward too fast", moving(), position(LEFT, 0.0, -LIMIT - 0.1), TOO_FAST),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("situation", "frame", "rule"), [case[1:] for case in CASES], ids=[c[0] for c in CASES]
+)
+def test_what_passes_and_what_does_not(situation: Situation, frame: Frame, rule: str) -> None:
+    assert verdict(situation, frame) == rule
+
+
+def test_a_blocked_frame_leaves_no_trace_and_does_not_hold_back_the_next() -> None:
+    robot, guard, now = ROBOT, Guard(ROBOT), 100 * SECOND
+    joints = {name: Joint(name, motor.joint, motor.spec) for name, motor in robot.motors.items()}
+    joints["left"].owned = True
+    wanted = [mode(LEFT, 2), arm(LEFT), velocity(RIGHT, 1.0), mode(RIGHT, 1), velocity(LEFT, 1.0)]
+    passed, blocked = guard.check(now, "can0", "odrive_can", wanted, joints, stopped=False)
+    assert passed == [wanted[0], wanted[1], wanted[4]]
+    assert [each.motors for each in blocked] == [("right",), ("right",)]
+    assert blocked[0].text == f"not read-only, and its device was not commanded (right): {wanted[2]}"
+    decoder = decoder_of(robot, "can0")
+    for frame in passed:
+        decoder.decode(now, frame)
+    joints["right"].owned = True
+    again = velocity(RIGHT, 1.0)
+    assert guard._trial["can0"].decode(now, again) == decoder.decode(now, again)
+
+
+# -- below a joint without limits ----------------------------------------------------------------------------
+
+ROBOTS = (
+    "diffbot",
+    "diffbot_cia402",
+    "diffbot_moteus",
+    "diffbot_damiao",
+    "diffbot_zlac8015d",
+    "bench05",
+    "twelve",
+)
+
+
+class LimitlessJoint(Joint):
+    """A joint that has no limits, and ignores a stop."""
+
+    wild: Command | None = None
+
+    def command(self, now: Nanos, new: Command | None, stopped: bool, last: bool = False) -> Command:
+        """Return what was not asked for."""
+        usual = super().command(now, new, stopped, last)
+        if self.wild is None:
+            return usual
+        self.owned = True
+        return replace(self.wild, motor=self.name)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("wild", ["fast", "against a stop"])
+def test_a_joint_without_limits_moves_nothing_beyond_them(name: str, wild: str) -> None:
+    robot = config.load_robot(name)
+    rig = Rig(robot.text)
+    for joint in rig.gateway.joints.values():
+        joint.__class__ = LimitlessJoint
+    rig.run(1.2)
+    if wild == "against a stop":
+        rig.run(0.2, msg.Stop())
+    speed = 1.3 if wild == "fast" else 0.05
+    for name, joint in rig.gateway.joints.items():
+        assert isinstance(joint, LimitlessJoint)
+        own = robot.motors[name].joint
+        joint.wild = msg.Velocity(name, speed * own.gear * own.limits.velocity)
+    ticks = rig.run(1.5)
+    frames = [(packet.bus, packet.frame, tick.now) for tick in ticks for packet in tick.outputs.packets]
+    decoders = {bus: decoder_of(robot, bus) for bus in robot.buses}
+    for bus, frame, now in frames:
+        for one in decoders[bus].decode(now, frame):
+            if wild == "against a stop":
+                assert not isinstance(one, msg.Arm)
+            elif isinstance(one, msg.Velocity):
+                motor = robot.motors[one.motor].joint
+                assert abs(one.velocity / motor.gear) <= motor.limits.velocity * 1.0001
+    assert all(
+        abs(rig.velocity(motor)) < 1.2 * robot.motors[motor].joint.limits.velocity for motor in robot.motors
+    )
+    codes = {code for joint in rig.gateway.joints.values() for code, _ in joint.faults}
+    assert FRAME_BLOCKED in codes
+    assert any("frame blocked by the guard" in note.text for note in notes_in(ticks))
+
+
+# -- beside a driver that raises -----------------------------------------------------------------------------
+
+
+def failing(*_given: object, **_named: object) -> NoReturn:
+    """Raise, as a plugin with a defect does."""
+    raise ZeroDivisionError("a defect")
+
+
+@pytest.mark.parametrize("method", ["send", "receive", "bus", "due"])
+@pytest.mark.parametrize("protocol", ["plain", "cia402"])
+def test_a_driver_that_raises_keeps_nothing_from_the_others(
+    protocol: str, method: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = Rig(config.load_robot("diffbot_mixed").text)
+    rig.run(2.0, msg.Goal(1.5, 0.0))
+    assert rig.velocity("left") > 1.0
+    broken = next(one for one in rig.gateway._drivers if one.protocol == protocol)
+    monkeypatch.setattr(broken.driver, method, failing)
+    if method == "bus":
+        rig.world.buses[broken.bus].lose()
+        rig.world.buses[broken.bus].restore()
+    ticks = rig.run(2.0)
+    stopped = rig.gateway.why_stopped()
+    assert f"the driver {protocol} on {broken.bus} has failed" in stopped
+    assert len([note for note in notes_in(ticks) if "ZeroDivisionError: a defect" in note.text]) == 1
+    ours = {
+        motor
+        for motor, joint in rig.gateway.joints.items()
+        if DRIVER_FAILED in {code for code, _ in joint.faults}
+    }
+    assert ours == (set() if protocol == "plain" else {"left"})
+    last = {command.motor: command for _, command in sent_commands(rig.robot, rig.ticks)}
+    for motor in ("right",) if (protocol, method) == ("cia402", "send") else ("right", "left"):
+        assert isinstance(last[motor], msg.Idle), motor
+    rig.run(0.5, msg.Release())
+    if method != "bus":  # which is not called again
+        assert rig.gateway.why_stopped() == stopped, "it stays stopped: the driver still fails"
+
+
+def test_leaving_reaches_every_motor_though_a_driver_and_a_joint_raise(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rig = Rig(config.load_robot("diffbot_mixed").text)
+    rig.run(2.0, msg.Goal(1.5, 0.0))
+    rig.run(0.5, msg.Position("mast", 1.0))
+    for one in rig.gateway._drivers:
+        if one.protocol in ("plain", "cia402"):
+            monkeypatch.setattr(one.driver, "send", failing)
+    monkeypatch.setattr(rig.gateway.joints["mast"], "command", failing)
+    sent = rig.gateway.leave(rig.clock.now())
+    decoder = decoder_of(rig.robot, "can0")
+    obeyed = [one for packet in sent for one in decoder.decode(packet.t, packet.frame)]
+    assert [one.motor for one in obeyed if isinstance(one, msg.Idle)] == ["right", "mast"]
+
+
+# -- stamps --------------------------------------------------------------------------------------------------
+
+
+def test_a_packet_from_the_future_was_received_now() -> None:
+    gateway, now = Gateway(ROBOT), 5 * SECOND
+    encoder = CanFrame(LEFT << 5 | 0x09, pack("<ff", 1.0, 2.0))
+    for t in (now + 3600 * SECOND, now - 20 * MILLISECOND):
+        gateway.step(now, Inputs(packets=(Packet(t, "can0", encoder),)))
+        assert gateway.joints["left"].feedback.t == min(t, now)
+        now += 5 * MILLISECOND
+    assert gateway.joints["left"].feedback_lost(now + 101 * MILLISECOND)
