@@ -42,7 +42,7 @@ FRAME_BLOCKED = -4
 DRIVER_FAILED = -5
 """Our own fault code: the driver of the device has raised an exception."""
 
-LEFT_ARMED = "left armed: cut its supply"
+LEFT_ARMED = "still armed: cut its supply"
 """The note on a motor that still reports being armed when the run has been left."""
 Result = TypeVar("Result")
 _NOTHING: Sequence[Event] = ()
@@ -137,9 +137,16 @@ class Gateway:
         if inputs is not None:
             self._on_bus_states(now, inputs.states)
             self._receive(now, inputs.packets)
-        commands = {
-            name: joint.command(now, None, stopped=True, last=True) for name, joint in self.joints.items()
-        }
+        self._now = now
+        commands: dict[str, Command] = {}
+        for name, joint in self.joints.items():
+            try:
+                commands[name] = joint.command(now, None, stopped=True, last=True)
+            except Exception as error:  # noqa: BLE001 -- whatever has failed, the others get theirs
+                commands[name] = msg.Idle(name)
+                self._note(
+                    "error", name, f"Idle in place of its stop action: {type(error).__name__}: {error}"
+                )
         return tuple(self._send(now, commands))
 
     def due(self) -> Nanos | None:
@@ -217,6 +224,8 @@ class Gateway:
 
     def _note_answer(self, event: Event) -> None:
         """Note the answer to a request; Done to a ClearFault also clears the joint."""
+        if isinstance(event, msg.Done | msg.Refused) and event.name in self.joints:
+            self.joints[event.name].on_answer(event.request)
         match event:
             case msg.Done(_, request, name, detail):
                 if request == msg.ClearFault.__name__ and name in self.joints:
@@ -290,6 +299,7 @@ class Gateway:
                 self._late.append(msg.Refused(now, kind, name, text))
             elif type(request) in motor.spec.requests:
                 self._requests.append(replace(request, motor=name))
+                self.joints[name].on_request(now, request)
             elif isinstance(request, msg.ClearFault):
                 self._late.append(msg.Done(now, kind, name, "in the joint; the device has nothing to clear"))
             else:
