@@ -38,7 +38,7 @@ LONGEST_BRAKING: Nanos = 10 * SECOND
 """Bound of the time to brake, whatever the joints ask for."""
 DISARM_TIMEOUT: Nanos = 200 * MILLISECOND
 """How long leaving waits, after the time to brake, for the devices to report that they are disarmed."""
-SETTLING: Nanos = 100 * MILLISECOND
+SETTLING: Nanos = 150 * MILLISECOND
 """Motors that have been commanded are watched for this time at least: one may be about to arm."""
 MIN_STEP = MILLISECOND
 """A driver that is due between two periods gets a step of its own, but no sooner than this after the last."""

@@ -59,6 +59,16 @@ class Program:
         """Its output so far."""
         return self._output.read_text() if self._output.exists() else ""
 
+    @property
+    def pid(self) -> int | None:
+        """Its process id; None before it is started."""
+        return self._process.pid
+
+    @property
+    def alive(self) -> bool:
+        """Whether it has not ended."""
+        return self._process.is_alive()
+
     def until(self, *texts: str, after: int = 0) -> int:
         """Wait until its output beyond `after` characters has all of these; return its length."""
         end = time.monotonic() + PATIENCE

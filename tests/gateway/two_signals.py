@@ -1,0 +1,94 @@
+"""Two signals to a robot that drives, at random distances: no motor is left armed. Real processes.
+
+Shared by the sample, the campaign, and the tests on a real CAN: `run` is a `gateway run` on the same bus as
+`twin`, a `gateway twin` that reports the changes of its motors' modes. It is the devices that are judged."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from numpy.random import PCG64, Generator
+
+from tests.gateway.rig import BENCH
+from tests.real_can.programs import Program
+
+ROBOT = BENCH.replace(
+    "limits = { velocity = 20.0, acceleration = 60.0, torque = 2.0 }",
+    "limits = { velocity = 20.0, acceleration = 20.0, torque = 2.0 }\n"
+    'stop_action = "brake"\nfeedback_timeout_ms = 2000\ncommand_timeout_ms = 2000',
+)
+"""Brakes for 0.4 s from the speed below; a machine that does other things for a while makes no fault."""
+SPEED = 8.0
+"""rad/s, of both motors"""
+MOTORS = ("left", "right")
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP)
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """Result of one run."""
+
+    signals: tuple[int, int]
+    waited: float
+    """s from the commands to the first signal,"""
+    between: float
+    """and from there to the second."""
+    armed: bool
+    """Whether a motor had reported armed when the first came."""
+    at_once: bool
+    """Whether the second ended the time to brake;"""
+    closed: bool
+    """whether it came when everything was closed."""
+
+
+def one_run(start: Callable[[], Program], twin: Program, seed: int, number: int) -> Outcome:
+    """Start a run, command both motors, and send two signals; check that every motor reports disarmed."""
+    generator = Generator(PCG64([seed, number]))
+    waited, between = (float(generator.uniform(0.0, most)) for most in (0.5, 0.6))
+    first, second = (SIGNALS[int(generator.integers(len(SIGNALS)))] for _ in range(2))
+    mark = len(twin.text)
+    with start() as run:
+        run.until("left: ready", "right: ready")
+        for motor in MOTORS:
+            run.ask("rig", f"velocity {motor} {SPEED}")
+        time.sleep(waited)
+        armed = "armed" in twin.text[mark:]
+        assert run.pid is not None
+        os.kill(run.pid, first)
+        time.sleep(between)
+        if run.alive:
+            os.kill(run.pid, second)
+        status = run.end(None)
+        text = run.text
+    assert f"leaving: {first.name}" in text, text
+    assert "cut its supply" not in text, text
+    closed = status == -second or "KeyboardInterrupt" in text
+    assert status == 0 or closed or "left in fault" in text, f"{text}\nexit status {status}"
+    settled(twin, mark)
+    return Outcome((first, second), waited, between, armed, "leaving at once" in text, closed)
+
+
+def settled(twin: Program, mark: int) -> None:
+    """Check what the devices have reported beyond `mark` characters, and that it remains so for a while."""
+    time.sleep(0.3)
+    for motor in MOTORS:
+        modes = re.findall(rf"{motor}: (armed|ready|fault|offline)", twin.text[mark:])
+        assert not modes or modes[-1] == "ready", twin.text[mark:]
+    assert "stays armed" not in twin.text[mark:], twin.text[mark:]
+
+
+def summary(outcomes: list[Outcome]) -> str:
+    """Return the outcomes as text."""
+    armed, at_once, closed = (
+        sum(getattr(one, name) for one in outcomes) for name in ("armed", "at_once", "closed")
+    )
+    return (
+        f"{len(outcomes)} runs of two signals: every motor disarmed at the end; {armed} with motors armed at "
+        f"the first, {at_once} in which the second ended the time to brake, {closed} in which it came when "
+        "all was closed"
+    )
