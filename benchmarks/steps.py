@@ -57,7 +57,7 @@ def steps(effort: Effort) -> list[Row]:
     frame = (span(FRAME, CAN_FRAME),)
     return [
         *(Row(GROUP, name, found[name], tick[name], targets.get(name)) for name in drives),
-        *(Row(GUARD, name, checked[name], frame, None) for name in drives),
+        *(Row(GUARD, f"a frame: {name}", checked[name], frame, None) for name in drives),
     ]
 
 

@@ -81,6 +81,7 @@ def test_every_row_is_there_once_and_in_order(run: Run) -> None:
         *STARTS,
         *MEMORIES,
         *STEPS,
+        *(f"a frame: {name}" for name in STEPS),
         *(sample.what for _, language in LANGUAGES for sample in language.SAMPLES),
         "speeds from the encoders of both wheels",
         "480 × 480 cells of 0.05 m, beams of up to 12 m",
