@@ -38,12 +38,12 @@ TOLD: Nanos = 2 * SECOND
 """After Stop, what still moves and cannot be stopped has been reported."""
 SOFT = 0.1
 """m/s: a wall may be touched slower than this, by what coasts."""
-DRIVEN = 0.02
-"""W of the torque on a shaft, from which on it counts as driven."""
-MOVING = 1.0
-"""rad/s of a joint, commanded or true: what is slower says little."""
+DRIVEN, TURNING_ON = 0.02, 1.0
+"""W of the torque on a shaft, and its rad/s, from which on it counts as driven."""
+MOVING = 2.0
+"""rad/s of a set-point: what is commanded less may be followed or not."""
 STRAY: Nanos = 150 * MILLISECOND
-"""A shaft strays if it has not followed its set-point for this time."""
+"""A shaft strays if it is more than 1 rad/s and 40 % off its set-point for this time."""
 HORIZON: Nanos = 4 * SECOND
 """The longest time that a fault is given to show itself."""
 STANDING, STOPPED, TURNING, TOUR = PHASES = ("standing", "stopped", "turning", "tour")
@@ -404,7 +404,7 @@ class Run:
             result, fault = self.result, self.fault
             result.touches += contacts - self._contacts
             result.impact = max(result.impact, speed)
-            if fault.notice is not None and self._exposed > fault.notice * SECOND:
+            if fault.notice is not None and not fault.free and self._exposed > fault.notice * SECOND:
                 result.late_impact = max(result.late_impact, speed)
         self._contacts = contacts
 
@@ -414,8 +414,7 @@ class Run:
         last = bus.driven_at.get(name, 0)
         if self._stopped_at is not None:
             last = min(last, self._stopped_at)
-        driven = self.torques.get(name, 0.0) * speed > DRIVEN and abs(speed) > MOVING
-        if driven and now - max(last, self.since) > STAND and not self._free(name):
+        if self._driven(name, speed) and now - max(last, self.since) > STAND and not self._free(name):
             self._fail(f"{name} is driven without a command")
 
     def _free(self, name: str) -> bool:
@@ -424,7 +423,7 @@ class Run:
 
     def _follow(self, now: Nanos, name: str, speed: float) -> None:
         wanted = self.at.buses[self.robot.motors[name].bus].wanted(name)
-        if abs(speed - wanted) > max(MOVING, 0.3 * abs(wanted)):
+        if abs(speed - wanted) > max(1.0, 0.4 * abs(wanted)):
             self._strays.setdefault(name, now)
         else:
             self._strays.pop(name, None)
@@ -440,12 +439,13 @@ class Run:
         }
         match self.fault.shows:
             case "in motion":
-                return self._exposed > 0 or any(abs(each) > MOVING for each in wanted.values())
+                strays = any(now - since > STRAY for since in self._strays.values())
+                return self._exposed > 0 or strays or any(abs(each) > MOVING for each in wanted.values())
             case "in turning":
                 left, right = (wanted.get(name, math.nan) for name in self.wheels)
                 return abs(left - right) > 1.5
             case "if it strays":
-                return any(now - since > STRAY for since in self._strays.values())
+                return self._exposed > 0 or any(now - since > STRAY for since in self._strays.values())
             case "if it was commanded":
                 return self._commanded
             case "if commanded":
@@ -457,15 +457,16 @@ class Run:
         notes = [note for note in outputs.notes if note.level != "info" and note.source != "operator"]
         reports = [f"{note.source}: {note.text}" for note in notes]
         for name, joint in self.gateway.joints.items():
-            reports += [f"{name}: {fault.name}" for fault in joint.faults.values() if fault.t >= self.since]
+            faults = [fault for fault in joint.faults.values() if fault.t >= self.since]
+            reports += [f"{name}: {fault.name}; {fault.remedy}" for fault in faults]
+        self._told = self._told or any("armed" in each or "cut " in each for each in reports)
         if self.result.noticed is None and now % (20 * MILLISECOND) < 5 * MILLISECOND:
             belief = self.gateway.belief()
             if belief.state in (BrainState.DEGRADED, BrainState.STOPPED):
                 reports.append(belief.reason)
         if self._stopped_at is not None:
-            self._told = self._told or any("armed" in each or "cut" in each for each in reports)
             return
-        suspects = (self.target, self.bus, *self.fault.suspects)
+        suspects = (self.target, self.bus, *self.fault.suspects, *(["wheels"] if self.wheels else []))
         for report in reports:
             if any(re.search(rf"\b{each}\b", report) for each in suspects) and self.result.noticed is None:
                 self.result.noticed, self.result.alarm = self._exposed / SECOND, report[:100]
@@ -488,11 +489,9 @@ class Run:
             self._fail(f"noticed late: {result.noticed:.2f} s")
         if result.late_impact > SOFT:
             self._fail(f"touched a wall at {result.late_impact:.2f} m/s")
-        moving = [
-            n for n in self.robot.motors if abs(self._shaft(n)[1]) > MOVING and self._driven_by_device(n)
-        ]
+        moving = [name for name in self.robot.motors if self._driven(name, self._shaft(name)[1])]
         if fault.free and moving and not self._told:
             self._fail(f"{', '.join(moving)} turns on after Stop, and nobody is told")
 
-    def _driven_by_device(self, name: str) -> bool:
-        return self.torques.get(name, 0.0) * self._shaft(name)[1] > DRIVEN
+    def _driven(self, name: str, speed: float) -> bool:
+        return self.torques.get(name, 0.0) * speed > DRIVEN and abs(speed) > TURNING_ON

@@ -369,7 +369,7 @@ def abuse(run: Run) -> None:
     run.each = each
 
 
-BASE = ("left", "right", "imu", "lidar", "wheels")
+EITHER = ("left", "right", "imu", "lidar")
 LEVELS = "what should be is compared with what was received, and sent again until it is so"
 DAMAGE = "a bit of every tenth frame, behind the checksum of the bus: refused, or amended by the next frame"
 
@@ -383,22 +383,22 @@ FAULTS: tuple[Fault, ...] = (
     Fault("feedback damaged", on_frames(damaged_feedback), "motor", None, why=DAMAGE, harmless=True),
     Fault("commands damaged", on_frames(damaged_commands), "motor", None, why=DAMAGE, harmless=True),
     Fault("scans damaged", on_frames(damaged), "lidar", None, why="checksums: a scan is lost", harmless=True),
-    Fault("host not received", on_frames(host_unheard, 60.0), "motor", 0.6, "if it strays", free="all"),
+    Fault("host not received", on_frames(host_unheard, 60.0), "motor", 1.0, "if it strays", free="all"),
     Fault("devices not received", on_frames(devices_unheard, 60.0), "motor", 0.3, "if commanded"),
     # devices
     Fault("device resets", lambda run: run.world.reset(run.target), "motor", 0.5, "if it was commanded"),
     Fault("device silent", lambda run: run.world.disconnect(run.target), "motor", 0.3, "if commanded",
           free="target"),
     Fault("device in fault", provoked, "motor", 0.3, "if commanded"),
-    Fault("encoder stuck", measured(stuck), "motor", 0.5, "in motion"),
+    Fault("encoder stuck", measured(stuck), "motor", 0.6, "in motion"),
     Fault("feedback frozen", measured(frozen), "motor", 0.5, "in motion"),
     Fault("encoder jumps", measured(jumped), "motor", 0.3),
     # of a joint that is no wheel nothing else measures the motion: there a false scale cannot be noticed
-    Fault("encoder at half scale", measured(scaled(0.5)), "wheel", 1.0, "in motion", suspects=BASE),
+    Fault("encoder at half scale", measured(scaled(0.5)), "wheel", 1.0, "in motion", suspects=EITHER),
     Fault("encoder reversed", measured(scaled(-1.0)), "motor", 0.5, "in motion"),
-    Fault("encoders swapped", swapped, "wheel", 1.0, "in turning", suspects=BASE),
-    Fault("no torque", torque(lambda _run, _torque: 0.0), "motor", 0.5, "if it strays"),
-    Fault("weak motor, 30 %", torque(lambda _run, torque: 0.3 * torque), "motor", 0.5, "if it strays"),
+    Fault("encoders swapped", swapped, "wheel", 1.0, "in turning", suspects=EITHER),
+    Fault("no torque", torque(lambda _run, _torque: 0.0), "motor", 0.6, "if it strays"),
+    Fault("weak motor, 30 %", torque(lambda _run, torque: 0.3 * torque), "motor", 0.6, "if it strays"),
     Fault("runaway", runaway, "motor", 0.5, "if commanded", free="target"),
     # buses
     Fault("bus-off, back after 0.5 s", lost(BusState.OFF, 0.5), "motor", 0.1),
@@ -409,16 +409,17 @@ FAULTS: tuple[Fault, ...] = (
     # sensors
     Fault("lidar: all zeros", ranges(lambda _run, own, _scan: (0.0,) * len(own)), "lidar", 1.0),
     Fault("lidar: all maxima", ranges(lambda _run, own, scan: (scan.range_max,) * len(own)), "lidar", 1.0),
-    Fault("lidar: 0.5 m too far", ranges(lambda _run, own, _scan: [each and each + 0.5 for each in own]), "lidar", 2.0),
+    Fault("lidar: 0.5 m too far", ranges(
+        lambda _run, own, _scan: [each and each + 0.5 for each in own]), "lidar", 2.0),
     Fault("lidar: turned by 180°", turned(180.0), "lidar", 2.0),
-    Fault("lidar: turned by 5°", turned(5.0), "lidar", 3.0, suspects=BASE),
+    Fault("lidar: turned by 5°", turned(5.0), "lidar", 3.0, suspects=EITHER),
     Fault("lidar: 90 % without a reading", ranges(
         lambda run, own, _scan: [0.0 if run.random.below(10) else each for each in own]), "lidar", 1.5),
     Fault("lidar frozen", reading(same_again), "lidar", 1.5, "in motion"),
     Fault("lidar silent", reading(lambda _run, _true, _memory: None), "lidar", 0.6),
-    Fault("IMU: bias of 0.3 rad/s", gyro(lambda rate: rate + 0.3), "imu", 2.0, suspects=BASE),
+    Fault("IMU: bias of 0.3 rad/s", gyro(lambda rate: rate + 0.3), "imu", 2.0, suspects=EITHER),
     Fault("IMU constant", reading(same_again), "imu", 1.0),
-    Fault("IMU reversed", gyro(lambda rate: -rate), "imu", 2.0, "in turning", suspects=BASE),
+    Fault("IMU reversed", gyro(lambda rate: -rate), "imu", 2.0, "in turning", suspects=EITHER),
     Fault("IMU silent", reading(lambda _run, _true, _memory: None), "imu", 0.3),
     # clocks, people, other hosts
     Fault("slow steps", slow_steps, "motor", None, lasts=2.0, harmless=True,
