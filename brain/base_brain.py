@@ -11,10 +11,10 @@ Motors that are not wheels are joints that the base carries (a mast, a lift): th
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import isfinite
 
 from brain.belief import Belief, BrainState, BrainTask, Pose
 from brain.bodies.differential import Differential, arc
+from brain.checks import objection
 from brain.control.profile import REST, Twist, approach
 from brain.control.pursuit import Bounds, Pursuit
 from brain.health import Health, HealthLevel, SourceHealth
@@ -32,6 +32,8 @@ MAX_EXTRAPOLATION: Nanos = 100 * MILLISECOND
 """An estimate is extrapolated to now by its own twist, by at most this much."""
 MAX_CONTROL_STEP: Nanos = 100 * MILLISECOND
 """A longer time between two commands counts as this: after a pause the speed must not jump."""
+MAX_GOALS = 1000
+"""Goals that wait."""
 WAITING_NOTE_AFTER: Nanos = 3 * SECOND
 """After this time of waiting at the start, a note says for what."""
 
@@ -148,8 +150,8 @@ class BaseBrain:
         for task in tasks:
             if not isinstance(task, msg.Goal | msg.Drive):
                 reason = f"{task.motor} is a wheel of a base: use a goal, or drive"
-            elif not all(map(isfinite, _numbers(task))):
-                reason = f"{task} is not finite"
+            elif wrong := objection(task) or self._beyond_map(task):
+                reason = wrong
             elif waiting and isinstance(task, msg.Drive):
                 reason = waiting
             else:
@@ -158,6 +160,20 @@ class BaseBrain:
                 self._status.add_note("warning", f"{type(task).__name__} refused: {reason}")
             elif isinstance(task, msg.Goal | msg.Drive):
                 self.navigator.accept(now, task)
+
+    def _beyond_map(self, task: msg.Goal | msg.Drive) -> str:
+        """Return why a goal can never be reached, whatever is found on the way; "" if it may be."""
+        if isinstance(task, msg.Drive):
+            return ""
+        if len(self.navigator.goals) >= MAX_GOALS:
+            return f"{MAX_GOALS} goals are waiting already"
+        grid = self.perception.map
+        row, column = grid.cell(task.x, task.y)
+        if 0 <= row < grid.rows and 0 <= column < grid.columns:
+            return ""
+        (left, bottom), (right, top) = grid.corners()
+        reach = f"which reaches from ({left:g}, {bottom:g}) to ({right:g}, {top:g})"
+        return f"({task.x:g}, {task.y:g}) is outside of the map, {reach} (brain.perception.grid)"
 
     def _speed_share(self, health: SourceHealth) -> float:
         """Return the share of the largest speeds that is allowed."""
@@ -282,7 +298,3 @@ class BaseBrain:
 
     def _idle(self) -> Sequence[Command]:
         return tuple(msg.Idle(motor) for motor in self._motors)
-
-
-def _numbers(task: msg.Goal | msg.Drive) -> tuple[float, ...]:
-    return (task.x, task.y, task.yaw or 0.0) if isinstance(task, msg.Goal) else (task.linear, task.angular)

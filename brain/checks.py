@@ -1,4 +1,4 @@
-"""Checks of settings, for `__post_init__`. Every message begins with the field's name.
+"""Checks of settings, for `__post_init__`, and of tasks. A setting's message begins with the field's name.
 
 Rules. Every number of every settings dataclass has a lower and an upper bound, stated once, in that call: the
 robot file and `set` both refuse what lies beyond. Bounds are generous, and such that the work of a step is
@@ -42,3 +42,16 @@ def ordered(settings: Settings, less: str, more: str) -> None:
     """Raise ValueError if the second of two numbers is less than the first."""
     if getattr(settings, more) < getattr(settings, less):
         raise ValueError(f"{more} must not be less than {less}, {getattr(settings, less):g}")
+
+
+MOST = 1e6
+"""Of any number of a task: rad, rad/s, N·m, m, m/s."""
+
+
+def objection(task: Settings) -> str:
+    """Return which number of a task is beyond what any robot could do; "" if none is."""
+    for field in fields(task):
+        value = getattr(task, field.name)
+        if isinstance(value, int | float) and not abs(value) <= MOST:  # nor is NaN
+            return f"its {field.name} must be from {-MOST:.10g} to {MOST:.10g}, not {value:g}"
+    return ""

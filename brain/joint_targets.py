@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from brain.checks import objection
 from brain.health import Health, HealthLevel, HealthSettings
 from brain.settings import suggestion
 from brain.status import StatusReporter
@@ -47,6 +48,8 @@ class JointTargets:
             hint = suggestion(task.motor, self._targets)
             known = ", ".join(self._targets) + (f"; {hint}" if hint else "")
             return f"there is no motor {task.motor!r}; there are {known}"
+        if wrong := objection(task):
+            return wrong
         health = self.health.source(now, task.motor)
         lost = health.level >= HealthLevel.HALT and not isinstance(task, Idle)
         return health.reason if lost else ""

@@ -118,6 +118,11 @@ class Grid:
             self.origin_y + (row + 0.5) * self.resolution,
         )
 
+    def corners(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Return the lower left and the upper right corner of the map [m]."""
+        left, bottom = self.origin_x, self.origin_y
+        return (left, bottom), (left + self.columns * self.resolution, bottom + self.rows * self.resolution)
+
     def cells(self, points: Floats) -> Cells:
         """Return the cells (column, row) of points (n × 2) [m]."""
         corner = np.array([self.origin_x, self.origin_y])

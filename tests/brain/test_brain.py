@@ -14,7 +14,7 @@ from math import hypot, inf, isfinite, nan
 import pytest
 
 from brain.base_brain import BaseBrain
-from brain.belief import BrainState, Pose
+from brain.belief import BrainState, BrainTask, Pose
 from brain.bodies.differential import arc, wrap
 from brain.bodies.joints import Joints
 from brain.brain import Brain, BrainSettings
@@ -367,13 +367,41 @@ def test_a_joint_that_the_base_carries_loses_its_target_by_silence_and_the_base_
     assert brain.belief().state is BrainState.READY
 
 
-def test_what_is_not_finite_is_refused() -> None:
+BEYOND = "must be from -1000000 to 1000000, not"
+
+
+@pytest.mark.parametrize(
+    ("task", "reason"),
+    [
+        (msg.Goal(nan, 0.0), f"Goal refused: its x {BEYOND} nan"),
+        (msg.Goal(0.0, 1.0, inf), f"Goal refused: its yaw {BEYOND} inf"),
+        (msg.Goal(1e308, 0.0), f"Goal refused: its x {BEYOND} 1e+308"),
+        (
+            msg.Goal(1e6, 0.0),
+            "Goal refused: (1e+06, 0) is outside of the map, which reaches from (-12, -12) to",
+        ),
+        (msg.Drive(nan, 0.0), f"Drive refused: its linear {BEYOND} nan"),
+        (msg.Drive(0.1, -inf), f"Drive refused: its angular {BEYOND} -inf"),
+        (msg.Drive(0.1, 1e308), f"Drive refused: its angular {BEYOND} 1e+308"),
+        (msg.Position("mast", 1e308), f"Position refused: its position {BEYOND} 1e+308"),
+        (msg.Velocity("mast", 1.0, -1e308), f"Velocity refused: its torque {BEYOND} -1e+308"),
+        (msg.Torque("mast", nan), f"Torque refused: its torque {BEYOND} nan"),
+    ],
+)
+def test_a_task_beyond_what_any_robot_could_do_is_refused(task: BrainTask, reason: str) -> None:
+    office, brain = Office(), carrier()
+    for tasks in [*([[]] * 99), [task]]:
+        brain.take_notes()
+        received = [*office.step([]), msg.Feedback("mast", office.now, 0.0, 0.0)]
+        brain.step(office.now, received, tasks, "")
+    assert [text[: len(reason)] for _, text in brain.take_notes()] == [reason]
+    assert brain.belief().state is BrainState.READY
+
+
+def test_more_goals_than_anybody_waits_for_are_refused() -> None:
     trip = Trip(Office())
-    trip.run(0.5)
-    for task in (msg.Goal(nan, 0.0), msg.Goal(0.0, 1.0, inf), msg.Drive(nan, 0.0), msg.Drive(0.1, -inf)):
-        trip.tick([task])
-        assert trip.notes[-1][1].endswith("is not finite")
-    assert trip.brain.belief().state is BrainState.READY
+    trip.tick([msg.Goal(0.1 * (k % 10), 0.0) for k in range(1001)])
+    assert trip.notes[-1] == ("warning", "Goal refused: 1000 goals are waiting already")
 
 
 def test_belief_has_goal_path_and_version() -> None:
