@@ -24,6 +24,7 @@ from brain.belief import Belief
 from gateway.buses import Bus
 from gateway.buses.frame_time import frame_time
 from gateway.core.clock import Clock
+from gateway.core.joint import DISARMING
 from gateway.core.robot import Robot
 from gateway.core.step import LEFT_ARMED, Gateway
 from gateway.core.tick import Inputs, Note, Tick
@@ -34,9 +35,9 @@ log = logging.getLogger("gateway")
 
 LEFT = "the run ends"
 """Why the gateway is stopped once a run has ended."""
-LONGEST_BRAKING: Nanos = 10 * SECOND
+LONGEST_BRAKING: Nanos = 3 * SECOND
 """Bound of the time to brake, whatever the joints ask for."""
-DISARM_TIMEOUT: Nanos = 200 * MILLISECOND
+DISARM_TIMEOUT: Nanos = DISARMING
 """How long leaving waits, after the time to brake, for the devices to report that they are disarmed."""
 SETTLING: Nanos = 150 * MILLISECOND
 """Motors that have been commanded are watched for this time at least: one may be about to arm."""

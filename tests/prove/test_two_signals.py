@@ -18,7 +18,7 @@ def test_after_two_hundred_runs_of_two_signals_every_motor_is_disarmed(tmp_path:
 
         def case(seed: int, number: int) -> list[float]:
             one = one_run(start, twin, seed, number)
-            return [*one.signals, one.waited, one.between, one.armed, one.at_once, one.closed]
+            return [*one.signals, one.waited, one.between, one.armed, one.at_once, one.closed, one.unreported]
 
         done = Campaign("two_signals", 200).run(case)
     outcomes = [Outcome((int(a), int(b)), *rest) for a, b, *rest in done.values()]  # type: ignore[arg-type]  # of JSON

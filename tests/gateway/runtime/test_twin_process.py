@@ -280,7 +280,7 @@ def test_ptys_may_have_names_that_stay_the_same(tmp_path: Path) -> None:
 
 def patient(text: str) -> str:
     """Return a robot file with long timeouts, since this machine may do other things for a while."""
-    text = re.sub(r"(feedback|command)_timeout_ms = \d+", r"\1_timeout_ms = 3000", text)
+    text = re.sub(r"(feedback|command)_timeout_ms = \d+", r"\1_timeout_ms = 2000", text)
     text = re.sub(r"(?m)^timeout_ms = \d+", "timeout_ms = 3000", text)
     return text.replace('watchdog = "acknowledged"', 'watchdog = "acknowledged"\noffline_ms = 5000')
 
