@@ -137,7 +137,6 @@ class Gateway:
         if inputs is not None:
             self._on_bus_states(now, inputs.states)
             self._receive(now, inputs.packets)
-        self._now = now
         commands: dict[str, Command] = {}
         for name, joint in self.joints.items():
             try:
