@@ -21,7 +21,7 @@ def test_after_two_hundred_runs_of_two_signals_every_motor_is_disarmed(tmp_path:
             return [*one.signals, one.waited, one.between, one.armed, one.at_once, one.closed, one.unreported]
 
         done = Campaign("two_signals", 200).run(case)
-    outcomes = [Outcome((int(a), int(b)), *rest) for a, b, *rest in done.values()]  # type: ignore[arg-type]  # of JSON
+    outcomes = [Outcome((int(a), int(b)), *rest) for a, b, *rest in done.values()]
     print(summary(outcomes))
     assert sum(one.armed for one in outcomes) > 50
     assert sum(one.at_once for one in outcomes) > 20
