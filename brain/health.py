@@ -4,12 +4,12 @@ Rules. Every source (a motor's feedback, a sensor) is assessed by the age of its
 share of its own timeout (the robot file's, the only place where a timeout is set), and by the share of its
 measurements that perception has rejected. A reading that says nothing (an empty scan, a constant IMU) is no
 measurement: its source is late, with that as the cause. Sources that contradict each other (`motion_check`,
-or scans against the map) make the base stand. A worse level takes effect at once, a better one only after it
-has lasted for `recover`. What stays bad for `give_up`, a contradiction for `contradicted`, is lost: the tasks
-are dropped, and when all is well again the brain is ready, but does not go on by itself. So is a base that
-has been slow or standing for `too_long`, or `too_often` within `often_within`. A motor in fault is lost at
-once. At the start a motor that initialises is missing, even if it already measures; later some do so briefly
-whenever they are armed.
+or scans against the map) make the base slow until that is confirmed, and then stand. A worse level takes
+effect at once, a better one only after it has lasted for `recover`. What stays bad for `give_up`, a
+contradiction for `contradicted`, is lost: the tasks are dropped, and when all is well again the brain is
+ready, but does not go on by itself. So is a base that has been slow or standing for `too_long`, or
+`too_often` within `often_within`. A motor in fault is lost at once. At the start a motor that initialises is
+missing, even if it already measures; later some do so briefly whenever they are armed.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from enum import IntEnum
 from types import MappingProxyType
 
 from brain.checks import ordered, within
+from brain.perception.motion_check import Contradiction
 from protocols.messages import MILLISECOND, SECOND, Event, Feedback, Fix, Imu, LaserScan, Mode, Nanos, State
 
 MIN_WINDOW_COUNT = 5
@@ -166,7 +167,7 @@ class Health:
         return ", ".join(parts)
 
     def assess(
-        self, now: Nanos, rejected: Mapping[str, int], contradictions: Sequence[str] = ()
+        self, now: Nanos, rejected: Mapping[str, int], contradictions: Sequence[Contradiction] = ()
     ) -> SourceHealth:
         """Return the worst of all sources, with memory: worse at once, better after `recover`."""
         self._update_window(now, rejected)
@@ -192,17 +193,19 @@ class Health:
         return worst
 
     def _with_contradictions(
-        self, now: Nanos, worst: SourceHealth, contradictions: Sequence[str]
+        self, now: Nanos, worst: SourceHealth, contradictions: Sequence[Contradiction]
     ) -> SourceHealth:
-        if not contradictions:
+        confirmed = [one.reason for one in contradictions if one.confirmed]
+        if not confirmed:
             self._contradicted_since = None
-            return worst
+            doubts = [SourceHealth(HealthLevel.SLOW, one.reason) for one in contradictions]
+            return max(worst, *doubts, key=lambda h: h.level) if doubts else worst
         since = self._contradicted_since = (
             now if self._contradicted_since is None else self._contradicted_since
         )
         if now - since >= self.settings.contradicted:
-            self._lost = contradictions[0]
-        return max(worst, SourceHealth(HealthLevel.HALT, contradictions[0]), key=lambda h: h.level)
+            self._lost = confirmed[0]
+        return max(worst, SourceHealth(HealthLevel.HALT, confirmed[0]), key=lambda h: h.level)
 
     def _limited(self, now: Nanos, bad: SourceHealth) -> SourceHealth:
         """Return what is bad as lost, if it has been for too long or too often."""

@@ -5,7 +5,7 @@ bearing): the motion that the two scans show is searched from the motion that wh
 between their times. Wheels and gyro are compared with each other as well. A reference is renewed once all
 have agreed on a motion, and kept while they differ, so that a difference stays visible: a lidar that is
 knocked out of its mount agrees with itself again one scan later. After `FORGET` it is renewed anyway. One
-comparison that differs is a glitch, `CONFIRM` of them are a contradiction. A scan too bare to show a motion
+comparison that differs may be a glitch, `CONFIRM` of them in a row are not. A scan too bare to show a motion
 is not compared. Source: Censi 2008 (PLICP).
 """
 
@@ -32,10 +32,8 @@ AHEAD: Nanos = 60 * MILLISECOND
 """A track is extrapolated by at most this much."""
 PERIOD: Nanos = 50 * MILLISECOND
 """Wheels and gyro are compared this often."""
-CONFIRM = 2
-"""Comparisons in a row that must differ: scans,"""
-CONFIRM_TURN = 3
-"""and of wheels with the gyro."""
+CONFIRM = 3
+"""Comparisons in a row that must differ."""
 RENEW_DISTANCE, RENEW_TURN, RENEW_AGE = 0.2, 0.35, 1 * SECOND
 """m, rad, and age from which on a reference is renewed once all agree."""
 BEAMS = 120
@@ -46,12 +44,14 @@ ON_LINE = 0.1
 """m: a point this near to a line of the reference lies on it."""
 FIT = 0.5
 """Least share of the points that must lie on lines once the motion is found."""
-TURN, DISTANCE = 0.05, 0.05
-"""rad and m: differences below these are none (measured: at most 0.02 rad and 0.015 m),"""
-TURN_SHARE, DISTANCE_SHARE = 0.15, 0.35
-"""nor are those below this share of the motion: slip, soft tyres, stamps."""
+TURN, DISTANCE = 0.05, 0.07
+"""rad and m: differences below these are none (measured: at most 0.045 rad and 0.015 m),"""
+TURN_SHARE, SLIP_SHARE = 0.15, 0.35
+"""nor are those below this share of the motion (soft tyres, stamps), or of a way that the base lags behind."""
 PAST: Nanos = 10 * SECOND
 """What differs slowly is summed over this time:"""
+LEAST_WAY, STRAIGHT = 1.0, 0.1
+"""m: a lidar's direction shows from a way of this length on, where a comparison turns by less than this."""
 PAST_SHARE = 0.05
 """there, and of turns that neither the wheels' slip nor their distance spoils, this share is allowed."""
 
@@ -116,6 +116,14 @@ class Track:
         part = (t - a[0]) / max(b[0] - a[0], 1)
         x, y, yaw, total = (p + part * (q - p) for p, q in zip(a[1:], b[1:], strict=True))
         return t, x, y, yaw, total
+
+
+@dataclass(frozen=True, slots=True)
+class Contradiction:
+    """What cannot all be true, in words."""
+
+    reason: str
+    confirmed: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,9 +211,9 @@ class MotionCheck:
         self._differ: dict[str, tuple[int, str]] = {}
         """By lidar ("": wheels and gyro): comparisons in a row that differed, and how."""
 
-    def contradictions(self) -> list[str]:
-        """Return the confirmed contradictions, in words."""
-        return [reason for name, (count, reason) in self._differ.items() if count >= _least(name)]
+    def contradictions(self) -> list[Contradiction]:
+        """Return what differs now."""
+        return [Contradiction(reason, count >= CONFIRM) for count, reason in self._differ.values()]
 
     def on_wheels(self, since: Nanos, t: Nanos, left: float, right: float) -> None:
         """Add the wheels' rotation [rad] between two times."""
@@ -220,7 +228,7 @@ class MotionCheck:
         """Forget the wheels' motion, since a position jumped: of a moving base that is a contradiction."""
         self._wheels.clear()
         if moving:
-            self._differ[""] = CONFIRM_TURN, f"{motor}: its position jumped"
+            self._differ[""] = CONFIRM, f"{motor}: its position jumped"
             self._turned = self._turned_at
 
     def on_gyro(self, name: str, t: Nanos, rate: float, sigma: float) -> None:
@@ -285,7 +293,9 @@ class MotionCheck:
                 culprit = min(apart, key=lambda one: apart[one])
                 other = f", {self._gyro_name} {_deg(gyro)}"
             return f"{culprit}: turned by {_deg(wheels)} by the wheels{other}, {name} {_deg(shown)}"
-        allowed = DISTANCE + DISTANCE_SHARE * math.hypot(wheels.x, wheels.y)
+        way = math.hypot(wheels.x, wheels.y)
+        slips = math.hypot(shown.x, shown.y) < way
+        allowed = DISTANCE + (SLIP_SHARE if slips else TURN_SHARE) * way
         if math.hypot(shown.x - wheels.x, shown.y - wheels.y) > allowed:
             return _moved(name, wheels, shown)
         return ""
@@ -301,14 +311,15 @@ class MotionCheck:
         allowed = 2.0 * TURN + sum(PAST_SHARE * abs(o.shown.turn) + o.gyro.uncertain for o in gyros if o.gyro)
         if abs(off) > allowed:
             return f"{self._gyro_name}: differs from {name} by {math.degrees(off):.0f}° within {_span(rows)}"
-        aside = sum(one.shown.y - one.wheels.y for one in rows)
-        along = sum(math.hypot(one.wheels.x, one.wheels.y) for one in rows)
-        if abs(aside) > DISTANCE + PAST_SHARE * along:
+        straight = [one for one in rows if abs(one.wheels.turn) < STRAIGHT]
+        aside = sum(one.shown.y - one.wheels.y for one in straight)
+        along = sum(math.hypot(one.wheels.x, one.wheels.y) for one in straight)
+        if along > LEAST_WAY and abs(aside) > 0.1 + PAST_SHARE * along:
             return f"{name}: moves {aside:.2f} m aside in {along:.2f} m: is it mounted as stated?"
         return ""
 
     def _confirmed(self, name: str) -> bool:
-        return self._differ.get(name, (0, ""))[0] >= _least(name)
+        return self._differ.get(name, (0, ""))[0] >= CONFIRM
 
     def _count(self, name: str, reason: str) -> None:
         """Count a comparison. What is confirmed stays until the reference is renewed."""
@@ -316,10 +327,6 @@ class MotionCheck:
             self._differ[name] = (self._differ.get(name, (0, ""))[0] + 1, reason)
         elif not self._confirmed(name):
             self._differ.pop(name, None)
-
-
-def _least(name: str) -> int:
-    return CONFIRM if name else CONFIRM_TURN
 
 
 def _span(rows: Sequence[_Agreed]) -> str:

@@ -24,7 +24,7 @@ from brain.perception.ekf import Ekf, Nis
 from brain.perception.ekf_settings import EkfSettings
 from brain.perception.grid import Grid, GridSettings
 from brain.perception.measurement import GateResult, Measurement, gyro, gyro_at_rest, pose_fix, wheels
-from brain.perception.motion_check import MotionCheck
+from brain.perception.motion_check import Contradiction, MotionCheck
 from brain.perception.motion_model import BIAS, POSE, SLIP, YAW, V, W, X, Y
 from brain.perception.mount import BodyScan, Mount, to_body
 from brain.perception.odometry import JUMPED, Odometry, OdometrySettings, Travel
@@ -160,10 +160,10 @@ class Perception:
         """Normalised innovations squared: by sensor, and of both wheels by the left one's name."""
         return self._ekf.nis
 
-    def contradictions(self) -> list[str]:
-        """Return what the sources show that cannot all be true, in words."""
+    def contradictions(self) -> list[Contradiction]:
+        """Return what the sources show that cannot all be true."""
         return self._check.contradictions() + [
-            f"{name}: its scans do not fit the map"
+            Contradiction(f"{name}: its scans do not fit the map")
             for name, since in self._misfit_since.items()
             if self._last_scan[name].t - since >= MISFIT_FOR
         ]
