@@ -9,9 +9,11 @@ judgement anew (lost feedback has a fault of its own). State is plain data.
     quantity             beyond the band by                                  for              fault
     velocity (Velocity,  2.5 % of the limit, and `following_share`           following_time   NOT_FOLLOWED
       Hold: 0)           of the set-point
+                           and the position has not changed by one bit       half of it       NOT_FOLLOWED
                          20 % of the limit, faster or backwards              60 ms            RUNS_AWAY
     position (Position)  what 2.5 % of the limit of velocity does in 0.3 s   following_time   NOT_FOLLOWED
-    velocity (all)       20 % of the limit, beyond the limit                 60 ms            RUNS_AWAY
+    velocity (all)       20 % of the limit, beyond the limit; 60 %, where    60 ms            RUNS_AWAY
+                           a torque is commanded (old reports: it overshoots)
     torque (Torque)      10 % of the limit, and half of the set-point        following_time   NO_TORQUE
     position less the    as of position, and 50 ms of the velocity           40 ms            INCONSISTENT
       velocity's integral  (with a memory of 1 s)
@@ -42,8 +44,8 @@ NOT_FOLLOWED, RUNS_AWAY, INCONSISTENT, NO_TORQUE = -7, -8, -9, -10
 
 FLOOR = 0.025
 """Share of a limit of velocity within which a velocity is followed."""
-FAST = 0.2
-"""Share of the limit of velocity by which a shaft that is faster than commanded runs away."""
+FAST, FAST_FREE = 0.2, 0.6
+"""Share of the limit of velocity by which a shaft that is faster than commanded runs away; if a torque is."""
 TORQUE_FLOOR, TORQUE_SHARE = 0.1, 0.5
 LAG = 0.1
 """s, of a device and its reports behind the set-points."""
@@ -121,6 +123,8 @@ class Following:
         self._velocity = self._travel = self._fastest = 0.0
         self._position: float | None = None
         self._position_at: Nanos = 0
+        self._changed_at: Nanos = 0
+        """When the position was last another one."""
         self._offset: float | None = None
         """Position less the velocity's integral, as remembered."""
         self._wrong_since: Nanos | None = None
@@ -149,7 +153,10 @@ class Following:
         offset, before = self._offset, self._position
         if offset is None or before is None or abs(position - before) > 0.5 * self._span:
             self._offset, self._position, self._position_at = position - travel, position, t
+            self._changed_at = t
             return
+        if position != before:
+            self._changed_at = t
         wrong = position - travel - offset
         self._offset = offset + wrong * min(1.0, (t - self._position_at) / SECOND / MEMORY)
         self._position, self._position_at = position, t
@@ -176,7 +183,10 @@ class Following:
             self._begin(sent, measured)
         found = self._found
         limit = self._limits.velocity
-        fast, setpoint, actual, bound, code = abs(velocity) - limit, 0.0, None, 0.0, NOT_FOLLOWED
+        fast, margin = abs(velocity) - limit, FAST_FREE
+        setpoint, actual, bound, code = 0.0, None, 0.0, NOT_FOLLOWED
+        if isinstance(sent, Velocity | Hold | Position):
+            margin = FAST
         if isinstance(sent, Velocity | Hold):
             self._rest = toward(self._rest, 0.0, 0.5 * self._limits.acceleration * dt / SECOND)
             setpoint, actual = sent.velocity if isinstance(sent, Velocity) else self._rest, measured.velocity
@@ -193,9 +203,10 @@ class Following:
             elif not isinstance(sent, Position):
                 bound = FLOOR * limit + self._share * size
                 fast = max(fast, velocity - max(band.high, 0.0), min(band.low, 0.0) - velocity)
-            if self._lasts(code, band.distance(actual) > bound, dt, self._time):
+            still = self._moved_at is not None and self._moved_at - self._changed_at > self._time // 3
+            if self._lasts(code, band.distance(actual) > bound, dt, self._time // 2 if still else self._time):
                 found = found or (code, f"{setpoint:.3g} commanded, {actual:.3g} measured")
-        if self._lasts(RUNS_AWAY, fast > FAST * limit, dt, RUNAWAY_TIME):
+        if self._lasts(RUNS_AWAY, fast > margin * limit, dt, RUNAWAY_TIME):
             found = RUNS_AWAY, f"{velocity:.3g} rad/s measured"
         return found
 
