@@ -30,6 +30,10 @@ LATENCY: Nanos = 50 * MILLISECOND
 device is being armed, and while a set-point waits for its SYNC."""
 
 
+SPRING_ERROR = 0.05
+"""Share of the limit by which the torque of a spring may be wrong: its gains are rounded, too."""
+
+
 @dataclass(frozen=True, slots=True)
 class Blocked:
     """A frame that was not sent."""
@@ -262,6 +266,10 @@ class Guard:
                 places += [bounds.at_joint(last, "position")] if isinstance(last, msg.Position) else []
                 if all(abs(value - place) > limits.velocity * dt + slack for place in places):
                     return "a jump of the position", f"{value:g} after {places[-1]:g}"
+            if isinstance(one, msg.Impedance):
+                pull = bounds.pull(one, measured)
+                if not abs(pull) <= limits.torque * (1.0 + SPRING_ERROR):
+                    return "torque of the spring beyond the limit", f"{pull:g}, limit {limits.torque:g}"
         return None
 
 
@@ -289,6 +297,13 @@ class _Bounds:
         """Return "position", "velocity" or "torque"; 0 where the set-point has none."""
         value: float = getattr(one, quantity, 0.0)
         return value * self._ratio if quantity == "torque" else value / self._ratio
+
+    def pull(self, one: msg.Impedance, measured: msg.Feedback) -> float:
+        """Return the torque [N·m] of a spring and damper at the measured position and velocity."""
+        position = (measured.position or 0.0) * self._ratio
+        velocity = (measured.velocity or 0.0) * self._ratio
+        spring = one.stiffness * (one.position - position) + one.damping * (one.velocity - velocity)
+        return (one.torque + spring) * self._ratio
 
     def slack(self, one: SetPoint, quantity: str) -> float:
         """Return the error of the encoding of a quantity."""

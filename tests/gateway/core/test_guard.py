@@ -205,6 +205,37 @@ def test_a_blocked_frame_leaves_no_trace_and_does_not_hold_back_the_next() -> No
     assert guard._trial["can0"].decode(now, again) == decoder.decode(now, again)
 
 
+@pytest.mark.parametrize(
+    ("stiffness", "damping", "velocity_there", "torque", "passes"),
+    [
+        (1.9, 0.0, -10.0, 0.0, True),
+        (2.8, 0.0, -10.0, 0.0, False),
+        (0.0, 0.09, 10.0, 0.0, True),
+        (0.0, 0.12, 10.0, 0.0, False),
+        (1.5, 0.06, 10.0, 0.0, False),
+        (1.5, 0.0, -10.0, 0.7, False),
+        (3.0, 0.0, -10.0, -1.2, True),
+    ],
+)
+def test_a_spring_pulls_within_the_limit_of_torque(
+    stiffness: float, damping: float, velocity_there: float, torque: float, passes: bool
+) -> None:
+    """Of a reversed Damiao motor behind a gear of 2; the joint is at 2 rad and -10 rad/s, commanded to 3 rad."""
+    text = BENCH.replace('"odrive_can"', '"damiao"').replace('{ watchdog = "acknowledged" }', "{}")
+    robot = config.parse_robot(text.replace("gear = 8.0", "gear = 2.0\nsign = -1"))
+    motor, now = robot.motors["left"], 100 * SECOND
+    guard, joint = Guard(robot), Joint("left", motor.joint, motor.spec)
+    joint.on_event(msg.Feedback("left", now, 2.0 * -2.0, -10.0 * -2.0, *(None,) * 4))
+    joint.on_event(msg.State("left", now, Mode.ARMED, ""))
+    joint.owned = True
+    table = motor.device.options.table
+    gains = {"stiffness": stiffness / 4.0, "damping": damping / 4.0, "torque": torque / -2.0}
+    spring = table.encode("MIT", 1, position=3.0 * -2.0, velocity=velocity_there * -2.0, **gains)
+    frames = [table.encode("enable", 1), spring]
+    _, blocked = guard.check(now, "can0", "damiao", frames, {"left": joint}, stopped=False)
+    assert [each.rule for each in blocked] == ([] if passes else ["torque of the spring beyond the limit"])
+
+
 # -- below a joint without limits ----------------------------------------------------------------------------
 
 ROBOTS = (
