@@ -220,7 +220,7 @@ def test_a_blocked_frame_leaves_no_trace_and_does_not_hold_back_the_next() -> No
 def test_a_spring_pulls_within_the_limit_of_torque(
     stiffness: float, damping: float, velocity_there: float, torque: float, passes: bool
 ) -> None:
-    """Of a reversed Damiao motor behind a gear of 2; the joint is at 2 rad and -10 rad/s, commanded to 3 rad."""
+    """Of a reversed Damiao motor behind a gear of 2; joint: 2 rad, -10 rad/s, set-point 3 rad."""
     text = BENCH.replace('"odrive_can"', '"damiao"').replace('{ watchdog = "acknowledged" }', "{}")
     robot = config.parse_robot(text.replace("gear = 8.0", "gear = 2.0\nsign = -1"))
     motor, now = robot.motors["left"], 100 * SECOND
