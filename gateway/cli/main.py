@@ -14,9 +14,13 @@ import errno
 import logging
 import os
 import sys
+from contextlib import redirect_stderr, redirect_stdout
 from importlib import import_module
+from typing import TextIO, cast
 
 from gateway.cli.arguments import add_verbosity
+from gateway.cli.terminal.screen import Escaping, is_writable
+from gateway.core.message_text import escaped
 from gateway.errors import GatewayError
 
 DESCRIPTION = "One brain, any body, over real buses."
@@ -38,7 +42,12 @@ COMMANDS = {
 def main(arguments: list[str] | None = None) -> int:
     """Run the `gateway` command and return its exit status."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # equal bytes ask for one order of sums
-    arguments = sys.argv[1:] if arguments is None else arguments
+    out, err = (cast("TextIO", Escaping(stream)) for stream in (sys.stdout, sys.stderr))
+    with redirect_stdout(out), redirect_stderr(err):
+        return _main(sys.argv[1:] if arguments is None else arguments)
+
+
+def _main(arguments: list[str]) -> int:
     options = parser(*arguments[:1]).parse_args(arguments)
     _set_log_level(options.verbose - options.quiet)
     try:
@@ -73,8 +82,25 @@ def parser(command: str = "") -> argparse.ArgumentParser:
 
 def _set_log_level(verbosity: int) -> None:
     levels = {-2: logging.CRITICAL, -1: logging.ERROR, 0: logging.WARNING, 1: logging.INFO}
-    logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s", stream=sys.stderr)
+    handler = LogHandler(sys.stderr)
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s", handlers=[handler])
     logging.getLogger("gateway").setLevel(levels.get(max(-2, verbosity), logging.DEBUG))
+
+
+class LogHandler(logging.StreamHandler[TextIO]):
+    """Writes to a stream, and never waits for it: neither for a stopped terminal, nor for a full pipe."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write a record, or leave it out if the stream takes nothing."""
+        if is_writable(self.stream):
+            super().emit(record)
+
+
+class _OneLine(logging.Formatter):
+    """A message of the log is one line: no device can write another with its texts."""
+
+    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 -- logging's name
+        return escaped(super().formatMessage(record))
 
 
 def _flush() -> None:

@@ -96,8 +96,6 @@ def live(
                 raise error
             yield made
     finally:
-        if reasons:
-            log.warning("leaving: %s", reasons[0])
         _leave(run, reasons)
 
 
@@ -157,7 +155,6 @@ def _leave(run: _Run, reasons: Sequence[str]) -> None:
         (Leave(LEFT), braking, 1),
         (Leave(LEFT, at_once=True), DISARM_TIMEOUT, math.inf),
     )
-    run.leaving = True
     settled = clock.now() + (SETTLING if any(joint.owned for joint in joints) else 0)
     done = False
     for instruction, longest, outlasts in phases:
@@ -165,7 +162,9 @@ def _leave(run: _Run, reasons: Sequence[str]) -> None:
         instructions: tuple[Instruction, ...] = (instruction,)
         while not done and len(reasons) <= outlasts and (instructions or clock.now() < end):
             _tick_of_leaving(run, instructions)
-            instructions = ()
+            if reasons and not run.leaving:
+                log.warning("leaving: %s", reasons[0])
+            run.leaving, instructions = True, ()
             done = not gateway.still_armed() and clock.now() >= settled
             if not done:
                 clock.wait(clock.now() + gateway.robot.period)

@@ -5,7 +5,10 @@ from __future__ import annotations
 import errno
 import logging
 import os
+import pty
+import select
 import signal
+import termios
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from itertools import islice
@@ -18,7 +21,7 @@ import gateway as gw
 from gateway.buses import Bus
 from gateway.buses.virtual.bus import TwinBus
 from gateway.cli.jog import single_motor
-from gateway.cli.main import main
+from gateway.cli.main import LogHandler, main
 from gateway.core.joint import Joint
 from gateway.core.step import LEFT_ARMED, Gateway
 from gateway.core.tick import Inputs, Note
@@ -28,37 +31,16 @@ from gateway.recording.tick_writer import TickWriter
 from gateway.runtime import loop
 from protocols.messages import MILLISECOND, Idle, Leave, Mode, Nanos, Velocity
 from tests.gateway import little
-from tests.gateway.rig import Rig, sent_commands
+from tests.gateway.rig import BENCH, Rig, sent_commands
 
 MS = MILLISECOND
-TWO = """
-name = "two"
-rate_hz = 200
-world = "bench"
-[buses.can0]
-kind = "can"
-bitrate = 1_000_000
-interface = "twin"
-[buses.can1]
-kind = "can"
-bitrate = 1_000_000
-interface = "twin"
-[defaults.motors]
-protocol = "odrive_can"
-address = 1
-gear = 8.0
-stop_action = "brake"
-limits = { velocity = 20.0, acceleration = 10.0, torque = 2.0 }
-options = { watchdog = "acknowledged" }
-[motors.left]
-bus = "can0"
-[motors.right]
-bus = "can1"
-[brain]
-body = "joints"
-[brain.joints]
-motors = ["left", "right"]
-"""
+CAN1 = '[buses.can1]\nkind = "can"\ninterface = "twin"\nbitrate = 1_000_000\n'
+TWO = (
+    BENCH.replace("[defaults", f"{CAN1}[defaults")
+    .replace("address = 2", 'address = 2\nbus = "can1"')
+    .replace("acceleration = 60.0", "acceleration = 10.0")
+    .replace("gear = 8.0", 'gear = 8.0\nstop_action = "brake"')
+)
 """A bench with a bus for each motor, and long ways to brake: 1 s from 10 rad/s."""
 
 
@@ -374,3 +356,21 @@ def test_output_that_nobody_reads_any_more_ends_the_run_safely(
     assert main(["demo", "--fast", "--out", str(tmp_path)]) == 1
     assert sessions[0].joints["left"].owned
     assert sessions[0].gateway.still_armed() == []
+
+
+@pytest.mark.timeout(60)
+def test_a_terminal_that_takes_no_output_delays_nothing() -> None:
+    """Ctrl-S: a line of the log that waited for the terminal would keep the motors turning."""
+    master, slave = pty.openpty()
+    try:
+        with os.fdopen(slave, "w") as terminal:
+            handler = LogHandler(terminal)
+            record = logging.LogRecord("gateway", logging.ERROR, "", 0, "left: %s", ("fault",), None)
+            handler.emit(record)
+            assert os.read(master, 100) == b"left: fault\r\n"
+            termios.tcflow(slave, termios.TCOOFF)
+            handler.emit(record)
+            termios.tcflow(slave, termios.TCOON)
+            assert not select.select([master], [], [], 0.0)[0]
+    finally:
+        os.close(master)
