@@ -95,12 +95,9 @@ class LogHandler(logging.StreamHandler[TextIO]):
         if is_writable(self.stream):
             super().emit(record)
 
-
-class _OneLine(logging.Formatter):
-    """A message of the log is one line: no device can write another with its texts."""
-
-    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 -- logging's name
-        return escaped(super().formatMessage(record))
+    def format(self, record: logging.LogRecord) -> str:
+        """Return a record as one line: no device can write another with its texts."""
+        return escaped(super().format(record), keep="\n" if record.exc_info else "")
 
 
 def _flush() -> None:

@@ -18,7 +18,7 @@ from gateway import config
 from gateway.cli import arguments
 from gateway.cli.terminal.screen import screen
 from gateway.core.clock import WallClock
-from gateway.core.message_text import message_text
+from gateway.core.message_text import escaped, message_text
 from gateway.core.tick import Tick
 from gateway.errors import UserError
 from gateway.monitor import render
@@ -68,13 +68,13 @@ def run(options: Namespace) -> int:
         until = None if options.seconds is None else session.began + round(options.seconds * SECOND)
         if options.lines or not sys.stdout.isatty():
             for batch in lines(session, until):
-                print("\n".join(batch), flush=True)
+                print("\n".join(map(escaped, batch)), flush=True)
             print(end="" if options.lines else "\n")
         else:
             with screen(sys.stdout) as draw:
                 refresh(session, until, draw)
         if not options.lines:
-            print("\n".join(page(session)))
+            print("\n".join(map(escaped, page(session))))
     return 0
 
 
@@ -158,21 +158,25 @@ def _watch_recording(path: Path, *, lines: bool, seconds: float | None) -> None:
         now = tick.now
         received, sent = _decode(monitor, tick)
         if lines and (texts := _tick_lines(tick, received, sent)):
-            print("\n".join(texts))
+            print("\n".join(map(escaped, texts)))
     if monitor is None:
         raise UserError(f"{path}: it contains no tick")
     if not lines:
         cut = "" if recording.whole else ", cut short"
         title = f"{path}: {robot.name}, {(now - began) / SECOND:.1f} s{cut}"
-        print("\n".join(render.page(monitor, now, title)))
+        print("\n".join(map(escaped, render.page(monitor, now, title))))
 
 
 def _decode(monitor: BusMonitor, tick: Tick) -> tuple[list[DecodedPacket], list[DecodedPacket]]:
-    """Return what the host received, and what it sent."""
+    """Return what the host received, and what it sent, on the buses of the robot file."""
     for bus, state in tick.inputs.states:
-        monitor.on_state(tick.now, bus, state)
-    received = [monitor.decode(packet, sent=False) for packet in tick.inputs.packets]
-    return received, [monitor.decode(packet, sent=True) for packet in tick.outputs.packets]
+        if bus in monitor.buses:
+            monitor.on_state(tick.now, bus, state)
+    received, sent = (
+        [monitor.decode(packet, sent=sent) for packet in packets if packet.bus in monitor.buses]
+        for sent, packets in ((False, tick.inputs.packets), (True, tick.outputs.packets))
+    )
+    return received, sent
 
 
 def _tick_lines(tick: Tick, received: Sequence[DecodedPacket], sent: Sequence[DecodedPacket]) -> list[str]:

@@ -1,4 +1,4 @@
-"""Messages as text: `left: Velocity 3.142 rad/s`."""
+"""Messages as text: `left: Velocity 3.142 rad/s`; and what others wrote, safe to be shown."""
 
 from __future__ import annotations
 
@@ -28,6 +28,13 @@ _LIST = 8
 """Values of a long tuple that are shown."""
 
 
+def escaped(text: str, keep: str = "") -> str:
+    r"""Return a text without control of a terminal: what is not printable as `\x1b`, but for `keep`."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c in keep else ascii(c)[1:-1] for c in text)
+
+
 def message_text(message: Message, digits: int = 4) -> str:
     """Return a message's subject, kind, and the fields that are not at their default."""
     names = [field.name for field in fields(message)]
@@ -43,7 +50,7 @@ def message_text(message: Message, digits: int = 4) -> str:
         unit = f" {UNITS[field.name]}" if field.name in UNITS else ""
         parts.append(f"{label}{_value(value, digits)}{unit}")
     about = f"{getattr(message, subject)}: " if subject and getattr(message, subject) else ""
-    return f"{about}{kind} {', '.join(parts)}".rstrip()
+    return escaped(f"{about}{kind} {', '.join(parts)}".rstrip())
 
 
 def _value(value: object, digits: int) -> str:

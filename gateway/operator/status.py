@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import degrees
 from typing import TYPE_CHECKING
 
+from gateway.core.message_text import escaped
 from protocols.messages import MILLISECOND
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ def status_text(session: Session) -> str:
     if (recorder := session.recorder) is not None:
         lost = f", {recorder.lost} ticks lost: {recorder.trouble}" if recorder.trouble else ""
         lines.append(f"recording: {recorder.path}{lost}")
-    return "\n".join(lines)
+    return "\n".join(map(escaped, lines))
 
 
 def _joint(joint: Joint, now: Nanos) -> list[str]:

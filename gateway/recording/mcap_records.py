@@ -2,8 +2,9 @@
 
 Rules. Nothing but OSError is raised. What cannot be read is a `Damage` with place and reason, and reading
 continues after it: at the next record, or where the next chunk is found. A length in a damaged file is never
-trusted beyond the bytes that exist. A chunk counts only if its checksum matches; records outside of chunks
-are verified by the checksum at the end of the data, if the file has one.
+trusted beyond the bytes that exist, and chunks are not unpacked to more than the bounds below. A chunk counts
+only if its checksum matches; records outside of chunks are verified by the checksum at the end of the data,
+if the file has one.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ from gateway.recording.layout import MAGIC, Opcode
 
 _START = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQII")
+FOOTER = struct.Struct("<BQQQI")
+"""Opcode, length, start of the summary and of its offsets, checksum."""
 _U64 = struct.Struct("<Q")
 _U32 = struct.Struct("<I")
 _CHUNK_MARK = b"\x03\x00\x00\x00lz4"
@@ -28,8 +31,12 @@ _SEARCH = 1 << 20
 MESSAGE_HEAD = struct.Struct("<HIQQ")
 """Channel, sequence, log time, publish time: the fields of a message before its data."""
 _MIN_SIZE = {Opcode.DATA_END: _U32.size, Opcode.MESSAGE: MESSAGE_HEAD.size}
-_MAX_EXPANSION = 255
-"""Largest compression ratio of lz4."""
+_IN_CHUNK = {Opcode.SCHEMA: 0, Opcode.CHANNEL: 0, Opcode.MESSAGE: MESSAGE_HEAD.size}
+"""Records that a chunk may contain, with the least size of their content."""
+MAX_UNPACKED = 64 * 1024 * 1024
+"""Bytes that a chunk may unpack to: a thousand times the largest that we write,"""
+MAX_EXPANSION = 64
+"""and all chunks so far together, beside one such chunk, in proportion to their packed size."""
 
 
 class Record(NamedTuple):
@@ -56,6 +63,7 @@ def records(file: BinaryIO) -> Iterator[Piece]:
     A cut is a Damage that reaches to the end of the file; a cut between two records leaves no trace."""
     size = file.seek(0, os.SEEK_END)
     at, crc, damaged = len(MAGIC), zlib.crc32(MAGIC), False
+    unpacked = 0
     while at < size:
         found = _record(file, at, size)
         if found is None:
@@ -71,11 +79,27 @@ def records(file: BinaryIO) -> Iterator[Piece]:
             return
         crc = zlib.crc32(found.content, zlib.crc32(_START.pack(found.opcode, len(found.content)), crc))
         if found.opcode == Opcode.CHUNK:
+            unpacked += _CHUNK.unpack_from(found.content)[2]
+            if unpacked > MAX_UNPACKED + MAX_EXPANSION * at:
+                yield Damage(at, size - at, f"it would unpack to more than {MAX_EXPANSION} times its size")
+                return
             for piece in _in_chunk(found.content, at):
                 damaged = damaged or isinstance(piece, Damage)
                 yield piece
         else:
             yield found
+        at += _START.size + len(found.content)
+
+
+def summary(file: BinaryIO) -> Iterator[Record]:
+    """Yield the records after the end of the data: schemas, channels, statistics; up to the first damage."""
+    end = file.seek(-min(len(MAGIC) + FOOTER.size, file.seek(0, os.SEEK_END)), os.SEEK_END)
+    footer = file.read(FOOTER.size)
+    if len(footer) < FOOTER.size or footer[0] != Opcode.FOOTER:
+        return
+    at: int = FOOTER.unpack(footer)[2]
+    while 0 < at < end and (found := _record(file, at, end)):
+        yield found
         at += _START.size + len(found.content)
 
 
@@ -122,7 +146,7 @@ def _in_chunk(content: bytes, at: int) -> Iterator[Piece]:
         if place + _START.size <= len(contents):
             opcode, length = _START.unpack_from(contents, place)
         place += _START.size + length
-        if place > len(contents) or (opcode == Opcode.MESSAGE and length < MESSAGE_HEAD.size):
+        if place > len(contents) or length < _IN_CHUNK.get(opcode, length + 1):
             yield Damage(at, _START.size + len(content), "a chunk with an incomplete record in it")
             return
         yield Record(opcode, contents[place - length : place])
@@ -134,9 +158,9 @@ def _contents(content: bytes) -> bytes | str:
     if parts is None:
         return "no chunk"
     size, crc, compression, data = parts
+    if size > MAX_UNPACKED:
+        return f"a chunk that would unpack to {size} bytes; at most {MAX_UNPACKED} are read"
     if compression == "lz4":
-        if size > _MAX_EXPANSION * len(data) + 64:
-            return "a chunk of an impossible size"
         try:
             data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size)
         except (RuntimeError, EOFError, MemoryError) as error:  # RuntimeError is lz4's for a broken frame

@@ -10,6 +10,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
+from gateway.core.message_text import escaped
 from gateway.core.tick import Tick
 from gateway.errors import RecordingError
 from gateway.recording import tick_codec
@@ -24,14 +25,17 @@ from gateway.recording.layout import (
     digest,
     modernised,
 )
-from gateway.recording.mcap_records import MESSAGE_HEAD, Damage, Record, records
+from gateway.recording.mcap_records import MAX_UNPACKED, MESSAGE_HEAD, Damage, Record, records, summary
 from gateway.recording.ros_views import View
 from gateway.recording.tick_codec import TickCodecError
 
-if TYPE_CHECKING:
-    from mcap.records import Attachment, Channel, Header, Metadata, Schema
+_VIEW = 200
+"""Bytes of memory of a view, beside its data"""
 
-    R = TypeVar("R", Attachment, Channel, Header, Metadata, Schema)
+if TYPE_CHECKING:
+    from mcap.records import Attachment, Channel, Header, Metadata, Schema, Statistics
+
+    R = TypeVar("R", Attachment, Channel, Header, Metadata, Schema, Statistics)
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +124,7 @@ def parse(path: Path, kind: type[R], record: Record) -> R:
 
     try:
         parsed: R = kind.read(ReadDataStream(BytesIO(record.content)))
-    except (McapError, struct.error, ValueError) as error:
+    except (McapError, struct.error, ValueError, OverflowError) as error:
         raise RecordingError(f"{path}: damaged: a {kind.__name__} cannot be read: {error}") from error
     return parsed
 
@@ -148,13 +152,15 @@ def head(path: Path, whole: bool) -> tuple[str, str, dict[str, str]]:
     if METADATA not in metadata:
         if not whole and not library:
             raise RecordingError(f"{path}: cut off in its first bytes: nothing can be read")
-        raise RecordingError(f"{path}: an MCAP file of {library or 'another program'}, not of this gateway")
+        raise RecordingError(
+            f"{path}: an MCAP file of {escaped(library) or 'another program'}, not of this gateway"
+        )
     own = metadata[METADATA]
     format_ = own.get("format", "")
     if format_ not in READABLE:
         readable = " and ".join(READABLE)
         raise RecordingError(
-            f"{path}: a recording of format {format_}; this program reads formats {readable}"
+            f"{path}: a recording of format {escaped(format_)}; this program reads formats {readable}"
         )
     if robot is None:
         raise RecordingError(f"{path}: cut off before the robot file: there is no tick in it")
@@ -165,18 +171,18 @@ def head(path: Path, whole: bool) -> tuple[str, str, dict[str, str]]:
 
 def _indexed(path: Path) -> int | None:
     """Return the number of ticks that the index counts."""
-    from mcap.exceptions import McapError
-    from mcap.reader import make_reader
+    from mcap.records import Channel, Statistics
 
-    try:
-        with path.open("rb") as file:
-            summary = make_reader(file).get_summary()
-    except (McapError, struct.error, ValueError, OSError) as error:
-        raise RecordingError(f"{path}: damaged: its index cannot be read") from error
-    if summary is None or summary.statistics is None:
-        return None
-    counts = summary.statistics.channel_message_counts
-    return sum(counts.get(c.id, 0) for c in summary.channels.values() if c.topic == tick_codec.TOPIC)
+    ticks: set[int] = set()
+    counts: dict[int, int] | None = None
+    with path.open("rb") as file:
+        for record in summary(file):
+            if record.opcode == Opcode.CHANNEL:
+                channel = parse(path, Channel, record)
+                ticks |= {channel.id} if channel.topic == tick_codec.TOPIC else set()
+            elif record.opcode == Opcode.STATISTICS:
+                counts = parse(path, Statistics, record).channel_message_counts
+    return None if counts is None else sum(counts.get(channel, 0) for channel in ticks)
 
 
 def _records(path: Path, whole: bool) -> Iterator[Record]:
@@ -199,6 +205,8 @@ def _steps(path: Path, whole: bool) -> Iterator[Step]:
     chain = tick_codec.CHAIN_START
     entry: tick_codec.Entry | None = None
     views: list[View] = []
+    held = 0
+    """Memory of the views, about"""
     for record in _records(path, whole):
         if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             try:
@@ -218,10 +226,13 @@ def _steps(path: Path, whole: bool) -> Iterator[Step]:
             data = record.content[MESSAGE_HEAD.size :]
             if topic != tick_codec.TOPIC:
                 views.append(View(topic, type_, published, data))
+                held += _VIEW + len(data)
+                if held > MAX_UNPACKED:
+                    raise RecordingError(f"{path}: damaged: more than {MAX_UNPACKED} bytes between two ticks")
                 continue
             if entry is not None:
                 yield Step(entry.tick, tuple(views), entry.damage(), whole=True)
-            entry, views = _entry(path, data, chain, entry), []
+            entry, views, held = _entry(path, data, chain, entry), [], 0
             chain = entry.written
     if entry is not None:
         yield Step(entry.tick, tuple(views), entry.damage(), whole)

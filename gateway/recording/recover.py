@@ -18,15 +18,15 @@ from gateway.errors import RecordingError
 from gateway.recording import tick_codec
 from gateway.recording.layout import MAGIC, Opcode
 from gateway.recording.mcap_file import McapFile
-from gateway.recording.mcap_records import MESSAGE_HEAD, Damage, Record, records
+from gateway.recording.mcap_records import FOOTER, MESSAGE_HEAD, Damage, Record, records
 from gateway.recording.reader import has_end, head, parse, read_recording
 from protocols.messages import Nanos, seconds
 
 RECOVERED = "recovered"
 """Name of additional metadata of a recovered file: its source, and what was lost."""
 CHUNK_SIZE = 512 * 1024
-_CRC = struct.Struct("<I")
-_FOOTER = struct.Struct("<BQQQ")
+MAX_LISTED = 1000
+"""Gaps"""
 _TICK = struct.Struct("<4xQq")
 
 
@@ -46,7 +46,9 @@ class Recovery:
     last: tuple[int, Nanos] | None = None
     """and of the last."""
     gaps: list[tuple[int, int]] = field(default_factory=list)
-    """First and last number of each run of missing ticks."""
+    """First and last number of each run of missing ticks; the first `MAX_LISTED`,"""
+    more_gaps: int = 0
+    """and how many more there are."""
     damages: list[Damage] = field(default_factory=list)
 
     def summary(self) -> list[str]:
@@ -62,6 +64,7 @@ class Recovery:
         else:
             lines.append("no tick can be read")
         lines += [f"missing in between: ticks {a} to {b}" for a, b in self.gaps]
+        lines += [f"and {self.more_gaps} gaps more"] * bool(self.more_gaps)
         if not self.ended:
             lines.append("the file was not closed: what followed that tick was not completely written")
         return lines
@@ -86,10 +89,8 @@ def is_whole(path: Path) -> bool:
 def _index_is_sound(path: Path) -> bool:
     """True if index and footer match the checksum in the footer."""
     with path.open("rb") as file:
-        end = file.seek(-len(MAGIC) - _CRC.size, os.SEEK_END)
-        (crc,) = _CRC.unpack(file.read(_CRC.size))
-        file.seek(end - _FOOTER.size)
-        code, _length, start, _offsets = _FOOTER.unpack(file.read(_FOOTER.size))
+        end = file.seek(-len(MAGIC) - FOOTER.size, os.SEEK_END) + FOOTER.size - 4
+        code, _length, start, _offsets, crc = FOOTER.unpack(file.read(FOOTER.size))
         if code != Opcode.FOOTER or start > end:
             return False
         file.seek(start)
@@ -151,6 +152,8 @@ def _scanned(path: Path, found: Recovery) -> Iterator[Record]:
                 elif piece.opcode == Opcode.MESSAGE:
                     found.messages += 1
                     if MESSAGE_HEAD.unpack_from(piece.content)[0] in ticks:
+                        if len(piece.content) < MESSAGE_HEAD.size + _TICK.size:
+                            raise RecordingError(f"{path}: damaged: a tick without number and time")
                         _count_tick(found, piece)
                 yield piece
     except OSError as error:
@@ -161,7 +164,10 @@ def _count_tick(found: Recovery, record: Record) -> None:
     number, now = _TICK.unpack_from(record.content, MESSAGE_HEAD.size)
     found.ticks += 1
     if found.last is not None and number > found.last[0] + 1:
-        found.gaps.append((found.last[0] + 1, number - 1))
+        if len(found.gaps) < MAX_LISTED:
+            found.gaps.append((found.last[0] + 1, number - 1))
+        else:
+            found.more_gaps += 1
     found.first = found.first or (number, now)
     found.last = (number, now)
 

@@ -169,8 +169,13 @@ class Views:
             self._store.get_msgdef(type_)
 
     def deserialise(self, view: View) -> object:
-        """Return the message as an object with its fields."""
-        return self._store.deserialize_cdr(view.data, view.type)
+        """Return the message as an object with its fields; or why its bytes are none, as a text."""
+        from rosbags.serde import SerdeError
+
+        try:
+            return self._store.deserialize_cdr(view.data, view.type)
+        except SerdeError as error:
+            return f"no {view.type}: {error}"
 
     # -- rates ----------------------------------------------------------------------------------
 

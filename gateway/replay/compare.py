@@ -21,6 +21,7 @@ from brain.belief import Belief
 from brain.perception.mount import Mount
 from gateway.config import parse_robot
 from gateway.core.guard import decoder_of
+from gateway.core.message_text import escaped
 from gateway.core.robot import Robot
 from gateway.core.step import Gateway
 from gateway.core.tick import Inputs, Note, Outputs, Tick
@@ -372,7 +373,8 @@ def _without_texts(event: Event) -> Event:
 
 
 def _both(what: str, recorded: str, now: str) -> str:
-    return f"{what}\n  recorded: {recorded or 'nothing more'}\n  now:      {now or 'nothing more'}"
+    recorded, now = (escaped(text) or "nothing more" for text in (recorded, now))
+    return f"{what}\n  recorded: {recorded}\n  now:      {now}"
 
 
 def _causes(

@@ -13,7 +13,7 @@ from itertools import zip_longest
 
 import numpy as np
 
-from gateway.core.message_text import message_text
+from gateway.core.message_text import escaped, message_text
 from protocols.messages import Message
 
 _DIGITS = (4, 6, 9, 17)
@@ -44,7 +44,7 @@ def settings(recorded: str, now: str) -> list[str]:
 def mappings(recorded: Mapping[str, object], now: Mapping[str, object]) -> list[str]:
     """Return the entries in which two mappings differ, with both values, sorted by key."""
     return [
-        f"{key}: {_shown(recorded, key)} recorded, {_shown(now, key)} now"
+        f"{escaped(key)}: {_shown(recorded, key)} recorded, {_shown(now, key)} now"
         for key in sorted({**recorded, **now})
         if key not in recorded
         or key not in now

@@ -6,6 +6,7 @@ other libraries' errors through. Here all of that becomes a `BagError` with its 
 
 from __future__ import annotations
 
+import resource
 import sqlite3
 import struct
 from collections.abc import Iterator
@@ -15,7 +16,8 @@ from traceback import extract_tb
 from typing import TYPE_CHECKING
 
 from gateway.errors import BagError
-from gateway.recording.layout import MAGIC, METADATA
+from gateway.recording.layout import MAGIC, METADATA, Opcode
+from gateway.recording.mcap_records import MAX_EXPANSION, Damage, records
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -43,20 +45,15 @@ def _start(path: Path) -> bytes:
 
 def _is_recording(path: Path) -> bool:
     """True if a recording's metadata precede the first message, or if the file is too short to decide."""
-    from mcap.exceptions import McapError
-    from mcap.records import Message, Metadata
-    from mcap.stream_reader import StreamReader
-
     with path.open("rb") as file:
-        try:
-            for record in StreamReader(file, record_size_limit=path.stat().st_size).records:
-                if isinstance(record, Message):
-                    return False
-                if isinstance(record, Metadata) and record.name == METADATA:
-                    return True
-        except (McapError, struct.error, ValueError, RuntimeError):
-            return True  # gateway.recording reports what is wrong with it
-    return False
+        for piece in records(file):
+            if isinstance(piece, Damage):
+                return not piece.reason.startswith("a chunk packed with")  # gateway.recording reports others
+            if piece.opcode in (Opcode.MESSAGE, Opcode.DATA_END):
+                return False
+            if piece.opcode == Opcode.METADATA and METADATA.encode() in piece.content[: len(METADATA) + 4]:
+                return True
+    return True
 
 
 @contextmanager
@@ -70,7 +67,10 @@ def open_bag(path: Path) -> Iterator[AnyReader]:
 
     try:
         # A ROS 1 bag contains the definitions of its types; some ROS 2 bags leave them to the reader.
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+        with (
+            _limited_memory(path),
+            AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader,
+        ):
             yield reader
     except (AnyReaderError, Ros1Error, Ros2Error) as error:
         raise BagError(f"{path}: {_line(error)}") from error
@@ -79,8 +79,26 @@ def open_bag(path: Path) -> Iterator[AnyReader]:
         raise BagError(
             f"{path}: damaged: it fails the reader's check `{place.line}` ({place.name})"
         ) from error
+    except MemoryError as error:
+        raise BagError(f"{path}: needs too much memory for its size: damaged, or made to do harm") from error
     except DAMAGE as error:
         raise BagError(f"{path}: damaged: {type(error).__name__}: {_line(error)}") from error
+
+
+@contextmanager
+def _limited_memory(path: Path) -> Iterator[None]:
+    """Limit the memory of this process: the library unpacks whatever a bag contains, to any size."""
+    files = path.rglob("*") if path.is_dir() else [path]
+    size = sum(file.stat().st_size for file in files if file.is_file())
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    most = pages * resource.getpagesize() + MAX_MEMORY + MAX_EXPANSION * size
+    if soft == resource.RLIM_INFINITY or most < soft:
+        resource.setrlimit(resource.RLIMIT_AS, (most, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
 def _check_form(path: Path) -> None:
@@ -118,13 +136,14 @@ def _line(error: object) -> str:
     return (text if len(text) <= MAX_LENGTH else f"{text[:MAX_LENGTH]}…").rstrip(".: ")
 
 
+MAX_MEMORY = 512 * 1024 * 1024
+"""Bytes that reading a bag may take, beside `MAX_EXPANSION` times its size."""
 MAX_LENGTH = 120
 """Characters of another library's error text that are shown."""
 DAMAGE = (
     ArithmeticError,
     EOFError,
     LookupError,
-    MemoryError,
     OSError,
     RuntimeError,
     TypeError,

@@ -1,8 +1,8 @@
-"""A page and a line that are redrawn in place on a terminal, by ANSI sequences.
+"""A page and a line that are redrawn in place on a terminal, by ANSI sequences; all other output without any.
 
 Rules. What cannot be drawn at once because the terminal is not reading is left out: nothing here blocks.
-Lines are cut to the terminal's width, pages to its height, and control characters are replaced. At the end
-the cursor is restored.
+Lines are cut to the terminal's width, pages to its height. Control characters in texts are escaped: here, and
+by `Escaping` in everything that is printed. At the end the cursor is restored.
 """
 
 from __future__ import annotations
@@ -11,7 +11,9 @@ import os
 import select
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from typing import TextIO
+from typing import Any, TextIO
+
+from gateway.core.message_text import escaped
 
 ENTER, LEAVE = "\x1b[?1049h\x1b[?25l", "\x1b[?25h\x1b[?1049l"
 """To the alternate screen with the cursor hidden, and back."""
@@ -19,14 +21,25 @@ HOME, CLEAR_LINE, CLEAR_BELOW = "\x1b[H", "\x1b[K", "\x1b[J"
 FALLBACK = os.terminal_size((100, 30))
 
 
-def clean(text: str) -> str:
-    """Return the text with its control characters replaced."""
-    return "".join(c if c.isprintable() else "·" for c in text)
+class Escaping:
+    """A text stream in which nothing but the end of a line controls a terminal."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self.terminal = stream
+        """Where a page or line is drawn."""
+
+    def write(self, text: str) -> int:
+        """Write a text, its control characters escaped."""
+        self.terminal.write(escaped(text, keep="\n"))
+        return len(text)
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 -- all else is the stream's
+        return getattr(self.terminal, name)
 
 
 def cut(text: str, width: int) -> str:
     """Return the part of a text that fits into a width."""
-    text = clean(text)
+    text = escaped(text)
     return text if len(text) <= width else text[: max(0, width - 1)] + "…"
 
 
@@ -42,6 +55,8 @@ def page(lines: Sequence[str], size: os.terminal_size) -> str:
 @contextmanager
 def screen(stream: TextIO) -> Iterator[Callable[[Sequence[str]], None]]:
     """Switch a terminal to its alternate screen; yield the function that draws a page over the one before."""
+
+    stream = getattr(stream, "terminal", stream)
 
     def draw(lines: Sequence[str]) -> None:
         if is_writable(stream):
@@ -62,7 +77,7 @@ class Line:
     """One line of a terminal that is redrawn in place; without a terminal, each is a line of its own."""
 
     def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
+        self._stream: TextIO = getattr(stream, "terminal", stream)
         self._terminal = stream.isatty()
         self._drawn = False
 
@@ -73,12 +88,12 @@ class Line:
         if self._terminal:
             self._write(f"\r{cut(text, size_of(self._stream).columns - 1)}{CLEAR_LINE}")
         else:
-            self._write(f"{clean(text)}\n")
+            self._write(f"{escaped(text)}\n")
         self._drawn = self._terminal
 
     def print_above(self, text: str) -> None:
         """Print a line that stays, above the one that is redrawn."""
-        self._write(f"\r{CLEAR_LINE}{clean(text)}\n" if self._drawn else f"{clean(text)}\n")
+        self._write(f"\r{CLEAR_LINE}{escaped(text)}\n" if self._drawn else f"{escaped(text)}\n")
         self._drawn = False
 
     def end(self) -> None:

@@ -239,7 +239,7 @@ def test_a_page_fits_its_terminal_and_contains_no_control_characters() -> None:
     rows = text.removeprefix("\x1b[H").removesuffix("\x1b[J").split("\r\n")
     assert [row.removesuffix("\x1b[K") for row in rows] == [
         "x" * 19 + "…",
-        "·[31mred·",
+        "\\x1b[31mred\\x07",
         "3",
         cut("… 2 more lines: the window is too low", 20),
     ]
