@@ -68,7 +68,7 @@ def one_run(start: Callable[[], Program], twin: Program, seed: int, number: int)
             os.kill(run.pid, second)
         status = run.end(None)
         text = run.text
-    assert f"leaving: {first.name}" in text, text
+    assert re.search(rf"leaving: ({first.name}|{second.name})", text), text  # both may be handled at once
     closed = status == -second or "KeyboardInterrupt" in text
     known = "left in fault" in text or LEFT_ARMED in text  # of devices whose process has no processor
     assert status == 0 or closed or known, f"{text}\nexit status {status}"
