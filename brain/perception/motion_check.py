@@ -29,7 +29,7 @@ KEPT: Nanos = 4 * SECOND
 FORGET: Nanos = 3 * SECOND
 """and a reference at most for this time."""
 AHEAD: Nanos = 60 * MILLISECOND
-"""A track is extrapolated by at most this much."""
+"""A track is extrapolated by at most this much, and a gyro's rate holds for at most this time."""
 PERIOD: Nanos = 50 * MILLISECOND
 """Wheels and gyro are compared this often."""
 CONFIRM = 3
@@ -47,11 +47,11 @@ FIT = 0.5
 TURN, DISTANCE = 0.05, 0.07
 """rad and m: differences below these are none (measured: at most 0.045 rad and 0.015 m),"""
 TURN_SHARE, SLIP_SHARE = 0.15, 0.35
-"""nor are those below this share of the motion (soft tyres, stamps), or of a way that the base lags behind."""
+"""nor are those below this share of the motion (tyres, stamps), or of a way that the base lags behind."""
 PAST: Nanos = 10 * SECOND
 """What differs slowly is summed over this time:"""
 LEAST_WAY, STRAIGHT = 1.0, 0.1
-"""m: a lidar's direction shows from a way of this length on, where a comparison turns by less than this."""
+"""m: a lidar's direction shows from a way of this length on, where comparisons turn by less (rad)."""
 PAST_SHARE = 0.05
 """there, and of turns that neither the wheels' slip nor their distance spoils, this share is allowed."""
 
@@ -81,7 +81,7 @@ class Track:
 
     def add(self, since: Nanos, t: Nanos, distance: float, turn: float, uncertain: float) -> None:
         """Add an arc [m, rad] between two times; after a gap the track begins anew."""
-        if self._rows and not self._rows[-1][0] <= since + AHEAD <= t + AHEAD:
+        if self._rows and self._rows[-1][0] != since:
             self._rows.clear()
         _, x, y, yaw, total = self._rows[-1] if self._rows else (since, 0.0, 0.0, 0.0, 0.0)
         if not self._rows:
@@ -233,7 +233,7 @@ class MotionCheck:
 
     def on_gyro(self, name: str, t: Nanos, rate: float, sigma: float) -> None:
         """Add a rate without its bias, whose standard deviation is sigma [rad/s]."""
-        if self._gyro_name == name and t > self._gyro_t:
+        if self._gyro_name == name and self._gyro_t < t <= self._gyro_t + AHEAD:
             dt = seconds(t - self._gyro_t)
             self._gyro.add(self._gyro_t, t, 0.0, rate * dt, 3.0 * sigma * dt)
         self._gyro_name, self._gyro_t = name, max(t, self._gyro_t)
@@ -243,7 +243,7 @@ class MotionCheck:
         reference = self._references.get(name)
         since = t if reference is None else reference.t
         wheels, gyro = self._wheels.between(since, t), self._gyro.between(since, t)
-        if reference is None or wheels is None or t - since > FORGET:
+        if reference is None or wheels is None or t - since > FORGET or self._is_far(name, wheels):
             self._references[name] = Reference(t, scan)
             self._past[name] = deque()
             self._differ.pop(name, None)
@@ -262,6 +262,11 @@ class MotionCheck:
         elif found is None and not self._confirmed(name):
             self._references[name] = Reference(t, scan)
         self._count(name, reason)
+
+    def _is_far(self, name: str, wheels: Motion) -> bool:
+        """True if a gap of the scans leaves too little in common with the reference."""
+        far = math.hypot(wheels.x, wheels.y) > 3.0 * RENEW_DISTANCE or abs(wheels.turn) > 3.0 * RENEW_TURN
+        return far and name not in self._differ
 
     def _compare_turns(self, t: Nanos) -> None:
         since = self._turned
