@@ -1,9 +1,11 @@
 """The operator's access to a running robot: a local socket, and lines on the terminal.
 
 Rules. Nothing here waits and there is no thread: the loop polls, and a client that is slow, gone or sends
-nonsense affects no other. Only its owner may open the socket (mode 0600 in a directory of mode 0700). Lines
-and buffers are bounded. The end of the terminal's input does not end the run; `quit` does. A terminal is read
-only while the program is in its foreground: reading from the background would stop the process.
+nonsense affects no other. Only its owner may open the socket (mode 0600 in a directory of mode 0700). Lines,
+buffers and the lines answered in one poll are bounded; a new client is always let in, in place of the one that
+has been idle longest. What is answered cannot control a terminal. The end of the terminal's input does not end
+the run; `quit` does. A terminal is read only while the program is in its foreground: reading from the
+background would stop the process.
 
 The dialogue: each line is answered by one or more lines; what the robot then reports (`report`) follows.
 A client that has shut down its writing side gets that too, and is then closed.
@@ -15,13 +17,16 @@ import os
 import select
 import socket
 import stat
+import struct
 import sys
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
+from gateway.core.message_text import escaped
 from gateway.core.robot import Robot
 from gateway.errors import OperatorError
 from gateway.operator.commands import Query, RejectedLine, help_text, parse
@@ -33,7 +38,11 @@ MAX_LINE = 1000
 """Bytes of a line."""
 MAX_UNSENT = 65536
 """Bytes that a client may leave unread before it is dropped."""
-MAX_CLIENTS = 16
+MAX_LINES = 32
+"""Lines that are answered in one poll,"""
+MAX_LINES_EACH = 8
+"""and of one client."""
+MAX_CLIENTS = 64
 MAX_PATH = 107
 """Bytes of a socket's path (unix(7): sun_path)."""
 
@@ -78,6 +87,8 @@ def _decoded(line: bytearray) -> str | RejectedLine:
 class _Client:
     socket: socket.socket
     buffer: LineBuffer = field(default_factory=LineBuffer)
+    lines: deque[str | RejectedLine] = field(default_factory=deque)
+    """Received and not answered yet."""
     unsent: bytearray = field(default_factory=bytearray)
     ended: bool = False
     """Whether it has shut down its writing side."""
@@ -92,8 +103,9 @@ class Operator:
         Raises OperatorError if the socket cannot be made."""
         self._robot = robot
         self._terminal = _standard_input() if terminal == -1 else terminal
-        self._typed = LineBuffer()
+        self._typed, self._typed_lines = LineBuffer(), deque[str | RejectedLine]()
         self._clients: list[_Client] = []
+        """The one that was answered or accepted longest ago first."""
         self.leaving = False
         """Whether quit has been received."""
         self.path = _free_path(folder or socket_folder(), robot.name)
@@ -106,27 +118,33 @@ class Operator:
         self.close()
 
     def poll(self, status: Callable[[], str]) -> list[Instruction]:
-        """Return the instructions since the last poll, by client in the order of arrival. Never waits.
+        """Return the instructions since the last poll, of the client answered longest ago first. Never waits.
 
         `status` is called for each line that asks for it."""
         instructions: list[Instruction] = []
-        self._accept()
         for client in list(self._clients):
-            if client.ended:
-                self._send(client)
-                self._drop(client)
-                continue
-            for line in self._read(client):
-                instructions += self._on_line(line, partial(_queue, client), status)
+            self._read(client)
+        for client in self._accept():
+            self._read(client)
+        left = MAX_LINES
+        for client in list(self._clients):
+            count = min(left, MAX_LINES_EACH, len(client.lines))
+            for _ in range(count):
+                instructions += self._on_line(client.lines.popleft(), partial(_queue, client), status)
+            left -= count
+            if count:
+                self._clients.remove(client)
+                self._clients.append(client)
             self._send(client)
-        for line in self._read_terminal():
-            instructions += self._on_line(line, _print, status)
+        self._typed_lines.extend(() if self._typed_lines else self._read_terminal())
+        for _ in range(min(MAX_LINES_EACH, len(self._typed_lines))):
+            instructions += self._on_line(self._typed_lines.popleft(), _print, status)
         return instructions
 
     def report(self, text: str) -> None:
         """Send a text of the robot to every connected client. (The terminal has the log.)"""
         for client in list(self._clients):
-            _queue(client, text)
+            _queue(client, escaped(text))
             self._send(client)
 
     def close(self) -> None:
@@ -161,27 +179,35 @@ class Operator:
 
     # -- clients ------------------------------------------------------------------------------
 
-    def _accept(self) -> None:
-        while len(self._clients) < MAX_CLIENTS:
+    def _accept(self) -> Iterator[_Client]:
+        for _ in range(MAX_CLIENTS):
             try:
-                connection, _ = self._listener.accept()
+                connection, _address = self._listener.accept()
             except OSError:  # no client waits, or it has gone again
                 return
             connection.setblocking(False)
+            if len(self._clients) >= MAX_CLIENTS:
+                self._drop(min(self._clients, key=lambda one: bool(one.lines or one.unsent)))
             self._clients.append(_Client(connection))
+            yield self._clients[-1]
 
-    def _read(self, client: _Client) -> list[str | RejectedLine]:
+    def _read(self, client: _Client) -> None:
+        """Read lines, unless some are left to be answered; drop a client that has ended and was answered."""
+        if client.lines:
+            return
+        if client.ended:
+            self._send(client)
+            self._drop(client)
+            return
         try:
             data = client.socket.recv(MAX_READ)
         except BlockingIOError:
-            return []
+            return
         except OSError:
             self._drop(client)
-            return []
-        if data:
-            return client.buffer.feed(data)
-        client.ended = True
-        return client.buffer.end()
+            return
+        client.ended = not data
+        client.lines.extend(client.buffer.feed(data) if data else client.buffer.end())
 
     def _send(self, client: _Client) -> None:
         try:
@@ -217,12 +243,12 @@ class Operator:
 
 
 def _queue(client: _Client, text: str) -> None:
-    client.unsent += text.encode() + b"\n"
+    client.unsent += escaped(text, keep="\n").encode() + b"\n"
 
 
 def _print(text: str) -> None:
     with suppress(OSError):  # the standard output has no reader any more
-        print(text, flush=True)
+        print(escaped(text, keep="\n"), flush=True)
 
 
 def _standard_input() -> int | None:
@@ -319,15 +345,18 @@ def ask(path: Path, line: str, timeout: float = 2.0) -> str:
         OperatorError: no robot runs there, or it does not answer in time.
     """
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
-        connection.settimeout(timeout)
+        # A connect with a time-out of Python's does not wait for a place in a full queue; the kernel's does.
+        wait = struct.pack("@ll", int(timeout), int(timeout % 1 * 1e6))
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, wait)
         answer = bytearray()
         try:
             connection.connect(os.fspath(path))
+            connection.settimeout(timeout)
             connection.sendall(line.encode() + b"\n")
             connection.shutdown(socket.SHUT_WR)
             while data := connection.recv(MAX_READ):
                 answer += data
-        except TimeoutError as error:
+        except (TimeoutError, BlockingIOError) as error:
             raise OperatorError(f"{path}: the robot does not answer") from error
         except OSError as error:
             running = ", ".join(sorted(p.stem for p in path.parent.glob("*.sock"))) or "none"

@@ -23,7 +23,7 @@ from gateway.core.robot import Robot
 from gateway.errors import OperatorError
 from gateway.operator import Operator, ask, socket_path
 from gateway.operator.commands import COMMANDS, Query, RejectedLine, help_text, parse
-from gateway.operator.server import MAX_CLIENTS, MAX_LINE, socket_folder
+from gateway.operator.server import MAX_CLIENTS, MAX_LINE, MAX_LINES, socket_folder
 from protocols import messages as msg
 
 DIFFBOT = load_robot("diffbot")
@@ -285,18 +285,41 @@ def test_clients_that_vanish_or_never_read_affect_no_other(operator: Operator, c
     assert client.received().endswith("<end>")
 
 
-def test_the_number_of_clients_is_bounded(operator: Operator) -> None:
-    crowd = [Client(operator.path) for _ in range(MAX_CLIENTS)]
-    late = Client(operator.path)
+@pytest.mark.parametrize("flood", [b"", b"goal 1 1\n" * 500, b"nonsense\n" * 500, b"x" * 5000])
+def test_no_crowd_keeps_a_stop_out(operator: Operator, flood: bytes) -> None:
+    """Idle, or sending without end: whoever comes is answered, and no poll takes more lines than declared."""
+    answers: list[str] = []
+    asker = threading.Thread(target=lambda: answers.append(ask(operator.path, "stop now")))
+    crowd: list[Client] = []
+    stopped, polls = False, 0
     try:
-        late.send(b"release\n")
-        assert operator.poll(status) == []
-        crowd[0].socket.close()
-        operator.poll(status)
-        assert [w for _ in range(3) for w in operator.poll(status)] == [msg.Release()]
+        while not stopped or asker.is_alive():
+            if len(crowd) < 6 * MAX_CLIENTS:
+                crowd += [Client(operator.path) for _ in range(MAX_CLIENTS)]
+                for one in crowd[-MAX_CLIENTS:]:
+                    one.send(flood)
+            elif not polls:
+                asker.start()
+                polls = 1
+            asked = operator.poll(status)
+            assert len(asked) <= MAX_LINES
+            stopped = stopped or msg.Stop("now") in asked
+            polls += stopped
+        assert answers[0].startswith("accepted: stop now")
+        assert len(operator._clients) <= MAX_CLIENTS
     finally:
-        for one in (*crowd, late):
+        asker.join(5.0)
+        for one in crowd:
             one.socket.close()
+
+
+def test_no_answer_controls_a_terminal(operator: Operator, client: Client) -> None:
+    client.send("stop \x1b[2J\u202e\x9b1m\n\x07\r\x1b]0;x\x07\n".encode())
+    operator.poll(lambda: "")
+    operator.report("left: a device that \x1b[2J\nERROR: lies")
+    received = client.received()
+    assert all(c == "\n" or c.isprintable() for c in received)
+    assert "left: a device that \\x1b[2J\\nERROR: lies\n" in received
 
 
 def test_the_socket_of_a_dead_process_is_taken_over(folder: Path) -> None:

@@ -41,7 +41,7 @@ print(used() - before, *texts, sep="\\n")
 def packed(megabytes: int) -> bytes:
     """An lz4 frame of so many megabytes of zeros: one block of 4 MB, again and again."""
     options = {"block_size": lz4.frame.BLOCKSIZE_MAX4MB, "block_linked": False, "store_size": False}
-    one = lz4.frame.compress(bytes(4 * MB), **options)
+    one: bytes = lz4.frame.compress(bytes(4 * MB), **options)
     head, block = one[:7], one[7:-4]
     return head + block * (megabytes // 4) + one[-4:]
 
