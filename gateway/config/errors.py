@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from datetime import date, datetime, time
+from functools import cached_property
 from typing import TypeAlias
 
 from gateway.errors import ConfigError, Mistake
@@ -23,26 +24,43 @@ class Mistakes:
 
     def __init__(self, file: str, text: str) -> None:
         self.file = file
-        self._lines = lines(text)
+        self._text = text
         self._found: dict[Mistake, None] = {}
 
     def add(self, key: Key, text: str, line: int = 0) -> None:
         """Add a mistake at a key, or at a line if it has no key.
 
-        A value that several devices inherit from `defaults` is reported once, at its own line.
+        A value that several devices inherit from `defaults` is reported once, at its own line. Of very many
+        mistakes the first are kept.
         """
+        if self.full:
+            return
         if key:
             key, line = self._locate(key)
-        self._found[Mistake(self.file, line, ".".join(key), text)] = None
+        self._found[Mistake(self.file, line, _shortened(".".join(key)), _shortened(text))] = None
+
+    @property
+    def full(self) -> bool:
+        """True if no more are kept."""
+        return len(self._found) >= _MAX_MISTAKES
 
     def error(self) -> ConfigError:
         """Return all of them, in the order of the file."""
         return ConfigError(sorted(self._found, key=lambda mistake: mistake.line))
 
+    def fatal(self, text: str, line: int = 0) -> ConfigError:
+        """Add a mistake that makes the rest unreadable, and return all of them."""
+        self.add((), text, line)
+        return self.error()
+
     def check(self) -> None:
         """Raise ConfigError if there are any."""
         if self._found:
             raise self.error()
+
+    @cached_property
+    def _lines(self) -> dict[Key, int]:
+        return lines(self._text)
 
     def _locate(self, path: Key) -> tuple[Key, int]:
         """Return the key as written in the file (an inherited one is written in `defaults`), and its line."""
@@ -53,6 +71,17 @@ class Mistakes:
             if size > 2 and inherited[:size] in self._lines:
                 return inherited, self._lines[inherited[:size]]
         return path, 0
+
+
+_MAX_MISTAKES = 100
+"""In one file."""
+_MAX_TEXT = 1000
+"""Characters of a key or of a sentence."""
+
+
+def _shortened(text: str) -> str:
+    """Return a text that fits a screen."""
+    return text if len(text) <= _MAX_TEXT else f"{text[: _MAX_TEXT - 1]}…"
 
 
 _PART = r"""(?:[A-Za-z0-9_-]+|"[^"\n]*"|'[^'\n]*')"""

@@ -22,3 +22,11 @@ def find(kind: Literal["robots", "worlds"], name: str) -> Path:
         return shipped[name]
     known = f"one of the shipped {kind}: {', '.join(shipped)}"
     raise UserError(f"{name!r} is neither a .toml file nor {known}{did_you_mean(name, shipped)}")
+
+
+def read(path: Path, most: int) -> str:
+    """Return the text of a file, and of a very large one its beginning of `most` characters and one more.
+
+    Raises OSError or UnicodeDecodeError."""
+    with path.open(encoding="utf-8") as file:
+        return file.read(most + 1)

@@ -23,13 +23,14 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Annotated
 
 from brain.settings import BrainSettings
 from gateway.config import resources, validate
 from gateway.config.errors import Mistakes, shown, unknown
-from gateway.config.schema import build, read_toml
+from gateway.config.schema import MAX_SIZE, build, read_toml
 from gateway.config.sections import Find, Table, check_interface, own_ids, read_bus, read_motor, read_sensor
 from gateway.core.bounds import Bounds
 from gateway.core.robot import BagTopics, BusDevice, Robot
@@ -39,6 +40,8 @@ from protocols.messages import SECOND
 
 GROUPS = ("buses", "motors", "sensors")
 SECTIONS = (*GROUPS, "defaults", "brain", "bag")
+MAX_NAMED = 64
+"""Buses, motors or sensors of a robot."""
 RESERVED = ("all", "brain", "operator", "scan")
 """Names with another meaning in an operator's commands or as the source of a note."""
 
@@ -67,7 +70,7 @@ def load_robot(robot: str | Path, find: Find = plugin.load) -> Robot:
     """
     path = resources.find("robots", robot) if isinstance(robot, str) else robot
     try:
-        text = path.read_text(encoding="utf-8")
+        text = resources.read(path, MAX_SIZE)
     except (OSError, UnicodeDecodeError) as error:
         mistakes = Mistakes(str(path), "")
         mistakes.add((), f"cannot be read: {error}")
@@ -92,13 +95,14 @@ def parse_robot(
     Raises:
         ConfigError: every mistake in the text.
     """
+    find = cache(find)  # it takes milliseconds
     mistakes = Mistakes(name, text)
     table = read_toml(text, mistakes)
     defaults = _section(table, "defaults", mistakes, GROUPS)
     groups = {group: _group(table, group, defaults.get(group, {}), mistakes) for group in GROUPS}
     top = build(_Top, table, (), mistakes, also=SECTIONS)
     robot_name, world = table.get("name"), table.get("world")
-    if isinstance(robot_name, str) and not re.fullmatch(r"[A-Za-z0-9_-]+", robot_name):
+    if isinstance(robot_name, str) and not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", robot_name):
         mistakes.add(("name",), f"found {shown(robot_name)}, expected letters, digits, _ and -")
     if with_world and isinstance(world, str):
         try:
@@ -164,6 +168,9 @@ def _section(table: Table, name: str, mistakes: Mistakes, known: tuple[str, ...]
     if not isinstance(section, dict):
         mistakes.add((name,), f"found {shown(section)}, expected tables: [{name}.NAME]")
         return {}
+    if len(section) > MAX_NAMED:
+        mistakes.add((name,), f"found {len(section)} tables, expected at most {MAX_NAMED}")
+        section = dict(list(section.items())[:MAX_NAMED])
     for key, value in section.items():
         if known and key not in known:
             mistakes.add((name, key), unknown("key", key, known))
@@ -178,7 +185,7 @@ def _group(table: Table, group: str, defaults: Table, mistakes: Mistakes) -> dic
     if not named and group != "sensors":
         mistakes.add((group,), f"missing; expected at least one table [{group}.NAME]")
     for name in named:
-        if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name):
+        if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]{0,63}", name):
             mistakes.add((group, name), "expected a name of letters, digits and _ that begins with no digit")
         if name in RESERVED:
             mistakes.add((group, name), f"{name!r} has a meaning of its own; expected another name")

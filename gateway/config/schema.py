@@ -30,8 +30,17 @@ class _Milliseconds:
     """The hint of a time: a number of milliseconds in the file, which becomes nanoseconds."""
 
 
+MAX_SIZE = 256 * 1024
+"""Characters of a file: its reading takes less than a second, whatever is in it."""
 _MAX_DEPTH = 32
 """Tables and arrays inside each other; valid files need 5."""
+_MAX_VALUES = 10_000
+"""Keys, tables, and items of arrays."""
+MAX_NAMED = 500
+"""Keys of a table whose keys are names: walls, shafts."""
+_PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+"""
+_DEEP_KEY = re.compile(rf"(?<![\w-])(?:{_PART}){{{_MAX_DEPTH}}}")
+"""A dotted key that makes so many tables: the parser's time grows with the square of their number."""
 _INVALID = object()
 """Instead of a value that does not fit its hint."""
 _STAND_INS: dict[object, object] = {float: 1.0, int: 1, str: "x", bool: False}
@@ -39,21 +48,28 @@ _STAND_INS: dict[object, object] = {float: 1.0, int: 1, str: "x", bool: False}
 
 
 def read_toml(text: str, mistakes: Mistakes) -> dict[str, Any]:
-    """Return the file as a table. Raises ConfigError if it is not TOML or nested too deeply."""
+    """Return the file as a table. Raises ConfigError if it is not TOML, too large, or nested too deeply."""
+    too_deep = "tables or arrays are nested too deeply"
+    if len(text) > MAX_SIZE:
+        raise mistakes.fatal(f"the file is too large: expected at most {MAX_SIZE} characters")
+    if _DEEP_KEY.search(text):
+        raise mistakes.fatal(too_deep)
     try:
         table = tomllib.loads(text)
-        level: list[object] = [table]
-        for _ in range(_MAX_DEPTH):
-            level = [one for inner in level for one in _items(inner)]
-        if level:
-            raise RecursionError  # noqa: TRY301 -- the same mistake as in the parser
     except RecursionError as error:
-        mistakes.add((), "tables or arrays are nested too deeply")
-        raise mistakes.error() from error
+        raise mistakes.fatal(too_deep) from error
     except ValueError as error:  # TOMLDecodeError, or an integer of thousands of digits
         place = re.search(r"line (\d+)", str(error))
-        mistakes.add((), f"not TOML: {error}", int(place[1]) if place else 0)
-        raise mistakes.error() from error
+        raise mistakes.fatal(f"not TOML: {error}", int(place[1]) if place else 0) from error
+    level: list[object] = [table]
+    count = 0
+    for _ in range(_MAX_DEPTH):
+        level = [one for inner in level for one in _items(inner)]
+        count += len(level)
+    if level:
+        raise mistakes.fatal(too_deep)
+    if count > _MAX_VALUES:
+        raise mistakes.fatal(f"the file has {count} keys and values: expected at most {_MAX_VALUES}")
     return table
 
 
@@ -109,6 +125,8 @@ def _build(
             values[field.name] = _INVALID
     strange = [key for key in table if key not in own and key not in also]
     for key in strange:
+        if mistakes.full:
+            break
         if f"{key}_ms" in own:
             mistakes.add((*at, key), f"unknown key; did you mean '{key}_ms' (milliseconds)?")
         else:
@@ -155,6 +173,9 @@ def _field_value(hint: object, value: object, at: Key, mistakes: Mistakes) -> ob
         made = _build(bare, value, at, mistakes, ())
         return _INVALID if made is None else made
     if get_origin(bare) is dict and isinstance(value, dict):
+        if len(value) > MAX_NAMED:
+            mistakes.add(at, f"found {len(value)} keys, expected at most {MAX_NAMED}")
+            return _INVALID
         inner = get_args(bare)[1]
         made = {key: _field_value(inner, one, (*at, key), mistakes) for key, one in value.items()}
         return _INVALID if any(one is _INVALID for one in made.values()) else made

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from gateway.config import resources
 from gateway.config.errors import Mistakes, shown
-from gateway.config.schema import build, read_toml
+from gateway.config.schema import MAX_SIZE, build, read_toml
 from gateway.errors import ConfigError, Mistake, UserError
 from gateway.sim.files import BenchFile, SceneFile, WorldFile
 
@@ -27,7 +27,7 @@ def load_world(name_or_path: str | Path) -> WorldFile:
     Raises WorldError with every mistake, each with file, line, key and what was expected."""
     try:
         path = resources.find("worlds", str(name_or_path))
-        text = path.read_text(encoding="utf-8")
+        text = resources.read(path, MAX_SIZE)
     except (UserError, OSError, UnicodeDecodeError) as error:
         raise WorldError.about(str(name_or_path), [f"cannot be read: {error}"]) from error
     return parse_world(text, str(path))
