@@ -2,9 +2,9 @@
 
 Rules. Nothing here waits and there is no thread: the loop polls, and a client that is slow, gone or sends
 nonsense affects no other. Only its owner may open the socket (mode 0600 in a directory of mode 0700). Lines,
-buffers and the lines answered in one poll are bounded; a new client is always let in, in place of the one that
-has been idle longest. What is answered cannot control a terminal. The end of the terminal's input does not end
-the run; `quit` does. A terminal is read only while the program is in its foreground: reading from the
+buffers and the lines answered in one poll are bounded; a new client is always let in, in place of the one
+that has been idle longest. What is answered cannot control a terminal. The end of the terminal's input does
+not end the run; `quit` does. A terminal is read only while the program is in its foreground: reading from the
 background would stop the process.
 
 The dialogue: each line is answered by one or more lines; what the robot then reports (`report`) follows.
