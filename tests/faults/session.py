@@ -170,15 +170,11 @@ class Robotic:
         return (body.left, body.right) if body else ()
 
 
-WAY = 10
-"""Places along the way, a second each, at which a run may begin."""
-
-
 class Warm:
-    """Robots under way, by phase: each is driven there once, and copied for every run."""
+    """Robots under way, at up to `way` places a second apart: each is driven there once, and copied for runs."""
 
-    def __init__(self, seed: int) -> None:
-        self.seed = seed
+    def __init__(self, seed: int, way: int = 10) -> None:
+        self.seed, self.way = seed, way
         self._places: dict[str, list[Robotic]] = {}
 
     def start(self, name: str, phase: str, random: Random) -> Robotic:
@@ -188,7 +184,7 @@ class Warm:
             places.append(Robotic.switched_on(name, self.seed))
         if phase in (STANDING, TURNING):
             return places[0].copied()
-        index = 1 + random.below(WAY)
+        index = 1 + random.below(self.way)
         while len(places) <= index:
             further = places[-1].copied()
             further.run(1.0, *(tour(further) if len(places) == 1 else ()))

@@ -1,7 +1,7 @@
 """Every fault of the campaign, a row each: how it comes about, and when it must have been noticed.
 
-`notice` is the time [s] within which a report names the device (or its bus, or a suspect), counted while the
-fault shows (`shows`); None with the reason in `why` where nothing can be noticed, or need be.
+`notice` is the time [s] within which a report names the device, its bus or a suspect, counted while the fault
+shows (`shows`); None, with the reason, where nothing can be noticed, or need be.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 from gateway.buses.virtual.bus import HOST
 from gateway.buses.virtual.medium import Transmission
@@ -17,9 +17,14 @@ from gateway.core.step import Gateway
 from gateway.core.tick import Inputs
 from protocols import messages as msg
 from protocols.conformance.random import Random
-from protocols.frames import BusState, CanFrame, Frame, Packet
-from protocols.messages import MILLISECOND, SECOND, Feedback, Instruction, Nanos
+from protocols.frames import BusState, CanFrame, Packet
+from protocols.messages import MILLISECOND, SECOND, Feedback, Instruction, LaserScan, Nanos
 from tests.faults.session import PHASES, Result, Run, Warm
+
+Inject: TypeAlias = Callable[[Run], None]
+Arrived: TypeAlias = Sequence[Transmission]
+Memory: TypeAlias = dict[str, Any]
+"""Of one fault in one run."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +32,7 @@ class Fault:
     """One fault."""
 
     name: str
-    inject: Callable[[Run], None]
+    inject: Inject
     on: Literal["motor", "wheel", "lidar", "imu"]
     """What has it: only robots with such a device are given it."""
     notice: float | None
@@ -37,11 +42,11 @@ class Fault:
     why: str = ""
     """Why it is not noticed."""
     free: Literal["", "target", "all"] = ""
-    """What no host can stop: it must be reported as such after Stop, and may move until its supply is cut."""
+    """What no host can stop: after Stop that is reported, and it may move until its supply is cut."""
     harmless: bool = False
     """Whether it may be noticed all the same."""
     suspects: tuple[str, ...] = ()
-    """What may be named beside the device and its bus: where two sources disagree, either."""
+    """What may be named instead of the device: where two sources disagree, either."""
     lasts: float = 1.0
     """s until Stop, where nothing is to be noticed."""
 
@@ -49,149 +54,109 @@ class Fault:
 # -- frames ------------------------------------------------------------------------------------------------
 
 
-def on_frames(change: Callable[[Run, Transmission], Sequence[Transmission]], seconds: float = 1.0) -> Any:
-    """Return an injection that changes every frame of the target's bus for a while."""
+def frames(change: Callable[[Run, Transmission], Arrived], seconds: float = 1.0) -> Inject:
+    """Change what arrives on the target's bus, for a while."""
 
     def inject(run: Run) -> None:
-        def transmission(bus: str, one: Transmission) -> Sequence[Transmission]:
-            falsified = bus == run.bus and one.t < run.since + round(seconds * SECOND)
-            return change(run, one) if falsified else (one,)
-
-        run.world.tamper.transmission = transmission
+        end = run.since + round(seconds * SECOND)
+        run.world.tamper.transmission = lambda bus, one: (
+            change(run, one) if bus == run.bus and one.t < end else (one,)
+        )
 
     return inject
 
 
-def share_lost(run: Run, one: Transmission) -> Sequence[Transmission]:
-    return () if run.random.uniform() < 0.3 else (one,)
+def later(one: Transmission, by: Nanos) -> Arrived:
+    """Return a frame that is delayed."""
+    return (replace(one, t=one.t + by),)
 
 
-def doubled(run: Run, one: Transmission) -> Sequence[Transmission]:
-    return (one, one) if run.random.uniform() < 0.5 else (one,)
-
-
-def delayed(run: Run, one: Transmission) -> Sequence[Transmission]:
-    return (replace(one, t=one.t + 15 * MILLISECOND),)
-
-
-def reordered(run: Run, one: Transmission) -> Sequence[Transmission]:
-    return (replace(one, t=one.t + run.random.below(12) * MILLISECOND),)
-
-
-def damaged(run: Run, one: Transmission) -> Sequence[Transmission]:
+def damaged(run: Run, one: Transmission) -> Arrived:
     """Change one bit of every tenth frame."""
     data = bytearray(one.frame.data if isinstance(one.frame, CanFrame) else one.frame)
     if not data or run.random.below(10):
         return (one,)
     data[run.random.below(len(data))] ^= 1 << run.random.below(8)
-    changed: Frame = replace(one.frame, data=bytes(data)) if isinstance(one.frame, CanFrame) else bytes(data)
+    changed = replace(one.frame, data=bytes(data)) if isinstance(one.frame, CanFrame) else bytes(data)
     return (replace(one, frame=changed),)
 
 
-def damaged_feedback(run: Run, one: Transmission) -> Sequence[Transmission]:
-    return (one,) if one.sender == HOST else damaged(run, one)
-
-
-def damaged_commands(run: Run, one: Transmission) -> Sequence[Transmission]:
-    return damaged(run, one) if one.sender == HOST else (one,)
-
-
-def host_unheard(_run: Run, one: Transmission) -> Sequence[Transmission]:
-    return () if one.sender == HOST else (one,)
-
-
-def devices_unheard(_run: Run, one: Transmission) -> Sequence[Transmission]:
-    return (one,) if one.sender == HOST else ()
-
-
-# -- devices -----------------------------------------------------------------------------------------------
+# -- motors ------------------------------------------------------------------------------------------------
 
 
 def provoked(run: Run) -> None:
     """Trip a fault that the device's specification lists."""
     codes = sorted(run.robot.motors[run.target].spec.faults)
-    device = run.world._devices(run.target)[0]
-    device.twin.provoke(run.random.choice(codes))
+    run.world.twin(run.target).provoke(run.random.choice(codes))
 
 
-Falsified = Callable[[Run, Feedback, dict[str, Any]], Feedback]
-
-
-def measured(change: Falsified) -> Callable[[Run], None]:
-    """Return an injection that falsifies what the target's encoder measures; with a memory of its own."""
+def encoder(change: Callable[[Run, Feedback, Memory], Feedback]) -> Inject:
+    """Falsify what the target's encoder measures."""
 
     def inject(run: Run) -> None:
-        memory: dict[str, Any] = {}
-
-        def function(motor: str, true: Feedback) -> Feedback:
-            return change(run, true, memory) if motor == run.target else true
-
-        run.world.tamper.measured = function
+        memory: Memory = {}
+        run.world.tamper.measured = lambda motor, true: (
+            change(run, true, memory) if motor == run.target else true
+        )
 
     return inject
 
 
-def stuck(_run: Run, true: Feedback, memory: dict[str, Any]) -> Feedback:
-    return replace(true, position=memory.setdefault("at", true.position), velocity=0.0)
+def same_again(_run: Run, true: Any, memory: Memory) -> Any:
+    return replace(memory.setdefault("as", true), t=true.t)
 
 
-def frozen(_run: Run, true: Feedback, memory: dict[str, Any]) -> Feedback:
-    kept: Feedback = memory.setdefault("as", true)
-    return replace(kept, t=true.t)
-
-
-def jumped(run: Run, true: Feedback, memory: dict[str, Any]) -> Feedback:
+def jumped(run: Run, true: Feedback, memory: Memory) -> Feedback:
     by = memory.setdefault("by", run.random.choice((-1, 1)) * run.random.uniform(2.0, 30.0))
     return replace(true, position=(true.position or 0.0) + by * run.robot.motors[run.target].joint.gear)
 
 
-def scaled(factor: float) -> Falsified:
-    """Return an encoder that counts this share from now on."""
+def scaled(factor: float) -> Inject:
+    """Let the target's encoder count this share from now on."""
 
-    def change(_run: Run, true: Feedback, memory: dict[str, Any]) -> Feedback:
-        at = true.position or 0.0
+    def change(_run: Run, true: Feedback, memory: Memory) -> Feedback:
+        at, velocity = true.position or 0.0, true.velocity or 0.0
         begin = memory.setdefault("at", at)
-        return replace(true, position=begin + factor * (at - begin), velocity=factor * (true.velocity or 0.0))
+        return replace(true, position=begin + factor * (at - begin), velocity=factor * velocity)
 
-    return change
+    return encoder(change)
 
 
 def swapped(run: Run) -> None:
     """Exchange the encoders of the two wheels."""
     other = dict(zip(run.wheels, reversed(run.wheels), strict=True))
-    ratio = {name: motor.joint.gear * motor.joint.sign for name, motor in run.robot.motors.items()}
 
     def function(motor: str, true: Feedback) -> Feedback:
         if motor not in other:
             return true
-        position, velocity = run.world.world.shaft(other[motor])
-        return replace(true, position=position * ratio[motor], velocity=velocity * ratio[motor])
+        (position, velocity), joint = run.world.world.shaft(other[motor]), run.robot.motors[motor].joint
+        ratio = joint.gear * joint.sign
+        return replace(true, position=position * ratio, velocity=velocity * ratio)
 
     run.world.tamper.measured = function
 
 
-def torque(change: Callable[[Run, float], float]) -> Callable[[Run], None]:
-    """Return an injection that changes the torque of the target."""
+def torque(change: Callable[[float], float]) -> Inject:
+    """Change the torque of the target."""
 
     def inject(run: Run) -> None:
-        run.world.tamper.torques = lambda torques: (
-            torques | {run.target: change(run, torques.get(run.target, 0.0))}
-        )
+        name = run.target
+        run.world.tamper.torques = lambda given: given | {name: change(given.get(name, 0.0))}
 
     return inject
 
 
 def runaway(run: Run) -> None:
     """Make the target give half of its largest torque, whatever it is commanded."""
-    full = run.random.choice((-0.5, 0.5)) * run.robot.motors[run.target].joint.limits.torque
-    torque(lambda _run, _torque: full)(run)
+    half = run.random.choice((-0.5, 0.5)) * run.robot.motors[run.target].joint.limits.torque
+    torque(lambda _given: half)(run)
 
 
 # -- buses -------------------------------------------------------------------------------------------------
 
 
-def lost(state: BusState, seconds: float) -> Callable[[Run], None]:
-    """Return an injection that takes the host's interface away, for a while."""
+def lost(state: BusState, seconds: float) -> Inject:
+    """Take the host's interface away, for a while."""
 
     def inject(run: Run) -> None:
         bus, back = run.world.buses[run.bus], [run.since + round(seconds * SECOND)]
@@ -210,10 +175,9 @@ def lost(state: BusState, seconds: float) -> Callable[[Run], None]:
 
 def saturated(run: Run) -> None:
     """Fill the bus with frames of the highest priority, as a babbling device does."""
-    bus = run.world.buses[run.bus]
 
     def each(now: Nanos) -> Sequence[Instruction]:
-        bus.intrude(now, "babbler", [CanFrame(0, bytes(8))] * 60)
+        run.world.buses[run.bus].intrude(now, "babbler", [CanFrame(0, bytes(8))] * 60)
         return ()
 
     run.each = each
@@ -221,22 +185,19 @@ def saturated(run: Run) -> None:
 
 def second_gateway(run: Run) -> None:
     """Let another gateway with the same robot file command the same motors."""
-    other, bus = Gateway(run.robot), run.world.buses
-    speed = run.random.choice((-4.0, 4.0))
-    taken: list[Packet] = []
+    other, speed = Gateway(run.robot), run.random.choice((-4.0, 4.0))
+    received: list[Packet] = []
     for watched in run.at.buses.values():
-        watched.tap = taken
+        watched.tap = received
+    tasks: tuple[Instruction, ...] = (msg.Drive(0.0, speed / 4.0),)
+    if not run.wheels:
+        tasks = tuple(msg.Velocity(name, speed) for name in run.robot.motors)
 
     def each(now: Nanos) -> Sequence[Instruction]:
-        tasks: list[Instruction] = (
-            [msg.Drive(0.0, speed / 4.0)]
-            if run.wheels
-            else [msg.Velocity(name, speed) for name in run.robot.motors]
-        )
-        packets = tuple(sorted(taken, key=lambda packet: packet.t))
-        taken.clear()
-        for packet in other.step(now, Inputs((), packets, tuple(tasks))).packets:
-            bus[packet.bus].intrude(now, "other host", [packet.frame])
+        packets = tuple(sorted(received, key=lambda packet: packet.t))
+        received.clear()
+        for packet in other.step(now, Inputs((), packets, tasks)).packets:
+            run.world.buses[packet.bus].intrude(now, "other host", [packet.frame])
         return ()
 
     run.each = each
@@ -245,70 +206,66 @@ def second_gateway(run: Run) -> None:
 # -- sensors -----------------------------------------------------------------------------------------------
 
 
-def reading(change: Callable[[Run, Any, dict[str, Any]], Any]) -> Callable[[Run], None]:
-    """Return an injection that falsifies what the target senses; with a memory of its own."""
+def reading(change: Callable[[Run, Any, Memory], Any]) -> Inject:
+    """Falsify what the target senses."""
 
     def inject(run: Run) -> None:
-        memory: dict[str, Any] = {}
-
-        def function(true: Any) -> Any:
-            return change(run, true, memory) if true.sensor == run.target else true
-
-        run.world.tamper.reading = function
+        memory: Memory = {}
+        run.world.tamper.reading = lambda true: (
+            change(run, true, memory) if true.sensor == run.target else true
+        )
 
     return inject
 
 
-def ranges(
-    change: Callable[[Run, tuple[float, ...], msg.LaserScan], Sequence[float]],
-) -> Callable[[Run], None]:
-    """Return an injection that changes a scan's ranges, within what the lidar can report."""
-
-    def of(run: Run, scan: msg.LaserScan, _memory: dict[str, Any]) -> msg.LaserScan:
-        changed = change(run, scan.ranges, scan)
-        return replace(scan, ranges=tuple(min(each, scan.range_max) for each in changed))
-
-    return reading(of)
-
-
-def turned(degrees: float) -> Callable[[Run], None]:
-    """Return an injection that turns a scan: the lidar has come loose."""
-
-    def change(_run: Run, own: tuple[float, ...], _scan: msg.LaserScan) -> Sequence[float]:
-        beams = round(degrees / 360.0 * len(own))
-        return own[-beams:] + own[:-beams]
-
-    return ranges(change)
-
-
-def gyro(change: Callable[[float], float]) -> Callable[[Run], None]:
-    """Return an injection that changes the rate about the vertical axis."""
+def ranges(change: Callable[[Run, LaserScan], Sequence[float]]) -> Inject:
+    """Change a scan's ranges, within what the lidar can report."""
     return reading(
-        lambda _run, imu, _memory: replace(
-            imu, angular_velocity=(*imu.angular_velocity[:2], change(imu.angular_velocity[2]))
+        lambda run, scan, _memory: replace(
+            scan, ranges=tuple(min(each, scan.range_max) for each in change(run, scan))
         )
     )
 
 
-def same_again(_run: Run, true: Any, memory: dict[str, Any]) -> Any:
-    return replace(memory.setdefault("as", true), t=true.t)
+def turned(degrees: float) -> Inject:
+    """Turn the lidar, which has come loose."""
+
+    def change(_run: Run, scan: LaserScan) -> Sequence[float]:
+        beams = round(degrees / 360.0 * len(scan.ranges))
+        return scan.ranges[-beams:] + scan.ranges[:-beams]
+
+    return ranges(change)
+
+
+def gyro(change: Callable[[float], float]) -> Inject:
+    """Change the rate about the vertical axis."""
+
+    def changed(_run: Run, true: msg.Imu, _memory: Memory) -> msg.Imu:
+        x, y, z = true.angular_velocity
+        return replace(true, angular_velocity=(x, y, change(z)))
+
+    return reading(changed)
+
+
+def silent(_run: Run, _true: Any, _memory: Memory) -> None:
+    return None
 
 
 # -- clocks and people -------------------------------------------------------------------------------------
 
 
 def slow_steps(run: Run) -> None:
-    """Let single steps take 50 … 500 ms."""
+    """Let every twentieth step take 50 … 500 ms."""
 
-    def each(now: Nanos) -> Sequence[Instruction]:
+    def each(_now: Nanos) -> Sequence[Instruction]:
         run.took = 0 if run.random.below(20) else (50 + run.random.below(450)) * MILLISECOND
         return ()
 
     run.each = each
 
 
-def stamps(offset: Nanos, then_silent: bool = False) -> Callable[[Run], None]:
-    """Return an injection that falsifies the stamps of what is received on all buses."""
+def stamps(offset: Nanos, then_silent: bool = False) -> Inject:
+    """Falsify the stamps of what is received on all buses."""
 
     def inject(run: Run) -> None:
         for bus in run.at.buses.values():
@@ -325,80 +282,86 @@ def stamps(offset: Nanos, then_silent: bool = False) -> Callable[[Run], None]:
 
 
 NUMBERS = (0.0, -1.0, 1e-300, 1e-3, 0.5, 10.0, 1000.0, 1e308, math.inf, math.nan)
-KEYS = (
-    *(f"{{motor}}.limits.{name}" for name in ("velocity", "acceleration", "torque")),
-    *(f"brain.pursuit.{name}" for name in ("period", "lookahead_time", "idle_after")),
-    *(f"brain.planner.{name}" for name in ("margin", "replan_after", "tolerance")),
-    *(f"brain.health.{name}" for name in ("slow_age", "stand_age", "give_up", "recover")),
-    *(
-        f"brain.differential.{name}"
-        for name in ("max_linear", "max_angular", "max_linear_acceleration", "radius")
-    ),
-    "brain.perception.gyro_sigma",
-    "nothing.at.all",
+KEYS = tuple(
+    f"{table}.{name}"
+    for table, names in (
+        ("{motor}.limits", "velocity acceleration torque"),
+        ("brain.pursuit", "period lookahead_time idle_after"),
+        ("brain.planner", "margin replan_after tolerance"),
+        ("brain.health", "slow_age stand_age give_up recover"),
+        ("brain.differential", "max_linear max_angular max_linear_acceleration radius"),
+        ("brain.perception", "gyro_sigma nothing"),
+    )
+    for name in names.split()
 )
 
 
 def abuse(run: Run) -> None:
     """Let a person ask for anything, valid and invalid, at every tenth step."""
-    random, motors = run.random, [*run.robot.motors, "nobody"]
+    random = run.random
 
     def number() -> float:
         return random.choice(NUMBERS) if random.below(2) else random.uniform(-30.0, 30.0)
 
+    def motor() -> str:
+        return random.choice((*run.robot.motors, "nobody", "all"))
+
     asked: tuple[Callable[[], Instruction], ...] = (
         lambda: msg.Goal(number(), number(), number()),
         lambda: msg.Drive(number(), number()),
-        lambda: msg.Velocity(random.choice(motors), number(), number()),
-        lambda: msg.Position(random.choice(motors), number(), number(), number()),
-        lambda: msg.Torque(random.choice(motors), number()),
-        lambda: msg.Impedance(random.choice(motors), number(), number(), number(), number(), number()),
-        lambda: msg.Hold(random.choice(motors)),
+        lambda: msg.Velocity(motor(), number(), number()),
+        lambda: msg.Position(motor(), number(), number(), number()),
+        lambda: msg.Torque(motor(), number()),
+        lambda: msg.Impedance(motor(), number(), number(), number(), number(), number()),
+        lambda: msg.Hold(motor()),
         lambda: msg.Stop("a person"),
         msg.Release,
-        lambda: msg.ClearFault(random.choice((*motors, "all"))),
-        lambda: msg.Zero(random.choice(motors)),
+        lambda: msg.ClearFault(motor()),
+        lambda: msg.Zero(motor()),
         lambda: msg.Scan(run.bus),
-        lambda: msg.Set(random.choice(KEYS).format(motor=random.choice(motors)), number()),
-        lambda: msg.Set(random.choice(KEYS).format(motor=random.choice(motors)), number()),
+        *[lambda: msg.Set(random.choice(KEYS).format(motor=motor()), number())] * 3,
     )
-
-    def each(now: Nanos) -> Sequence[Instruction]:
-        return () if random.below(10) else (random.choice(asked)(),)
-
-    run.each = each
+    run.each = lambda _now: () if random.below(10) else (random.choice(asked)(),)
 
 
 EITHER = ("left", "right", "imu", "lidar")
 LEVELS = "what should be is compared with what was received, and sent again until it is so"
 DAMAGE = "a bit of every tenth frame, behind the checksum of the bus: refused, or amended by the next frame"
+LATE = "missed deadlines are counted; no measurement shows them, set-points stay as they are meanwhile"
 
 FAULTS: tuple[Fault, ...] = (
     Fault("nothing", lambda _run: None, "motor", None, why="there is none: a report would be a false alarm"),
     # frames
-    Fault("frames lost, 30 %", on_frames(share_lost), "motor", None, why=LEVELS, harmless=True),
-    Fault("frames doubled", on_frames(doubled), "motor", None, why=LEVELS, harmless=True),
-    Fault("frames 15 ms late", on_frames(delayed), "motor", None, why="within every timeout", harmless=True),
-    Fault("frames reordered", on_frames(reordered), "motor", None, why=LEVELS, harmless=True),
-    Fault("feedback damaged", on_frames(damaged_feedback), "motor", None, why=DAMAGE, harmless=True),
-    Fault("commands damaged", on_frames(damaged_commands), "motor", None, why=DAMAGE, harmless=True),
-    Fault("scans damaged", on_frames(damaged), "lidar", None, why="checksums: a scan is lost", harmless=True),
-    Fault("host not received", on_frames(host_unheard, 60.0), "motor", 1.0, "if it strays", free="all"),
-    Fault("devices not received", on_frames(devices_unheard, 60.0), "motor", 0.3, "if commanded"),
-    # devices
+    Fault("frames lost, 30 %", frames(lambda run, one: (one,) if run.random.below(10) > 2 else ()),
+          "motor", None, why=LEVELS, harmless=True),
+    Fault("frames doubled", frames(lambda _run, one: (one, one)), "motor", None, why=LEVELS, harmless=True),
+    Fault("frames 15 ms late", frames(lambda _run, one: later(one, 15 * MILLISECOND)),
+          "motor", None, why="within every timeout", harmless=True),
+    Fault("frames reordered", frames(lambda run, one: later(one, run.random.below(12) * MILLISECOND)),
+          "motor", None, why=LEVELS, harmless=True),
+    Fault("feedback damaged", frames(lambda run, one: (one,) if one.sender == HOST else damaged(run, one)),
+          "motor", None, why=DAMAGE, harmless=True),
+    Fault("commands damaged", frames(lambda run, one: damaged(run, one) if one.sender == HOST else (one,)),
+          "motor", None, why=DAMAGE, harmless=True),
+    Fault("scans damaged", frames(damaged), "lidar", None, why="checksums: a scan is lost", harmless=True),
+    Fault("host not received", frames(lambda _run, one: () if one.sender == HOST else (one,), 60.0),
+          "motor", 1.0, "if it strays", free="all"),
+    Fault("devices not received", frames(lambda _run, one: (one,) if one.sender == HOST else (), 60.0),
+          "motor", 0.3, "if commanded"),
+    # motors; of a joint that is no wheel nothing else measures the motion: a false scale cannot be noticed
     Fault("device resets", lambda run: run.world.reset(run.target), "motor", 0.5, "if it was commanded"),
     Fault("device silent", lambda run: run.world.disconnect(run.target), "motor", 0.3, "if commanded",
           free="target"),
     Fault("device in fault", provoked, "motor", 0.3, "if commanded"),
-    Fault("encoder stuck", measured(stuck), "motor", 0.6, "in motion"),
-    Fault("feedback frozen", measured(frozen), "motor", 0.5, "in motion"),
-    Fault("encoder jumps", measured(jumped), "motor", 0.3),
-    # of a joint that is no wheel nothing else measures the motion: there a false scale cannot be noticed
-    Fault("encoder at half scale", measured(scaled(0.5)), "wheel", 1.0, "in motion", suspects=EITHER),
-    Fault("encoder reversed", measured(scaled(-1.0)), "motor", 0.5, "in motion"),
+    Fault("encoder stuck", encoder(lambda _run, true, memory: replace(
+        true, position=memory.setdefault("at", true.position), velocity=0.0)), "motor", 0.6, "in motion"),
+    Fault("feedback frozen", encoder(same_again), "motor", 0.5, "in motion"),
+    Fault("encoder jumps", encoder(jumped), "motor", 0.3),
+    Fault("encoder at half scale", scaled(0.5), "wheel", 1.0, "in motion", suspects=EITHER),
+    Fault("encoder reversed", scaled(-1.0), "motor", 0.5, "in motion"),
     Fault("encoders swapped", swapped, "wheel", 1.0, "in turning", suspects=EITHER),
-    Fault("no torque", torque(lambda _run, _torque: 0.0), "motor", 0.6, "if it strays"),
-    Fault("weak motor, 30 %", torque(lambda _run, torque: 0.3 * torque), "motor", 0.6, "if it strays"),
+    Fault("no torque", torque(lambda _given: 0.0), "motor", 0.6, "if it strays"),
+    Fault("weak motor, 30 %", torque(lambda given: 0.3 * given), "motor", 0.6, "if it strays"),
     Fault("runaway", runaway, "motor", 0.5, "if commanded", free="target"),
     # buses
     Fault("bus-off, back after 0.5 s", lost(BusState.OFF, 0.5), "motor", 0.1),
@@ -407,23 +370,22 @@ FAULTS: tuple[Fault, ...] = (
     Fault("bus of the sensors gone", lost(BusState.GONE, 60.0), "lidar", 0.1),
     Fault("bus saturated", saturated, "motor", 0.5, "if commanded", free="all"),
     # sensors
-    Fault("lidar: all zeros", ranges(lambda _run, own, _scan: (0.0,) * len(own)), "lidar", 1.0),
-    Fault("lidar: all maxima", ranges(lambda _run, own, scan: (scan.range_max,) * len(own)), "lidar", 1.0),
-    Fault("lidar: 0.5 m too far", ranges(
-        lambda _run, own, _scan: [each and each + 0.5 for each in own]), "lidar", 2.0),
+    Fault("lidar: all zeros", ranges(lambda _run, scan: [0.0] * len(scan.ranges)), "lidar", 1.0),
+    Fault("lidar: all maxima", ranges(lambda _run, scan: [math.inf] * len(scan.ranges)), "lidar", 1.0),
+    Fault("lidar: 0.5 m too far", ranges(lambda _run, scan: [each and each + 0.5 for each in scan.ranges]),
+          "lidar", 2.0),
     Fault("lidar: turned by 180°", turned(180.0), "lidar", 2.0),
     Fault("lidar: turned by 5°", turned(5.0), "lidar", 3.0, suspects=EITHER),
     Fault("lidar: 90 % without a reading", ranges(
-        lambda run, own, _scan: [0.0 if run.random.below(10) else each for each in own]), "lidar", 1.5),
+        lambda run, scan: [0.0 if run.random.below(10) else each for each in scan.ranges]), "lidar", 1.5),
     Fault("lidar frozen", reading(same_again), "lidar", 1.5, "in motion"),
-    Fault("lidar silent", reading(lambda _run, _true, _memory: None), "lidar", 0.6),
+    Fault("lidar silent", reading(silent), "lidar", 0.6),
     Fault("IMU: bias of 0.3 rad/s", gyro(lambda rate: rate + 0.3), "imu", 2.0, suspects=EITHER),
     Fault("IMU constant", reading(same_again), "imu", 1.0),
     Fault("IMU reversed", gyro(lambda rate: -rate), "imu", 2.0, "in turning", suspects=EITHER),
-    Fault("IMU silent", reading(lambda _run, _true, _memory: None), "imu", 0.3),
+    Fault("IMU silent", reading(silent), "imu", 0.3),
     # clocks, people, other hosts
-    Fault("slow steps", slow_steps, "motor", None, lasts=2.0, harmless=True,
-          why="no measurement shows it: missed deadlines are counted, set-points stay as they are meanwhile"),
+    Fault("slow steps", slow_steps, "motor", None, lasts=2.0, harmless=True, why=LATE),
     Fault("stamps 1 s early", stamps(-SECOND), "motor", 0.3, "if commanded"),
     Fault("stamps 1 h late", stamps(3600 * SECOND), "motor", None, harmless=True,
           why="counted as received now, which is true within the delay of a frame"),
@@ -443,9 +405,9 @@ BASES = tuple(name for name in ROBOTS if name.startswith("diffbot"))
 
 def one_run(warm: Warm, seed: int, number: int) -> Result:
     """Run the case of this number: fault by fault, then the next robot, then the next phase."""
-    round_, index = divmod(number, len(FAULTS))
+    around, index = divmod(number, len(FAULTS))
     fault = FAULTS[index]
     robots = ROBOTS if fault.on == "motor" else BASES
-    turn, place = divmod(round_, len(robots))
+    turn, place = divmod(around, len(robots))
     phase = PHASES[(turn + place + index) % len(PHASES)]
     return Run(fault, warm, robots[place], phase, Random(seed * 1_000_003 + number)).run()

@@ -253,6 +253,10 @@ class TwinWorld:
             raise KeyError(f"no twin {name!r}")
         return found
 
+    def twin(self, name: str) -> Twin:
+        """Return a device's firmware, of which a fault may be provoked."""
+        return self._devices(name)[0].twin
+
     def disconnect(self, name: str) -> None:
         """Unplug a device (and its duplicates) from the bus: it runs on, and neither receives nor sends."""
         for device in self._devices(name):
