@@ -62,8 +62,6 @@ class Differential:
     """rad/s of a wheel; None: what the largest linear and angular speed together need"""
 
     def __post_init__(self) -> None:
-        if not self.left or not self.right or self.left == self.right:
-            raise ValueError(f"left and right must name two motors, not {self.left!r} and {self.right!r}")
         within(
             self,
             wheel_radius=(0.005, 2.0, "m"),
@@ -75,6 +73,8 @@ class Differential:
             max_angular_acceleration=(0.01, 500.0, "rad/s²"),
             max_wheel_speed=(1e-3, 1e4, "rad/s"),
         )
+        if not self.left or not self.right or self.left == self.right:
+            raise ValueError(f"left and right must name two motors, not {self.left!r} and {self.right!r}")
 
     @property
     def wheel_speed(self) -> float:

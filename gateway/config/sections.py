@@ -13,12 +13,12 @@ from typing import Annotated, Any, Literal, TypeAlias
 from brain.perception.mount import Mount
 from gateway.config.errors import Key, Mistakes, shown, unknown
 from gateway.config.schema import build, keys
-from gateway.core.bounds import Bounds, PositiveNanos
+from gateway.core.bounds import Bounds
 from gateway.core.joint import JointSettings
 from gateway.core.limits import Limits
 from gateway.core.robot import TWIN, BusSettings, Motor, Sensor
 from protocols.frames import IdMask
-from protocols.messages import MILLISECOND, SECOND
+from protocols.messages import MILLISECOND, SECOND, Nanos
 from protocols.plugin import Device, Plugin, Spec, UnknownProtocol
 
 Find: TypeAlias = Callable[[str], Plugin]
@@ -54,7 +54,7 @@ class _Mounting:
     """The further keys of a sensor."""
 
     mount: Mount = field(default_factory=Mount)
-    timeout: PositiveNanos = 500 * MILLISECOND
+    timeout: Annotated[Nanos, Bounds(MILLISECOND, 5 * SECOND)] = 500 * MILLISECOND
 
 
 _STAND_IN = JointSettings(

@@ -7,9 +7,6 @@ has both; those of brain and protocols check themselves.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, TypeAlias
-
-from protocols.messages import MILLISECOND, SECOND, Nanos
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,8 +23,3 @@ class Bounds:
     def __str__(self) -> str:
         """Return the bounds as they follow "a finite number": "from 1 to 2000"."""
         return f"from {self.least:.10g} to {self.most:.10g}"
-
-
-Positive: TypeAlias = Annotated[float, Bounds(1e-6, 1e6)]
-PositiveNanos: TypeAlias = Annotated[Nanos, Bounds(MILLISECOND, 5 * SECOND)]
-"""A timeout: what is noticed later than that is noticed too late."""
