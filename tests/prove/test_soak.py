@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import gc
 import os
-import resource
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -26,6 +25,7 @@ from gateway.recording import read_recording
 from gateway.runtime.session import Session, open_session
 from protocols import messages as msg
 from protocols.messages import SECOND
+from tests.protocols.hostile import resident
 
 HOUR = 3600
 ACTION = 5
@@ -49,12 +49,6 @@ class Hour(NamedTuple):
     file: float
     """MB"""
     ticks: int
-
-
-def memory() -> float:
-    """Return the memory of this process that is resident [MB]."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * resource.getpagesize() / 1e6
 
 
 def actions(name: str, random: Random) -> Iterator[tuple[msg.Instruction, ...]]:
@@ -84,7 +78,7 @@ def hours(session: Session, count: int, act: Callable[[int], None]) -> Iterator[
             if second and second % HOUR == 0:
                 gc.collect()
                 size = session.recorder.path.stat().st_size
-                yield Hour(memory(), len(gc.get_objects()), size / 1e6, session.stats.ticks)
+                yield Hour(resident(), len(gc.get_objects()), size / 1e6, session.stats.ticks)
             if second % ACTION == 0:
                 act(second)
             second += 1
