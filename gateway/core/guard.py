@@ -147,6 +147,7 @@ class Guard:
         """
         passed: list[Frame] = []
         blocked: list[Blocked] = []
+        last: dict[str, tuple[Nanos, Command]] = {}
         for frame in frames:
             obeyed: Sequence[Obeyed] = ()
             objection: Objection | None
@@ -163,8 +164,9 @@ class Guard:
             self._sent[bus].decode(now, frame)
             for one in obeyed:
                 if isinstance(one, Command):
-                    self._last[one.motor] = (now, one)
+                    last[one.motor] = (now, one)
             passed.append(frame)
+        self._last |= last  # only now: frames of one step are compared with those of the steps before
         return passed, blocked
 
     # -- whose it is --------------------------------------------------------------------------------
@@ -204,6 +206,8 @@ class Guard:
     ) -> Objection | None:
         for one in obeyed:
             name = getattr(one, "motor", "")
+            if isinstance(one, msg.Scan | msg.ReadParameter):
+                continue  # it only reads
             if isinstance(one, msg.SetId):
                 if not self._was_asked(now, bus, msg.SetId):
                     return "a request that was not made", "SetId"
@@ -235,6 +239,8 @@ class Guard:
                 return self._outside(now, one, joint)
             case msg.ReadParameter() | msg.WriteParameter():
                 pass  # a driver sets up the device that it commands
+            case msg.Reboot() if self._was_asked(now, joint.name, msg.WriteParameter):
+                pass  # saving its configuration restarts it
             case _:
                 if not self._was_asked(now, joint.name, type(one)):
                     return "a request that was not made", type(one).__name__

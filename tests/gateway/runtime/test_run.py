@@ -101,6 +101,18 @@ def test_an_exception_in_the_step_still_sends_the_stop_command(
     assert {joint.mode for joint in fresh.joints.values()} == {Mode.READY}
 
 
+@pytest.mark.parametrize("late", [40 * MS, 150 * MS])
+def test_a_step_that_comes_late_while_a_motor_accelerates_is_no_fault(late: Nanos) -> None:
+    rig = Rig()
+    rig.run(0.3)
+    for number in range(5):
+        rig.run(0.01 * number, Velocity("left", 18.0))
+        rig.clock.wait(rig.clock.now() + late)
+    rig.run(0.5, Velocity("left", 18.0))
+    assert not rig.gateway.joints["left"].faults
+    assert rig.velocity("left") == pytest.approx(18.0, abs=0.5)
+
+
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
 def test_a_signal_sends_the_stop_command_and_ends_the_run(name: str, tmp_path: Path) -> None:
     """On the wall clock, in a process of its own: only so a signal is a signal."""
