@@ -1,6 +1,7 @@
 """Two signals at random distances to a robot on vcan0: the devices report that every motor is disarmed.
 
-A sample; for more: python -m tests.real_can run env TWO_SIGNALS=50 pytest -s -m real_can FILE (this one)."""
+A sample; for more, from the project's folder:
+python -m tests.real_can run env TWO_SIGNALS=60 .venv/bin/python -m pytest -s -m real_can (this file)"""
 
 from __future__ import annotations
 
