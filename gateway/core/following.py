@@ -178,37 +178,36 @@ class Following:
         if age > GAP:
             self.restart()
             return None
-        velocity = measured.velocity or 0.0
         if self._kind is not type(sent):
             self._begin(sent, measured)
-        found = self._found
-        limit = self._limits.velocity
-        fast, margin = abs(velocity) - limit, FAST_FREE
-        setpoint, actual, bound, code = 0.0, None, 0.0, NOT_FOLLOWED
-        if isinstance(sent, Velocity | Hold | Position):
-            margin = FAST
+        limit, speed, band = self._limits.velocity, measured.velocity or 0.0, self._band
+        fast, margin, code, turning = abs(speed) - limit, FAST, NOT_FOLLOWED, False
+        share, floor, part, actual = min(1.0, dt / SECOND / LAG), self._slack, 0.0, measured.position
         if isinstance(sent, Velocity | Hold):
-            self._rest = toward(self._rest, 0.0, 0.5 * self._limits.acceleration * dt / SECOND)
-            setpoint, actual = sent.velocity if isinstance(sent, Velocity) else self._rest, measured.velocity
+            setpoint = sent.velocity if isinstance(sent, Velocity) else self._slow_down(dt)
+            floor, part, actual, turning = FLOOR * limit, self._share, measured.velocity, True
         elif isinstance(sent, Position):
-            setpoint, actual, bound = sent.position, measured.position, self._slack
-        elif isinstance(sent, Torque):
-            setpoint, actual, code = sent.torque, measured.torque, NO_TORQUE
+            setpoint = sent.position
+        else:  # an Impedance is followed by no quantity of its own
+            setpoint, actual = (sent.torque, measured.torque) if isinstance(sent, Torque) else (0.0, None)
+            floor, part, code, margin = TORQUE_FLOOR * self._limits.torque, TORQUE_SHARE, NO_TORQUE, FAST_FREE
+        found = self._found
         if actual is not None:
-            band = self._band
-            band.follow(setpoint, min(1.0, dt / SECOND / LAG))
-            size = max(abs(band.low), abs(band.high))
-            if code == NO_TORQUE:
-                bound = TORQUE_FLOOR * self._limits.torque + TORQUE_SHARE * size
-            elif not isinstance(sent, Position):
-                bound = FLOOR * limit + self._share * size
-                fast = max(fast, velocity - max(band.high, 0.0), min(band.low, 0.0) - velocity)
+            band.follow(setpoint, share)
+            beyond = band.distance(actual) > floor + part * max(-band.low, band.high)
             still = self._moved_at is not None and self._moved_at - self._changed_at > self._time // 3
-            if self._lasts(code, band.distance(actual) > bound, dt, self._time // 2 if still else self._time):
+            if self._lasts(code, beyond, dt, self._time // 2 if still else self._time):
                 found = found or (code, f"{setpoint:.3g} commanded, {actual:.3g} measured")
+            if turning:
+                fast = max(fast, speed - max(band.high, 0.0), min(band.low, 0.0) - speed)
         if self._lasts(RUNS_AWAY, fast > margin * limit, dt, RUNAWAY_TIME):
-            found = RUNS_AWAY, f"{velocity:.3g} rad/s measured"
+            found = RUNS_AWAY, f"{speed:.3g} rad/s measured"
         return found
+
+    def _slow_down(self, dt: Nanos) -> float:
+        """Return the set-point of a shaft that comes to hold, at half of the limit of acceleration."""
+        self._rest = toward(self._rest, 0.0, 0.5 * self._limits.acceleration * dt / SECOND)
+        return self._rest
 
     def _begin(self, sent: Command, measured: Feedback) -> None:
         """Begin with another kind of command: the band includes what is measured."""
@@ -225,7 +224,7 @@ class Following:
         self._band = Band(actual or 0.0, actual or 0.0)
 
     def _lasts(self, code: int, beyond: bool, dt: Nanos, time: Nanos) -> bool:
-        """True if a bound has been exceeded for a time; within it, that time runs backwards."""
+        """True if a bound has been exceeded for a time; within it, that time runs back at half speed."""
         since = self._since.get(code, 0)
-        self._since[code] = since = since + dt if beyond else max(0, since - dt)
+        self._since[code] = since = since + dt if beyond else max(0, since - dt // 2)
         return since > time

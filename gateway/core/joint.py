@@ -31,7 +31,7 @@ _OWN_FAULTS: dict[int, tuple[str, str, str]] = {
     FEEDBACK_LOST: (
         "silent: no feedback for more than {}",
         "cable, supply, termination, the device's cyclic messages, or the device itself",
-        "repair it",
+        "it was armed when last reported: cut its supply; repair it",
     ),
     DISARMED_ITSELF: (
         "disarmed itself: {}",
@@ -160,7 +160,7 @@ class Joint:
         self._received_at: Nanos | None = None
         self._position_at: Nanos | None = None
         self._position_lost = False
-        """Whether the device goes on moving and has ceased to report its position: that is beyond its range."""
+        """Whether the device moves on without reporting its position: that is beyond its range."""
         self._braking: Nanos | None = None
         """When the stop command began to brake."""
         self._profile = Profile()
@@ -193,12 +193,16 @@ class Joint:
         return not ends and not isinstance(self._out, msg.Idle)
 
     def _check_idle(self, now: Nanos) -> None:
-        """Latch a fault if the device is armed against our will: it does not obey, or a late frame or another
-        host has armed it."""
-        obeys = self.mode is not Mode.ARMED or not isinstance(self._out, msg.Idle)
-        if self.owned and not obeys and now - self._idle_at > DISARMING:
+        """Latch a fault if the device is armed, or drives its shaft, against our will: it does not obey, or a
+        late frame or another host has armed it."""
+        if not self.owned or not isinstance(self._out, msg.Idle) or now - self._idle_at <= DISARMING:
+            return
+        speed = abs(self.feedback.velocity or 0.0)
+        if self.mode is Mode.ARMED:
             code = ARMED_AGAINST_IDLE if self._disarmed else STILL_ARMED
             self.latch(self._fault(now, code, "still armed"))
+        elif speed > (1.0 + following.FAST) * self._file.velocity and not self.feedback_lost(now):
+            self.latch(self._fault(now, STILL_ARMED, "still driven, at more than the limit of velocity"))
 
     def on_request(self, now: Nanos, request: msg.Request) -> None:
         """Note a request that is passed to the device."""
@@ -292,7 +296,7 @@ class Joint:
             self.owned = True
             self._disarmed = False
         else:
-            self._idle_until = now
+            self._idle_until = now if self.armed else None
             if not isinstance(self._out, msg.Idle):
                 self._idle_at = now
         self._out, self._out_at = out, now

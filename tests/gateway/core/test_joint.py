@@ -363,6 +363,17 @@ def test_a_device_that_reports_its_disarming_when_the_next_command_is_given_has_
     assert [f.code for f in made.faults.values()] == [DISARMED_ITSELF]
 
 
+def test_a_device_that_restarts_soon_after_its_first_command_has_disarmed_itself() -> None:
+    made = joint()
+    made.on_event(msg.Feedback("m", 0, 0.0, 0.0))
+    made.on_event(msg.State("m", 0, Mode.READY))
+    made.command(STEP, msg.Idle("m"), stopped=False)
+    made.command(2 * STEP, msg.Velocity("m", 1.0), stopped=False)
+    made.on_event(msg.State("m", 3 * STEP, Mode.ARMED))
+    made.on_event(msg.State("m", 4 * STEP, Mode.INITIALISING))
+    assert [f.code for f in made.faults.values()] == [DISARMED_ITSELF]
+
+
 def test_disarming_by_command_is_no_fault() -> None:
     made = armed(joint())
     made.command(STEP, msg.Velocity("m", 1.0), stopped=False)
