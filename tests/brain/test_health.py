@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from brain.health import Health, HealthLevel, HealthSettings
+from brain.health import Health, HealthLevel, HealthSettings, SourceHealth
+from brain.perception.motion_check import Contradiction
 from protocols.messages import MILLISECOND, SECOND, Event, Feedback, Fix, Imu, LaserScan, Mode, Nanos, State
 
 SETTINGS = HealthSettings()
@@ -156,3 +157,60 @@ def test_an_old_measurement_that_comes_late_makes_nothing_younger() -> None:
     health = healthy()
     health.observe([scan(500 * MILLISECOND), scan(100 * MILLISECOND)])
     assert health.source(600 * MILLISECOND, "lidar").level is HealthLevel.OK
+
+
+def test_a_contradiction_is_slow_until_it_is_confirmed_and_lost_when_it_lasts() -> None:
+    health = healthy()
+
+    def level(now: Nanos, *contradictions: Contradiction) -> HealthLevel:
+        health.observe(list(all_at(now).values()))
+        return health.assess(now, {}, contradictions).level
+
+    doubt, certain = Contradiction("a or b", confirmed=False), Contradiction("a or b")
+    assert level(0, doubt) is HealthLevel.SLOW
+    assert level(10 * MS, doubt, certain) is HealthLevel.HALT
+    assert level(10 * MS + SETTINGS.contradicted - 1, certain) is HealthLevel.HALT
+    assert level(10 * MS + SETTINGS.contradicted, certain) is HealthLevel.LOST
+    over = 20 * MS + SETTINGS.contradicted
+    assert level(over) is HealthLevel.LOST  # until all has been well for a while
+    assert level(over + SETTINGS.recover) is HealthLevel.OK
+
+
+def test_degraded_for_too_long_is_lost() -> None:
+    health = healthy()
+    levels = {}
+    for tenth in range(120):
+        now = tenth * 100 * MS
+        late = now - 360 * MS  # the lidar is slow, and never stands
+        events = [event for source, event in all_at(now).items() if source != "lidar"]
+        health.observe([*events, scan(late)])
+        levels[tenth] = health.assess(now, {})
+    assert {levels[tenth].level for tenth in range(4, 104)} == {HealthLevel.SLOW}
+    assert levels[104].level is HealthLevel.LOST
+    assert levels[104].reason == "degraded for 10 s: lidar: no scan for more than 350 ms"
+
+
+@pytest.mark.parametrize(("apart", "lost"), [(3, True), (6, False)])
+def test_degraded_too_often_is_lost(apart: int, lost: bool) -> None:
+    """The fifth time within 20 s."""
+    health = healthy()
+    levels = []
+    for tenth in range(apart * 10 * 5):
+        now = tenth * 100 * MS
+        health.observe(list(all_at(now).values()))
+        doubts = [Contradiction("a or b", confirmed=False)] if tenth % (apart * 10) == 0 else []
+        levels.append(health.assess(now, {}, doubts).level)
+    assert levels.count(HealthLevel.LOST) == (3 if lost else 0)
+    assert levels[-1] is HealthLevel.OK
+    assert levels.index(HealthLevel.SLOW) == 0
+
+
+def test_a_reading_that_shows_nothing_is_slow_at_once_and_then_none() -> None:
+    health = healthy()
+    empty = {"lidar": "0 of 360 rays have returns"}
+    for age, level, reason in (
+        (100, HealthLevel.SLOW, "lidar: 0 of 360 rays have returns"),
+        (640, HealthLevel.HALT, "lidar: no scan for more than 630 ms (0 of 360 rays have returns)"),
+    ):
+        health.observe(list(all_at(age * MS).values()), empty)
+        assert health.assess(age * MS, {}) == SourceHealth(level, reason)
