@@ -19,7 +19,8 @@ from protocols import messages as msg
 from protocols.conformance.random import Random
 from protocols.frames import BusState, CanFrame, Packet
 from protocols.messages import MILLISECOND, SECOND, Feedback, Instruction, LaserScan, Nanos
-from tests.faults.session import PHASES, Result, Run, Warm
+from tests.faults.session import Result, Run
+from tests.faults.start import PHASES, Warm
 
 Inject: TypeAlias = Callable[[Run], None]
 Arrived: TypeAlias = Sequence[Transmission]

@@ -9,7 +9,8 @@ import pytest
 from protocols import messages as msg
 from protocols.conformance.random import Random
 from tests.faults.report import markdown
-from tests.faults.session import STANDING, TOUR, TURNING, Run, Warm
+from tests.faults.session import Run
+from tests.faults.start import STANDING, TOUR, TURNING, Warm
 from tests.faults.table import FAULTS, Fault
 
 WARM = Warm(seed=1, way=2)

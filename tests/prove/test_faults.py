@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from tests.faults.report import failures, markdown
-from tests.faults.session import Warm
+from tests.faults.start import Warm
 from tests.faults.table import FAULTS, one_run
 from tests.prove.campaign import Campaign
 
