@@ -87,7 +87,7 @@ def frozen(kind: type[msg.Imu] | type[msg.LaserScan]) -> Fault:
     def fault(office: Faulty, event: Event) -> Event:
         if not isinstance(event, kind):
             return event
-        return replace(office.kept.setdefault(kind, event), t=event.t)  # type: ignore[type-var]  # both have one
+        return replace(office.kept.setdefault(kind, event), t=event.t)
 
     return fault
 
