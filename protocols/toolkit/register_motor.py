@@ -231,4 +231,5 @@ class RegisterAdapter(Adapter[Motor]):
                 frames = self._about(now, host, "save" if name == self.save else "write", name, value)
             case request:
                 frames = [self.message(self.actions[type(request)], host.address)]
-        return host.own.sent(now, frames)
+        host.own.answers.ask(len(frames))  # not `sent`: many requests must not put off the next question
+        return frames
