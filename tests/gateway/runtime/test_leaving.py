@@ -233,6 +233,7 @@ def test_signals_are_reasons_to_leave_from_the_opening_to_the_close(
                 kill(name)
         assert session.reasons == [name]
         assert session.gateway.still_armed() == []
+        assert signal.getsignal(signal.SIGTTOU) is signal.SIG_IGN
         monkeypatch.setattr(TwinBus, "__init__", open_)
     assert session.reasons == [name] * 2
     assert Mode.ARMED in after_opening
