@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 
 REQUEST_LASTS: Nanos = 60 * SECOND
 """How long after a request its frames may be sent: homing takes its time."""
+GOES_ON: Nanos = SECOND
+"""How long after a set-point, or after coasting, a motor may be commanded to go on from there: a driver that
+changes the mode, or that arms at rest, sends other set-points in between."""
 LATENCY: Nanos = 50 * MILLISECOND
 """What a device obeys may be this much ahead of what it last obeyed: a joint's set-point moves on while the
 device is being armed, and while a set-point waits for its SYNC."""
@@ -116,8 +119,10 @@ class Guard:
         """What the devices have received: the frames that were passed."""
         self._trial = {bus: _Receivers(robot, bus) for bus in robot.buses}
         """The same, for trying the next frame."""
-        self._last: dict[str, tuple[Nanos, Command]] = {}
-        """The last set-point that each motor was sent."""
+        self._last: dict[tuple[str, type[Command] | None], tuple[Nanos, Command]] = {}
+        """The last set-point that each motor was sent: of each type, and (None) of any."""
+        self._coasting: dict[str, tuple[Nanos, float]] = {}
+        """The velocity [rad/s] at which each motor was last seen not armed."""
         self._asked: dict[tuple[str, type[Request]], Nanos] = {}
         """When each request was last passed on to a driver, by motor (or bus) and type."""
 
@@ -147,7 +152,10 @@ class Guard:
         """
         passed: list[Frame] = []
         blocked: list[Blocked] = []
-        last: dict[str, tuple[Nanos, Command]] = {}
+        last: dict[tuple[str, type[Command] | None], tuple[Nanos, Command]] = {}
+        for name in self._specs[bus, protocol]:
+            if name in joints and not joints[name].armed:
+                self._coasting[name] = (now, joints[name].feedback.velocity or 0.0)
         for frame in frames:
             obeyed: Sequence[Obeyed] = ()
             objection: Objection | None
@@ -164,7 +172,7 @@ class Guard:
             self._sent[bus].decode(now, frame)
             for one in obeyed:
                 if isinstance(one, Command):
-                    last[one.motor] = (now, one)
+                    last[one.motor, type(one)] = last[one.motor, None] = (now, one)
             passed.append(frame)
         self._last |= last  # only now: frames of one step are compared with those of the steps before
         return passed, blocked
@@ -254,29 +262,40 @@ class Guard:
             value = bounds.at_joint(one, quantity)
             if not abs(value) <= limit + bounds.slack(one, quantity):  # NaN is neither
                 return f"{quantity} beyond the limit", f"{value:g}, limit {limit:g}"
-        at, last = self._last.get(joint.name, (now - bounds.timeout, None))
-        dt = (min(now - at, bounds.timeout) + LATENCY) / SECOND
         if isinstance(one, msg.Velocity):
             value, slack = bounds.at_joint(one, "velocity"), bounds.slack(one, "velocity")
-            before = [measured.velocity or 0.0]
-            before += [bounds.at_joint(last, "velocity")] if isinstance(last, msg.Velocity) else []
-            slower = any(abs(value) <= abs(v) + slack and value * v >= 0.0 for v in before)
-            if not slower and all(abs(value - v) > limits.acceleration * dt + slack for v in before):
-                return "acceleration beyond the limit", f"velocity {value:g} after {before[-1]:g}"
+            before = self._before(now, one, measured.velocity or 0.0)
+            slower = any(abs(value) <= abs(v) + slack and value * v >= 0.0 for v, _ in before)
+            if not slower and all(abs(value - v) > limits.acceleration * dt + slack for v, dt in before):
+                return "acceleration beyond the limit", f"velocity {value:g} after {before[0][0]:g}"
         elif isinstance(one, msg.Position | msg.Impedance):
             value, slack = bounds.at_joint(one, "position"), bounds.slack(one, "position")
             if not abs(limits.inside(value) - value) <= slack:  # NaN and infinities are not
                 return "position beyond the limit", f"{value:g}, limits {limits.position}"
             if isinstance(one, msg.Position) and measured.position is not None:
-                places = [measured.position, limits.inside(measured.position)]
-                places += [bounds.at_joint(last, "position")] if isinstance(last, msg.Position) else []
-                if all(abs(value - place) > limits.velocity * dt + slack for place in places):
-                    return "a jump of the position", f"{value:g} after {places[-1]:g}"
+                before = self._before(now, one, measured.position, limits.inside(measured.position))
+                if all(abs(value - p) > limits.velocity * dt + slack for p, dt in before):
+                    return "a jump of the position", f"{value:g} after {before[0][0]:g}"
             if isinstance(one, msg.Impedance):
                 pull = bounds.pull(one, measured)
                 if not abs(pull) <= limits.torque * (1.0 + SPRING_ERROR):
                     return "torque of the spring beyond the limit", f"{pull:g}, limit {limits.torque:g}"
         return None
+
+    def _before(
+        self, now: Nanos, one: msg.Velocity | msg.Position, *measured: float
+    ) -> list[tuple[float, float]]:
+        """Return from where a set-point may go on, each with the time [s] in which it may have changed."""
+        bounds, motor, kind = self._motors[one.motor], one.motor, type(one)
+        at, _ = self._last.get((motor, None), (now - bounds.timeout, one))
+        found = [(value, now - at) for value in measured]
+        at, last = self._last.get((motor, kind), (now - 2 * GOES_ON, one))
+        if now - at <= GOES_ON:
+            found.append((bounds.at_joint(last, kind.__name__.lower()), now - at))
+        at, velocity = self._coasting.get(motor, (now - 2 * GOES_ON, 0.0))
+        if now - at <= GOES_ON and kind is msg.Velocity:
+            found.append((velocity, 0))
+        return [(value, (min(since, bounds.timeout) + LATENCY) / SECOND) for value, since in found]
 
 
 SetPoint: TypeAlias = msg.Velocity | msg.Position | msg.Torque | msg.Impedance
@@ -299,7 +318,7 @@ class _Bounds:
         self._ranges = motor.spec.ranges
         self._ratio = motor.joint.gear * motor.joint.sign
 
-    def at_joint(self, one: SetPoint, quantity: str) -> float:
+    def at_joint(self, one: Command, quantity: str) -> float:
         """Return "position", "velocity" or "torque"; 0 where the set-point has none."""
         value: float = getattr(one, quantity, 0.0)
         return value * self._ratio if quantity == "torque" else value / self._ratio

@@ -78,6 +78,8 @@ class Situation:
     before: tuple[CanFrame, ...] = ()
     """Frames that were passed, 5 ms before."""
     measured: dict[str, float] = field(default_factory=dict)
+    coasted: float = 0.0
+    """rad/s, with which it turned before it was armed, 200 ms before."""
 
 
 def verdict(situation: Situation, frame: Frame) -> str:
@@ -88,8 +90,10 @@ def verdict(situation: Situation, frame: Frame) -> str:
         joint = joints[name] = Joint(name, motor.joint, motor.spec)
         ratio = motor.joint.gear * motor.joint.sign
         at_device = {quantity: value * ratio for quantity, value in situation.measured.items()}
-        at_rest = {"position": 0.0, "velocity": 0.0}
-        shaft = at_rest | at_device
+        shaft = {"position": 0.0, "velocity": 0.0} | at_device
+        past = now - 200 * MILLISECOND
+        joint.on_event(msg.Feedback(name, past, 0.0, situation.coasted * ratio, *(None,) * 4))
+        guard.check(past, "can0", "odrive_can", [], {name: joint}, stopped=False)
         joint.on_event(msg.Feedback(name, now, shaft["position"], shaft["velocity"], *(None,) * 4))
         joint.on_event(msg.State(name, now, situation.mode, ""))
         joint.owned = situation.owned
@@ -174,6 +178,9 @@ CASES: list[tuple[str, Situation, Frame, str]] = [
     ("a jump", moving(), position(LEFT, 1.11), JUMPS),
     ("a jump back to zero", moving(12.5), position(LEFT, 0.0), JUMPS),
     ("on from the last set-point", moving(0.0, position(LEFT, 1.0)), position(LEFT, 2.09), ""),
+    ("on from it after its mode", moving(0.0, position(LEFT, 1.0), mode(LEFT, 3)), position(LEFT, 2.0), ""),
+    ("on from coasting, armed at rest", replace(turning(), coasted=12.0), velocity(LEFT, 12.0), ""),
+    ("faster than it coasted", replace(turning(), coasted=12.0), velocity(LEFT, 15.1), JERKS),
     ("within the range", moving(1.9), position(RIGHT, -2.0), ""),
     ("out of the range", moving(1.9), position(RIGHT, -2.01), TOO_FAR),
     ("back into the range", moving(9.0), position(RIGHT, -2.0), ""),
