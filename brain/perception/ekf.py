@@ -229,10 +229,12 @@ class Ekf:
 
     def _trim(self) -> None:
         oldest = self._history[-1].t - self.settings.rewind
-        while len(self._history) > 1 and self._history[1].t <= oldest:
+        while len(self._history) > 1 and (self._history[1].t <= oldest or len(self._history) > MAX_HISTORY):
             self._history.popleft()
 
 
+MAX_HISTORY = 600
+"""Measurements that are applied again after a late one; an older one counts as too late."""
 MAX_INFLATION = 1e6
 """Largest factor on a variance."""
 

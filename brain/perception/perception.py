@@ -281,6 +281,8 @@ class Perception:
             self._set_absent(scan.sensor, reason)
             if returns and not reason:
                 self._scans.append(scan)
+            if len(self._scans) > SCANS_WAITING:
+                self._count(self._scans.popleft().sensor, "too many are waiting")
 
     def _set_absent(self, name: str, reason: str) -> None:
         if reason:
@@ -290,7 +292,7 @@ class Perception:
             self.absent.pop(name, None)
 
     def _process_scans(self, now: Nanos) -> None:
-        while self._scans:
+        for _ in range(min(len(self._scans), SCANS_PER_STEP)):
             scan = self._scans[0]
             reached = self._ekf.t is not None and self._moved_at is not None and self._ekf.t >= scan.t
             if not reached and now - scan.t < self.settings.scan_wait:
@@ -360,6 +362,8 @@ def _pose(state: Floats) -> Pose:
 
 MAX_BEAMS = 10_000
 """Of a scan."""
+SCANS_PER_STEP, SCANS_WAITING = 4, 32
+"""Most scans that a step processes, and that wait for the next ones."""
 
 
 def _is_valid(scan: LaserScan) -> bool:
