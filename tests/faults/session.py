@@ -36,7 +36,7 @@ MOVING = 2.0
 STRAY: Nanos = 150 * MILLISECOND
 """A shaft strays if it is more than 1 rad/s and 40 % off its set-point for this time."""
 HORIZON: Nanos = 4 * SECOND
-"""The longest time that a fault is given to show itself."""
+"""The longest time that a fault is given to show itself, and to be noticed."""
 
 
 @dataclass
@@ -179,9 +179,9 @@ class Run:
         notice, waited = self.fault.notice, now - self.since
         if notice is None:
             return waited > self.fault.lasts * SECOND
-        if self.result.noticed is None:
-            return waited > HORIZON or self._exposed > (1.5 * notice + 0.3) * SECOND
-        return waited > HORIZON or self._at_rest() or self._exposed > (notice + 1.0) * SECOND
+        return waited > HORIZON or (
+            self.result.noticed is not None and (self._at_rest() or self._exposed > (notice + 1.0) * SECOND)
+        )
 
     def _over(self, now: Nanos) -> bool:
         """True if the end has shown what it can."""

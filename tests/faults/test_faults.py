@@ -34,4 +34,4 @@ def test_a_fault_that_nobody_notices_and_an_unsafe_frame_are_failures() -> None:
     result = Run(replace(unnoticed), WARM, "bench", STANDING, Random(1)).run()
     assert any("not noticed" in each for each in result.failed)
     assert any("unsafe frames: left: velocity 1e+06" in each for each in result.failed)
-    assert "| unnoticed | 1 |" in markdown([vars(result)], [])
+    assert "| unnoticed | 1 | 1 | 0 |" in markdown([vars(result)])

@@ -15,7 +15,7 @@ import pytest
 
 from tests.faults.report import failures, markdown
 from tests.faults.start import Warm
-from tests.faults.table import FAULTS, one_run
+from tests.faults.table import one_run
 from tests.prove.campaign import Campaign
 
 
@@ -30,6 +30,6 @@ def test_no_fault_is_unsafe_or_unnoticed() -> None:
 
     name = f"faults-{part}of{parts}" if parts > 1 else "faults"
     results = [*Campaign(name, count).run(case).values()]
-    print(markdown(results, [fault.name for fault in FAULTS]))
+    print(markdown(results))
     failed = failures(results)
     assert not failed, "\n".join(failed)
