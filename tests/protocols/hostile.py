@@ -48,7 +48,7 @@ ROBOTS = {
 }
 NUMBERS = (0.0, -0.0, 5e-324, 1e-40, 1e-19, -1.0, 6.5e4, 3.4e38, 1e300, float("inf"), float("nan"))
 INTEGERS = (0, 1, -1, 2**31, 2**63, -(2**63), 2**64 - 1)
-VALUES = (*NUMBERS, *INTEGERS, None, True, "", "\x1b[2J\n", b"", bytes(9), [], [1.0])
+VALUES: tuple[object, ...] = (*NUMBERS, *INTEGERS, None, True, "", "\x1b[2J\n", b"", bytes(9), [], [1.0])
 EXTREME = sorted(
     {
         struct.pack(f"{order}{code}", number)
@@ -98,8 +98,7 @@ class Hostile:
                 other = random.choice(self._cans)
                 return replace(frame, data=other.data, fd=other.fd)
             case 8:
-                flags = {name: random.random() < 0.5 for name in ("extended", "remote", "fd", "brs")}
-                return replace(frame, **flags)
+                return CanFrame(frame.id, frame.data, *(random.random() < 0.5 for _ in range(4)))
         bit = 1 << random.randrange(29 if frame.extended else 11)
         return replace(frame, id=frame.id ^ bit)
 

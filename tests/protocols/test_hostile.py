@@ -5,8 +5,11 @@
 
 from __future__ import annotations
 
+from random import Random
+
 import pytest
 
+from protocols.conformance.noise import valid_frames
 from tests.protocols import hostile
 from tests.protocols.hostile import PLUGINS
 
@@ -25,7 +28,7 @@ def test_a_gateway_and_a_monitor_take_hostile_frames(name: str) -> None:
 def test_the_frames_reach_what_they_are_to_reach() -> None:
     """Sealed messages are accepted often enough to matter, and not always."""
     case = hostile._cases("plain")[0]
-    draw = hostile.Hostile(hostile.noise.valid_frames(case), hostile.Random(1))
+    draw = hostile.Hostile(valid_frames(case), Random(1))
     driver = case.start().driver
     for _ in range(2000):
         driver.receive(0, draw.frame())
