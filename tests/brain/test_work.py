@@ -6,12 +6,14 @@ import math
 import sys
 import tracemalloc
 from collections.abc import Callable
+from dataclasses import replace
 from types import FrameType
 from typing import Any
 
 import numpy as np
 import pytest
 
+from brain.base_brain import BaseBrain
 from brain.belief import Pose
 from brain.perception.grid import Grid, GridSettings, _inflated
 from brain.perception.mount import Mount, to_body
@@ -27,6 +29,7 @@ from brain.planning.costmap import (
 from brain.planning.navigator import Navigator
 from brain.planning.planner import SHORTCUT_CORNERS, shortcut
 from protocols.messages import Goal, LaserScan
+from tests.brain.helpers import Office, Trip
 
 LARGEST = GridSettings(resolution=0.05, width=50.0, height=50.0, farthest=100.0)
 """A million cells."""
@@ -115,3 +118,31 @@ def test_an_inflation_is_the_union_of_discs(radius: float) -> None:
         near = (up**2 + across**2 < radius**2) | np.eye(rows.size, dtype=bool)
         expected = near[:, occupied.reshape(-1)].any(axis=1).reshape(shape)
         assert (_inflated(occupied, radius) == expected).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "counted"),
+    [
+        ({"angle_increment": 1e-19}, "not a scan"),
+        ({"angle_increment": 5e-324}, "not a scan"),
+        ({"angle_increment": 1e308}, "not a scan"),
+        ({"angle_min": 1e300}, "not a scan"),
+        ({"range_min": -1e308}, "not a scan"),
+        ({"range_max": 1e308}, "not a scan"),
+        ({"ranges": (1.0,) * 1_000_000, "angle_increment": 1e-5}, "not a scan"),
+        ({"ranges": (1e308,) * 360}, "too few returns"),
+        ({"ranges": (-1e308,) * 360}, "too few returns"),
+        ({"t": -(2**62)}, "out of order"),
+    ],
+)
+def test_a_scan_that_no_lidar_sends_is_counted_and_left_out(change: dict[str, Any], counted: str) -> None:
+    trip = Trip(Office())
+    trip.run(0.5)
+    assert isinstance(trip.brain._body, BaseBrain)
+    perception = trip.brain._body.perception
+    scan = replace(trip.office.scan(), **{"t": trip.office.now + 1, **change})
+    before, anomalies = perception.map.version, perception.anomalies["lidar"].get(counted, 0)
+    trip.brain.step(trip.office.now + 1, [scan], [], "")
+    trip.run(0.05)
+    assert perception.anomalies["lidar"][counted] == anomalies + 1
+    assert perception.map.version == before
