@@ -14,9 +14,9 @@ initialises is missing, even if it already measures; later some do so briefly wh
 Declared: after these faults a base with wheels, gyro, and a lidar of at least 10 Hz with a timeout of 500 ms
 begins to stand within this time, or way; a contradiction drops the tasks 1 s later.
 
-    lidar: zeros, no returns, frozen                          0.6 s
-    lidar: turned by 5° or more, shifted by 0.5 m, most rays  0.4 s
-        without a return, ranges off by 0.5 m
+    lidar: frozen; returns from fewer than 15 % of its rays   0.6 s
+    lidar: turned by 5° or more, shifted by 0.5 m, ranges     0.4 s
+        off by 0.5 m, most rays past what was there
     lidar: mount wrong from the start, 180°, 0.5 m, 8°        0.4 m driven, 0.4 rad turned, 2.5 m driven
     IMU: constant                                             0.4 s
     IMU: bias jump of 0.3 rad/s; of 0.1 rad/s                 1 s; 4 s
@@ -29,8 +29,8 @@ begins to stand within this time, or way; a contradiction drops the tasks 1 s la
 
 Not noticed, since nothing shows it: swapped wheels or a reversed gyro on a straight way; a lidar turned by
 180° where the place looks the same; one mounted wrong by less than 8° or 0.1 m; a bias jump below 0.1 rad/s
-and any slip below a third of the way, which the filter learns; without a lidar, wheels that turn on the spot or
-are both at another scale; without a gyro and a lidar, all of these.
+and any slip below a third of the way, which the filter learns; without a lidar, wheels that turn on the spot
+or are both at another scale; without a gyro and a lidar, all of these.
 """
 
 from __future__ import annotations

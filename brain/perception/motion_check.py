@@ -86,8 +86,9 @@ class Track:
         _, x, y, yaw, total = self._rows[-1] if self._rows else (since, 0.0, 0.0, 0.0, 0.0)
         if not self._rows:
             self._rows.append((since, x, y, yaw, total))
-        chord, heading = distance * sinc(turn / 2.0), yaw + turn / 2.0
-        x, y = x + chord * math.cos(heading), y + chord * math.sin(heading)
+        if distance:
+            chord, heading = distance * sinc(turn / 2.0), yaw + turn / 2.0
+            x, y = x + chord * math.cos(heading), y + chord * math.sin(heading)
         self._rows.append((t, x, y, yaw + turn, total + uncertain))
         while self._rows[0][0] < t - KEPT:
             self._rows.popleft()
@@ -159,7 +160,7 @@ class Reference:
         read = np.flatnonzero(scan.ranges > 0.0)
         points = scan.ends[read[:: max(1, math.ceil(len(read) / BEAMS))]]
         x, y = wheels.x, wheels.y
-        for gate in (0.8, 0.4, 0.3, 0.3):
+        for gate in (0.8, 0.4, 0.3, 0.3, 0.3):
             moved, beam, lined, distance = self._distances(points, x, y, turn)
             near = lined & (np.abs(distance) < gate)
             if np.count_nonzero(lined) < LEAST:
@@ -172,7 +173,6 @@ class Reference:
             x, y, turn = x + float(step[0]), y + float(step[1]), turn + float(step[2])
             if np.abs(step).max() < 2e-3:
                 break
-        _, _, lined, distance = self._distances(points, x, y, turn)
         on_line = lined & (np.abs(distance) < ON_LINE)
         return Motion(x, y, turn), float(np.sum(on_line) / max(1.0, float(np.sum(lined))))
 
@@ -275,11 +275,11 @@ class MotionCheck:
             self._turned = t
             self._differ.pop("", None)
         elif wheels is not None and gyro is not None:
-            differ = _turns_differ(wheels, gyro)
-            name = self._gyro_name
-            reason = f"wheels or {name}: turned by {_deg(wheels)} by the wheels, {_deg(gyro)} by {name}"
-            self._count("", reason if differ else "")
-            if not differ and t - since > RENEW_AGE // 2 and not self._confirmed(""):
+            name, reason = self._gyro_name, ""
+            if _turns_differ(wheels, gyro):
+                reason = f"wheels or {name}: turned by {_deg(wheels)} by the wheels, {_deg(gyro)} by {name}"
+            self._count("", reason)
+            if not reason and t - since > RENEW_AGE // 2 and not self._confirmed(""):
                 self._turned = t
 
     def _difference(self, name: str, shown: Motion, fit: float, wheels: Motion, gyro: Motion | None) -> str:

@@ -73,7 +73,7 @@ class PerceptionSettings:
     """Match scans against the map; if not, they are only added to it."""
     scan_wait: Nanos = 500 * MILLISECOND
     """Time that a scan waits for the wheels and the gyro."""
-    least_returns: float = 0.05
+    least_returns: float = 0.15
     """A scan with returns from less than this share of its rays counts as none. 0: in open ground, where no
     return is to be expected; such a scan is no proof of free space, either, and is not added to the map."""
     redraw: Nanos = 2000 * MILLISECOND
@@ -125,7 +125,8 @@ class Perception:
         self._odometry = Odometry(body, settings.odometry)
         self.absent: dict[str, str] = {}
         """Why the newest reading of a sensor says nothing, by sensor; it counts as none."""
-        self._last_scan: dict[str, LaserScan] = {}
+        self._last_scan: dict[str, tuple[Nanos, Floats]] = {}
+        """Time and ranges of the newest scan."""
         self._last_imu: dict[str, tuple[Imu, int]] = {}
         """First reading of a row of equal ones, and how many they are."""
         self._scans: deque[LaserScan] = deque()
@@ -165,7 +166,7 @@ class Perception:
         return self._check.contradictions() + [
             Contradiction(f"{name}: its scans do not fit the map")
             for name, since in self._misfit_since.items()
-            if self._last_scan[name].t - since >= MISFIT_FOR
+            if self._last_scan[name][0] - since >= MISFIT_FOR
         ]
 
     def observe(self, now: Nanos, events: Sequence[Event]) -> None:
@@ -269,14 +270,15 @@ class Perception:
         last = self._last_scan.get(scan.sensor)
         if not _is_valid(scan):
             self._count(scan.sensor, "not a scan")
-        elif last is not None and scan.t <= last.t:
+        elif last is not None and scan.t <= last[0]:
             self._count(scan.sensor, "out of order")
         else:
-            self._last_scan[scan.sensor] = scan
-            returns = sum(scan.range_min <= length < scan.range_max for length in scan.ranges)
-            few = returns < self.settings.least_returns * len(scan.ranges)
-            reason = f"{returns} of {len(scan.ranges)} rays have returns" if few else ""
-            if returns and last is not None and np.array_equal(scan.ranges, last.ranges, equal_nan=True):
+            ranges = np.asarray(scan.ranges, dtype=np.float64)
+            self._last_scan[scan.sensor] = scan.t, ranges
+            returns = int(np.count_nonzero((scan.range_min <= ranges) & (ranges < scan.range_max)))
+            few = returns < self.settings.least_returns * len(ranges)
+            reason = f"{returns} of {len(ranges)} rays have returns" if few else ""
+            if returns and last is not None and np.array_equal(ranges, last[1], equal_nan=True):
                 reason = CONSTANT
             self._set_absent(scan.sensor, reason)
             if returns and not reason:
