@@ -8,7 +8,7 @@ judgement anew (lost feedback has a fault of its own). State is plain data.
 
     quantity             beyond the band by                                  for              fault
     velocity (Velocity,  2.5 % of the limit, and `following_share`           following_time   NOT_FOLLOWED
-      Hold: 0)           of the set-point
+      Hold: a ramp to 0) of the set-point
                            and the position has not changed by one bit       half of it       NOT_FOLLOWED
                          20 % of the limit, faster or backwards              60 ms            RUNS_AWAY
     position (Position)  what 2.5 % of the limit of velocity does in 0.3 s   following_time   NOT_FOLLOWED
@@ -18,8 +18,7 @@ judgement anew (lost feedback has a fault of its own). State is plain data.
     position less the    as of position, and 50 ms of the velocity           40 ms            INCONSISTENT
       velocity's integral  (with a memory of 1 s)
 
-Noticed, in these times after the motor is commanded to move (the default following_time is 0.3 s; a lag of
-0.1 s is part of the first): see `NOTICED_WITHIN`. What cannot be noticed in the joint alone:
+`NOTICED_WITHIN` has the time of each fault. What cannot be noticed in the joint alone:
 
     scaled encoder       position and velocity agree, and the device's loop follows them: the base's motion
                          (gyro, lidar) shows it; scaled in the position only, it is inconsistent
@@ -46,6 +45,8 @@ FLOOR = 0.025
 """Share of a limit of velocity within which a velocity is followed."""
 FAST, FAST_FREE = 0.2, 0.6
 """Share of the limit of velocity by which a shaft that is faster than commanded runs away; if a torque is."""
+HOLDING = 0.25
+"""Share of the limit of acceleration with which a shaft comes to hold."""
 TORQUE_FLOOR, TORQUE_SHARE = 0.1, 0.5
 LAG = 0.1
 """s, of a device and its reports behind the set-points."""
@@ -61,17 +62,17 @@ LONGEST_STEP: Nanos = 20 * MILLISECOND
 """What one step counts at most: a single look shows nothing that lasts."""
 GAP: Nanos = 100 * MILLISECOND
 
-NOTICED_WITHIN: dict[str, tuple[int, Nanos]] = {
-    "stuck encoder": (NOT_FOLLOWED, 500 * MILLISECOND),
-    "no torque": (NOT_FOLLOWED, 600 * MILLISECOND),
-    "runaway": (RUNS_AWAY, 300 * MILLISECOND),
-    "reversed encoder": (RUNS_AWAY, 400 * MILLISECOND),
-    "frozen feedback": (INCONSISTENT, 400 * MILLISECOND),
-    "jumping encoder": (INCONSISTENT, 150 * MILLISECOND),
-    "scaled position": (INCONSISTENT, 500 * MILLISECOND),
+NOTICED_WITHIN: dict[str, Nanos] = {
+    "stuck encoder": 500 * MILLISECOND,
+    "frozen feedback": 500 * MILLISECOND,
+    "jumping encoder": 400 * MILLISECOND,
+    "scaled position": 500 * MILLISECOND,
+    "reversed encoder": 400 * MILLISECOND,
+    "no torque": 1500 * MILLISECOND,
+    "runaway": 300 * MILLISECOND,
 }
-"""By fault: the code it has, and the declared time from when the set-point is beyond 10 % of the limit of
-velocity, at a following time of 0.3 s. A device may be quicker to notice by itself."""
+"""The declared times, by fault, at a following time of 0.3 s: from when the motor is commanded to turn at a
+tenth of its limit or more (no torque: it may coast for a while as fast as it should)."""
 
 Finding: TypeAlias = tuple[int, str]
 """Code and what was found, in numbers."""
@@ -112,7 +113,7 @@ class Following:
         self._kind: type[Command] | None = None
         self._band = Band(0.0, 0.0)
         self._rest = 0.0
-        """The set-point of velocity of a shaft that comes to hold."""
+        """The speed at which a shaft that comes to hold may still turn."""
         self._since: dict[int, Nanos] = {}
         """For how long each quantity has been out of bounds."""
         self._found: Finding | None = None
@@ -184,8 +185,8 @@ class Following:
         fast, margin, code, turning = abs(speed) - limit, FAST, NOT_FOLLOWED, False
         share, floor, part, actual = min(1.0, dt / SECOND / LAG), self._slack, 0.0, measured.position
         if isinstance(sent, Velocity | Hold):
-            setpoint = sent.velocity if isinstance(sent, Velocity) else self._slow_down(dt)
             floor, part, actual, turning = FLOOR * limit, self._share, measured.velocity, True
+            setpoint = sent.velocity if isinstance(sent, Velocity) else self._slow_down(dt)
         elif isinstance(sent, Position):
             setpoint = sent.position
         else:  # an Impedance is followed by no quantity of its own
@@ -205,9 +206,12 @@ class Following:
         return found
 
     def _slow_down(self, dt: Nanos) -> float:
-        """Return the set-point of a shaft that comes to hold, at half of the limit of acceleration."""
-        self._rest = toward(self._rest, 0.0, 0.5 * self._limits.acceleration * dt / SECOND)
-        return self._rest
+        """Let the band of a shaft that comes to hold end at a slow ramp; return its set-point.
+
+        It may turn back as fast, to where it was when Hold was given."""
+        self._rest = toward(self._rest, 0.0, HOLDING * self._limits.acceleration * dt / SECOND)
+        self._band.low, self._band.high = -self._rest, self._rest
+        return 0.0
 
     def _begin(self, sent: Command, measured: Feedback) -> None:
         """Begin with another kind of command: the band includes what is measured."""
@@ -215,8 +219,8 @@ class Following:
             self._forget_motion()
         self._kind = type(sent)
         self._since.clear()
-        self._rest = measured.velocity or 0.0
-        actual: float | None = self._rest
+        actual: float | None = measured.velocity
+        self._rest = abs(actual or 0.0)
         if isinstance(sent, Position):
             actual = measured.position
         elif isinstance(sent, Torque):

@@ -30,14 +30,14 @@ MS = MILLISECOND
 STEP = 5 * MS
 
 
-def spec(*commands: type[Command]) -> Spec:
+def spec(*commands: type[Command], feedback: FeedbackKind = FeedbackKind.CYCLIC) -> Spec:
     return Spec(
         bus="can",
         kind="motor",
         sends=(),
         expects=(),
         read_only=lambda _frame: False,
-        feedback=FeedbackKind.CYCLIC,
+        feedback=feedback,
         feedback_period=10 * MS,
         offline_after=100 * MS,
         commands=frozenset(
@@ -260,6 +260,102 @@ def test_the_command_timeout_has_the_action_of_the_file(on_command_timeout: Lite
     made.on_event(msg.Feedback("m", 110 * MS, 0.0, 0.0))
     out = made.command(110 * MS, None, stopped=False)
     assert out == (msg.Hold("m") if on_command_timeout == "hold" else msg.Idle("m"))
+
+
+@pytest.mark.parametrize("acceleration", [0.5, 1e-300])
+def test_braking_takes_two_seconds_at_most_whatever_the_limits_are(acceleration: float) -> None:
+    limits = Limits(velocity=10.0, acceleration=acceleration, torque=2.0)
+    made = armed(Joint("m", JointSettings(limits, stop_action="brake"), spec()), velocity=5.0)
+    made.command(STEP, msg.Velocity("m", 5.0), stopped=False)
+    assert made.braking_time == 2 * SECOND
+    for now in range(2 * STEP, 2100 * MS, STEP):
+        made.on_event(msg.Feedback("m", now, 5.0 * now / SECOND, 5.0))
+        out = made.command(now, None, stopped=True)
+    assert out == msg.Idle("m")
+
+
+def test_a_stop_brakes_with_the_robot_files_acceleration_not_with_one_that_was_set() -> None:
+    made = armed(joint(stop_action="brake"), velocity=5.0)
+    assert made.change("acceleration", 2.5) == ""
+    made.command(STEP, msg.Velocity("m", 5.0), stopped=False)
+    first, second = (made.command(step * STEP, None, stopped=True) for step in (2, 3))
+    assert isinstance(first, msg.Velocity)
+    assert isinstance(second, msg.Velocity)
+    assert first.velocity - second.velocity == pytest.approx(50.0 * 0.005)
+    assert made.braking_time == 400 * MS
+
+
+@pytest.mark.parametrize("mode", [Mode.READY, Mode.FAULT, Mode.INITIALISING])
+def test_a_stop_by_hold_arms_no_device(mode: Mode) -> None:
+    made = joint(stop_action="hold")
+    made.on_event(msg.Feedback("m", 0, 0.0, 0.0))
+    made.on_event(msg.State("m", 0, mode))
+    made.command(STEP, msg.Velocity("m", 1.0), stopped=False)  # not armed yet
+    assert made.command(2 * STEP, None, stopped=True) == msg.Idle("m")
+
+
+def test_a_device_that_reports_only_what_it_is_commanded_is_first_commanded_to_give_no_torque() -> None:
+    limits = JointSettings(Limits(10.0, 50.0, 2.0))
+    for able, first in ((msg.Torque, msg.Torque("m", 0.0)), (msg.Velocity, msg.Velocity("m", 0.0))):
+        made = Joint("m", limits, spec(msg.Idle, msg.Velocity, able, feedback=FeedbackKind.REPLY))
+        assert made.command(STEP, None, stopped=False) == msg.Idle("m")
+        assert made.command(2 * STEP, msg.Velocity("m", 3.0), stopped=False) == first
+        assert made.command(3 * STEP, None, stopped=True) == msg.Idle("m")
+        armed(made)
+        made.command(4 * STEP, msg.Velocity("m", 3.0), stopped=False)
+        assert made.command(5 * STEP, None, stopped=False) == msg.Velocity("m", 0.25 + 0.25)
+    made = Joint("m", limits, spec(msg.Idle, msg.Position, feedback=FeedbackKind.REPLY))
+    assert made.command(STEP, msg.Position("m", 3.0), stopped=False) == msg.Idle("m")
+
+
+def test_a_stamp_from_the_future_does_not_keep_a_joint_from_going_blind() -> None:
+    made = armed(joint())
+    made.on_event(msg.Feedback("m", 3600 * SECOND, 0.0, 0.0))
+    made.command(STEP, msg.Velocity("m", 1.0), stopped=False)
+    assert made.feedback_age(STEP) == 0
+    made.command(STEP + 101 * MS, msg.Velocity("m", 1.0), stopped=False)
+    assert [f.code for f in made.faults.values()] == [FEEDBACK_LOST]
+
+
+@pytest.mark.parametrize(
+    ("command", "out"),
+    [
+        (msg.Position("m", 1.0), msg.Idle("m")),
+        (msg.Impedance("m", 1.0, 0.0, 0.0, 1.0, 0.1), msg.Idle("m")),
+        (msg.Hold("m"), msg.Velocity("m", 0.0)),
+        (msg.Torque("m", 0.5), msg.Torque("m", 0.5)),
+    ],
+    ids=repr,
+)
+def test_a_position_that_the_device_no_longer_reports_is_neither_held_nor_moved_from(
+    command: Command, out: Command
+) -> None:
+    made = armed(joint(), position=12.4)
+    notes = []
+    for now in range(STEP, 150 * MS, STEP):
+        made.on_event(msg.Feedback("m", now, None, 0.0))
+        given = made.command(now, command, stopped=False)
+        notes += [made.refused] if made.refused else []
+    assert given == out
+    assert made.feedback.position is None
+    assert notes == ["its position is lost: the device no longer reports it"]
+    made.on_event(msg.Feedback("m", 150 * MS, 12.4, 0.0))
+    made.command(150 * MS, command, stopped=False)
+    assert made.feedback.position == 12.4
+
+
+@given(*[st.floats(-20.0, 20.0)] * 5, st.floats(0.0, 1e4), st.floats(0.0, 1e3))
+def test_the_torque_of_a_spring_is_within_the_limit_where_the_shaft_is(
+    position: float, velocity: float, torque: float, to: float, at: float, stiffness: float, damping: float
+) -> None:
+    made = armed(joint(), position=position, velocity=velocity)
+    out = made.command(STEP, msg.Impedance("m", to, at, torque, stiffness, damping), stopped=False)
+    assert isinstance(out, msg.Impedance)
+    total = out.torque + out.stiffness * (out.position - position) + out.damping * (out.velocity - velocity)
+    assert abs(total) <= 2.0 + 1e-6
+    assert 0.0 <= out.stiffness <= stiffness
+    assert 0.0 <= out.damping <= damping
+    assert abs(velocity) <= 10.0 or total * velocity <= 1e-6  # nor does it speed up a shaft that is too fast
 
 
 @pytest.mark.parametrize("stop_action", ["idle", "hold"])
