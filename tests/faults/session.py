@@ -98,6 +98,7 @@ class Run:
         self._strays: dict[str, Nanos] = {}
         """Since when each shaft has not followed."""
         self._exposed: Nanos = 0
+        self._noticed_at: Nanos | None = None
         self._stopped_at: Nanos | None = None
 
     # -- the course of a run ----------------------------------------------------------------------------
@@ -176,11 +177,11 @@ class Run:
 
     def _decided(self, now: Nanos) -> bool:
         """True once it is noticed and stands, or has had its time."""
-        notice, waited = self.fault.notice, now - self.since
-        if notice is None:
+        waited = now - self.since
+        if self.fault.notice is None:
             return waited > self.fault.lasts * SECOND
         return waited > HORIZON or (
-            self.result.noticed is not None and (self._at_rest() or self._exposed > (notice + 1.0) * SECOND)
+            self._noticed_at is not None and (self._at_rest() or now - self._noticed_at > SECOND)
         )
 
     def _over(self, now: Nanos) -> bool:
@@ -246,14 +247,14 @@ class Run:
         strays = any(now - since > STRAY for since in self._strays.values())
         match self.fault.shows:
             case "in motion":
-                return self._exposed > 0 or strays or any(abs(each) > MOVING for each in wanted)
+                return strays or any(abs(each) > MOVING for each in wanted)
             case "in turning":
                 left, right = map(self._wanted, self.wheels)
                 return abs(left - right) > 1.5
             case "if it strays":
-                return self._exposed > 0 or strays
+                return strays
             case "if commanded":
-                return self._exposed > 0 or not all(map(math.isnan, wanted))
+                return not all(map(math.isnan, wanted))
             case "if it was commanded":
                 return self._commanded
         return not (self.gateway.stopped and self.target in self.robot.sensors)
@@ -276,6 +277,7 @@ class Run:
         for report in reports:
             if self.result.noticed is None and re.search(rf"\b({'|'.join(suspects)})\b", report):
                 self.result.noticed, self.result.alarm = self._exposed / SECOND, report[:100]
+                self._noticed_at = now
 
     def _fail(self, text: str) -> None:
         if text not in self.result.failed:

@@ -312,6 +312,30 @@ def test_a_lost_interface_reports_gone_and_back() -> None:
     assert driven.last("right").t > start + 100 * PERIOD
 
 
+def test_a_falsified_transmission_arrives_at_its_own_time_or_never() -> None:
+    driven = rig(bench())
+    delay = 12 * MILLISECOND
+    driven.twins.tamper.transmission = lambda _bus, one: (
+        (replace(one, t=one.t + delay),) if one.sender else ()
+    )
+    driven.run(200, drive(4.0, 4.0))
+    assert driven.twins.world.shaft("left")[1] == 0.0, "no command has arrived"
+    first = driven.packets[0]
+    assert first.t > rig(bench()).run(200).packets[0].t + delay - MILLISECOND, "stamped when it has arrived"
+
+
+def test_measurements_and_torques_are_falsified_on_their_own_side_of_the_twin() -> None:
+    driven = rig(bench())
+    driven.twins.tamper.measured = lambda motor, true: (
+        replace(true, position=7.0) if motor == "left" else true
+    )
+    driven.twins.tamper.torques = lambda torques: torques | {"right": 0.0}
+    driven.run(100, drive(4.0, 4.0))
+    assert driven.last("left").position == 7.0 != driven.twins.world.shaft("left")[0] * 8.0
+    assert driven.twins.world.shaft("right") == (0.0, 0.0)
+    assert driven.last("right").torque != 0.0, "the device gives a torque that its shaft does not get"
+
+
 def test_a_full_queue_reports_full_once_and_then_up() -> None:
     bus = (driven := rig(bench())).twins.buses["motors"]
     bus.read(0)
