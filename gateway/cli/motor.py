@@ -9,16 +9,17 @@ from __future__ import annotations
 import logging
 import sys
 from argparse import ArgumentParser, Namespace
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 
 from gateway.cli import arguments
 from gateway.config import load_robot, with_interfaces
+from gateway.core.message_text import escaped
 from gateway.core.robot import TWIN, Robot
 from gateway.errors import UserError
 from gateway.runtime import configuration
-from gateway.runtime.configuration import Difference, Interrupted, Motors, Readings, quoted
+from gateway.runtime.configuration import Difference, Interrupted, Motors, Readings
 from gateway.runtime.session import open_session
 
 log = logging.getLogger("gateway")
@@ -110,13 +111,13 @@ def _dump(robot: Robot, out: Path | None) -> int:
     for name, one in readings.items():
         motor = robot.motors[name]
         serial = "" if one.serial is None else f", serial number {one.serial:X}"
-        firmware = f", {_plain(one.firmware)}" if one.firmware else ""
+        firmware = f", {escaped(one.firmware)}" if one.firmware else ""
         print(f"{name}: {one.protocol} at address {one.address} on {motor.bus}{serial}{firmware}")
         width = max(map(len, motor.spec.configuration), default=0)
         for parameter, setting in motor.spec.configuration.items():
             value = one.values.get(parameter)
             shown = (
-                f"not read: {_plain(one.not_read[parameter])}"
+                f"not read: {escaped(one.not_read[parameter])}"
                 if value is None
                 else configuration.shown(value)
             )
@@ -151,11 +152,6 @@ def _summary(robot: Robot, readings: Readings, differences: Sequence[Difference]
     return 1 if differences else 0
 
 
-def _print(lines: Iterator[str] | Sequence[str]) -> None:
+def _print(lines: Iterable[str]) -> None:
     for line in lines:
-        print(_plain(line))
-
-
-def _plain(text: str) -> str:
-    """Return a text of a device without control characters."""
-    return quoted(text)[1:-1].replace('\\"', '"').replace("\\\\", "\\")
+        print(escaped(line))

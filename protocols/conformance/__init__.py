@@ -118,7 +118,7 @@ CLAUSES: tuple[Clause, ...] = (
            requests.requests_are_answered),
     Clause("once", "each request has exactly one answer: Done, Refused or Parameter",
            requests.requests_are_answered_once),
-    Clause("configuration", "what is listed as configuration is read, and written where it is not protected",
+    Clause("settings", "what is listed as configuration is read, and written where it is not protected",
            requests.configuration_is_read_and_written),
 )
 # fmt: on

@@ -20,7 +20,7 @@ from protocols.moteus.loops import COUNTED, Settings
 from protocols.moteus.messages import names
 from protocols.moteus.table import FAULTS
 from protocols.moteus.twin import MoteusTwin
-from protocols.plugin import Device, Plugin, Range, Spec, Watchdog
+from protocols.plugin import Device, Plugin, Range, Setting, Spec, Watchdog
 from protocols.toolkit.assembly import can_motor, driver_of
 from protocols.toolkit.table import BINARY32, Table
 
@@ -42,6 +42,12 @@ RANGES["Feedback.temperature"] = Range(-3276.7, 3276.7, 0.05001)
 DESTINATION = 0x1FFF_00FF
 """Bits of an identifier that address a device: prefix and destination, of a frame of any format, CAN FD or
 classic (mjbots/moteus@db1a762 `fw/fdcan_micro_server.h`)."""
+
+
+IDENTITY = dict.fromkeys(
+    ("model_number", "firmware_version", "register_map_version"), Setting(protected="it names the device")
+)
+"""What registers hold of its configuration; all else is in its console's `conf`, for the vendor's tool."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +98,7 @@ def spec(device: Device) -> Spec:
         stop_clears_faults=True,
         faults=FAULTS,
         parameters=("mode", "voltage"),
+        configuration=IDENTITY,
         obeys_also=tuple((prefix << 16 | to, DESTINATION) for to in (device.address, BROADCAST)),
         receives_also=((reply_id(0, host, prefix), reply_id(0, 0x7F, 0x1FFF) | codec.REPLY_BIT | 0x80),),
     )

@@ -232,7 +232,7 @@ class AnswersTwice(PlainDriver):
         return [*events, *(msg.Done(event.t, "ReadParameter", event.motor) for event in read)]
 
 
-@found_by("configuration")
+@found_by("settings")
 class ForgetsWhatIsWritten(PlainTwin):
     """Confirms that a setting is written, and keeps the one before."""
 

@@ -9,6 +9,9 @@ import pytest
 
 from protocols import messages as msg
 from protocols.conformance import CLAUSES, check, table, variants
+from protocols.conformance.bench import ADDRESSES
+from protocols.conformance.case import Case
+from protocols.conformance.requests import configuration_is_read_and_written
 from protocols.frames import EXTENDED_BIT, CanFrame
 from protocols.odrive_can import WATCHDOG_NOTE, errors, plugin, spec
 from protocols.odrive_can.options import Options, Settings, line_of
@@ -154,3 +157,19 @@ def test_one_address_may_be_a_standard_and_an_extended_one() -> None:
 
 def test_codes_have_one_meaning_whichever_the_line() -> None:
     assert not errors.DEVICE05.keys() & errors.DEVICE06.keys()
+
+
+def test_endpoints_are_configuration_and_measurements_are_not() -> None:
+    endpoints = (
+        "axis0.config.enable_watchdog 11 bool",
+        "axis0.controller.config.vel_limit 12 float",
+        "axis0.trap_traj.config.vel_limit 13 float",
+        "axis0.config.can.node_id 14 uint32",
+        "axis0.commutation_mapper.config.offset 15 float",
+        "vbus_voltage 16 float",
+    )
+    options = Options(endpoints=endpoints, endpoints_version="0.6.10")
+    case = Case(plugin, options, 0, ADDRESSES)
+    configuration_is_read_and_written(case)
+    protected = {name: each.protected != "" for name, each in case.spec.configuration.items()}
+    assert list(protected.values()) == [False, False, False, True, True]
