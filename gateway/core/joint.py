@@ -72,6 +72,8 @@ _OWN_FAULTS: dict[int, tuple[str, str, str]] = {
 """By code: name (with a detail), cause, remedy."""
 _NOT_OBEYING = frozenset(_OWN_FAULTS) - {FEEDBACK_LOST, DISARMED_ITSELF}
 """With such a fault a device is sent Idle, whatever its stop action."""
+MAX_FAULTS = 64
+"""Faults that latch, whatever a device reports; our own find room beside them."""
 _OWN_MOTION = frozenset({"Zero", "Home", "Reboot"})
 """Requests under which a device moves, or gives its position another value, by itself."""
 
@@ -248,7 +250,7 @@ class Joint:
     def latch(self, fault: msg.Fault) -> None:
         """Keep a fault until it is cleared."""
         key = (fault.code, fault.name)
-        if key not in self.faults:
+        if key not in self.faults and len(self.faults) < (MAX_FAULTS if fault.code > 0 else 2 * MAX_FAULTS):
             self.faults[key] = fault
             self._unreported.append(fault)
 

@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from gateway.buses.frame_time import frame_time
+from gateway.core.joint import MAX_FAULTS
 from gateway.core.robot import BusSettings
 from gateway.monitor.state import (
     BusRecord,
@@ -180,12 +181,14 @@ class BusMonitor:
         record.kinds.setdefault(type(event).__name__, self._rate()).add(t)
         record.received_at = t
         if isinstance(event, msg.Fault):
-            record.faults[event.code, event.name] = event
+            if len(record.faults) < MAX_FAULTS:
+                record.faults[event.code, event.name] = event
         elif isinstance(event, msg.Imu | msg.LaserScan | msg.Fix):
             record.measurement = event
         elif isinstance(event, msg.Feedback | msg.State) and record.joint is not None:
             if isinstance(event, msg.State) and event.mode is not Mode.FAULT:
-                record.past_faults |= record.faults
+                past = [*record.past_faults.items(), *record.faults.items()]
+                record.past_faults = dict(past[-MAX_FAULTS:])
                 record.faults = {}
             return record.joint.on_event(event)
         return event

@@ -24,6 +24,8 @@ ANSWER: Nanos = 200 * MILLISECOND
 """Timeout of a request, and how long a scan collects answers."""
 OFFLINE: Nanos = 250 * MILLISECOND
 """Time without a message after which a motor is offline."""
+MAX_FAULTS = 64
+"""Codes of faults that are kept of a device."""
 Faults = set[int]
 """Codes of the faults that a motor reported since it was not in fault."""
 
@@ -90,8 +92,8 @@ class PlainAdapter(Adapter[Faults]):
                     host.own.clear()
                 return Report(host, address, mode, detail)
             case msg.Fault(_, _, code):
-                known = code in host.own
-                host.own.add(code)
+                known = code in host.own or len(host.own) >= MAX_FAULTS
+                host.own |= set() if known else {code}
                 return Report(host, address, events=() if known else (event,))
             case msg.Done() | msg.Refused() | msg.Parameter():
                 return Report(host, address, content=[event])

@@ -161,6 +161,8 @@ class Hostile:
             return (kept + number * count)[: 8 * 2000]
         if isinstance(value, float) and random.random() < 0.7:
             return random.choice(NUMBERS)
+        if isinstance(value, int) and random.random() < 0.5:
+            return random.getrandbits(random.choice((4, 8, 16, 32, 63)))
         return random.choice(VALUES)
 
 

@@ -36,8 +36,8 @@ WARM = 2
 """Hours until every buffer has its size,"""
 SLACK = 40
 """and what memory may grow by after that beside the index [MB],"""
-OBJECTS = 2000
-"""and the number of objects."""
+OBJECTS = 20_000
+"""and the number of objects: up to 1024 ticks are queued for the recorder."""
 
 
 class Hour(NamedTuple):
