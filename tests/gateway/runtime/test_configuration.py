@@ -227,3 +227,18 @@ def test_another_device_is_told_by_its_serial_number_or_else_its_address(
     assert (len(wrong), expected in "".join(wrong)) == (bool(expected), True)
     shared = Reading("x", *now, shared=True)
     assert "more than one device" in configuration.same_devices({"left": shared}, {"left": shared})[0]
+
+
+def test_a_silent_motor_is_named_and_not_written_to() -> None:
+    robot = parse_robot(DAMIAO)
+    with running(robot) as (session, motors):
+        assert session.twins is not None
+        session.twins.disconnect("left")
+        now = motors.read()
+        dump = {"left": replace(now["right"], values={"PMAX": 10.0})}
+        found, _ = configuration.against_robot(robot, now)
+        left_out = configuration.against_dump(robot, now, dump)
+        assert motors.write("left", "PMAX", 10.0) == "left is offline"
+    silent = "not read: no reply of the device"
+    assert [str(each) for each in found] == [f"left.{name} = {silent}" for name in ("PMAX", "VMAX", "TMAX")]
+    assert [each.left for each in left_out] == [silent]
