@@ -357,7 +357,7 @@ FAULTS: tuple[Fault, ...] = (
     Fault("encoder stuck", encoder(lambda _run, true, memory: replace(
         true, position=memory.setdefault("at", true.position), velocity=0.0)), "motor", 0.6, "in motion"),
     Fault("feedback frozen", encoder(same_again), "motor", 0.5, "in motion"),
-    Fault("encoder jumps", encoder(jumped), "motor", 0.3),
+    Fault("encoder jumps", encoder(jumped), "motor", 0.3, "if it was commanded"),
     Fault("encoder at half scale", scaled(0.5), "wheel", 1.0, "in motion", suspects=EITHER),
     Fault("encoder reversed", scaled(-1.0), "motor", 0.5, "in motion"),
     Fault("encoders swapped", swapped, "wheel", 1.0, "in turning", suspects=EITHER),
