@@ -3,7 +3,7 @@
 Rules. Only an armed device that is commanded is judged. The measured quantity must lie in a band: that of the
 set-points, each side of which follows them with a lag (`LAG`), and a bound about it. The bounds are shares of
 the robot file's limits; what is beyond them for its time is a fault of the joint, and the device is disarmed,
-whatever its stop action: a loop that does not obey cannot brake or hold. Gaps longer than `GAP` begin the
+whatever its stop action: a loop that does not obey cannot brake or hold. A gap in the reports begins the
 judgement anew (lost feedback has a fault of its own). State is plain data.
 
     quantity             beyond the band by                                  for              fault
@@ -61,6 +61,7 @@ INCONSISTENT_TIME: Nanos = 40 * MILLISECOND
 LONGEST_STEP: Nanos = 20 * MILLISECOND
 """What one step counts at most: a single look shows nothing that lasts."""
 GAP: Nanos = 100 * MILLISECOND
+"""Without a report, or three of the device's own periods, if that is longer."""
 
 NOTICED_WITHIN: dict[str, Nanos] = {
     "stuck encoder": 500 * MILLISECOND,
@@ -101,6 +102,9 @@ class Following:
     def __init__(self, limits: Limits, spec: Spec, gear: float, time: Nanos, share: float) -> None:
         self._limits = limits
         self._time, self._share = time, share
+        period = spec.feedback_period
+        self._gap, self._lag = max(GAP, 3 * period), LAG + period / SECOND
+        self._jitter = JITTER + 0.25 * period / SECOND
         place = spec.ranges.get("Feedback.position")
         self._span = (place.high - place.low) / gear if place else inf
         """A position that wraps jumps by this."""
@@ -109,17 +113,18 @@ class Following:
         self.restart()
 
     def restart(self) -> None:
-        """Forget what was before: the joint is not commanded, or its position was given another value."""
+        """Forget what was before: the joint is not commanded."""
         self._kind: type[Command] | None = None
         self._band = Band(0.0, 0.0)
         self._rest = 0.0
         """The speed at which a shaft that comes to hold may still turn."""
         self._since: dict[int, Nanos] = {}
         """For how long each quantity has been out of bounds."""
-        self._found: Finding | None = None
-        self._forget_motion()
+        self.forget_motion()
 
-    def _forget_motion(self) -> None:
+    def forget_motion(self) -> None:
+        """Forget what was measured: the position was given another value."""
+        self._found: Finding | None = None
         self._moved_at: Nanos | None = None
         self._velocity = self._travel = self._fastest = 0.0
         self._position: float | None = None
@@ -137,8 +142,8 @@ class Following:
         if self._kind is None:
             return
         last = self._moved_at
-        if last is not None and not 0 <= t - last <= GAP:
-            self._forget_motion()
+        if last is not None and not 0 <= t - last <= self._gap:
+            self.forget_motion()
             last = None
         if velocity is not None:
             if last is not None:
@@ -161,7 +166,7 @@ class Following:
         wrong = position - travel - offset
         self._offset = offset + wrong * min(1.0, (t - self._position_at) / SECOND / MEMORY)
         self._position, self._position_at = position, t
-        if abs(wrong) <= self._slack + JITTER * self._fastest:
+        if abs(wrong) <= self._slack + self._jitter * self._fastest:
             self._wrong_since = None
         elif self._wrong_since is None:
             self._wrong_since = t
@@ -176,14 +181,14 @@ class Following:
         `age`: of what was measured."""
         dt = min(now - self._at, LONGEST_STEP)
         self._at = now
-        if age > GAP:
+        if age > self._gap:
             self.restart()
             return None
         if self._kind is not type(sent):
             self._begin(sent, measured)
         limit, speed, band = self._limits.velocity, measured.velocity or 0.0, self._band
         fast, margin, code, turning = abs(speed) - limit, FAST, NOT_FOLLOWED, False
-        share, floor, part, actual = min(1.0, dt / SECOND / LAG), self._slack, 0.0, measured.position
+        share, floor, part, actual = min(1.0, dt / SECOND / self._lag), self._slack, 0.0, measured.position
         if isinstance(sent, Velocity | Hold):
             floor, part, actual, turning = FLOOR * limit, self._share, measured.velocity, True
             setpoint = sent.velocity if isinstance(sent, Velocity) else self._slow_down(dt)
@@ -216,7 +221,7 @@ class Following:
     def _begin(self, sent: Command, measured: Feedback) -> None:
         """Begin with another kind of command: the band includes what is measured."""
         if self._kind is None:
-            self._forget_motion()
+            self.forget_motion()
         self._kind = type(sent)
         self._since.clear()
         actual: float | None = measured.velocity

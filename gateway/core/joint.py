@@ -215,6 +215,7 @@ class Joint:
         """Note the answer to a request of this name."""
         if self._own_motion is not None and self._own_motion[0] == request:
             self._own_motion = None
+            self._following.forget_motion()
 
     def _on_feedback(self, event: msg.Feedback) -> msg.Feedback | None:
         ratio, old, t = self._ratio, self.feedback, event.t
@@ -318,10 +319,11 @@ class Joint:
         if self._own_motion is not None and now - self._own_motion[1] > HOMING_MOST:
             self._own_motion = None
         age = self.feedback_age(now)
-        idle = self.mode is not Mode.ARMED or isinstance(self._out, msg.Idle) or self._own_motion is not None
-        if idle or age is None:
+        if age is None or self.mode is not Mode.ARMED or isinstance(self._out, msg.Idle):
             self._following.restart()
-        elif found := self._following.judge(now, self._out, self.feedback, age):
+        elif self._own_motion is None and (
+            found := self._following.judge(now, self._out, self.feedback, age)
+        ):
             code, detail = found
             if stopped and isinstance(self._out, msg.Hold):
                 code, detail = STILL_ARMED, f"still moves ({detail})"

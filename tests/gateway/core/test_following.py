@@ -260,6 +260,28 @@ def test_a_position_that_was_given_another_value_on_request_is_no_jump(request_:
     assert fed.run(0.5, msg.Hold("m"), lambda _: (5.0, 0.0)) == [INCONSISTENT]
 
 
+def test_requests_that_are_refused_do_not_put_off_the_judgement() -> None:
+    fed, fast = Fed(), msg.Velocity("m", 5.0)
+    for _ in range(20):
+        fed.joint.on_request(fed.now, msg.Zero("m"))
+        fed.run(0.005, fast, lambda _: (fed.now / SECOND * 0.1, 0.1))
+        fed.joint.on_answer("Zero")
+        faults = fed.run(0.045, fast, lambda _: (fed.now / SECOND * 0.1, 0.1))
+    assert faults[:1] == [NOT_FOLLOWED]
+
+
+def test_a_device_that_reports_rarely_is_judged_as_well() -> None:
+    rare = replace(spec(), feedback_period=200 * MS)
+    made = Joint("m", JointSettings(Limits(10.0, 50.0, 2.0), feedback_timeout=SECOND), rare)
+    made.on_event(Feedback("m", 0, 0.0, 0.0))
+    made.on_event(msg.State("m", 0, Mode.ARMED))
+    for now in range(STEP, SECOND, STEP):
+        if now % (200 * MS) == 0:
+            made.on_event(Feedback("m", now, 0.0, 0.0))
+        made.command(now, msg.Velocity("m", 5.0), stopped=False)
+    assert [fault.code for fault in made.faults.values()][:1] == [NOT_FOLLOWED]
+
+
 def test_a_request_that_is_never_answered_does_not_end_the_judgement_for_good() -> None:
     fed = Fed()
     fed.joint.on_request(0, msg.Home("m"))
