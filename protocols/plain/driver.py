@@ -93,7 +93,7 @@ class PlainAdapter(Adapter[Faults]):
                 return Report(host, address, mode, detail)
             case msg.Fault(_, _, code):
                 known = code in host.own or len(host.own) >= MAX_FAULTS
-                host.own |= set() if known else {code}
+                host.own.update(() if known else (code,))
                 return Report(host, address, events=() if known else (event,))
             case msg.Done() | msg.Refused() | msg.Parameter():
                 return Report(host, address, content=[event])
