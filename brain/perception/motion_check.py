@@ -42,7 +42,7 @@ LEAST = 20
 """Least number of them on lines of the reference; fewer show no motion."""
 ON_LINE = 0.1
 """m: a point this near to a line of the reference lies on it."""
-FIT = 0.5
+FIT = 0.6
 """Least share of the points that must lie on lines once the motion is found."""
 TURN, DISTANCE = 0.05, 0.07
 """rad and m: differences below these are none (measured: at most 0.045 rad and 0.015 m),"""
