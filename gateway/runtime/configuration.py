@@ -10,6 +10,7 @@ all of it is as it should be.
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -25,7 +26,7 @@ from gateway.core.tick import Tick
 from gateway.errors import UserError
 from gateway.runtime.session import Session
 from protocols import messages as msg
-from protocols.messages import SECOND, Event, Mode, Nanos, Request
+from protocols.messages import SECOND, Event, Mode, Nanos
 from protocols.plugin import DRIVER_WRITES
 
 ANSWER: Nanos = 15 * SECOND
@@ -38,7 +39,6 @@ UNITS = {"velocity": "rad/s", "torque": "N·m"}
 NO_PARAMETER = "no parameter of this motor's protocol and options"
 
 Answer: TypeAlias = msg.Done | msg.Refused | msg.Parameter
-Print: TypeAlias = Callable[[str], None]
 
 
 @dataclass(slots=True)
@@ -111,18 +111,15 @@ class Motors:
         """Return the state of a motor as reported last."""
         return self.session.joints[motor].mode
 
-    def ask(self, requests: Sequence[Request]) -> tuple[dict[str, Answer], list[msg.Found]]:
-        """Make one request of each motor, or of a bus. Returns the answers by name, and what was found."""
-        wanted = {getattr(each, "motor", getattr(each, "bus", "")): each for each in requests}
-        answers, found = dict[str, Answer](), list[msg.Found]()
+    def ask(self, requests: Sequence[msg.ReadParameter | msg.WriteParameter]) -> dict[str, Answer]:
+        """Make one request of each of some motors. Returns the answers by motor."""
+        wanted, answers = {each.motor: each for each in requests}, dict[str, Answer]()
         self.session.submit(*requests)
         for event in self._events(ANSWER, lambda: answers.keys() == wanted.keys()):
-            if isinstance(event, msg.Found):
-                found.append(event)
             for name, request in wanted.items():
-                if isinstance(event, Answer) and _answers(event, name, request):
+                if isinstance(event, Answer) and _answers(event, request):
                     answers[name] = event
-        return answers, found
+        return answers
 
     def read(self) -> Readings:
         """Read what is configured on all motors."""
@@ -133,7 +130,7 @@ class Motors:
         names = {name: list(motor.spec.configuration) for name, motor in self.motors.items()}
         for at in range(max(map(len, names.values()), default=0)):
             asked = {name: each[at] for name, each in names.items() if at < len(each)}
-            answers, _ = self.ask([msg.ReadParameter(name, each) for name, each in asked.items()])
+            answers = self.ask([msg.ReadParameter(name, each) for name, each in asked.items()])
             for name, parameter in asked.items():
                 answer = answers.get(name)
                 if isinstance(answer, msg.Parameter) and isfinite(answer.value):
@@ -146,31 +143,39 @@ class Motors:
         """Write a parameter and read it back. Returns what is wrong, "" if it is as written."""
         if self.mode(motor) not in KNOWN:
             return f"{motor} is {self.mode(motor)}"
-        answers, _ = self.ask([msg.WriteParameter(motor, parameter, value)])
-        if not isinstance(answers.get(motor), msg.Done):
-            return _reason(answers.get(motor))
-        if parameter == self.motors[motor].spec.save:
-            return ""
-        answers, _ = self.ask([msg.ReadParameter(motor, parameter)])
-        answer = answers.get(motor)
-        if not isinstance(answer, msg.Parameter):
-            return f"not read back: {_reason(answer)}"
-        return "" if is_same(answer.value, value) else f"{shown(answer.value)} is read back"
+        written = self.ask([msg.WriteParameter(motor, parameter, value)]).get(motor)
+        if not isinstance(written, msg.Done) or parameter == self.motors[motor].spec.save:
+            return "" if isinstance(written, msg.Done) else _reason(written)
+        read = self.ask([msg.ReadParameter(motor, parameter)]).get(motor)
+        if not isinstance(read, msg.Parameter):
+            return f"not read back: {_reason(read)}"
+        return "" if is_same(read.value, value) else f"{shown(read.value)} is read back"
 
     def _identify(self, readings: Readings) -> None:
-        """Read serial numbers and firmware by a scan of each bus, where the protocol has one."""
+        """Read serial numbers and firmware by a scan of each bus. An answer does not name its bus: of two
+        devices that have one address on two buses, neither is identified."""
+        names: dict[tuple[str, int], list[str]] = {}
+        for name, one in readings.items():
+            names.setdefault((one.protocol, one.address), []).append(name)
         for bus in self.session.robot.buses:
-            here = {name: one for name, one in self.motors.items() if one.bus == bus}
-            if not any(msg.Scan in motor.spec.requests for motor in here.values()):
-                continue
-            for event in self.ask([msg.Scan(bus)])[1]:
-                same = [n for n, each in readings.items() if (each.protocol, each.address) == _key(event)]
-                # An answer does not tell its bus: of two that have one address, neither is known.
-                if len(same) == 1 and same[0] in here:
-                    one = readings[same[0]]
+            for event in self._scan(bus):
+                name, *others = names.get((event.protocol, event.address), [""])
+                if name and not others and self.motors[name].bus == bus:
+                    one = readings[name]
                     one.shared |= event.duplicate_address or one.serial not in (None, event.serial)
                     one.serial = event.serial
-                    one.firmware = event.detail.removeprefix(same[0]).removeprefix(", ")
+                    one.firmware = event.detail.removeprefix(name).removeprefix(", ")
+
+    def _scan(self, bus: str) -> list[msg.Found]:
+        here = [one for one in self.motors.values() if one.bus == bus and msg.Scan in one.spec.requests]
+        protocols, ended, found = {one.plugin.name for one in here}, list[Event](), list[msg.Found]()
+        self.session.submit(*[msg.Scan(bus)] if here else [])
+        for event in self._events(ANSWER, lambda: len(ended) >= len(protocols)):
+            if isinstance(event, msg.Found):
+                found.append(event)
+            elif isinstance(event, msg.Done | msg.Refused) and event.request == msg.Scan.__name__:
+                ended.append(event)
+        return found
 
     def _events(self, timeout: Nanos, done: Callable[[], bool]) -> Generator[Event]:
         """Step until that is so, at most until the timeout; yield the events. Raises Interrupted."""
@@ -192,15 +197,11 @@ def is_same(one: float, other: float) -> bool:
     return isclose(one, other, rel_tol=1e-6, abs_tol=1e-12)
 
 
-def _key(event: msg.Found) -> tuple[str, int]:
-    return event.protocol, event.address
-
-
-def _answers(event: Answer, name: str, request: Request) -> bool:
+def _answers(event: Answer, request: msg.ReadParameter | msg.WriteParameter) -> bool:
     if isinstance(event, msg.Parameter):
-        read = getattr(request, "parameter", "") if isinstance(request, msg.ReadParameter) else ""
-        return (event.motor, event.parameter) == (name, read)
-    return (event.name, event.request) == (name, type(request).__name__)
+        read = isinstance(request, msg.ReadParameter)
+        return read and (event.motor, event.parameter) == (request.motor, request.parameter)
+    return (event.name, event.request) == (request.motor, type(request).__name__)
 
 
 def _reason(answer: Answer | None) -> str:
@@ -271,7 +272,7 @@ def dump_text(robot: Robot, readings: Readings) -> str:
     for name, one in readings.items():
         lines += ["", f"[motors.{name}]", f"protocol = {quoted(one.protocol)}"]
         lines += [f"bus = {quoted(robot.motors[name].bus)}", f"address = {one.address}"]
-        lines += [f"serial = {one.serial}"] if one.serial is not None else []
+        lines += [f'serial = "{one.serial:X}"'] if one.serial is not None else []
         lines += [f"firmware = {quoted(one.firmware)}"] if one.firmware else []
         lines += ["", f"[motors.{name}.values]"] if one.values else []
         lines += [f"{quoted(parameter)} = {value!r}" for parameter, value in one.values.items()]
@@ -311,12 +312,13 @@ def _one(name: str, table: Any, motors: Mapping[str, Motor], wrong: list[str]) -
         return Reading("", 0)
     plugin, settings = motors[name].plugin.name, motors[name].spec.configuration
     table = table if isinstance(table, dict) else {}
-    protocol, address, serial = table.get("protocol"), table.get("address"), table.get("serial")
+    protocol, address, serial = (table.get(key) for key in ("protocol", "address", "serial"))
     values = table.get("values", {})
     if protocol != plugin:
         wrong.append(f"{name}: the dump is of the protocol {protocol!r}, the robot file has {plugin!r}")
-    if type(address) is not int or type(serial) not in (int, type(None)) or not isinstance(values, dict):
-        wrong.append(f"{name}: address and serial must be integers, values a table")
+    is_serial = serial is None or re.fullmatch(r"[0-9A-F]{1,32}", str(serial))
+    if type(address) is not int or not is_serial or not isinstance(values, dict):
+        wrong.append(f"{name}: address must be an integer, serial hexadecimal digits, values a table")
         return Reading(plugin, 0)
     for parameter, value in values.items():
         setting = settings.get(parameter)
@@ -324,7 +326,7 @@ def _one(name: str, table: Any, motors: Mapping[str, Motor], wrong: list[str]) -
             wrong.append(f"{name}.{parameter}: {value!r} is no finite number")
         elif setting is not None and not setting.protected and not setting.low <= value <= setting.high:
             wrong.append(f"{name}.{parameter}: {value!r} is outside {setting.low:g} … {setting.high:g}")
-    return Reading(plugin, address, serial, values=values)
+    return Reading(plugin, address, None if serial is None else int(str(serial), 16), values=values)
 
 
 def same_devices(readings: Readings, dump: Readings) -> list[str]:
@@ -335,7 +337,7 @@ def same_devices(readings: Readings, dump: Readings) -> list[str]:
         if now.shared:
             wrong.append(f"{name}: more than one device answers at address {now.address}")
         elif None not in (saved.serial, now.serial) and saved.serial != now.serial:
-            text = f"the device has the serial number {now.serial}, the dump is of {saved.serial}"
+            text = f"the device has the serial number {now.serial:X}, the dump is of {saved.serial:X}"
             wrong.append(f"{name}: {text}")
         elif None in (saved.serial, now.serial) and saved.address != now.address:
             text = f"address {now.address}, the dump is of address {saved.address}"
@@ -343,7 +345,7 @@ def same_devices(readings: Readings, dump: Readings) -> list[str]:
     return wrong
 
 
-def restore(motors: Motors, differences: Sequence[Difference], report: Print) -> bool:
+def restore(motors: Motors, differences: Sequence[Difference], report: Callable[[str], None]) -> bool:
     """Write what differs and is not to be left, and save it. Returns whether all was done."""
     concerned = dict.fromkeys(each.motor for each in differences if not each.left)
     if refused := [f"{name} is {motors.mode(name)}" for name in concerned if motors.mode(name) not in KNOWN]:
