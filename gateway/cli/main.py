@@ -16,6 +16,7 @@ import os
 import sys
 from contextlib import redirect_stderr, redirect_stdout
 from importlib import import_module
+from pathlib import Path
 from typing import TextIO, cast
 
 from gateway.cli.arguments import add_verbosity
@@ -42,9 +43,10 @@ COMMANDS = {
 def main(arguments: list[str] | None = None) -> int:
     """Run the `gateway` command and return its exit status."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # equal bytes ask for one order of sums
-    out, err = (cast("TextIO", Escaping(stream)) for stream in (sys.stdout, sys.stderr))
-    with redirect_stdout(out), redirect_stderr(err):
-        return _main(sys.argv[1:] if arguments is None else arguments)
+    with Path(os.devnull).open("w") as nothing:  # for a stream that was closed before we began
+        out, err = (cast("TextIO", Escaping(stream or nothing)) for stream in (sys.stdout, sys.stderr))
+        with redirect_stdout(out), redirect_stderr(err):
+            return _main(sys.argv[1:] if arguments is None else arguments)
 
 
 def _main(arguments: list[str]) -> int:

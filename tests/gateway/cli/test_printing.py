@@ -9,6 +9,8 @@ import io
 import logging
 import re
 import socket
+import subprocess
+import sys
 import threading
 from pathlib import Path
 from typing import TextIO, cast
@@ -86,6 +88,13 @@ def test_a_message_of_the_log_is_one_line() -> None:
 def test_a_message_as_text_is_one_line() -> None:
     assert message_text(msg.Fault("left", 0, 1, "a\nb", "\x9b", "\u202e")).isprintable()
     assert escaped("Grüße: 3 N·m, 20 °C") == "Grüße: 3 N·m, 20 °C"
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-"])
+def test_a_stream_that_was_closed_is_no_error(closed: str) -> None:
+    command = f'"{sys.executable}" -m gateway check bench {closed}'
+    done = subprocess.run(["/bin/sh", "-c", command], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_a_page_is_drawn_through_it() -> None:
