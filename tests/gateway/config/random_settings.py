@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import tomllib
 from collections.abc import Iterator
+from dataclasses import fields
 from functools import cache
+from math import isfinite
 from random import Random
 from typing import Any
 
@@ -18,7 +20,8 @@ from tests.gateway.rig import Rig, notes_in
 
 RUN = 0.5
 """s of the robot's time, of which the first half waits for its sources."""
-ROBOTS = ("diffbot", "bench")
+OTHERS = ("cia402", "damiao", "mixed", "moteus", "zlac8015d")
+ROBOTS = ("bench", "diffbot", *(f"diffbot_{protocol}" for protocol in OTHERS))
 RUN_TIME = {f"brain.{key}" for _, _, names in AT_RUN_TIME for key in names.split()}
 
 
@@ -38,17 +41,25 @@ def _flat(table: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, object
 
 
 def _numbers(name: str) -> dict[str, float]:
-    """Return every number that the file of a robot has, or could have in its brain and limits."""
+    """Return every number that the file of a robot has, or could have in its brain, options and settings."""
     robot, file = _robot(name)
     found = {key: value for key, value in file.items() if isinstance(value, int | float)}
     found |= {f"brain.{key}": value for key, value in keys(robot.brain)}
+    for motor in robot.motors.values() if name != "bench" else ():
+        found |= {
+            f"motors.{motor.name}.{part}.{field.name}": number
+            for part in ("options", "settings")
+            for field in fields(getattr(motor.device, part))
+            if isinstance(number := getattr(getattr(motor.device, part), field.name), int | float)
+            and isfinite(number)
+        }
     return found
 
 
 def value(random: Random, usual: float) -> float:
     """Return a number near the usual one, or of any size, sign and type."""
     size = float(f"{random.uniform(1, 10)}e{random.randint(-324, 307)}")
-    near = usual * 10.0 ** random.uniform(-1.0, 1.0)
+    near = type(usual)(usual * 10.0 ** random.uniform(-1.0, 1.0))
     return random.choice(
         (
             *(near, near, near, near, round(near), round(near)),
@@ -81,7 +92,7 @@ def run(seed: str) -> str:
         )
         for key in random.sample(sorted(settable), 3)
     ]
-    task = Goal(1.0, 0.5) if name == "diffbot" else Position("left", 5.0)
+    task = Position("left", 5.0) if name == "bench" else Goal(1.0, 0.5)
     ticks = rig.run(RUN / 2, task, *asked)
     assert sum(" = " in note.text or "refused" in note.text for note in notes_in(ticks, "operator")) == 3
     rig.leave()
