@@ -350,14 +350,14 @@ class ZlacAdapter(Adapter[Motor]):
     ) -> Pending[Motor] | str:
         if host is None or not isinstance(request, msg.ClearFault | msg.ReadParameter):
             return "the drive cannot do that on this bus"
-        pending = Pending(request, host.name, now, now + ANSWER, now, host, (), RETRY, sent=1)
+        job = None
         if isinstance(request, msg.ReadParameter):
             key = z.OBJECTS.find(request.parameter)
             if key is None or key not in z.OBJECTS or z.OBJECTS[key].type is o.Type.TEXT:
                 return f"{request.parameter!r} is no object with a number that is known here"
-            pending.notes["job"] = Job(Purpose.REQUEST, key, token=now)
-            host.own[0].client.put(pending.notes["job"])
-        return pending
+            job = Job(Purpose.REQUEST, key, token=now)
+            host.own[0].client.put(job)
+        return Pending(request, host.name, now, now + ANSWER, now, host, (), RETRY, {"job": job}, sent=1)
 
     def frames(self, now: Nanos, pending: Pending[Motor]) -> Sequence[Frame]:
         if pending.host is not None and isinstance(pending.request, msg.ClearFault):
