@@ -100,6 +100,8 @@ class Run:
         self._exposed: Nanos = 0
         self._noticed_at: Nanos | None = None
         self._stopped_at: Nanos | None = None
+        self._braking: list[str] = []
+        """The wheels that were commanded when Stop came: they brake."""
 
     # -- the course of a run ----------------------------------------------------------------------------
 
@@ -129,6 +131,7 @@ class Run:
         for now in self._steps(lambda now: [*self._asked(now), *self.each(now)]):
             if self._decided(now):
                 self._stopped_at = now
+                self._braking = [name for name in self.wheels if not math.isnan(self._wanted(name))]
                 break
         for now in self._steps(self._stop):
             if self._over(now):
@@ -299,5 +302,12 @@ class Run:
         if result.late_impact > SOFT:
             self._fail(f"touched a wall at {result.late_impact:.2f} m/s")
         moving = [name for name in self.robot.motors if self._driven(name)]
+        coasting = [name for name in self._braking if abs(self._shaft(name)[1]) > TURNING_ON]
+        if (
+            coasting
+            and not self.fault.free
+            and not any(self.gateway.joints[name].faults for name in self.wheels)
+        ):
+            self._fail(f"{', '.join(coasting)} has not been braked after Stop")
         if self.fault.free and moving and not self._told:
             self._fail(f"{', '.join(moving)} turns on after Stop, and nobody is told")
