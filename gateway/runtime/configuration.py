@@ -36,6 +36,7 @@ READY: Nanos = 3 * SECOND
 KNOWN = (Mode.READY, Mode.FAULT)
 """States in which a motor is written to."""
 UNITS = {"velocity": "rad/s", "torque": "N·m"}
+SHARED = "more than one device answers at its address"
 NO_PARAMETER = "no parameter of this motor's protocol and options"
 
 Answer: TypeAlias = msg.Done | msg.Refused | msg.Parameter
@@ -101,6 +102,8 @@ class Motors:
 
     def __init__(self, session: Session) -> None:
         self.session, self.motors = session, session.robot.motors
+        self.shared: set[str] = set()
+        """Those whose address more than one device has, as found so far."""
         self._ticks: Generator[Tick] = session.run()
 
     def close(self) -> None:
@@ -137,12 +140,16 @@ class Motors:
                     readings[name].values[parameter] = answer.value
                 else:
                     readings[name].not_read[parameter] = _reason(answer)
+        for name in self.shared:
+            readings[name].shared = True
         return readings
 
     def write(self, motor: str, parameter: str, value: float) -> str:
         """Write a parameter and read it back. Returns what is wrong, "" if it is as written."""
         if self.mode(motor) not in KNOWN:
             return f"{motor} is {self.mode(motor)}"
+        if motor in self.shared:
+            return SHARED
         written = self.ask([msg.WriteParameter(motor, parameter, value)]).get(motor)
         if not isinstance(written, msg.Done) or parameter == self.motors[motor].spec.save:
             return "" if isinstance(written, msg.Done) else _reason(written)
@@ -154,17 +161,18 @@ class Motors:
     def _identify(self, readings: Readings) -> None:
         """Read serial numbers and firmware by a scan of each bus. An answer does not name its bus: of two
         devices that have one address on two buses, neither is identified."""
-        names: dict[tuple[str, int], list[str]] = {}
-        for name, one in readings.items():
-            names.setdefault((one.protocol, one.address), []).append(name)
         for bus in self.session.robot.buses:
             for event in self._scan(bus):
-                name, *others = names.get((event.protocol, event.address), [""])
+                name, *others = self._named(event) or [""]
                 if name and not others and self.motors[name].bus == bus:
                     one = readings[name]
-                    one.shared |= event.duplicate_address or one.serial not in (None, event.serial)
+                    self.shared |= {name} if one.serial not in (None, event.serial) else set()
                     one.serial = event.serial
                     one.firmware = event.detail.removeprefix(name).removeprefix(", ")
+
+    def _named(self, found: msg.Found) -> list[str]:
+        at = found.protocol, found.address
+        return [name for name, one in self.motors.items() if (one.plugin.name, one.device.address) == at]
 
     def _scan(self, bus: str) -> list[msg.Found]:
         here = [one for one in self.motors.values() if one.bus == bus and msg.Scan in one.spec.requests]
@@ -184,7 +192,10 @@ class Motors:
             tick = next(self._ticks, None)
             if tick is None:
                 raise Interrupted(f"interrupted: {next(iter(self.session.reasons), 'the run has ended')}")
-            yield from tick.outputs.events
+            for event in tick.outputs.events:
+                if isinstance(event, msg.Found) and event.duplicate_address:
+                    self.shared.update(self._named(event))
+                yield event
 
 
 def shown(value: float) -> str:
@@ -335,7 +346,7 @@ def same_devices(readings: Readings, dump: Readings) -> list[str]:
     for name, saved in dump.items():
         now = readings[name]
         if now.shared:
-            wrong.append(f"{name}: more than one device answers at address {now.address}")
+            wrong.append(f"{name}: {SHARED}")
         elif None not in (saved.serial, now.serial) and saved.serial != now.serial:
             text = f"the device has the serial number {now.serial:X}, the dump is of {saved.serial:X}"
             wrong.append(f"{name}: {text}")

@@ -242,3 +242,15 @@ def test_a_silent_motor_is_named_and_not_written_to() -> None:
     silent = "not read: no reply of the device"
     assert [str(each) for each in found] == [f"left.{name} = {silent}" for name in ("PMAX", "VMAX", "TMAX")]
     assert [each.left for each in left_out] == [silent]
+
+
+def test_two_devices_at_one_address_are_not_written_to() -> None:
+    robot = parse_robot(DAMIAO)
+    with running(robot) as (session, motors):
+        assert session.twins is not None
+        session.twins.duplicate("left")
+        for _ in range(3):  # it takes some hundred answers to be certain
+            now = motors.read()
+        assert motors.write("left", "PMAX", 10.0) == configuration.SHARED
+        assert motors.write("right", "PMAX", 10.0) == ""
+    assert configuration.same_devices(now, now) == [f"left: {configuration.SHARED}"]
