@@ -1,5 +1,5 @@
-"""What the contract and a protocol's own tests notice: mutmut on its host's end and what its devices obey. And
-what the tests of the modules that keep the robot safe notice.
+"""What the contract and a protocol's own tests notice: mutmut on its host's end and on what its devices obey;
+and what the tests of the modules that keep the robot safe notice.
 
     MUTANTS=300 ./go prove -k "mutation and plain"      300 of them, drawn by MUTANTS_SEED; by default all
 
