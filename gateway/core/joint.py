@@ -45,7 +45,7 @@ _OWN_FAULTS: dict[int, tuple[str, str, str]] = {
     ),
     STILL_ARMED: (
         "{}: cut its supply",
-        "nothing that is sent reaches it (cable, transceiver, bus), or it does not obey",
+        "nothing that is sent reaches it (cable, transceiver, bus), it does not obey, or another motor turns it",
         "cut its supply; find the cause",
     ),
     following.NOT_FOLLOWED: (
@@ -204,7 +204,7 @@ class Joint:
             code = ARMED_AGAINST_IDLE if self._disarmed else STILL_ARMED
             self.latch(self._fault(now, code, "still armed"))
         elif speed > (1.0 + following.FAST) * self._file.velocity and not self.feedback_lost(now):
-            self.latch(self._fault(now, STILL_ARMED, "still driven, at more than the limit of velocity"))
+            self.latch(self._fault(now, STILL_ARMED, "still turns at more than its limit of velocity"))
 
     def on_request(self, now: Nanos, request: msg.Request) -> None:
         """Note a request that is passed to the device."""
