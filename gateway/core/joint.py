@@ -45,7 +45,7 @@ _OWN_FAULTS: dict[int, tuple[str, str, str]] = {
     ),
     STILL_ARMED: (
         "{}: cut its supply",
-        "nothing that is sent reaches it (cable, transceiver, bus), it does not obey, or another motor turns it",
+        "nothing that is sent reaches it (cable, bus), it does not obey, or another motor turns it",
         "cut its supply; find the cause",
     ),
     following.NOT_FOLLOWED: (
