@@ -24,7 +24,7 @@ begins to stand within this time, or way; a contradiction drops the tasks 1 s la
     wheels: swapped                                           0.3 rad turned
     wheels: one reversed, one at another scale                0.3 m driven or 0.3 rad turned
     wheels: both reversed, both turn and the base does not    0.3 m driven
-    wheels: both encoders at half scale                       0.4 m driven
+    wheels: both encoders at half scale                       0.6 m driven
     wheels: a position jumps by more than the wheel can turn  at once
 
 Not noticed, since nothing shows it: swapped wheels or a reversed gyro on a straight way; a lidar turned by

@@ -30,6 +30,8 @@ FORGET: Nanos = 3 * SECOND
 """and a reference at most for this time."""
 AHEAD: Nanos = 60 * MILLISECOND
 """A track is extrapolated by at most this much, and a gyro's rate holds for at most this time."""
+FASTEST = 1e3
+"""rad/s: a rate beyond counts as this, since sums must stay finite."""
 PERIOD: Nanos = 50 * MILLISECOND
 """Wheels and gyro are compared this often."""
 CONFIRM = 3
@@ -234,7 +236,7 @@ class MotionCheck:
     def on_gyro(self, name: str, t: Nanos, rate: float, sigma: float) -> None:
         """Add a rate without its bias, whose standard deviation is sigma [rad/s]."""
         if self._gyro_name == name and self._gyro_t < t <= self._gyro_t + AHEAD:
-            dt = seconds(t - self._gyro_t)
+            dt, rate = seconds(t - self._gyro_t), min(max(rate, -FASTEST), FASTEST)
             self._gyro.add(self._gyro_t, t, 0.0, rate * dt, 3.0 * sigma * dt)
         self._gyro_name, self._gyro_t = name, max(t, self._gyro_t)
 

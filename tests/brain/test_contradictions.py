@@ -17,11 +17,12 @@ import pytest
 
 from brain.belief import BrainState
 from brain.brain import Brain, BrainSettings
+from brain.perception.motion_check import MotionCheck
 from brain.perception.mount import Mount
 from brain.perception.perception import Perception
 from protocols import messages as msg
 from protocols.messages import MILLISECOND, SECOND, Command, Event, Nanos, seconds
-from tests.brain.helpers import BODY, MOUNTS, SMALL, TIMEOUTS, Office, Trip
+from tests.brain.helpers import BODY, MOUNTS, SMALL, TICK, TIMEOUTS, Office, Trip
 from tests.brain.perception.office import box, scan_at
 
 ACROSS = msg.Goal(-1.0, 3.0)
@@ -138,7 +139,7 @@ def assert_stopped(trip: Trip, since: int, within: float, distance: float, named
     assert any("1 goal dropped" in text and named in text for _, text in trip.notes)
     moved = driven(trip, since)
     assert moved < distance
-    trip.run(4.0)
+    trip.run(2.5)
     assert driven(trip, since) < moved + 1e-3
     assert trip.office.touched == 0
 
@@ -209,6 +210,14 @@ def test_a_reversed_gyro_is_noticed_when_the_base_turns() -> None:
     trip.tick([ACROSS])
     assert_stopped(trip, 0, 2.0, 0.3, "imu")
     assert abs(office.pose.yaw) < math.radians(40.0)
+
+
+def test_a_rate_however_large_is_noticed_and_keeps_the_sums_finite() -> None:
+    check = MotionCheck(BODY, 0.03)
+    for i in range(100):
+        check.on_wheels(i * TICK, (i + 1) * TICK, 0.1, 0.1)
+        check.on_gyro("imu", i * TICK, 1.7e308, 0.01)
+    assert [one.confirmed for one in check.contradictions()] == [True]
 
 
 def test_without_a_lidar_wheels_and_gyro_are_compared() -> None:
