@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from brain.belief import BrainState
+from gateway.core.step import FRAME_BLOCKED
 from gateway.core.tick import Outputs
 from protocols import messages as msg
 from protocols.conformance.random import Random
@@ -269,12 +270,16 @@ class Run:
         for name, joint in self.gateway.joints.items():
             faults = [fault for fault in joint.faults.values() if fault.t >= self.since]
             reports += [f"{name}: {fault.name}; {fault.remedy}" for fault in faults]
+            for fault in faults:
+                if fault.code == FRAME_BLOCKED:
+                    self._fail(f"a driver's frame, blocked: {fault.cause[:80]}")
         self._told = self._told or any("armed" in each or "cut " in each for each in reports)
         if self.result.noticed is not None or self._stopped_at is not None:
             return
         if now % (20 * MILLISECOND) < 5 * MILLISECOND:
             belief = self.gateway.belief()
-            if belief.state in (BrainState.DEGRADED, BrainState.STOPPED):
+            bad = belief.state in (BrainState.DEGRADED, BrainState.STOPPED)
+            if bad and not belief.reason.startswith("just recovered"):
                 reports.append(belief.reason)
         suspects = (self.target, self.bus, *self.fault.suspects, *(["wheels"] if self.wheels else []))
         for report in reports:
@@ -303,11 +308,7 @@ class Run:
             self._fail(f"touched a wall at {result.late_impact:.2f} m/s")
         moving = [name for name in self.robot.motors if self._driven(name)]
         coasting = [name for name in self._braking if abs(self._shaft(name)[1]) > TURNING_ON]
-        if (
-            coasting
-            and not self.fault.free
-            and not any(self.gateway.joints[name].faults for name in self.wheels)
-        ):
+        if coasting and (notice is None or self.target in self.robot.sensors):
             self._fail(f"{', '.join(coasting)} has not been braked after Stop")
         if self.fault.free and moving and not self._told:
             self._fail(f"{', '.join(moving)} turns on after Stop, and nobody is told")
