@@ -134,26 +134,44 @@ class Following:
         self._offset: float | None = None
         """Position less the velocity's integral, as remembered."""
         self._wrong_since: Nanos | None = None
+        self._new_velocity: tuple[Nanos, float] | None = None
+        """The newest of this step, with its time."""
+        self._new_position: tuple[Nanos, float] | None = None
 
     # -- the feedback against itself -------------------------------------------------------------------
 
     def on_motion(self, t: Nanos, position: float | None, velocity: float | None) -> None:
-        """Note what was measured at `t`; None: not in this report."""
-        if self._kind is None:
-            return
+        """Note what was measured at `t`; None: not in this report.
+
+        Only the newest of a step is compared: reports without stamps that were read late have one time, and
+        different positions."""
+        if velocity is not None:
+            self._new_velocity = (t, velocity)
+        if position is not None:
+            self._new_position = (t, position)
+
+    def _take_new(self) -> None:
+        """Compare the newest reports of this step."""
+        (moved, velocity), self._new_velocity = self._new_velocity or (0, None), None
+        (placed, position), self._new_position = self._new_position or (0, None), None
+        if velocity is not None:
+            self._on_velocity(moved, velocity)
+        if position is not None and self._moved_at is not None:
+            self._compare(
+                placed, position, self._travel + self._velocity * (placed - self._moved_at) / SECOND
+            )
+
+    def _on_velocity(self, t: Nanos, velocity: float) -> None:
         last = self._moved_at
         if last is not None and not 0 <= t - last <= self._gap:
             self.forget_motion()
             last = None
-        if velocity is not None:
-            if last is not None:
-                span = (t - last) / SECOND
-                self._travel += 0.5 * (self._velocity + velocity) * span
-                self._fastest *= max(0.0, 1.0 - span / (4.0 * LAG))
-            self._fastest = max(self._fastest, abs(velocity))
-            self._moved_at, self._velocity = t, velocity
-        if position is not None and self._moved_at is not None:
-            self._compare(t, position, self._travel + self._velocity * (t - self._moved_at) / SECOND)
+        if last is not None:
+            span = (t - last) / SECOND
+            self._travel += 0.5 * (self._velocity + velocity) * span
+            self._fastest *= max(0.0, 1.0 - span / (4.0 * LAG))
+        self._fastest = max(self._fastest, abs(velocity))
+        self._moved_at, self._velocity = t, velocity
 
     def _compare(self, t: Nanos, position: float, travel: float) -> None:
         offset, before = self._offset, self._position
@@ -186,6 +204,7 @@ class Following:
             return None
         if self._kind is not type(sent):
             self._begin(sent, measured)
+        self._take_new()
         limit, speed, band = self._limits.velocity, measured.velocity or 0.0, self._band
         fast, margin, code, turning = abs(speed) - limit, FAST, NOT_FOLLOWED, False
         share, floor, part, actual = min(1.0, dt / SECOND / self._lag), self._slack, 0.0, measured.position

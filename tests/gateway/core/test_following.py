@@ -10,6 +10,7 @@ from __future__ import annotations
 import random
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any, TypeAlias
 
 import pytest
@@ -247,6 +248,26 @@ def test_what_the_reports_of_an_armed_joint_show(
     command: Command, reports: Callable[[float], tuple[float | None, ...]], faults: list[int]
 ) -> None:
     assert Fed().run(2.0, command, reports)[:1] == faults  # then it is still armed
+
+
+def turning(begin: float, t: float) -> tuple[float, float]:
+    """Return position and velocity of a joint that turns at 8 rad/s, a time [s] after `begin`."""
+    return 8.0 * (begin + t), 8.0
+
+
+@pytest.mark.parametrize("stall", [50, 80, 100, 150, 300])
+def test_reports_that_were_read_late_and_all_at_once_are_no_fault(stall: int) -> None:
+    """Reports without stamps of their own, on a busy machine: a burst with the time at which it is read."""
+    fed, t = Fed(feedback_timeout=SECOND), 0.0
+    for _ in range(20):
+        fed.run(0.2, msg.Velocity("m", 8.0), partial(turning, t))
+        t += 0.2
+        fed.now += stall * MS
+        for late in range(0, stall, 5):
+            fed.feed(*turning(t, late / 1000.0))
+        t += stall / 1000.0
+        fed.joint.command(fed.now, msg.Velocity("m", 8.0), stopped=False)
+    assert fed.joint.faults == {}
 
 
 @pytest.mark.parametrize("request_", [msg.Zero("m"), msg.Home("m"), msg.Reboot("m")], ids=repr)
