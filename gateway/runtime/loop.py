@@ -161,10 +161,11 @@ def _leave(run: _Run, reasons: Sequence[str]) -> None:
         end = clock.now() + longest
         instructions: tuple[Instruction, ...] = (instruction,)
         while not done and len(reasons) <= outlasts and (instructions or clock.now() < end):
+            first, run.leaving = not run.leaving, True
             _tick_of_leaving(run, instructions)
-            if reasons and not run.leaving:
+            instructions = ()
+            if reasons and first:
                 log.warning("leaving: %s", reasons[0])
-            run.leaving, instructions = True, ()
             done = not gateway.still_armed() and clock.now() >= settled
             if not done:
                 clock.wait(clock.now() + gateway.robot.period)
