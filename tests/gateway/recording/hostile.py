@@ -11,7 +11,7 @@ import struct
 import zlib
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from random import Random
 
@@ -252,7 +252,7 @@ def hostile_instruction(random: Random) -> msg.Instruction:
 # -- readers --------------------------------------------------------------------------------------
 
 
-@cache
+@lru_cache(maxsize=8)
 def _robot_of(text: str) -> Robot | ConfigError:
     try:
         return parse_robot(text, "robot.toml")
