@@ -139,8 +139,9 @@ class Run:
                 break
 
     def _stop(self, now: Nanos) -> list[Instruction]:
-        """Ask for Stop once; the fault goes on, its operator asks nothing more."""
+        """Ask for Stop once; the fault goes on, its operator asks nothing more, and no step is slow."""
         self.each(now)
+        self.took = 0
         return [msg.Stop("the end")] if now == self._stopped_at else []
 
     def _steps(self, asked: Callable[[Nanos], Sequence[Instruction]]) -> Iterator[Nanos]:
