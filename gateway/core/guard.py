@@ -12,7 +12,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias, get_args
 
 from gateway.core.joint import Joint
 from protocols import messages as msg
@@ -212,6 +212,8 @@ class Guard:
         joints: Mapping[str, Joint],
         stopped: bool,
     ) -> Objection | None:
+        named = {name for one in obeyed if (name := getattr(one, "motor", "")) in joints}
+        ours = [name for name in named if self._is_ours(now, joints[name])]
         for one in obeyed:
             name = getattr(one, "motor", "")
             if isinstance(one, msg.Scan | msg.ReadParameter):
@@ -221,7 +223,9 @@ class Guard:
                     return "a request that was not made", "SetId"
             elif name not in joints:
                 return "a command to a device that is not a motor of this robot", name
-            elif (found := self._objection_to(now, one, joints[name], stopped)) is not None:
+            elif name not in ours and not (ours and _is_at_rest(one)):
+                return "a command to a device that was not commanded", type(one).__name__
+            elif (found := self._objection_to(now, one, joints[name], ours, stopped)) is not None:
                 return found
         if obeyed or any(spec.read_only(frame) for spec in self._specs[bus, protocol].values()):
             return None
@@ -234,9 +238,9 @@ class Guard:
             return "not a frame to any device of this driver", ""
         return "not read-only, and its device was not commanded", ", ".join(concerned)
 
-    def _objection_to(self, now: Nanos, one: Obeyed, joint: Joint, stopped: bool) -> Objection | None:
-        if not self._is_ours(now, joint):
-            return "a command to a device that was not commanded", type(one).__name__
+    def _objection_to(
+        self, now: Nanos, one: Obeyed, joint: Joint, ours: Sequence[str], stopped: bool
+    ) -> Objection | None:
         match one:
             case msg.Arm():
                 if (stopped or joint.faults) and not joint.armed:
@@ -250,7 +254,7 @@ class Guard:
             case msg.Reboot() if self._was_asked(now, joint.name, msg.WriteParameter):
                 pass  # saving its configuration restarts it
             case _:
-                if not self._was_asked(now, joint.name, type(one)):
+                if not any(self._was_asked(now, name, type(one)) for name in ours):
                     return "a request that was not made", type(one).__name__
         return None
 
@@ -299,6 +303,7 @@ class Guard:
 
 
 SetPoint: TypeAlias = msg.Velocity | msg.Position | msg.Torque | msg.Impedance
+SET_POINTS = get_args(SetPoint)
 ASKED: tuple[type[Request], ...] = (
     msg.ClearFault,
     msg.Estop,
@@ -308,6 +313,11 @@ ASKED: tuple[type[Request], ...] = (
     msg.Reboot,
 )
 """Requests after which a device may receive frames that are not read-only."""
+
+
+def _is_at_rest(one: Obeyed) -> bool:
+    """True if a motor that shares its drive with one that is ours may obey it: it does not turn by that."""
+    return not isinstance(one, SET_POINTS) or one == msg.Velocity(one.motor, 0.0)
 
 
 class _Bounds:

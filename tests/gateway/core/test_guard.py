@@ -243,6 +243,15 @@ def test_a_spring_pulls_within_the_limit_of_torque(
     assert [each.rule for each in blocked] == ([] if passes else ["torque of the spring beyond the limit"])
 
 
+def test_one_of_two_motors_of_a_drive_may_be_cleared() -> None:
+    """The drive has one controlword: what clears one motor also disarms the other."""
+    rig = Rig(config.load_robot("diffbot_zlac8015d").text.replace("diffbot_zlac8015d", "half"))
+    rig.run(1.0)
+    rig.run(0.5, msg.ClearFault("left"))
+    assert not any(joint.faults for joint in rig.gateway.joints.values())
+    assert notes_in(rig.ticks, "left")[-1].text.startswith("ClearFault: done")
+
+
 # -- below a joint without limits ----------------------------------------------------------------------------
 
 ROBOTS = (
