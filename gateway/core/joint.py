@@ -84,7 +84,9 @@ BRAKING_MOST: Nanos = 2 * SECOND
 HOMING_MOST: Nanos = 60 * SECOND
 """The longest own motion of a device, during which its set-points are not compared with what it measures."""
 AT_REST = 0.02
-"""Fraction of the velocity limit below which a braking joint is at rest."""
+"""Fraction of the velocity limit below which a braking joint is at rest,"""
+REST_TIME: Nanos = 100 * MILLISECOND
+"""if for this long: a wheel that slips stands for a moment, and is turned again by its base."""
 LEAST_SHARE = 0.05
 """Of a limit in the robot file: the least that it may be set to while it runs."""
 
@@ -165,6 +167,8 @@ class Joint:
         """Whether the device moves on without reporting its position: that is beyond its range."""
         self._braking: Nanos | None = None
         """When the stop command began to brake."""
+        self._moved_at: Nanos = 0
+        """When it was last not at rest, while braking."""
         self._profile = Profile()
 
     # -- from the device ----------------------------------------------------------------------
@@ -352,9 +356,10 @@ class Joint:
         if self.mode is not Mode.ARMED or isinstance(self._out, msg.Idle):
             return False
         if self._braking is None:
-            self._braking = now
-        moving = abs(self.feedback.velocity or 0.0) > AT_REST * self.settings.limits.velocity
-        return moving and now - self._braking < self.braking_time
+            self._braking = self._moved_at = now
+        if abs(self.feedback.velocity or 0.0) > AT_REST * self.settings.limits.velocity:
+            self._moved_at = now
+        return now - self._moved_at < REST_TIME and now - self._braking < self.braking_time
 
     def _fault(self, now: Nanos, code: int, detail: str = "") -> msg.Fault:
         name, cause, remedy = _OWN_FAULTS[code]
