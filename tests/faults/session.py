@@ -1,6 +1,6 @@
 """One run with one fault: a robot on its way, the fault at a random time, and what the true motion shows.
 
-Rules. The judge trusts nobody: motion and torque are the world's. A run ends as soon as it is decided, and
+Rules. The judge trusts no report: motion and torque are the world's. A run ends as soon as it is decided, and
 always with Stop, which must be obeyed within `STAND`, or reported as not obeyed within `TOLD`.
 """
 
@@ -312,4 +312,4 @@ class Run:
         if coasting and (notice is None or self.target in self.robot.sensors):
             self._fail(f"{', '.join(coasting)} has not been braked after Stop")
         if self.fault.free and moving and not self._told:
-            self._fail(f"{', '.join(moving)} turns on after Stop, and nobody is told")
+            self._fail(f"{', '.join(moving)} turns on after Stop, and nothing reports it")

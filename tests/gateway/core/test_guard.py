@@ -19,7 +19,7 @@ from protocols.frames import CanFrame, Frame, Packet
 from protocols.messages import MILLISECOND, SECOND, Command, Mode, Nanos, Request
 from tests.gateway.rig import BENCH, Rig, notes_in, sent_commands
 
-LEFT, RIGHT, NOBODY = 1, 2, 9
+LEFT, RIGHT, ABSENT = 1, 2, 9
 """Addresses."""
 ROBOT = config.parse_robot(
     BENCH.replace("[motors.right]", "[motors.right]\nlimits.position = [-2.0, 2.0]\nsign = -1")
@@ -148,7 +148,7 @@ CASES: list[tuple[str, Situation, Frame, str]] = [
     ("Idle, after the operator's stop", asked(msg.Stop(), 0, FRESH), IDLE, ""),
     ("set-up before any command", FRESH, mode(LEFT, 2), NO_SET_UP),
     ("set-up of a commanded device", OURS, mode(LEFT, 2), ""),
-    ("to no device of the robot", OURS, arm(NOBODY), "not a frame to any device of this driver"),
+    ("to no device of the robot", OURS, arm(ABSENT), "not a frame to any device of this driver"),
     ("arming a commanded device", OURS, arm(LEFT), ""),
     ("arming against a stop", replace(OURS, stopped=True), arm(LEFT), AGAINST),
     ("arming against a fault", replace(OURS, fault=True), arm(LEFT), AGAINST),
