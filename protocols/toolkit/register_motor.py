@@ -172,6 +172,8 @@ class RegisterAdapter(Adapter[Motor]):
         return host.own.sent(now, [self.set_point(host, command), *reads])
 
     def release(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
+        for name in self.written(host.options):  # read anew: a restart while it is released shows in nothing else
+            host.own.known.pop(name, None)
         return host.own.sent(now, [self.message(self.disable, host.address)])
 
     def poll(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
