@@ -156,7 +156,8 @@ class Run:
         self.since = self._last = now
         self._pose, self._turned = self.world.world.truth(), self._shaft(self.target)[0]
         self._contacts = self.world.world.contacts()
-        self._commanded = not math.isnan(self._wanted(self.target))
+        braking = bool(self.gateway.stopped)  # then a restart changes nothing
+        self._commanded = not braking and not math.isnan(self._wanted(self.target))
         self.fault.inject(self)
         if (own := self.world.tamper.torques) != self._limited and own is not None:
             self.world.tamper.torques = lambda torques: self._limited(own(torques))
