@@ -77,7 +77,7 @@ class DamiaoAdapter(RegisterAdapter):
         position = None if host.options.position == "xout" else values["position"]
         hottest = float(max(values["mos"], values["rotor"]))
         feedback = Feedback(host.name, t, position, values["velocity"], values["torque"], None, None, hottest)
-        faults, many = (status,) if mode is Mode.FAULT else (), host.own.answers.add(t)
+        faults, many = (status,) if mode is Mode.FAULT else (), host.own.reported(t)
         return Report(host, host.address, mode, detail, faults, feedback, duplicate=many)
 
     # -- sent -----------------------------------------------------------------------------------------

@@ -23,6 +23,11 @@ from protocols.toolkit.registers import Registers
 ANSWER, RETRY = 200 * MILLISECOND, 50 * MILLISECOND
 """Time within which a frame may be an answer, and after which a register is asked for or written again."""
 
+FRESH = 500 * MILLISECOND
+"""Age of what a register is known to hold, up to which a device is armed upon it."""
+SILENT = 3
+"""Periods of feedback without one, after which a commanded device is asked beside its set-points."""
+
 
 @dataclass(slots=True)
 class Motor:
@@ -30,10 +35,13 @@ class Motor:
 
     known: dict[str, float] = field(default_factory=dict)
     """What its registers hold, since it was last forgotten."""
+    known_at: dict[str, Nanos] = field(default_factory=dict)
     asked: dict[str, Nanos] = field(default_factory=dict)
     """When each register was last asked for or written."""
     answers: AnswerCount = field(default_factory=AnswerCount)
     sent_at: Nanos = -(1 << 62)
+    reported_at: Nanos = 0
+    """When its feedback last came; answers about registers are none."""
 
     def sent(self, now: Nanos, frames: Sequence[Frame]) -> Sequence[Frame]:
         """Record frames, each of which is answered; return them."""
@@ -41,13 +49,18 @@ class Motor:
         self.answers.ask(len(frames))
         return frames
 
+    def reported(self, t: Nanos) -> str:
+        """Record a feedback; return why more devices than one must have answered, "" if one may."""
+        self.reported_at = t
+        return self.answers.add(t)
+
     def ask(self, now: Nanos, name: str) -> None:
         """Record that a register is asked for or written."""
         self.asked[name] = now
 
-    def put(self, name: str, value: float) -> None:
+    def put(self, t: Nanos, name: str, value: float) -> None:
         """Record what a register holds."""
-        self.known[name] = value
+        self.known[name], self.known_at[name] = value, t
 
     def forget(self) -> None:
         """Forget everything: the device may have restarted."""
@@ -60,7 +73,11 @@ class Motor:
 
     def missing(self, now: Nanos, names: Iterable[str]) -> list[str]:
         """Return which of these are not known, and may be asked for again."""
-        return [name for name in names if name not in self.known and self._may_ask(now, name)]
+        return [name for name in names if name not in self.known and self.may_ask(now, name)]
+
+    def stale(self, now: Nanos, names: Iterable[str]) -> list[str]:
+        """Return which of these were last known too long ago: a restart since then shows in nothing else."""
+        return [name for name in names if now - self.known_at.get(name, now) > FRESH]
 
     def different(self, wanted: Mapping[str, float]) -> dict[str, float]:
         """Return the registers that are known to hold something else."""
@@ -68,9 +85,10 @@ class Motor:
 
     def to_write(self, now: Nanos, wanted: Mapping[str, float]) -> list[tuple[str, float]]:
         """Return the registers that hold something else, and may be written again."""
-        return [each for each in self.different(wanted).items() if self._may_ask(now, each[0])]
+        return [each for each in self.different(wanted).items() if self.may_ask(now, each[0])]
 
-    def _may_ask(self, now: Nanos, name: str) -> bool:
+    def may_ask(self, now: Nanos, name: str) -> bool:
+        """True if a register was not asked for just before."""
         return now - self.asked.get(name, -RETRY) >= RETRY
 
 
@@ -130,7 +148,7 @@ class RegisterAdapter(Adapter[Motor]):
         self, t: Nanos, host: Host[Motor], name: str, value: float, *, written: bool = False
     ) -> Report[Motor]:
         """Return what an answer about a register reports."""
-        host.own.put(name, value)
+        host.own.put(t, name, value)
         turned = name == self.turns and name in self.polled(host.options)
         return Report(
             host,
@@ -162,6 +180,9 @@ class RegisterAdapter(Adapter[Motor]):
 
     def arm(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
         wanted = self.written(host.options)
+        if stale := host.own.stale(now, wanted):
+            asked = [name for name in stale if host.own.may_ask(now, name)]
+            return host.own.sent(now, self._read(now, host, asked))
         if host.own.different(wanted):
             wrong = host.own.to_write(now, wanted)
             return host.own.sent(now, [f for each in wrong for f in self._about(now, host, "write", *each)])
@@ -169,11 +190,12 @@ class RegisterAdapter(Adapter[Motor]):
 
     def command(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
         reads = self._read(now, host, self.polled(host.options))
-        return host.own.sent(now, [self.set_point(host, command), *reads])
+        # One that has restarted may be in a mode in which it does not answer this set-point.
+        silent = now - host.own.reported_at > SILENT * host.options.feedback_ms * MILLISECOND
+        asks = self.ask(host) if silent else ()
+        return host.own.sent(now, [self.set_point(host, command), *asks, *reads])
 
     def release(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
-        for name in self.written(host.options):  # read anew: a restart while it is released shows in nothing else
-            host.own.known.pop(name, None)
         return host.own.sent(now, [self.message(self.disable, host.address)])
 
     def poll(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
