@@ -26,6 +26,7 @@ begins to stand within this time, or way; a contradiction drops the tasks 1 s la
     wheels: both reversed, both turn and the base does not    0.3 m driven
     wheels: both encoders at half scale                       0.6 m driven
     wheels: a position jumps by more than the wheel can turn  at once
+    wheels: one is armed, and another one is not              1 s
 
 Not noticed, since nothing shows it: swapped wheels or a reversed gyro on a straight way; a lidar turned by
 180° where the place looks the same; one mounted wrong by less than 8° or 0.1 m; a bias jump below 0.1 rad/s
@@ -45,6 +46,8 @@ from brain.checks import ordered, within
 from brain.perception.motion_check import Contradiction
 from protocols.messages import MILLISECOND, SECOND, Event, Feedback, Fix, Imu, LaserScan, Mode, Nanos, State
 
+APART: Nanos = SECOND
+"""Longest time that one wheel may be armed and another one not: a base with one driven wheel turns aside."""
 MIN_WINDOW_COUNT = 5
 """Measurements in a window, below which no share of rejected ones is computed."""
 
@@ -146,6 +149,10 @@ class Health:
         """The motors in fault, with the detail of their state."""
         self._initialising: dict[str, str] = {}
         """The motors that cannot be commanded yet, with the detail of their state."""
+        self._not_armed = dict.fromkeys(self._motors)
+        """The motors that are not armed."""
+        self._apart_since: Nanos | None = None
+        """Since when one motor is armed and another one is not."""
         self._bad = OK
         """The last assessment worse than OK,"""
         self._bad_at: Nanos | None = None
@@ -193,6 +200,7 @@ class Health:
         """Return the worst of all sources, with memory: worse at once, better after `recover`."""
         self._update_window(now, rejected)
         worst = max((self.source(now, name) for name in self._last), key=lambda h: h.level, default=OK)
+        worst = max(worst, self._apart(now), key=lambda h: h.level)
         worst = self._with_contradictions(now, worst, contradictions)
         if worst.level >= HealthLevel.HALT:
             if self._halted_since is None:
@@ -212,6 +220,15 @@ class Health:
                 return SourceHealth(HealthLevel.LOST, self._lost) if self._lost else recovering
             self._bad_at, self._lost = None, ""
         return worst
+
+    def _apart(self, now: Nanos) -> SourceHealth:
+        if not 0 < len(self._not_armed) < len(self._motors):
+            self._apart_since = None
+            return OK
+        self._apart_since = now if self._apart_since is None else self._apart_since
+        name = next(iter(self._not_armed))
+        late = now - self._apart_since > APART
+        return SourceHealth(HealthLevel.HALT, f"{name} is not armed, and another wheel is") if late else OK
 
     def _with_contradictions(
         self, now: Nanos, worst: SourceHealth, contradictions: Sequence[Contradiction]
@@ -273,6 +290,10 @@ class Health:
     def _on_state(self, event: State) -> None:
         if event.motor not in self._motors:
             return
+        if event.mode is Mode.ARMED:
+            self._not_armed.pop(event.motor, None)
+        else:
+            self._not_armed[event.motor] = None
         for mode, motors in ((Mode.FAULT, self._faults), (Mode.INITIALISING, self._initialising)):
             if event.mode is mode:
                 motors[event.motor] = f": {event.detail}" if event.detail else ""

@@ -140,6 +140,23 @@ def test_a_motor_in_fault_is_lost_at_once_until_it_changes_state() -> None:
     assert health.source(0, "left").level is HealthLevel.OK
 
 
+def test_a_base_stands_if_one_wheel_is_armed_and_the_other_is_not() -> None:
+    health = healthy()
+    health.observe([State("left", 0, Mode.READY), State("right", 0, Mode.READY)])
+
+    def level(t: Nanos) -> SourceHealth:
+        health.observe(list(all_at(t).values()))
+        return health.assess(t, {})
+
+    assert level(2 * SECOND).level is HealthLevel.OK
+    health.observe([State("left", 2 * SECOND, Mode.ARMED)])
+    assert [level(t * 100 * MS).level for t in range(20, 31)] == [HealthLevel.OK] * 11
+    assert level(3100 * MS) == SourceHealth(HealthLevel.HALT, "right is not armed, and another wheel is")
+    health.observe([State("right", 3100 * MS, Mode.ARMED)])
+    assert level(3200 * MS).level is HealthLevel.SLOW
+    assert level(3500 * MS).level is HealthLevel.OK
+
+
 def test_a_motor_that_initialises_is_missing_at_the_start_even_if_it_measures() -> None:
     """Of two wheels, one would turn alone."""
     health = healthy()
