@@ -31,8 +31,6 @@ changes the mode, or that arms at rest, sends other set-points in between."""
 LATENCY: Nanos = 50 * MILLISECOND
 """What a device obeys may be this much ahead of what it last obeyed: a joint's set-point moves on while the
 device is being armed, and while a set-point waits for its SYNC."""
-
-
 SPRING_ERROR = 0.05
 """Share of the limit by which the torque of a spring may be wrong: its gains are rounded, too."""
 
@@ -232,7 +230,7 @@ class Guard:
         concerned = self._concerned(bus, protocol, frame)
         if any(name in joints and self._is_ours(now, joints[name]) for name in concerned):
             return None
-        if self._was_asked(now, bus, msg.SetId) or self._was_asked(now, bus, msg.Scan):
+        if self._was_asked(now, bus, msg.SetId):
             return None
         if not concerned:
             return "not a frame to any device of this driver", ""

@@ -62,6 +62,7 @@ def position(address: int, value: float, ahead: float = 0.0) -> CanFrame:
 IDLE = odrive(LEFT, 0x07, pack("<I", 1))
 POLL = CanFrame(LEFT << 5 | 0x09, remote=True)
 CLEAR = odrive(LEFT, 0x18, b"")
+SET_ID = CanFrame(0x7E6, b"\x09" + (0x385F34733301).to_bytes(6, "little"))
 REBOOT = odrive(LEFT, 0x16, b"\0")
 
 
@@ -161,6 +162,9 @@ CASES: list[tuple[str, Situation, Frame, str]] = [
     ("Idle before any command", FRESH, IDLE, NOT_OURS),
     ("Idle, after the operator's stop", asked(msg.Stop(), 0, FRESH), IDLE, ""),
     ("set-up before any command", FRESH, mode(LEFT, 2), NO_SET_UP),
+    ("set-up while a scan is asked for", asked(msg.Scan("can0"), 0, FRESH), mode(LEFT, 2), NO_SET_UP),
+    ("an address unasked", OURS, SET_ID, NOT_MADE),
+    ("an address", asked(msg.SetId("can0", 7, 9), 0, FRESH), SET_ID, ""),
     ("set-up of a commanded device", OURS, mode(LEFT, 2), ""),
     ("to no device of the robot", OURS, arm(ABSENT), "not a frame to any device of this driver"),
     ("arming a commanded device", OURS, arm(LEFT), ""),
