@@ -289,14 +289,13 @@ class Guard:
     ) -> list[tuple[float, float]]:
         """Return from where a set-point may go on, each with the time [s] in which it may have changed."""
         bounds, motor, kind = self._motors[one.motor], one.motor, type(one)
-        at, _ = self._last.get((motor, None), (now - bounds.timeout, one))
-        found = [(value, now - at) for value in measured]
-        at, last = self._last.get((motor, kind), (now - 2 * GOES_ON, one))
-        if now - at <= GOES_ON:
-            found.append((bounds.at_joint(last, kind.__name__.lower()), now - at))
-        at, velocity = self._coasting.get(motor, (now - 2 * GOES_ON, 0.0))
-        if now - at <= GOES_ON and kind is msg.Velocity:
-            found.append((velocity, 0))
+        last, alike = self._last.get((motor, None)), self._last.get((motor, kind))
+        coasting = self._coasting.get(motor)
+        found = [(value, bounds.timeout if last is None else now - last[0]) for value in measured]
+        if alike is not None and now - alike[0] <= GOES_ON:
+            found.append((bounds.at_joint(alike[1], kind.__name__.lower()), now - alike[0]))
+        if kind is msg.Velocity and coasting is not None and now - coasting[0] <= GOES_ON:
+            found.append((coasting[1], 0))
         return [(value, (min(since, bounds.timeout) + LATENCY) / SECOND) for value, since in found]
 
 

@@ -87,7 +87,9 @@ class Situation:
     """so long before."""
     measured: dict[str, float] = field(default_factory=dict)
     coasted: float = 0.0
-    """rad/s, with which it turned before it was armed, 200 ms before."""
+    """rad/s, with which it turned before it was armed,"""
+    coasted_ago: Nanos = 200 * MILLISECOND
+    """so long before."""
 
 
 def verdict(situation: Situation, frame: Frame) -> str:
@@ -104,7 +106,7 @@ def blocked_of(situation: Situation, frame: Frame) -> Blocked | None:
         ratio = motor.joint.gear * motor.joint.sign
         at_device = {quantity: value * ratio for quantity, value in situation.measured.items()}
         shaft = {"position": 0.0, "velocity": 0.0} | at_device
-        past = now - 200 * MILLISECOND
+        past = now - situation.coasted_ago
         joint.on_event(msg.Feedback(name, past, 0.0, situation.coasted * ratio, *(None,) * 4))
         guard.check(past, "can0", "odrive_can", [], {name: joint}, stopped=False)
         joint.on_event(msg.Feedback(name, now, shaft["position"], shaft["velocity"], *(None,) * 4))
@@ -155,6 +157,7 @@ def asked(request: Request, ago: Nanos = 0, situation: Situation = OURS) -> Situ
     return replace(situation, asked=(request,), asked_ago=ago)
 
 
+COASTED = replace(turning(), coasted=12.0)
 AT_ONE = moving(0.0, position(LEFT, 1.0))
 CASES: list[tuple[str, Situation, Frame, str]] = [
     ("read-only, before any command", FRESH, POLL, ""),
@@ -197,8 +200,10 @@ CASES: list[tuple[str, Situation, Frame, str]] = [
     ("a jump back to zero", moving(12.5), position(LEFT, 0.0), JUMPS),
     ("on from the last set-point", AT_ONE, position(LEFT, 2.09), ""),
     ("on from it after its mode", moving(0.0, position(LEFT, 1.0), mode(LEFT, 3)), position(LEFT, 2.0), ""),
-    ("on from coasting, armed at rest", replace(turning(), coasted=12.0), velocity(LEFT, 12.0), ""),
-    ("faster than it coasted", replace(turning(), coasted=12.0), velocity(LEFT, 15.1), JERKS),
+    ("on from coasting, armed at rest", COASTED, velocity(LEFT, 12.0), ""),
+    ("on from coasting a second ago", replace(COASTED, coasted_ago=SECOND), velocity(LEFT, 12.0), ""),
+    ("no longer on from coasting", replace(COASTED, coasted_ago=SECOND + 1), velocity(LEFT, 12.0), JERKS),
+    ("faster than it coasted", COASTED, velocity(LEFT, 15.1), JERKS),
     ("on from it after a second", replace(AT_ONE, before_ago=SECOND), position(LEFT, 3.9), ""),
     ("no longer on from it", replace(AT_ONE, before_ago=SECOND + 1), position(LEFT, 3.9), JUMPS),
     ("as near to the limit as it can be encoded", moving(), position(LEFT, 0.0, LIMIT), ""),
@@ -265,31 +270,32 @@ def test_a_blocked_frame_leaves_no_trace_and_does_not_hold_back_the_next() -> No
 
 
 @pytest.mark.parametrize(
-    ("stiffness", "damping", "velocity_there", "torque", "passes"),
+    ("here", "stiffness", "damping", "velocity_there", "torque", "passes"),
     [
-        (2.0, 0.0, -10.0, 0.0, True),
-        (2.8, 0.0, -10.0, 0.0, False),
-        (0.0, 0.09, 10.0, 0.0, True),
-        (0.0, 0.12, 10.0, 0.0, False),
-        (1.5, 0.06, 10.0, 0.0, False),
-        (1.5, 0.0, -10.0, 0.7, False),
-        (3.0, 0.0, -10.0, -1.2, True),
+        (2.0, 2.0, 0.0, -10.0, 0.0, True),
+        (2.0, 2.8, 0.0, -10.0, 0.0, False),
+        (2.0, 0.0, 0.09, 10.0, 0.0, True),
+        (2.0, 0.0, 0.12, 10.0, 0.0, False),
+        (2.0, 1.5, 0.06, 10.0, 0.0, False),
+        (2.0, 1.5, 0.0, -10.0, 0.7, False),
+        (2.0, 3.0, 0.0, -10.0, -1.2, True),
+        (0.0, 2.8, 0.0, -10.0, 0.0, False),
     ],
 )
 def test_a_spring_pulls_within_the_limit_of_torque(
-    stiffness: float, damping: float, velocity_there: float, torque: float, passes: bool
+    here: float, stiffness: float, damping: float, velocity_there: float, torque: float, passes: bool
 ) -> None:
-    """Of a reversed Damiao motor behind a gear of 2; joint: 2 rad, -10 rad/s, set-point 3 rad."""
+    """Of a reversed Damiao motor behind a gear of 2 at -10 rad/s; the set-point is 1 rad further."""
     text = BENCH.replace('"odrive_can"', '"damiao"').replace('{ watchdog = "acknowledged" }', "{}")
     robot = config.parse_robot(text.replace("gear = 8.0", "gear = 2.0\nsign = -1"))
     motor, now = robot.motors["left"], 100 * SECOND
     guard, joint = Guard(robot), Joint("left", motor.joint, motor.spec)
-    joint.on_event(msg.Feedback("left", now, 2.0 * -2.0, -10.0 * -2.0, *(None,) * 4))
+    joint.on_event(msg.Feedback("left", now, here * -2.0, -10.0 * -2.0, *(None,) * 4))
     joint.on_event(msg.State("left", now, Mode.ARMED, ""))
     joint.owned = True
     table = motor.device.options.table
     gains = {"stiffness": stiffness / 4.0, "damping": damping / 4.0, "torque": torque / -2.0}
-    spring = table.encode("MIT", 1, position=3.0 * -2.0, velocity=velocity_there * -2.0, **gains)
+    spring = table.encode("MIT", 1, position=(here + 1.0) * -2.0, velocity=velocity_there * -2.0, **gains)
     frames = [table.encode("enable", 1), spring]
     _, blocked = guard.check(now, "can0", "damiao", frames, {"left": joint}, stopped=False)
     assert [each.rule for each in blocked] == ([] if passes else ["torque of the spring beyond the limit"])
