@@ -58,22 +58,6 @@ Objection: TypeAlias = tuple[str, str]
 """The rule that is broken, and the numbers."""
 
 
-class _BusDecoder:
-    """The command decoders of all protocols of a bus as one."""
-
-    def __init__(self, decoders: Sequence[CommandDecoder]) -> None:
-        self._decoders = decoders
-
-    def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
-        """Decode what any device on the bus would obey."""
-        return [message for decoder in self._decoders for message in decoder.decode(t, frame)]
-
-
-def decoder_of(robot: Robot, bus: str) -> CommandDecoder:
-    """Return a decoder of what the devices on a bus would obey."""
-    return _BusDecoder([plugin.decoder(devices) for plugin, devices in robot.by_protocol(bus)])
-
-
 class _Receivers:
     """Command decoders of the devices on a bus: a frame is decoded by those only that listen to its id."""
 
@@ -102,6 +86,11 @@ class _Receivers:
         return [one for number in numbers for one in self._decoders[number].decode(t, frame)]
 
 
+def decoder_of(robot: Robot, bus: str) -> CommandDecoder:
+    """Return a decoder of what the devices on a bus would obey."""
+    return _Receivers(robot, bus)
+
+
 class Guard:
     """Reads what is sent to the devices of one robot. Its state is plain data."""
 
@@ -113,9 +102,9 @@ class Guard:
             for plugin, devices in robot.by_protocol(bus)
         }
         """By bus and protocol, then by device."""
-        self._sent = {bus: _Receivers(robot, bus) for bus in robot.buses}
+        self._sent = {bus: decoder_of(robot, bus) for bus in robot.buses}
         """What the devices have received: the frames that were passed."""
-        self._trial = {bus: _Receivers(robot, bus) for bus in robot.buses}
+        self._trial = {bus: decoder_of(robot, bus) for bus in robot.buses}
         """The same, for trying the next frame."""
         self._last: dict[tuple[str, type[Command] | None], tuple[Nanos, Command]] = {}
         """The last set-point that each motor was sent: of each type, and (None) of any."""
