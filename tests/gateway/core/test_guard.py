@@ -22,7 +22,9 @@ from tests.gateway.rig import BENCH, Rig, notes_in, sent_commands
 LEFT, RIGHT, ABSENT = 1, 2, 9
 """Addresses."""
 ROBOT = config.parse_robot(
-    BENCH.replace("[motors.right]", "[motors.right]\nlimits.position = [-2.0, 2.0]\nsign = -1")
+    BENCH.replace("[motors.right]", "[motors.right]\nlimits.position = [-2.0, 2.0]\nsign = -1").replace(
+        "torque = 2.0", "torque = 2.005"
+    )
 )
 GEAR = 8.0
 LIMIT = 20.0
@@ -54,15 +56,17 @@ def torque(address: int, value: float) -> CanFrame:
     return odrive(address, 0x0E, pack("<f", value / GEAR))
 
 
-def position(address: int, value: float, ahead: float = 0.0) -> CanFrame:
-    """Set_Input_Pos at the output shaft [rad, rad/s]."""
-    return odrive(address, 0x0C, pack("<fhh", value * GEAR / tau, round(ahead * GEAR / tau * 1000), 0))
+def position(address: int, value: float, ahead: float = 0.0, torque: float = 0.0) -> CanFrame:
+    """Set_Input_Pos at the output shaft [rad, rad/s, N·m]; the last two are rounded to thousandths."""
+    forward = (round(ahead * GEAR / tau * 1000), round(torque / GEAR * 1000))
+    return odrive(address, 0x0C, pack("<fhh", value * GEAR / tau, *forward))
 
 
 IDLE = odrive(LEFT, 0x07, pack("<I", 1))
 POLL = CanFrame(LEFT << 5 | 0x09, remote=True)
 CLEAR = odrive(LEFT, 0x18, b"")
 SET_ID = CanFrame(0x7E6, b"\x09" + (0x385F34733301).to_bytes(6, "little"))
+SET_ANOTHER = CanFrame(0x7E6, b"\x09" + (7).to_bytes(6, "little"))
 REBOOT = odrive(LEFT, 0x16, b"\0")
 
 
@@ -168,6 +172,8 @@ CASES: list[tuple[str, Situation, Frame, str]] = [
     ("set-up while a scan is asked for", asked(msg.Scan("can0"), 0, FRESH), mode(LEFT, 2), NO_SET_UP),
     ("an address unasked", OURS, SET_ID, NOT_MADE),
     ("an address", asked(msg.SetId("can0", 7, 9), 0, FRESH), SET_ID, ""),
+    ("the address of a stranger", asked(msg.SetId("can0", 7, 9), 0, FRESH), SET_ANOTHER, ""),
+    ("that, unasked", FRESH, SET_ANOTHER, NO_SET_UP),
     ("set-up of a commanded device", OURS, mode(LEFT, 2), ""),
     ("to no device of the robot", OURS, arm(ABSENT), "not a frame to any device of this driver"),
     ("arming a commanded device", OURS, arm(LEFT), ""),
@@ -207,6 +213,7 @@ CASES: list[tuple[str, Situation, Frame, str]] = [
     ("on from it after a second", replace(AT_ONE, before_ago=SECOND), position(LEFT, 3.9), ""),
     ("no longer on from it", replace(AT_ONE, before_ago=SECOND + 1), position(LEFT, 3.9), JUMPS),
     ("as near to the limit as it can be encoded", moving(), position(LEFT, 0.0, LIMIT), ""),
+    ("as near to the limit of torque", moving(), position(LEFT, 0.0, 0.0, 2.005), ""),
     ("within the range", moving(1.9), position(RIGHT, -2.0), ""),
     ("out of the range", moving(1.9), position(RIGHT, -2.01), TOO_FAR),
     ("back into the range", moving(9.0), position(RIGHT, -2.0), ""),
@@ -231,6 +238,7 @@ def test_what_passes_and_what_does_not(situation: Situation, frame: Frame, rule:
         (replace(OURS, fault=True), arm(LEFT), "arming against a stop or a fault (a fault): "),
         (replace(OURS, stopped=True), arm(LEFT), "arming against a stop or a fault: "),
         (OURS, CLEAR, "a request that was not made (ClearFault): "),
+        (OURS, arm(ABSENT), "not a frame to any device of this driver: "),
     ],
 )
 def test_what_is_blocked_is_named_with_its_numbers_and_its_motor(
@@ -239,7 +247,7 @@ def test_what_is_blocked_is_named_with_its_numbers_and_its_motor(
     blocked = blocked_of(situation, frame)
     assert blocked is not None
     assert blocked.text == f"{text}{frame}"
-    assert blocked.motors == (("right",) if frame.id >> 5 == RIGHT else ("left",))
+    assert blocked.motors == {LEFT: ("left",), RIGHT: ("right",), ABSENT: ()}[frame.id >> 5]
 
 
 def test_what_a_decoder_cannot_read_does_not_go_out(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -270,22 +278,29 @@ def test_a_blocked_frame_leaves_no_trace_and_does_not_hold_back_the_next() -> No
 
 
 @pytest.mark.parametrize(
-    ("here", "stiffness", "damping", "velocity_there", "torque", "passes"),
+    ("here", "lead", "stiffness", "damping", "velocity_there", "torque", "passes"),
     [
-        (2.0, 2.0, 0.0, -10.0, 0.0, True),
-        (2.0, 2.8, 0.0, -10.0, 0.0, False),
-        (2.0, 0.0, 0.09, 10.0, 0.0, True),
-        (2.0, 0.0, 0.12, 10.0, 0.0, False),
-        (2.0, 1.5, 0.06, 10.0, 0.0, False),
-        (2.0, 1.5, 0.0, -10.0, 0.7, False),
-        (2.0, 3.0, 0.0, -10.0, -1.2, True),
-        (0.0, 2.8, 0.0, -10.0, 0.0, False),
+        (2.0, 1.0, 2.0, 0.0, -10.0, 0.0, True),
+        (2.0, 1.0, 2.8, 0.0, -10.0, 0.0, False),
+        (2.0, 1.0, 0.0, 0.09, 10.0, 0.0, True),
+        (2.0, 1.0, 0.0, 0.12, 10.0, 0.0, False),
+        (2.0, 1.0, 1.5, 0.06, 10.0, 0.0, False),
+        (2.0, 1.0, 1.5, 0.0, -10.0, 0.7, False),
+        (2.0, 1.0, 3.0, 0.0, -10.0, -1.2, True),
+        (2.0, 9.0, 0.15, 0.0, -10.0, 0.0, True),  # far away
+        (0.0, 1.0, 2.8, 0.0, -10.0, 0.0, False),
     ],
 )
 def test_a_spring_pulls_within_the_limit_of_torque(
-    here: float, stiffness: float, damping: float, velocity_there: float, torque: float, passes: bool
+    here: float,
+    lead: float,
+    stiffness: float,
+    damping: float,
+    velocity_there: float,
+    torque: float,
+    passes: bool,
 ) -> None:
-    """Of a reversed Damiao motor behind a gear of 2 at -10 rad/s; the set-point is 1 rad further."""
+    """Of a reversed Damiao motor behind a gear of 2 at -10 rad/s."""
     text = BENCH.replace('"odrive_can"', '"damiao"').replace('{ watchdog = "acknowledged" }', "{}")
     robot = config.parse_robot(text.replace("gear = 8.0", "gear = 2.0\nsign = -1"))
     motor, now = robot.motors["left"], 100 * SECOND
@@ -295,7 +310,7 @@ def test_a_spring_pulls_within_the_limit_of_torque(
     joint.owned = True
     table = motor.device.options.table
     gains = {"stiffness": stiffness / 4.0, "damping": damping / 4.0, "torque": torque / -2.0}
-    spring = table.encode("MIT", 1, position=(here + 1.0) * -2.0, velocity=velocity_there * -2.0, **gains)
+    spring = table.encode("MIT", 1, position=(here + lead) * -2.0, velocity=velocity_there * -2.0, **gains)
     frames = [table.encode("enable", 1), spring]
     _, blocked = guard.check(now, "can0", "damiao", frames, {"left": joint}, stopped=False)
     assert [each.rule for each in blocked] == ([] if passes else ["torque of the spring beyond the limit"])
@@ -303,11 +318,50 @@ def test_a_spring_pulls_within_the_limit_of_torque(
 
 def test_one_of_two_motors_of_a_drive_may_be_cleared() -> None:
     """The drive has one controlword: what clears one motor also disarms the other."""
-    rig = Rig(config.load_robot("diffbot_zlac8015d").text.replace("diffbot_zlac8015d", "half"))
+    rig = Rig(config.load_robot("diffbot_zlac8015d").text)
     rig.run(1.0)
     rig.run(0.5, msg.ClearFault("left"))
     assert not any(joint.faults for joint in rig.gateway.joints.values())
     assert notes_in(rig.ticks, "left")[-1].text.startswith("ClearFault: done")
+
+
+def test_what_arms_both_motors_of_a_drive_may_turn_the_commanded_one_alone() -> None:
+    robot = config.load_robot("diffbot_zlac8015d")
+    guard, now = Guard(robot), SECOND
+    joints = {name: Joint(name, motor.joint, motor.spec) for name, motor in robot.motors.items()}
+    joints["left"].owned = True
+    address = robot.motors["left"].device.address & 0x7F
+
+    def write(index: int, sub: int, value: int, size: int) -> CanFrame:
+        command = {2: 0x2B, 4: 0x23, 1: 0x2F}[size]
+        data = bytes((command, *index.to_bytes(2, "little"), sub))
+        return CanFrame(0x600 + address, data + value.to_bytes(4, "little"))
+
+    def check(frame: CanFrame) -> list[str]:
+        _, blocked = guard.check(now, "can0", "zlac8015d", [frame], joints, stopped=False)
+        return [each.rule for each in blocked]
+
+    sent = [write(0x6060, 0, 3, 1), *(write(0x6040, 0, word, 2) for word in (6, 7, 15))]
+    assert [check(frame) for frame in sent] == [[], [], [], []]
+    assert check(write(0x60FF, 1, 10, 4)) == []
+    assert check(write(0x60FF, 2, 10, 4)) == [NOT_OURS]
+
+
+def test_on_a_serial_line_what_is_not_read_only_is_for_all() -> None:
+    robot = config.load_robot("diffbot")
+    passed, (blocked,) = Guard(robot).check(0, "sensors", "plain", [b"noise"], {}, stopped=False)
+    assert passed == []
+    assert blocked.text == "not read-only, and its device was not commanded (lidar, imu): 6E6F697365"
+
+
+def test_a_command_to_a_strange_name_does_not_go_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    guard = Guard(ROBOT)
+    monkeypatch.setattr(guard._trial["can0"], "decode", lambda *_: [msg.Idle("mast")])
+    _, (blocked,) = guard.check(0, "can0", "odrive_can", [IDLE], {}, stopped=False)
+    assert (blocked.rule, blocked.detail) == (
+        "a command to a device that is not a motor of this robot",
+        "mast",
+    )
 
 
 # -- below a joint without limits ----------------------------------------------------------------------------
