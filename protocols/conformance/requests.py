@@ -239,14 +239,18 @@ def _must_answer_once(bench: Bench, request: Request, spec: Spec) -> None:
 # -- configuration -----------------------------------------------------------------------------------------
 
 
+SAMPLE = 12
+"""Parameters that are tried with one seed."""
+
+
 def configuration_is_read_and_written(case: Case) -> None:
     """What is configured is read; another value, written where it is not protected, is read back."""
     if not case.spec.configuration:
         raise Inapplicable("the spec lists no configuration")
     bench = case.start()
     bench.steps(KNOWN)
-    for name, setting in case.spec.configuration.items():
-        held = _value_of(bench, name)
+    for name in case.random().shuffled([*case.spec.configuration])[:SAMPLE]:
+        setting, held = case.spec.configuration[name], _value_of(bench, name)
         ends = [(held + max(-1e6, min(1e6, end))) / 2.0 for end in (setting.low, setting.high)]
         others = [each for each in (held + 1.0, held - 1.0, *ends) if setting.low <= each <= setting.high]
         written = [msg.WriteParameter(ALPHA, name, each) for each in others if not setting.protected]

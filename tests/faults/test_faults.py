@@ -18,7 +18,7 @@ PHASES = (TOUR, TURNING)
 @pytest.mark.parametrize("number", range(len(FAULTS)), ids=[fault.name for fault in FAULTS])
 def test_a_fault_is_noticed_in_its_time_and_does_no_harm(number: int) -> None:
     fault = FAULTS[number]
-    robot = ("bench", "diffbot_mixed")[number % 2] if fault.on == "motor" else "diffbot"
+    robot = ("bench", "diffbot_moteus")[number % 3 == 0] if fault.on == "motor" else "diffbot"
     result = Run(fault, WARM, robot, PHASES[number // 2 % 2], Random(number)).run()
     assert not result.failed, (result.robot, result.phase, result.target, result.alarm)
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from tests.gateway.two_signals import ROBOT, one_run, summary
 from tests.real_can.programs import Program
 
-RUNS = int(os.environ.get("TWO_SIGNALS", "3"))
+RUNS = int(os.environ.get("TWO_SIGNALS", "1"))
 
 
 def test_after_two_signals_every_motor_is_disarmed(vcan0: str, tmp_path: Path) -> None:
