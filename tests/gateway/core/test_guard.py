@@ -345,6 +345,8 @@ def test_what_arms_both_motors_of_a_drive_may_turn_the_commanded_one_alone() -> 
     assert [check(frame) for frame in sent] == [[], [], [], []]
     assert check(write(0x60FF, 1, 10, 4)) == []
     assert check(write(0x60FF, 2, 10, 4)) == [NOT_OURS]
+    assert check(write(0x60FF, 3, 10 << 16 | 10, 4)) == [NOT_OURS]  # both at once
+    assert check(write(0x60FF, 3, 10, 4)) == []
 
 
 def test_on_a_serial_line_what_is_not_read_only_is_for_all() -> None:
