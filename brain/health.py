@@ -143,7 +143,7 @@ class Health:
         self._measurement: dict[str, str] = {}
         """and what it is called."""
         self._absent: Mapping[str, str] = {}
-        """Why the newest reading says nothing, by sensor."""
+        """Why the newest reading shows nothing, by sensor."""
         self._received: dict[str, int] = {}
         self._faults: dict[str, str] = {}
         """The motors in fault, with the detail of their state."""
@@ -170,7 +170,7 @@ class Health:
 
     def observe(self, events: Sequence[Event], absent: Mapping[str, str] = NOTHING) -> None:
         """Record which sources have reported, and when they measured; `absent`: sensors whose newest reading
-        says nothing, and why."""
+        shows nothing, and why."""
         self._absent = dict(absent)
         for event in events:
             if isinstance(event, State):

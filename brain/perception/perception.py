@@ -124,7 +124,7 @@ class Perception:
         self._ekf = Ekf(settings.ekf)
         self._odometry = Odometry(body, settings.odometry)
         self.absent: dict[str, str] = {}
-        """Why the newest reading of a sensor says nothing, by sensor; it counts as none."""
+        """Why the newest reading of a sensor shows nothing, by sensor; it counts as none."""
         self._last_scan: dict[str, tuple[Nanos, Floats]] = {}
         """Time and ranges of the newest scan."""
         self._last_imu: dict[str, tuple[Imu, int]] = {}

@@ -1,7 +1,7 @@
 """One run with one fault: a robot on its way, the fault at a random time, and what the true motion shows.
 
 Rules. The judge trusts no report: motion and torque are the world's. A run ends as soon as it is decided, and
-always with Stop, which must be obeyed within `STAND`, or reported as not obeyed within `TOLD`.
+always with Stop, which must be obeyed within `STAND`, or reported as not obeyed within `REPORTED`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 STAND: Nanos = 1200 * MILLISECOND
 """After Stop, or a fault that stops, no joint may be driven any longer than this: braking, then Idle."""
-TOLD: Nanos = 2 * SECOND
+REPORTED: Nanos = 2 * SECOND
 """After Stop, what still moves and cannot be stopped has been reported."""
 SOFT = 0.1
 """m/s: a wall may be touched slower than this, by what coasts."""
@@ -93,7 +93,7 @@ class Run:
         self._targets = [
             msg.Velocity(motor, random.choice((-6.0, -3.0, 3.0, 6.0))) for motor in self.robot.motors
         ]
-        self._released = self._commanded = self._told = False
+        self._released = self._commanded = self._reported = False
         """Whether motion was asked for again, the target was commanded when the fault came, and what still
         moves was reported as such."""
         self._strays: dict[str, Nanos] = {}
@@ -194,7 +194,7 @@ class Run:
         """True if the end has shown what it can."""
         stopped = now - (self._stopped_at or now)
         if self.fault.free:
-            return self._told or stopped > TOLD
+            return self._reported or stopped > REPORTED
         return stopped > STAND + SECOND // 10 or (stopped > SECOND // 5 and self._at_rest())
 
     # -- judgement --------------------------------------------------------------------------------------
@@ -275,7 +275,7 @@ class Run:
             for fault in faults:
                 if fault.code == FRAME_BLOCKED:
                     self._fail(f"a driver's frame, blocked: {fault.cause[:80]}")
-        self._told = self._told or any("armed" in each or "cut " in each for each in reports)
+        self._reported = self._reported or any("armed" in each or "cut " in each for each in reports)
         if self.result.noticed is not None or self._stopped_at is not None:
             return
         if now % (20 * MILLISECOND) < 5 * MILLISECOND:
@@ -312,5 +312,5 @@ class Run:
         coasting = [name for name in self._braking if abs(self._shaft(name)[1]) > TURNING_ON]
         if coasting and (notice is None or self.target in self.robot.sensors):
             self._fail(f"{', '.join(coasting)} has not been braked after Stop")
-        if self.fault.free and moving and not self._told:
+        if self.fault.free and moving and not self._reported:
             self._fail(f"{', '.join(moving)} turns on after Stop, and nothing reports it")

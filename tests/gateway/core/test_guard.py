@@ -88,12 +88,12 @@ class Situation:
     before: tuple[CanFrame, ...] = ()
     """Frames that were passed,"""
     before_ago: Nanos = 5 * MILLISECOND
-    """so long before."""
+    """this long before."""
     measured: dict[str, float] = field(default_factory=dict)
     coasted: float = 0.0
     """rad/s, with which it turned before it was armed,"""
     coasted_ago: Nanos = 200 * MILLISECOND
-    """so long before."""
+    """this long before."""
 
 
 def verdict(situation: Situation, frame: Frame) -> str:

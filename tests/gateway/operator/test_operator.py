@@ -287,7 +287,7 @@ def test_clients_that_vanish_or_never_read_affect_no_other(operator: Operator, c
 
 @pytest.mark.parametrize("flood", [b"", b"goal 1 1\n" * 500, b"nonsense\n" * 500, b"x" * 5000])
 def test_no_crowd_keeps_a_stop_out(operator: Operator, flood: bytes) -> None:
-    """Idle, or sending without end: whoever comes is answered, and no poll takes more lines than declared."""
+    """Idle, or sending without end: each is answered, and no poll takes more lines than declared."""
     answers: list[str] = []
     asker = threading.Thread(target=lambda: answers.append(ask(operator.path, "stop now")))
     crowd: list[Client] = []

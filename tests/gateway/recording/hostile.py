@@ -1,4 +1,4 @@
-"""Recordings that somebody has made to do harm: cut, damaged, forged, and sealed with valid digests.
+"""Recordings made to do harm: cut, damaged, forged, and sealed with valid digests.
 
 `Forge(folder, seed).make(number)` writes one; `read_all` gives it to everything that reads recordings.
 """
