@@ -393,6 +393,22 @@ class LimitlessJoint(Joint):
         return replace(self.wild, motor=self.name)
 
 
+def test_on_a_serial_line_only_the_motor_that_would_obey_is_in_fault() -> None:
+    """No id shows for whom a message is: its decoder does."""
+    text = (
+        BENCH.replace('"can"', '"serial"').replace("bitrate", "baudrate").replace('"odrive_can"', '"plain"')
+    )
+    rig = Rig(text.replace('{ watchdog = "acknowledged" }', '{ kind = "motor" }'))
+    rig.run(0.2)
+    left = rig.gateway.joints["left"]
+    left.__class__ = LimitlessJoint
+    assert isinstance(left, LimitlessJoint)
+    left.wild = msg.Velocity("left", GEAR * (LIMIT + 1.0))
+    rig.run(0.05)
+    codes = {name: {code for code, _ in joint.faults} for name, joint in rig.gateway.joints.items()}
+    assert codes == {"left": {FRAME_BLOCKED}, "right": set()}
+
+
 @pytest.mark.parametrize(
     ("wild", "name"),
     [
