@@ -63,6 +63,7 @@ it is decoded from frames, and neither sent nor recorded."""
 ADDED_FIELDS: dict[type[Message], list[Any]] = {
     messages.Found: [False],
     messages.Leave: [False, False],
+    messages.LaserScan: [0],
 }
 """Defaults of fields that were added at the end of a message: older recordings lack them."""
 MAX_ITEMS = 64

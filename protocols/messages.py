@@ -383,7 +383,7 @@ class LaserScan:
 
     sensor: str
     t: Nanos
-    """When the scan was taken (a whole scan has one time)."""
+    """Time of the first beam"""
     angle_min: float
     """rad, of the first beam; beams go counter-clockwise"""
     angle_increment: float
@@ -394,6 +394,8 @@ class LaserScan:
     """m; a range at or above it means that nothing was hit up to there"""
     ranges: tuple[float, ...]
     """m, one per beam, finite"""
+    duration: Nanos = 0
+    """From the first beam to the last, which are evenly spaced in time; 0: all at one instant"""
 
 
 @value

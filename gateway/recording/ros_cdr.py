@@ -143,15 +143,19 @@ def imu(layouts: Layouts, event: Imu) -> bytes:
 
 
 def laser_scan(layouts: Layouts, scan: LaserScan) -> bytes:
-    """Encode sensor_msgs/LaserScan: no hit is +inf (REP-117); no reading stays below range_min."""
+    """Encode sensor_msgs/LaserScan: no hit is +inf (REP-117); no reading stays below range_min.
+
+    `scan_time` is 0, since one message does not have the time between scans."""
     ranges = np.array(scan.ranges, np.float64)
     ranges[ranges >= scan.range_max] = np.inf
     with np.errstate(over="ignore"):
         ranges32 = ranges.astype("<f4")
-    last = scan.angle_min + max(0, len(scan.ranges) - 1) * scan.angle_increment
+    steps = max(0, len(scan.ranges) - 1)
+    last = scan.angle_min + steps * scan.angle_increment
+    between = scan.duration / SECOND / max(1, steps)
     head = layouts.stamped(_SCAN, scan.sensor).pack(
         _ENCAPSULATION, *clock(scan.t), *_name(scan.sensor),
-        float32(scan.angle_min), float32(last), float32(scan.angle_increment), 0.0, 0.0,
+        float32(scan.angle_min), float32(last), float32(scan.angle_increment), float32(between), 0.0,
         float32(scan.range_min), float32(scan.range_max), len(ranges32),
     )  # fmt: skip
     return head + ranges32.tobytes() + _NO_INTENSITIES

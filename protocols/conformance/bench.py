@@ -210,7 +210,7 @@ def sensor_events(sensor: str, t: Nanos, count: int) -> tuple[msg.Imu, msg.Laser
     ranges = tuple(2.0 + math.sin(0.37 * count + 0.1 * beam) for beam in range(36))
     return (
         msg.Imu(sensor, t, (0.1 * wave, -0.2 * wave, wave), (0.3 * wave, 0.2, 9.81)),
-        msg.LaserScan(sensor, t, -math.pi, math.pi / 18, 0.1, 10.0, ranges),
+        msg.LaserScan(sensor, t, -math.pi, math.pi / 18, 0.1, 10.0, ranges, 1000 * (count % 7)),
         msg.Fix(sensor, t, 48.0 + 1e-6 * wave, 11.0, 500.0 + wave, 4.0),
     )
 

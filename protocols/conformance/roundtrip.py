@@ -278,7 +278,8 @@ def _measurement(
     if kind is msg.LaserScan:
         near = get("ranges", 0.0)
         head = [get(n, 0.0) for n in ("angle_min", "angle_increment", "range_min", "range_max")]
-        return msg.LaserScan(sensor, t, head[0], head[1], head[2], head[3], (near, 0.5 * near, near))
+        ranges, duration = (near, 0.5 * near, near), round(get("duration", 0.0))
+        return msg.LaserScan(sensor, t, head[0], head[1], head[2], head[3], ranges, duration)
     return msg.Fix(sensor, t, get("latitude", 0.0), get("longitude", 0.0), get("altitude"), get("variance"))
 
 

@@ -62,6 +62,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "angular_velocity": (-1e4, 1e4), "linear_acceleration": (-1e5, 1e5), "orientation": (-1.001, 1.001),
     "angle_min": (-1e3, 1e3), "angle_increment": (-1e3, 1e3),
     "range_min": (0.0, 1e6), "range_max": (0.0, 1e6), "ranges": (0.0, 1e6),
+    "duration": (0.0, float(MAX_AGE)),
     "latitude": (-90.0, 90.0), "longitude": (-180.0, 180.0), "altitude": (-1e7, 1e7), "variance": (0.0, 1e15),
     "value": (math.nextafter(-math.inf, 0.0), math.nextafter(math.inf, 0.0)),
 }
@@ -89,7 +90,7 @@ def _refused(layout: Layout, values: list[Any]) -> str:
             if many:
                 values[at] = tuple([0.0 if -TINY < each < TINY else each for each in value])
             elif value > -TINY:
-                values[at] = 0.0
+                values[at] = type(value)(0)
     return ""
 
 

@@ -119,9 +119,9 @@ EDGES: list[tuple[Message, bytes]] = [
     (SetId("b", 0, -1), packed("SetId", "b", 0, -1)),
     (
         LaserScan("l", 0, 0.0, 0.1, 0.1, 10.0, (1.7e308,) * 3),
-        packed("LaserScan", "l", 0, 0.0, 0.1, 0.1, 10.0, ranges(*[1.7e308] * 3)),
+        packed("LaserScan", "l", 0, 0.0, 0.1, 0.1, 10.0, ranges(*[1.7e308] * 3), 0),
     ),
-    (LaserScan("l", 0, 0.0, 0.1, 0.1, 10.0, ()), packed("LaserScan", "l", 0, 0.0, 0.1, 0.1, 10.0, b"")),
+    (LaserScan("l", 0, 0.0, 0.1, 0.1, 10.0, ()), packed("LaserScan", "l", 0, 0.0, 0.1, 0.1, 10.0, b"", 0)),
 ]
 
 

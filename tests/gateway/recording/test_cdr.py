@@ -36,7 +36,12 @@ imus = st.builds(
     Imu, names, little.int64, three, three, st.none() | st.tuples(floats, floats, floats, floats)
 )
 scans = st.builds(
-    LaserScan, names, little.int64, floats, floats, floats, floats, st.lists(floats, max_size=9).map(tuple)
+    LaserScan,
+    names,
+    little.int64,
+    *[floats] * 4,
+    st.lists(floats, max_size=9).map(tuple),
+    little.int64,
 )
 
 

@@ -111,6 +111,11 @@ def test_a_scan() -> None:
     assert len(message.intensities) == 0
 
 
+def test_the_beams_of_a_sweep_are_evenly_spaced_in_time() -> None:
+    message = shown(tick(replace(little.scan(T), duration=359 * 250_000)))["/scan"]
+    assert message.time_increment == np.float32(250e-6)
+
+
 def test_an_empty_scan() -> None:
     message = shown(tick(LaserScan("lidar", T, 0.5, 0.1, 0.1, 10.0, ())))["/scan"]
     assert (message.angle_max, len(message.ranges)) == (0.5, 0)
