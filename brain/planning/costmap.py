@@ -16,7 +16,7 @@ snapshot is unknown ground without obstacles.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 from math import ceil, floor, inf
 from typing import Any, Protocol, TypeAlias
 
@@ -141,7 +141,11 @@ class Costmap:
         if settings.unknown_is_free:
             self.multiplier[EXIT] = 1.0
         self._halo = ceil((radius + settings.margin) / resolution + 0.5) + rings
-        """Cells around a tile in which obstacles matter to it."""
+        """Cells around a tile in which obstacles matter to it,"""
+        self._reach = -(-self._halo // TILE)
+        """and tiles."""
+        self._rows, self._columns = range(0), range(0)
+        """Tiles within the map's extent."""
         self.tiles: dict[Tile, bytes] = {}
         self.pending: dict[Tile, int] = {}
         """Tiles to be drawn, and the map's version in which they had changed."""
@@ -156,6 +160,7 @@ class Costmap:
     def update(self, grid: Map, here: Point, most: int) -> int:
         """Draw at most this many of the changed tiles, those about the robot first; return how many."""
         if grid.version != self._version:
+            self._follow(grid.extent())
             for tile in grid.changed(self._version):
                 self._mark(tile, grid.version)
             self._version = grid.version
@@ -187,18 +192,15 @@ class Costmap:
     def _window(self, grid: Map, tile: Tile) -> Mask:
         """Return which cells are occupied, of a tile and those around it that matter to it."""
         halo, side = self._halo, TILE + 2 * self._halo
-        window, reach = np.zeros((side, side), np.bool_), -(-halo // TILE)
-        for up in range(-reach, reach + 1):
-            for right in range(-reach, reach + 1):
-                values = grid.tile(tile[0] + up, tile[1] + right)
-                if values is not None:
-                    bottom, left = up * TILE + halo, right * TILE + halo
-                    rows = slice(max(bottom, 0), min(bottom + TILE, side))
-                    columns = slice(max(left, 0), min(left + TILE, side))
-                    part = values[
-                        rows.start - bottom : rows.stop - bottom, columns.start - left : columns.stop - left
-                    ]
-                    np.greater(part, 0, out=window[rows, columns])
+        window, reach = np.zeros((side, side), np.bool_), range(-self._reach, self._reach + 1)
+        for up, right in product(reach, reach):
+            values = grid.tile(tile[0] + up, tile[1] + right)
+            if values is not None:
+                bottom, left = up * TILE + halo, right * TILE + halo
+                rows = slice(max(bottom, 0), min(bottom + TILE, side))
+                columns = slice(max(left, 0), min(left + TILE, side))
+                part = values[max(-bottom, 0) : side - bottom, max(-left, 0) : side - left]
+                np.greater(part, 0, out=window[rows, columns])
         return window
 
     def _mark_neighbours(self, tile: Tile, window: Mask, changed_at: int) -> None:
@@ -220,8 +222,25 @@ class Costmap:
                 if other != tile and self._drawn.get(other, -1) < changed_at:
                     self._mark(other, -1)
 
+    def _follow(self, extent: tuple[int, int, int, int]) -> None:
+        """Drop the tiles that have left the map's extent."""
+        rows, columns = tiles_of(extent)
+        before, self._rows, self._columns = (self._rows, self._columns), rows, columns
+        reach = range(-self._reach, self._reach + 1)
+        for row in before[0]:
+            first, last = (columns.start, columns.stop) if row in rows else (before[1].stop,) * 2
+            left = range(before[1].start, min(first, before[1].stop))
+            for column in (*left, *range(max(last, before[1].start), before[1].stop)):
+                for state in (self.tiles, self.pending, self._drawn):
+                    state.pop((row, column), None)
+                if self._occupied.pop((row, column), None):
+                    for up, right in product(reach, reach):
+                        self._mark((row + up, column + right), -1)
+
     def _mark(self, tile: Tile, version: int) -> None:
-        """Mark a tile as pending."""
+        """Mark a tile within the extent as pending."""
+        if tile[0] not in self._rows or tile[1] not in self._columns:
+            return
         self.pending[tile] = max(version, self.pending.get(tile, -1))
         (row, column), box = tile, self.box or (*tile, *tile)
         self.box = (min(box[0], row), min(box[1], column), max(box[2], row + 1), max(box[3], column + 1))
@@ -281,6 +300,12 @@ NOTHING = bytes(TILE * TILE // 8)
 """No occupied cell of a tile."""
 ABOUT = sorted(((r, c) for r in range(-2, 3) for c in range(-2, 3)), key=lambda at: at[0] ** 2 + at[1] ** 2)
 """The tiles about one, the nearest first: those that are drawn before all others."""
+
+
+def tiles_of(extent: tuple[int, int, int, int]) -> tuple[range, range]:
+    """Return the rows and columns of the tiles that an extent in cells touches."""
+    bottom, left, top, right = extent
+    return range(bottom // TILE, -(-top // TILE)), range(left // TILE, -(-right // TILE))
 
 
 def dilated(mask: int, side: int, *, diagonal: bool) -> int:

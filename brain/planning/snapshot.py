@@ -19,6 +19,7 @@ from brain.planning.costmap import (
     Floats,
     Levels,
     Map,
+    tiles_of,
 )
 from brain.planning.polyline import Point
 
@@ -64,10 +65,10 @@ class Snapshot:
         )
         self.standing, self.unreachable, self.radius = here, unreachable, costmap.radius
         row, column = floor(here[1] / self.resolution) // TILE, floor(here[0] / self.resolution) // TILE
-        box, (bottom, left, top, right) = costmap.box or (row, column, row, column), grid.extent()
-        self._rows = range(min(row, max(box[0], bottom // TILE)), max(row + 1, min(box[2], -(-top // TILE))))
+        box, (rows, columns) = costmap.box or (row, column, row, column), tiles_of(grid.extent())
+        self._rows = range(min(row, max(box[0], rows.start)), max(row + 1, min(box[2], rows.stop)))
         self._columns = range(
-            min(column, max(box[1], left // TILE)), max(column + 1, min(box[3], -(-right // TILE)))
+            min(column, max(box[1], columns.start)), max(column + 1, min(box[3], columns.stop))
         )
         self.corner = (self._rows.start * TILE - 2, self._columns.start * TILE - 2)
         """Row and column, in the map, of the first cell."""
