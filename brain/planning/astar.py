@@ -1,29 +1,41 @@
-"""A* on a snapshot of the costmap, a bounded number of expansions at a time.
+"""A* on a snapshot of the costmap, in batches of cells, a bounded number of expansions at a time.
 
 Rules. Eight neighbours; a diagonal only where both cells beside it may be entered (no corner is cut). A
 move costs its length times the multiplier of the cell entered; the octile distance is an admissible
-heuristic, since multipliers are >= 1, so the result is optimal in this metric (Hart, Nilsson and Raphael
-1968; an entry of the queue is stale once a cheaper path to its cell was found, and cells may be reopened).
-A goal beyond the snapshot is one move, an octile path over unknown ground, from each cell of level `EXIT`.
-Ties are broken by depth and then by cell, so equal queries have equal results. Only cells that were reached
-have a state. It is plain data: it can be copied and resumed between any two calls of `advance`.
+heuristic, since multipliers are >= 1 (Hart, Nilsson and Raphael 1968). Open cells lie in buckets of cost +
+heuristic; of the lowest, a batch is expanded at once, whatever the order within it, and a cell that is
+reached at less cost later is expanded again (delta-stepping, Meyer and Sanders 2003). The search ends when
+no bucket can improve the goal, so the result is optimal in this metric. A goal beyond the snapshot is one
+move, an octile path over unknown ground, from each cell of level `EXIT`. Equal queries have equal results.
+The memory of cells that were not reached is not touched. The state is plain data: it can be copied and
+resumed between any two calls of `advance`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from heapq import heappop, heappush
+from itertools import pairwise
 from math import inf, sqrt
 from typing import TypeAlias
 
 import numpy as np
 
-from brain.planning.costmap import EXIT, UNKNOWN
+from brain.planning.costmap import EXIT, UNKNOWN, Cells, Floats
 from brain.planning.snapshot import Snapshot
 
 DIAGONAL = sqrt(2.0)
 BEYOND = -1
 """The goal, if it lies beyond the snapshot."""
+BATCH = 256
+"""Cells expanded at once, at most."""
+BATCH_WORK = 100
+"""What a batch costs beside its cells, in expansions."""
+BUCKET = 2.0
+"""Cells, width of a bucket"""
+BESIDE = np.array(((0, 0, 1, 1), (2, 3, 2, 3)))
+"""The two moves beside each of the diagonal ones."""
+ZERO = 5e-324
+"""Cost of the start: 0 means not reached, as in untouched memory. It vanishes in every sum."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,80 +79,104 @@ class Search:
     ) -> None:
         self.ground, self.start, self.goal = ground, start, goal
         self.expansions = 0
-        multiplier = ground.multiplier.copy()
+        self._multiplier = ground.multiplier.copy()
         if through_unknown < inf:
-            multiplier[UNKNOWN:] = np.minimum(multiplier[UNKNOWN:], through_unknown)
-        self._multiplier: list[float] = multiplier.tolist()
+            self._multiplier[UNKNOWN:] = np.minimum(self._multiplier[UNKNOWN:], through_unknown)
         self._goal_at = beyond if goal == BEYOND else divmod(goal, ground.stride)
-        self._cost = {start: 0.0}
-        self._parent: dict[int, int] = {}
-        self._open = [(0.0, 0.0, start)]
+        side = ground.stride
+        self._moves = np.array((side, -side, 1, -1, side + 1, side - 1, -side + 1, -side - 1))[:, None]
+        self._cost = np.zeros(len(ground.level))
+        """Cells; 0 where not reached."""
+        self._came = np.zeros(len(ground.level), np.uint8)
+        """The move to each cell that was reached."""
+        self._cost[start] = ZERO
+        self._open: dict[int, list[tuple[Cells, Floats]]] = {}
+        """Buckets of cells, with their costs when they were put there."""
+        self._best = (inf, start)
+        """Cost of the goal, and the last cell on the way to it."""
         self._cells: list[int] = []
         """The path found, from the goal as far back as it was traced."""
         self._closed = goal != BEYOND and self._multiplier[ground.level[goal]] == inf
+        self._put(np.array([start]))
 
     def advance(self, work: int) -> Outcome:
-        """Expand, or trace back, at most this many cells. Once finished, the outcome does not change."""
-        if not self._cells and not self._closed:
-            work -= self._expand(work)
+        """Expand, or trace back, cells for about this much work. Once finished, the outcome does not change."""
+        while work > 0 and not self._closed and not self._cells:
+            work -= self._expand()
         if self._closed:
             return Unreachable()
-        cells = self._cells
+        cells, moves = self._cells, self._moves[:, 0].tolist()
         while cells and cells[-1] != self.start and work > 0:
-            cells.append(self._parent[cells[-1]])
+            cells.append(self._best[1] if cells[-1] == BEYOND else cells[-1] - moves[self._came[cells[-1]]])
             work -= 1
             self.expansions += 1
         if not cells or cells[-1] != self.start:
             return Searching(self.expansions)
-        return CellPath(tuple(reversed(cells)), self._cost[self.goal] * self.ground.resolution)
+        return CellPath(tuple(reversed(cells)), self._best[0] * self.ground.resolution)
 
-    def _expand(self, limit: int) -> int:
-        queue, cost, parent, goal = self._open, self._cost, self._parent, self.goal
-        level, multiplier, stride = self.ground.level, self._multiplier, self.ground.stride
-        (goal_row, goal_column), known = self._goal_at, cost.get
-        excess = DIAGONAL - 2.0
-        done = 0
-        while queue and done < limit:
-            _, minus, cell = heappop(queue)
-            done += 1
-            here = -minus
-            if here > cost[cell]:
-                continue
-            if cell == goal:
-                self._cells.append(goal)
-                break
-            east = multiplier[level[cell + 1]]
-            west = multiplier[level[cell - 1]]
-            north = multiplier[level[cell + stride]]
-            south = multiplier[level[cell - stride]]
-            moves = [
-                (cell + 1, here + east),
-                (cell - 1, here + west),
-                (cell + stride, here + north),
-                (cell - stride, here + south),
-            ]
-            if north < inf:
-                if east < inf:
-                    moves.append((cell + stride + 1, here + DIAGONAL * multiplier[level[cell + stride + 1]]))
-                if west < inf:
-                    moves.append((cell + stride - 1, here + DIAGONAL * multiplier[level[cell + stride - 1]]))
-            if south < inf:
-                if east < inf:
-                    moves.append((cell - stride + 1, here + DIAGONAL * multiplier[level[cell - stride + 1]]))
-                if west < inf:
-                    moves.append((cell - stride - 1, here + DIAGONAL * multiplier[level[cell - stride - 1]]))
-            if goal == BEYOND and level[cell] == EXIT:
-                row, column = divmod(cell, stride)
-                dx, dy = abs(column - goal_column), abs(row - goal_row)
-                moves.append((goal, here + multiplier[EXIT] * (dx + dy + excess * min(dx, dy))))
-            for there, new in moves:
-                if new < known(there, inf):
-                    cost[there] = new
-                    parent[there] = cell
-                    row, column = divmod(there, stride) if there != BEYOND else self._goal_at
-                    dx, dy = abs(column - goal_column), abs(row - goal_row)
-                    heappush(queue, (new + dx + dy + excess * (dx if dx < dy else dy), -new, there))
-        else:
-            self._closed = not queue
-        self.expansions += done
-        return done
+    def _take(self) -> Cells:
+        """Return the next batch from the lowest bucket, without the cells whose cost is out of date."""
+        bucket = min(self._open)
+        stack, taken, count = self._open[bucket], [], 0
+        while stack and count < BATCH:
+            cells, costs = stack.pop()
+            if len(cells) > BATCH - count:
+                split = len(cells) - (BATCH - count)
+                stack.append((cells[:split], costs[:split]))
+                cells, costs = cells[split:], costs[split:]
+            taken.append(cells[self._cost[cells] == costs])
+            count += len(cells)
+        if not stack:
+            del self._open[bucket]
+        return np.concatenate(taken)
+
+    def _expand(self) -> int:
+        """Expand a batch of cells; return the work."""
+        if not self._open or min(self._open) * BUCKET >= self._best[0]:
+            self._closed = self._best[0] == inf
+            self._cells = [self.goal]
+            return 1
+        cells = self._take()
+        count, cost = len(cells), self._cost
+        level = np.frombuffer(self.ground.level, np.uint8)
+        there = cells + self._moves
+        step = self._multiplier[level[there]]
+        step[4:] *= DIAGONAL
+        step[4:][step[BESIDE[0]] + step[BESIDE[1]] == inf] = inf
+        new = cost[cells] + step
+        old = cost[there]
+        old[old == 0.0] = inf
+        found = np.flatnonzero(new < old)
+        there, new = there.reshape(-1)[found], new.reshape(-1)[found]
+        cost[there[cost[there] == 0.0]] = inf
+        np.minimum.at(cost, there, new)
+        kept = new == cost[there]
+        there = there[kept]
+        self._came[there] = found[kept] // count if count else 0
+        self._put(np.unique(there))
+        self.expansions += count
+        return count + BATCH_WORK
+
+    def _put(self, cells: Cells) -> None:
+        """Put cells into their buckets, unless the goal is reached at less than they promise."""
+        costs = self._cost[cells]
+        rows, columns = np.divmod(cells, self.ground.stride)
+        dx, dy = np.abs(columns - self._goal_at[1]), np.abs(rows - self._goal_at[0])
+        ahead = dx + dy + (DIAGONAL - 2.0) * np.minimum(dx, dy)
+        if self.goal == BEYOND:
+            exits = np.flatnonzero(np.frombuffer(self.ground.level, np.uint8)[cells] == EXIT)
+            if len(exits):
+                whole = costs[exits] + self._multiplier[EXIT] * ahead[exits]
+                first = int(np.argmin(whole))
+                self._best = min(self._best, (float(whole[first]), int(cells[exits[first]])))
+        elif self._cost[self.goal] > 0.0:
+            self._best = (float(self._cost[self.goal]), self.goal)
+        buckets = ((costs + ahead) / BUCKET).astype(np.int64)
+        order = np.argsort(buckets, kind="stable")
+        order = order[(costs + ahead)[order] < self._best[0]]
+        cells, costs, buckets = cells[order], costs[order], buckets[order]
+        cuts = (0, *(np.flatnonzero(np.diff(buckets)) + 1).tolist(), len(order))
+        for first, last in pairwise(cuts):
+            if first < last:
+                stack = self._open.setdefault(int(buckets[first]), [])
+                stack.append((cells[first:last], costs[first:last]))
