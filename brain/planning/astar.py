@@ -26,11 +26,11 @@ from brain.planning.snapshot import Snapshot
 DIAGONAL = sqrt(2.0)
 BEYOND = -1
 """The goal, if it lies beyond the snapshot."""
-BATCH = 256
+BATCH = 128
 """Cells expanded at once, at most."""
-BATCH_WORK = 100
+BATCH_WORK = 250
 """What a batch costs beside its cells, in expansions."""
-BUCKET = 2.0
+BUCKET = 1.0
 """Cells, width of a bucket"""
 BESIDE = np.array(((0, 0, 1, 1), (2, 3, 2, 3)))
 """The two moves beside each of the diagonal ones."""
@@ -57,8 +57,8 @@ class Unreachable:
 class Searching:
     """Not finished: call `advance` again."""
 
-    expansions: int
-    """So far."""
+    work: int
+    """So far, in expansions."""
 
 
 Outcome: TypeAlias = CellPath | Unreachable | Searching
@@ -78,7 +78,8 @@ class Search:
         through_unknown: float = inf,
     ) -> None:
         self.ground, self.start, self.goal = ground, start, goal
-        self.expansions = 0
+        self.work = 0
+        """Done so far, in expansions."""
         self._multiplier = ground.multiplier.copy()
         if through_unknown < inf:
             self._multiplier[UNKNOWN:] = np.minimum(self._multiplier[UNKNOWN:], through_unknown)
@@ -100,18 +101,19 @@ class Search:
         self._put(np.array([start]))
 
     def advance(self, work: int) -> Outcome:
-        """Expand, or trace back, cells for about this much work. Once finished, the outcome does not change."""
-        while work > 0 and not self._closed and not self._cells:
-            work -= self._expand()
+        """Expand cells, or trace the path back, for about this much work. Once finished, the outcome does not
+        change."""
+        end = self.work + work
+        while self.work < end and not self._closed and not self._cells:
+            self.work += self._expand()
         if self._closed:
             return Unreachable()
         cells, moves = self._cells, self._moves[:, 0].tolist()
-        while cells and cells[-1] != self.start and work > 0:
+        while cells and cells[-1] != self.start and self.work < end:
             cells.append(self._best[1] if cells[-1] == BEYOND else cells[-1] - moves[self._came[cells[-1]]])
-            work -= 1
-            self.expansions += 1
+            self.work += 1
         if not cells or cells[-1] != self.start:
-            return Searching(self.expansions)
+            return Searching(self.work)
         return CellPath(tuple(reversed(cells)), self._best[0] * self.ground.resolution)
 
     def _take(self) -> Cells:
@@ -138,9 +140,8 @@ class Search:
             return 1
         cells = self._take()
         count, cost = len(cells), self._cost
-        level = np.frombuffer(self.ground.level, np.uint8)
         there = cells + self._moves
-        step = self._multiplier[level[there]]
+        step = self._multiplier[self.ground.level[there]]
         step[4:] *= DIAGONAL
         step[4:][step[BESIDE[0]] + step[BESIDE[1]] == inf] = inf
         new = cost[cells] + step
@@ -154,7 +155,6 @@ class Search:
         there = there[kept]
         self._came[there] = found[kept] // count if count else 0
         self._put(np.unique(there))
-        self.expansions += count
         return count + BATCH_WORK
 
     def _put(self, cells: Cells) -> None:
@@ -164,7 +164,7 @@ class Search:
         dx, dy = np.abs(columns - self._goal_at[1]), np.abs(rows - self._goal_at[0])
         ahead = dx + dy + (DIAGONAL - 2.0) * np.minimum(dx, dy)
         if self.goal == BEYOND:
-            exits = np.flatnonzero(np.frombuffer(self.ground.level, np.uint8)[cells] == EXIT)
+            exits = np.flatnonzero(self.ground.level[cells] == EXIT)
             if len(exits):
                 whole = costs[exits] + self._multiplier[EXIT] * ahead[exits]
                 first = int(np.argmin(whole))

@@ -90,9 +90,9 @@ class PathQuery:
                     self._result = self._conclude(tuple(self._short.kept))
             else:
                 assert self._search is not None
-                before = self._search.expansions
+                before = self._search.work
                 outcome = self._search.advance(work)
-                work -= max(self._search.expansions - before, 1)
+                work -= max(self._search.work - before, 1)
                 if not isinstance(outcome, Searching):
                     self._result = self._judge(outcome)
         return self._result
@@ -148,7 +148,7 @@ class PathQuery:
         if isinstance(outcome, Unreachable):
             return NoPath(f"everything between {_text(self.start)} and the goal {_text(self.goal)} is closed")
         level = self.ground.level
-        if self.settings.unknown_is_free or not any(level[cell] >= UNKNOWN for cell in outcome.cells):
+        if self.settings.unknown_is_free or not np.any(level[list(outcome.cells)] >= UNKNOWN):
             return self._shorten(outcome, known=True)
         if self._to == BEYOND or level[self._to] >= UNKNOWN:
             return self._shorten(outcome, known=False)
@@ -159,7 +159,7 @@ class PathQuery:
         """Begin to shorten a path, or the part of it that is known."""
         cells, level, beyond = found.cells, self.ground.level, None
         if not known:
-            first = next(i for i, cell in enumerate(cells) if level[cell] >= UNKNOWN)
+            first = int(np.argmax(level[list(cells)] >= UNKNOWN))
             if first == 0:
                 return NoPath(f"the robot at {_text(self.start)} stands on unknown ground")
             cells, beyond = cells[:first], self.ground.centre(cells[first])
@@ -183,7 +183,7 @@ class PathQuery:
 
 SHORTCUT_CORNERS = 30
 """Corners ahead to which a shortcut is tried."""
-LINE_WORK = 20
+LINE_WORK = 100
 """The cost of a straight line, in expansions of A*,"""
 CELLS_PER_WORK = 10
 """and that of its cells."""

@@ -23,7 +23,7 @@ from brain.planning.costmap import (
 )
 from brain.planning.polyline import Point
 
-COPY_WORK = 1
+COPY_WORK = 12
 """Copying a tile into a snapshot, in expansions of A*."""
 MAX_LINES = 500
 """Straight lines that one search of the nearest place, or one shortening of a path, compares."""
@@ -48,7 +48,7 @@ class Ground(Protocol):
 
 
 class Snapshot:
-    """The levels of a region as one flat sequence, assembled over several steps, then immutable.
+    """The levels of a region as one flat array, assembled over several steps, then immutable.
 
     The region is what is known of the map, and the robot's place. Around it lie one row and column of unknown
     ground, of level `EXIT` on the sides that face a goal beyond, and one of blocked cells, so that no search
@@ -75,59 +75,61 @@ class Snapshot:
         self.stride = len(self._columns) * TILE + 4
         """Cells per row."""
         self.height = len(self._rows) * TILE + 4
-        self.level = bytearray()
+        self.level: Levels = np.zeros(self.height * self.stride, np.uint8)
         """One per cell, row by row."""
+        self.complete = False
+        self._filled = 0
+        """Rows of tiles so far."""
         self.goal = (
             floor(goal[1] / self.resolution) - self.corner[0],
             floor(goal[0] / self.resolution) - self.corner[1],
         )
         """Row and column of the goal in this snapshot; it may lie beyond the region."""
-        up, right_ = self.goal
-        self._sides = [
-            EXIT if beyond else self.outside
-            for beyond in (up < 2, up >= self.height - 2, right_ < 2, right_ >= self.stride - 2)
-        ]
-
-    @property
-    def complete(self) -> bool:
-        """True once every cell has its level."""
-        return len(self.level) == self.height * self.stride
 
     def assemble(self, costmap: Costmap, grid: Map, work: int) -> int:
         """Add rows of tiles for about this much work; return the rest of it."""
-        below, above, left, right = self._sides
-        if not self.level:
-            self.level += self._edge(0) + self._edge(below)
+        blank = bytes((self.outside,)) * TILE**2
         while work > 0 and not self.complete:
-            row = self._rows[len(self.level) // self.stride // TILE]
-            tiles = [(row, column) for column in self._columns]
-            while pending := [tile for tile in tiles if tile in costmap.pending]:
-                if work <= 0:
-                    return work
+            tiles = [(self._rows[self._filled], column) for column in self._columns]
+            pending = [tile for tile in tiles if tile in costmap.pending]
+            if pending:
                 costmap.draw(grid, pending[0])
                 work -= TILE_WORK
-            blank = bytes((self.outside,)) * TILE**2
+                continue
             joined = b"".join(costmap.tiles.get(tile, blank) for tile in tiles)
-            block = np.zeros((TILE, self.stride), np.uint8)
-            inner = np.frombuffer(joined, np.uint8).reshape(-1, TILE, TILE).swapaxes(0, 1)
-            block[:, 1], block[:, 2:-2], block[:, -2] = left, inner.reshape(TILE, -1), right
-            self.level += block.tobytes()
+            block = np.frombuffer(joined, np.uint8).reshape(-1, TILE, TILE).swapaxes(0, 1)
+            first = 2 + self._filled * TILE
+            self._plane()[first : first + TILE, 2:-2] = block.reshape(TILE, -1)
+            self._filled += 1
             work -= len(tiles) * COPY_WORK
-            if row == self._rows[-1]:
-                self.level += self._edge(above) + self._edge(0)
+            if self._filled == len(self._rows):
+                self._add_edges()
                 self._judge_places()
+                self.complete = True
         return work
 
-    def _edge(self, level: int) -> bytes:
-        """Return one row of cells at the edge, between its two blocked ends."""
-        return bytes((0, *(level,) * (self.stride - 2), 0))
+    def _plane(self) -> Levels:
+        """Return the levels by row and column."""
+        return self.level.reshape(self.height, self.stride)
+
+    def _add_edges(self) -> None:
+        """Set the levels of the unknown ground around the region."""
+        plane, (row, column) = self._plane()[1:-1, 1:-1], self.goal
+        plane[[0, -1], :] = plane[:, [0, -1]] = self.outside
+        for side, beyond in (
+            (plane[0], row < 2),
+            (plane[-1], row >= self.height - 2),
+            (plane[:, 0], column < 2),
+            (plane[:, -1], column >= self.stride - 2),
+        ):
+            if beyond:
+                side[:] = EXIT
 
     def _judge_places(self) -> None:
         """Set the levels of unknown ground under the robot and about the unreachable places."""
-        level = np.frombuffer(self.level, np.uint8).reshape(-1, self.stride)
         for place in (self.standing, *self.unreachable):
             window, square = self.around(place, self.radius)
-            part = level[window]
+            part = self._plane()[window]
             unknown = (part >= UNKNOWN) & (square <= self.radius**2)
             if place is self.standing:
                 part[unknown & (part != EXIT)] %= UNKNOWN
@@ -172,7 +174,7 @@ class Snapshot:
     def nearest(self, place: Point, within: float, *, known: bool) -> list[int]:
         """Return the cells within a distance [m] that are free, or unknown unless `known`; nearest first."""
         window, square = self.around(place, within)
-        level = np.frombuffer(self.level, np.uint8).reshape(-1, self.stride)[window]
+        level = self._plane()[window]
         free = (level >= FREE) & (level < UNKNOWN if known else level != EXIT)
         row, column = np.nonzero(free & (square <= within**2))
         nearest = np.argsort(square[row, column], kind="stable")[:MAX_LINES]

@@ -25,7 +25,7 @@ from tests.brain.perception.office import box, scan_at
 
 def dijkstra(ground: Snapshot, start: int, goal: int, through_unknown: float = inf) -> float:
     """The optimal cost [m] in the planner's metric, by scipy: an oracle that shares no code with A*."""
-    level = np.frombuffer(ground.level, np.uint8).reshape(ground.height, ground.stride)
+    level = ground.level.reshape(ground.height, ground.stride)
     cost = np.where(level >= UNKNOWN, through_unknown, ground.multiplier[level])
     cells, free = np.arange(cost.size).reshape(cost.shape), cost < inf
     tails, heads, weights = [], [], []

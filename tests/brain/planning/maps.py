@@ -7,8 +7,9 @@ from math import hypot, inf
 import numpy as np
 import numpy.typing as npt
 
+from brain.planning.astar import Searching
 from brain.planning.costmap import TILE, Costmap, Mask, PlannerSettings, Tile
-from brain.planning.planner import PathQuery, PlanResult, Searching
+from brain.planning.planner import PathQuery, PlanResult
 from brain.planning.polyline import Point
 from brain.planning.snapshot import Snapshot
 
@@ -59,7 +60,7 @@ class PlainMap:
     def middles(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """x and y [m] of every cell's middle."""
         rows, columns = np.indices(self.occupied.shape)
-        return (self.low[1] + columns + 0.5) * 0.1, (self.low[0] + rows + 0.5) * 0.1
+        return np.asarray(columns + self.low[1] + 0.5) * 0.1, np.asarray(rows + self.low[0] + 0.5) * 0.1
 
     def blocked(self, radius: float) -> Mask:
         """Cells whose middle is within the radius [m] of an occupied cell, one obstacle after the other."""

@@ -7,7 +7,7 @@ from math import inf, sqrt
 import numpy as np
 import pytest
 
-from brain.planning.astar import BEYOND, CellPath, Outcome, Search, Searching, Unreachable
+from brain.planning.astar import BATCH, BATCH_WORK, BEYOND, CellPath, Outcome, Search, Searching, Unreachable
 from brain.planning.costmap import FREE, UNKNOWN, Mask, PlannerSettings
 from brain.planning.polyline import Point
 from brain.planning.snapshot import Snapshot
@@ -119,9 +119,9 @@ def test_each_call_is_bounded_by_expansions_and_slicing_changes_nothing() -> Non
     start, goal = free[0], free[-1]
     search, total = Search(there, start, goal), 0
     while isinstance(outcome := search.advance(7), Searching):
-        assert outcome.expansions - total <= 7
-        total = outcome.expansions
-    assert total > 100
+        assert outcome.work - total <= 7 + BATCH + BATCH_WORK
+        total = outcome.work
+    assert total > 10 * BATCH_WORK
     assert run(Search(there, start, goal), 10**9) == outcome == run(Search(there, start, goal), 1)
 
 

@@ -9,8 +9,9 @@ from math import hypot, inf
 import numpy as np
 import pytest
 
+from brain.planning.astar import Searching
 from brain.planning.costmap import FREE, UNKNOWN, PlannerSettings
-from brain.planning.planner import FrontierPath, NoPath, Path, Searching, Shortening
+from brain.planning.planner import FrontierPath, NoPath, Path, Shortening
 from brain.planning.polyline import Point, Polyline
 from brain.planning.snapshot import crossing, is_blocked, line_cost
 from tests.brain.planning.maps import EVERYTHING, RADIUS, PlainMap, drawn, ground, plan, query, two_rooms
@@ -187,13 +188,13 @@ def test_a_complete_snapshot_does_not_change() -> None:
     asked, costmap = query(grid, (0.0, 0.0), (4.0, 0.0))
     while not asked.ground.complete:
         asked.advance(1, costmap, grid)
-    before = bytes(asked.ground.level)
+    before = asked.ground.level.tobytes()
     grid.occupied[:, 30] = True
     grid.version += 1
     costmap.update(grid, (0.0, 0.0), 100)
     found = asked.advance(EVERYTHING, costmap, grid)
     assert isinstance(found, Path)
-    assert bytes(asked.ground.level) == before
+    assert asked.ground.level.tobytes() == before
     assert isinstance(plan(grid, (0.0, 0.0), (4.0, 0.0)), NoPath)
 
 
