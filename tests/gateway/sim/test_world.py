@@ -228,8 +228,8 @@ def test_a_sweep_measures_each_beam_from_where_the_lidar_is_then() -> None:
 
 def test_two_lidars_measure_each_by_its_own_figures() -> None:
     text = ROOM + "[lidars.rear]\nbeams = 180\nrate_hz = 20\nsweep = false\n" + WALLS
-    sensors = robot().sensors
-    rear = replace(sensors["lidar"], mount=Mount(yaw=math.pi))
+    sensors = robot(lidar="z = 0.12").sensors
+    rear = replace(sensors["lidar"], mount=Mount(z=0.12, yaw=math.pi))
     two = replace(robot(), sensors={**sensors, "rear": rear})
     scans = Driver(World(scene(text), two, 1)).run(100, 0.0, 0.0).scans()
     assert [(scan.sensor, len(scan.ranges), scan.t) for scan in scans] == [
