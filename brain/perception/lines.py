@@ -1,0 +1,146 @@
+"""The lines of the map's occupied cells: where, in a cell, the surface runs that was hit there.
+
+Rules. A line has a unit normal, to the side from which the surface was seen, and an offset from the cell's
+centre along it. Both are means over the first scans that hit the cell, whose surfaces they are (see
+`BodyScan`): later ones are matched to them. A cell seen from two sides keeps the side it was first seen from.
+Each cell also remembers the anchor of its first scan: pose and covariance of the robot that drew it. Lines are
+few: they are kept in blocks of 16 × 16 cells, only where there are any, of 8 bytes a cell.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from brain.belief import Floats, Pose
+from brain.bodies.differential import wrap
+
+Indices = npt.NDArray[np.int64]
+
+LINE = np.dtype([("angle", np.int16), ("offset", np.int16), ("scans", np.uint16), ("anchor", np.uint16)])
+"""Direction of the normal [TURN]; offset [cells / PER_CELL]; scans in both means, 0: no line; its anchor"""
+Records = npt.NDArray[np.void]
+
+TURN = 2.0 * math.pi / 65536.0
+"""rad"""
+PER_CELL = 8192.0
+MAX_SCANS = 10
+"""In a cell's means: the first ones"""
+SIDE, BITS = 16, 4
+"""Cells along a block's sides, and its logarithm"""
+GROWTH = 64
+"""Blocks by which their memory grows"""
+MAX_ANCHORS = 16_384
+"""Then the oldest is replaced"""
+NEW_ANCHOR = 0.3
+"""m and rad that the robot moves between two anchors"""
+FEW = 8
+"""Cells that are not worth an anchor of their own"""
+
+
+class Lines:
+    """Lines and anchors. Cells are given by their places in the map's memory."""
+
+    def __init__(self, rows: int, columns: int) -> None:
+        self._shift = columns.bit_length() - 1
+        self._mask = columns - 1
+        self._blocks = np.zeros((rows // SIDE, columns // SIDE), dtype=np.int32)
+        """Block of lines of each block of cells; 0: the first one, which stays empty"""
+        self._lines: Records = np.zeros(SIDE * SIDE, dtype=LINE)
+        self._unused: list[int] = []
+        self._most = self._blocks.size // 2
+        """Blocks; with more, further cells have no lines."""
+        self.poses = np.zeros((MAX_ANCHORS, 3))
+        """Anchors: pose of the robot [m, m, rad]"""
+        self.covariances = np.zeros((MAX_ANCHORS, 3, 3))
+        """Anchors: covariance of that pose"""
+        self._anchors = 0
+
+    def at(self, cells: Indices) -> Records:
+        """Return the lines of cells, of any shape."""
+        lines: Records = self._lines[self._places(cells)]
+        return lines
+
+    def _places(self, cells: Indices) -> Indices:
+        rows, columns = cells >> self._shift, cells & self._mask
+        block = self._blocks[rows >> BITS, columns >> BITS].astype(np.int64)
+        return (block << (2 * BITS)) | ((rows & (SIDE - 1)) << BITS) | (columns & (SIDE - 1))
+
+    def draw(
+        self,
+        cells: Indices,
+        centers: Floats,
+        points: Floats,
+        normals: Floats,
+        pose: Pose,
+        covariance: Floats,
+    ) -> None:
+        """Add the surfaces [cells] that a scan hit in cells, where these still take them."""
+        wanted = np.flatnonzero(self.at(cells)["scans"] < MAX_SCANS)
+        if not len(wanted):
+            return
+        normals = normals[wanted]
+        offsets = np.einsum("ij,ij->i", points[wanted] - centers[wanted], normals)
+        cells, which = np.unique(cells[wanted], return_inverse=True)
+        number = np.bincount(which)
+        nx, ny, offset = (
+            np.bincount(which, weights=w) / number for w in (normals[:, 0], normals[:, 1], offsets)
+        )
+        self._allocate(cells)
+        places = self._places(cells)
+        lines = self._lines[places]
+        scans, angle = lines["scans"], lines["angle"] * TURN
+        c, s = np.cos(angle), np.sin(angle)
+        kept = ((scans == 0) | (nx * c + ny * s > 0.0)) & (np.abs(offset) < 3.9) & (places >= SIDE * SIDE)
+        angle = np.arctan2(scans * s + ny, scans * c + nx)
+        lines["angle"] = np.rint(angle / TURN).astype(np.int64).astype(np.int16)
+        offset = (scans * (lines["offset"] / PER_CELL) + offset) / (scans + 1)
+        lines["offset"] = np.rint(offset * PER_CELL)
+        new = scans == 0
+        lines["anchor"][new] = self._anchor(pose, covariance, np.count_nonzero(new))
+        lines["scans"] += 1
+        self._lines[places[kept]] = lines[kept]
+
+    def forget(self, cells: Indices) -> None:
+        """Remove the lines of cells."""
+        places = self._places(cells)
+        self._lines[places[places >= SIDE * SIDE]] = 0
+
+    def drop(self, rows: slice, columns: slice, tile: int) -> None:
+        """Remove the lines of tiles, by where they are in memory."""
+        per = tile // SIDE
+        size = self._blocks.shape
+        blocks = self._blocks.reshape(size[0] // per, per, size[1] // per, per)[rows, :, columns]
+        used = blocks[blocks > 0]
+        self._lines.reshape(-1, SIDE * SIDE)[used] = 0
+        self._unused += used.tolist()
+        blocks[...] = 0
+
+    def _allocate(self, cells: Indices) -> None:
+        """Make room for the lines of cells."""
+        rows, columns = cells >> self._shift >> BITS, (cells & self._mask) >> BITS
+        missing = self._blocks[rows, columns] == 0
+        for row, column in sorted(set(zip(rows[missing].tolist(), columns[missing].tolist(), strict=True))):
+            if not self._unused:
+                have = len(self._lines) // SIDE**2
+                more = min(GROWTH, self._most - have)
+                if more <= 0:
+                    return
+                self._lines.resize((have + more) * SIDE**2, refcheck=False)
+                self._unused = list(range(have + more - 1, have - 1, -1))
+            self._blocks[row, column] = self._unused.pop()
+
+    def _anchor(self, pose: Pose, covariance: Floats, count: int) -> int:
+        """Return the anchor of cells that are drawn from a pose: the last one if it is near, or they are few."""
+        last = (self._anchors - 1) % MAX_ANCHORS
+        x, y, yaw = self.poses[last]
+        moved = max(math.hypot(pose.x - x, pose.y - y), abs(wrap(pose.yaw - yaw)))
+        if self._anchors and (count < FEW or moved < NEW_ANCHOR):
+            return last
+        new = self._anchors % MAX_ANCHORS
+        self.poses[new] = pose.x, pose.y, pose.yaw
+        self.covariances[new] = covariance
+        self._anchors += 1
+        return new
