@@ -1,15 +1,14 @@
-"""Stop zone: the share of a wanted twist from which the base stops before what its lidars see.
+"""Stop zone: the part of a wanted twist from which the base stops before what its lidars see.
 
 Rules. Raw ranges in the robot's own frame, before filter and map: only the mounts, and the wheels' dead
 reckoning since each beam was measured. The points of the last two scans of every lidar count. A beam that
 ends alone, with no neighbouring beam near, counts once the previous scan has something at the same place.
 
-A twist moves the footprint along an arc. The time until the footprint, grown by `gap`, meets the first point
-on that arc is exact: seen from the robot a point moves on a circle about the centre of the turn, which is
-intersected with the edges that lead. The share of the twist is such that reaction and braking on this arc end
-before. If a point is within the gap already, no motion that brings any point nearer than that one is allowed.
-The base brakes along the arc that it is on, which was found free, until the wanted one is slow enough.
-A base that an obstacle makes stand may turn on the spot, slowly and up to `turn_gap`, so that it can leave.
+A twist moves the footprint along an arc until it is within `gap` of a point (`brain.planning.outline`).
+The share of the twist is such that reaction and braking along this arc end before. If a point is within the
+gap already, no motion that brings any point nearer than that one is allowed. The base brakes along the arc
+that it is on, which was found free, until the wanted one is slow enough. A base that an obstacle makes stand
+may turn on the spot, slowly and up to `turn_gap`, so that it can leave.
 
 Not seen, and therefore not protected: what no lidar's plane meets (glass, table tops), what is nearer than a
 lidar's `range_min`, and everything on a robot without a lidar, which is not slowed either. Driving where no
@@ -21,7 +20,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import copysign, cos, hypot, inf, isfinite, pi, sin, sqrt
+from math import cos, hypot, inf, isfinite, sin, sqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +29,7 @@ from brain.belief import Floats, Pose
 from brain.bodies.differential import Differential, wrap
 from brain.checks import ordered, within
 from brain.perception.mount import Bools, Mount
+from brain.planning.outline import Outline
 from protocols.messages import MILLISECOND, Event, LaserScan, Nanos, seconds
 
 Ints = npt.NDArray[np.int64]
@@ -64,114 +64,34 @@ class StopSettings:
         ordered(self, "turn_gap", "gap")
 
 
-MAX_BEAMS, MAX_POINTS = 10_000, 360
-"""Beams of a scan that is processed; points kept of it, the nearest of each group of neighbouring beams."""
+MAX_BEAMS, MAX_POINTS, MAX_ISOLATED = 10_000, 180, 64
+"""Beams of a scan that is processed; points kept of it, the nearest of each group of neighbouring beams;
+beams that end alone: if there are more, all count at once"""
 NEIGHBOUR = 0.1
 """m, with the distance of neighbouring beams added: two beams within this support each other"""
-MAX_ISOLATED = 64
-"""Of more beams that end alone in one scan, all count at once."""
 HISTORY = 512
-"""Poses of dead reckoning that are kept, to place the beams of a scan."""
-AHEAD = cos(0.35)
-"""A beam within 20° of the direction of travel looks there;"""
-SEEING = 0.25
-"""a lidar does if this share of those beams has a reading."""
+"""Poses of dead reckoning that are kept, to place the beams of a scan"""
+AHEAD, SEEING = cos(0.35), 0.25
+"""A beam within 20° of the direction of travel looks there; a lidar does if this share of them reads."""
 HORIZON = 1.0
 """s of driving at the largest speed, for which points beyond the stopping distance are kept"""
 CLEAR_AFTER = 0.3
 """s without an obstacle, after which none is reported"""
 SLOWEST = 0.01
 """m/s: less is standing"""
-TOUCH = 1e-6
-"""m: what is nearer than the gap counts as this far from the footprint's edge."""
-STRAIGHT = 1e-6
-"""rad/m: least curvature computed with"""
-
-
-class Outline:
-    """The footprint as a convex polygon, and when it meets a point. Constant."""
-
-    def __init__(self, body: Differential) -> None:
-        self.corners = np.array(body.outline)
-        edges = np.roll(self.corners, -1, axis=0) - self.corners
-        self.normals = np.stack([edges[:, 1], -edges[:, 0]], axis=1) / np.linalg.norm(edges, axis=1)[:, None]
-        self.offsets: Floats = (self.normals * self.corners).sum(axis=1)
-        before = np.roll(self.normals, 1, axis=0)
-        opening = 1.0 + (before * self.normals).sum(axis=1)
-        self.mitres: Floats = (before + self.normals) / np.maximum(opening, 0.1)[:, None]
-        """Motion of the corners per metre by which all edges are moved outward."""
-        self.radius = float(np.linalg.norm(self.corners, axis=1).max())
-        self.inner = float(self.offsets.min())
-
-    def distances(self, points: Floats) -> Floats:
-        """Return how far the edges must be moved outward until they meet each point (n × 2) [m]."""
-        most: Floats = (points @ self.normals.T - self.offsets).max(axis=1)
-        return most
-
-    def contact(self, points: Floats, twist: Velocity, gap: float) -> tuple[float, float]:
-        """Return the time [s] at this twist until the footprint, grown by the gap, meets a point (n × 2), and
-        that gap [m]: less than `gap` if a point is nearer already."""
-        distances = self.distances(points)
-        outside = distances > -0.5 * self.inner
-        if not outside.all():
-            points, distances = points[outside], distances[outside]
-        if not len(points):
-            return inf, gap
-        grown = min(gap, float(distances.min()) - TOUCH)
-        v, w = twist
-        w = copysign(max(abs(w), STRAIGHT * abs(v)), w)
-        corners = self.corners + grown * self.mitres
-        following = np.roll(corners, -1, axis=0)
-        ahead = v * self.normals[:, 0]  # outward speed of the edges' ends
-        turning = w * np.stack([-corners[:, 1], corners[:, 0], -following[:, 1], following[:, 0]])
-        begin = ahead + turning[0] * self.normals[:, 0] + turning[1] * self.normals[:, 1]
-        end = ahead + turning[2] * self.normals[:, 0] + turning[3] * self.normals[:, 1]
-        leading = np.maximum(begin, end) > 1e-5 * (abs(v) + abs(w) * self.radius)
-        center = np.array([0.0, v / w])
-        a, d = (corners - center)[leading], (following - corners)[leading]
-        points = points - center
-        aa, ad, dd = (a * a).sum(axis=1), (a * d).sum(axis=1), (d * d).sum(axis=1)
-        nearest = np.clip(-ad / dd, 0.0, 1.0)
-        radii = (points * points).sum(axis=1)
-        swept = (radii <= max(aa.max(), (aa + 2.0 * ad + dd).max())) & (
-            radii >= (aa + nearest * (2.0 * ad + nearest * dd)).min()
-        )
-        if not swept.any():
-            return inf, grown
-        points, radii = points[swept, None], radii[swept, None]
-        inside = ad * ad - dd * (aa - radii)
-        root = np.sqrt(np.maximum(inside, 0.0))
-        along = np.stack([-ad - root, -ad + root]) / dd
-        hit_x, hit_y = a[:, 0] + along * d[:, 0], a[:, 1] + along * d[:, 1]
-        x, y = points[..., 0], points[..., 1]
-        turn = np.arctan2(x * hit_y - y * hit_x, x * hit_x + y * hit_y)
-        turn = np.mod(-copysign(1.0, w) * turn, 2.0 * pi)
-        turn[(inside < 0.0) | (along < 0.0) | (along > 1.0)] = inf
-        return float(turn.min()) / abs(w), grown
-
-
-@dataclass(slots=True)
-class _Beams:
-    """Directions of a lidar's beams, as long as its scans keep their shape."""
-
-    shape: tuple[float, float, int]
-    directions: Floats
-    """n × 2, in the robot's frame; shorter than 1 if the lidar is tilted"""
-    ways: tuple[Bools, Bools]
-    """n: which beams look ahead, and behind"""
 
 
 @dataclass(slots=True)
 class _View:
-    """What one lidar saw last, in the frame of dead reckoning."""
+    """What one lidar saw last, in the frame of dead reckoning: points, 2 × n [m]."""
 
     t: Nanos
     ends: Floats
-    """n × 2, m: of every beam near enough"""
+    """Of every beam that ends near enough"""
     kept: Floats
     """Those that count: of this scan,"""
     before: Floats
-    """and of the one before."""
+    """and of the one before"""
     sees: tuple[bool, bool]
     """Ahead, behind"""
 
@@ -185,30 +105,32 @@ class StopZone:
         """Why the base is slower than wanted: "obstacle 0.31 m ahead: slow"; "" if it is not."""
         self.standing = 0.0
         """s for which an obstacle has made the base stand"""
-        self._notes: list[str] = []
-        self._mounts = dict(mounts)
-        self._outline = Outline(body)
-        self._beams: dict[str, _Beams] = {}
+        self._mounts, self._outline = dict(mounts), Outline(body)
         self._views: dict[str, _View] = {}
-        self._points: Floats = np.empty((0, 2))
-        self._here = Pose(0.0, 0.0, 0.0)
+        self._points: Floats = np.empty((2, 0))
         self._track: deque[tuple[Nanos, Pose]] = deque(maxlen=HISTORY)
-        self._own_seen: set[str] = set()
-        self._clear = 0.0
+        self._here = Pose(0.0, 0.0, 0.0)
         self._fresh = False
         """A scan has come since the last check."""
+        self._clear = 0.0
+        """s without an obstacle"""
+        self._own_seen: set[str] = set()
+        """Lidars that see the robot's own body."""
+        self._notes: list[str] = []
 
     def observe(self, t: Nanos, here: Pose, events: Sequence[Event]) -> None:
         """Process the scans since the last call; `here`: dead reckoning by the wheels at time t."""
         self._here = here
         if not self._track or t > self._track[-1][0]:
             self._track.append((t, here))
-        scans = [e for e in events if isinstance(e, LaserScan) and e.sensor in self._mounts]
-        for scan in scans:
-            if _is_usable(scan) and (scan.sensor not in self._views or scan.t > self._views[scan.sensor].t):
-                self._on_scan(scan)
-        if scans:
-            self._points = np.concatenate([p for v in self._views.values() for p in (v.kept, v.before)])
+        for scan in events:
+            if isinstance(scan, LaserScan) and scan.sensor in self._mounts and _is_usable(scan):
+                last = self._views.get(scan.sensor)
+                if last is None or scan.t > last.t:
+                    self._views[scan.sensor] = self._view(scan, last)
+                    self._fresh = True
+        if self._fresh:
+            self._points = np.hstack([p for view in self._views.values() for p in (view.kept, view.before)])
 
     def is_too_fast(self, twist: Velocity) -> bool:
         """Return whether a scan since the last call shows that this twist is too fast."""
@@ -222,8 +144,7 @@ class StopZone:
         share, away = self._share(desired, points, self.settings.gap)
         result = desired
         if share < 1.0:
-            result = desired[0] * share, desired[1] * share
-            braked = self._braked(previous, dt)
+            result, braked = _scaled(desired, share), self._braked(previous, dt)
             if abs(result[0]) < abs(braked[0]) or abs(result[1]) < abs(braked[1]):
                 result = braked
             if abs(result[0]) < SLOWEST and abs(previous[0]) < SLOWEST:
@@ -240,38 +161,29 @@ class StopZone:
 
     # -- scans --------------------------------------------------------------------------------
 
-    def _on_scan(self, scan: LaserScan) -> None:
-        beams, mount, count = self._shaped(scan), self._mounts[scan.sensor], len(scan.ranges)
+    def _view(self, scan: LaserScan, last: _View | None) -> _View:
+        mount, count = self._mounts[scan.sensor], len(scan.ranges)
         ranges = np.asarray(scan.ranges, dtype=np.float64)
+        angles = scan.angle_min + scan.angle_increment * np.arange(count)
+        axes = np.array([row[:2] for row in mount.rotation()[:2]])
+        beams = axes @ np.array([np.cos(angles), np.sin(angles)])
         read = np.isfinite(ranges) & (ranges >= max(scan.range_min, 1e-9))
+        sees = [read[way].sum() > SEEING * way.sum() for way in (beams[0] > AHEAD, beams[0] < -AHEAD)]
         farthest = min(scan.range_max, self._reach() + hypot(mount.x, mount.y))
         index = np.flatnonzero(read & (ranges < farthest))
-        points = ranges[index, None] * beams.directions[index] + (mount.x, mount.y)
-        index, points = self._without_own(scan.sensor, index, points)
-        after: Floats = index * np.float64(scan.duration / max(count - 1, 1))
-        ends = self._placed(points, scan.t, after)
-        last = self._views.get(scan.sensor)
+        points = ranges[index] * beams[:, index] + [[mount.x], [mount.y]]
+        own = self._outline.distances(points) < self.settings.self_seen
+        if own.any():
+            self._note_own(scan.sensor, int(own.sum()))
+            index, points = index[~own], points[:, ~own]
+        ends = self._placed(points, scan.t, index * np.float64(scan.duration / max(count - 1, 1)))
         spacing = NEIGHBOUR + scan.angle_increment * ranges[index]
         counts = _supported(ends, index, spacing, count)
         if last is not None:
             counts = _confirmed(ends, counts, last.ends)
-        kept = _thinned(ends[counts], self._here)
-        ahead, behind = (bool(read[way].sum() > SEEING * way.sum()) for way in beams.ways)
-        before = last.kept if last else ends[:0]
-        self._views[scan.sensor] = _View(scan.t, _thinned(ends, self._here), kept, before, (ahead, behind))
-        self._fresh = True
-
-    def _shaped(self, scan: LaserScan) -> _Beams:
-        shape = scan.angle_min, scan.angle_increment, len(scan.ranges)
-        known = self._beams.get(scan.sensor)
-        if known is not None and known.shape == shape:
-            return known
-        angles = scan.angle_min + scan.angle_increment * np.arange(shape[2])
-        axes = np.array([row[:2] for row in self._mounts[scan.sensor].rotation()[:2]])
-        directions = np.stack([np.cos(angles), np.sin(angles)], axis=1) @ axes.T
-        ways = directions[:, 0] > AHEAD, directions[:, 0] < -AHEAD
-        self._beams[scan.sensor] = _Beams(shape, directions, ways)
-        return self._beams[scan.sensor]
+        before = last.kept if last else ends[:, :0]
+        kept = _thinned(ends[:, counts], self._here)
+        return _View(scan.t, _thinned(ends, self._here), kept, before, (bool(sees[0]), bool(sees[1])))
 
     def _reach(self) -> float:
         """Return how far from the origin a point may matter until the next scans [m]."""
@@ -280,17 +192,11 @@ class StopZone:
         driven = body.max_linear * (seconds(settings.latency) + HORIZON)
         return self._outline.radius + settings.gap + stopping + driven
 
-    def _without_own(self, name: str, index: Ints, points: Floats) -> tuple[Ints, Floats]:
-        own = self._outline.distances(points) < self.settings.self_seen
-        count = int(own.sum())
-        if not count:
-            return index, points
+    def _note_own(self, name: str, count: int) -> None:
         if count > 2 and name not in self._own_seen:
             self._own_seen.add(name)
-            self._notes.append(
-                f"{name}: {count} beams end within the footprint, at its own body, and are ignored"
-            )
-        return index[~own], points[~own]
+            what = f"{count} beams end within the footprint, at its own body, and are ignored"
+            self._notes.append(f"{name}: {what}")
 
     def _placed(self, points: Floats, t: Nanos, after: Floats) -> Floats:
         """Return points of the robot's frame, each measured `after` [ns] t, in that of dead reckoning."""
@@ -299,89 +205,80 @@ class StopZone:
             rows.append((at - t, pose.x, pose.y, wrap(pose.yaw - self._here.yaw)))
             if at <= t:
                 break
-        times, x, y, yaw = (np.array(column[::-1], dtype=np.float64) for column in zip(*rows, strict=True))
-        heading = np.interp(after, times, yaw) + self._here.yaw
-        c, s = np.cos(heading), np.sin(heading)
-        placed = np.empty_like(points)
-        placed[:, 0] = np.interp(after, times, x) + c * points[:, 0] - s * points[:, 1]
-        placed[:, 1] = np.interp(after, times, y) + s * points[:, 0] + c * points[:, 1]
-        return placed
+        times, *track = np.array(rows[::-1], dtype=np.float64).T
+        x, y, yaw = (np.interp(after, times, values) for values in track)
+        c, s = np.cos(yaw + self._here.yaw), np.sin(yaw + self._here.yaw)
+        return np.array([x + c * points[0] - s * points[1], y + s * points[0] + c * points[1]])
 
     # -- twist --------------------------------------------------------------------------------
 
     def _near(self, twist: Velocity) -> Floats:
-        """Return the points (n × 2) in the robot's frame that the footprint can reach while it stops."""
-        time = seconds(self.settings.latency) + self._to_rest(twist, 1.0)
-        reach = self._outline.radius * 1.5 + self.settings.gap + abs(twist[0]) * time
-        x, y = self._points[:, 0] - self._here.x, self._points[:, 1] - self._here.y
+        """Return the points (2 × n) in the robot's frame that the footprint can reach while it stops."""
+        time = seconds(self.settings.latency) + self._to_rest(twist)
+        reach = 1.5 * self._outline.radius + 2.0 * self.settings.gap + abs(twist[0]) * time
+        x, y = self._points[0] - self._here.x, self._points[1] - self._here.y
         near = x * x + y * y < reach * reach
         x, y = x[near], y[near]
         c, s = cos(self._here.yaw), sin(self._here.yaw)
-        return np.stack([c * x + s * y, c * y - s * x], axis=1)
+        return np.array([c * x + s * y, c * y - s * x])
 
     def _share(self, twist: Velocity, points: Floats, gap: float) -> tuple[float, float]:
-        """Return the share of a twist from which the base can stop, and how far away [m] along its arc the
-        point is for which it must; inf if it is another reason.
+        """Return the share of a twist from which the base can stop, and how far away along its arc the point
+        is for which it must [m]; inf if it is another reason.
 
         Reaction and braking: r·share + T·share²/2 <= time, with T the time in which all of it is braked."""
-        if twist == (0.0, 0.0):
-            return 1.0, inf
         share, away = 1.0, inf
-        time, grown = self._outline.contact(points, twist, gap) if len(points) else (inf, gap)
+        time, grown = self._outline.contact(points, *twist, gap) if any(twist) and points.size else (inf, gap)
         if isfinite(time):
-            reaction, braking = seconds(self.settings.latency), self._to_rest(twist, 1.0)
-            share = (sqrt(reaction**2 + 2.0 * braking * time) - reaction) / braking
+            reaction, braking = seconds(self.settings.latency), self._to_rest(twist)
+            share = min((sqrt(reaction**2 + 2.0 * braking * time) - reaction) / braking, 1.0)
             away = grown + abs(twist[0]) * time
         blind = self._views and not any(view.sees[twist[0] < 0.0] for view in self._views.values())
-        if blind and self.settings.blind_speed < min(share, 1.0) * abs(twist[0]):
+        if blind and self.settings.blind_speed < share * abs(twist[0]):
             return self.settings.blind_speed / abs(twist[0]), inf
-        return min(share, 1.0), away
+        return share, away
 
-    def _to_rest(self, twist: Velocity, harder: float) -> float:
-        """Return the time [s] to brake a twist along its arc."""
-        body = self.body
-        return max(
-            abs(twist[0]) / (harder * body.max_linear_acceleration),
-            abs(twist[1]) / (harder * body.max_angular_acceleration),
-        )
+    def _to_rest(self, twist: Velocity) -> float:
+        """Return the time [s] to brake a twist along its arc, within both accelerations."""
+        linear, angular = abs(twist[0]), abs(twist[1])
+        return max(linear / self.body.max_linear_acceleration, angular / self.body.max_angular_acceleration)
 
     def _braked(self, twist: Velocity, dt: float) -> Velocity:
         """Return a twist after braking for dt [s] along its arc, as hard as the body may."""
         body = self.body
         harder = (body.stop_deceleration or body.max_linear_acceleration) / body.max_linear_acceleration
-        left = 1.0 - dt / max(self._to_rest(twist, harder), dt, 1e-9)
-        return twist[0] * left, twist[1] * left
+        return _scaled(twist, 1.0 - dt * harder / max(self._to_rest(twist), dt * harder, 1e-9))
 
     def _turned(self, previous: Velocity, wanted: Velocity, dt: float, points: Floats) -> Velocity:
         """Return a slow turn on the spot towards the wanted side, as far as there is room for it."""
-        slow = self.settings.blind_speed / self._outline.radius
+        slow, step = self.settings.blind_speed / self._outline.radius, self.body.max_angular_acceleration * dt
         target = max(min(wanted[1], slow), -slow)
-        step = self.body.max_angular_acceleration * dt
-        turn = max(min(target, previous[1] + step), previous[1] - step)
-        share, _ = self._share((0.0, turn), points, self.settings.turn_gap)
-        return 0.0, turn * share
+        turn = 0.0, max(min(target, previous[1] + step), previous[1] - step)
+        return _scaled(turn, self._share(turn, points, self.settings.turn_gap)[0])
 
     def _report(self, wanted: Velocity, result: Velocity, share: float, away: float, dt: float) -> None:
         """Set the reason, with hysteresis: noise of the ranges must not make it flicker."""
-        speed, free = self._speed(result), share >= 1.0 or self._speed(result) >= 0.9 * self._speed(wanted)
+        radius = self._outline.radius
+        fast, speed = (abs(linear) + radius * abs(angular) for linear, angular in (wanted, result))
+        free = share >= 1.0 or speed >= 0.9 * fast
         self._clear = self._clear + dt if free else 0.0
-        if self._clear >= CLEAR_AFTER or wanted == (0.0, 0.0):
+        if self._clear >= CLEAR_AFTER or fast == 0.0:
             self.reason, self.standing = "", 0.0
         if free:
             return
         stands = speed < (5.0 * SLOWEST if self.standing else SLOWEST)
         self.standing = self.standing + dt if stands else 0.0
-        how = "standing" if stands else "slow"
         way = "ahead" if wanted[0] > 0.0 else "behind" if wanted[0] < 0.0 else "beside"
         near = f"obstacle {max(away, 0.0):.2f} m {way}" if isfinite(away) else f"no lidar looks {way}"
-        self.reason = f"{near}: {how}"
+        self.reason = f"{near}: {'standing' if stands else 'slow'}"
 
-    def _speed(self, twist: Velocity) -> float:
-        """Return the largest speed of a point of the footprint, at most [m/s]."""
-        return abs(twist[0]) + self._outline.radius * abs(twist[1])
+
+def _scaled(twist: Velocity, share: float) -> Velocity:
+    return twist[0] * share, twist[1] * share
 
 
 def _is_usable(scan: LaserScan) -> bool:
+    """Return whether a scan is of bounded work, and its numbers are finite."""
     numbers = scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max
     return 0 < len(scan.ranges) <= MAX_BEAMS and all(abs(number) < 1e6 for number in numbers)
 
@@ -389,8 +286,8 @@ def _is_usable(scan: LaserScan) -> bool:
 def _supported(ends: Floats, index: Ints, spacing: Floats, count: int) -> Bools:
     """Return which beams end within `spacing` of the next reading, or of the one before, among neighbours."""
     step = (np.roll(index, -1) - index) % count
-    away = np.roll(ends, -1, axis=0) - ends
-    pair = (step > 0) & (step <= 2) & ((away * away).sum(axis=1) <= spacing * spacing)
+    x, y = np.roll(ends, -1, axis=1) - ends
+    pair = (step > 0) & (step <= 2) & (x * x + y * y <= spacing * spacing)
     found: Bools = pair | np.roll(pair, 1)
     return found
 
@@ -398,22 +295,21 @@ def _supported(ends: Floats, index: Ints, spacing: Floats, count: int) -> Bools:
 def _confirmed(ends: Floats, counts: Bools, before: Floats) -> Bools:
     """Return which points count if those do as well that the previous scan has at the same place."""
     alone = np.flatnonzero(~counts)
-    if not len(alone) or not len(before):
-        return counts
     if len(alone) > MAX_ISOLATED:
         return np.ones_like(counts)
-    away = ends[alone, None] - before
-    counts[alone] = ((away * away).sum(axis=2) <= NEIGHBOUR**2).any(axis=1)
+    x, y = ends[:, alone, None] - before[:, None]
+    counts[alone] = (x * x + y * y <= NEIGHBOUR**2).any(axis=1)
     return counts
 
 
 def _thinned(points: Floats, here: Pose) -> Floats:
     """Return at most MAX_POINTS: of each group of neighbours the nearest."""
-    group = -(-len(points) // MAX_POINTS)
+    count = points.shape[1]
+    group = -(-count // MAX_POINTS)
     if group <= 1:
         return points
-    rows = -(-len(points) // group)
+    rows = -(-count // group)
     distance = np.full(rows * group, inf)
-    distance[: len(points)] = np.hypot(points[:, 0] - here.x, points[:, 1] - here.y)
-    thinned: Floats = points[distance.reshape(rows, group).argmin(axis=1) + group * np.arange(rows)]
+    distance[:count] = np.hypot(points[0] - here.x, points[1] - here.y)
+    thinned: Floats = points[:, distance.reshape(rows, group).argmin(axis=1) + group * np.arange(rows)]
     return thinned
