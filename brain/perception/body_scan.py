@@ -1,10 +1,10 @@
-"""A scan in the robot's frame, freed from the robot's motion during the sweep, with the surfaces that it shows.
+"""A scan in the robot's frame, freed from its motion during the sweep, with the surfaces that it shows.
 
-Rules. All is expressed in the robot's frame at the scan's end, about the place where the lidar is then. A range
-below range_min, zero, or not finite is no reading: nothing is known along that beam. Beams without a hit end at
-the largest range that is used. The surface at a hit is the line through the hits beside it, fitted where they
-are straight (least squares across): it is finer than a single range, and belongs to the scan, not to a pose,
-so that drawing and matching share it.
+Rules. All is expressed in the robot's frame at the scan's end, about the place where the lidar is then. A
+range below range_min, zero, or not finite is no reading: nothing is known along that beam. Beams without a
+hit end at the largest range that is used. The surface at a hit is the line through the hits beside it, fitted
+where they are straight (least squares across): it is finer than a single range, and belongs to the scan, not
+to a pose, so that drawing and matching share it.
 """
 
 from __future__ import annotations
@@ -80,7 +80,9 @@ def to_body(
 
 def to_world(points: Floats, pose: Pose) -> Floats:
     """Return points (n × 2) of the robot's frame in the world, for the robot at this pose."""
-    return rotated(points, pose.yaw) + (pose.x, pose.y)
+    world = rotated(points, pose.yaw)
+    world += (pose.x, pose.y)
+    return world
 
 
 def rotated(vectors: Floats, angle: float) -> Floats:
@@ -95,7 +97,7 @@ SPAN = 0.2
 STRAIGHT = 0.1
 """Hits form a line if their variance across it is below this share of the variance along it"""
 STEEP = 0.2
-"""Cosine between a surface's normal and the beam below which it is more likely the gap between two surfaces"""
+"""Cosine between a surface's normal and the beam below which it rather is the gap between two surfaces"""
 
 
 def _surfaces(

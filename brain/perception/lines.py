@@ -2,8 +2,8 @@
 
 Rules. A line has a unit normal, to the side from which the surface was seen, and an offset from the cell's
 centre along it. Both are means over the first scans that hit the cell, whose surfaces they are (see
-`BodyScan`): later ones are matched to them. A cell seen from two sides keeps the side it was first seen from.
-Each cell also remembers the anchor of its first scan: pose and covariance of the robot that drew it. Lines are
+`BodyScan`): later ones are matched to them. A cell seen from two sides keeps the one it was first seen from.
+Each cell also remembers the anchor of its first scan: pose and covariance of the robot then. Lines are
 few: they are kept in blocks of 16 × 16 cells, only where there are any, of 8 bytes a cell.
 """
 
@@ -66,7 +66,8 @@ class Lines:
     def _places(self, cells: Indices) -> Indices:
         rows, columns = cells >> self._shift, cells & self._mask
         block = self._blocks[rows >> BITS, columns >> BITS].astype(np.int64)
-        return (block << (2 * BITS)) | ((rows & (SIDE - 1)) << BITS) | (columns & (SIDE - 1))
+        places: Indices = (block << (2 * BITS)) | ((rows & (SIDE - 1)) << BITS) | (columns & (SIDE - 1))
+        return places
 
     def draw(
         self,
@@ -99,7 +100,7 @@ class Lines:
         offset = (scans * (lines["offset"] / PER_CELL) + offset) / (scans + 1)
         lines["offset"] = np.rint(offset * PER_CELL)
         new = scans == 0
-        lines["anchor"][new] = self._anchor(pose, covariance, np.count_nonzero(new))
+        lines["anchor"][new] = self._anchor(pose, covariance, int(np.count_nonzero(new)))
         lines["scans"] += 1
         self._lines[places[kept]] = lines[kept]
 
@@ -133,7 +134,7 @@ class Lines:
             self._blocks[row, column] = self._unused.pop()
 
     def _anchor(self, pose: Pose, covariance: Floats, count: int) -> int:
-        """Return the anchor of cells that are drawn from a pose: the last one if it is near, or they are few."""
+        """Return the anchor of cells drawn from a pose: the last one if it is near, or they are few."""
         last = (self._anchors - 1) % MAX_ANCHORS
         x, y, yaw = self.poses[last]
         moved = max(math.hypot(pose.x - x, pose.y - y), abs(wrap(pose.yaw - yaw)))

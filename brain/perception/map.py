@@ -1,14 +1,14 @@
-"""The occupancy map, in the frame "odom", in log-odds: cells of an unbounded plane, of which an extent is kept.
+"""The occupancy map in the frame "odom": log-odds of cells of an unbounded plane, of which an extent is kept.
 
-Rules. The cell (row, column) of a position is (floor(y / resolution), floor(x / resolution)): global integers,
-without an origin. What is kept is an extent about the robot, at least as large as asked; its sides are a power
-of two of tiles, so that a cell's place in memory is its indices without their upper bits. It moves by whole
-tiles when the robot is more than a tile off its middle; what falls out of it is forgotten. No cost of a scan
-depends on the extent.
+Rules. The cell (row, column) of a position is (floor(y / resolution), floor(x / resolution)): global
+integers, without an origin. What is kept is an extent about the robot, at least as large as asked; its sides
+are a power of two of tiles, so that a cell's place in memory is its indices without their upper bits. It
+moves by whole tiles when the robot is more than a tile off its middle; what falls out of it is forgotten. No
+cost of a scan depends on the extent.
 A cell's value is the log-odds of being occupied, in steps of `UNIT`: above 0 occupied, below 0 free, and
-exactly 0 only if it was never observed. Each scan changes a cell at most once: cells in which a beam ended are
-raised by `hit` (also if other beams passed through them), those that beams only passed through are lowered by
-`miss`. Values are clamped: what has gone is cleared after high / miss scans that pass. What appears is
+exactly 0 only if it was never observed. Each scan changes a cell at most once: cells where a beam ended are
+raised by `hit` (also if other beams passed through them), those that beams only passed through are lowered
+by `miss`. Values are clamped: what has gone is cleared after high / miss scans that pass. What appears is
 occupied at once, however free its cells were: where two neighbouring beams both end in free cells, these are
 raised from 0. A single such end is as likely to be noise, and has to outweigh what was seen before.
 Neighbouring beams diverge: in turn, some unknown cells between two of them become free as well. Beside its
@@ -26,7 +26,7 @@ import numpy.typing as npt
 from brain.belief import Floats, MapView, Pose
 from brain.checks import within
 from brain.perception.body_scan import BodyScan, Bools, rotated, to_world
-from brain.perception.lines import Lines
+from brain.perception.lines import Lines, Records
 
 Cells = npt.NDArray[np.int64]
 """n × 2: column, row"""
@@ -128,9 +128,20 @@ class Map:
 
     def values(self, columns: Indices, rows: Indices) -> Values:
         """Return the values of cells; 0 outside of the extent."""
-        inside = (columns >= self._column0) & (columns < self._column0 + self._columns)
-        inside &= (rows >= self._row0) & (rows < self._row0 + self._rows)
-        return np.where(inside, self._values[self._places(columns, rows)], np.int8(0))
+        return np.where(self._inside(columns, rows), self._values[self._places(columns, rows)], np.int8(0))
+
+    def lines_at(self, columns: Indices, rows: Indices) -> Records:
+        """Return the lines of cells; none outside of the extent."""
+        lines = self.lines.at(self._places(columns, rows))
+        lines["scans"] *= self._inside(columns, rows)
+        return lines
+
+    def _inside(self, columns: Indices, rows: Indices) -> Bools:
+        # Modulo 2^64, what lies before the first is far beyond the last: one comparison for both.
+        across = (columns - self._column0).view(np.uint64) < self._columns
+        up = (rows - self._row0).view(np.uint64) < self._rows
+        inside: Bools = across & up
+        return inside
 
     def tile(self, row: int, column: int) -> Values | None:
         """Return the values of a tile (its indices: those of its cells // TILE), None if never observed.
@@ -274,11 +285,11 @@ class Map:
         self._mark(cells)
 
     def _rays(self, start: Floats, stops: Floats) -> Indices:
-        """Return where the cells on the lines from `start` to `stops` [cells] are in memory, without the last:
-        one per step of the longer side, all lines at once; of too many, evenly chosen ones.
+        """Return where the cells on lines [cells] are in memory, without the last one: one per step of the
+        longer side, all lines at once; of too many, evenly chosen ones.
 
         Column and row are in one integer, each with the bits of its fraction below it, so that one cumulative
-        sum makes both; the little that wraps from the column to the row's fraction is below its rounding."""
+        sum makes both; what wraps from the column into the row's fraction is below its rounding."""
         lines = stops - start
         lengths = np.ceil(np.abs(lines).max(axis=1, initial=0.0)).astype(np.int64)
         every = math.ceil(int(lengths.sum()) / MAX_RAY_CELLS)

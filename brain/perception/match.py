@@ -1,0 +1,233 @@
+"""Scan matching: the robot's pose from a scan and the map, line to line, by Gauss-Newton.
+
+Rules. For each of a bounded number of a scan's surfaces, evenly spread along them, the nearest line of the
+map that faces the same way is searched; the surface's distance across that line is the residual: sliding
+along a wall costs nothing. The pose with the least robust sum of squares is searched from the filter's
+prediction, in a bounded number of steps; the search distance starts as wide as the prediction is uncertain.
+The covariance comes from the lines used and from how well they fit; a direction that hardly any of them holds
+is left open, as in a bare corridor: the scatter of the lines' own directions would else pass for a
+constraint. Where too little of the scan lies on known lines there is no match: an ordinary result (None).
+Sources: Chen and Medioni 1992 (point to plane); Censi 2008 (point to line, PLICP).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from brain.belief import Floats, Pose
+from brain.bodies.differential import wrap
+from brain.checks import ordered, within
+from brain.perception.body_scan import BodyScan, to_world
+from brain.perception.lines import PER_CELL, TURN
+from brain.perception.map import Map
+
+Indices = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class MatchSettings:
+    """Parameters of scan matching."""
+
+    surfaces: int = 100
+    """Largest number of surfaces of a scan that are used"""
+    steps: int = 8
+    """Gauss-Newton steps, at most"""
+    reach: float = 0.1
+    """m: search distance to each side for the map's line, where the prediction is good"""
+    widest: float = 0.5
+    """m: largest search distance, where the prediction is poor"""
+    sigma: float = 0.02
+    """m: distance of surfaces from lines beyond twice which they count less (Cauchy)"""
+    least: int = 15
+    """Least number of surfaces on lines"""
+    overlap: float = 0.4
+    """Least share of the surfaces in known ground that lie on lines"""
+    hold: float = 0.02
+    """A direction is observable if at least this share of the surfaces holds it"""
+    floor: float = 0.001
+    """m: least standard deviation of a match"""
+    floor_yaw: float = 0.0004
+    """rad"""
+
+    def __post_init__(self) -> None:
+        within(
+            self,
+            surfaces=(10, 500),
+            steps=(1, 20),
+            reach=(0.01, 1.0, "m"),
+            widest=(0.01, 1.0, "m"),
+            sigma=(1e-3, 1.0, "m"),
+            least=(3, 500),
+            overlap=(0.01, 1.0),
+            hold=(1e-6, 1.0),
+            floor=(1e-5, 1.0, "m"),
+            floor_yaw=(1e-5, 1.0, "rad"),
+        )
+        ordered(self, "reach", "widest")
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """Result of matching a scan."""
+
+    pose: Pose
+    noise: Floats
+    """3 × 3 covariance of x, y, yaw about where the map's lines place the robot"""
+    shared: Floats
+    """3 × 3 covariance of those lines themselves, as they were drawn, at the robot"""
+    fit: float
+    """Share of the hits in known ground that lie on occupied cells"""
+    denied: float
+    """Share of the hits in known ground that lie in free cells"""
+
+
+OPEN = 1e4
+"""Variance [m², rad²] of a direction that no line holds."""
+CORRELATED = 2.0
+"""Neighbouring surfaces share hits and lines: this many of them carry the information of one."""
+FACING = round(math.radians(50.0) / TURN)
+"""Largest angle between a surface and a line that may be it"""
+MAX_AWAY = 20
+"""Cells about a surface in which its line is searched, at most"""
+EXAMINED = 120
+"""Hits of a scan that are compared with the map's classes, at most"""
+
+
+def _window(away: int) -> Indices:
+    """Return cells (2 × n: columns, rows) to search, nearest first: all within 3, farther only along 16 rays.
+    A straight line that passes within the distance meets some of them."""
+    near = range(-min(away, 3), min(away, 3) + 1)
+    cells = {(column, row) for column in near for row in near}
+    for ray in range(16):
+        c, s = math.cos(ray * math.pi / 8.0), math.sin(ray * math.pi / 8.0)
+        cells |= {(round(c * far), round(s * far)) for far in range(4, away + 1)}
+    return np.array(sorted(cells, key=lambda cell: (math.hypot(*cell), cell)), dtype=np.int64).T
+
+
+WINDOWS = [_window(away) for away in range(MAX_AWAY + 1)]
+
+
+def match(chart: Map, scan: BodyScan, predicted: Pose, sigma: float, settings: MatchSettings) -> Match | None:
+    """Return the pose near the predicted one at which the scan fits the map; None if too little of it does.
+
+    `sigma` [m]: standard deviation of the prediction. Lines are first searched as far away as that
+    requires, then, from the improved pose, nearby."""
+    chosen = _spread(scan, settings.surfaces)
+    if len(chosen) < settings.least:
+        return None
+    points, normals = scan.middles[chosen], scan.normals[chosen]
+    directions = np.arctan2(normals[:, 1], normals[:, 0])
+    reach, pose, done = min(max(3.0 * sigma, settings.reach), settings.widest), predicted, False
+    for step in range(settings.steps + 1):
+        linear = _linearised(chart, points, directions, pose, reach, settings)
+        if linear is None:
+            return None
+        change, covariance, anchors = linear
+        if done or step == settings.steps:
+            break
+        pose = Pose(pose.x + float(change[0]), pose.y + float(change[1]), wrap(pose.yaw + float(change[2])))
+        done = reach == settings.reach and float(np.abs(change).max()) < 1e-3
+        reach = max(settings.reach, reach / 1.5)
+    fit, denied, _ = examine(chart, scan, pose)
+    floor = np.diag([settings.floor**2, settings.floor**2, settings.floor_yaw**2])
+    return Match(pose, covariance + floor, _shared(chart, anchors, pose), fit, denied)
+
+
+def examine(chart: Map, scan: BodyScan, pose: Pose) -> tuple[float, float, float]:
+    """Return which share of the scan's hits, taken at this pose, lie beside occupied cells, and which in free
+    ground, both of those in known ground; and which share of all hits lies in known ground.
+
+    (In a new place hits lie in unknown cells: that is no contradiction.)"""
+    hits = np.flatnonzero(scan.hit)
+    hits = hits[:: math.ceil(len(hits) / EXAMINED) or 1]
+    if not len(hits):
+        return 0.0, 0.0, 0.0
+    cells = chart.cells(to_world(scan.ends[hits], pose))
+    beside = WINDOWS[1]
+    values = chart.values(cells[:, 0, None] + beside[0], cells[:, 1, None] + beside[1])
+    occupied = (values > 0).any(axis=1)
+    free = ~occupied & (values[:, 0] < 0)
+    fits, denied = int(np.count_nonzero(occupied)), int(np.count_nonzero(free))
+    known = max(fits + denied, 1)
+    return fits / known, denied / known, (fits + denied) / len(hits)
+
+
+def _spread(scan: BodyScan, most: int) -> Indices:
+    """Return surfaces of a scan, evenly spread along them."""
+    found = np.flatnonzero(scan.straight)
+    if len(found) <= most:
+        return found
+    apart = np.diff(scan.middles[found], axis=0, prepend=scan.middles[found[:1]])
+    length = np.cumsum(np.minimum(np.sqrt(np.sum(apart * apart, axis=1)), 0.5))
+    number = np.floor(length * (most / (length[-1] + 1e-9)))
+    return found[np.flatnonzero(np.diff(number, prepend=-1.0))]
+
+
+def _linearised(
+    chart: Map, points: Floats, directions: Floats, pose: Pose, reach: float, settings: MatchSettings
+) -> tuple[Floats, Floats, Indices] | None:
+    """Linearise the least-squares problem about a pose, in x [m], y [m], yaw [rad]; None if too few lines.
+
+    Return the step to the least sum, the covariance (3 × 3), and the anchors of the lines used."""
+    world = to_world(points, pose)
+    cells = chart.cells(world)
+    window = WINDOWS[min(math.ceil(reach / chart.resolution - 1e-9), MAX_AWAY)]
+    lines = chart.lines_at(cells[:, 0, None] + window[0], cells[:, 1, None] + window[1])
+    facing = np.rint((directions + pose.yaw) / TURN).astype(np.int64).astype(np.int16)
+    apart = (lines["angle"] - facing[:, None] + np.int16(FACING)).view(np.uint16)
+    valid = (lines["scans"] > 0) & (apart < 2 * FACING)
+    which = valid.argmax(axis=1)
+    index = np.arange(len(points))
+    found = np.flatnonzero(valid[index, which])
+    count = len(found)
+    known = count + int(np.count_nonzero(chart.values(*cells.T) < 0)) / 2
+    if count < max(settings.least, settings.overlap * known):
+        return None
+    which = which[found]
+    lines = lines[found, which]
+    angle = lines["angle"] * TURN
+    nx, ny = np.cos(angle), np.sin(angle)
+    centers = (cells[found] + window[:, which].T + 0.5) * chart.resolution
+    world = world[found]
+    off = world - centers
+    distance = nx * off[:, 0] + ny * off[:, 1] - lines["offset"] * (chart.resolution / PER_CELL)
+    arm = world - (pose.x, pose.y)
+    J = np.column_stack([nx, ny, ny * arm[:, 0] - nx * arm[:, 1]])
+    sigma = max(settings.sigma, float(np.abs(distance).mean()))
+    weight = 1.0 / (1.0 + (distance / (2.0 * sigma)) ** 2)
+    weighted = J * weight[:, None]
+    total = float(weight.sum())
+    variance = float(weight @ (distance * distance)) / total
+    length = max(math.sqrt(float(np.mean(arm * arm)) * 2.0), 0.1)
+    inverse, open_ = _inverted(weighted.T @ J, length, settings.hold * total)
+    step = -inverse @ (weighted.T @ distance)
+    return step, CORRELATED * variance * inverse + OPEN * open_, lines["anchor"].astype(np.int64)
+
+
+def _inverted(information: Floats, length: float, least: float) -> tuple[Floats, Floats]:
+    """Return the inverse in the directions with at least this information, and the projection on the others.
+    To compare metres with radians, a turn counts by how far it moves points at `length` [m]."""
+    scale = np.array([1.0, 1.0, 1.0 / length])
+    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    directions = vectors * scale[:, None]
+    held = values >= least
+    inverse: Floats = (directions[:, held] / values[held]) @ directions[:, held].T
+    left: Floats = directions[:, ~held] @ directions[:, ~held].T
+    return inverse, left
+
+
+def _shared(chart: Map, anchors: Indices, pose: Pose) -> Floats:
+    """Return the mean covariance of anchors, moved to a pose: an anchor's turn displaces it by the lever."""
+    number = np.bincount(anchors)
+    used = np.flatnonzero(number)
+    lever = np.zeros((len(used), 3, 3))
+    lever[:, [0, 1, 2], [0, 1, 2]] = 1.0
+    lever[:, 0, 2] = chart.lines.poses[used, 1] - pose.y
+    lever[:, 1, 2] = pose.x - chart.lines.poses[used, 0]
+    moved = lever @ chart.lines.covariances[used] @ lever.transpose(0, 2, 1)
+    shared: Floats = np.einsum("i,ijk->jk", number[used] / number.sum(), moved)
+    return shared
