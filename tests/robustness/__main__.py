@@ -9,10 +9,9 @@ import argparse
 from collections.abc import Iterator
 from dataclasses import replace
 
-from tests.robustness.judge import Case, run
-from tests.robustness.variations import MORE, TABLE, carried, drawn, screen, world
+from tests.robustness.judge import HEADER, Case, Row, mean_nees, mean_nis, run
+from tests.robustness.variations import MORE, TABLE, WORLDS, carried, drawn, screen, world
 
-WORLDS = ("office", "maze", "hall", "corridor")
 DRAWN = {"screens": screen, "moves": carried, "drawn": drawn}
 
 
@@ -38,13 +37,14 @@ def main() -> None:
     parser.add_argument("--draw", action="append", choices=[*DRAWN], default=[], help="cases drawn at random")
     parser.add_argument("--instant", action="store_true", help="a lidar that takes all beams at one instant")
     asked = parser.parse_args()
-    count = good = 0
+    rows: list[Row] = []
+    print(HEADER)
     for case, seed in cases(asked):
         figures = replace(case.figures, sweep=False) if asked.instant else case.figures
-        row = run(replace(case, figures=figures), seed)
-        count, good = count + 1, good + row.good
-        print(row.text(), flush=True)
-    print(f"{good} of {count} good")
+        rows.append(run(replace(case, figures=figures), seed))
+        print(rows[-1].line(), flush=True)
+    nis = ", ".join(f"{sensor} {mean:.2f}" for sensor, mean in mean_nis(rows).items())
+    print(f"\n{sum(row.good for row in rows)} of {len(rows)} good; NEES {mean_nees(rows):.2f}; NIS {nis}")
 
 
 if __name__ == "__main__":

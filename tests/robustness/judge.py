@@ -9,7 +9,7 @@ Mahalanobis distance of the pose's true error, per number: an honest filter has 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from itertools import pairwise
@@ -103,21 +103,38 @@ class Row:
     """Warnings and errors, each once"""
     good: bool = False
 
-    def text(self) -> str:
-        """Return the row for the terminal."""
-        own = " ".join(f"{what}@{speed:.2f}" for what, speed in self.contacts[:4])
-        nis = " ".join(f"{name} {mean:.2f}" for name, mean in self.nis.items())
-        false = "".join(f" FALSE {off:.2f} m" for off in self.false)
-        lost = (
-            f" lost {self.lost:.1f} found {self.found:.1f}" if math.isfinite(self.lost + self.found) else ""
-        )
+    def line(self) -> str:
+        """Return the row of a table, under `HEADER`."""
+        nis = ", ".join(f"{name} {mean:.2f}" for name, mean in self.nis.items())
+        remarks = [f"reached falsely, {off:.2f} m off" for off in self.false]
+        remarks += [f"touched {what} at {speed:.2f} m/s" for what, speed in self.contacts[:3]]
+        remarks += [] if self.good else self.named[:2]
         return (
-            f"{'good' if self.good else 'BAD '} {self.name:34} seed {self.seed} {self.reached}/{self.asked} "
-            f"error {self.error:.3f} m {self.yaw:.1f}° NEES {self.nees:.2f} NIS {nis} "
-            f"{self.span:.0f} s, standing {self.standing:.0f} s{lost}{false}"
-            + (f" CONTACT {own}" if own else "")
-            + (f" | {'; '.join(self.named)[:160]}" if self.named and not self.good else "")
-        )
+            f"| {self.name} | {'good' if self.good else '**bad**'} | {self.reached}/{self.asked} "
+            f"| {self.error:.3f} | {self.yaw:.1f} | {self.nees:.2f} | {nis} | {self.span:.0f} "
+            f"| {self.standing:.0f} | {self.lost:.1f} | {self.found:.1f} | {'; '.join(remarks)[:140]} |"
+        ).replace("inf", "")
+
+
+HEADER = """\
+| variation | verdict | goals | error m | yaw ° | NEES | NIS | s | standing s | lost s | found s | remarks |
+|---|---|---|---|---|---|---|---|---|---|---|---|"""
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Return rows as a table in Markdown, with how many are good."""
+    lines = "\n".join(row.line() for row in rows)
+    return f"{HEADER}\n{lines}\n\n{sum(row.good for row in rows)} of {len(rows)} good."
+
+
+def mean_nees(rows: Sequence[Row]) -> float:
+    """Return the mean NEES per number over runs."""
+    return float(np.mean([row.nees for row in rows]))
+
+
+def mean_nis(rows: Sequence[Row]) -> dict[str, float]:
+    """Return the mean NIS per number over runs, by sensor."""
+    return {sensor: float(np.mean([row.nis.get(sensor, 1.0) for row in rows])) for sensor in rows[0].nis}
 
 
 @cache

@@ -292,8 +292,8 @@ class Base:
         self._centres = corners.mean(axis=1)
         self._radii = np.hypot(*(corners - self._centres[:, None]).transpose(2, 0, 1)).max(axis=1)
         self._all = np.concatenate([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 4)
-        seen = np.repeat([name not in self.glass for name in self._names], 4)
-        self._segments = self._all[seen]
+        seen = np.array([name not in self.glass for name in self._names], bool)
+        self._segments = self._all[np.repeat(seen, 4)]
 
     def _touch(self) -> None:
         """Note what the outline touches anew: separating axes of rectangles, and the distance to discs."""

@@ -14,6 +14,7 @@ from tests.robustness.plant import Base, Figures, Person, rectangle
 
 GOALS = ((1.6, 0.6), (5.6, 1.0), (3.4, -2.2))
 """m, in the office: two rooms, through the doorway"""
+WORLDS = ("office", "maze", "hall", "corridor")
 FAST = 0.45
 """m/s, at which what appears ahead is met"""
 
@@ -108,13 +109,13 @@ TABLE: tuple[Case, ...] = (
     office("start in a corner", **started(-0.9, -2.4, 0.8)),
     office("start in the doorway", **started(2.6, 1.05, math.pi)),
     office("boxes moved 1", arrange=moved(desk=(0.3, -0.4), table=(0.3, 0.2), crate=(-0.3, 0.3))),
-    office("boxes moved 2", arrange=moved(desk=(-0.7, -0.2), table=(0.5, 0.6), pillar=(0.4, -0.3))),
+    office("boxes moved 2", arrange=moved(desk=(-0.7, -0.2), table=(0.5, 0.2), pillar=(0.4, -0.3))),
     office("boxes moved 3", arrange=moved(desk=(0.5, 0.5), table=(-0.6, -0.1), cabinet=(0.2, -2.0))),
     Case(name="hall, north", world="hall", goals=((8.0, 3.5),)),
     Case(name="hall, south", world="hall", goals=((9.0, -7.2),)),
     office("glass: east wall", glass=frozenset({"east"})),
     office("glass: east and north walls", glass=frozenset({"east", "north"})),
-    office("glass: table", glass=frozenset({"table"})),
+    office("glass: table", glass=frozenset({"table"}), goals=(*GOALS[:2], (0.2, 1.8))),
     *(
         office(f"lidar mounting told {d}° wrong", mount_yaw=math.radians(d), expect="named", word="mount")
         for d in (2, 5)
@@ -163,8 +164,8 @@ TABLE: tuple[Case, ...] = (
         office(f"screen appears {distance} m ahead", then=passing(distance, 1.0))
         for distance in (0.8, 1.0, 1.5)
     ),
-    happens("person 0.3 m/s across", 1.5, lambda base: base.cross(1.2, 0.5, 0.3), FAST),
-    happens("person 1.0 m/s across", 1.5, lambda base: base.cross(1.2, 1.6, 1.0), FAST),
+    happens("person 0.3 m/s across", 1.5, lambda base: base.cross(1.7, 0.9, 0.3), FAST),
+    happens("person 1.0 m/s across", 1.5, lambda base: base.cross(1.5, 1.6, 1.0), FAST),
     happens("person 0.5 m/s through the door", 3.0, through_the_door),
 )
 """The 79 variations of the first survey, run by run."""
