@@ -233,7 +233,7 @@ class StopZone:
             reaction, braking = seconds(self.settings.latency), self._to_rest(twist)
             share = min((sqrt(reaction**2 + 2.0 * braking * time) - reaction) / braking, 1.0)
             away = grown + abs(twist[0]) * time
-        blind = self._views and not any(view.sees[twist[0] < 0.0] for view in self._views.values())
+        blind = self._views and not any(view.sees[int(twist[0] < 0.0)] for view in self._views.values())
         if blind and self.settings.blind_speed < share * abs(twist[0]):
             return self.settings.blind_speed / abs(twist[0]), inf
         return share, away
