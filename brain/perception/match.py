@@ -83,6 +83,8 @@ class Match:
     """Share of the hits in known ground that lie on occupied cells"""
     denied: float
     """Share of the hits in known ground that lie in free cells"""
+    known: float
+    """Share of all hits that lie in known ground"""
 
 
 OPEN = 1e4
@@ -132,9 +134,9 @@ def match(chart: Map, scan: BodyScan, predicted: Pose, sigma: float, settings: M
         pose = Pose(pose.x + float(change[0]), pose.y + float(change[1]), wrap(pose.yaw + float(change[2])))
         done = reach == settings.reach and float(np.abs(change).max()) < 1e-3
         reach = max(settings.reach, reach / 1.5)
-    fit, denied, _ = examine(chart, scan, pose)
+    fit, denied, known = examine(chart, scan, pose)
     floor = np.diag([settings.floor**2, settings.floor**2, settings.floor_yaw**2])
-    return Match(pose, covariance + floor, _shared(chart, anchors, pose), fit, denied)
+    return Match(pose, covariance + floor, _shared(chart, anchors, pose), fit, denied, known)
 
 
 def examine(chart: Map, scan: BodyScan, pose: Pose) -> tuple[float, float, float]:
