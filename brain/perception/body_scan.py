@@ -71,7 +71,9 @@ def to_body(
         ends[~read] = origin
         dx, dy = np.where(read, (ends - origin).T, (c * dx - s * dy, s * dx + c * dy))
         lengths = np.where(read, np.sqrt(dx * dx + dy * dy), 0.0)
-    bearings = np.unwrap(np.arctan2(dy, dx))
+    bearings = np.arctan2(dy, dx)
+    turns = np.diff(bearings, prepend=bearings[:1])
+    bearings = bearings[:1] + np.cumsum(turns - 2.0 * math.pi * np.rint(turns / (2.0 * math.pi)))
     if motion is not None or (len(bearings) > 1 and bearings[1] < bearings[0]):
         order = np.argsort(bearings, kind="stable")
         bearings, lengths, hit, ends = bearings[order], lengths[order], hit[order], ends[order]
