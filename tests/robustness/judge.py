@@ -270,7 +270,7 @@ class _Trial:
         assert isinstance(self.brain._body, BaseBrain)
         perception = self.brain._body.perception
         row.nis = {name: nis.mean for name, nis in perception.nis.items() if nis.count}
-        row.contacts = [(each.what, each.speed) for each in self.base.touches if abs(each.speed) > OWN]
+        row.contacts = [(what, speed) for what, speed in self.base.touches if abs(speed) > OWN]
         all_reached = row.reached == row.asked and row.nees < MOST_NEES
         word = case.word.lower()
         good = {
