@@ -119,7 +119,7 @@ def cast(
 ) -> Floats:
     """Return how far beams go, each from its own origin (n × 2): exact intersections.
 
-    `segments`: m × 4 (x0 y0 x1 y1). `people`: of each n × 3, the centre at each beam's time and the radius."""
+    `segments`: m × 4 (x0 y0 x1 y1). `people`: of each n × 3, centre at each beam's time and radius."""
     dx, dy = np.cos(angles)[:, None], np.sin(angles)[:, None]
     ex, ey = segments[:, 2] - segments[:, 0], segments[:, 3] - segments[:, 1]
     wx, wy = segments[:, 0] - origins[:, 0, None], segments[:, 1] - origins[:, 1, None]
