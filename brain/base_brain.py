@@ -23,6 +23,7 @@ from brain.perception.mount import Mount
 from brain.perception.perception import Perception
 from brain.planning.navigator import Navigator
 from brain.planning.planner import FrontierPath
+from brain.planning.stop_zone import StopSettings, StopZone
 from brain.settings import BrainSettings
 from brain.status import Note, StatusReporter
 from protocols import messages as msg
@@ -52,6 +53,7 @@ class BaseBrain:
         self._settings, self._body, self._motors = settings, body, tuple(motors)
         self.perception = Perception(body, dict(sensors), settings.perception)
         self.navigator = Navigator(body.radius, settings.planner)
+        self._zone = StopZone(body, dict(sensors), StopSettings())
         self.pursuit = Pursuit()
         self._health = Health((body.left, body.right), tuple(sensors), timeouts, settings.health)
         self._status = StatusReporter()
@@ -76,6 +78,7 @@ class BaseBrain:
         self._body = settings.differential or self._body
         self._health.settings = self._joints.health.settings = settings.health
         self.navigator.settings, self.navigator.radius = settings.planner, self._body.radius
+        self._zone.body = self._body
 
     def step(
         self, now: Nanos, events: Sequence[Event], tasks: Sequence[BrainTask], stopped: str
@@ -98,6 +101,8 @@ class BaseBrain:
     ) -> Sequence[Command]:
         """Return the wheels' commands; Idle for the other motors."""
         self.perception.observe(now, events)
+        estimate = self.perception.estimate
+        self._zone.observe(estimate.t if estimate else now, self.perception.raw, events)
         self._health.observe(events, self.perception.absent)
         health = self._health.assess(now, self.perception.rejected, self.perception.contradictions())
         waiting = self._waiting(now)
@@ -107,6 +112,7 @@ class BaseBrain:
             self._status.add_note("warning", f"{self.navigator.drop()}: {lost}")
         if not waiting and not lost:
             self._plan(now, health)
+            self._give_up_standing()
         self._update_state(stopped, lost, waiting, health)
         if stopped or waiting:
             return self._disarm()
@@ -131,7 +137,8 @@ class BaseBrain:
     def take_notes(self) -> list[Note]:
         """Return the notes for the operator since the last call."""
         planned, self.navigator.notes = self.navigator.notes, []
-        return planned + self._status.take_notes()
+        seen: list[Note] = [("warning", text) for text in self._zone.take_notes()]
+        return planned + seen + self._status.take_notes()
 
     # -- may it move? -------------------------------------------------------------------------
 
@@ -198,8 +205,10 @@ class BaseBrain:
             status.enter(BrainState.DEGRADED, f"{health.reason}: standing")
         elif pathless:
             status.enter(BrainState.DEGRADED, f"no path: {navigator.no_path_reason}")
+        elif navigator.busy and self._zone.standing:
+            status.enter(BrainState.DEGRADED, self._zone.reason)
         elif navigator.busy:
-            status.enter(BrainState.RUNNING, "")
+            status.enter(BrainState.RUNNING, self._zone.reason)
         else:
             status.enter(BrainState.READY, "")
 
@@ -211,6 +220,11 @@ class BaseBrain:
             self.navigator.pause()
         self.navigator.step(now, (pose.x, pose.y), self.perception.map)
 
+    def _give_up_standing(self) -> None:
+        """Drop goals to which no way is free: there is a path by the map, and an obstacle by the lidar."""
+        if self.navigator.goals and self._zone.standing > seconds(self._settings.planner.patience):
+            self._status.add_note("warning", f"{self.navigator.drop()}: {self._zone.reason}")
+
     def _pose(self, now: Nanos) -> Pose:
         """Return the newest estimate's pose, extrapolated to now by its own twist."""
         estimate = self.perception.estimate
@@ -221,23 +235,28 @@ class BaseBrain:
     # -- control ------------------------------------------------------------------------------
 
     def _control(self, now: Nanos, share: float) -> Sequence[Command]:
-        """Return new commands if control is due, else the previous ones."""
-        if self._control_at is not None and now < self._control_at:
+        """Return new commands if control is due, or a scan shows an obstacle; else the previous ones."""
+        due = self._control_at is None or now >= self._control_at
+        if not due and not self._zone.is_too_fast((self._twist.linear, self._twist.angular)):
             return self._commands
         period = self._settings.pursuit.period
-        late = self._control_at is None or now - self._control_at >= period
-        self._control_at = now + period if late or self._control_at is None else self._control_at + period
+        if due:
+            late = self._control_at is None or now - self._control_at >= period
+            self._control_at = now + period if late or self._control_at is None else self._control_at + period
         since = period if self._controlled is None else min(now - self._controlled, MAX_CONTROL_STEP)
         self._controlled = now
         body = self._body
         wanted = body.limit(*self._wanted_twist(now, share))
-        self._twist = approach(
+        desired = approach(
             self._twist,
             Twist(*wanted),
             seconds(since),
             body.max_linear_acceleration,
             body.max_angular_acceleration,
         )
+        previous = self._twist.linear, self._twist.angular
+        allowed = self._zone.allowed(previous, (desired.linear, desired.angular), wanted, seconds(since))
+        self._twist = Twist(*allowed)
         self._commands = self._wheel_commands(now)
         return self._commands
 

@@ -36,6 +36,10 @@ def arc(pose: Pose, distance: float, turn: float) -> Pose:
     return Pose(pose.x + chord * math.cos(heading), pose.y + chord * math.sin(heading), wrap(pose.yaw + turn))
 
 
+CIRCLE, MOST_CORNERS = 16, 32
+"""Corners of a circle's outline, and the most of a footprint."""
+
+
 @dataclass(frozen=True, slots=True)
 class Differential:
     """Geometry and limits of the base, SI."""
@@ -60,6 +64,11 @@ class Differential:
     """rad/s²"""
     max_wheel_speed: float | None = None
     """rad/s of a wheel; None: what the largest linear and angular speed together need"""
+    footprint: tuple[tuple[float, float], ...] | None = None
+    """m: corners of the robot's outline in its frame, convex, counter-clockwise about the origin; None: the
+    circle of `radius`. It decides what the robot would touch; paths are planned with the circle."""
+    stop_deceleration: float | None = None
+    """m/s² before an obstacle that appears too near for the ordinary one; None: max_linear_acceleration"""
 
     def __post_init__(self) -> None:
         within(
@@ -72,7 +81,9 @@ class Differential:
             max_linear_acceleration=(0.01, 100.0, "m/s²"),
             max_angular_acceleration=(0.01, 500.0, "rad/s²"),
             max_wheel_speed=(1e-3, 1e4, "rad/s"),
+            stop_deceleration=(0.01, 100.0, "m/s²"),
         )
+        _check_footprint(self.footprint, self.radius)
         if not self.left or not self.right or self.left == self.right:
             raise ValueError(f"left and right must name two motors, not {self.left!r} and {self.right!r}")
 
@@ -82,6 +93,14 @@ class Differential:
         if self.max_wheel_speed is not None:
             return self.max_wheel_speed
         return (self.max_linear + self.max_angular * self.wheel_separation / 2.0) / self.wheel_radius
+
+    @property
+    def outline(self) -> tuple[tuple[float, float], ...]:
+        """The footprint's corners [m]; without one, a polygon about the circle of `radius`."""
+        if self.footprint is not None:
+            return self.footprint
+        far, step = self.radius / math.cos(math.pi / CIRCLE), 2.0 * math.pi / CIRCLE
+        return tuple((far * math.cos(step * i), far * math.sin(step * i)) for i in range(CIRCLE))
 
     def forward(self, left_rad: float, right_rad: float) -> tuple[float, float]:
         """Return the base's motion (distance [m], turn [rad]) for these wheel angles [rad].
@@ -109,3 +128,21 @@ class Differential:
             max(abs(left), abs(right)) / self.wheel_speed,
         )
         return linear / excess, angular / excess
+
+
+def _check_footprint(corners: tuple[tuple[float, float], ...] | None, radius: float) -> None:
+    """Raise ValueError unless the footprint is a convex polygon, counter-clockwise about the origin."""
+    if corners is None:
+        return
+    if not isinstance(corners, tuple) or not 3 <= len(corners) <= MOST_CORNERS:
+        raise ValueError(f"footprint must have from 3 to {MOST_CORNERS} corners")
+    if far := [corner for corner in corners if not math.hypot(*corner) <= radius + 1e-9]:
+        raise ValueError(f"footprint: the corner {far[0]} is not within the radius, {radius:g} m")
+    following = (*corners[1:], *corners[:2])
+    for (ax, ay), (bx, by), (cx, cy) in zip(corners, following, following[1:], strict=False):
+        about_origin = ax * by - ay * bx
+        turn = (bx - ax) * (cy - by) - (by - ay) * (cx - bx)
+        if about_origin <= 0.0 or turn <= 0.0:
+            raise ValueError(
+                f"footprint must be convex and counter-clockwise about the origin, unlike at {(bx, by)}"
+            )

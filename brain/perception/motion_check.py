@@ -6,37 +6,44 @@ between their times. Wheels and gyro are compared with each other as well. A ref
 have agreed on a motion, and kept while they differ, so that a difference stays visible: a lidar that is
 knocked out of its mount agrees with itself again one scan later. After `FORGET` it is renewed anyway. One
 comparison that differs may be a glitch, `CONFIRM` of them in a row are not. A scan too bare to show a motion
-is not compared. Source: Censi 2008 (PLICP).
+is not compared. Of three sources that turn, the one without which the other two agree best is named.
+What differs slowly is summed: the gyro's rate against the scans' (its bias is learnt here, independently of
+the filter), and the scans' sideways motion against a base that cannot move sideways (the lidar's mounting).
+Source: Censi 2008 (PLICP).
 """
 
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from brain.belief import Floats
 from brain.bodies.differential import Differential, sinc
-from brain.perception.grid import Indices
-from brain.perception.mount import BodyScan, Bools
+from brain.perception.body_scan import BodyScan, _surfaces
 from protocols.messages import MILLISECOND, SECOND, Nanos, seconds
 
 KEPT: Nanos = 4 * SECOND
 """Integrated motion is kept for this time,"""
 FORGET: Nanos = 3 * SECOND
 """and a reference at most for this time."""
+GAP: Nanos = 250 * MILLISECOND
+"""After so long without feedback a track begins anew: what comes then may be stamped late."""
 AHEAD: Nanos = 60 * MILLISECOND
 """A track is extrapolated by at most this much, and a gyro's rate holds for at most this time."""
 FASTEST = 1e3
 """rad/s: a rate beyond counts as this, since sums must stay finite."""
+RENEW_TURNS: Nanos = 500 * MILLISECOND
+"""Age from which on the turns of wheels and gyro are compared anew."""
 PERIOD: Nanos = 50 * MILLISECOND
 """Wheels and gyro are compared this often."""
-CONFIRM = 3
-"""Comparisons in a row that must differ."""
-RENEW_DISTANCE, RENEW_TURN, RENEW_AGE = 0.2, 0.35, 1 * SECOND
+CONFIRM, CONFIRM_FOR = 3, 150 * MILLISECOND
+"""Comparisons in a row that must differ, and for how long: of a burst that a host stamps late all may."""
+RENEW_DISTANCE, RENEW_TURN, RENEW_AGE = 0.4, 0.35, 1500 * MILLISECOND
 """m, rad, and age from which on a reference is renewed once all agree."""
 BEAMS = 120
 """Largest number of beams of a scan that are compared, evenly chosen."""
@@ -44,81 +51,147 @@ LEAST = 20
 """Least number of them on lines of the reference; fewer show no motion."""
 ON_LINE = 0.1
 """m: a point this near to a line of the reference lies on it."""
-FIT = 0.6
+NO_LINE = 1e9
+"""m: distance from where the reference has no line."""
+MOVING = 0.05
+"""m: standard deviation of a point that may belong to what moves: in a corridor, few show its length."""
+FIT = 0.5
 """Least share of the points that must lie on lines once the motion is found."""
 TURN, DISTANCE = 0.05, 0.07
 """rad and m: differences below these are none (measured: at most 0.045 rad and 0.015 m),"""
 TURN_SHARE, SLIP_SHARE = 0.15, 0.35
 """nor are those below this share of the motion (tyres, stamps), or of a way that the base lags behind."""
-PAST: Nanos = 10 * SECOND
-"""What differs slowly is summed over this time:"""
-LEAST_WAY, STRAIGHT = 1.0, 0.1
-"""m: a lidar's direction shows from a way of this length on, where comparisons turn by less (rad)."""
-PAST_SHARE = 0.05
-"""there, and of turns that neither the wheels' slip nor their distance spoils, this share is allowed."""
+PAST: Nanos = 3 * SECOND
+"""A gyro's bias is compared over this time."""
+BIAS, JUMP, SCALE = 0.08, 0.05, 0.05
+"""rad/s: largest bias of a gyro, and largest change of it; share by which it may be wrong in turns."""
+LEARN = 60.0
+"""s: its bias is a mean over this time."""
+FADE = 5.0
+"""m: what was seen of a mounting fades with the way driven (and turned, at 1 m per rad), to 1/e."""
+YAW, PLACE = math.radians(0.8), 0.05
+"""rad, m: smaller errors of a mounting are not named,"""
+DRIVABLE_YAW, DRIVABLE_PLACE = math.radians(10.0), 0.3
+"""and larger ones than these not driven with."""
+BENT, STEERED = (0.25, 0.02), (0.01, 0.0)
+"""Shares of what is across a way, and of it, by which its shape may be wrong; and with a gyro's turns."""
+LIKELY_YAW, LIKELY_PLACE, ASIDE = 1.0, 0.1, 0.001
+"""rad, m, m: standard deviations of a mounting before any motion, and of a comparison beside its noise."""
 
 
-@dataclass(frozen=True, slots=True)
-class Motion:
+class Motion(NamedTuple):
     """Motion between two times."""
 
     x: float
     """m, in the frame of the first"""
     y: float
+    heading: float
+    """rad that the way has turned by, not wrapped"""
     turn: float
-    """rad, not wrapped"""
+    """rad that the source shows"""
     uncertain: float = 0.0
-    """rad by which the turn may be wrong by slip or bias"""
+    """rad by which that may be wrong by slip or bias"""
+
+    def then(self, other: Motion, turn: float) -> Motion:
+        """Return this motion and another one after it, that turns by this angle."""
+        c, s = math.cos(self.turn), math.sin(self.turn)
+        x, y, turn = self.x + c * other.x - s * other.y, self.y + s * other.x + c * other.y, self.turn + turn
+        return Motion(x, y, turn, turn)
+
+    def ahead(self) -> tuple[float, float]:
+        """Return the way [m] along and across the mean heading: of an arc, none is across."""
+        c, s = math.cos(self.heading / 2.0), math.sin(self.heading / 2.0)
+        return c * self.x + s * self.y, c * self.y - s * self.x
 
 
-_Row = tuple[Nanos, float, float, float, float]
-"""Time, then x, y, turn and uncertainty since the beginning of the track."""
+STILL = Motion(0.0, 0.0, 0.0, 0.0)
+
+
+class Shown(NamedTuple):
+    """What two scans show."""
+
+    motion: Motion
+    fit: float
+    """Share of the rays' ends on lines, of those that meet one"""
+    spread: tuple[float, float, float]
+    """Variances of x and y, and their covariance, for points with a variance of 1;"""
+    variance: float
+    """m², and theirs"""
+
+    def along(self) -> float:
+        """Return the spread along the mean heading."""
+        return self._spread(math.cos(self.motion.turn / 2.0), math.sin(self.motion.turn / 2.0))
+
+    def across(self) -> float:
+        """Return the spread across it."""
+        return self._spread(-math.sin(self.motion.turn / 2.0), math.cos(self.motion.turn / 2.0))
+
+    def _spread(self, x: float, y: float) -> float:
+        xx, yy, xy = self.spread
+        return x * x * xx + y * y * yy + 2.0 * x * y * xy
+
+
+_Row = tuple[Nanos, float, float, float, float, float]
+"""Time, then x, y, heading, turn and uncertainty since the beginning of the track."""
 
 
 class Track:
     """What one source has integrated. Plain data."""
 
     def __init__(self) -> None:
-        self._rows: deque[_Row] = deque()
+        self._rows: list[_Row] = [(0, 0.0, 0.0, 0.0, 0.0, 0.0)]
 
-    def add(self, since: Nanos, t: Nanos, distance: float, turn: float, uncertain: float) -> None:
-        """Add an arc [m, rad] between two times; after a gap the track begins anew."""
-        if self._rows and self._rows[-1][0] != since:
-            self._rows.clear()
-        _, x, y, yaw, total = self._rows[-1] if self._rows else (since, 0.0, 0.0, 0.0, 0.0)
-        if not self._rows:
-            self._rows.append((since, x, y, yaw, total))
+    def add(
+        self, since: Nanos, t: Nanos, distance: float, heading: float, turn: float, uncertain: float
+    ) -> None:
+        """Add an arc [m, rad] between two times, and what the source shows of its turn; after a gap the track
+        begins anew."""
+        rows = self._rows
+        last, x, y, yaw, turned, total = rows[-1]
+        if last != since or t - since > GAP:
+            rows[:] = [(since if t - since <= GAP else t, x, y, yaw, turned, total)]
+            if t - since > GAP:
+                return
         if distance:
-            chord, heading = distance * sinc(turn / 2.0), yaw + turn / 2.0
-            x, y = x + chord * math.cos(heading), y + chord * math.sin(heading)
-        self._rows.append((t, x, y, yaw + turn, total + uncertain))
-        while self._rows[0][0] < t - KEPT:
-            self._rows.popleft()
+            chord, middle = distance * sinc(heading / 2.0), yaw + heading / 2.0
+            x, y = x + chord * math.cos(middle), y + chord * math.sin(middle)
+        rows.append((t, x, y, yaw + heading, turned + turn, total + uncertain))
+        half = len(rows) // 2
+        if rows[half][0] < t - KEPT:
+            del rows[:half]
 
     def clear(self) -> None:
         """Forget everything: a motion was lost."""
-        self._rows.clear()
+        del self._rows[:-1]
 
     def between(self, since: Nanos, t: Nanos) -> Motion | None:
         """Return the motion between two times; None if the track does not reach that far."""
-        start, end = self._at(since), self._at(t)
-        if start is None or end is None:
+        a, b = self.at(since), self.at(t)
+        if a is None or b is None:
             return None
-        c, s = math.cos(start[3]), math.sin(start[3])
-        dx, dy = end[1] - start[1], end[2] - start[2]
-        return Motion(c * dx + s * dy, c * dy - s * dx, end[3] - start[3], end[4] - start[4])
+        c, s = math.cos(a[3]), math.sin(a[3])
+        dx, dy = b[1] - a[1], b[2] - a[2]
+        return Motion(c * dx + s * dy, c * dy - s * dx, b[3] - a[3], b[4] - a[4], b[5] - a[5])
 
-    def _at(self, t: Nanos) -> _Row | None:
+    def at(self, t: Nanos) -> _Row | None:
+        """Return the sums at a time."""
         rows = self._rows
         if len(rows) < 2 or not rows[0][0] <= t <= rows[-1][0] + AHEAD:
             return None
         after = len(rows) - 1
-        while after > 1 and rows[after - 1][0] > t:
-            after -= 1
-        a, b = rows[after - 1], rows[after]
-        part = (t - a[0]) / max(b[0] - a[0], 1)
-        x, y, yaw, total = (p + part * (q - p) for p, q in zip(a[1:], b[1:], strict=True))
-        return t, x, y, yaw, total
+        if t < rows[after - 1][0]:
+            after = max(bisect_left(rows, (t,)), 1)
+        (t0, x0, y0, yaw0, turn0, total0), (t1, x1, y1, yaw1, turn1, total1) = rows[after - 1], rows[after]
+        p = (t - t0) / max(t1 - t0, 1)
+        q = 1.0 - p
+        return (
+            t,
+            q * x0 + p * x1,
+            q * y0 + p * y1,
+            q * yaw0 + p * yaw1,
+            q * turn0 + p * turn1,
+            q * total0 + p * total1,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,101 +200,217 @@ class Contradiction:
 
     reason: str
     confirmed: bool = True
-
-
-@dataclass(frozen=True, slots=True)
-class _Agreed:
-    """A comparison, at a time."""
-
-    t: Nanos
-    shown: Motion
-    fit: float
-    wheels: Motion
-    gyro: Motion | None
+    drivable: bool = False
+    """The base may go on slowly for as long as it lasts."""
 
 
 class Reference:
-    """A scan and the lines through its neighbouring hits. Plain data."""
+    """A scan's surfaces. Plain data."""
 
     def __init__(self, t: Nanos, scan: BodyScan) -> None:
-        self.t, self._scan = t, scan
-        apart = max(1, round(0.05 / scan.angle_increment))
-        before, after = np.roll(scan.ends, apart, axis=0), np.roll(scan.ends, -apart, axis=0)
-        along = after - before
-        length = np.maximum(np.sqrt(np.sum(along * along, axis=1)), 1e-9)
-        self._normals = np.column_stack([-along[:, 1], along[:, 0]]) / length[:, None]
-        self._centers = (before + scan.ends + after) / 3.0
-        bend = np.abs(np.sum(self._normals * (scan.ends - (before + after) / 2.0), axis=1))
-        hit = scan.hit & np.roll(scan.hit, apart) & np.roll(scan.hit, -apart)
-        self._line = hit & (length < 0.1 + 0.5 * scan.ranges) & (bend < ON_LINE / 2.0)
+        self.t, self._origin = t, scan.origin
+        self.last: tuple[Nanos, Motion] = (t, STILL)
+        """Time of the newest scan compared with it, and the motion until then."""
+        bearings, count = scan.bearings, len(scan.bearings)
+        self._first = float(bearings[0])
+        last = float(bearings[-1]) - self._first
+        half = last / max(count - 1, 1) / 2.0
+        self._edges = np.empty(count + 1)
+        """rad after the first bearing, at which the next beam is nearer; behind the last none is, until the
+        first is again."""
+        self._edges[:-2] = (bearings[1:] + bearings[:-1]) / 2.0 - self._first
+        self._edges[-2:] = last + half, max(last + half, 2.0 * math.pi - half)
+        self._lines = np.zeros((3, count + 2))
+        """Of each beam's surface: its normal, and the normal's product with a point of it."""
+        self._lines[2] = NO_LINE
+        line, normals = scan.straight, scan.normals[scan.straight]
+        self._lines[0, :count][line], self._lines[1, :count][line] = normals.T
+        self._lines[2, :count][line] = np.einsum("ij,ij->i", normals, scan.middles[line])
+        self._lines[:, -1] = self._lines[:, 0]
 
-    def motion(self, scan: BodyScan, wheels: Motion, turn: float) -> tuple[Motion, float] | None:
-        """Return the motion since the reference that a scan shows, searched from that of the wheels with this
-        turn, and the share of its rays' ends that then lie on the reference's lines (rays without a return
-        pass them); None if too few of them meet a line."""
-        read = np.flatnonzero(scan.ranges > 0.0)
-        points = scan.ends[read[:: max(1, math.ceil(len(read) / BEAMS))]]
-        x, y = wheels.x, wheels.y
+    def motion(self, points: Floats, guess: Motion) -> Shown | None:
+        """Return the motion since the reference that a scan's points (2 × n: its rays' ends, also of those
+        without a return, that pass the lines) show, searched from a guess; None if too few of them meet a
+        line."""
+        x, y, turn = guess.x, guess.y, guess.turn
+        px, py = points
+        J = np.empty((4, len(px)))
         for gate in (0.8, 0.4, 0.3, 0.3, 0.3):
-            moved, beam, lined, distance = self._distances(points, x, y, turn)
-            near = lined & (np.abs(distance) < gate)
-            if np.count_nonzero(lined) < LEAST:
+            c, s = math.cos(turn), math.sin(turn)
+            arm_x, arm_y = c * px - s * py, s * px + c * py
+            bearing = np.arctan2(arm_y + (y - self._origin[1]), arm_x + (x - self._origin[0]))
+            beam = self._edges.searchsorted((bearing - self._first) % (2.0 * math.pi))
+            J[0], J[1], past = self._lines.take(beam, axis=1)
+            nx, ny = J[0], J[1]
+            np.subtract(ny * arm_x, nx * arm_y, out=J[2])
+            off = np.add(nx * (arm_x + x), ny * (arm_y + y), out=J[3])
+            off -= past
+            size = np.abs(off)
+            lined = int(np.count_nonzero(size < NO_LINE / 2.0))
+            if lined < LEAST:
                 return None
-            normals, off = self._normals[beam[near]], distance[near]
-            arm = moved[near] - (x, y)
-            J = np.column_stack([normals, normals[:, 1] * arm[:, 0] - normals[:, 0] * arm[:, 1]])
-            weighted = J / (1.0 + (off / 0.05) ** 2)[:, None]
-            step = -np.linalg.solve(weighted.T @ J + 1e-3 * np.eye(3), weighted.T @ off)
-            x, y, turn = x + float(step[0]), y + float(step[1]), turn + float(step[2])
-            if np.abs(step).max() < 2e-3:
+            weight = (size < gate) / (1.0 + 400.0 * (off * off))
+            M = ((J * weight) @ J.T).tolist()
+            dx, dy, dturn, inverse = _solved(M)
+            x, y, turn = x - dx, y - dy, turn - dturn
+            if max(abs(dx), abs(dy), abs(dturn)) < 2e-3:
                 break
-        on_line = lined & (np.abs(distance) < ON_LINE)
-        return Motion(x, y, turn), float(np.sum(on_line) / max(1.0, float(np.sum(lined))))
+        variance = M[3][3] / max(float(weight.sum()), 1.0)
+        fit = float(np.count_nonzero(size < ON_LINE)) / lined
+        return Shown(Motion(x, y, turn, turn), fit, inverse, variance)
 
-    def _distances(
-        self, points: Floats, x: float, y: float, turn: float
-    ) -> tuple[Floats, Indices, Bools, Floats]:
-        """Return for points moved by (x, y, turn): where they are, the beam of the reference in whose
-        direction, whether it is part of a line, and the distance from that [m]."""
-        scan = self._scan
-        c, s = math.cos(turn), math.sin(turn)
-        moved = points @ np.array([[c, s], [-s, c]]) + (x, y)
-        local = (moved - scan.origin) @ scan.axes
-        bearing = np.mod(np.arctan2(local[:, 1], local[:, 0]) - scan.angle_min, 2.0 * math.pi)
-        beam = np.rint(bearing / scan.angle_increment).astype(np.int64)
-        beam[np.abs(beam * scan.angle_increment - 2.0 * math.pi) < scan.angle_increment / 2.0] = 0
-        inside = beam < len(scan.ranges)
-        beam[~inside] = 0
-        distance = np.sum(self._normals[beam] * (moved - self._centers[beam]), axis=1)
-        return moved, beam, inside & self._line[beam], distance
+
+def _solved(M: list[list[float]]) -> tuple[float, float, float, tuple[float, float, float]]:
+    """Return the solution of the damped normal equations in the first three rows of M, their right side in
+    its last column, by cofactors; and of the inverse the elements xx, yy, xy."""
+    (a, b, c, u), (_, d, e, v), (_, _, f, w), _ = M
+    a, d, f = a + 1e-3, d + 1e-3, f + 1e-3
+    aa, ab, ac = d * f - e * e, c * e - b * f, b * e - c * d
+    bb, bc, cc = a * f - c * c, b * c - a * e, a * d - b * b
+    scale = 1.0 / (a * aa + b * ab + c * ac)
+    return (
+        scale * (aa * u + ab * v + ac * w),
+        scale * (ab * u + bb * v + bc * w),
+        scale * (ac * u + bc * v + cc * w),
+        (scale * aa, scale * bb, scale * ab),
+    )
+
+
+class Mounting:
+    """What the scans show of a lidar's true mounting against the robot file's. Plain data.
+
+    A base on two wheels moves along its mean heading. A lidar that stands by (yaw, x, y) otherwise than
+    stated shows, over a way d and a turn w, aside = -yaw d + 2 sin(w/2) x, and along = d - 2 sin(w/2) y:
+    weighted least squares, the place a priori within `LIKELY_PLACE`."""
+
+    def __init__(self) -> None:
+        self._aside, self._along = _Sums(), _Sums()
+        """For yaw and x, and for y."""
+        self.named = False
+
+    def add(self, wheels: Motion, shown: Shown) -> None:
+        """Add the motion that scans show, beside that of the wheels, whose way need be no arc."""
+        self._aside, self._along = self._added(wheels, shown)
+
+    def _added(self, wheels: Motion, shown: Shown) -> tuple[_Sums, _Sums]:
+        turn = shown.motion.turn
+        (way, across), (along, aside) = wheels.ahead(), shown.motion.ahead()
+        lever = 2.0 * math.sin(turn / 2.0)
+        kept = math.exp(-(abs(way) + abs(turn)) / FADE)
+        bent, slip = BENT if wheels.heading == wheels.turn else STEERED
+        bent = bent * (abs(turn * along) + 4.0 * abs(across)) + slip * abs(along)
+        sideways = ASIDE**2 + bent**2 + shown.variance * shown.across()
+        forward = ASIDE**2 + shown.variance * shown.along() + (SLIP_SHARE * way) ** 2
+        return (
+            self._aside.plus(kept, 1.0 / sideways, -along, lever, aside - across),
+            self._along.plus(kept, 1.0 / forward, 0.0, -lever, along - way),
+        )
+
+    def flaw(self, name: str, wheels: Motion, shown: Shown) -> Contradiction | None:
+        """Return how the mounting differs, with this motion added, if that is certain (3 sigma)."""
+        aside, along = self._added(wheels, shown)
+        yaw, x, yaw_sigma, x_sigma = aside.solved()
+        _, y, _, y_sigma = along.solved()
+        certain = 0.0 if self.named else 3.0
+        self.named = True
+        if yaw_sigma < YAW < abs(yaw) - certain * yaw_sigma:
+            by = f"{math.degrees(yaw):+.1f}° (±{math.degrees(2.0 * yaw_sigma):.1f}°)"
+            bad = abs(yaw) > DRIVABLE_YAW + 3.0 * yaw_sigma
+        elif (x_sigma < PLACE < abs(x) - certain * x_sigma) or (y_sigma < PLACE < abs(y) - certain * y_sigma):
+            by = f"{x:+.2f} m (±{2.0 * x_sigma:.2f}) ahead and {y:+.2f} m (±{2.0 * y_sigma:.2f}) to the left"
+            bad = abs(x) > DRIVABLE_PLACE + 3.0 * x_sigma or abs(y) > DRIVABLE_PLACE + 3.0 * y_sigma
+        else:
+            self.named = False
+            return None
+        return Contradiction(f"{name}: mounted {by} off what the robot file states", bad, drivable=not bad)
+
+
+class _Sums(NamedTuple):
+    """Normal equations of weighted least squares for a yaw and a place."""
+
+    aa: float = 0.0
+    ab: float = 0.0
+    bb: float = 0.0
+    a: float = 0.0
+    b: float = 0.0
+    square: float = 0.0
+    number: float = 0.0
+
+    def plus(self, kept: float, weight: float, by_yaw: float, by_place: float, value: float) -> _Sums:
+        """Return them with one more equation, the earlier ones faded."""
+        wa, wb = weight * by_yaw, weight * by_place
+        return _Sums(
+            kept * self.aa + wa * by_yaw,
+            kept * self.ab + wa * by_place,
+            kept * self.bb + wb * by_place,
+            kept * self.a + wa * value,
+            kept * self.b + wb * value,
+            kept * self.square + weight * value * value,
+            kept * self.number + 1.0,
+        )
+
+    def solved(self) -> tuple[float, float, float, float]:
+        """Return yaw and place with their standard deviations, larger if the equations disagree."""
+        aa, bb = self.aa + LIKELY_YAW**-2, self.bb + LIKELY_PLACE**-2
+        scale = 1.0 / (aa * bb - self.ab * self.ab)
+        yaw, place = scale * (bb * self.a - self.ab * self.b), scale * (aa * self.b - self.ab * self.a)
+        left = self.square - yaw * self.a - place * self.b
+        spread = scale * max((left + 3.0) / (self.number + 2.0), 1.0)
+        return yaw, place, math.sqrt(spread * bb), math.sqrt(spread * aa)
+
+
+class _Turns(NamedTuple):
+    """Turns over one comparison [rad]."""
+
+    t: Nanos
+    dt: float
+    shown: float
+    wheels: float
+    gyro: float
+    """with its bias"""
 
 
 class MotionCheck:
     """Compares the sources' motions. Plain data."""
 
-    def __init__(self, body: Differential, turn_slip: float) -> None:
-        self._body, self._slip = body, turn_slip
+    def __init__(self, body: Differential, turn_slip: float = 0.0) -> None:  # noqa: ARG002 - until perception omits it
+        self._body = body
         self._wheels, self._gyro = Track(), Track()
         self._gyro_name, self._gyro_t = "", 0
+        self._headed: float | None = None
+        """Turn of the gyro when the wheels last reported: it shows the shape of their way best."""
+        self._bias, self._learnt = 0.0, 0.0
+        """rad/s, of the gyro, and over which time [s] that is the mean"""
         self._turned: Nanos = 0
         """Since when the turns of wheels and gyro are compared,"""
         self._turned_at: Nanos = 0
         """and when they last were."""
         self._references: dict[str, Reference] = {}
-        self._past: dict[str, deque[_Agreed]] = {}
-        """By lidar: the comparisons after which its reference was renewed."""
-        self._differ: dict[str, tuple[int, str]] = {}
-        """By lidar ("": wheels and gyro): comparisons in a row that differed, and how."""
+        self._past: dict[str, deque[_Turns]] = {}
+        """By lidar ("": at rest by the wheels): the comparisons after which its reference was renewed."""
+        self._mountings: dict[str, Mounting] = {}
+        self._flaws: dict[str, Contradiction] = {}
+        self._differ: dict[str, tuple[int, Nanos, str]] = {}
+        """By lidar ("": wheels and gyro): comparisons in a row that differed, since when, and how."""
 
     def contradictions(self) -> list[Contradiction]:
         """Return what differs now."""
-        return [Contradiction(reason, count >= CONFIRM) for count, reason in self._differ.values()]
+        differ = [Contradiction(one[2], self._confirmed(name)) for name, one in self._differ.items()]
+        return differ + list(self._flaws.values())
 
     def on_wheels(self, since: Nanos, t: Nanos, left: float, right: float) -> None:
         """Add the wheels' rotation [rad] between two times."""
-        distance, turn = self._body.forward(left, right)
-        way = self._body.wheel_radius * math.hypot(left, right)
-        self._wheels.add(since, t, distance, turn, 3.0 * self._slip * way / self._body.wheel_separation)
+        body = self._body
+        distance, turn = body.forward(left, right)
+        slip = SLIP_SHARE * body.wheel_radius * math.hypot(left, right) / body.wheel_separation
+        heading, gyro = turn, self._gyro.at(t)
+        if gyro is not None:
+            if self._headed is not None:
+                heading = gyro[4] - self._headed - self._bias * seconds(t - since)
+            self._headed = gyro[4]
+        else:
+            self._headed = None
+        self._wheels.add(since, t, distance, heading, turn, slip)
         if t - self._turned_at >= PERIOD:
             self._turned_at = t
             self._compare_turns(t)
@@ -230,119 +419,198 @@ class MotionCheck:
         """Forget the wheels' motion, since a position jumped: of a moving base that is a contradiction."""
         self._wheels.clear()
         if moving:
-            self._differ[""] = CONFIRM, f"{motor}: its position jumped"
+            self._differ[""] = CONFIRM, 0, f"{motor}: its position jumped"
             self._turned = self._turned_at
 
-    def on_gyro(self, name: str, t: Nanos, rate: float, sigma: float) -> None:
-        """Add a rate without its bias, whose standard deviation is sigma [rad/s]."""
+    def on_gyro(self, name: str, t: Nanos, rate: float, sigma: float = 0.0) -> None:  # noqa: ARG002 - likewise
+        """Add a rate [rad/s], its bias included."""
         if self._gyro_name == name and self._gyro_t < t <= self._gyro_t + AHEAD:
-            dt, rate = seconds(t - self._gyro_t), min(max(rate, -FASTEST), FASTEST)
-            self._gyro.add(self._gyro_t, t, 0.0, rate * dt, 3.0 * sigma * dt)
+            rate = min(max(rate, -FASTEST), FASTEST)
+            self._gyro.add(self._gyro_t, t, 0.0, 0.0, rate * seconds(t - self._gyro_t), 0.0)
         self._gyro_name, self._gyro_t = name, max(t, self._gyro_t)
 
     def on_scan(self, name: str, t: Nanos, scan: BodyScan) -> None:
         """Compare a scan with its reference, and renew that if it is time."""
+        scan = _with_surfaces(scan)
         reference = self._references.get(name)
         since = t if reference is None else reference.t
-        wheels, gyro = self._wheels.between(since, t), self._gyro.between(since, t)
+        wheels, gyro = self._wheels.between(since, t), self._turn_of_gyro(since, t)
         if reference is None or wheels is None or t - since > FORGET or self._is_far(name, wheels):
             self._references[name] = Reference(t, scan)
             self._past[name] = deque()
             self._differ.pop(name, None)
             return
-        found = reference.motion(scan, wheels, wheels.turn if gyro is None else gyro.turn)
-        if found is not None and found[1] < FIT and gyro is not None:
-            found = max(found, reference.motion(scan, wheels, wheels.turn) or found, key=lambda f: f[1])
-        reason = "" if found is None else self._difference(name, *found, wheels, gyro)
-        if found is not None and not reason:
-            now = _Agreed(t, *found, wheels, gyro)
-            reason = self._drift(name, now)
-            moved = math.hypot(wheels.x, wheels.y) > RENEW_DISTANCE or abs(found[0].turn) > RENEW_TURN
-            if not reason and (moved or t - since > RENEW_AGE) and not self._confirmed(name):
-                self._past[name].append(now)
+        read = np.flatnonzero(scan.ranges)
+        points = scan.ends[read[:: max(1, math.ceil(len(read) / BEAMS))]].T
+        shown = self._shown(reference, t, points, wheels, gyro)
+        if shown is None:
+            if not self._confirmed(name):
                 self._references[name] = Reference(t, scan)
-        elif found is None and not self._confirmed(name):
+                self._differ.pop(name, None)
+            return
+        reason = self._difference(name, shown, wheels, gyro)
+        if not reason:
+            reason = self._compare_slowly(name, t, since, scan, shown, wheels)
+        self._count(name, t, reason)
+
+    def _shown(
+        self, reference: Reference, t: Nanos, points: Floats, wheels: Motion, gyro: Motion | None
+    ) -> Shown | None:
+        """Return what is found from the motion until the scan before; if it does not fit, from none."""
+        last, before = reference.last
+        since, turned = self._wheels.between(last, t), self._gyro.between(last, t)
+        shown = None
+        if since is not None:
+            turn = since.turn if turned is None else turned.turn - self._bias * seconds(t - last)
+            shown = reference.motion(points, before.then(since, turn))
+        if shown is None or shown.fit < FIT:
+            guesses = [wheels] if gyro is None else [STILL.then(wheels, gyro.turn), wheels]
+            others = [shown, *(reference.motion(points, guess) for guess in guesses)]
+            shown = max(filter(None, others), key=lambda one: one.fit, default=None)
+        if shown is not None and shown.fit >= FIT:
+            reference.last = t, shown.motion
+        return shown
+
+    def _compare_slowly(
+        self, name: str, t: Nanos, since: Nanos, scan: BodyScan, shown: Shown, wheels: Motion
+    ) -> str:
+        """Return what differs over some time, though it agreed between these two scans; renew the reference
+        if it is time."""
+        way, turn = wheels.ahead()[0], shown.motion.turn
+        mounting = self._mountings.setdefault(name, Mounting())
+        flaw = mounting.flaw(name, wheels, shown)
+        if flaw is None:
+            self._flaws.pop(name, None)
+        else:
+            self._flaws[name] = flaw
+        dt, reason = seconds(t - since), ""
+        turned = self._gyro.between(since, t)
+        now = None if turned is None else _Turns(t, dt, turn, wheels.turn, turned.turn)
+        past = self._past[name]
+        if now is not None:
+            reason = self._drift(name, past, now)
+        moved = abs(way) > RENEW_DISTANCE or abs(turn) > RENEW_TURN
+        if not reason and (moved or t - since > RENEW_AGE) and not self._confirmed(name):
+            mounting.add(wheels, shown)
+            if now is not None:
+                self._learn(past, now)
             self._references[name] = Reference(t, scan)
-        self._count(name, reason)
+        return reason
+
+    def _turn_of_gyro(self, since: Nanos, t: Nanos) -> Motion | None:
+        """Return the gyro's motion without its bias."""
+        turned, dt = self._gyro.between(since, t), seconds(t - since)
+        if turned is None:
+            return None
+        turn = turned.turn - self._bias * dt
+        return Motion(0.0, 0.0, turn, turn, self._unknown_bias() * dt)
+
+    def _unknown_bias(self) -> float:
+        """Return by how much the bias may be wrong [rad/s]: less, the longer it has been learnt."""
+        return 0.01 + BIAS / (1.0 + self._learnt)
 
     def _is_far(self, name: str, wheels: Motion) -> bool:
         """True if a gap of the scans leaves too little in common with the reference."""
-        far = math.hypot(wheels.x, wheels.y) > 3.0 * RENEW_DISTANCE or abs(wheels.turn) > 3.0 * RENEW_TURN
+        far = math.hypot(wheels.x, wheels.y) > 3.0 * RENEW_DISTANCE or abs(wheels.heading) > 3.0 * RENEW_TURN
         return far and name not in self._differ
 
     def _compare_turns(self, t: Nanos) -> None:
         since = self._turned
-        wheels, gyro = self._wheels.between(since, t), self._gyro.between(since, t)
+        wheels, gyro = self._wheels.between(since, t), self._turn_of_gyro(since, t)
         if t - since > FORGET or (wheels is None and not self._confirmed("")):
             self._turned = t
             self._differ.pop("", None)
         elif wheels is not None and gyro is not None:
             name, reason = self._gyro_name, ""
             if _turns_differ(wheels, gyro):
-                reason = f"wheels or {name}: turned by {_deg(wheels)} by the wheels, {_deg(gyro)} by {name}"
-            self._count("", reason)
-            if not reason and t - since > RENEW_AGE // 2 and not self._confirmed(""):
+                turns = f"turned by {_deg(wheels.turn)} by the wheels, {_deg(gyro.turn)} by {name}"
+                reason = f"wheels or {name}: {turns}"
+            elif not self._references and wheels.uncertain < TURN / 5.0:
+                dt = seconds(t - since)
+                now = _Turns(t, dt, wheels.turn, wheels.turn, gyro.turn + self._bias * dt)
+                past = self._past.setdefault("", deque())
+                reason = self._drift("wheels", past, now)
+                if not reason and t - since > RENEW_TURNS:
+                    self._learn(past, now)
+            self._count("", t, reason)
+            if not reason and t - since > RENEW_TURNS and not self._confirmed(""):
                 self._turned = t
 
-    def _difference(self, name: str, shown: Motion, fit: float, wheels: Motion, gyro: Motion | None) -> str:
+    def _difference(self, name: str, shown: Shown, wheels: Motion, gyro: Motion | None) -> str:
         """Return in what the motions differ, beginning with the likely culprit; "" if they agree."""
+        motion, fit = shown.motion, shown.fit
         if fit < FIT:
             return f"{name}: {100 * fit:.0f} % of its rays agree with the scan before: has it moved?"
-        if _turns_differ(shown, wheels) or (gyro is not None and _turns_differ(shown, gyro, PAST_SHARE)):
-            culprit = f"{name} or wheels"
-            other = ""
+        if _turns_differ(motion, wheels) or (gyro is not None and _turns_differ(motion, gyro, SCALE)):
+            culprit, other = f"{name} or wheels", ""
             if gyro is not None:
-                apart = {
-                    self._gyro_name: abs(shown.turn - wheels.turn),
-                    "wheels": abs(shown.turn - gyro.turn),
-                    name: abs(gyro.turn - wheels.turn),
-                }
-                culprit = min(apart, key=lambda one: apart[one])
-                other = f", {self._gyro_name} {_deg(gyro)}"
-            return f"{culprit}: turned by {_deg(wheels)} by the wheels{other}, {name} {_deg(shown)}"
-        way = math.hypot(wheels.x, wheels.y)
-        slips = math.hypot(shown.x, shown.y) < way
-        allowed = DISTANCE + (SLIP_SHARE if slips else TURN_SHARE) * way
-        if math.hypot(shown.x - wheels.x, shown.y - wheels.y) > allowed:
-            return _moved(name, wheels, shown)
+                culprit = self._culprit(name, motion.turn, wheels.turn, gyro.turn)
+                other = f", {self._gyro_name} {_deg(gyro.turn)}"
+            return (
+                f"{culprit}: turned by {_deg(wheels.turn)} by the wheels{other}, {name} {_deg(motion.turn)}"
+            )
+        along, aside = motion.ahead()
+        way, across = wheels.ahead()
+        allowed = DISTANCE + (SLIP_SHARE if abs(along) < abs(way) else TURN_SHARE) * abs(way)
+        differs_along = abs(along - way) - 3.0 * MOVING * math.sqrt(shown.along())
+        differs_across = abs(aside - across) - 3.0 * MOVING * math.sqrt(shown.across())
+        if max(differs_along, differs_across) > allowed:
+            by = f"moved by {along:.2f} m along, {aside:.2f} m aside by {name}, {way:.2f} m by the wheels"
+            return f"wheels or {name}: {by}"
         return ""
 
-    def _drift(self, name: str, now: _Agreed) -> str:
-        """Return in what the motions differ over `PAST`, although they agreed between each two scans."""
-        past = self._past[name]
+    def _culprit(self, name: str, shown: float, wheels: float, gyro: float) -> str:
+        """Return the one without which the other two agree best."""
+        apart = {self._gyro_name: abs(shown - wheels), "wheels": abs(shown - gyro), name: abs(gyro - wheels)}
+        return min(apart, key=lambda one: apart[one])
+
+    def _drift(self, name: str, past: deque[_Turns], now: _Turns) -> str:
+        """Return how the gyro's rate has differed over `PAST`, from its mean or from any that is right."""
         while past and past[0].t < now.t - PAST:
             past.popleft()
-        rows = [*past, now]
-        gyros = [one for one in rows if one.gyro is not None]
-        off = sum(one.shown.turn - one.gyro.turn for one in gyros if one.gyro)
-        allowed = 2.0 * TURN + sum(PAST_SHARE * abs(o.shown.turn) + o.gyro.uncertain for o in gyros if o.gyro)
-        if abs(off) > allowed:
-            return f"{self._gyro_name}: differs from {name} by {math.degrees(off):.0f}° within {_span(rows)}"
-        straight = [one for one in rows if abs(one.wheels.turn) < STRAIGHT]
-        aside = sum(one.shown.y - one.wheels.y for one in straight)
-        along = sum(math.hypot(one.wheels.x, one.wheels.y) for one in straight)
-        if along > LEAST_WAY and abs(aside) > 0.1 + PAST_SHARE * along:
-            return f"{name}: moves {aside:.2f} m aside in {along:.2f} m: is it mounted as stated?"
-        return ""
+        span, shown, wheels, gyro, turned = now.dt, now.shown, now.wheels, now.gyro, abs(now.shown)
+        for one in past:
+            span, turned = span + one.dt, turned + abs(one.shown)
+            shown, wheels, gyro = shown + one.shown, wheels + one.wheels, gyro + one.gyro
+        noise = TURN + SCALE * turned
+        changed = gyro - self._bias * span - shown
+        if abs(changed) > noise + (JUMP - 0.01 + self._unknown_bias()) * span:
+            culprit = self._culprit(name, shown, wheels, gyro - self._bias * span)
+            rate = changed / span
+        elif abs(gyro - shown) > noise + BIAS * span:
+            culprit, rate = self._gyro_name, (gyro - shown) / span
+        else:
+            return ""
+        if culprit == "wheels":
+            culprit = f"{self._gyro_name} or {name}"
+        return f"{culprit}: {self._gyro_name} is off by {rate:.2f} rad/s against {name}, over {span:.1f} s"
+
+    def _learn(self, past: deque[_Turns], now: _Turns) -> None:
+        past.append(now)
+        self._learnt = min(self._learnt + now.dt, LEARN)
+        self._bias += (now.gyro - now.shown - self._bias * now.dt) / self._learnt
 
     def _confirmed(self, name: str) -> bool:
-        return self._differ.get(name, (0, ""))[0] >= CONFIRM
+        return self._differ.get(name, (0, 0, ""))[0] >= CONFIRM
 
-    def _count(self, name: str, reason: str) -> None:
+    def _count(self, name: str, t: Nanos, reason: str) -> None:
         """Count a comparison. What is confirmed stays until the reference is renewed."""
         if reason:
-            self._differ[name] = (self._differ.get(name, (0, ""))[0] + 1, reason)
+            count, since, _ = self._differ.get(name, (0, t, ""))
+            early = count + 1 == CONFIRM and t - since < CONFIRM_FOR
+            self._differ[name] = count + (not early), since, reason
         elif not self._confirmed(name):
             self._differ.pop(name, None)
 
 
-def _span(rows: Sequence[_Agreed]) -> str:
-    return f"{seconds(rows[-1].t - rows[0].t):.1f} s"
-
-
-def _moved(name: str, wheels: Motion, shown: Motion) -> str:
-    by = f"moved by {wheels.x:.2f}, {wheels.y:.2f} m by the wheels, {shown.x:.2f}, {shown.y:.2f} m by {name}"
-    return f"wheels or {name}: {by}"
+def _with_surfaces(scan: Any) -> BodyScan:
+    """Return the scan with its surfaces, if perception does not pass them yet."""
+    if isinstance(scan, BodyScan):
+        return scan
+    turned = math.atan2(scan.axes[1, 0], scan.axes[0, 0])
+    bearings = turned + scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges))
+    of = scan.origin, bearings, scan.ranges, scan.hit, scan.ends
+    return BodyScan(*of, *_surfaces(*of))
 
 
 def _turns_differ(a: Motion, b: Motion, share: float = TURN_SHARE) -> bool:
@@ -350,5 +618,5 @@ def _turns_differ(a: Motion, b: Motion, share: float = TURN_SHARE) -> bool:
     return abs(a.turn - b.turn) > allowed
 
 
-def _deg(motion: Motion) -> str:
-    return f"{math.degrees(motion.turn):.0f}°"
+def _deg(turn: float) -> str:
+    return f"{math.degrees(turn):.0f}°"

@@ -180,6 +180,9 @@ class Lidar:
     """m; 0 is exact"""
     dropout: Fraction = 0.0
     """Fraction of the beams without a reading."""
+    sweep: bool = True
+    """Whether the beams of a scan are spread evenly over its period, as of a lidar that turns; otherwise all
+    are taken at its beginning."""
 
     def __post_init__(self) -> None:
         if self.range_min >= self.range_max:

@@ -1,7 +1,8 @@
 """Lidar and IMU: noise, bias, resolution and drop-outs added to the truth. Seeded, in SI.
 
 Rules. A sensor measures periodically, from the world's time 0, and draws from a random stream of its own, so
-that one sensor's noise does not depend on another's presence.
+that one sensor's noise does not depend on another's presence. `measure` is called at every step, with the
+time since the beginning of the sensor's period; it returns what is complete then.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import math
 import numpy as np
 
 from brain.perception.mount import Mount
-from gateway.sim.files import InertialUnit, Lidar
+from gateway.sim.files import STEP, InertialUnit, Lidar
 from gateway.sim.rover import Floats, Rover
 from protocols.messages import SECOND, Imu, LaserScan, Nanos
 
@@ -22,7 +23,7 @@ def stream(seed: int, name: str) -> np.random.Generator:
 
 
 class LidarSensor:
-    """A planar lidar on a mount. A whole scan is taken at one time."""
+    """A planar lidar on a mount. The beams of one time step are measured from one pose."""
 
     def __init__(self, name: str, file: Lidar, mount: Mount, seed: int) -> None:
         self.name, self.file, self.mount = name, file, mount
@@ -31,20 +32,33 @@ class LidarSensor:
         self._increment = 2.0 * math.pi / file.beams
         angles = -math.pi + self._increment * np.arange(file.beams)
         self._directions: Floats = np.stack([np.cos(angles), np.sin(angles), np.zeros(file.beams)], axis=1)
+        self._true: Floats = np.zeros(file.beams)
 
-    def measure(self, t: Nanos, rover: Rover) -> LaserScan:
-        """Return a scan at time t. A range of 0.0 is no reading, as for what is nearer than range_min."""
+    def measure(self, t: Nanos, phase: Nanos, rover: Rover) -> LaserScan | None:
+        """Measure the beams of this time step; return the scan with the last of them."""
+        beams, period = self.file.beams, self.period
+        first, end = 0, beams if phase == 0 else 0
+        if self.file.sweep:
+            first, end = (-(-at * beams // period) for at in (phase, phase + STEP))
+        if first < end:
+            directions = self._directions[first:end]
+            self._true[first:end] = rover.rays(self.mount, directions, self.file.range_max)
+        if not first < end == beams:
+            return None
+        duration = (beams - 1) * period // beams if self.file.sweep else 0
+        return self._scan(t - phase, self._true, duration)
+
+    def _scan(self, t: Nanos, true: Floats, duration: Nanos) -> LaserScan:
+        """Return a scan of these true ranges. 0.0 is no reading, as for what is nearer than range_min."""
         file = self.file
-        true = rover.rays(self.mount, self._directions, file.range_max)
         ranges = true + file.noise * self._rng.standard_normal(file.beams)
         if file.resolution:
             ranges = np.round(ranges / file.resolution) * file.resolution
         ranges = np.where(true >= file.range_max, file.range_max, np.minimum(ranges, file.range_max))
         lost = (ranges < file.range_min) | (self._rng.random(file.beams) < file.dropout)
         ranges[lost] = 0.0
-        return LaserScan(
-            self.name, t, -math.pi, self._increment, file.range_min, file.range_max, tuple(ranges.tolist())
-        )
+        limits, read = (file.range_min, file.range_max), tuple(ranges.tolist())
+        return LaserScan(self.name, t, -math.pi, self._increment, *limits, read, duration)
 
 
 class ImuSensor:
@@ -58,8 +72,10 @@ class ImuSensor:
         self._accel_bias: Floats = np.array(file.accel_bias)
         self._walk = file.gyro_walk / math.sqrt(file.rate_hz)
 
-    def measure(self, t: Nanos, rover: Rover) -> Imu:
-        """Return angular rates and accelerations at time t; it has no orientation."""
+    def measure(self, t: Nanos, phase: Nanos, rover: Rover) -> Imu | None:
+        """Return angular rates and accelerations at the beginning of a period; it has no orientation."""
+        if phase:
+            return None
         gyro, accel = rover.inertial(self.name)
         noise = self._rng.standard_normal((3, 3))
         self._gyro_bias += self._walk * noise[0]

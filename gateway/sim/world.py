@@ -66,8 +66,9 @@ class World:
     def _measure(self, rover: Rover) -> None:
         """Measure the state at the beginning of the step, which is what MuJoCo has computed last."""
         for sensor in self._sensors:
-            if self._steps * STEP % sensor.period == 0:
-                self._readings.append(sensor.measure(self.now, rover))
+            reading = sensor.measure(self.now, self._steps * STEP % sensor.period, rover)
+            if reading is not None:
+                self._readings.append(reading)
 
     def shaft(self, motor: str) -> tuple[float, float]:
         """Return position [rad] and velocity [rad/s] of a motor's output shaft."""
@@ -76,7 +77,7 @@ class World:
         return self._rover.shaft(motor)
 
     def readings(self) -> Sequence[Reading]:
-        """Return the sensor readings since the last call, in order of time, with their noise."""
+        """Return the sensor readings since the last call, in the order of completion, with their noise."""
         if not self._readings:
             return ()
         found, self._readings = self._readings, []

@@ -126,7 +126,7 @@ def test_limit_refuses_what_is_not_finite(bad: float) -> None:
         BODY.limit(0.0, bad)
 
 
-@pytest.mark.parametrize("field", [f for f in BODY.__slots__ if f not in ("left", "right")])
+@pytest.mark.parametrize("field", [f for f in BODY.__slots__ if f not in ("left", "right", "footprint")])
 @pytest.mark.parametrize("bad", [0.0, -1.0, math.nan, math.inf])
 def test_every_length_and_limit_is_above_0(field: str, bad: float) -> None:
     with pytest.raises(ValueError, match=f"{field} must be from"):
@@ -137,3 +137,35 @@ def test_every_length_and_limit_is_above_0(field: str, bad: float) -> None:
 def test_two_wheels_are_two_motors(left: str, right: str) -> None:
     with pytest.raises(ValueError, match="must name two motors"):
         replace(BODY, left=left, right=right)
+
+
+SQUARE = ((0.1, 0.1), (-0.1, 0.1), (-0.1, -0.1), (0.1, -0.1))
+
+
+@pytest.mark.parametrize(
+    ("corners", "message"),
+    [
+        (SQUARE[:2], "from 3 to 32 corners"),
+        (SQUARE * 9, "from 3 to 32 corners"),
+        (((0.3, 0.1), *SQUARE[1:]), r"the corner \(0.3, 0.1\) is not within the radius, 0.24 m"),
+        (((math.nan, 0.1), *SQUARE[1:]), "is not within the radius"),
+        (SQUARE[::-1], "counter-clockwise about the origin"),
+        (((0.05, 0.1), (0.15, 0.1), (0.15, -0.1), (0.05, -0.1))[::-1], "about the origin"),
+        ((*SQUARE, (0.0, 0.05)), "must be convex"),
+        ((*SQUARE, SQUARE[0]), "must be convex"),
+    ],
+)
+def test_a_footprint_is_a_convex_polygon_about_the_origin(
+    corners: tuple[tuple[float, float], ...], message: str
+) -> None:
+    with pytest.raises(ValueError, match=f"footprint.*{message}"):
+        replace(BODY, footprint=corners)
+
+
+def test_the_outline_without_a_footprint_contains_the_circle() -> None:
+    round_body, square = BODY, replace(BODY, footprint=SQUARE)
+    assert square.outline == SQUARE
+    replace(BODY, footprint=round_body.outline, radius=0.25)
+    edges = zip(round_body.outline, (*round_body.outline[1:], round_body.outline[0]), strict=True)
+    nearest = [math.hypot((ax + bx) / 2.0, (ay + by) / 2.0) for (ax, ay), (bx, by) in edges]
+    assert min(nearest) == pytest.approx(BODY.radius)

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from brain.perception.mount import Mount
 from gateway.config import parse_robot
 from gateway.sim import SceneFile, World, WorldError, load_world
 from protocols.messages import MILLISECOND
@@ -166,7 +167,7 @@ def _expected(x: float, y: float, angle: float) -> float:
 @pytest.mark.parametrize("yaw", [0.0, 0.7])
 def test_lidar_sees_walls_where_they_are(yaw: float) -> None:
     built = World(scene(ROOM + WALLS), robot(lidar=f"x = 0.12, y = 0.03, z = 0.12, yaw = {yaw}"), 1)
-    scan = Driver(built).run(1, 0.0, 0.0).scans()[0]
+    scan = Driver(built).run(100, 0.0, 0.0).scans()[0]
     assert len(scan.ranges) == 360
     assert scan.angle_min == -math.pi
     assert scan.angle_increment == pytest.approx(2.0 * math.pi / 360)
@@ -180,7 +181,7 @@ def test_lidar_sees_walls_where_they_are(yaw: float) -> None:
 
 def test_lidar_upside_down_turns_the_other_way() -> None:
     built = World(scene(ROOM + WALLS), robot(lidar="z = 0.12, roll = 3.141592653589793"), 1)
-    scan = Driver(built).run(1, 0.0, 0.0).scans()[0]
+    scan = Driver(built).run(100, 0.0, 0.0).scans()[0]
     assert scan.ranges[180 - 90] == pytest.approx(1.5, abs=2e-3), "its right is the robot's left"
     assert scan.ranges[180 + 90] == 10.0
 
@@ -202,9 +203,42 @@ def test_lidar_noise_dropouts_and_limits() -> None:
 
 def test_lidar_gives_no_reading_below_its_range() -> None:
     text = ROOM.replace("[lidars.lidar]", "[lidars.lidar]\nrange_min = 1.2") + WALLS
-    scan = Driver(world(scene(text), lidar="z = 0.12")).run(1, 0.0, 0.0).scans()[0]
+    scan = Driver(world(scene(text), lidar="z = 0.12")).run(100, 0.0, 0.0).scans()[0]
     assert scan.ranges[0] == 0.0
     assert scan.ranges[180] == pytest.approx(2.0, abs=2e-3)
+
+
+def test_a_sweep_measures_each_beam_from_where_the_lidar_is_then() -> None:
+    driver = Driver(world(scene(ROOM + WALLS), lidar="z = 0.12")).run(1000, 10.0, 10.0, ramp=1)
+    scan = driver.scans()[-1]
+    assert (scan.t, scan.duration) == (900 * MILLISECOND, 100 * MILLISECOND * 359 // 360)
+    poses = np.array(driver.truths)
+    times = np.arange(len(poses)) * 10 * MILLISECOND
+    off: list[float] = []
+    instant: list[float] = []
+    for beam in range(135, 225):  # those that see the wall ahead
+        angle = scan.angle_min + beam * scan.angle_increment
+        taken = scan.t + beam * scan.duration // 359
+        for t, errors in ((taken, off), (scan.t, instant)):
+            x, y, yaw = (float(np.interp(t, times, poses[:, axis])) for axis in range(3))
+            errors.append(abs(scan.ranges[beam] - _expected(x, y, yaw + angle)))
+    assert float(np.median(off)) < 1e-3
+    assert float(np.median(instant)) > 20e-3
+
+
+def test_two_lidars_measure_each_by_its_own_figures() -> None:
+    text = ROOM + "[lidars.rear]\nbeams = 180\nrate_hz = 20\nsweep = false\n" + WALLS
+    sensors = robot(lidar="z = 0.12").sensors
+    rear = replace(sensors["lidar"], mount=Mount(z=0.12, yaw=math.pi))
+    two = replace(robot(), sensors={**sensors, "rear": rear})
+    scans = Driver(World(scene(text), two, 1)).run(100, 0.0, 0.0).scans()
+    assert [(scan.sensor, len(scan.ranges), scan.t) for scan in scans] == [
+        ("rear", 180, 0),
+        ("rear", 180, 50 * MILLISECOND),
+        ("lidar", 360, 0),
+    ]
+    assert scans[0].ranges[90] == pytest.approx(1.0, abs=2e-3), "the box behind"
+    assert scans[2].ranges[180] == pytest.approx(2.0, abs=2e-3)
 
 
 def test_readings_come_at_their_rates_and_are_stamped() -> None:

@@ -1,0 +1,134 @@
+"""A scan in the robot's frame, freed from its motion during the sweep, with the surfaces that it shows.
+
+Rules. All is expressed in the robot's frame at the scan's end, about the place where the lidar is then. A
+range below range_min, zero, or not finite is no reading: nothing is known along that beam. Beams without a
+hit end at the largest range that is used. The surface at a hit is the line through the hits beside it, fitted
+where they are straight (least squares across): it is finer than a single range, and belongs to the scan, not
+to a pose, so that drawing and matching share it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from brain.belief import Floats, Pose
+from brain.perception.mount import Mount
+from protocols.messages import LaserScan
+
+Bools = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class BodyScan:
+    """Where each beam starts and ends, and whether it hit something."""
+
+    origin: tuple[float, float]
+    """m, position of the lidar"""
+    bearings: Floats
+    """rad, n, increasing: directions of the ends about the origin"""
+    ranges: Floats
+    """m, n, from the origin to the ends; 0 where the beam gave no reading"""
+    hit: Bools
+    """n; False also where the beam reached the largest range without a hit"""
+    ends: Floats
+    """n × 2, m; equal to the origin where the beam gave no reading"""
+    straight: Bools
+    """n: a hit whose neighbours form a line with it"""
+    middles: Floats
+    """n × 2, m: mean of those neighbours, a point on the line; undefined where not straight"""
+    normals: Floats
+    """n × 2: unit normal of that line, towards the lidar; undefined where not straight"""
+
+
+def to_body(
+    scan: LaserScan, mount: Mount, farthest: float = math.inf, motion: Floats | None = None
+) -> BodyScan:
+    """Return the scan in the robot's frame, cut at `farthest` [m].
+
+    `motion` (n × 3: m, m, rad): pose of the robot at each beam's time, in the robot's frame at the end."""
+    ranges = np.asarray(scan.ranges, dtype=np.float64)
+    end = min(scan.range_max, farthest)
+    read = (ranges >= max(scan.range_min, 1e-9)) & (ranges < math.inf)
+    hit = read & (ranges < end)
+    lengths = np.where(read, np.minimum(ranges, end), 0.0)
+    angles = scan.angle_min + scan.angle_increment * np.arange(len(ranges))
+    (xx, xy, _), (yx, yy, _), _ = mount.rotation()
+    along, across = np.cos(angles), np.sin(angles)
+    dx, dy = xx * along + xy * across, yx * along + yy * across
+    origin = (mount.x, mount.y)
+    if motion is None:
+        scale = np.sqrt(dx * dx + dy * dy)  # of a tilted lidar, less than 1
+        ends = np.column_stack([mount.x + lengths * dx, mount.y + lengths * dy])
+        lengths *= scale
+    else:
+        c, s = np.cos(motion[:, 2]), np.sin(motion[:, 2])
+        x, y = mount.x + lengths * dx, mount.y + lengths * dy
+        ends = np.column_stack([motion[:, 0] + c * x - s * y, motion[:, 1] + s * x + c * y])
+        ends[~read] = origin
+        dx, dy = np.where(read, (ends - origin).T, (c * dx - s * dy, s * dx + c * dy))
+        lengths = np.where(read, np.sqrt(dx * dx + dy * dy), 0.0)
+    bearings = np.arctan2(dy, dx)
+    turns = np.diff(bearings, prepend=bearings[:1])
+    bearings = bearings[:1] + np.cumsum(turns - 2.0 * math.pi * np.rint(turns / (2.0 * math.pi)))
+    if motion is not None or (len(bearings) > 1 and bearings[1] < bearings[0]):
+        order = np.argsort(bearings, kind="stable")
+        bearings, lengths, hit, ends = bearings[order], lengths[order], hit[order], ends[order]
+    return BodyScan(origin, bearings, lengths, hit, ends, *_surfaces(origin, bearings, lengths, hit, ends))
+
+
+def to_world(points: Floats, pose: Pose) -> Floats:
+    """Return points (n × 2) of the robot's frame in the world, for the robot at this pose."""
+    world = rotated(points, pose.yaw)
+    world += (pose.x, pose.y)
+    return world
+
+
+def rotated(vectors: Floats, angle: float) -> Floats:
+    """Return vectors (n × 2) turned by an angle."""
+    c, s = math.cos(angle), math.sin(angle)
+    turned: Floats = vectors @ np.array([[c, s], [-s, c]])
+    return turned
+
+
+SPAN = 0.2
+"""m to each side of a hit: the surface that is fitted, at least one hit to each side"""
+STRAIGHT = 0.1
+"""Hits form a line if their variance across it is below this share of the variance along it"""
+STEEP = 0.2
+"""Cosine between a surface's normal and the beam below which it rather is the gap between two surfaces"""
+
+
+def _surfaces(
+    origin: tuple[float, float], bearings: Floats, ranges: Floats, hit: Bools, ends: Floats
+) -> tuple[Bools, Floats, Floats]:
+    """Return where the hits lie on a straight surface, a point on it, and its normal."""
+    count = len(ranges)
+    if count < 3:
+        return np.zeros(count, dtype=np.bool_), np.zeros((count, 2)), np.zeros((count, 2))
+    spacing = ranges * ((bearings[-1] - bearings[0]) / (count - 1))
+    half = np.clip(SPAN / np.maximum(spacing, 1e-6), 1.0, count / 8 + 1).astype(np.intp)
+    index = np.arange(count)
+    first, last = np.maximum(index - half, 0), np.minimum(index + half, count - 1) + 1
+    x, y = (ends - origin).T
+    jump = np.abs(np.diff(ranges, prepend=ranges[0])) > 0.05 + spacing / STEEP
+    sums = np.zeros((count + 1, 7))
+    np.cumsum(np.stack([hit, x, y, x * x, y * y, x * y, jump]) * hit, axis=1, out=sums[1:].T)
+    number, x, y, xx, yy, xy, _ = (sums[last] - sums[first]).T
+    jumps = sums[last, 6] - sums[np.minimum(first + 1, count), 6]
+    share = 1.0 / np.maximum(number, 1.0)
+    x, y = x * share, y * share
+    xx, yy, xy = xx * share - x * x, yy * share - y * y, xy * share - x * y
+    middle, difference = 0.5 * (xx + yy), 0.5 * (xx - yy)
+    root = np.sqrt(difference * difference + xy * xy)
+    straight = hit & (number >= 3.0) & (jumps == 0.0) & (middle - root < STRAIGHT * (middle + root))
+    across = 0.5 * np.arctan2(xy, difference) + 0.5 * math.pi
+    nx, ny = np.cos(across), np.sin(across)
+    towards = -(nx * x + ny * y)
+    straight &= np.abs(towards) > STEEP * np.sqrt(x * x + y * y)
+    sign = np.where(towards < 0.0, -1.0, 1.0)
+    middles = np.column_stack([x + origin[0], y + origin[1]])
+    return straight, middles, np.column_stack([nx * sign, ny * sign])

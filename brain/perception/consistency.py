@@ -1,0 +1,138 @@
+"""Whether the estimate may be trusted: a verdict, with its reason, for health and planning.
+
+Rules. A scan agrees with the map if its match is found and passes the filter's gate. It is no witness if too
+little of it lies on known ground (a new place), or if most of it is hidden: what stands before a wall denies
+free ground, but what is left fits. It disagrees if it denies free ground and hardly fits anywhere near, or if it
+fits elsewhere than the gate allows. Disagreeing for `LOST_AFTER` the robot is lost: it was moved, or believes
+a wrong pose; a doubt comes before that. Lost ends by relocalisation only, or when scans agree again
+at the pose believed. Besides, innovations that are larger than believed, over a window, make the filter too
+sure (Bar-Shalom, Li, Kirubarajan 2001, section 5.4).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+
+from brain.perception.filter_inputs import WINDOW, Nis
+from protocols.messages import MILLISECOND, Nanos
+
+
+class Trust(IntEnum):
+    """How far the estimate may be trusted, from fully to not at all."""
+
+    CONSISTENT = 0
+    TOO_SURE = 1
+    """Innovations are larger than the covariance allows: drive slowly."""
+    DOUBTFUL = 2
+    """The newest scans disagree with the map at the believed pose: drive slowly."""
+    LOST = 3
+    """Stand: the pose is wrong."""
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Trust, and why not more, in words."""
+
+    trust: Trust = Trust.CONSISTENT
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """One scan against the map."""
+
+    t: Nanos
+    known: float
+    """Share of its hits on known ground"""
+    fit: float
+    """Share of those that lie on the map's lines at the matched pose, else at the believed one"""
+    denied: float
+    """Share of those in cells known to be free, there"""
+    matched: bool
+    accepted: bool = True
+    """False if the filter's gate rejected the match"""
+    offset: float = 0.0
+    """m, from the believed to the matched pose"""
+    turn: float = 0.0
+    """rad"""
+
+    @property
+    def agrees(self) -> bool:
+        """True if the map confirms the believed pose."""
+        return self.matched and self.accepted and self.fit >= HIDDEN_FIT
+
+    @property
+    def disagrees(self) -> str:
+        """Why the believed pose is doubtful; "" if it is not."""
+        if self.known < LEAST_KNOWN:
+            return ""
+        if self.matched and not self.accepted:
+            return f"it fits {self.offset:.2f} m and {self.turn * 57.3:.0f}° off the believed pose"
+        if self.fit < HIDDEN_FIT and self.denied > DENIED:
+            return f"{100 * self.denied:.0f} % of it lies where the map is free"
+        return ""
+
+
+LEAST_KNOWN = 0.3
+"""Of a scan with a smaller share of its hits on known ground nothing is concluded."""
+HIDDEN_FIT = 0.25
+"""Share that must fit, however much of the scan is hidden by something new."""
+DENIED = 0.3
+LOST_AFTER: Nanos = 300 * MILLISECOND
+LEAST_SCANS = 3
+"""Disagreeing for this time, in at least so many scans, the robot is lost."""
+SURE = 3.0
+"""NIS per degree of freedom over a window, beyond which the filter is too sure, and"""
+HONEST = 2.0
+"""below which it is not any more."""
+
+
+class Consistency:
+    """Follows the agreement of scans with the map, by lidar, and the innovations. State is plain data."""
+
+    def __init__(self) -> None:
+        self.lost = ""
+        """Why the robot is lost; "" if it is not."""
+        self._since: dict[str, tuple[Nanos, int]] = {}
+        """By lidar: since when its scans disagree, and how many."""
+        self._doubt: dict[str, str] = {}
+        self._too_sure: dict[str, float] = {}
+
+    def on_scan(self, name: str, one: Agreement) -> None:
+        """Add a scan of this lidar."""
+        why = one.disagrees
+        if not why:
+            self._since.pop(name, None)
+            self._doubt.pop(name, None)
+            return
+        since, count = self._since.get(name, (one.t, 0))
+        self._since[name] = since, count + 1
+        self._doubt[name] = f"{name}: {why}"
+        if count + 1 >= LEAST_SCANS and one.t - since >= LOST_AFTER and not self.lost:
+            self.lost = f"lost: {name}: {why}"
+
+    def found(self) -> None:
+        """End being lost."""
+        self.lost = ""
+        self._since.clear()
+        self._doubt.clear()
+        self._too_sure.clear()
+
+    def verdict(self, nis: Mapping[str, Nis]) -> Verdict:
+        """Return the verdict now."""
+        if self.lost:
+            return Verdict(Trust.LOST, self.lost)
+        if self._doubt:
+            return Verdict(Trust.DOUBTFUL, next(iter(self._doubt.values())))
+        for name, one in nis.items():
+            limit = HONEST if name in self._too_sure else SURE
+            if len(one.window) == WINDOW and one.recent > limit:
+                self._too_sure[name] = one.recent
+            else:
+                self._too_sure.pop(name, None)
+        for name, ratio in self._too_sure.items():
+            reason = f"too sure: the innovations of {name} are {ratio:.1f} times what is believed"
+            return Verdict(Trust.TOO_SURE, reason)
+        return Verdict()

@@ -1,0 +1,610 @@
+"""The extended Kalman filter of the base's motion.
+
+Rules. The wheels predict: every increment of their angles moves the pose on an exact arc, ungated, and none
+is lost. All else corrects: the gyro by what it turned while the wheels turned, and poses from outside. Each
+correction is gated as a vector by its squared Mahalanobis distance against chi-square.
+
+State (`engine`): x, y, yaw in the frame "odom"; gyro bias; distance scale: the share of the wheels' travel that
+the base does not move; slip of each wheel as far as it turns the base, a Gauss-Markov process over the distance that
+the wheel rolls; turn: the gyro's angle less that of the wheels, so that noise of the gyro is process noise, rounding
+of the wheels is measurement noise, and neither adds up where it does not in truth. Scale, slips and bias are bounded.
+The scale is learnt from outside references only; so is the bias, except while the wheels rest.
+
+Inputs come in any order within `rewind`: they are kept sorted, each with the state after it, and a late one
+makes the later ones run again, gates included. So state and decisions depend on the inputs, not on the order
+of their arrival.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from brain.belief import Floats, Pose
+from brain.bodies.differential import Differential, wrap
+from brain.perception.engine import (
+    AT,
+    BIAS,
+    ENGINES,
+    SCALE,
+    TURN,
+    YAW,
+    Engine,
+    Move,
+    Packed,
+    Vector,
+    X,
+    Y,
+    cross_zeroed,
+    pack,
+    relative,
+    unpacked,
+)  # fmt: skip
+from brain.perception.filter_inputs import (
+    GateResult,
+    GyroRate,
+    Input,
+    Judged,
+    Nis,
+    PoseFix,
+    Relocated,
+    WheelAngle,
+    is_valid,
+)
+from brain.perception.filter_settings import CHI_SQUARE, STILL_RATE, FilterSettings
+from brain.perception.wheel_odometry import Point, Samples, added, angle_at, arc_end, arc_slopes, jumped
+from protocols.messages import MILLISECOND, SECOND, Nanos, seconds
+
+NEVER: Nanos = -(1 << 62)
+GYRO_GAP: Nanos = 250 * MILLISECOND
+"""A gyro silent for longer has lost its angle."""
+GYRO_HOLD = 1.5
+"""Intervals for which a gyro's last rate holds."""
+SPEED_OVER: Nanos = 20 * MILLISECOND
+"""The twist is the mean over at least this time."""
+FARTHEST: Nanos = 100 * MILLISECOND
+"""Longest extrapolation by the twist."""
+MAX_INPUTS = 600
+MAX_WAITING = 16
+"""Most inputs that are run again, and poses that wait for the wheels."""
+MAX_INFLATION = 1e6
+"""Largest factor on a variance."""
+POSE = (X, Y, YAW)
+
+
+class Gyro(NamedTuple):
+    """The gyro in use, integrated."""
+
+    source: str
+    sigma: float
+    interval: Nanos
+    """Between the newest two samples"""
+    samples: tuple[tuple[Nanos, float, float], ...]
+    """Time, rate, angle: the last one at or before the base, and those since"""
+    zero: float | None
+    """Angle of the gyro less that of the wheels at which TURN is 0; None: not compared yet"""
+    used: Nanos
+    """Time of the newest sample that has corrected the state"""
+
+
+@dataclass(slots=True)
+class State:
+    """All that is known after an input. Only the step that makes it writes to it."""
+
+    x: Vector
+    P: Packed
+    smooth: Point
+    """Pose by wheels and gyro alone: without the leaps that corrections make"""
+    raw: Point
+    """Pose by the wheels alone"""
+    t: Nanos = NEVER
+    """Time up to which the wheels have moved the pose"""
+    left: Samples = ()
+    right: Samples = ()
+    at: tuple[float, float] = (0.0, 0.0)
+    """Angles of the wheels [rad] at t"""
+    rolled: tuple[float, float] = (0.0, 0.0)
+    """Turned since the start [rad], without jumps"""
+    gyro: Gyro | None = None
+    waiting: tuple[PoseFix | Relocated, ...] = ()
+    """Poses newer than t, oldest first"""
+    rejected: tuple[tuple[str, Nanos], ...] = ()
+    """Sources that the gate rejects, and since when"""
+    still: tuple[Nanos, float, float] = (NEVER, 0.0, 0.0)
+    """Since when the wheels have been at these angles"""
+    resting: bool = False
+    doubt: bool = False
+    """The gyro contradicted the wheels for long: its bias is not learnt from resting wheels until it is known
+    """
+
+    def copy(self) -> State:
+        """Return a state for the next step to write to."""
+        return State(
+            self.x, self.P, self.smooth, self.raw, self.t, self.left, self.right, self.at, self.rolled,
+            self.gyro, self.waiting, self.rejected, self.still, self.resting, self.doubt,
+        )  # fmt: skip
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> State:
+        return self  # never changed again
+
+
+class Filter:
+    """The filter. Plain data: a deep copy continues exactly as the original."""
+
+    def __init__(self, body: Differential, settings: FilterSettings) -> None:
+        self.body = body
+        self.settings = settings
+        self.nis: dict[str, Nis] = {}
+        """By source."""
+        self._engine: Engine = ENGINES[settings.engine]()
+        start = settings.start_x, settings.start_y, settings.start_yaw
+        sigmas = (
+            *(settings.start_sigma,) * 2,
+            settings.start_yaw_sigma,
+            settings.bias_sigma,
+            settings.scale_sigma,
+            settings.turn_slip,
+            settings.turn_slip,
+            0.0,
+        )
+        self._origin = State(
+            (*start, 0.0, 0.0, 0.0, 0.0, 0.0), pack(np.diag(np.square(sigmas))), start, start
+        )
+        """State before the oldest input that is kept."""
+        self._trimmed: Nanos = NEVER
+        """Time of the newest input before those."""
+        self._keys: list[tuple[Any, ...]] = []
+        self._items: list[Input] = []
+        self._states: list[State] = []
+        self._reported: dict[tuple[str, Nanos], None] = {}
+        self._judged: list[Judged] = []
+        self._yaw_per_rad = body.wheel_radius / body.wheel_separation
+        count = settings.resolution * self._yaw_per_rad
+        self._count_variance = count * count / 6.0  # of two wheels, each rounded to a count
+        self._still_for = max(settings.still_for, int(count / STILL_RATE * SECOND))
+
+    # -- what is believed ----------------------------------------------------------------------------------
+
+    @property
+    def state(self) -> State:
+        """The newest state."""
+        return self._states[-1] if self._states else self._origin
+
+    @property
+    def t(self) -> Nanos | None:
+        """Newest time that both wheels have reached; None before."""
+        return None if self.state.t == NEVER else self.state.t
+
+    @property
+    def covariance(self) -> Floats:
+        """Of x, y, yaw, bias, scale and the slips of both wheels, 7 × 7."""
+        return unpacked(self.state.P)[:TURN, :TURN]
+
+    @property
+    def bias(self) -> float:
+        """Gyro bias [rad/s]."""
+        return self.state.x[BIAS]
+
+    @property
+    def bias_sigma(self) -> float:
+        """Standard deviation of the gyro bias [rad/s]."""
+        return math.sqrt(self.state.P[AT[BIAS][BIAS]])
+
+    @property
+    def scale(self) -> float:
+        """Distance scale: the share of the wheels' travel that the base does not move."""
+        return self.state.x[SCALE]
+
+    @property
+    def twist(self) -> tuple[float, float]:
+        """Linear and angular speed of the base [m/s, rad/s]."""
+        new = self.state
+        i = bisect_right(self._states, new.t - SPEED_OVER, key=_time) - 1
+        old = self._states[i] if i >= 0 else self._origin
+        if old.t == NEVER or old.t >= new.t:
+            return 0.0, 0.0
+        distance, _ = self.body.forward(new.rolled[0] - old.rolled[0], new.rolled[1] - old.rolled[1])
+        dt = seconds(new.t - old.t)
+        return (1.0 - new.x[SCALE]) * distance / dt, (new.smooth[2] - old.smooth[2]) / dt
+
+    def at(self, t: Nanos) -> tuple[Pose, Floats] | None:
+        """Return pose and its covariance 3 × 3 at a time; None if beyond what is kept, or too far ahead."""
+        i = bisect_right(self._states, t, key=_time) - 1
+        state = self._states[i] if i >= 0 else self._origin
+        if not state.t <= t <= max(state.t, self.state.t) + FARTHEST or state.t == NEVER:
+            return None
+        end: Point = (state.x[X], state.x[Y], state.x[YAW])
+        if i + 1 < len(self._states):
+            after = self._states[i + 1]
+            share = (t - state.t) / (after.t - state.t)
+            distance, turn = self.body.forward(
+                after.rolled[0] - state.rolled[0], after.rolled[1] - state.rolled[1]
+            )
+            distance, turn = (1.0 - state.x[SCALE]) * distance, after.smooth[2] - state.smooth[2]
+            end = arc_end(end, share * distance, share * turn)
+        elif t > state.t:
+            linear, angular = self.twist
+            end = arc_end(end, linear * seconds(t - state.t), angular * seconds(t - state.t))
+        return Pose(end[0], end[1], wrap(end[2])), unpacked(state.P)[:3, :3]
+
+    def poses(self, times: npt.NDArray[np.int64]) -> Floats | None:
+        """Return the poses at these times, n × 3, of a motion without leaps that ends in the newest pose;
+        None if one is beyond what is kept, or too far ahead. Yaw is not wrapped."""
+        knots = [state for state in (self._origin, *self._states) if state.t != NEVER]
+        if not knots or not len(times):
+            return None
+        new = knots[-1]
+        linear, angular = self.twist
+        ahead = arc_end(new.smooth, linear * seconds(FARTHEST), angular * seconds(FARTHEST))
+        at = np.array([*(state.t - new.t for state in knots), FARTHEST], dtype=np.float64)
+        wanted = (np.asarray(times) - new.t).astype(np.float64)
+        if wanted.min() < at[0] or wanted.max() > at[-1]:
+            return None
+        path = np.array([*(state.smooth for state in knots), ahead])
+        x, y, yaw = (np.interp(wanted, at, path[:, k]) for k in range(3))
+        turned = new.x[YAW] - new.smooth[2]
+        c, s = math.cos(turned), math.sin(turned)
+        x, y = x - new.smooth[0], y - new.smooth[1]
+        return np.column_stack((new.x[X] + c * x - s * y, new.x[Y] + s * x + c * y, yaw + turned))
+
+    def rejected_for(self, source: str, t: Nanos) -> float:
+        """Return for how long [s] the gate has rejected this source without interruption, up to a time."""
+        return max(0.0, seconds(t - dict(self.state.rejected).get(source, t)))
+
+    # -- inputs --------------------------------------------------------------------------------------------
+
+    def reset(self, t: Nanos, pose: Pose, covariance: Floats) -> bool:
+        """Set the pose at a time, keeping bias, scale and slip; False if that is too long ago."""
+        late = self.observe([Relocated(t, np.array([pose.x, pose.y, pose.yaw]), covariance)])
+        return not late
+
+    def observe(self, inputs: Sequence[Input]) -> list[Judged]:
+        """Apply inputs, each at its own time; return the decisions that were made for the first time. A pose
+        is judged when both wheels have reached its time."""
+        self._judged = []
+        first = len(self._keys)
+        newest = self._keys[-1][0] if self._keys else NEVER
+        oldest = max(newest - self.settings.rewind, self._trimmed + 1)
+        for item in inputs:
+            if not is_valid(item):
+                self._judged.append(Judged(_source(item), item.t, GateResult.NOT_FINITE))
+            elif item.t < oldest:
+                self._judged.append(Judged(_source(item), item.t, GateResult.LATE))
+            else:
+                key = _key(item)
+                place = bisect_left(self._keys, key)
+                if place == len(self._keys) or self._keys[place] != key:  # else it is the same input again
+                    self._keys.insert(place, key)
+                    self._items.insert(place, item)
+                    first = min(first, place)
+        del self._states[first:]
+        state = self.state
+        for item in self._items[first:]:
+            state = self._after(state, item)
+            self._states.append(state)
+        self._trim()
+        return self._judged
+
+    def _trim(self) -> None:
+        if not self._keys:
+            return
+        count = bisect_left(self._keys, (self._keys[-1][0] - self.settings.rewind,))
+        count = max(count, len(self._keys) - MAX_INPUTS)
+        if count > 0:
+            self._origin, self._trimmed = self._states[count - 1], self._keys[count - 1][0]
+            del self._keys[:count], self._items[:count], self._states[:count]
+        if len(self._reported) > 2 * MAX_INPUTS:
+            oldest = self._keys[0][0]
+            self._reported = {key: None for key in self._reported if key[1] >= oldest}
+
+    def _after(self, before: State, item: Input) -> State:
+        state = before.copy()
+        if isinstance(item, GyroRate):
+            self._on_gyro(state, item)
+        elif isinstance(item, WheelAngle):
+            self._on_wheel(state, item)
+        elif state.t == item.t:
+            self._on_pose(state, item)
+        else:
+            if len(state.waiting) >= MAX_WAITING:
+                self._report(_source(state.waiting[0]), state.waiting[0].t, GateResult.LATE)
+                state.waiting = state.waiting[1:]
+            state.waiting = (*state.waiting, item)
+        return state
+
+    def _report(
+        self, source: str, t: Nanos, result: GateResult, distance: float = 0.0, freedom: int = 0
+    ) -> None:
+        if (source, t) in self._reported:
+            return
+        self._reported[source, t] = None
+        self._judged.append(Judged(source, t, result, distance, freedom))
+        if freedom:
+            quantile = CHI_SQUARE[0.95][freedom - 1]
+            self.nis.setdefault(source, Nis()).add(distance, quantile, freedom)
+
+    # -- wheels --------------------------------------------------------------------------------------------
+
+    def _on_wheel(self, state: State, item: WheelAngle) -> None:
+        is_left = item.motor == self.body.left
+        new = item.t, item.angle
+        samples = state.left if is_left else state.right
+        settings = self.settings
+        if samples:
+            if item.t <= samples[-1][0]:
+                self._report(item.motor, item.t, GateResult.CONFLICT)
+                return
+            if jumped(self.body, samples[-1], new, settings.jump_margin, settings.resolution):
+                self._report(item.motor, item.t, GateResult.JUMPED)
+                state.left = state.right = samples = ()
+        samples = added(samples, new, state.t)
+        if is_left:
+            state.left = samples
+        else:
+            state.right = samples
+        if not state.left or not state.right:
+            return
+        t = min(state.left[-1][0], state.right[-1][0])
+        first = max(state.left[0][0], state.right[0][0])
+        if state.t < first:  # the start, or a new zero
+            if t < first:
+                return
+            self._start(state, t)
+        while state.waiting and state.waiting[0].t <= t:
+            pose = state.waiting[0]
+            state.waiting = state.waiting[1:]
+            if pose.t > state.t:
+                self._travel(state, pose.t)
+            self._on_pose(state, pose)
+        if t - state.t >= settings.shortest:
+            self._travel(state, t)
+
+    def _start(self, state: State, t: Nanos) -> None:
+        """Take the wheels' angles at a time as those of the present pose."""
+        state.t = t
+        state.at = angle_at(state.left, t), angle_at(state.right, t)
+        state.still = (t, *state.at)
+        state.resting = False
+
+    def _travel(self, state: State, t: Nanos) -> None:
+        """Move by what the wheels turned up to a time, and correct by what the gyro turned."""
+        settings, body = self.settings, self.body
+        left, right = angle_at(state.left, t), angle_at(state.right, t)
+        on_left, on_right = left - state.at[0], right - state.at[1]
+        dt = (t - state.t) / SECOND
+        distance, turn = body.forward(on_left, on_right)
+        left_yaw, right_yaw = self._yaw_per_rad * -on_left, self._yaw_per_rad * on_right
+        rolled_left, rolled_right = body.wheel_radius * abs(on_left), body.wheel_radius * abs(on_right)
+        rolled = 0.5 * (rolled_left + rolled_right)
+        x, y, yaw, bias, scale, slip_left, slip_right, angle = state.x
+        length, slipped = (1.0 - scale) * distance, left_yaw * slip_left + right_yaw * slip_right
+        dx, dy, ux, uy, wx, wy = arc_slopes(yaw, length, turn + slipped)
+        keep_left = math.exp(-rolled_left / settings.slip_length)
+        keep_right = math.exp(-rolled_right / settings.slip_length)
+        slip_variance = settings.turn_slip * settings.turn_slip
+        along = settings.travel_noise * settings.travel_noise * rolled
+        across = settings.sideways_noise * settings.sideways_noise * rolled
+        gyro = state.gyro
+        turn_noise = 0.0 if gyro is None else gyro.sigma * gyro.sigma * (gyro.interval / SECOND) * dt
+        state.x = (
+            x + dx, y + dy, yaw + turn + slipped, bias, scale, keep_left * slip_left, keep_right * slip_right,
+            angle + slipped + bias * dt,
+        )  # fmt: skip
+        state.P = self._engine.predict(
+            state.P,
+            Move(
+                -dy, dx, -distance * ux, -distance * uy, wx, wy, left_yaw, right_yaw, dt, keep_left, keep_right,
+                along * ux * ux + across * uy * uy, (along - across) * ux * uy,
+                along * uy * uy + across * ux * ux, settings.bias_walk * settings.bias_walk * dt,
+                settings.scale_walk * settings.scale_walk * rolled,
+                slip_variance * (1.0 - keep_left * keep_left), slip_variance * (1.0 - keep_right * keep_right),
+                turn_noise,
+            ),
+        )  # fmt: skip
+        state.t, state.at = t, (left, right)
+        state.rolled = state.rolled[0] + on_left, state.rolled[1] + on_right
+        state.raw = arc_end(state.raw, distance, turn)
+        since, still_left, still_right = state.still
+        if max(abs(left - still_left), abs(right - still_right)) > 1.5 * settings.resolution:
+            state.still = since, _, _ = t, left, right
+        state.resting = t - since >= self._still_for
+        if gyro is not None:
+            jitter = settings.jitter / dt * math.hypot(on_left, on_right) * body.wheel_radius
+            self._compare(state, gyro, self._count_variance + (jitter / body.wheel_separation) ** 2)
+        state.smooth = arc_end(state.smooth, length, state.x[YAW] - yaw)
+
+    # -- gyro ----------------------------------------------------------------------------------------------
+
+    def _on_gyro(self, state: State, item: GyroRate) -> None:
+        gyro = state.gyro
+        last = gyro.samples[-1] if gyro is not None else (NEVER, 0.0, 0.0)
+        silent = item.t - last[0]
+        if gyro is not None and gyro.source != item.source:
+            if silent <= 2 * GYRO_GAP:
+                self._report(item.source, item.t, GateResult.UNUSED)
+                return
+            bias_variance = self.settings.bias_sigma**2
+            state.x = (*state.x[:BIAS], 0.0, *state.x[BIAS + 1 :])
+            state.P = cross_zeroed(state.P, BIAS, bias_variance)
+        if gyro is None or silent > GYRO_GAP:
+            sample = (item.t, item.rate, 0.0)
+            state.gyro = Gyro(item.source, item.sigma, GYRO_GAP, (sample,), None, item.t)
+        elif silent <= 0:
+            self._report(item.source, item.t, GateResult.CONFLICT)
+        else:
+            angle = last[2] + 0.5 * (last[1] + item.rate) * (silent / SECOND)
+            kept = gyro.samples
+            while len(kept) > 1 and (kept[1][0] <= state.t or len(kept) > MAX_INPUTS // 4):
+                kept = kept[1:]
+            sample = (item.t, item.rate, angle)
+            state.gyro = Gyro(item.source, item.sigma, silent, (*kept, sample), gyro.zero, gyro.used)
+
+    def _compare(self, state: State, gyro: Gyro, variance: float) -> None:
+        """Correct by the gyro's angle less that of the wheels, whose variance this is."""
+        turned = _gyro_angle(gyro, state.t)
+        if turned is None:
+            if state.t - gyro.samples[-1][0] > GYRO_GAP:
+                state.gyro = gyro._replace(zero=None)
+            return
+        settings = self.settings
+        turned -= self.body.forward(*state.rolled)[1]
+        if gyro.zero is None:
+            self._zero_gyro(state, gyro, turned, variance)
+            return
+        if gyro.samples[-1][0] <= gyro.used:
+            return
+        innovation = turned - gyro.zero - state.x[TURN]
+        x, P, distance = self._engine.turn(state.x, state.P, innovation, variance)
+        if distance <= CHI_SQUARE[settings.confidence][0]:
+            learns = state.resting and not state.doubt
+            if not learns:  # the optimal update of all but the bias (Schmidt 1966)
+                x = (*x[:BIAS], state.x[BIAS], *x[BIAS + 1 :])
+                P = (*P[:BIAS_BIAS], state.P[BIAS_BIAS], *P[BIAS_BIAS + 1 :])
+            state.x, state.P = x, P
+            state.gyro = Gyro(
+                gyro.source, gyro.sigma, gyro.interval, gyro.samples, gyro.zero, gyro.samples[-1][0]
+            )
+            self._bound(state)
+            self._accepted(state, gyro.source)
+            result = GateResult.ACCEPTED
+        else:
+            result = self._contradiction(state, gyro, turned, innovation, variance)
+        self._report(gyro.source, state.t, result, distance, 1)
+
+    def _contradiction(
+        self, state: State, gyro: Gyro, turned: float, innovation: float, variance: float
+    ) -> GateResult:
+        """Leave out a gyro that contradicts the wheels. One of the two is wrong: by so much may be the yaw."""
+        result = self._rejection(state, gyro.source, state.t)
+        if result is GateResult.FORCED:  # its bias may be any, and resting wheels do not show it
+            state.P = cross_zeroed(state.P, BIAS, self.settings.bias_sigma**2)
+            state.doubt = True
+        self._zero_gyro(state, gyro, turned, variance)
+        P = list(state.P)
+        P[AT[YAW][YAW]] += innovation * innovation
+        state.P = tuple(P)
+        return result
+
+    def _zero_gyro(self, state: State, gyro: Gyro, turned: float, variance: float) -> None:
+        state.x = (*state.x[:TURN], 0.0)
+        state.P = cross_zeroed(state.P, TURN, variance)
+        state.gyro = gyro._replace(zero=turned, used=gyro.samples[-1][0])
+
+    # -- poses ---------------------------------------------------------------------------------------------
+
+    def _on_pose(self, state: State, item: PoseFix | Relocated) -> None:
+        if isinstance(item, Relocated):
+            x, y, yaw = item.value.tolist()
+            P = state.P
+            for row in POSE:
+                P = cross_zeroed(P, row, 0.0)
+            whole = unpacked(P)
+            whole[:3, :3] = item.noise
+            state.x, state.P, state.rejected = (x, y, yaw, *state.x[BIAS:]), pack(whole), ()
+            return
+        rows = POSE[: len(item.value)]
+        y = [float(value) - state.x[row] for value, row in zip(item.value, rows, strict=True)]
+        if len(rows) > YAW:
+            y[YAW] = wrap(y[YAW])
+        packed, share = state.P, None
+        if item.shared is not None:
+            packed, share = relative(packed, rows, item.shared)
+        x_new, P_new, distance = self._engine.update(state.x, packed, rows, tuple(y), item.noise)
+        if distance <= CHI_SQUARE[self.settings.confidence][len(rows) - 1]:
+            result = GateResult.ACCEPTED
+            self._accepted(state, item.source)
+        else:
+            result = self._rejection(state, item.source, item.t)
+            if result is GateResult.FORCED:
+                share = None
+                packed = _inflated(state.P, rows, y)
+                x_new, P_new, _ = self._engine.update(state.x, packed, rows, tuple(y), item.noise)
+        if result is not GateResult.REJECTED:
+            state.x = x_new
+            state.P = P_new if share is None else pack(unpacked(P_new) + share)
+            self._bound(state)
+            if state.P[BIAS_BIAS] < (self.settings.bias_sigma / 5.0) ** 2:
+                state.doubt = False
+        self._report(item.source, item.t, result, distance, len(rows))
+
+    # -- gates ---------------------------------------------------------------------------------------------
+
+    def _accepted(self, state: State, source: str) -> None:
+        if state.rejected:
+            state.rejected = tuple(pair for pair in state.rejected if pair[0] != source)
+
+    def _rejection(self, state: State, source: str, t: Nanos) -> GateResult:
+        """Return whether the sensor is rejected, or has been for so long that it must be accepted."""
+        since = dict(state.rejected).get(source)
+        if since is None:
+            state.rejected = (*state.rejected, (source, t))
+        elif t - since >= self.settings.lockout:
+            self._accepted(state, source)
+            return GateResult.FORCED
+        return GateResult.REJECTED
+
+    def _bound(self, state: State) -> None:
+        """Keep bias, scale and slip within their bounds."""
+        x, y, yaw, bias, scale, left, right, turn = state.x
+        most, fastest = self.settings.scale_bound, self.settings.bias_bound
+        if max(abs(scale), abs(left), abs(right)) > most or abs(bias) > fastest:
+            scale, left, right = (max(-most, min(most, value)) for value in (scale, left, right))
+            state.x = x, y, yaw, max(-fastest, min(fastest, bias)), scale, left, right, turn
+
+
+BIAS_BIAS = AT[BIAS][BIAS]
+
+
+def _time(state: State) -> Nanos:
+    return state.t
+
+
+def _source(item: Input) -> str:
+    if isinstance(item, WheelAngle):
+        return item.motor
+    return "" if isinstance(item, Relocated) else item.source
+
+
+def _key(item: Input) -> tuple[Any, ...]:
+    """Return the place of an input in the order in which inputs are applied."""
+    if isinstance(item, GyroRate):
+        return item.t, 0, item.source, item.rate, item.sigma
+    if isinstance(item, WheelAngle):
+        return item.t, 1, item.motor, item.angle
+    shared = item.shared if isinstance(item, PoseFix) else None
+    numbers = [array.ravel().tolist() for array in (item.value, item.noise, shared) if array is not None]
+    return item.t, 2, _source(item), numbers
+
+
+def _gyro_angle(gyro: Gyro, t: Nanos) -> float | None:
+    """Return the gyro's angle at a time: between samples by trapezoids, after the last by its rate."""
+    samples = gyro.samples
+    last = samples[-1]
+    if t >= last[0]:
+        if t - last[0] > GYRO_HOLD * gyro.interval:
+            return None
+        return last[2] + last[1] * ((t - last[0]) / SECOND)
+    after = last
+    for before in reversed(samples[:-1]):
+        if before[0] <= t:
+            dt = (t - before[0]) / SECOND
+            slope = (after[1] - before[1]) / ((after[0] - before[0]) / SECOND)
+            return before[2] + (before[1] + 0.5 * slope * dt) * dt
+        after = before
+    return None
+
+
+def _inflated(packed: Packed, rows: Sequence[int], y: Sequence[float]) -> Packed:
+    """Return a covariance that covers an innovation: larger for what was observed, and for the distance
+    scale, since wheels that spin on the spot are the usual cause of a wrong position."""
+    P = unpacked(packed)
+    factor = max(value * value / P[row, row] for value, row in zip(y, rows, strict=True))
+    scale = np.ones(len(P))
+    scale[[*rows, SCALE]] = math.sqrt(min(max(1.0, factor), MAX_INFLATION))
+    return pack(P * np.outer(scale, scale))

@@ -1,0 +1,107 @@
+"""The filter's settings, and the chi-square quantiles of its gates."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from brain.checks import within
+from brain.perception.engine import ENGINES
+from protocols.messages import MILLISECOND, Nanos
+
+CHI_SQUARE: dict[float, tuple[float, float, float]] = {
+    0.95: (3.841459, 5.991465, 7.814728),
+    0.99: (6.634897, 9.210340, 11.344867),
+    0.999: (10.827566, 13.815511, 16.266236),
+}
+"""Quantiles of chi-square by confidence, for 1, 2 and 3 degrees of freedom."""
+
+
+@dataclass(frozen=True, slots=True)
+class FilterSettings:
+    """Initial state, error model and gates."""
+
+    engine: Literal["structured", "filterpy"] = "structured"
+    start_x: float = 0.0
+    """m, in the frame "odom" """
+    start_y: float = 0.0
+    start_yaw: float = 0.0
+    """rad"""
+    start_sigma: float = 1e-3
+    """m: near 0, since the start defines the frame"""
+    start_yaw_sigma: float = 1e-3
+    """rad; larger where position fixes define the frame"""
+    resolution: float = 2.0 * math.pi / 131072.0
+    """rad of the wheel: one count of the encoder, seen through the gear"""
+    jitter: float = 2e-5
+    """s: jitter of the wheels' time stamps"""
+    shortest: Nanos = 4 * MILLISECOND
+    """Shorter travels are joined."""
+    jump_margin: float = 2.0
+    """An angle that changes faster than the wheel's largest speed times this has jumped."""
+    turn_slip: float = 0.01
+    """Standard deviation of each wheel's slip, as a share of what it rolls; here it turns the base"""
+    slip_length: float = 0.3
+    """m: its correlation length: a Gauss-Markov process over the distance that the wheel rolls"""
+    travel_noise: float = 0.006
+    """m per √m rolled: error along the path by slip that both wheels share"""
+    sideways_noise: float = 0.003
+    """m per √m rolled: lateral displacement"""
+    scale_sigma: float = 0.03
+    """Initial standard deviation of the distance scale: the share of the wheels' travel that the base does
+    not move"""
+    scale_walk: float = 1e-3
+    """Per √m: random walk of the distance scale"""
+    scale_bound: float = 0.1
+    """Largest distance scale, and slip of a wheel"""
+    bias_sigma: float = 0.05
+    """rad/s: gyro bias at switch-on"""
+    bias_walk: float = 1e-4
+    """rad/s per √s: random walk of the gyro bias"""
+    bias_bound: float = 0.2
+    """rad/s: largest gyro bias"""
+    still_for: Nanos = 300 * MILLISECOND
+    """The wheels rest if neither has turned by more than one count for this time, or for as long as a count
+    takes at `STILL_RATE`."""
+    confidence: float = 0.999
+    """Of the chi-square gates: 0.95, 0.99 or 0.999"""
+    lockout: Nanos = 400 * MILLISECOND
+    """After this time of uninterrupted rejections the sensor's next measurement is accepted again."""
+    rewind: Nanos = 500 * MILLISECOND
+    """Largest delay of a measurement."""
+
+    def __post_init__(self) -> None:
+        within(
+            self,
+            start_x=(-1e4, 1e4, "m"),
+            start_y=(-1e4, 1e4, "m"),
+            start_yaw=(-10.0, 10.0, "rad"),
+            start_sigma=(1e-6, 100.0, "m"),
+            start_yaw_sigma=(1e-6, 4.0, "rad"),
+            resolution=(1e-8, 1.0, "rad"),
+            jitter=(0.0, 0.1, "s"),
+            shortest=(0.0, 100.0),
+            jump_margin=(1.0, 10.0),
+            turn_slip=(1e-6, 1.0),
+            slip_length=(0.01, 1000.0, "m"),
+            travel_noise=(0.0, 1.0),
+            sideways_noise=(0.0, 1.0),
+            scale_sigma=(0.0, 0.1),
+            scale_walk=(0.0, 0.1),
+            scale_bound=(0.0, 0.1),
+            bias_sigma=(1e-6, 1.0, "rad/s"),
+            bias_walk=(0.0, 1.0),
+            bias_bound=(0.0, 1.0, "rad/s"),
+            still_for=(10.0, 10_000.0),
+            lockout=(0.0, 10_000.0),
+            rewind=(0.0, 1000.0),
+        )
+        if self.confidence not in CHI_SQUARE:
+            raise ValueError(f"confidence must be one of {list(CHI_SQUARE)}, not {self.confidence!r}")
+        if self.engine not in ENGINES:
+            raise ValueError(f"engine must be one of {list(ENGINES)}, not {self.engine!r}")
+
+
+STILL_RATE = 2e-3
+"""rad/s: a base that turns slower cannot be distinguished from one at rest."""

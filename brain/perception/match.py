@@ -1,0 +1,252 @@
+"""Scan matching: the robot's pose from a scan and the map, line to line, by Gauss-Newton.
+
+Rules. For each of a bounded number of a scan's surfaces, evenly spread along them, the nearest line of the
+map that faces the same way is searched; the surface's distance across that line is the residual: sliding
+along a wall costs nothing. The pose with the least robust sum of squares is searched from the filter's
+prediction, in a bounded number of steps; the search distance starts as wide as the prediction is uncertain.
+The covariance comes from the lines used and from how well they fit; a direction that hardly any of them holds
+is left open, as in a bare corridor: the scatter of the lines' own directions would else pass for a
+constraint. Where too little of the scan lies on known lines there is no match: an ordinary result (None).
+Sources: Chen and Medioni 1992 (point to plane); Censi 2008 (point to line, PLICP).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from brain.belief import Floats, Pose
+from brain.bodies.differential import wrap
+from brain.checks import ordered, within
+from brain.perception.body_scan import BodyScan, rotated, to_world
+from brain.perception.lines import PER_CELL, TURN
+from brain.perception.map import Map
+
+Indices = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class MatchSettings:
+    """Parameters of scan matching."""
+
+    surfaces: int = 100
+    """Largest number of surfaces of a scan that are used"""
+    steps: int = 8
+    """Gauss-Newton steps, at most"""
+    reach: float = 0.1
+    """m: search distance to each side for the map's line, where the prediction is good"""
+    widest: float = 0.5
+    """m: largest search distance, where the prediction is poor"""
+    sigma: float = 0.02
+    """m: distance of surfaces from lines beyond twice which they count less (Cauchy)"""
+    least: int = 15
+    """Least number of surfaces on lines"""
+    overlap: float = 0.4
+    """Least share of the surfaces in known ground that lie on lines"""
+    hold: float = 0.02
+    """A direction is observable if at least this share of the surfaces holds it"""
+    floor: float = 0.001
+    """m: least standard deviation of a match"""
+    floor_yaw: float = 0.0004
+    """rad"""
+
+    def __post_init__(self) -> None:
+        within(
+            self,
+            surfaces=(10, 500),
+            steps=(1, 20),
+            reach=(0.01, 1.0, "m"),
+            widest=(0.01, 1.0, "m"),
+            sigma=(1e-3, 1.0, "m"),
+            least=(3, 500),
+            overlap=(0.01, 1.0),
+            hold=(1e-6, 1.0),
+            floor=(1e-5, 1.0, "m"),
+            floor_yaw=(1e-5, 1.0, "rad"),
+        )
+        ordered(self, "reach", "widest")
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """Result of matching a scan."""
+
+    pose: Pose
+    noise: Floats
+    """3 × 3 covariance of x, y, yaw about where the map's lines place the robot"""
+    shared: Floats
+    """3 × 3 covariance of those lines themselves, as they were drawn, at the robot"""
+    fit: float
+    """Share of the hits in known ground that lie on occupied cells"""
+    denied: float
+    """Share of the hits in known ground that lie in free cells"""
+    known: float
+    """Share of all hits that lie in known ground"""
+
+
+SMALL = 0.01
+"""m, rad: after a smaller step, the surfaces keep their lines"""
+OPEN = 1e4
+"""Variance [m², rad²] of a direction that no line holds."""
+CORRELATED = 2.0
+"""Neighbouring surfaces share hits and lines: this many of them carry the information of one."""
+FACING = round(math.radians(50.0) / TURN)
+"""Largest angle between a surface and a line that may be it"""
+MAX_AWAY = 20
+"""Cells about a surface in which its line is searched, at most"""
+EXAMINED = 120
+"""Hits of a scan that are compared with the map's classes, at most"""
+
+
+def _window(away: int) -> Indices:
+    """Return cells (2 × n: columns, rows) to search, nearest first: all within 3, farther only along 16 rays.
+    A straight line that passes within the distance meets some of them."""
+    near = range(-min(away, 3), min(away, 3) + 1)
+    cells = {(column, row) for column in near for row in near}
+    for ray in range(16):
+        c, s = math.cos(ray * math.pi / 8.0), math.sin(ray * math.pi / 8.0)
+        cells |= {(round(c * far), round(s * far)) for far in range(4, away + 1)}
+    return np.array(sorted(cells, key=lambda cell: (math.hypot(*cell), cell)), dtype=np.int64).T
+
+
+WINDOWS = [_window(away) for away in range(MAX_AWAY + 1)]
+
+
+def match(chart: Map, scan: BodyScan, predicted: Pose, sigma: float, settings: MatchSettings) -> Match | None:
+    """Return the pose near the predicted one at which the scan fits the map; None if too little of it does.
+
+    `sigma` [m]: standard deviation of the prediction. Lines are first searched as far away as that
+    requires, then, from the improved pose, nearby."""
+    chosen = _spread(scan, settings.surfaces)
+    if len(chosen) < settings.least:
+        return None
+    points, normals = scan.middles[chosen], scan.normals[chosen]
+    directions = np.arctan2(normals[:, 1], normals[:, 0])
+    reach, pose = min(max(3.0 * sigma, settings.reach), settings.widest), predicted
+    pairs = None
+    for _ in range(settings.steps):
+        pairs = _paired(chart, points, directions, pose, reach, settings)
+        if pairs is None:
+            return None
+        change, _ = _solved(pairs, pose, settings)
+        pose = Pose(pose.x + float(change[0]), pose.y + float(change[1]), wrap(pose.yaw + float(change[2])))
+        if reach == settings.reach and float(np.abs(change).max()) < SMALL:
+            break
+        reach = max(settings.reach, reach / 1.5)
+    assert pairs is not None  # there is at least one step
+    change, covariance = _solved(pairs, pose, settings)
+    pose = Pose(pose.x + float(change[0]), pose.y + float(change[1]), wrap(pose.yaw + float(change[2])))
+    fit, denied, known = examine(chart, scan, pose)
+    floor = np.diag([settings.floor**2, settings.floor**2, settings.floor_yaw**2])
+    return Match(pose, covariance + floor, _shared(chart, pairs.anchors, pose), fit, denied, known)
+
+
+def examine(chart: Map, scan: BodyScan, pose: Pose) -> tuple[float, float, float]:
+    """Return which share of the scan's hits, taken at this pose, lie beside occupied cells, and which in free
+    ground, both of those in known ground; and which share of all hits lies in known ground.
+
+    (In a new place hits lie in unknown cells: that is no contradiction.)"""
+    hits = np.flatnonzero(scan.hit)
+    hits = hits[:: math.ceil(len(hits) / EXAMINED) or 1]
+    if not len(hits):
+        return 0.0, 0.0, 0.0
+    cells = chart.cells(to_world(scan.ends[hits], pose))
+    beside = WINDOWS[1]
+    values = chart.values(cells[:, 0, None] + beside[0], cells[:, 1, None] + beside[1])
+    occupied = (values > 0).any(axis=1)
+    free = ~occupied & (values[:, 0] < 0)
+    fits, denied = int(np.count_nonzero(occupied)), int(np.count_nonzero(free))
+    known = max(fits + denied, 1)
+    return fits / known, denied / known, (fits + denied) / len(hits)
+
+
+def _spread(scan: BodyScan, most: int) -> Indices:
+    """Return surfaces of a scan, evenly spread along them."""
+    found = np.flatnonzero(scan.straight)
+    if len(found) <= most:
+        return found
+    apart = np.diff(scan.middles[found], axis=0, prepend=scan.middles[found[:1]])
+    length = np.cumsum(np.minimum(np.sqrt(np.sum(apart * apart, axis=1)), 0.5))
+    number = np.floor(length * (most / (length[-1] + 1e-9)))
+    return found[np.flatnonzero(np.diff(number, prepend=-1.0))]
+
+
+@dataclass(frozen=True, slots=True)
+class _Pairs:
+    """Surfaces of a scan and the map's lines that they may be, n each."""
+
+    points: Floats
+    """m, in the robot's frame"""
+    normals: Floats
+    offsets: Floats
+    """m: the product of the normal with each of the line's points"""
+    anchors: Indices
+
+
+def _paired(
+    chart: Map, points: Floats, directions: Floats, pose: Pose, reach: float, settings: MatchSettings
+) -> _Pairs | None:
+    """Return the nearest line to each surface (its direction: that of the normal) that faces its way; None if
+    too few of the surfaces have one."""
+    columns, rows = chart.cells(to_world(points, pose)).T
+    window = WINDOWS[min(math.ceil(reach / chart.resolution - 1e-9), MAX_AWAY)]
+    lines = chart.lines.at(columns[:, None] + window[0], rows[:, None] + window[1])
+    facing = np.rint((directions + pose.yaw) / TURN).astype(np.int64).astype(np.int16)
+    apart = (lines["angle"] - (facing - np.int16(FACING))[:, None]).view(np.uint16)
+    valid = (lines["scans"] > 0) & (apart < 2 * FACING)
+    which = valid.argmax(axis=1)
+    found = np.flatnonzero(valid[np.arange(len(points)), which] & chart.inside(columns, rows))
+    known = len(found) + np.count_nonzero(chart.values(columns, rows) < 0) / 2
+    if len(found) < max(settings.least, settings.overlap * known):
+        return None
+    which = which[found]
+    lines = lines[found, which]
+    angle = lines["angle"] * TURN
+    nx, ny = np.cos(angle), np.sin(angle)
+    x, y = columns[found] + window[0, which] + 0.5, rows[found] + window[1, which] + 0.5
+    offsets = (x * nx + y * ny + lines["offset"] / PER_CELL) * chart.resolution
+    return _Pairs(points[found], np.column_stack([nx, ny]), offsets, lines["anchor"])
+
+
+def _solved(pairs: _Pairs, pose: Pose, settings: MatchSettings) -> tuple[Floats, Floats]:
+    """Return the Gauss-Newton step in x [m], y [m], yaw [rad] from a pose, and the covariance (3 × 3)."""
+    arm = rotated(pairs.points, pose.yaw)
+    nx, ny = pairs.normals.T
+    distance = nx * (arm[:, 0] + pose.x) + ny * (arm[:, 1] + pose.y) - pairs.offsets
+    J = np.stack([nx, ny, ny * arm[:, 0] - nx * arm[:, 1]])
+    sigma = max(settings.sigma, float(np.abs(distance).mean()))
+    weight = 1.0 / (1.0 + (distance / (2.0 * sigma)) ** 2)
+    weighted = J * weight
+    total = float(weight.sum())
+    variance = float(weight @ (distance * distance)) / total
+    length = max(math.sqrt(float(np.vdot(arm, arm)) / len(arm)), 0.1)
+    inverse, left_open = _inverted(weighted @ J.T, length, settings.hold * total)
+    step = -inverse @ (weighted @ distance)
+    return step, CORRELATED * variance * inverse + OPEN * left_open
+
+
+def _inverted(information: Floats, length: float, least: float) -> tuple[Floats, Floats]:
+    """Return the inverse in the directions with at least this information, and the projection on the others.
+    To compare metres with radians, a turn counts by how far it moves points at `length` [m]."""
+    scale = np.array([1.0, 1.0, 1.0 / length])
+    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    directions = vectors * scale[:, None]
+    held = values >= least
+    inverse: Floats = (directions[:, held] / values[held]) @ directions[:, held].T
+    left: Floats = directions[:, ~held] @ directions[:, ~held].T
+    return inverse, left
+
+
+def _shared(chart: Map, anchors: Indices, pose: Pose) -> Floats:
+    """Return the mean covariance of anchors, moved to a pose: an anchor's turn displaces it by the lever."""
+    covariances = chart.lines.covariances[anchors]
+    by_turn = covariances[:, :, 2]
+    lever = np.zeros((len(anchors), 3))
+    lever[:, 0] = chart.lines.poses[anchors, 1] - pose.y
+    lever[:, 1] = pose.x - chart.lines.poses[anchors, 0]
+    moved = lever.T @ (by_turn + 0.5 * by_turn[:, 2:] * lever) / len(anchors)
+    shared: Floats = covariances.mean(axis=0) + moved + moved.T
+    return shared
