@@ -111,7 +111,7 @@ class Search:
         cells, moves = self._cells, self._moves[:, 0].tolist()
         while cells and cells[-1] != self.start and self.work < end:
             cells.append(self._best[1] if cells[-1] == BEYOND else cells[-1] - moves[self._came[cells[-1]]])
-            self.work += 1
+            self.work += 2
         if not cells or cells[-1] != self.start:
             return Searching(self.work)
         return CellPath(tuple(reversed(cells)), self._best[0] * self.ground.resolution)
@@ -154,7 +154,10 @@ class Search:
         kept = new == cost[there]
         there = there[kept]
         self._came[there] = found[kept] // count if count else 0
-        self._put(np.unique(there))
+        there = np.sort(there)
+        first = np.ones(len(there), np.bool_)
+        first[1:] = there[1:] != there[:-1]
+        self._put(there[first])
         return count + BATCH_WORK
 
     def _put(self, cells: Cells) -> None:

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from math import hypot
+
 import numpy as np
 import pytest
 
-from brain.planning.costmap import PlannerSettings
+from brain.belief import Pose
+from brain.perception.body_scan import to_body
+from brain.perception.map import Map, MapSettings
+from brain.perception.mount import Mount
+from brain.planning.costmap import TILE, PlannerSettings
 from brain.planning.navigator import Navigator
 from brain.planning.planner import FrontierPath, Path
 from brain.planning.polyline import Point, Polyline
 from protocols.messages import MILLISECOND, SECOND, Drive, Goal, Nanos
+from tests.brain.perception.office import box, scan_at
 from tests.brain.planning.maps import RADIUS, PlainMap, two_rooms
 
 
@@ -245,3 +252,38 @@ def test_an_obstacle_on_the_path_is_found_in_time(span: Nanos, at: int, periods:
         run.navigator.step(run.now, run.here, run.grid)
         run.now += span
     assert run.now - start <= periods * PlannerSettings().period + 2 * span
+
+
+HALLS = {
+    "corridor": ([*box(-1, -1.1, 26, -1), *box(-1, 1, 26, 1.1), *box(25.5, -1, 25.6, 1)], 24.5),
+    "hall": ([*box(-1, -9, 61, -8.9), *box(-1, 8.9, 61, 9), *box(28, -6, 32, 9)], 58.0),
+}
+
+
+@pytest.mark.parametrize("name", HALLS)
+def test_a_goal_beyond_the_maps_extent_is_reached_as_the_map_rolls(name: str) -> None:
+    """With the map itself, 25 m wide, and a robot that knows its pose and sees 6 m."""
+    walls, far = HALLS[name]
+    rolling = Map(MapSettings(width=24.0, height=24.0, farthest=6.0))
+    extent = rolling.extent()
+    navigator, now, here = Navigator(RADIUS, PlannerSettings()), SECOND, (0.0, 0.0)
+    navigator.accept(now, Goal(far, 0.0))
+    while navigator.goals:
+        pose = Pose(*here, 0.0)
+        scan = scan_at(np.array(walls), pose, Mount(), now, np.zeros(360))
+        rolling.add(pose, to_body(scan, Mount(), 6.0), np.zeros((3, 3)))
+        for _ in range(10):
+            now += 20 * MILLISECOND
+            navigator.step(now, here, rolling)
+        if navigator.path is not None:
+            line = navigator._line
+            along = line.project(here)[0] + 0.4
+            here = line.point(min(along, line.length))
+            if along >= line.length:
+                navigator.arrived(now)
+        assert now < 200 * SECOND, navigator.notes
+    assert navigator.reached == 1
+    assert hypot(here[0] - far, here[1]) < 1e-9
+    assert navigator.costmap is not None
+    assert rolling.extent()[1] > extent[1] + 4 * TILE
+    assert len(navigator.costmap.tiles) <= 64
