@@ -147,7 +147,7 @@ class Search:
         new = cost[cells] + step
         old = cost[there]
         old[old == 0.0] = inf
-        found = np.flatnonzero(new < old)
+        found = (new < old).reshape(-1).nonzero()[0]
         there, new = there.reshape(-1)[found], new.reshape(-1)[found]
         cost[there[cost[there] == 0.0]] = inf
         np.minimum.at(cost, there, new)
@@ -167,19 +167,20 @@ class Search:
         dx, dy = np.abs(columns - self._goal_at[1]), np.abs(rows - self._goal_at[0])
         ahead = dx + dy + (DIAGONAL - 2.0) * np.minimum(dx, dy)
         if self.goal == BEYOND:
-            exits = np.flatnonzero(self.ground.level[cells] == EXIT)
+            exits = (self.ground.level[cells] == EXIT).nonzero()[0]
             if len(exits):
                 whole = costs[exits] + self._multiplier[EXIT] * ahead[exits]
                 first = int(np.argmin(whole))
                 self._best = min(self._best, (float(whole[first]), int(cells[exits[first]])))
         elif self._cost[self.goal] > 0.0:
             self._best = (float(self._cost[self.goal]), self.goal)
-        buckets = ((costs + ahead) / BUCKET).astype(np.int64)
-        order = np.argsort(buckets, kind="stable")
-        order = order[(costs + ahead)[order] < self._best[0]]
+        promise = costs + ahead
+        buckets = (promise * (1.0 / BUCKET)).astype(np.int64)
+        order = buckets.argsort(kind="stable")
+        if self._best[0] < inf:
+            order = order[promise[order] < self._best[0]]
         cells, costs, buckets = cells[order], costs[order], buckets[order]
-        cuts = (0, *(np.flatnonzero(np.diff(buckets)) + 1).tolist(), len(order))
-        for first, last in pairwise(cuts):
-            if first < last:
-                stack = self._open.setdefault(int(buckets[first]), [])
-                stack.append((cells[first:last], costs[first:last]))
+        cuts = ((buckets[1:] != buckets[:-1]).nonzero()[0] + 1).tolist()
+        for first, last in pairwise((0, *cuts, len(cells)) if len(cells) else ()):
+            stack = self._open.setdefault(int(buckets[first]), [])
+            stack.append((cells[first:last], costs[first:last]))

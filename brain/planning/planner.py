@@ -79,8 +79,6 @@ class PathQuery:
         while work > 0 and isinstance(self._result, Searching):
             if not self.ground.complete:
                 work = self.ground.assemble(costmap, grid, work)
-                if self.ground.complete:
-                    self._result = self._begin()
             elif self._ways_out is not None:
                 self._result = self._leave(self._ways_out)
                 work -= LINE_WORK
@@ -88,13 +86,14 @@ class PathQuery:
                 work = self._short.advance(self.ground, work)
                 if self._short.finished:
                     self._result = self._conclude(tuple(self._short.kept))
-            else:
-                assert self._search is not None
+            elif self._search is not None:
                 before = self._search.work
                 outcome = self._search.advance(work)
                 work -= max(self._search.work - before, 1)
                 if not isinstance(outcome, Searching):
                     self._result = self._judge(outcome)
+            else:
+                self._result = self._begin()
         return self._result
 
     def _begin(self) -> PlanResult:

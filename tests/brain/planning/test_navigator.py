@@ -42,6 +42,9 @@ class Run:
     def drive(self) -> Drive | None:
         return self.navigator.drive
 
+    def path(self) -> Path | FrontierPath | None:
+        return self.navigator.path
+
     def busy(self) -> bool:
         return self.navigator.busy
 
@@ -248,7 +251,7 @@ def test_an_obstacle_on_the_path_is_found_in_time(span: Nanos, at: int, periods:
     run.grid.occupied[:, at] = True
     run.grid.version += 1
     start = run.now
-    while run.navigator.path is not None:
+    while run.path() is not None:
         run.navigator.step(run.now, run.here, run.grid)
         run.now += span
     assert run.now - start <= periods * PlannerSettings().period + 2 * span
@@ -277,7 +280,7 @@ def test_a_goal_beyond_the_maps_extent_is_reached_as_the_map_rolls(name: str) ->
             navigator.step(now, here, rolling)
         if navigator.path is not None:
             line = navigator._line
-            along = line.project(here)[0] + 0.4
+            along = line.project(here)[0] + 0.8
             here = line.point(min(along, line.length))
             if along >= line.length:
                 navigator.arrived(now)

@@ -1,0 +1,93 @@
+"""The work of a step of planning is bounded, and does not depend on the map's size: counted operations."""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from collections.abc import Callable
+from types import CodeType, FrameType
+
+import numpy as np
+import pytest
+
+from brain.planning.astar import BATCH, BATCH_WORK, Search
+from brain.planning.costmap import TILE_WORK, Costmap, PlannerSettings
+from brain.planning.navigator import CHECKED_PER_STEP, TILES_PER_STEP, Navigator
+from brain.planning.planner import LINE_WORK, SHORTCUT_CORNERS, NoPath, Shortening
+from brain.planning.polyline import Point
+from brain.planning.snapshot import MAX_LINES, crossing
+from protocols.messages import MILLISECOND, Goal
+from tests.brain.planning.maps import RADIUS, PlainMap, ground, query, two_rooms
+
+WORK = {Costmap.draw.__code__: TILE_WORK, Search._expand.__code__: BATCH_WORK, crossing.__code__: LINE_WORK}
+
+
+def calls(action: Callable[[], object]) -> Counter[CodeType]:
+    """How often an action calls each function."""
+    count: Counter[CodeType] = Counter()
+
+    def on_event(frame: FrameType, event: str, _: object) -> None:
+        if event == "call":
+            count[frame.f_code] += 1
+
+    before = sys.getprofile()
+    sys.setprofile(on_event)
+    try:
+        action()
+    finally:
+        sys.setprofile(before)
+    return count
+
+
+@pytest.mark.parametrize("side", [200, 1600])
+def test_no_step_does_more_than_its_work_however_large_the_map(side: int) -> None:
+    """From nothing drawn to the end of the path: 20 m, and 160 m, with obstacles all over."""
+    occupied = np.random.Generator(np.random.PCG64(3)).random((side, side)) < 0.003
+    occupied[:10, :10] = occupied[-10:, -10:] = False
+    navigator, settings = (
+        Navigator(RADIUS, PlannerSettings(patience=600_000 * MILLISECOND)),
+        PlannerSettings(),
+    )
+    grid, here, now, most, phases = PlainMap(occupied, low=(0, 0)), (0.5, 0.5), 0, 0, set()
+    navigator.accept(now, Goal(side / 10 - 0.5, side / 10 - 0.5))
+    while navigator._checked == 0.0 or navigator._checked < navigator._line.length:
+        now += 5 * MILLISECOND
+        count = calls(lambda: navigator.step(now, here, grid))  # noqa: B023 -- called at once
+        most = max(most, sum(WORK[code] * count[code] for code in WORK))
+        phases |= {code for code in WORK if count[code]}
+    assert len(phases) == 3
+    over = max(TILES_PER_STEP * TILE_WORK, BATCH + BATCH_WORK, 3 * LINE_WORK) + CHECKED_PER_STEP * LINE_WORK
+    assert most <= settings.expansions_per_step + over
+
+
+def test_a_path_of_very_many_corners_is_shortened_as_far_as_the_work_goes() -> None:
+    there = ground(np.zeros((90, 300), bool))
+    points: list[Point] = [(0.1 + 0.004 * k, 2.0 + 4.0 * (k % 2)) for k in range(6000)]
+    short = Shortening(points)
+    count = calls(lambda: short.advance(there, 10**9))
+    assert count[crossing.__code__] <= 2 * MAX_LINES + SHORTCUT_CORNERS
+    assert short.finished
+    assert (short.kept[0], short.kept[-1]) == (points[0], points[-1])
+
+
+def test_the_way_out_of_an_obstacle_is_searched_along_few_lines() -> None:
+    """The robot's place is enclosed by a thin wall: no straight line leads out of it."""
+    occupied = two_rooms(60, 60, door=(0, 0))
+    occupied[19:22, 9:12] = True
+    occupied[20, 10] = False
+    grid = PlainMap(occupied)
+    asked, costmap = query(grid, (0.05, 0.05), (4.0, 0.0), PlannerSettings(escape=2.0))
+    found = []
+    count = calls(lambda: found.append(asked.advance(10**9, costmap, grid)))
+    assert isinstance(found[0], NoPath)
+    assert "stands too near to an obstacle" in found[0].reason
+    assert count[crossing.__code__] <= MAX_LINES
+
+
+def test_a_step_without_news_costs_nothing() -> None:
+    navigator, grid = Navigator(RADIUS, PlannerSettings()), PlainMap(two_rooms())
+    for _ in range(20):
+        navigator.step(0, (0.0, 0.0), grid)
+    assert not navigator.costmap.pending if navigator.costmap else False
+    count = calls(lambda: navigator.step(0, (0.0, 0.0), grid))
+    assert sum(count.values()) < 15
