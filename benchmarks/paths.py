@@ -17,7 +17,8 @@ import numpy.typing as npt
 from benchmarks.measure import Call, Effort, in_turn, rival
 from benchmarks.rows import Row, against
 from brain.planning.astar import CellPath, Search
-from brain.planning.costmap import Costmap, build_costmap
+from brain.planning.costmap import TILE, Costmap, PlannerSettings, Tile
+from brain.planning.snapshot import Snapshot
 from protocols.messages import Nanos
 
 GROUP = "the cheapest way through a house of rooms, corner to corner"
@@ -38,12 +39,12 @@ def paths(effort: Effort) -> list[Row]:
 
 def _row(size: int, rounds: int) -> Row:
     blocked = rooms(size)
-    costmap = costmap_of(blocked)
+    ground = ground_of(blocked)
     skimage = rival("skimage.graph", "scikit-image")
     scipy, sparse = rival("scipy.sparse.csgraph", "scipy"), rival("scipy.sparse", "scipy")
     mcp, route = f"{skimage.name}: MCP_Geometric", f"{skimage.name}: route_through_array"
     both, search = f"{scipy.name}: make the graph, dijkstra", f"{scipy.name}: dijkstra alone"
-    contestants: dict[str, Call] = {"ours": lambda: ours(costmap)}
+    contestants: dict[str, Call] = {"ours": lambda: ours(ground, size)}
     if not skimage.why_not:
         cost = np.where(blocked, -1.0, 1.0)
         contestants[mcp] = lambda: _mcp(skimage.module, cost)
@@ -73,17 +74,44 @@ def rooms(size: int) -> Mask:
     return blocked
 
 
-def costmap_of(blocked: Mask) -> Costmap:
+class Picture:
+    """A map that does not change: cells of 1 m, blocked or free."""
+
+    version, resolution = 1, 1.0
+
+    def __init__(self, blocked: Mask) -> None:
+        tiles = -(-len(blocked) // TILE)
+        padded = np.pad(np.where(blocked, 1, -1), (0, tiles * TILE - len(blocked)), constant_values=1)
+        self._tiles = padded.astype(np.int8).reshape(tiles, TILE, tiles, TILE).swapaxes(1, 2)
+
+    def tile(self, row: int, column: int) -> npt.NDArray[np.int8] | None:
+        inside = 0 <= row < len(self._tiles) and 0 <= column < len(self._tiles)
+        return self._tiles[row, column] if inside else None
+
+    def changed(self, since: int) -> list[Tile]:
+        return [(row, column) for row, column in np.ndindex(self._tiles.shape[:2]) if since < 0]
+
+    def extent(self) -> tuple[int, int, int, int]:
+        return 0, 0, len(self._tiles) * TILE, len(self._tiles) * TILE
+
+
+def ground_of(blocked: Mask) -> Snapshot:
     """All that is not a wall is free, and costs the same everywhere."""
-    return build_costmap(blocked, np.zeros_like(blocked), resolution=1.0, origin=(0.0, 0.0))
+    house, corner = Picture(blocked), (0.5, 0.5)
+    costmap = Costmap(1.0, 0.0, PlannerSettings(margin=0.0, comfort=0.0))
+    costmap.update(house, corner, 0)
+    ground = Snapshot(costmap, house, corner, corner, ())
+    ground.assemble(costmap, house, EVERYTHING)
+    return ground
 
 
-def ours(costmap: Costmap) -> float:
+def ours(ground: Snapshot, size: int) -> float:
     """The length of the way, in cells; every house of ours has one."""
-    rows = len(costmap.level) // costmap.stride - 2
-    end = rows * costmap.stride + rows
-    outcome = Search(costmap, costmap.stride + 1, end).advance(EVERYTHING)
-    assert isinstance(outcome, CellPath), f"no way through {rows} × {rows} rooms: {outcome}"
+    start, end = ground.index(0.5, 0.5), ground.index(size - 0.5, size - 0.5)
+    assert start is not None
+    assert end is not None
+    outcome = Search(ground, start, end).advance(EVERYTHING)
+    assert isinstance(outcome, CellPath), f"no way through {size} × {size} cells: {outcome}"
     return outcome.cost
 
 

@@ -387,7 +387,7 @@ def test_our_way_is_as_long_as_that_over_the_graph(size: int) -> None:
     blocked = paths.rooms(size)
     assert (blocked == paths.rooms(size)).all()
     assert 0.02 < blocked.mean() < 0.5
-    ours = paths.ours(paths.costmap_of(blocked))
+    ours = paths.ours(paths.ground_of(blocked), size)
     assert ours == pytest.approx(
         paths.length(scipy.sparse.csgraph, paths.graph(scipy.sparse, blocked)), abs=1e-9
     )

@@ -39,15 +39,13 @@ def calls(action: Callable[[], object]) -> Counter[CodeType]:
     return count
 
 
-@pytest.mark.parametrize("side", [200, 1600])
+@pytest.mark.parametrize("side", [200, 1200])
 def test_no_step_does_more_than_its_work_however_large_the_map(side: int) -> None:
-    """From nothing drawn to the end of the path: 20 m, and 160 m, with obstacles all over."""
+    """From nothing drawn to the end of the path: 20 m, and 120 m, with obstacles all over."""
     occupied = np.random.Generator(np.random.PCG64(3)).random((side, side)) < 0.003
     occupied[:10, :10] = occupied[-10:, -10:] = False
-    navigator, settings = (
-        Navigator(RADIUS, PlannerSettings(patience=600_000 * MILLISECOND)),
-        PlannerSettings(),
-    )
+    settings = PlannerSettings(patience=600_000 * MILLISECOND)
+    navigator = Navigator(RADIUS, settings)
     grid, here, now, most, phases = PlainMap(occupied, low=(0, 0)), (0.5, 0.5), 0, 0, set()
     navigator.accept(now, Goal(side / 10 - 0.5, side / 10 - 0.5))
     while navigator._checked == 0.0 or navigator._checked < navigator._line.length:
@@ -88,6 +86,7 @@ def test_a_step_without_news_costs_nothing() -> None:
     navigator, grid = Navigator(RADIUS, PlannerSettings()), PlainMap(two_rooms())
     for _ in range(20):
         navigator.step(0, (0.0, 0.0), grid)
-    assert not navigator.costmap.pending if navigator.costmap else False
+    assert navigator.costmap is not None
+    assert not navigator.costmap.pending
     count = calls(lambda: navigator.step(0, (0.0, 0.0), grid))
     assert sum(count.values()) < 15
