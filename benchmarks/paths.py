@@ -85,13 +85,16 @@ class Picture:
         self._tiles = padded.astype(np.int8).reshape(tiles, TILE, tiles, TILE).swapaxes(1, 2)
 
     def tile(self, row: int, column: int) -> npt.NDArray[np.int8] | None:
+        """1 where blocked, -1 where free."""
         inside = 0 <= row < len(self._tiles) and 0 <= column < len(self._tiles)
         return self._tiles[row, column] if inside else None
 
     def changed(self, since: int) -> list[Tile]:
+        """All of them, at first."""
         return [(row, column) for row, column in np.ndindex(self._tiles.shape[:2]) if since < 0]
 
     def extent(self) -> tuple[int, int, int, int]:
+        """First row and column, and those after the last."""
         return 0, 0, len(self._tiles) * TILE, len(self._tiles) * TILE
 
 
