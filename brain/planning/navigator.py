@@ -60,7 +60,7 @@ class Navigator:
         self._along = self._checked = self._rest = 0.0
         """m along it: the robot at the last check, up to where it was checked since, where to go on then."""
         self._blocked = ""
-        """Why the last path to this goal was dropped."""
+        """Where the last path to this goal was obstructed."""
         self._check_at: Nanos = 0
         self._explore_at: Nanos = 0
         self._pathless_since: Nanos | None = None
@@ -181,12 +181,12 @@ class Navigator:
             end = line.straight(self._checked, 2.0)
             a, b = line.point(self._checked), line.point(end)
             if is_blocked(costmap, a, b, NEAR):
-                reason = f"it is blocked near ({b[0]:.2f}, {b[1]:.2f})"
+                reason = self._blocked = f"it is blocked near ({b[0]:.2f}, {b[1]:.2f})"
             self._checked = end
         if reason:
             self._note("info", f"the path is dropped: {reason}")
             self._drop_path()
-            self._query, self._check_at, self._blocked = None, now, reason
+            self._query, self._check_at = None, now
 
     def _continue_search(self, now: Nanos, here: Point, result: PlanResult) -> None:
         if isinstance(result, Searching):
@@ -244,7 +244,7 @@ class Navigator:
         goal = f"goal {self.reached + 1} {_text(self.goals[0])}"
         reason = self.no_path_reason or "the search has not ended"
         if self._blocked:
-            reason += f"; there was a path until {self._blocked}"
+            reason += f"; a path known before is obstructed, perhaps only for a time: {self._blocked}"
         self.given_up = f"no path to {goal} within {seconds(self.settings.patience):g} s: {reason}"
         self._note("warning", self.drop())
 

@@ -25,12 +25,17 @@ class PlainMap:
         self, occupied: Mask, unknown: Mask | None = None, low: tuple[int, int] = (-20, -10)
     ) -> None:
         self.version, self.resolution, self.low = 1, 0.1, low
+        self.window: tuple[int, int, int, int] | None = None
+        """The extent, in whole tiles, if it is not the picture's: what is outside of it is forgotten."""
         self.occupied = occupied
         self.unknown = np.zeros_like(occupied) if unknown is None else unknown
         self._tiles: dict[Tile, npt.NDArray[np.int8]] = {}
         self._changed: dict[Tile, int] = {}
 
     def extent(self) -> tuple[int, int, int, int]:
+        return self.window or self._picture()
+
+    def _picture(self) -> tuple[int, int, int, int]:
         rows, columns = self.occupied.shape
         return (self.low[0], self.low[1], self.low[0] + rows, self.low[1] + columns)
 
@@ -39,7 +44,7 @@ class PlainMap:
 
     def changed(self, since: int) -> list[Tile]:
         """Cut into tiles again, and compared."""
-        bottom, left, top, right = self.extent()
+        bottom, left, top, right = self._picture()
         down, west = bottom // TILE, left // TILE
         rows, columns = -(-top // TILE) - down, -(-right // TILE) - west
         known = np.where(self.unknown, 0, np.where(self.occupied, 1, -1))
@@ -51,6 +56,11 @@ class PlainMap:
         tiles = {
             (down + r, west + c): blocks[r, c] for r, c in np.ndindex(rows, columns) if blocks[r, c].any()
         }
+        for row, column in list(tiles):
+            b, w, t, e = self.extent()
+            if not (b <= row * TILE < t and w <= column * TILE < e) and self.window:
+                del tiles[row, column]
+                self._tiles.pop((row, column), None)
         for key in tiles.keys() | self._tiles.keys():
             if not np.array_equal(tiles.get(key, 0), self._tiles.get(key, 0)):
                 self._changed[key] = self.version

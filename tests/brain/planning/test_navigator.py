@@ -150,6 +150,29 @@ def test_a_door_that_opens_in_time_is_taken() -> None:
     assert run.navigator.no_path_reason == ""
 
 
+def test_a_path_out_of_a_place_too_near_to_an_obstacle_is_not_dropped_for_its_beginning() -> None:
+    run = Run(PlainMap(two_rooms()), (1.88, -1.0))
+    run.tick(Goal(0.0, 0.0))
+    run.run(1.0)
+    assert isinstance(run.navigator.path, Path)
+    assert run.navigator.path_version == 1
+    assert "the path begins with" in run.texts()
+
+
+def test_a_goal_given_up_after_its_path_was_blocked_says_so() -> None:
+    run = Run(PlainMap(two_rooms()))
+    run.tick(Goal(4.0, 0.0))
+    run.run(0.3)
+    run.grid.occupied[:, 30] = True
+    run.grid.version += 1
+    run.run(9.0)
+    assert not run.busy()
+    assert (
+        "is closed; a path known before is obstructed, perhaps only for a time: it is"
+        in run.navigator.given_up
+    )
+
+
 def test_manual_driving_ends_without_repetition() -> None:
     run = Run(PlainMap(two_rooms()))
     run.tick(Drive(0.2, 0.1))
@@ -251,7 +274,7 @@ def test_an_obstacle_on_the_path_is_found_in_time(span: Nanos, at: int, periods:
     run.grid.occupied[:, at] = True
     run.grid.version += 1
     start = run.now
-    while run.path() is not None:
+    while run.path() is not None and run.now < start + 10 * SECOND:
         run.navigator.step(run.now, run.here, run.grid)
         run.now += span
     assert run.now - start <= periods * PlannerSettings().period + 2 * span

@@ -71,3 +71,8 @@ def test_the_point_ahead_is_at_the_distance_and_on_the_line() -> None:
             aside = ((ahead[0] - bx) * (by - ay) - (ahead[1] - by) * (bx - ax)) / length
             assert onward > 0.0, trial
             assert aside == pytest.approx(0.0, abs=1e-9), trial
+
+
+def test_straight_parts_end_at_corners_and_at_the_end() -> None:
+    line = Polyline(((0.0, 0.0), (3.0, 0.0), (3.0, 1.0)))
+    assert [line.straight(at, 2.0) for at in (0.0, 2.0, 3.0, 3.5, 4.0)] == [2.0, 3.0, 4.0, 4.0, 4.0]
