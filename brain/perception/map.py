@@ -43,7 +43,7 @@ MAX_CELLS = 2**24
 """Of the extent: 204.8 m × 204.8 m at 0.05 m"""
 MAX_RAY_CELLS = 150_000
 """Cells on the rays of one scan; with more, every second (third …) beam clears. Every hit still counts."""
-FILLED = 4
+FILLED = 2
 """One in so many of the gaps between neighbouring beams is filled at a scan, in turn"""
 FRACTION = 16
 """Bits of a fraction of a cell"""
@@ -271,7 +271,7 @@ class Map:
         near = 1.0 / apart  # nearer, neighbouring beams pass through neighbouring cells
         wide = far > near
         first, near, far = first[wide], near[wide, None], far[wide, None]
-        part = self.version * GOLDEN % 1.0
+        part = self.version // FILLED * GOLDEN % 1.0
         between = beams[first] * ((1.0 - part) / np.maximum(scan.ranges[first], 1e-9))[:, None]
         between += beams[first + 1] * (part / np.maximum(scan.ranges[first + 1], 1e-9))[:, None]
         between *= self.resolution
