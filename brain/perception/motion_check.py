@@ -61,12 +61,14 @@ TURN, DISTANCE = 0.05, 0.07
 """rad and m: differences below these are none (measured: at most 0.045 rad and 0.015 m),"""
 TURN_SHARE, SLIP_SHARE = 0.15, 0.35
 """nor are those below this share of the motion (tyres, stamps), or of a way that the base lags behind."""
-PAST: Nanos = 3 * SECOND
+LIKELY_SLIP = 0.07
+"""Share of the slip allowed for, by which wheels may be wrong where they decide between two others."""
+PAST: Nanos = 5 * SECOND
 """A gyro's bias is compared over this time."""
-BIAS, JUMP, SCALE = 0.08, 0.05, 0.05
+BIAS, JUMP, SCALE = 0.08, 0.04, 0.05
 """rad/s: largest bias of a gyro, and largest change of it; share by which it may be wrong in turns."""
-LEARN = 60.0
-"""s: its bias is a mean over this time."""
+LEARN, LEARN_MOST = 60.0, 0.01
+"""s, rad/s: its bias is a mean over this time; once known, what differs by more counts as this."""
 FADE = 5.0
 """m: what was seen of a mounting fades with the way driven (and turned, at 1 m per rad), to 1/e."""
 YAW, PLACE = math.radians(0.8), 0.05
@@ -75,8 +77,11 @@ DRIVABLE_YAW, DRIVABLE_PLACE = math.radians(10.0), 0.3
 """and larger ones than these not driven with."""
 BENT, STEERED = (0.25, 0.02), (0.01, 0.0)
 """Shares of what is across a way, and of it, by which its shape may be wrong; and with a gyro's turns."""
-LIKELY_YAW, LIKELY_PLACE, ASIDE = 1.0, 0.1, 0.001
-"""rad, m, m: standard deviations of a mounting before any motion, and of a comparison beside its noise."""
+ASIDE = 0.001
+"""m: standard deviation of a comparison beside its noise."""
+PRIOR = np.diag([1.0, 100.0, 100.0, 0.0])
+"""Information on a mounting before any motion: 1 rad, 0.1 m."""
+DAMPING = 1e-3 * np.eye(3)
 
 
 class Motion(NamedTuple):
@@ -92,16 +97,16 @@ class Motion(NamedTuple):
     uncertain: float = 0.0
     """rad by which that may be wrong by slip or bias"""
 
+    def ahead(self) -> tuple[float, float]:
+        """Return the way [m] along and across the mean heading: of an arc, none is across."""
+        c, s = math.cos(self.heading / 2.0), math.sin(self.heading / 2.0)
+        return c * self.x + s * self.y, c * self.y - s * self.x
+
     def then(self, other: Motion, turn: float) -> Motion:
         """Return this motion and another one after it, that turns by this angle."""
         c, s = math.cos(self.turn), math.sin(self.turn)
         x, y, turn = self.x + c * other.x - s * other.y, self.y + s * other.x + c * other.y, self.turn + turn
         return Motion(x, y, turn, turn)
-
-    def ahead(self) -> tuple[float, float]:
-        """Return the way [m] along and across the mean heading: of an arc, none is across."""
-        c, s = math.cos(self.heading / 2.0), math.sin(self.heading / 2.0)
-        return c * self.x + s * self.y, c * self.y - s * self.x
 
 
 STILL = Motion(0.0, 0.0, 0.0, 0.0)
@@ -113,22 +118,17 @@ class Shown(NamedTuple):
     motion: Motion
     fit: float
     """Share of the rays' ends on lines, of those that meet one"""
-    spread: tuple[float, float, float]
-    """Variances of x and y, and their covariance, for points with a variance of 1;"""
+    inverse: Floats
+    """3 × 3: covariance of x, y, turn, for points with a variance of 1;"""
     variance: float
     """m², and theirs"""
 
-    def along(self) -> float:
-        """Return the spread along the mean heading."""
-        return self._spread(math.cos(self.motion.turn / 2.0), math.sin(self.motion.turn / 2.0))
-
-    def across(self) -> float:
-        """Return the spread across it."""
-        return self._spread(-math.sin(self.motion.turn / 2.0), math.cos(self.motion.turn / 2.0))
-
-    def _spread(self, x: float, y: float) -> float:
-        xx, yy, xy = self.spread
-        return x * x * xx + y * y * yy + 2.0 * x * y * xy
+    def spread(self) -> tuple[float, float]:
+        """Return the standard deviations along and across the mean heading, for points with one of 1."""
+        c, s = math.cos(self.motion.turn / 2.0), math.sin(self.motion.turn / 2.0)
+        (xx, xy, _), (_, yy, _), _ = self.inverse.tolist()
+        cross = 2.0 * c * s * xy
+        return math.sqrt(c * c * xx + s * s * yy + cross), math.sqrt(s * s * xx + c * c * yy - cross)
 
 
 _Row = tuple[Nanos, float, float, float, float, float]
@@ -181,17 +181,10 @@ class Track:
         after = len(rows) - 1
         if t < rows[after - 1][0]:
             after = max(bisect_left(rows, (t,)), 1)
-        (t0, x0, y0, yaw0, turn0, total0), (t1, x1, y1, yaw1, turn1, total1) = rows[after - 1], rows[after]
+        (t0, x0, y0, yaw0, turn0, sum0), (t1, x1, y1, yaw1, turn1, sum1) = rows[after - 1], rows[after]
         p = (t - t0) / max(t1 - t0, 1)
-        q = 1.0 - p
-        return (
-            t,
-            q * x0 + p * x1,
-            q * y0 + p * y1,
-            q * yaw0 + p * yaw1,
-            q * turn0 + p * turn1,
-            q * total0 + p * total1,
-        )
+        x, y, yaw = x0 + p * (x1 - x0), y0 + p * (y1 - y0), yaw0 + p * (yaw1 - yaw0)
+        return t, x, y, yaw, turn0 + p * (turn1 - turn0), sum0 + p * (sum1 - sum0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,30 +243,15 @@ class Reference:
             if lined < LEAST:
                 return None
             weight = (size < gate) / (1.0 + 400.0 * (off * off))
-            M = ((J * weight) @ J.T).tolist()
-            dx, dy, dturn, inverse = _solved(M)
+            M = (J * weight) @ J.T
+            inverse: Floats = np.linalg.inv(M[:3, :3] + DAMPING)
+            dx, dy, dturn = (inverse @ M[:3, 3]).tolist()
             x, y, turn = x - dx, y - dy, turn - dturn
             if max(abs(dx), abs(dy), abs(dturn)) < 2e-3:
                 break
-        variance = M[3][3] / max(float(weight.sum()), 1.0)
+        variance = float(M[3, 3]) / max(float(weight.sum()), 1.0)
         fit = float(np.count_nonzero(size < ON_LINE)) / lined
         return Shown(Motion(x, y, turn, turn), fit, inverse, variance)
-
-
-def _solved(M: list[list[float]]) -> tuple[float, float, float, tuple[float, float, float]]:
-    """Return the solution of the damped normal equations in the first three rows of M, their right side in
-    its last column, by cofactors; and of the inverse the elements xx, yy, xy."""
-    (a, b, c, u), (_, d, e, v), (_, _, f, w), _ = M
-    a, d, f = a + 1e-3, d + 1e-3, f + 1e-3
-    aa, ab, ac = d * f - e * e, c * e - b * f, b * e - c * d
-    bb, bc, cc = a * f - c * c, b * c - a * e, a * d - b * b
-    scale = 1.0 / (a * aa + b * ab + c * ac)
-    return (
-        scale * (aa * u + ab * v + ac * w),
-        scale * (ab * u + bb * v + bc * w),
-        scale * (ac * u + bc * v + cc * w),
-        (scale * aa, scale * bb, scale * ab),
-    )
 
 
 class Mounting:
@@ -281,82 +259,58 @@ class Mounting:
 
     A base on two wheels moves along its mean heading. A lidar that stands by (yaw, x, y) otherwise than
     stated shows, over a way d and a turn w, aside = -yaw d + 2 sin(w/2) x, and along = d - 2 sin(w/2) y:
-    weighted least squares, the place a priori within `LIKELY_PLACE`."""
+    weighted least squares."""
 
     def __init__(self) -> None:
-        self._aside, self._along = _Sums(), _Sums()
-        """For yaw and x, and for y."""
-        self.named = False
+        self.sums = PRIOR.copy()
+        """Of the equations' outer products, 4 × 4: yaw, x, y, right side;"""
+        self.number = 0.0
+        """and how many they are. Both fade with the way."""
+        self._named = False
 
-    def add(self, wheels: Motion, shown: Shown) -> None:
-        """Add the motion that scans show, beside that of the wheels, whose way need be no arc."""
-        self._aside, self._along = self._added(wheels, shown)
-
-    def _added(self, wheels: Motion, shown: Shown) -> tuple[_Sums, _Sums]:
+    def with_one(self, wheels: Motion, shown: Shown) -> tuple[Floats, float]:
+        """Return the sums with the motion that scans show, beside that of the wheels, whose way need be no
+        arc."""
         turn = shown.motion.turn
         (way, across), (along, aside) = wheels.ahead(), shown.motion.ahead()
-        lever = 2.0 * math.sin(turn / 2.0)
-        kept = math.exp(-(abs(way) + abs(turn)) / FADE)
+        lever, noise = 2.0 * math.sin(turn / 2.0), math.sqrt(shown.variance)
         bent, slip = BENT if wheels.heading == wheels.turn else STEERED
         bent = bent * (abs(turn * along) + 4.0 * abs(across)) + slip * abs(along)
-        sideways = ASIDE**2 + bent**2 + shown.variance * shown.across()
-        forward = ASIDE**2 + shown.variance * shown.along() + (SLIP_SHARE * way) ** 2
-        return (
-            self._aside.plus(kept, 1.0 / sideways, -along, lever, aside - across),
-            self._along.plus(kept, 1.0 / forward, 0.0, -lever, along - way),
+        forward, sideways = shown.spread()
+        forward = math.hypot(ASIDE, noise * forward, SLIP_SHARE * way)
+        sideways = math.hypot(ASIDE, noise * sideways, bent)
+        rows = np.array(
+            [
+                [-along / sideways, lever / sideways, 0.0, (aside - across) / sideways],
+                [0.0, 0.0, -lever / forward, (along - way) / forward],
+            ]
         )
+        kept = math.exp(-(abs(way) + abs(turn)) / FADE)
+        return PRIOR + kept * (self.sums - PRIOR) + rows.T @ rows, kept * self.number + 1.0
 
-    def flaw(self, name: str, wheels: Motion, shown: Shown) -> Contradiction | None:
-        """Return how the mounting differs, with this motion added, if that is certain (3 sigma)."""
-        aside, along = self._added(wheels, shown)
-        yaw, x, yaw_sigma, x_sigma = aside.solved()
-        _, y, _, y_sigma = along.solved()
-        certain = 0.0 if self.named else 3.0
-        self.named = True
-        if yaw_sigma < YAW < abs(yaw) - certain * yaw_sigma:
-            by = f"{math.degrees(yaw):+.1f}° (±{math.degrees(2.0 * yaw_sigma):.1f}°)"
-            bad = abs(yaw) > DRIVABLE_YAW + 3.0 * yaw_sigma
-        elif (x_sigma < PLACE < abs(x) - certain * x_sigma) or (y_sigma < PLACE < abs(y) - certain * y_sigma):
-            by = f"{x:+.2f} m (±{2.0 * x_sigma:.2f}) ahead and {y:+.2f} m (±{2.0 * y_sigma:.2f}) to the left"
-            bad = abs(x) > DRIVABLE_PLACE + 3.0 * x_sigma or abs(y) > DRIVABLE_PLACE + 3.0 * y_sigma
-        else:
-            self.named = False
+    def flaw(self, name: str, sums: Floats, number: float) -> Contradiction | None:
+        """Return how the mounting differs, by these sums, if that is certain (3 sigma)."""
+        inverse = np.linalg.inv(sums[:3, :3])
+        found = inverse @ sums[:3, 3]
+        left = float(sums[3, 3] - found @ sums[:3, 3])
+        inverse *= max((left + 3.0) / (number + 2.0), 1.0)  # larger if the equations disagree
+        (yaw, x, y), sigma = found.tolist(), np.sqrt(np.diag(inverse)).tolist()
+        certain = 0.0 if self._named else 3.0
+        clear = [
+            spread < least < abs(value) - certain * spread
+            for value, spread, least in zip((yaw, x, y), sigma, (YAW, PLACE, PLACE), strict=True)
+        ]
+        self._named = any(clear)
+        if not self._named:
             return None
+        by = f"{math.degrees(yaw):+.1f}° (±{math.degrees(2.0 * sigma[0]):.1f}°)"
+        bad = abs(yaw) > DRIVABLE_YAW + 3.0 * sigma[0]
+        if not clear[0]:
+            by = (
+                f"{x:+.2f} m (±{2.0 * sigma[1]:.2f}) ahead and {y:+.2f} m (±{2.0 * sigma[2]:.2f}) to the left"
+            )
+            bad = math.hypot(x, y) > DRIVABLE_PLACE + 3.0 * max(sigma[1:])
         return Contradiction(f"{name}: mounted {by} off what the robot file states", bad, drivable=not bad)
-
-
-class _Sums(NamedTuple):
-    """Normal equations of weighted least squares for a yaw and a place."""
-
-    aa: float = 0.0
-    ab: float = 0.0
-    bb: float = 0.0
-    a: float = 0.0
-    b: float = 0.0
-    square: float = 0.0
-    number: float = 0.0
-
-    def plus(self, kept: float, weight: float, by_yaw: float, by_place: float, value: float) -> _Sums:
-        """Return them with one more equation, the earlier ones faded."""
-        wa, wb = weight * by_yaw, weight * by_place
-        return _Sums(
-            kept * self.aa + wa * by_yaw,
-            kept * self.ab + wa * by_place,
-            kept * self.bb + wb * by_place,
-            kept * self.a + wa * value,
-            kept * self.b + wb * value,
-            kept * self.square + weight * value * value,
-            kept * self.number + 1.0,
-        )
-
-    def solved(self) -> tuple[float, float, float, float]:
-        """Return yaw and place with their standard deviations, larger if the equations disagree."""
-        aa, bb = self.aa + LIKELY_YAW**-2, self.bb + LIKELY_PLACE**-2
-        scale = 1.0 / (aa * bb - self.ab * self.ab)
-        yaw, place = scale * (bb * self.a - self.ab * self.b), scale * (aa * self.b - self.ab * self.a)
-        left = self.square - yaw * self.a - place * self.b
-        spread = scale * max((left + 3.0) / (self.number + 2.0), 1.0)
-        return yaw, place, math.sqrt(spread * bb), math.sqrt(spread * aa)
 
 
 class _Turns(NamedTuple):
@@ -366,6 +320,7 @@ class _Turns(NamedTuple):
     dt: float
     shown: float
     wheels: float
+    slip: float
     gyro: float
     """with its bias"""
 
@@ -395,7 +350,8 @@ class MotionCheck:
 
     def contradictions(self) -> list[Contradiction]:
         """Return what differs now."""
-        differ = [Contradiction(one[2], self._confirmed(name)) for name, one in self._differ.items()]
+        three_first = sorted(self._differ, key=lambda name: not name)
+        differ = [Contradiction(self._differ[name][2], self._confirmed(name)) for name in three_first]
         return differ + list(self._flaws.values())
 
     def on_wheels(self, since: Nanos, t: Nanos, left: float, right: float) -> None:
@@ -478,20 +434,21 @@ class MotionCheck:
         if it is time."""
         way, turn = wheels.ahead()[0], shown.motion.turn
         mounting = self._mountings.setdefault(name, Mounting())
-        flaw = mounting.flaw(name, wheels, shown)
+        with_this = mounting.with_one(wheels, shown)
+        flaw = mounting.flaw(name, *with_this)
         if flaw is None:
             self._flaws.pop(name, None)
         else:
             self._flaws[name] = flaw
         dt, reason = seconds(t - since), ""
         turned = self._gyro.between(since, t)
-        now = None if turned is None else _Turns(t, dt, turn, wheels.turn, turned.turn)
+        now = None if turned is None else _Turns(t, dt, turn, wheels.turn, wheels.uncertain, turned.turn)
         past = self._past[name]
         if now is not None:
             reason = self._drift(name, past, now)
         moved = abs(way) > RENEW_DISTANCE or abs(turn) > RENEW_TURN
         if not reason and (moved or t - since > RENEW_AGE) and not self._confirmed(name):
-            mounting.add(wheels, shown)
+            mounting.sums, mounting.number = with_this
             if now is not None:
                 self._learn(past, now)
             self._references[name] = Reference(t, scan)
@@ -527,7 +484,7 @@ class MotionCheck:
                 reason = f"wheels or {name}: {turns}"
             elif not self._references and wheels.uncertain < TURN / 5.0:
                 dt = seconds(t - since)
-                now = _Turns(t, dt, wheels.turn, wheels.turn, gyro.turn + self._bias * dt)
+                now = _Turns(t, dt, wheels.turn, wheels.turn, 0.0, gyro.turn + self._bias * dt)
                 past = self._past.setdefault("", deque())
                 reason = self._drift("wheels", past, now)
                 if not reason and t - since > RENEW_TURNS:
@@ -544,7 +501,7 @@ class MotionCheck:
         if _turns_differ(motion, wheels) or (gyro is not None and _turns_differ(motion, gyro, SCALE)):
             culprit, other = f"{name} or wheels", ""
             if gyro is not None:
-                culprit = self._culprit(name, motion.turn, wheels.turn, gyro.turn)
+                culprit = self._culprit(name, motion.turn, wheels.turn, wheels.uncertain, gyro.turn)
                 other = f", {self._gyro_name} {_deg(gyro.turn)}"
             return (
                 f"{culprit}: turned by {_deg(wheels.turn)} by the wheels{other}, {name} {_deg(motion.turn)}"
@@ -552,43 +509,43 @@ class MotionCheck:
         along, aside = motion.ahead()
         way, across = wheels.ahead()
         allowed = DISTANCE + (SLIP_SHARE if abs(along) < abs(way) else TURN_SHARE) * abs(way)
-        differs_along = abs(along - way) - 3.0 * MOVING * math.sqrt(shown.along())
-        differs_across = abs(aside - across) - 3.0 * MOVING * math.sqrt(shown.across())
-        if max(differs_along, differs_across) > allowed:
+        forward, sideways = (3.0 * MOVING * spread for spread in shown.spread())
+        if max(abs(along - way) - forward, abs(aside - across) - sideways) > allowed:
             by = f"moved by {along:.2f} m along, {aside:.2f} m aside by {name}, {way:.2f} m by the wheels"
             return f"wheels or {name}: {by}"
         return ""
 
-    def _culprit(self, name: str, shown: float, wheels: float, gyro: float) -> str:
-        """Return the one without which the other two agree best."""
+    def _culprit(self, name: str, shown: float, wheels: float, slip: float, gyro: float) -> str:
+        """Return the source without which the other two agree best; two of them if wheels that slip cannot
+        decide."""
         apart = {self._gyro_name: abs(shown - wheels), "wheels": abs(shown - gyro), name: abs(gyro - wheels)}
-        return min(apart, key=lambda one: apart[one])
+        best, second = sorted(apart, key=lambda one: apart[one])[:2]
+        undecided = apart[second] - apart[best] < LIKELY_SLIP * slip
+        return f"{best} or {second}" if undecided else best
 
     def _drift(self, name: str, past: deque[_Turns], now: _Turns) -> str:
         """Return how the gyro's rate has differed over `PAST`, from its mean or from any that is right."""
         while past and past[0].t < now.t - PAST:
             past.popleft()
-        span, shown, wheels, gyro, turned = now.dt, now.shown, now.wheels, now.gyro, abs(now.shown)
-        for one in past:
-            span, turned = span + one.dt, turned + abs(one.shown)
-            shown, wheels, gyro = shown + one.shown, wheels + one.wheels, gyro + one.gyro
-        noise = TURN + SCALE * turned
-        changed = gyro - self._bias * span - shown
-        if abs(changed) > noise + (JUMP - 0.01 + self._unknown_bias()) * span:
-            culprit = self._culprit(name, shown, wheels, gyro - self._bias * span)
-            rate = changed / span
-        elif abs(gyro - shown) > noise + BIAS * span:
-            culprit, rate = self._gyro_name, (gyro - shown) / span
+        span, shown, wheels, slip, gyro = (float(sum(c)) for c in list(zip(*past, now, strict=True))[1:])
+        off, noise = gyro - shown, TURN + SCALE * abs(shown)
+        changed = off - self._bias * span
+        if abs(changed) > noise + (JUMP + self._unknown_bias()) * span:
+            culprit = self._culprit(name, shown, wheels, slip, gyro - self._bias * span)
+            off = changed
+        elif abs(off) > noise + BIAS * span:
+            culprit = self._gyro_name
         else:
             return ""
-        if culprit == "wheels":
-            culprit = f"{self._gyro_name} or {name}"
-        return f"{culprit}: {self._gyro_name} is off by {rate:.2f} rad/s against {name}, over {span:.1f} s"
+        return (
+            f"{culprit}: {self._gyro_name} is off by {off / span:.2f} rad/s against {name}, over {span:.1f} s"
+        )
 
     def _learn(self, past: deque[_Turns], now: _Turns) -> None:
         past.append(now)
         self._learnt = min(self._learnt + now.dt, LEARN)
-        self._bias += (now.gyro - now.shown - self._bias * now.dt) / self._learnt
+        most = LEARN_MOST * now.dt * (1.0 + LEARN / self._learnt**2)
+        self._bias += min(max(now.gyro - now.shown - self._bias * now.dt, -most), most) / self._learnt
 
     def _confirmed(self, name: str) -> bool:
         return self._differ.get(name, (0, 0, ""))[0] >= CONFIRM
@@ -603,7 +560,7 @@ class MotionCheck:
             self._differ.pop(name, None)
 
 
-def _with_surfaces(scan: Any) -> BodyScan:
+def _with_surfaces(scan: Any) -> BodyScan:  # noqa: ANN401 - of the earlier kind, too
     """Return the scan with its surfaces, if perception does not pass them yet."""
     if isinstance(scan, BodyScan):
         return scan
