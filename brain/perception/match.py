@@ -91,7 +91,7 @@ SMALL = 0.01
 """m, rad: after a smaller step, the surfaces keep their lines"""
 OPEN = 1e4
 """Variance [m², rad²] of a direction that no line holds."""
-CORRELATED = 2.0
+CORRELATED = 1.6
 """Neighbouring surfaces share hits and lines: this many of them carry the information of one."""
 FACING = round(math.radians(50.0) / TURN)
 """Largest angle between a surface and a line that may be it"""

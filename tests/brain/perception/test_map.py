@@ -72,9 +72,7 @@ def slow(settings: MapSettings, scans: list[tuple[Pose, BodyScan]]) -> dict[tupl
         cells = [(math.floor(y), math.floor(x)) for x, y in stops]
         free = [bool(hit) and values.get(cell, 0) < 0 for hit, cell in zip(scan.hit, cells, strict=True)]
         hits = {cell for cell, hit in zip(cells, scan.hit, strict=True) if hit}
-        agree = {
-            c for i, c in enumerate(cells) if free[i] and any([*free, False][j] for j in (i - 1, i + 1))
-        }
+        agree = {c for i, c in enumerate(cells) if free[i] and any([*free, False][j] for j in (i - 1, i + 1))}
         passed = {c for i in range(len(stops)) if scan.ranges[i] for c in line(start, stops[i])}
         for cell in passed | hits:
             before = 0 if cell in agree else values.get(cell, 0)
