@@ -215,7 +215,8 @@ class _Trial:
             self.row.lost = seconds(now - (self.happened or now))
         self.row.span = elapsed
         over = not self.case.drive and self.goal is None and not self.goals
-        over = over and not (
+        searched = seconds(now - (self.happened or now)) < 6.0 and math.isinf(self.row.found)
+        over = over and not (base.moved and searched)
             base.moved and math.isinf(self.row.found) and seconds(now - (self.happened or now)) < 6.0
         )
         return elapsed < self.limit and not (over and abs(base.speed) < STANDING)
