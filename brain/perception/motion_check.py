@@ -1,6 +1,6 @@
 """Whether wheels, gyro and scans show the same motion, without a map.
 
-Rules. Each scan is compared with a reference scan of at most a second before (point to line, neighbours by
+Rules. Each scan is compared with a reference scan of at most 1.5 s before (point to line, neighbours by
 bearing): the motion that the two scans show is searched from the motion that wheels and gyro have integrated
 between their times. Wheels and gyro are compared with each other as well. A reference is renewed once all
 have agreed on a motion, and kept while they differ, so that a difference stays visible: a lidar that is
@@ -15,7 +15,6 @@ Source: Censi 2008 (PLICP).
 from __future__ import annotations
 
 import math
-from bisect import bisect_left
 from collections import deque
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -23,18 +22,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from brain.belief import Floats
-from brain.bodies.differential import Differential, sinc
+from brain.bodies.differential import Differential
 from brain.perception.body_scan import BodyScan, _surfaces
+from brain.perception.mounting import Mounting
+from brain.perception.scan_motion import BEAMS, Reference, Shown
+from brain.perception.track import AHEAD, SLIP_SHARE, STILL, Motion, Track
 from protocols.messages import MILLISECOND, SECOND, Nanos, seconds
 
-KEPT: Nanos = 4 * SECOND
-"""Integrated motion is kept for this time,"""
 FORGET: Nanos = 3 * SECOND
-"""and a reference at most for this time."""
-GAP: Nanos = 250 * MILLISECOND
-"""After so long without feedback a track begins anew: what comes then may be stamped late."""
-AHEAD: Nanos = 60 * MILLISECOND
-"""A track is extrapolated by at most this much, and a gyro's rate holds for at most this time."""
+"""A reference is kept at most for this time."""
 FASTEST = 1e3
 """rad/s: a rate beyond counts as this, since sums must stay finite."""
 RENEW_TURNS: Nanos = 500 * MILLISECOND
@@ -45,22 +41,15 @@ CONFIRM, CONFIRM_FOR = 3, 150 * MILLISECOND
 """Comparisons in a row that must differ, and for how long: of a burst that a host stamps late all may."""
 RENEW_DISTANCE, RENEW_TURN, RENEW_AGE = 0.4, 0.35, 1500 * MILLISECOND
 """m, rad, and age from which on a reference is renewed once all agree."""
-BEAMS = 120
-"""Largest number of beams of a scan that are compared, evenly chosen."""
-LEAST = 20
-"""Least number of them on lines of the reference; fewer show no motion."""
-ON_LINE = 0.1
-"""m: a point this near to a line of the reference lies on it."""
-NO_LINE = 1e9
-"""m: distance from where the reference has no line."""
 MOVING = 0.05
 """m: standard deviation of a point that may belong to what moves: in a corridor, few show its length."""
 FIT = 0.5
 """Least share of the points that must lie on lines once the motion is found."""
 TURN, DISTANCE = 0.05, 0.07
 """rad and m: differences below these are none (measured: at most 0.045 rad and 0.015 m),"""
-TURN_SHARE, SLIP_SHARE = 0.15, 0.35
-"""nor are those below this share of the motion (tyres, stamps), or of a way that the base lags behind."""
+TURN_SHARE = 0.15
+"""nor are those below this share of the motion (tyres, stamps), and of a way that the base lags behind below
+`SLIP_SHARE`."""
 LIKELY_SLIP = 0.07
 """Share of the slip allowed for, by which wheels may be wrong where they decide between two others."""
 PAST: Nanos = 5 * SECOND
@@ -69,122 +58,6 @@ BIAS, JUMP, SCALE = 0.08, 0.04, 0.05
 """rad/s: largest bias of a gyro, and largest change of it; share by which it may be wrong in turns."""
 LEARN, LEARN_MOST = 60.0, 0.01
 """s, rad/s: its bias is a mean over this time; once known, what differs by more counts as this."""
-FADE = 5.0
-"""m: what was seen of a mounting fades with the way driven (and turned, at 1 m per rad), to 1/e."""
-YAW, PLACE = math.radians(0.8), 0.05
-"""rad, m: smaller errors of a mounting are not named,"""
-DRIVABLE_YAW, DRIVABLE_PLACE = math.radians(10.0), 0.3
-"""and larger ones than these not driven with."""
-BENT, STEERED = (0.25, 0.02), (0.01, 0.0)
-"""Shares of what is across a way, and of it, by which its shape may be wrong; and with a gyro's turns."""
-ASIDE = 0.001
-"""m: standard deviation of a comparison beside its noise."""
-PRIOR = np.diag([1.0, 100.0, 100.0, 0.0])
-"""Information on a mounting before any motion: 1 rad, 0.1 m."""
-DAMPING = 1e-3 * np.eye(3)
-
-
-class Motion(NamedTuple):
-    """Motion between two times."""
-
-    x: float
-    """m, in the frame of the first"""
-    y: float
-    heading: float
-    """rad that the way has turned by, not wrapped"""
-    turn: float
-    """rad that the source shows"""
-    uncertain: float = 0.0
-    """rad by which that may be wrong by slip or bias"""
-
-    def ahead(self) -> tuple[float, float]:
-        """Return the way [m] along and across the mean heading: of an arc, none is across."""
-        c, s = math.cos(self.heading / 2.0), math.sin(self.heading / 2.0)
-        return c * self.x + s * self.y, c * self.y - s * self.x
-
-    def then(self, other: Motion, turn: float) -> Motion:
-        """Return this motion and another one after it, that turns by this angle."""
-        c, s = math.cos(self.turn), math.sin(self.turn)
-        x, y, turn = self.x + c * other.x - s * other.y, self.y + s * other.x + c * other.y, self.turn + turn
-        return Motion(x, y, turn, turn)
-
-
-STILL = Motion(0.0, 0.0, 0.0, 0.0)
-
-
-class Shown(NamedTuple):
-    """What two scans show."""
-
-    motion: Motion
-    fit: float
-    """Share of the rays' ends on lines, of those that meet one"""
-    inverse: Floats
-    """3 × 3: covariance of x, y, turn, for points with a variance of 1;"""
-    variance: float
-    """m², and theirs"""
-
-    def spread(self) -> tuple[float, float]:
-        """Return the standard deviations along and across the mean heading, for points with one of 1."""
-        c, s = math.cos(self.motion.turn / 2.0), math.sin(self.motion.turn / 2.0)
-        (xx, xy, _), (_, yy, _), _ = self.inverse.tolist()
-        cross = 2.0 * c * s * xy
-        return math.sqrt(c * c * xx + s * s * yy + cross), math.sqrt(s * s * xx + c * c * yy - cross)
-
-
-_Row = tuple[Nanos, float, float, float, float, float]
-"""Time, then x, y, heading, turn and uncertainty since the beginning of the track."""
-
-
-class Track:
-    """What one source has integrated. Plain data."""
-
-    def __init__(self) -> None:
-        self._rows: list[_Row] = [(0, 0.0, 0.0, 0.0, 0.0, 0.0)]
-
-    def add(
-        self, since: Nanos, t: Nanos, distance: float, heading: float, turn: float, uncertain: float
-    ) -> None:
-        """Add an arc [m, rad] between two times, and what the source shows of its turn; after a gap the track
-        begins anew."""
-        rows = self._rows
-        last, x, y, yaw, turned, total = rows[-1]
-        if last != since or t - since > GAP:
-            rows[:] = [(since if t - since <= GAP else t, x, y, yaw, turned, total)]
-            if t - since > GAP:
-                return
-        if distance:
-            chord, middle = distance * sinc(heading / 2.0), yaw + heading / 2.0
-            x, y = x + chord * math.cos(middle), y + chord * math.sin(middle)
-        rows.append((t, x, y, yaw + heading, turned + turn, total + uncertain))
-        half = len(rows) // 2
-        if rows[half][0] < t - KEPT:
-            del rows[:half]
-
-    def clear(self) -> None:
-        """Forget everything: a motion was lost."""
-        del self._rows[:-1]
-
-    def between(self, since: Nanos, t: Nanos) -> Motion | None:
-        """Return the motion between two times; None if the track does not reach that far."""
-        a, b = self.at(since), self.at(t)
-        if a is None or b is None:
-            return None
-        c, s = math.cos(a[3]), math.sin(a[3])
-        dx, dy = b[1] - a[1], b[2] - a[2]
-        return Motion(c * dx + s * dy, c * dy - s * dx, b[3] - a[3], b[4] - a[4], b[5] - a[5])
-
-    def at(self, t: Nanos) -> _Row | None:
-        """Return the sums at a time."""
-        rows = self._rows
-        if len(rows) < 2 or not rows[0][0] <= t <= rows[-1][0] + AHEAD:
-            return None
-        after = len(rows) - 1
-        if t < rows[after - 1][0]:
-            after = max(bisect_left(rows, (t,)), 1)
-        (t0, x0, y0, yaw0, turn0, sum0), (t1, x1, y1, yaw1, turn1, sum1) = rows[after - 1], rows[after]
-        p = (t - t0) / max(t1 - t0, 1)
-        x, y, yaw = x0 + p * (x1 - x0), y0 + p * (y1 - y0), yaw0 + p * (yaw1 - yaw0)
-        return t, x, y, yaw, turn0 + p * (turn1 - turn0), sum0 + p * (sum1 - sum0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,122 +68,6 @@ class Contradiction:
     confirmed: bool = True
     drivable: bool = False
     """The base may go on slowly for as long as it lasts."""
-
-
-class Reference:
-    """A scan's surfaces. Plain data."""
-
-    def __init__(self, t: Nanos, scan: BodyScan) -> None:
-        self.t, self._origin = t, scan.origin
-        self.last: tuple[Nanos, Motion] = (t, STILL)
-        """Time of the newest scan compared with it, and the motion until then."""
-        bearings, count = scan.bearings, len(scan.bearings)
-        self._first = float(bearings[0])
-        last = float(bearings[-1]) - self._first
-        half = last / max(count - 1, 1) / 2.0
-        self._edges = np.empty(count + 1)
-        """rad after the first bearing, at which the next beam is nearer; behind the last none is, until the
-        first is again."""
-        self._edges[:-2] = (bearings[1:] + bearings[:-1]) / 2.0 - self._first
-        self._edges[-2:] = last + half, max(last + half, 2.0 * math.pi - half)
-        self._lines = np.zeros((3, count + 2))
-        """Of each beam's surface: its normal, and the normal's product with a point of it."""
-        self._lines[2] = NO_LINE
-        line, normals = scan.straight, scan.normals[scan.straight]
-        self._lines[0, :count][line], self._lines[1, :count][line] = normals.T
-        self._lines[2, :count][line] = np.einsum("ij,ij->i", normals, scan.middles[line])
-        self._lines[:, -1] = self._lines[:, 0]
-
-    def motion(self, points: Floats, guess: Motion) -> Shown | None:
-        """Return the motion since the reference that a scan's points (2 × n: its rays' ends, also of those
-        without a return, that pass the lines) show, searched from a guess; None if too few of them meet a
-        line."""
-        x, y, turn = guess.x, guess.y, guess.turn
-        px, py = points
-        J = np.empty((4, len(px)))
-        for gate in (0.8, 0.4, 0.3, 0.3, 0.3):
-            c, s = math.cos(turn), math.sin(turn)
-            arm_x, arm_y = c * px - s * py, s * px + c * py
-            bearing = np.arctan2(arm_y + (y - self._origin[1]), arm_x + (x - self._origin[0]))
-            beam = self._edges.searchsorted((bearing - self._first) % (2.0 * math.pi))
-            J[0], J[1], past = self._lines.take(beam, axis=1)
-            nx, ny = J[0], J[1]
-            np.subtract(ny * arm_x, nx * arm_y, out=J[2])
-            off = np.add(nx * (arm_x + x), ny * (arm_y + y), out=J[3])
-            off -= past
-            size = np.abs(off)
-            lined = int(np.count_nonzero(size < NO_LINE / 2.0))
-            if lined < LEAST:
-                return None
-            weight = (size < gate) / (1.0 + 400.0 * (off * off))
-            M = (J * weight) @ J.T
-            inverse: Floats = np.linalg.inv(M[:3, :3] + DAMPING)
-            dx, dy, dturn = (inverse @ M[:3, 3]).tolist()
-            x, y, turn = x - dx, y - dy, turn - dturn
-            if max(abs(dx), abs(dy), abs(dturn)) < 2e-3:
-                break
-        variance = float(M[3, 3]) / max(float(weight.sum()), 1.0)
-        fit = float(np.count_nonzero(size < ON_LINE)) / lined
-        return Shown(Motion(x, y, turn, turn), fit, inverse, variance)
-
-
-class Mounting:
-    """What the scans show of a lidar's true mounting against the robot file's. Plain data.
-
-    A base on two wheels moves along its mean heading. A lidar that stands by (yaw, x, y) otherwise than
-    stated shows, over a way d and a turn w, aside = -yaw d + 2 sin(w/2) x, and along = d - 2 sin(w/2) y:
-    weighted least squares."""
-
-    def __init__(self) -> None:
-        self.sums = PRIOR.copy()
-        """Of the equations' outer products, 4 × 4: yaw, x, y, right side;"""
-        self.number = 0.0
-        """and how many they are. Both fade with the way."""
-        self._named = False
-
-    def with_one(self, wheels: Motion, shown: Shown) -> tuple[Floats, float]:
-        """Return the sums with the motion that scans show, beside that of the wheels, whose way need be no
-        arc."""
-        turn = shown.motion.turn
-        (way, across), (along, aside) = wheels.ahead(), shown.motion.ahead()
-        lever, noise = 2.0 * math.sin(turn / 2.0), math.sqrt(shown.variance)
-        bent, slip = BENT if wheels.heading == wheels.turn else STEERED
-        bent = bent * (abs(turn * along) + 4.0 * abs(across)) + slip * abs(along)
-        forward, sideways = shown.spread()
-        forward = math.hypot(ASIDE, noise * forward, SLIP_SHARE * way)
-        sideways = math.hypot(ASIDE, noise * sideways, bent)
-        rows = np.array(
-            [
-                [-along / sideways, lever / sideways, 0.0, (aside - across) / sideways],
-                [0.0, 0.0, -lever / forward, (along - way) / forward],
-            ]
-        )
-        kept = math.exp(-(abs(way) + abs(turn)) / FADE)
-        return PRIOR + kept * (self.sums - PRIOR) + rows.T @ rows, kept * self.number + 1.0
-
-    def flaw(self, name: str, sums: Floats, number: float) -> Contradiction | None:
-        """Return how the mounting differs, by these sums, if that is certain (3 sigma)."""
-        inverse = np.linalg.inv(sums[:3, :3])
-        found = inverse @ sums[:3, 3]
-        left = float(sums[3, 3] - found @ sums[:3, 3])
-        inverse *= max((left + 3.0) / (number + 2.0), 1.0)  # larger if the equations disagree
-        (yaw, x, y), sigma = found.tolist(), np.sqrt(np.diag(inverse)).tolist()
-        certain = 0.0 if self._named else 3.0
-        clear = [
-            spread < least < abs(value) - certain * spread
-            for value, spread, least in zip((yaw, x, y), sigma, (YAW, PLACE, PLACE), strict=True)
-        ]
-        self._named = any(clear)
-        if not self._named:
-            return None
-        by = f"{math.degrees(yaw):+.1f}° (±{math.degrees(2.0 * sigma[0]):.1f}°)"
-        bad = abs(yaw) > DRIVABLE_YAW + 3.0 * sigma[0]
-        if not clear[0]:
-            by = (
-                f"{x:+.2f} m (±{2.0 * sigma[1]:.2f}) ahead and {y:+.2f} m (±{2.0 * sigma[2]:.2f}) to the left"
-            )
-            bad = math.hypot(x, y) > DRIVABLE_PLACE + 3.0 * max(sigma[1:])
-        return Contradiction(f"{name}: mounted {by} off what the robot file states", bad, drivable=not bad)
 
 
 class _Turns(NamedTuple):
@@ -435,11 +192,12 @@ class MotionCheck:
         way, turn = wheels.ahead()[0], shown.motion.turn
         mounting = self._mountings.setdefault(name, Mounting())
         with_this = mounting.with_one(wheels, shown)
-        flaw = mounting.flaw(name, *with_this)
+        flaw = mounting.flaw(*with_this)
         if flaw is None:
             self._flaws.pop(name, None)
         else:
-            self._flaws[name] = flaw
+            text, drivable = flaw
+            self._flaws[name] = Contradiction(f"{name}: {text}", not drivable, drivable)
         dt, reason = seconds(t - since), ""
         turned = self._gyro.between(since, t)
         now = None if turned is None else _Turns(t, dt, turn, wheels.turn, wheels.uncertain, turned.turn)
