@@ -59,7 +59,7 @@ def test_what_is_no_range_is_no_reading(bad: float, motion: np.ndarray | None) -
 def test_a_sweep_equals_the_instant_scan_of_the_same_places(
     mount: Mount, linear: float, angular: float
 ) -> None:
-    """100 ms: what each beam met, from where the robot was then, lies where it is seen from the scan's end."""
+    """100 ms: what each beam met, from where the robot was, lies where it is seen from the scan's end."""
     beams, end = 360, Pose(1.0, 0.4, 0.7)
     ago = (1.0 - np.arange(beams) / (beams - 1)) * 0.1
     motion = np.array(
@@ -67,19 +67,20 @@ def test_a_sweep_equals_the_instant_scan_of_the_same_places(
     )
     read = []
     for i, (x, y, yaw) in enumerate(motion):
-        there = Pose(*to_world(np.array([[x, y]]), end)[0].tolist(), wrap(end.yaw + yaw))
+        at = to_world(np.array([[x, y]]), end)[0]
+        there = Pose(float(at[0]), float(at[1]), wrap(end.yaw + yaw))
         lidar = to_world(np.array([[mount.x, mount.y]]), there)[0]
         (xx, xy, _), (yx, yy, _), _ = mount.rotation()
         angle = -math.pi + 2.0 * math.pi * i / beams
         c, s = math.cos(angle), math.sin(angle)
         heading = np.array([there.yaw + math.atan2(yx * c + yy * s, xx * c + xy * s)])
-        read.append(float(ranges(OFFICE, *lidar, heading, 20.0)[0]))
+        read.append(float(ranges(OFFICE, lidar[0], lidar[1], heading, 20.0)[0]))
     swept = to_body(
         LaserScan("lidar", 0, -math.pi, 2 * math.pi / beams, 0.1, 20.0, tuple(read)), mount, motion=motion
     )
     assert (np.diff(swept.bearings) >= 0.0).all()
     lidar = to_world(np.array([swept.origin]), end)[0]
-    instant = ranges(OFFICE, *lidar, swept.bearings + end.yaw, 20.0)
+    instant = ranges(OFFICE, lidar[0], lidar[1], swept.bearings + end.yaw, 20.0)
     apart = np.abs(instant - swept.ranges)
     hidden = apart > 1e-3  # a corner that one of the two places sees past
     assert np.count_nonzero(hidden) < 15
@@ -90,7 +91,8 @@ def test_a_sweep_equals_the_instant_scan_of_the_same_places(
 def _away(points: np.ndarray, wall: np.ndarray) -> np.ndarray:
     start, way = wall[:2], wall[2:] - wall[:2]
     along = np.clip((points - start) @ way / (way @ way), 0.0, 1.0)
-    return np.hypot(*(points - start - along[:, None] * way).T)
+    away: np.ndarray = np.hypot(*(points - start - along[:, None] * way).T)
+    return away
 
 
 def test_surfaces_are_finer_than_ranges_and_end_at_corners() -> None:

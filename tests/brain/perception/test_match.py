@@ -76,6 +76,7 @@ def test_errors_are_small_and_as_large_as_the_covariance_states(world: str) -> N
             guess = Pose(truth.x + dx, truth.y + dy, wrap(truth.yaw + turn))
             found = match(chart, seen(truth, random, walls), guess, 0.02, SETTINGS)
             off = error(found, truth)
+            assert found is not None
             errors.append(off)
             distances.append(float(off @ np.linalg.solve(found.noise, off)) / 3.0)
     rms = np.sqrt(np.mean(np.square(errors), axis=0))
