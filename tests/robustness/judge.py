@@ -217,8 +217,6 @@ class _Trial:
         over = not self.case.drive and self.goal is None and not self.goals
         searched = seconds(now - (self.happened or now)) < 6.0 and math.isinf(self.row.found)
         over = over and not (base.moved and searched)
-            base.moved and math.isinf(self.row.found) and seconds(now - (self.happened or now)) < 6.0
-        )
         return elapsed < self.limit and not (over and abs(base.speed) < STANDING)
 
     def _tasks(self, now: Nanos, elapsed: float) -> list[Goal | Drive]:
