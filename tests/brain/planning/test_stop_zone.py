@@ -84,9 +84,10 @@ class Base:
     def scan(self, name: str = "front", count: int = 360) -> LaserScan:
         """The scan that ends now, of a base that has moved during the sweep as it does now."""
         mount, field = self.mounts[name], self.fields[name]
-        angles, read = -field / 2.0 + field / count * np.arange(count), np.empty(count)
+        angles = np.asarray(-field / 2.0 + field / count * np.arange(count), dtype=np.float64)
+        read = np.empty(count)
         for beams in np.array_split(np.arange(count), 12 if self.sweep else 1):
-            ago = seconds(self.sweep) * (1.0 - beams.mean() / (count - 1)) if self.sweep else 0.0
+            ago = seconds(self.sweep) * (1.0 - float(beams.mean()) / (count - 1)) if self.sweep else 0.0
             lidar = arc(self.pose, -self.delayed[0][0] * ago, -self.delayed[0][1] * ago)
             lidar = arc(lidar, mount.x, 0.0)
             read[beams] = ranges(self.walls, lidar.x, lidar.y, lidar.yaw + mount.yaw + angles[beams], 10.0)
