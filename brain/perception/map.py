@@ -220,8 +220,8 @@ class Map:
         columns, rows = np.floor(stops[hit].T).astype(np.int64)
         ends = self._places(columns, rows)
         before = self._values[ends]
-        self._fill(start, beams * per, scan)
         cleared = self._lower(passed)
+        self._fill(start, beams * per, scan)
         self._raise(ends, before, self._agree(hit, before))
         cleared = cleared[self._values[cleared] < 0]
         self.lines.forget(cleared, cleared >> self._shift)
@@ -253,7 +253,7 @@ class Map:
         after = np.minimum(before, self._high - self._hit) + self._hit
         after -= after == 0
         self._values[cells] = after
-        self._values[cells[agree]] = self._hit
+        self._values[cells[agree]] = min(self._hit, self._high)
         self._mark(cells[(before <= 0) & (self._values[cells] > 0)])
 
     def _mark(self, cells: Indices) -> None:
@@ -277,7 +277,7 @@ class Map:
         between *= self.resolution
         cells = self._rays(start + between * near, start + between * far)
         cells = cells[self._values[cells] == 0]
-        self._values[cells] = -self._miss
+        self._values[cells] = max(-self._miss, self._low)
         self._mark(cells)
 
     def _rays(self, start: Floats, stops: Floats) -> Indices:
