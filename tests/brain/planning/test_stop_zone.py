@@ -206,6 +206,22 @@ def test_one_beam_alone_is_speckle_until_it_is_there_again() -> None:
     assert beams(zone, 6 * SCAN, b180=0.3, b182=0.3) < (0.5, 0.0)
 
 
+def test_many_beams_alone_are_no_speckle() -> None:
+    """Ranges of which no neighbours agree, as of a hedge or a defect: the step stays short, and it stops."""
+    zone = StopZone(ROBOT, {"front": FRONT}, StopSettings())
+    assert beams(zone, SCAN) == (0.5, 0.0)
+    assert beams(zone, 2 * SCAN, **{f"b{i}": 0.3 + 0.2 * (i % 3) for i in range(360)}) < (0.5, 0.0)
+
+
+def test_a_sweep_of_a_turning_lidar_is_straightened() -> None:
+    base = Base(box(-0.9, -0.9, 0.9, 0.9))
+    base.sweep = 90 * MILLISECOND
+    base.drive((0.0, 1.5), 1.0)
+    away = np.abs(np.abs(vars(base.zone)["_points"]).max(axis=0) - 0.9)
+    assert len(away) > 100
+    assert away.max() < 0.03
+
+
 def test_the_robots_own_body_is_ignored_and_noted_once() -> None:
     zone, own = StopZone(ROBOT, {"front": FRONT}, StopSettings()), {f"b{i}": 0.1 for i in range(170, 191)}
     own = dict.fromkeys(own, 0.07)
