@@ -4,11 +4,12 @@ Rules. The wheels predict: every increment of their angles moves the pose on an 
 is lost. All else corrects: the gyro by what it turned while the wheels turned, and poses from outside. Each
 correction is gated as a vector by its squared Mahalanobis distance against chi-square.
 
-State (`engine`): x, y, yaw in the frame "odom"; gyro bias; distance scale: the share of the wheels' travel that
-the base does not move; slip of each wheel as far as it turns the base, a Gauss-Markov process over the distance that
-the wheel rolls; turn: the gyro's angle less that of the wheels, so that noise of the gyro is process noise, rounding
-of the wheels is measurement noise, and neither adds up where it does not in truth. Scale, slips and bias are bounded.
-The scale is learnt from outside references only; so is the bias, except while the wheels rest.
+State (`engine`): x, y, yaw in the frame "odom"; gyro bias; distance scale: the share of the wheels' travel
+that the base does not move; slip of each wheel as far as it turns the base, a Gauss-Markov process over the
+distance that the wheel rolls; turn: the gyro's angle less that of the wheels, so that noise of the gyro is
+process noise, rounding of the wheels is measurement noise, and neither adds up where it does not in truth.
+Scale, slips and bias are bounded. The scale is learnt from outside references only; so is the bias, except
+while the wheels rest.
 
 Inputs come in any order within `rewind`: they are kept sorted, each with the state after it, and a late one
 makes the later ones run again, gates included. So state and decisions depend on the inputs, not on the order
@@ -241,12 +242,13 @@ class Filter:
             return None
         new = knots[-1]
         linear, angular = self.twist
-        ahead = arc_end(new.smooth, linear * seconds(FARTHEST), angular * seconds(FARTHEST))
-        at = np.array([*(state.t - new.t for state in knots), FARTHEST], dtype=np.float64)
-        wanted = (np.asarray(times) - new.t).astype(np.float64)
+        steps = [seconds(FARTHEST) * k / 4 for k in (1, 2, 3, 4)]
+        ahead = [arc_end(new.smooth, linear * dt, angular * dt) for dt in steps]
+        at = np.array([*(seconds(state.t - new.t) for state in knots), *steps])
+        wanted = (np.asarray(times) - new.t) / SECOND
         if wanted.min() < at[0] or wanted.max() > at[-1]:
             return None
-        path = np.array([*(state.smooth for state in knots), ahead])
+        path = np.array([*(state.smooth for state in knots), *ahead])
         x, y, yaw = (np.interp(wanted, at, path[:, k]) for k in range(3))
         turned = new.x[YAW] - new.smooth[2]
         c, s = math.cos(turned), math.sin(turned)
@@ -399,12 +401,13 @@ class Filter:
         state.P = self._engine.predict(
             state.P,
             Move(
-                -dy, dx, -distance * ux, -distance * uy, wx, wy, left_yaw, right_yaw, dt, keep_left, keep_right,
+                -dy, dx, -distance * ux, -distance * uy, wx, wy, left_yaw, right_yaw,
+                dt, keep_left, keep_right,
                 along * ux * ux + across * uy * uy, (along - across) * ux * uy,
                 along * uy * uy + across * ux * ux, settings.bias_walk * settings.bias_walk * dt,
                 settings.scale_walk * settings.scale_walk * rolled,
-                slip_variance * (1.0 - keep_left * keep_left), slip_variance * (1.0 - keep_right * keep_right),
-                turn_noise,
+                slip_variance * (1.0 - keep_left * keep_left),
+                slip_variance * (1.0 - keep_right * keep_right), turn_noise,
             ),
         )  # fmt: skip
         state.t, state.at = t, (left, right)

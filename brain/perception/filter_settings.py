@@ -44,7 +44,7 @@ class FilterSettings:
     """Standard deviation of each wheel's slip, as a share of what it rolls; here it turns the base"""
     slip_length: float = 0.3
     """m: its correlation length: a Gauss-Markov process over the distance that the wheel rolls"""
-    travel_noise: float = 0.006
+    travel_noise: float = 0.004
     """m per √m rolled: error along the path by slip that both wheels share"""
     sideways_noise: float = 0.003
     """m per √m rolled: lateral displacement"""

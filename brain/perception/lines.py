@@ -37,7 +37,7 @@ MAX_ANCHORS = 16_384
 NEW_ANCHOR = 0.3
 """m and rad that the robot moves between two anchors"""
 FEW = 8
-"""Cells that are not worth an anchor of their own"""
+"""Surfaces of a scan that are not worth drawing: strays in a place that is known"""
 
 
 class Lines:
@@ -79,7 +79,7 @@ class Lines:
     ) -> None:
         """Add the surfaces [cells] that a scan hit in cells, where these still take them."""
         wanted = np.flatnonzero(self.at(columns, rows)["scans"] < MAX_SCANS)
-        if not len(wanted):
+        if len(wanted) < FEW:
             return
         columns, rows, normals = columns[wanted], rows[wanted], normals[wanted]
         offsets = np.sum((points[wanted] - np.column_stack([columns, rows]) - 0.5) * normals, axis=1)
@@ -100,7 +100,7 @@ class Lines:
         offset = (scans * (lines["offset"] / PER_CELL) + offset) / (scans + 1)
         lines["offset"] = np.rint(offset * PER_CELL)
         new = scans == 0
-        lines["anchor"][new] = self._anchor(pose, covariance, int(np.count_nonzero(new)))
+        lines["anchor"][new] = self._anchor(pose, covariance)
         lines["scans"] += 1
         self._lines[places[kept]] = lines[kept]
 
@@ -134,12 +134,12 @@ class Lines:
                 self._unused = [SIDE**2 * block for block in range(have + more - 1, have - 1, -1)]
             self._blocks[row, column] = self._unused.pop()
 
-    def _anchor(self, pose: Pose, covariance: Floats, count: int) -> int:
-        """Return the anchor of cells drawn from a pose: the last one if it is near, or they are few."""
+    def _anchor(self, pose: Pose, covariance: Floats) -> int:
+        """Return the anchor of cells drawn from a pose: the last one if it is near."""
         last = (self._anchors - 1) % MAX_ANCHORS
         x, y, yaw = self.poses[last]
         moved = max(math.hypot(pose.x - x, pose.y - y), abs(wrap(pose.yaw - yaw)))
-        if self._anchors and (count < FEW or moved < NEW_ANCHOR):
+        if self._anchors and moved < NEW_ANCHOR:
             return last
         new = self._anchors % MAX_ANCHORS
         self.poses[new] = pose.x, pose.y, pose.yaw

@@ -43,7 +43,7 @@ MAX_CELLS = 2**24
 """Of the extent: 204.8 m × 204.8 m at 0.05 m"""
 MAX_RAY_CELLS = 150_000
 """Cells on the rays of one scan; with more, every second (third …) beam clears. Every hit still counts."""
-FILLED = 4
+FILLED = 2
 """One in so many of the gaps between neighbouring beams is filled at a scan, in turn"""
 FRACTION = 16
 """Bits of a fraction of a cell"""
@@ -220,8 +220,8 @@ class Map:
         columns, rows = np.floor(stops[hit].T).astype(np.int64)
         ends = self._places(columns, rows)
         before = self._values[ends]
-        self._fill(start, beams * per, scan)
         cleared = self._lower(passed)
+        self._fill(start, beams * per, scan)
         self._raise(ends, before, self._agree(hit, before))
         cleared = cleared[self._values[cleared] < 0]
         self.lines.forget(cleared, cleared >> self._shift)
@@ -253,7 +253,7 @@ class Map:
         after = np.minimum(before, self._high - self._hit) + self._hit
         after -= after == 0
         self._values[cells] = after
-        self._values[cells[agree]] = self._hit
+        self._values[cells[agree]] = min(self._hit, self._high)
         self._mark(cells[(before <= 0) & (self._values[cells] > 0)])
 
     def _mark(self, cells: Indices) -> None:
@@ -271,13 +271,13 @@ class Map:
         near = 1.0 / apart  # nearer, neighbouring beams pass through neighbouring cells
         wide = far > near
         first, near, far = first[wide], near[wide, None], far[wide, None]
-        part = self.version * GOLDEN % 1.0
+        part = self.version // FILLED * GOLDEN % 1.0
         between = beams[first] * ((1.0 - part) / np.maximum(scan.ranges[first], 1e-9))[:, None]
         between += beams[first + 1] * (part / np.maximum(scan.ranges[first + 1], 1e-9))[:, None]
         between *= self.resolution
         cells = self._rays(start + between * near, start + between * far)
         cells = cells[self._values[cells] == 0]
-        self._values[cells] = -self._miss
+        self._values[cells] = max(-self._miss, self._low)
         self._mark(cells)
 
     def _rays(self, start: Floats, stops: Floats) -> Indices:

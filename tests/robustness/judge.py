@@ -215,6 +215,8 @@ class _Trial:
             self.row.lost = seconds(now - (self.happened or now))
         self.row.span = elapsed
         over = not self.case.drive and self.goal is None and not self.goals
+        searched = seconds(now - (self.happened or now)) < 6.0 and math.isinf(self.row.found)
+        over = over and not (base.moved and searched)
         return elapsed < self.limit and not (over and abs(base.speed) < STANDING)
 
     def _tasks(self, now: Nanos, elapsed: float) -> list[Goal | Drive]:
