@@ -20,7 +20,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from brain.planning.costmap import EXIT, UNKNOWN, Cells, Floats
+from brain.planning.costmap import EXIT, UNKNOWN, Cells
 from brain.planning.snapshot import Snapshot
 
 DIAGONAL = sqrt(2.0)
@@ -91,8 +91,8 @@ class Search:
         self._came = np.zeros(len(ground.level), np.uint8)
         """The move to each cell that was reached."""
         self._cost[start] = ZERO
-        self._open: dict[int, list[tuple[Cells, Floats]]] = {}
-        """Buckets of cells, with their costs when they were put there."""
+        self._open: dict[int, list[Cells]] = {}
+        """Buckets of cells"""
         self._best = (inf, start)
         """Cost of the goal, and the last cell on the way to it."""
         self._cells: list[int] = []
@@ -117,16 +117,16 @@ class Search:
         return CellPath(tuple(reversed(cells)), self._best[0] * self.ground.resolution)
 
     def _take(self) -> Cells:
-        """Return the next batch from the lowest bucket, without the cells whose cost is out of date."""
+        """Return the next batch, from the lowest bucket; expanding a cell in vain does no harm."""
         bucket = min(self._open)
         stack, taken, count = self._open[bucket], [], 0
         while stack and count < BATCH:
-            cells, costs = stack.pop()
+            cells = stack.pop()
             if len(cells) > BATCH - count:
                 split = len(cells) - (BATCH - count)
-                stack.append((cells[:split], costs[:split]))
-                cells, costs = cells[split:], costs[split:]
-            taken.append(cells[self._cost[cells] == costs])
+                stack.append(cells[:split])
+                cells = cells[split:]
+            taken.append(cells)
             count += len(cells)
         if not stack:
             del self._open[bucket]
@@ -153,8 +153,8 @@ class Search:
         np.minimum.at(cost, there, new)
         kept = new == cost[there]
         there = there[kept]
-        self._came[there] = found[kept] // count if count else 0
-        there = np.sort(there)
+        self._came[there] = found[kept] // count
+        there.sort()
         first = np.ones(len(there), np.bool_)
         first[1:] = there[1:] != there[:-1]
         self._put(there[first])
@@ -179,8 +179,7 @@ class Search:
         order = buckets.argsort(kind="stable")
         if self._best[0] < inf:
             order = order[promise[order] < self._best[0]]
-        cells, costs, buckets = cells[order], costs[order], buckets[order]
+        cells, buckets = cells[order], buckets[order]
         cuts = ((buckets[1:] != buckets[:-1]).nonzero()[0] + 1).tolist()
         for first, last in pairwise((0, *cuts, len(cells)) if len(cells) else ()):
-            stack = self._open.setdefault(int(buckets[first]), [])
-            stack.append((cells[first:last], costs[first:last]))
+            self._open.setdefault(int(buckets[first]), []).append(cells[first:last])
