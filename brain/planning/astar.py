@@ -28,7 +28,7 @@ BEYOND = -1
 """The goal, if it lies beyond the snapshot."""
 BATCH = 128
 """Cells expanded at once, at most."""
-BATCH_WORK = 250
+BATCH_WORK = 130
 """What a batch costs beside its cells, in expansions."""
 BUCKET = 1.0
 """Cells, width of a bucket"""
@@ -111,7 +111,7 @@ class Search:
         cells, moves = self._cells, self._moves[:, 0].tolist()
         while cells and cells[-1] != self.start and self.work < end:
             cells.append(self._best[1] if cells[-1] == BEYOND else cells[-1] - moves[self._came[cells[-1]]])
-            self.work += 2
+            self.work += 3
         if not cells or cells[-1] != self.start:
             return Searching(self.work)
         return CellPath(tuple(reversed(cells)), self._best[0] * self.ground.resolution)

@@ -44,7 +44,7 @@ UNKNOWN = 128
 """Flag of a cell that was never observed, beside the level that it would have."""
 EXIT = 255
 """Level of the cells at the edge of a snapshot from where the straight way to a goal beyond it is open."""
-TILE_WORK = 400
+TILE_WORK = 450
 """Drawing a tile, in expansions of A*."""
 
 

@@ -182,7 +182,7 @@ class PathQuery:
 
 SHORTCUT_CORNERS = 30
 """Corners ahead to which a shortcut is tried."""
-LINE_WORK = 100
+LINE_WORK = 140
 """The cost of a straight line, in expansions of A*,"""
 CELLS_PER_WORK = 10
 """and that of its cells."""

@@ -23,7 +23,7 @@ from brain.planning.costmap import (
 )
 from brain.planning.polyline import Point
 
-COPY_WORK = 12
+COPY_WORK = 16
 """Copying a tile into a snapshot, in expansions of A*."""
 MAX_LINES = 500
 """Straight lines that one search of the nearest place, or one shortening of a path, compares."""
