@@ -7,7 +7,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from brain.belief import Pose
+from brain.belief import Floats, Pose
 from brain.perception.body_scan import BodyScan, to_body, to_world
 from brain.perception.lines import MAX_SCANS, PER_CELL, TURN, Lines
 from brain.perception.map import FRACTION, MAX_RAY_CELLS, TILE, UNIT, Map, MapSettings
@@ -330,18 +330,12 @@ def test_memory_is_bounded() -> None:
     chart = Map(MapSettings(width=200.0, height=200.0))
     first, _, last, _ = chart.extent()
     columns, rows = (n.ravel() for n in np.meshgrid(*[np.arange(first, last, 16)] * 2))
-    normals = np.zeros((len(rows), 2))
-    normals[:, 0] = 1.0
+    normals = np.tile(np.eye(1, 2), (len(rows), 1))
+    points: Floats = np.column_stack([columns, rows]) + 0.5
     for some in np.array_split(np.arange(len(rows)), 16):
-        points = np.column_stack([columns[some], rows[some]]) + 0.5
-        chart.lines.draw(
-            columns[some],
-            rows[some],
-            points,
-            normals[some],
-            HERE,
-            SURE,
-        )
+        chart.lines.draw(columns[some], rows[some], points[some], normals[some], HERE, SURE)
+    chart._values[:], chart._stamps[:], chart._touched[:] = -5, 1, 1
+    assert len(chart.view().tiles) == 64 * 64
     held, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert 20e6 < held < 100e6
