@@ -166,7 +166,9 @@ class Grid:
         if self._view is None or self._view.version != self.version:
             copy = self.log_odds.copy()
             copy.flags.writeable = False
-            self._view = MapView(self.version, self.resolution, self.origin_x, self.origin_y, copy)
+            self._view = MapView(
+                self.version, self.resolution, {(0, 0): copy}, corner=(self.origin_x, self.origin_y)
+            )
         return self._view
 
     # -- writing -------------------------------------------------------------------------------

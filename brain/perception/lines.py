@@ -48,7 +48,7 @@ class Lines:
         """First line of each block of cells; 0: those of the first block, which stays empty"""
         self._lines: Records = np.zeros(SIDE * SIDE, dtype=LINE)
         self._unused: list[int] = []
-        self._most = self._blocks.size // 2
+        self._most = self._blocks.size * 3 // 8
         """Blocks; with more, further cells have no lines."""
         self.poses = np.zeros((MAX_ANCHORS, 3))
         """Anchors: pose of the robot [m, m, rad]"""
