@@ -92,7 +92,7 @@ class Search:
         """The move to each cell that was reached."""
         self._cost[start] = ZERO
         self._open: dict[int, list[Cells]] = {}
-        """Buckets of cells"""
+        """Cells by cost + heuristic, in buckets."""
         self._best = (inf, start)
         """Cost of the goal, and the last cell on the way to it."""
         self._cells: list[int] = []

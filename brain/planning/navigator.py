@@ -168,7 +168,7 @@ class Navigator:
         assert self.path is not None
         reason, line = "", self._line
         if now >= self._check_at:
-            self._along, off = line.project(here)
+            self._along, off = line.project(here, self._along, self._along + CHECKED_FIRST)
             if off > MAX_PATH_ERROR:
                 reason = f"the robot is {off:.2f} m off it"
             self._rest = self._checked if self._along < self._checked < line.length else inf

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from itertools import accumulate, pairwise
 from math import hypot, inf, sqrt
 
@@ -41,10 +41,10 @@ class Polyline:
     def project(self, place: Point, low: float = 0.0, high: float = inf) -> tuple[float, float]:
         """Return (length along the line, distance) [m] of the nearest point between `low` and `high` [m]."""
         best = (low, inf)
-        for i in range(len(self.points) - 1):
+        for i in range(max(bisect_left(self.at, low) - 1, 0), len(self.points) - 1):
             begin, end = self.at[i], self.at[i + 1]
-            if end < low or begin > high:
-                continue
+            if begin > high:
+                break
             (ax, ay), (bx, by) = self.points[i], self.points[i + 1]
             ux, uy = (bx - ax) / (end - begin), (by - ay) / (end - begin)
             run = (place[0] - ax) * ux + (place[1] - ay) * uy

@@ -58,18 +58,14 @@ class Snapshot:
     def __init__(
         self, costmap: Costmap, grid: Map, here: Point, goal: Point, unreachable: tuple[Point, ...]
     ) -> None:
-        self.resolution, self.multiplier, self.outside = (
-            costmap.resolution,
-            costmap.multiplier,
-            costmap.outside,
-        )
-        self.standing, self.unreachable, self.radius = here, unreachable, costmap.radius
+        self.resolution, self.radius = costmap.resolution, costmap.radius
+        self.multiplier, self.outside = costmap.multiplier, costmap.outside
+        self.standing, self.unreachable = here, unreachable
         row, column = floor(here[1] / self.resolution) // TILE, floor(here[0] / self.resolution) // TILE
         box, (rows, columns) = costmap.box or (row, column, row, column), tiles_of(grid.extent())
         self._rows = range(min(row, max(box[0], rows.start)), max(row + 1, min(box[2], rows.stop)))
-        self._columns = range(
-            min(column, max(box[1], columns.start)), max(column + 1, min(box[3], columns.stop))
-        )
+        first, last = max(box[1], columns.start), min(box[3], columns.stop)
+        self._columns = range(min(column, first), max(column + 1, last))
         self.corner = (self._rows.start * TILE - 2, self._columns.start * TILE - 2)
         """Row and column, in the map, of the first cell."""
         self.stride = len(self._columns) * TILE + 4
@@ -166,10 +162,8 @@ class Snapshot:
         """Return the level of each of these cells of the map."""
         row, column = rows - self.corner[0], columns - self.corner[1]
         inside = (row > 0) & (row < self.height - 1) & (column > 0) & (column < self.stride - 1)
-        level = np.frombuffer(self.level, np.uint8)
-        return np.where(
-            inside, level[np.where(inside, row * self.stride + column, 0)], np.uint8(self.outside)
-        )
+        level = self.level[np.where(inside, row * self.stride + column, 0)]
+        return np.where(inside, level, np.uint8(self.outside))
 
     def nearest(self, place: Point, within: float, *, known: bool) -> list[int]:
         """Return the cells within a distance [m] that are free, or unknown unless `known`; nearest first."""
