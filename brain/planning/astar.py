@@ -1,11 +1,12 @@
-"""A* on a costmap, a bounded number of expansions at a time.
+"""A* on a snapshot of the costmap, a bounded number of expansions at a time.
 
 Rules. Eight neighbours; a diagonal only where both cells beside it may be entered (no corner is cut). A
 move costs its length times the multiplier of the cell entered; the octile distance is an admissible
 heuristic, since multipliers are >= 1, so the result is optimal in this metric (Hart, Nilsson and Raphael
 1968; an entry of the queue is stale once a cheaper path to its cell was found, and cells may be reopened).
-Ties are broken by depth and then by cell, so equal queries have equal results. The state is plain lists: it
-can be copied and resumed between any two calls of `advance`.
+A goal beyond the snapshot is one move, an octile path over unknown ground, from each cell of level `EXIT`.
+Ties are broken by depth and then by cell, so equal queries have equal results. Only cells that were reached
+have a state. It is plain data: it can be copied and resumed between any two calls of `advance`.
 """
 
 from __future__ import annotations
@@ -15,9 +16,14 @@ from heapq import heappop, heappush
 from math import inf, sqrt
 from typing import TypeAlias
 
-from brain.planning.costmap import UNKNOWN, Costmap
+import numpy as np
+
+from brain.planning.costmap import EXIT, UNKNOWN
+from brain.planning.snapshot import Snapshot
 
 DIAGONAL = sqrt(2.0)
+BEYOND = -1
+"""The goal, if it lies beyond the snapshot."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,40 +53,51 @@ Outcome: TypeAlias = CellPath | Unreachable | Searching
 
 
 class Search:
-    """One search from a cell to a cell; `through_unknown` assumes that unknown ground is passable."""
+    """One search from a cell to a cell; `beyond` is the row and column of a goal beyond the snapshot;
+    `through_unknown` is the assumed cost of a metre through unknown ground, if it may be entered."""
 
-    def __init__(self, costmap: Costmap, start: int, goal: int, *, through_unknown: bool = False) -> None:
-        self.costmap, self.start, self.goal = costmap, start, goal
-        multiplier = list(costmap.multiplier)
-        if through_unknown:
-            multiplier[UNKNOWN] = costmap.unknown_multiplier
-        self._multiplier = tuple(multiplier)
-        self._cost = [inf] * len(costmap.level)
-        self._parent = [-1] * len(costmap.level)
-        self._cost[start] = 0.0
-        self._open = [(octile(costmap.stride, start, goal), 0.0, start)]
-        self._outcome: Outcome = Searching(0)
-        if self._multiplier[costmap.level[goal]] == inf:
-            self._outcome = Unreachable()
+    def __init__(
+        self,
+        ground: Snapshot,
+        start: int,
+        goal: int,
+        *,
+        beyond: tuple[int, int] = (0, 0),
+        through_unknown: float = inf,
+    ) -> None:
+        self.ground, self.start, self.goal = ground, start, goal
+        self.expansions = 0
+        multiplier = ground.multiplier.copy()
+        if through_unknown < inf:
+            multiplier[UNKNOWN:] = np.minimum(multiplier[UNKNOWN:], through_unknown)
+        self._multiplier: list[float] = multiplier.tolist()
+        self._goal_at = beyond if goal == BEYOND else divmod(goal, ground.stride)
+        self._cost = {start: 0.0}
+        self._parent: dict[int, int] = {}
+        self._open = [(0.0, 0.0, start)]
+        self._cells: list[int] = []
+        """The path found, from the goal as far back as it was traced."""
+        self._closed = goal != BEYOND and self._multiplier[ground.level[goal]] == inf
 
-    def advance(self, expansions: int) -> Outcome:
-        """Expand at most this many cells. Once finished, the outcome does not change."""
-        if not isinstance(self._outcome, Searching):
-            return self._outcome
-        before = self._outcome.expansions
-        done, found = self._expand(expansions)
-        if found:
-            self._outcome = CellPath(self._trace(), self._cost[self.goal] * self.costmap.resolution)
-        elif not self._open:
-            self._outcome = Unreachable()
-        else:
-            self._outcome = Searching(before + done)
-        return self._outcome
+    def advance(self, work: int) -> Outcome:
+        """Expand, or trace back, at most this many cells. Once finished, the outcome does not change."""
+        if not self._cells and not self._closed:
+            work -= self._expand(work)
+        if self._closed:
+            return Unreachable()
+        cells = self._cells
+        while cells and cells[-1] != self.start and work > 0:
+            cells.append(self._parent[cells[-1]])
+            work -= 1
+            self.expansions += 1
+        if not cells or cells[-1] != self.start:
+            return Searching(self.expansions)
+        return CellPath(tuple(reversed(cells)), self._cost[self.goal] * self.ground.resolution)
 
-    def _expand(self, limit: int) -> tuple[int, bool]:
+    def _expand(self, limit: int) -> int:
         queue, cost, parent, goal = self._open, self._cost, self._parent, self.goal
-        level, multiplier, stride = self.costmap.level, self._multiplier, self.costmap.stride
-        goal_row, goal_column = divmod(goal, stride)
+        level, multiplier, stride = self.ground.level, self._multiplier, self.ground.stride
+        (goal_row, goal_column), known = self._goal_at, cost.get
         excess = DIAGONAL - 2.0
         done = 0
         while queue and done < limit:
@@ -90,7 +107,8 @@ class Search:
             if here > cost[cell]:
                 continue
             if cell == goal:
-                return done, True
+                self._cells.append(goal)
+                break
             east = multiplier[level[cell + 1]]
             west = multiplier[level[cell - 1]]
             north = multiplier[level[cell + stride]]
@@ -111,24 +129,18 @@ class Search:
                     moves.append((cell - stride + 1, here + DIAGONAL * multiplier[level[cell - stride + 1]]))
                 if west < inf:
                     moves.append((cell - stride - 1, here + DIAGONAL * multiplier[level[cell - stride - 1]]))
+            if goal == BEYOND and level[cell] == EXIT:
+                row, column = divmod(cell, stride)
+                dx, dy = abs(column - goal_column), abs(row - goal_row)
+                moves.append((goal, here + multiplier[EXIT] * (dx + dy + excess * min(dx, dy))))
             for there, new in moves:
-                if new < cost[there]:
+                if new < known(there, inf):
                     cost[there] = new
                     parent[there] = cell
-                    row, column = divmod(there, stride)
+                    row, column = divmod(there, stride) if there != BEYOND else self._goal_at
                     dx, dy = abs(column - goal_column), abs(row - goal_row)
                     heappush(queue, (new + dx + dy + excess * (dx if dx < dy else dy), -new, there))
-        return done, False
-
-    def _trace(self) -> tuple[int, ...]:
-        cells = [self.goal]
-        while cells[-1] != self.start:
-            cells.append(self._parent[cells[-1]])
-        return tuple(reversed(cells))
-
-
-def octile(stride: int, start: int, goal: int) -> float:
-    """Return the length [cells] of the shortest eight-connected path over an empty map."""
-    (row, column), (goal_row, goal_column) = divmod(start, stride), divmod(goal, stride)
-    dx, dy = abs(column - goal_column), abs(row - goal_row)
-    return dx + dy + (DIAGONAL - 2.0) * min(dx, dy)
+        else:
+            self._closed = not queue
+        self.expansions += done
+        return done

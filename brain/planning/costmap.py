@@ -1,18 +1,24 @@
-"""The costmap: what it costs to be in each cell of the map, and how it is built from the occupancy grid.
+"""The costmap: what it costs to be in each cell of the map, kept up to date tile by tile.
 
-Rules. A costmap is a value: it is built once from the grid and never changes. A cell is blocked, unknown,
-or free at one of a few levels, the lowest nearest to blocked cells; its multiplier (>= 1) is the cost of a
-metre through the cell. Blocked means: the robot's centre must not be there, since its footprint circle would
-touch an occupied cell (inflation). Distances are taken between the middles of cells, which is what the margin
-beside the footprint's radius is for. A border of blocked cells surrounds the map, so that no search has to
-check whether it has left it. Positions are in metres in the map's frame, cells are indices into `level`.
+Rules. Cells are the map's own: (row, column) = floor(y / resolution), floor(x / resolution), in tiles of
+`TILE` × `TILE`. A cell has one level: occupied, within the footprint's radius of an occupied cell, within
+radius + margin of one (all three are blocked: the robot's centre must not be there), or free at one of a few
+levels, the lowest nearest to blocked cells; its multiplier (>= 1) is the cost of a metre through the cell. A
+cell that was never observed and is not blocked has the flag `UNKNOWN` beside its level. Distances are taken
+between the middles of cells, which is what the margin is for.
+
+The work of a step does not depend on the map's size: `Costmap.update` draws a few of the tiles that changed,
+the nearest first. A search works on a `Snapshot`, which is assembled from the tiles one row of them after
+another, draws those that are out of date, and never changes once it is complete. What lies outside of a
+snapshot is unknown ground without obstacles.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import floor, hypot, inf
-from typing import Protocol
+from itertools import pairwise, product
+from math import ceil, floor, inf
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -21,20 +27,33 @@ from brain.checks import within
 from brain.planning.polyline import Point
 from protocols.messages import MILLISECOND, SECOND, Nanos
 
+Cells = npt.NDArray[np.int64]
+Floats = npt.NDArray[np.float64]
+Levels = npt.NDArray[np.uint8]
 Mask = npt.NDArray[np.bool_]
+Tile: TypeAlias = tuple[int, int]
+"""Row and column of a tile: those of its cells, divided by TILE."""
 
-BLOCKED = 0
-UNKNOWN = 1
-FREE = 2
+TILE = 64
+"""Cells along a side of a tile"""
+OCCUPIED, TOUCHING, NEAR = 0, 1, 2
+"""Blocked: occupied, within the footprint's radius of an occupied cell, within radius + margin."""
+FREE = 3
 """The free level nearest to blocked cells; each level above it is one cell farther away."""
+UNKNOWN = 128
+"""Flag of a cell that was never observed, beside the level that it would have."""
+EXIT = 255
+"""Level of the cells at the edge of a snapshot from where the straight way to a goal beyond it is open."""
+TILE_WORK = 50
+"""Drawing a tile, in expansions of A*."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlannerSettings:
     """Parameters of planning and replanning, SI."""
 
-    expansions_per_step: int = 1000
-    """A* expansions per step of the brain: about 2 µs each."""
+    expansions_per_step: int = 400
+    """Work of a step of the brain, in A* expansions of about 2 µs; other work is converted."""
     margin: float = 0.05
     """m, clearance kept beyond the footprint's radius"""
     comfort: float = 0.4
@@ -51,7 +70,7 @@ class PlannerSettings:
     slack: float = 0.1
     """m: how far a goal too close to an obstacle may be moved to a place that fits"""
     period: Nanos = 250 * MILLISECOND
-    """Period of checking the path against the map."""
+    """Period of checking the path against the map, and of searching while there is none."""
     explore: Nanos = 500 * MILLISECOND
     """Period of replanning while no known path leads to the goal."""
     patience: Nanos = 8 * SECOND
@@ -77,224 +96,236 @@ class PlannerSettings:
 
 
 class Map(Protocol):
-    """The part of the occupancy grid that is needed here."""
-
-    version: int
-    """Incremented at each change."""
-    resolution: float
-    """m per cell"""
-    origin_x: float
-    """m, of the lower left corner of cell (0, 0)"""
-    origin_y: float
+    """The part of the occupancy map that is needed here."""
 
     @property
-    def unknown(self) -> Mask:
-        """Cells never observed: rows (y) × columns (x)."""
+    def version(self) -> int:
+        """Incremented at each change."""
         ...
 
-    def blocked(self, radius: float) -> Mask:
-        """Cells with an occupied cell within the radius [m] of their middle."""
+    @property
+    def resolution(self) -> float:
+        """m per cell"""
+        ...
+
+    def tile(self, row: int, column: int) -> npt.NDArray[Any] | None:
+        """The values of a tile: above 0 occupied, below free, 0 unknown. None: nothing is known of it."""
+        ...
+
+    def changed(self, since: int) -> list[Tile]:
+        """Tiles with a cell that became occupied, free or unknown after this version."""
+        ...
+
+    def extent(self) -> tuple[int, int, int, int]:
+        """First row, first column, and those after the last, of the cells that the map can hold now."""
         ...
 
 
-@dataclass(frozen=True, slots=True)
 class Costmap:
-    """The levels of all cells, and the cost of each level."""
+    """The levels of all tiles, up to date but for those that are `pending`. State is plain data."""
 
-    resolution: float
-    """m per cell"""
-    origin: Point
-    """m, of the lower left corner of the first cell within the border"""
-    stride: int
-    """Cells per row, including the border's two."""
-    level: bytes
-    """One per cell, row by row, including the border."""
-    multiplier: tuple[float, ...]
-    """Cost factor by level, on known ground only: infinite for unknown and blocked."""
-    unknown_multiplier: float
-    """Assumed cost of a metre through unknown ground."""
+    def __init__(self, resolution: float, radius: float, settings: PlannerSettings) -> None:
+        self.resolution, self.radius, self.settings = resolution, radius, settings
+        self._rings = rings = round(settings.comfort / resolution) if settings.dislike > 0.0 else 0
+        self.top = FREE + rings
+        """Level of free cells far from obstacles."""
+        self.outside = self.top if settings.unknown_is_free else UNKNOWN + self.top
+        """Level of cells that no tile holds."""
+        assert self.outside < EXIT, "brain.settings.MAX_REACH"
+        self.multiplier = np.full(256, inf)
+        """Cost factor by level, over known ground."""
+        self.multiplier[FREE : self.top] = [
+            1.0 + settings.dislike * (1.0 - ring / rings) for ring in range(rings)
+        ]
+        self.multiplier[self.top] = 1.0
+        if settings.unknown_is_free:
+            self.multiplier[EXIT] = 1.0
+        self._halo = ceil((radius + settings.margin) / resolution + 0.5) + rings
+        """Cells around a tile in which obstacles matter to it,"""
+        self._reach = -(-self._halo // TILE)
+        """and tiles."""
+        self._rows, self._columns = range(0), range(0)
+        """Tiles within the map's extent."""
+        self.tiles: dict[Tile, bytes] = {}
+        self.pending: dict[Tile, int] = {}
+        """Tiles to be drawn, and the map's version in which they had changed."""
+        self.box: tuple[int, int, int, int] | None = None
+        """First row, first column, and those after the last, of the tiles marked so far."""
+        self._drawn: dict[Tile, int] = {}
+        """The map's version that each tile was drawn from."""
+        self._occupied: dict[Tile, bytes] = {}
+        """Occupied cells, eight per byte, of tiles that have any."""
+        self._version = -1
 
-    def index(self, x: float, y: float) -> int | None:
-        """Return the cell at a position [m]; None outside the map."""
-        column = (x - self.origin[0]) / self.resolution + 1.0
-        row = (y - self.origin[1]) / self.resolution + 1.0
-        if 1.0 <= column < self.stride - 1 and 1.0 <= row < len(self.level) // self.stride - 1:
-            return floor(row) * self.stride + floor(column)
-        return None
+    def update(self, grid: Map, here: Point, most: int) -> int:
+        """Draw at most this many of the changed tiles, those about the robot first; return how many."""
+        if grid.version != self._version:
+            self._follow(grid.extent())
+            for tile in grid.changed(self._version):
+                self._mark(tile, grid.version)
+            self._version = grid.version
+        side = TILE * self.resolution
+        row, column = floor(here[1] / side), floor(here[0] / side)
+        count = min(most, len(self.pending))
+        for _ in range(count):
+            about = ((row + up, column + right) for up, right in ABOUT)
+            self.draw(grid, next((tile for tile in about if tile in self.pending), next(iter(self.pending))))
+        return count
 
-    def centre(self, cell: int) -> Point:
-        """Return the middle of a cell [m]."""
-        row, column = divmod(cell, self.stride)
-        return (
-            self.origin[0] + (column - 0.5) * self.resolution,
-            self.origin[1] + (row - 0.5) * self.resolution,
-        )
+    def draw(self, grid: Map, tile: Tile) -> None:
+        """Compute the levels of one tile from the obstacles in it and around it."""
+        changed_at = self.pending.pop(tile, -1)
+        values, window = grid.tile(*tile), self._window(grid, tile)
+        self._mark_neighbours(tile, window, changed_at)
+        if values is None and not window.any():
+            self.tiles.pop(tile, None)
+            self._drawn.pop(tile, None)
+            return
+        level = self._levels_of(window)
+        if not self.settings.unknown_is_free:
+            unseen = level >= FREE
+            if values is not None:
+                unseen &= values == 0
+            level |= unseen.view(np.uint8) << np.uint8(7)
+        self.tiles[tile], self._drawn[tile] = level.tobytes(), self._version
+
+    def _window(self, grid: Map, tile: Tile) -> Mask:
+        """Return which cells are occupied, of a tile and those around it that matter to it."""
+        halo, side = self._halo, TILE + 2 * self._halo
+        window, reach = np.zeros((side, side), np.bool_), range(-self._reach, self._reach + 1)
+        for up, right in product(reach, reach):
+            values = grid.tile(tile[0] + up, tile[1] + right)
+            if values is not None:
+                bottom, left = up * TILE + halo, right * TILE + halo
+                rows = slice(max(bottom, 0), min(bottom + TILE, side))
+                columns = slice(max(left, 0), min(left + TILE, side))
+                part = values[max(-bottom, 0) : side - bottom, max(-left, 0) : side - left]
+                np.greater(part, 0, out=window[rows, columns])
+        return window
+
+    def _mark_neighbours(self, tile: Tile, window: Mask, changed_at: int) -> None:
+        """Mark the tiles as pending to which a change of this one's obstacles matters, and that were drawn
+        before it."""
+        halo = self._halo
+        own = np.packbits(window[halo : halo + TILE, halo : halo + TILE])
+        before = self._occupied.get(tile, NOTHING)
+        if (now := own.tobytes()) == before:
+            return
+        self._occupied[tile] = now
+        if now == NOTHING:
+            del self._occupied[tile]
+        change = np.unpackbits(own ^ np.frombuffer(before, np.uint8)).reshape(TILE, TILE)
+        rows, columns = (np.flatnonzero(change.any(axis=axis)) for axis in (1, 0))
+        for up in range((int(rows[0]) - halo) // TILE, (int(rows[-1]) + halo) // TILE + 1):
+            for right in range((int(columns[0]) - halo) // TILE, (int(columns[-1]) + halo) // TILE + 1):
+                other = (tile[0] + up, tile[1] + right)
+                if other != tile and self._drawn.get(other, -1) < changed_at:
+                    self._mark(other, -1)
+
+    def _follow(self, extent: tuple[int, int, int, int]) -> None:
+        """Drop the tiles that have left the map's extent."""
+        rows, columns = tiles_of(extent)
+        before, self._rows, self._columns = (self._rows, self._columns), rows, columns
+        reach = range(-self._reach, self._reach + 1)
+        for row in before[0]:
+            first, last = (columns.start, columns.stop) if row in rows else (before[1].stop,) * 2
+            left = range(before[1].start, min(first, before[1].stop))
+            for column in (*left, *range(max(last, before[1].start), before[1].stop)):
+                for state in (self.tiles, self.pending, self._drawn):
+                    state.pop((row, column), None)
+                if self._occupied.pop((row, column), None):
+                    for up, right in product(reach, reach):
+                        self._mark((row + up, column + right), -1)
+
+    def _mark(self, tile: Tile, version: int) -> None:
+        """Mark a tile within the extent as pending."""
+        if tile[0] not in self._rows or tile[1] not in self._columns:
+            return
+        self.pending[tile] = max(version, self.pending.get(tile, -1))
+        (row, column), box = tile, self.box or (*tile, *tile)
+        self.box = (min(box[0], row), min(box[1], column), max(box[2], row + 1), max(box[3], column + 1))
+
+    def _levels_of(self, window: Mask) -> Levels:
+        """Return the levels of a tile, unknown cells not flagged, from the occupied cells around it.
+
+        Masks are integers of one bit per cell of the window: a shift by a row moves all of them at once. What
+        a shift carries over the window's edge stays within the halo."""
+        if not window.any():
+            return np.full((TILE, TILE), self.top, np.uint8)
+        side, halo = len(window), self._halo
+        occupied = int.from_bytes(np.packbits(window, bitorder="little").tobytes(), "little")
+        near = disc(occupied, side, (self.radius + self.settings.margin) / self.resolution)
+        masks = [occupied, disc(occupied, side, self.radius / self.resolution), near]
+        for ring in range(self._rings):
+            near = dilated(near, side, diagonal=ring % 2 == 1)
+            masks.append(near)
+        size, all_ = -(-side * side // 8), (1 << side * side) - 1
+        packed = np.frombuffer(b"".join((mask & all_).to_bytes(size, "little") for mask in masks), np.uint8)
+        bits = np.unpackbits(packed.reshape(len(masks), -1), axis=1, count=side * side, bitorder="little")
+        inner = bits.reshape(-1, side, side)[:, halo : halo + TILE, halo : halo + TILE]
+        level: Levels = np.uint8(self.top) - inner.sum(axis=0, dtype=np.uint8)
+        return level
+
+    # -- reading -------------------------------------------------------------------------------
+
+    def levels(self, rows: Cells, columns: Cells) -> Levels:
+        """Return the level of each of these cells, which are those along a line."""
+        tile_rows, tile_columns = rows // TILE, columns // TILE
+        starts = np.flatnonzero(np.diff(tile_rows) | np.diff(tile_columns)) + 1
+        found = np.full(len(rows), self.outside, np.uint8)
+        offsets = (rows % TILE) * TILE + columns % TILE
+        for start, end in pairwise((0, *starts.tolist(), len(rows))):
+            level = self.tiles.get((int(tile_rows[start]), int(tile_columns[start])))
+            if level is not None:
+                found[start:end] = np.frombuffer(level, np.uint8)[offsets[start:end]]
+        return found
 
     def level_at(self, x: float, y: float) -> int:
-        """Return the level at a position [m]; BLOCKED outside the map."""
-        cell = self.index(x, y)
-        return BLOCKED if cell is None else self.level[cell]
+        """Return the level at a position [m]."""
+        row, column = floor(y / self.resolution), floor(x / self.resolution)
+        level = self.tiles.get((row // TILE, column // TILE))
+        return self.outside if level is None else level[row % TILE * TILE + column % TILE]
 
     def clearance(self, x: float, y: float) -> float:
         """Return the distance [m, whole cells] to the nearest blocked cell, as far as the levels resolve it.
 
-        0 if the position is blocked or unknown; infinite beyond the last level."""
-        level = self.level_at(x, y)
-        if level < FREE:
+        0 if the position is blocked or not drawn yet; infinite at the last level."""
+        if (floor(y / self.resolution) // TILE, floor(x / self.resolution) // TILE) not in self.tiles:
             return 0.0
-        return inf if level == len(self.multiplier) - 1 else (level - FREE + 1) * self.resolution
-
-    def crossing(self, start: Point, end: Point) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
-        """Return the cells that a straight line crosses, and its length [m] in each; cell -1 is outside."""
-        a = ((start[0] - self.origin[0]) / self.resolution, (start[1] - self.origin[1]) / self.resolution)
-        d = ((end[0] - start[0]) / self.resolution, (end[1] - start[1]) / self.resolution)
-        cuts = [np.array((0.0, 1.0))]
-        for p, v in zip(a, d, strict=True):
-            if v != 0.0:
-                low, high = sorted((p, p + v))
-                cuts.append((np.arange(floor(low) + 1, floor(high) + 1) - p) / v)
-        t = np.sort(np.clip(np.concatenate(cuts), 0.0, 1.0))
-        middle, span = (t[1:] + t[:-1]) / 2, np.diff(t) * hypot(d[0], d[1]) * self.resolution
-        column = np.floor(a[0] + middle * d[0]).astype(np.int64) + 1
-        row = np.floor(a[1] + middle * d[1]).astype(np.int64) + 1
-        rows = len(self.level) // self.stride
-        inside = (column > 0) & (column < self.stride - 1) & (row > 0) & (row < rows - 1)
-        return np.where(inside, row * self.stride + column, -1), span
-
-    def line_cost(self, start: Point, end: Point) -> float:
-        """Return the cost [m] of a straight line; infinite if it leaves known free ground."""
-        cells, span = self.crossing(start, end)
-        level = np.frombuffer(self.level, np.uint8)[cells]
-        if bool(np.any((level < FREE) | (cells < 0))):
-            return inf
-        return float(np.asarray(self.multiplier)[level] @ span)
-
-    def is_blocked(self, start: Point, end: Point) -> bool:
-        """True if a straight line meets a blocked cell; unknown cells do not count."""
-        cells, _ = self.crossing(start, end)
-        level = np.frombuffer(self.level, np.uint8)[cells]
-        return bool(np.any((level == BLOCKED) | (cells < 0)))
+        level = self.level_at(x, y) % UNKNOWN
+        return inf if level == self.top else max(level - FREE + 1, 0) * self.resolution
 
 
-def build_costmap(
-    blocked: Mask,
-    unknown: Mask,
-    *,
-    resolution: float,
-    origin: Point,
-    comfort: float = 0.0,
-    dislike: float = 0.0,
-    unknown_multiplier: float = 1.0,
-    unknown_is_free: bool = False,
-) -> Costmap:
-    """Return the costmap for these masks (rows = y, columns = x).
-
-    Free ground costs 1 per metre at `comfort` [m] or more from blocked cells, and 1 + `dislike` next to
-    them, linearly in between. Distances are counted in cells, by octagonal rings.
-    """
-    rings = round(comfort / resolution) if dislike > 0.0 else 0
-    height, width = blocked.shape
-    level = np.full((height + 2, width + 2), BLOCKED, np.uint8)
-    inner = level[1:-1, 1:-1]
-    inner[:] = FREE + rings
-    near = blocked
-    for ring in range(rings):
-        near = dilated(near, diagonal=ring % 2 == 1)
-        inner -= near.view(np.uint8)
-    if not unknown_is_free:
-        inner[unknown] = UNKNOWN
-    inner[blocked] = BLOCKED
-    free = tuple(1.0 + dislike * (rings - ring) / rings for ring in range(rings))
-    return Costmap(
-        resolution, origin, width + 2, level.tobytes(), (inf, inf, *free, 1.0), max(1.0, unknown_multiplier)
-    )
+NOTHING = bytes(TILE * TILE // 8)
+"""No occupied cell of a tile."""
+ABOUT = sorted(((r, c) for r in range(-2, 3) for c in range(-2, 3)), key=lambda at: at[0] ** 2 + at[1] ** 2)
+"""The tiles about one, the nearest first: those that are drawn before all others."""
 
 
-def planning_costmap(
-    grid: Map,
-    radius: float,
-    settings: PlannerSettings,
-    *,
-    standing: Point,
-    unreachable: tuple[Point, ...] = (),
-) -> Costmap:
-    """Return the costmap of the present grid for a footprint circle of this radius [m].
-
-    Unknown ground under the robot at `standing` counts as free. Unknown ground about the places
-    `unreachable`, which stayed unknown when seen from near, counts as blocked."""
-    resolution, corner = grid.resolution, (grid.origin_x, grid.origin_y)
-    blocked, unknown = grid.blocked(radius + settings.margin), grid.unknown.copy()
-    window, square = _around(unknown.shape, corner, resolution, standing, radius)
-    unknown[window] &= square > radius**2
-    blocked = blocked.copy() if unreachable else blocked
-    for place in unreachable:
-        window, square = _around(unknown.shape, corner, resolution, place, radius)
-        blocked[window] |= unknown[window] & (square <= radius**2)
-    return build_costmap(
-        blocked,
-        unknown,
-        resolution=resolution,
-        origin=corner,
-        comfort=settings.comfort,
-        dislike=settings.dislike,
-        unknown_multiplier=settings.unknown_multiplier,
-        unknown_is_free=settings.unknown_is_free,
-    )
+def tiles_of(extent: tuple[int, int, int, int]) -> tuple[range, range]:
+    """Return the rows and columns of the tiles that an extent in cells touches."""
+    bottom, left, top, right = extent
+    return range(bottom // TILE, -(-top // TILE)), range(left // TILE, -(-right // TILE))
 
 
-def footprint_costmap(grid: Map, radius: float) -> Costmap:
-    """Return a costmap with only the cells blocked for this radius [m]; unknown ground is free."""
-    return build_costmap(
-        grid.blocked(radius),
-        grid.unknown,
-        resolution=grid.resolution,
-        origin=(grid.origin_x, grid.origin_y),
-        unknown_is_free=True,
-    )
+def dilated(mask: int, side: int, *, diagonal: bool) -> int:
+    """Return a mask of `side` cells per row, grown by one cell to its four neighbours, or to all eight."""
+    across = mask | mask << 1 | mask >> 1
+    return across | (across << side | across >> side if diagonal else mask << side | mask >> side)
 
 
-def nearest_cell(
-    costmap: Costmap, place: Point, within: float, lowest: int, visible_in: Costmap | None = None
-) -> int | None:
-    """Return the nearest cell within a distance [m] that has at least this level; None if there is none.
+def disc(mask: int, side: int, radius: float) -> int:
+    """Return a mask of `side` cells per row, grown to the cells whose middle is closer than the radius
+    [cells] to any part of a cell that is set.
 
-    With `visible_in`, only cells on a straight line that is not blocked in that costmap: the nearest
-    `MAX_LINES` are tried."""
-    level = np.frombuffer(costmap.level, np.uint8).reshape(-1, costmap.stride)[1:-1, 1:-1]
-    window, square = _around(level.shape, costmap.origin, costmap.resolution, place, within)
-    row, column = np.nonzero((level[window] >= lowest) & (square <= within**2))
-    nearest = np.argsort(square[row, column], kind="stable")[:MAX_LINES]
-    first = (window[0].start + 1) * costmap.stride + window[1].start + 1
-    for cell in (first + row[nearest] * costmap.stride + column[nearest]).tolist():
-        if visible_in is None or not visible_in.is_blocked(place, costmap.centre(cell)):
-            return int(cell)
-    return None
-
-
-MAX_LINES = 500
-"""Straight lines that one search of the nearest place, or one shortening of a path, compares."""
-
-
-def dilated(mask: Mask, *, diagonal: bool) -> Mask:
-    """Return the mask grown by one cell to its four neighbours, or to all eight."""
-    grown = mask.copy()
-    grown[1:] |= mask[:-1]
-    grown[:-1] |= mask[1:]
-    across = grown.copy() if diagonal else mask
-    grown[:, 1:] |= across[:, :-1]
-    grown[:, :-1] |= across[:, 1:]
+    The disc is the union of its rows, the longest last: each is made of the one before."""
+    near = np.maximum(np.arange(ceil(radius + 0.5) + 1) - 0.5, 0.0) ** 2
+    half_widths = np.count_nonzero(near[:, None] + near[None, :] < radius * radius, axis=1) - 1
+    grown, row, width = mask, mask, 0
+    for up, half_width in reversed(list(enumerate(half_widths.tolist()))):
+        while width < half_width:
+            width += 1
+            row |= mask << width | mask >> width
+        if half_width >= 0:
+            grown |= row << up * side | row >> up * side
     return grown
-
-
-def _around(
-    shape: tuple[int, ...], corner: Point, resolution: float, centre: Point, radius: float
-) -> tuple[tuple[slice, slice], npt.NDArray[np.float64]]:
-    """Return the rows and columns of a map that contain a circle, and the squared distance [m²] of the middle
-    of each of these cells from the centre."""
-    spans, squares = [], []
-    for count, low, at in zip(shape, reversed(corner), reversed(centre), strict=True):
-        first = min(max(floor((at - radius - low) / resolution), 0), count)
-        last = min(max(floor((at + radius - low) / resolution) + 1, first), count)
-        spans.append(slice(first, last))
-        squares.append((low + (np.arange(first, last) + 0.5) * resolution - at) ** 2)
-    return (spans[0], spans[1]), squares[1][None, :] + squares[0][:, None]

@@ -1,30 +1,23 @@
 """The navigator: a queue of goals, the path to the first of them, replanning, and manual driving.
 
 Rules. A goal is reached only at its true position. Where no known path leads to it, the robot follows a
-`FrontierPath` to the best frontier of known ground and replans as the map grows; a frontier that stays
-unknown when seen from near is excluded, so exploring ends. A path that becomes blocked is dropped at once:
-the robot brakes until there is another. Without any path for `patience` the goals are given up, with a note
-why. Manual driving takes over: it drops the goals, and ends by itself if it is not repeated. After a stop
-nothing is resumed: goals must be sent again. The map is checked periodically; a search goes on at each step.
+`FrontierPath` to the best frontier of known ground and replans as the map grows, or rolls towards a goal
+beyond its extent; a frontier that stays unknown when seen from near is excluded, so exploring ends. A path
+that becomes blocked is dropped at once: the robot brakes until there is another. Without any path for
+`patience` the goals are given up, with a note why. Manual driving takes over: it drops the goals, and ends by
+itself if it is not repeated. After a stop nothing is resumed: goals must be sent again. The work of a step
+does not depend on the map's size.
 """
 
 from __future__ import annotations
 
-from itertools import islice, pairwise
-from math import hypot
+from math import hypot, inf
 
 from brain.planning.astar import Searching
-from brain.planning.costmap import (
-    BLOCKED,
-    MAX_LINES,
-    Costmap,
-    Map,
-    PlannerSettings,
-    footprint_costmap,
-    planning_costmap,
-)
-from brain.planning.planner import FrontierPath, NoPath, Path, PathQuery
+from brain.planning.costmap import NEAR, TILE_WORK, Costmap, Map, PlannerSettings
+from brain.planning.planner import FrontierPath, NoPath, Path, PathQuery, PlanResult
 from brain.planning.polyline import Point, Polyline
+from brain.planning.snapshot import Snapshot, is_blocked
 from brain.status import Note, NoteLevel
 from protocols.messages import MILLISECOND, SECOND, Drive, Goal, Nanos, seconds
 
@@ -34,6 +27,13 @@ FRONTIER_TIMEOUT: Nanos = SECOND
 """Time that a reached frontier may stay unknown before it is excluded."""
 MAX_PATH_ERROR = 0.5
 """m off the path, from which on a new one is planned"""
+TILES_PER_STEP = 2
+"""Changed tiles of the costmap that a step draws."""
+CHECKED_PER_STEP = 4
+"""Straight parts of the path, of 2 m at most, that a step checks: in each period first those ahead of the
+robot,"""
+CHECKED_FIRST = 5.0
+"""m of them, then the rest in turn."""
 
 
 class Navigator:
@@ -51,10 +51,16 @@ class Navigator:
         self.given_up = ""
         """Why the last goals were given up; "" after a new task."""
         self.costmap: Costmap | None = None
-        """As of the last check of the map."""
+        """None before the first step."""
         self.notes: list[Note] = []
         self._drive_until: Nanos = 0
         self._query: PathQuery | None = None
+        self._line = Polyline(((0.0, 0.0),))
+        """The path;"""
+        self._along = self._checked = self._rest = 0.0
+        """m along it: the robot at the last check, up to where it was checked since, where to go on then."""
+        self._blocked = ""
+        """Why the last path to this goal was dropped."""
         self._check_at: Nanos = 0
         self._explore_at: Nanos = 0
         self._pathless_since: Nanos | None = None
@@ -102,18 +108,31 @@ class Navigator:
         self._pathless_since = None
 
     def step(self, now: Nanos, here: Point, grid: Map) -> None:
-        """Continue the search, or check the map if that is due: a bounded amount of work."""
+        """Update the costmap, check the path, continue the search: a bounded amount of work."""
         if self.drive is not None and now >= self._drive_until:
             self.drive = None
             timeout = self.settings.drive_timeout // MILLISECOND
             self._note("info", f"manual driving ended: not repeated within {timeout} ms")
+        wanted = (self.radius, self.settings)
+        if self.costmap is None or (self.costmap.radius, self.costmap.settings) != wanted:
+            self.costmap, self._query = Costmap(grid.resolution, self.radius, self.settings), None
+        work = self.settings.expansions_per_step
+        work -= TILE_WORK * self.costmap.update(grid, here, TILES_PER_STEP)
         if not self.goals:
             return
+        if self.path is not None:
+            self._check_path(now, here, self.costmap)
         if now >= self._check_at:
             self._check_at = now + self.settings.period
-            self._check_map(now, here, grid)
-        elif self._query is not None:
-            self._continue_search(now, here)
+            if self._query is None and (
+                self.path is None or (isinstance(self.path, FrontierPath) and now >= self._explore_at)
+            ):
+                self._explore_at = now + self.settings.explore
+                goal = (self.goals[0].x, self.goals[0].y)
+                ground = Snapshot(self.costmap, grid, here, goal, self._excluded)
+                self._query = PathQuery(ground, here, goal, self.settings)
+        if self._query is not None:
+            self._continue_search(now, here, self._query.advance(max(work, 1), self.costmap, grid))
         self._check_patience(now)
 
     def arrived(self, now: Nanos) -> None:
@@ -131,7 +150,7 @@ class Navigator:
     def _begin_goal(self, now: Nanos) -> None:
         """Start with the first goal of the queue."""
         self._drop_path()
-        self._query, self._excluded, self.no_path_reason = None, (), ""
+        self._query, self._excluded, self.no_path_reason, self._blocked = None, (), "", ""
         self._check_at = now
         self._pathless_since = now if self.goals else None
 
@@ -141,50 +160,35 @@ class Navigator:
             self.path_version += 1
         self._frontier_since = None
 
-    def _check_map(self, now: Nanos, here: Point, grid: Map) -> None:
-        """Drop a path that is obstructed, and start a search if one is due."""
-        goal = (self.goals[0].x, self.goals[0].y)
-        costmap = planning_costmap(
-            grid, self.radius, self.settings, standing=here, unreachable=self._excluded
-        )
-        self.costmap = costmap
-        if self.path is not None:
-            obstruction = self._obstruction(here, grid)
-            if obstruction:
-                self._note("info", f"the path is dropped: {obstruction}")
-                self._drop_path()
-                self._query = None
-            elif isinstance(self.path, Path) or now < self._explore_at:
-                return
-        if self._query is not None:
-            return
-        self._explore_at = now + self.settings.explore
-        occupied = footprint_costmap(grid, 0.0) if costmap.level_at(*here) == BLOCKED else None
-        self._query = PathQuery(costmap, occupied, here, goal, self.settings)
-
-    def _obstruction(self, here: Point, grid: Map) -> str:
-        """Return why the rest of the path cannot be followed; "" if it can.
+    def _check_path(self, now: Nanos, here: Point, costmap: Costmap) -> None:
+        """Drop a path that is obstructed: it is checked part by part, all over again each period.
 
         Checked with the footprint alone, without the margin used for planning: so a wall that shifts by a
-        cell as it is seen better does not cost a path. Of a path with very many corners, the next ones."""
+        cell as it is seen better does not cost a path."""
         assert self.path is not None
-        line = Polyline(self.path.points)
-        along, off = line.project(here)
-        if off > MAX_PATH_ERROR:
-            return f"the robot is {off:.2f} m off it"
-        costmap = footprint_costmap(grid, self.radius)
-        rest = [line.point(along), *(p for p, at in zip(line.points, line.at, strict=True) if at > along)]
-        begin = along
-        for a, b in islice(pairwise(rest), MAX_LINES):
-            begin += hypot(b[0] - a[0], b[1] - a[1])
-            escaping = begin <= self.path.escape + costmap.resolution
-            if not escaping and costmap.is_blocked(a, b):
-                return f"it is blocked near ({b[0]:.2f}, {b[1]:.2f})"
-        return ""
+        reason, line = "", self._line
+        if now >= self._check_at:
+            self._along, off = line.project(here)
+            if off > MAX_PATH_ERROR:
+                reason = f"the robot is {off:.2f} m off it"
+            self._rest = self._checked if self._along < self._checked < line.length else inf
+            self._checked = max(self._along, self.path.escape)
+        for _ in range(CHECKED_PER_STEP):
+            if reason or self._checked >= line.length:
+                break
+            if self._along + CHECKED_FIRST <= self._checked < self._rest < inf:
+                self._checked, self._rest = self._rest, inf
+            end = line.straight(self._checked, 2.0)
+            a, b = line.point(self._checked), line.point(end)
+            if is_blocked(costmap, a, b, NEAR):
+                reason = f"it is blocked near ({b[0]:.2f}, {b[1]:.2f})"
+            self._checked = end
+        if reason:
+            self._note("info", f"the path is dropped: {reason}")
+            self._drop_path()
+            self._query, self._check_at, self._blocked = None, now, reason
 
-    def _continue_search(self, now: Nanos, here: Point) -> None:
-        assert self._query is not None
-        result = self._query.advance(self.settings.expansions_per_step)
+    def _continue_search(self, now: Nanos, here: Point, result: PlanResult) -> None:
         if isinstance(result, Searching):
             return
         self._query = None
@@ -215,7 +219,8 @@ class Navigator:
         return self.path is not None
 
     def _use(self, result: Path | FrontierPath) -> None:
-        end, length = result.points[-1], Polyline(result.points).length
+        self._line, self._checked, self._along, self._rest = Polyline(result.points), result.escape, 0.0, inf
+        end, length = result.points[-1], self._line.length
         if isinstance(result, Path):
             self._note("info", f"path: {length:.2f} m to ({end[0]:.2f}, {end[1]:.2f})")
         elif not isinstance(self.path, FrontierPath):
@@ -238,6 +243,8 @@ class Navigator:
             return
         goal = f"goal {self.reached + 1} {_text(self.goals[0])}"
         reason = self.no_path_reason or "the search has not ended"
+        if self._blocked:
+            reason += f"; there was a path until {self._blocked}"
         self.given_up = f"no path to {goal} within {seconds(self.settings.patience):g} s: {reason}"
         self._note("warning", self.drop())
 

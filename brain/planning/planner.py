@@ -4,8 +4,9 @@ Rules. A result is a `Path` (all of it over known free ground), a `FrontierPath`
 that is best if unknown ground is assumed passable: the free-space assumption, as in D* Lite, Koenig and
 Likhachev 2002), or a `NoPath` with the reason in words; never an empty or partial path called a path. No
 point of a result lies on unknown ground, unless the settings treat unknown ground as free. Known paths are
-preferred: a path through unknown ground is used only where no known path exists. Paths are shortened by line
-of sight where that costs no more in the search's own metric, so clearance is kept.
+preferred: a path through unknown ground is used only where no known path exists. What lies beyond the known
+map is unknown ground, so a goal there has a `FrontierPath`. Paths are shortened by line of sight where that
+costs no more in the search's own metric, so clearance is kept.
 """
 
 from __future__ import annotations
@@ -14,17 +15,12 @@ from dataclasses import dataclass
 from math import dist, inf
 from typing import TypeAlias
 
-from brain.planning.astar import CellPath, Search, Searching, Unreachable
-from brain.planning.costmap import (
-    BLOCKED,
-    FREE,
-    MAX_LINES,
-    UNKNOWN,
-    Costmap,
-    PlannerSettings,
-    nearest_cell,
-)
+import numpy as np
+
+from brain.planning.astar import BEYOND, CellPath, Search, Searching, Unreachable
+from brain.planning.costmap import FREE, TOUCHING, UNKNOWN, Costmap, Map, PlannerSettings
 from brain.planning.polyline import Point
+from brain.planning.snapshot import MAX_LINES, Ground, Snapshot, is_blocked, line_cost
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,148 +56,199 @@ PlanResult: TypeAlias = Path | FrontierPath | NoPath | Searching
 
 
 class PathQuery:
-    """One query in progress; deep-copyable between any two calls."""
+    """One query in progress; deep-copyable between any two calls.
 
-    def __init__(
-        self, costmap: Costmap, occupied: Costmap | None, start: Point, goal: Point, settings: PlannerSettings
-    ) -> None:
-        """`occupied`: what the path out of a place too near to an obstacle must not cross."""
-        self.costmap, self.start, self.goal, self.settings = costmap, start, goal, settings
+    In turn: assemble the snapshot, leave a place too near to an obstacle, search with unknown ground assumed
+    passable, search on known ground if that assumption was needed, shorten the path."""
+
+    def __init__(self, ground: Snapshot, start: Point, goal: Point, settings: PlannerSettings) -> None:
+        self.ground, self.start, self.goal, self.settings = ground, start, goal, settings
         self._escape = 0.0
+        self._ways_out: list[int] | None = None
+        """Cells that fit the footprint, the nearest last, from a start that does not."""
+        self._from = self._to = BEYOND
         self._assumed: CellPath | None = None
         self._search: Search | None = None
+        self._short: Shortening | None = None
+        self._found: tuple[float, Point | None] = (0.0, None)
+        """Cost of the path that is shortened; for a frontier's, the first unknown point."""
         self._result: PlanResult = Searching(0)
-        cells = self._endpoints(occupied)
-        if isinstance(cells, NoPath):
-            self._result = cells
-        else:
-            self._from, self._to = cells
-            self._search = Search(costmap, self._from, self._to, through_unknown=True)
 
-    def _endpoints(self, occupied: Costmap | None) -> tuple[int, int] | NoPath:
-        here = self.costmap.index(*self.start)
-        there = self.costmap.index(*self.goal)
-        if here is None:
-            return NoPath(f"the robot at {_text(self.start)} is outside of the map")
-        if there is None:
-            return NoPath(f"the goal {_text(self.goal)} is outside of the map{_extent(self.costmap)}")
-        if self.costmap.level[here] == BLOCKED:
-            out = nearest_cell(self.costmap, self.start, self.settings.escape, FREE, visible_in=occupied)
-            if out is None:
-                return NoPath(
-                    f"the robot stands too near to an obstacle at {_text(self.start)}, and no place that "
-                    f"fits its footprint is within {self.settings.escape:g} m"
-                )
-            self._escape = dist(self.start, self.costmap.centre(out))
-            here = out
-        if self.costmap.level[there] == BLOCKED:
-            beside = nearest_cell(self.costmap, self.goal, self.settings.slack, UNKNOWN)
-            if beside is None:
-                return NoPath(_too_near(self.costmap, self.goal))
-            there = beside
-            self.goal = self.costmap.centre(beside)
-        return here, there
-
-    def advance(self, expansions: int) -> PlanResult:
-        """Continue the search by at most this many expansions. Once finished, the result does not change."""
-        if self._search is None:
-            return self._result
-        outcome = self._search.advance(expansions)
-        if isinstance(outcome, Searching):
-            return outcome
-        self._result, self._search = self._conclude(outcome)
+    def advance(self, work: int, costmap: Costmap, grid: Map) -> PlanResult:
+        """Continue for at most about this much work. Once finished, the result does not change."""
+        while work > 0 and isinstance(self._result, Searching):
+            if not self.ground.complete:
+                work = self.ground.assemble(costmap, grid, work)
+                if self.ground.complete:
+                    self._result = self._begin()
+            elif self._ways_out is not None:
+                self._result = self._leave(self._ways_out)
+                work -= LINE_WORK
+            elif self._short is not None:
+                work = self._short.advance(self.ground, work)
+                if self._short.finished:
+                    self._result = self._conclude(tuple(self._short.kept))
+            else:
+                assert self._search is not None
+                before = self._search.expansions
+                outcome = self._search.advance(work)
+                work -= max(self._search.expansions - before, 1)
+                if not isinstance(outcome, Searching):
+                    self._result = self._judge(outcome)
         return self._result
 
-    def _conclude(self, outcome: CellPath | Unreachable) -> tuple[PlanResult, Search | None]:
-        """Return what a finished search means: a result, or one more search."""
-        if self._assumed is not None:
-            return (
-                self._path(outcome) if isinstance(outcome, CellPath) else self._frontier_path(self._assumed)
-            ), None
-        if isinstance(outcome, Unreachable):
+    def _begin(self) -> PlanResult:
+        """Find the cells of start and goal."""
+        ground = self.ground
+        here, there = ground.index(*self.start), ground.index(*self.goal)
+        assert here is not None, "a snapshot contains the robot's place"
+        if there is not None:
+            if ground.level[there] < FREE:
+                beside = ground.nearest(self.goal, self.settings.slack, known=False)[:1]
+                if not beside:
+                    return NoPath(_too_near(ground, self.goal))
+                there = beside[0]
+                self.goal = ground.centre(there)
+            self._to = there
+        if ground.level[here] < FREE:
+            self._ways_out = ground.nearest(self.start, self.settings.escape, known=True)[::-1]
+            return Searching(0)
+        return self._set_out(here)
+
+    def _leave(self, ways_out: list[int]) -> PlanResult:
+        """Try one straight way out of a place too near to an obstacle: it must not cross an occupied cell."""
+        if not ways_out:
             return NoPath(
-                f"everything between {_text(self.start)} and the goal {_text(self.goal)} is closed"
-            ), None
-        level = self.costmap.level
-        if not any(level[cell] == UNKNOWN for cell in outcome.cells):
-            return self._path(outcome), None
-        self._assumed = outcome
-        if level[self._to] == UNKNOWN:
-            return self._frontier_path(outcome), None
-        return Searching(0), Search(self.costmap, self._from, self._to)
+                f"the robot stands too near to an obstacle at {_text(self.start)}, and no place that "
+                f"fits its footprint is within {self.settings.escape:g} m"
+            )
+        out = self.ground.centre(ways_out[-1])
+        cell = ways_out.pop()
+        if is_blocked(self.ground, self.start, out, TOUCHING):
+            return Searching(0)
+        self._ways_out, self._escape = None, dist(self.start, out)
+        return self._set_out(cell)
 
-    def _path(self, found: CellPath) -> Path:
-        points = [self.costmap.centre(cell) for cell in found.cells]
-        return Path(self._points(points, self.goal), found.cost, self._escape)
+    def _set_out(self, cell: int) -> Searching:
+        self._from = cell
+        self._search = Search(
+            self.ground,
+            cell,
+            self._to,
+            beyond=self.ground.goal,
+            through_unknown=self.settings.unknown_multiplier,
+        )
+        return Searching(0)
 
-    def _frontier_path(self, assumed: CellPath) -> FrontierPath | NoPath:
-        level = self.costmap.level
-        first = next(i for i, cell in enumerate(assumed.cells) if level[cell] == UNKNOWN)
-        points = [self.costmap.centre(cell) for cell in assumed.cells[:first]]
-        if not points:
-            return NoPath(f"the robot at {_text(self.start)} stands on unknown ground")
-        beyond = self.costmap.centre(assumed.cells[first])
-        return FrontierPath(self._points(points, None), beyond, self._escape)
+    def _judge(self, outcome: CellPath | Unreachable) -> PlanResult:
+        """Process a finished search: begin one more, or begin to shorten the path."""
+        if self._assumed is not None:
+            known = isinstance(outcome, CellPath)
+            return self._shorten(outcome if isinstance(outcome, CellPath) else self._assumed, known=known)
+        if isinstance(outcome, Unreachable):
+            return NoPath(f"everything between {_text(self.start)} and the goal {_text(self.goal)} is closed")
+        level = self.ground.level
+        if self.settings.unknown_is_free or not any(level[cell] >= UNKNOWN for cell in outcome.cells):
+            return self._shorten(outcome, known=True)
+        if self._to == BEYOND or level[self._to] >= UNKNOWN:
+            return self._shorten(outcome, known=False)
+        self._assumed, self._search = outcome, Search(self.ground, self._from, self._to)
+        return Searching(0)
 
-    def _points(self, points: list[Point], end: Point | None) -> tuple[Point, ...]:
-        """Return the path from the robot's position to the end, shortened by line of sight."""
+    def _shorten(self, found: CellPath, *, known: bool) -> PlanResult:
+        """Begin to shorten a path, or the part of it that is known."""
+        cells, level, beyond = found.cells, self.ground.level, None
+        if not known:
+            first = next(i for i, cell in enumerate(cells) if level[cell] >= UNKNOWN)
+            if first == 0:
+                return NoPath(f"the robot at {_text(self.start)} stands on unknown ground")
+            cells, beyond = cells[:first], self.ground.centre(cells[first])
+        turns = np.flatnonzero(np.diff(cells, 2)) + 1
+        kept = sorted({0, 1, *turns.tolist(), len(cells) - 2, len(cells) - 1} & set(range(len(cells))))
+        points = [self.ground.centre(cells[i]) for i in kept]
+        if known:
+            points = [*points[: max(len(points) - 1, 1)], self.goal]
         if self._escape == 0.0:
             points[0] = self.start
-        if end is not None:
-            points = [*points[:-1], end] if len(points) > 1 else [points[0], end]
-        short = shortcut(self.costmap, points)
-        return (self.start, *short) if self._escape > 0.0 else short
+        self._found, self._short = (found.cost, beyond), Shortening(points)
+        return Searching(0)
+
+    def _conclude(self, short: tuple[Point, ...]) -> PlanResult:
+        points = (self.start, *short) if self._escape > 0.0 else short
+        cost, beyond = self._found
+        if beyond is None:
+            return Path(points, cost, self._escape)
+        return FrontierPath(points, beyond, self._escape)
 
 
 SHORTCUT_CORNERS = 30
 """Corners ahead to which a shortcut is tried."""
+LINE_WORK = 20
+"""The cost of a straight line, in expansions of A*,"""
+CELLS_PER_WORK = 10
+"""and that of its cells."""
+LONGEST_LINE = 2000
+"""Cells, from which on a straight line is not tried."""
 
 
-def shortcut(costmap: Costmap, points: list[Point]) -> tuple[Point, ...]:
-    """Return the path with fewer corners: a straight line replaces a part where it costs no more. After
+class Shortening:
+    """A path that is given fewer corners: a straight line replaces a part where it costs no more. After
     `MAX_LINES` comparisons the rest stays as it is."""
-    corners = [
-        points[0],
-        *(b for a, b, c in zip(points, points[1:], points[2:], strict=False) if _bends(a, b, c)),
-    ]
-    corners += points[-1:] if len(points) > 1 else []
-    costs: dict[int, float] = {}
 
-    def cost(leg: int) -> float:
-        if leg not in costs:
-            costs[leg] = costmap.line_cost(corners[leg], corners[leg + 1])
-        return costs[leg]
+    def __init__(self, corners: list[Point]) -> None:
+        self.corners = corners
+        self.kept = corners[:1]
+        """The path so far."""
+        self._at, self._best, self._ahead = 0, 1, 2
+        """The corner last kept, the farthest that a line from it replaced the path to, and the one to try."""
+        self._so_far = 0.0
+        """m, cost of the path between the corner last kept and the one before that to be tried"""
+        self._left = MAX_LINES
+        self._legs: dict[tuple[int, int], float] = {}
+        """m, costs of the given path between two corners"""
 
-    kept, at, left = [corners[0]], 0, MAX_LINES
-    while at < len(corners) - 1:
-        best = at + 1
-        for ahead in range(at + 2, min(at + SHORTCUT_CORNERS, len(corners), at + 2 + left)):
-            so_far = sum(map(cost, range(at, ahead)))
-            left -= 1
-            straight = costmap.line_cost(corners[at], corners[ahead])
-            if straight == inf:
-                break
-            if straight <= so_far + 1e-9:
-                best = ahead
-        kept.append(corners[best])
-        at = best
-    return tuple(kept)
+    @property
+    def finished(self) -> bool:
+        """True if the last corner is kept."""
+        return self._at >= len(self.corners) - 1
+
+    def advance(self, ground: Ground, work: int) -> int:
+        """Continue for at most about this much work; return the rest of it."""
+        while work > 0 and not self.finished:
+            at, ahead = self._at, self._ahead
+            straight = inf
+            if ahead < min(at + SHORTCUT_CORNERS, len(self.corners)) and self._left > 0:
+                if ahead == at + 2:
+                    self._so_far, work = self._line(ground, at, at + 1, work)
+                leg, work = self._line(ground, ahead - 1, ahead, work)
+                straight, work = self._line(ground, at, ahead, work)
+                self._so_far += leg
+                self._left -= 1
+            if straight < inf:
+                self._best = ahead if straight <= self._so_far + 1e-9 < inf else self._best
+                self._ahead += 1
+            else:
+                self.kept.append(self.corners[self._best])
+                self._at, self._best, self._ahead = self._best, self._best + 1, self._best + 2
+                work -= 1
+        return work
+
+    def _line(self, ground: Ground, a: int, b: int, work: int) -> tuple[float, int]:
+        """Return the cost of the straight line between two corners, and the rest of the work."""
+        if (cost := self._legs.get((a, b))) is None:
+            start, end = self.corners[a], self.corners[b]
+            cells = dist(start, end) / ground.resolution
+            cost = line_cost(ground, start, end) if cells < LONGEST_LINE else inf
+            work -= LINE_WORK + int(min(cells, LONGEST_LINE)) // CELLS_PER_WORK
+            if b == a + 1:
+                self._legs[a, b] = cost
+        return cost, work
 
 
-def _extent(costmap: Costmap) -> str:
-    far = costmap.centre(len(costmap.level) - costmap.stride - 2)
-    half = costmap.resolution / 2
-    return f", which reaches from {_text(costmap.origin)} to {_text((far[0] + half, far[1] + half))}"
-
-
-def _too_near(costmap: Costmap, goal: Point) -> str:
+def _too_near(ground: Snapshot, goal: Point) -> str:
     text = f"the goal {_text(goal)} is too near to an obstacle for the footprint"
-    fits = nearest_cell(costmap, goal, 2.0, FREE)
-    return text if fits is None else f"{text}; the nearest place that fits is {_text(costmap.centre(fits))}"
-
-
-def _bends(a: Point, b: Point, c: Point) -> bool:
-    return abs((b[0] - a[0]) * (c[1] - b[1]) - (b[1] - a[1]) * (c[0] - b[0])) > 1e-12
+    fits = ground.nearest(goal, 2.0, known=True)[:1]
+    return f"{text}; the nearest place that fits is {_text(ground.centre(fits[0]))}" if fits else text
 
 
 def _text(point: Point) -> str:

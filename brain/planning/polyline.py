@@ -33,6 +33,11 @@ class Polyline:
         share = (along - self.at[i]) / (self.at[i + 1] - self.at[i])
         return ax + share * (bx - ax), ay + share * (by - ay)
 
+    def straight(self, along: float, longest: float) -> float:
+        """Return up to where [m] the line is straight from `along` on, by at most this length [m]."""
+        corner = bisect_right(self.at, along)
+        return min(along + longest, self.at[min(corner, len(self.at) - 1)])
+
     def project(self, place: Point, low: float = 0.0, high: float = inf) -> tuple[float, float]:
         """Return (length along the line, distance) [m] of the nearest point between `low` and `high` [m]."""
         best = (low, inf)

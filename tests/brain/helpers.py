@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import cos, inf, pi, sin, sqrt
+from math import cos, hypot, inf, pi, sin
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -16,33 +16,32 @@ from brain.brain import Brain, BrainSettings
 from brain.perception.grid import GridSettings
 from brain.perception.mount import Mount
 from brain.perception.perception import PerceptionSettings
-from brain.planning.costmap import Costmap
+from brain.planning.costmap import UNKNOWN
+from brain.planning.snapshot import Snapshot
 from protocols import messages as msg
 from protocols.messages import MILLISECOND, SECOND, Command, Event, Nanos, seconds
 from tests.brain.perception.office import box, scan_at
 
 
-def dijkstra(costmap: Costmap, start: int, goal: int) -> float:
+def dijkstra(ground: Snapshot, start: int, goal: int, through_unknown: float = inf) -> float:
     """The optimal cost [m] in the planner's metric, by scipy: an oracle that shares no code with A*."""
-    cost = np.asarray(costmap.multiplier)[np.frombuffer(costmap.level, np.uint8)].reshape(-1, costmap.stride)
-    rows, columns = cost.shape
-    tails: list[int] = []
-    heads: list[int] = []
-    weights: list[float] = []
-    for row in range(rows):
-        for column in range(columns):
-            for d_row, d_column in ((0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1)):
-                r, c = row + d_row, column + d_column
-                if not (0 <= r < rows and 0 <= c < columns) or cost[r, c] == inf or cost[row, column] == inf:
-                    continue
-                if d_row and d_column and (cost[row, c] == inf or cost[r, column] == inf):
-                    continue
-                tails.append(row * columns + column)
-                heads.append(r * columns + c)
-                weights.append(float(cost[r, c]) * (sqrt(2.0) if d_row and d_column else 1.0))
-    graph = csr_array((weights, (tails, heads)), shape=(cost.size, cost.size))
-    distances = scipy_dijkstra(graph, indices=start)
-    return float(distances[goal]) * costmap.resolution
+    level = np.frombuffer(ground.level, np.uint8).reshape(ground.height, ground.stride)
+    cost = np.where(level >= UNKNOWN, through_unknown, ground.multiplier[level])
+    cells, free = np.arange(cost.size).reshape(cost.shape), cost < inf
+    tails, heads, weights = [], [], []
+    for up, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        low = (slice(0, -1 if up else None), slice(1 if right < 0 else 0, -1 if right > 0 else None))
+        high = (slice(up, None), slice(max(right, 0), -1 if right < 0 else None))
+        open_ = free[low] & free[high]
+        if up and right:
+            open_ &= free[low[0], high[1]] & free[high[0], low[1]]
+        for a, b in ((low, high), (high, low)):
+            tails.append(cells[a][open_])
+            heads.append(cells[b][open_])
+            weights.append(cost[b][open_] * hypot(up, right))
+    entries = (np.concatenate(weights), (np.concatenate(tails), np.concatenate(heads)))
+    graph = csr_array(entries, shape=(cost.size, cost.size))
+    return float(scipy_dijkstra(graph, indices=start)[goal]) * ground.resolution
 
 
 # -- a kinematic office ------------------------------------------------------------------------

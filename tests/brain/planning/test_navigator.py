@@ -10,7 +10,7 @@ from brain.planning.navigator import Navigator
 from brain.planning.planner import FrontierPath, Path
 from brain.planning.polyline import Point, Polyline
 from protocols.messages import MILLISECOND, SECOND, Drive, Goal, Nanos
-from tests.brain.planning.test_planner import RADIUS, PlainMap, two_rooms
+from tests.brain.planning.maps import RADIUS, PlainMap, two_rooms
 
 
 class Run:
@@ -231,14 +231,17 @@ def test_the_path_is_checked_while_another_is_planned() -> None:
 
 
 @pytest.mark.parametrize("span", [5 * MILLISECOND, 20 * MILLISECOND, 70 * MILLISECOND])
-def test_checks_of_the_map_are_due_by_time_not_by_count(span: Nanos) -> None:
-    run = Run(PlainMap(two_rooms()))
-    checks = []
-    blocked = run.grid.blocked
-    run.grid.blocked = lambda radius: (checks.append(run.now), blocked(radius))[1]  # type: ignore[method-assign, func-returns-value]
-    run.navigator.accept(run.now, Goal(4.0, 0.0))
-    while run.now < 11 * SECOND:
+@pytest.mark.parametrize(("at", "periods"), [(30, 1), (560, 3)])
+def test_an_obstacle_on_the_path_is_found_in_time(span: Nanos, at: int, periods: int) -> None:
+    """However long a step is: near the robot within a period, 55 m ahead within a few."""
+    run = Run(PlainMap(np.pad(np.zeros((20, 600), bool), 1, constant_values=True)), (0.0, -1.0))
+    run.tick(Goal(58.0, -1.0))
+    run.run(2.0)
+    assert isinstance(run.navigator.path, Path)
+    run.grid.occupied[:, at] = True
+    run.grid.version += 1
+    start = run.now
+    while run.navigator.path is not None:
         run.navigator.step(run.now, run.here, run.grid)
         run.now += span
-    moments = sorted(set(checks))
-    assert len(moments) == pytest.approx(40, abs=5)
+    assert run.now - start <= periods * PlannerSettings().period + 2 * span

@@ -9,82 +9,11 @@ from math import hypot, inf
 import numpy as np
 import pytest
 
-from brain.planning.astar import Searching
-from brain.planning.costmap import (
-    BLOCKED,
-    FREE,
-    UNKNOWN,
-    Costmap,
-    Mask,
-    PlannerSettings,
-    build_costmap,
-    dilated,
-    footprint_costmap,
-    nearest_cell,
-    planning_costmap,
-)
-from brain.planning.planner import FrontierPath, NoPath, Path, PathQuery, PlanResult, shortcut
+from brain.planning.costmap import FREE, UNKNOWN, PlannerSettings
+from brain.planning.planner import FrontierPath, NoPath, Path, Searching, Shortening
 from brain.planning.polyline import Point, Polyline
-
-RADIUS = 0.25
-
-
-class PlainMap:
-    """A given map, 0.1 m per cell, with its own exact inflation."""
-
-    def __init__(self, occupied: Mask, unknown: Mask | None = None) -> None:
-        self.version, self.resolution, self.origin_x, self.origin_y = 1, 0.1, -1.0, -2.0
-        self.occupied = occupied
-        self.unknown = np.zeros_like(occupied) if unknown is None else unknown
-
-    def blocked(self, radius: float) -> Mask:
-        rows, columns = np.indices(self.occupied.shape)
-        blocked = self.occupied.copy()
-        for row, column in np.argwhere(self.occupied):
-            dx = np.maximum(np.abs(columns - column) - 0.5, 0.0)
-            dy = np.maximum(np.abs(rows - row) - 0.5, 0.0)
-            blocked |= np.hypot(dx, dy) * self.resolution < radius
-        return blocked
-
-    def clearance(self, x: float, y: float) -> float:
-        """To the nearest occupied cell's edge [m]."""
-        best = inf
-        for row, column in np.argwhere(self.occupied):
-            dx = max(abs(self.origin_x + (column + 0.5) * 0.1 - x) - 0.05, 0.0)
-            dy = max(abs(self.origin_y + (row + 0.5) * 0.1 - y) - 0.05, 0.0)
-            best = min(best, hypot(dx, dy))
-        return best
-
-
-def two_rooms(height: int = 40, width: int = 60, door: tuple[int, int] = (16, 26)) -> Mask:
-    """A wall in the middle with a doorway of 1 m."""
-    occupied = np.zeros((height, width), bool)
-    occupied[:, 30] = True
-    occupied[door[0] : door[1], 30] = False
-    return occupied
-
-
-def plan(grid: PlainMap, start: Point, goal: Point, settings: PlannerSettings | None = None) -> PlanResult:
-    settings = settings or PlannerSettings()
-    costmap = planning_costmap(grid, RADIUS, settings, standing=start)
-    query = PathQuery(costmap, footprint_costmap(grid, 0.0), start, goal, settings)
-    for _ in range(10_000):
-        found = query.advance(200)
-        if not isinstance(found, Searching):
-            assert query.advance(1) == found
-            return found
-    raise AssertionError("the planner does not end")
-
-
-def costmap_of(
-    blocked: Mask,
-    unknown: Mask | None = None,
-    resolution: float = 0.1,
-    origin: Point = (0.0, 0.0),
-    **options: float,
-) -> Costmap:
-    unknown = np.zeros_like(blocked) if unknown is None else unknown
-    return build_costmap(blocked, unknown, resolution=resolution, origin=origin, **options)  # type: ignore[arg-type]  # a flag may be among them
+from brain.planning.snapshot import crossing, is_blocked, line_cost
+from tests.brain.planning.maps import EVERYTHING, RADIUS, PlainMap, drawn, ground, plan, query, two_rooms
 
 
 def samples(points: tuple[Point, ...]) -> list[Point]:
@@ -138,11 +67,11 @@ def test_towards_an_unknown_goal_the_path_stays_on_known_ground() -> None:
     grid = PlainMap(two_rooms(), unknown)
     found = plan(grid, (0.0, -1.0), (4.0, -1.0))
     assert isinstance(found, FrontierPath)
-    costmap = planning_costmap(grid, RADIUS, PlannerSettings(), standing=(0.0, -1.0))
-    assert all(costmap.level_at(*p) >= FREE for p in samples(found.points))
+    costmap = drawn(grid)
+    assert all(FREE <= costmap.level_at(*p) < UNKNOWN for p in samples(found.points))
     assert found.points[-1][0] == pytest.approx(2.05)
     assert -0.4 < found.points[-1][1] < 0.6
-    assert costmap.level_at(*found.beyond) == UNKNOWN
+    assert costmap.level_at(*found.beyond) >= UNKNOWN
 
 
 def test_unknown_is_planned_through_only_if_the_settings_allow_it() -> None:
@@ -157,21 +86,26 @@ def test_unknown_is_planned_through_only_if_the_settings_allow_it() -> None:
 
 def test_a_known_path_is_preferred_to_an_assumed_one() -> None:
     """There is an unknown shortcut, and a longer known path."""
-    occupied, unknown = two_rooms(door=(34, 40)), np.zeros((40, 60), bool)
+    occupied, unknown = two_rooms(door=(30, 39)), np.zeros((40, 60), bool)
     occupied[2:10, 30], unknown[2:10, 30] = False, True
     found = plan(PlainMap(occupied, unknown), (0.0, -1.4), (4.0, -1.4))
     assert isinstance(found, Path)
-    assert max(y for _, y in found.points) > 1.4
+    assert max(y for _, y in found.points) > 1.2
 
 
-def test_outside_the_map_the_reason_gives_its_extent() -> None:
-    """The map does not grow: what lies outside of it can never become known."""
-    found = plan(PlainMap(np.zeros((20, 30), bool)), (0.0, -1.0), (30.0, -1.0))
-    assert found == NoPath(
-        "the goal (30.00, -1.00) is outside of the map, which reaches from (-1.00, -2.00) to (2.00, 0.00)"
-    )
-    outside = plan(PlainMap(np.zeros((20, 30), bool)), (-5.0, -1.0), (1.0, -1.0))
-    assert outside == NoPath("the robot at (-5.00, -1.00) is outside of the map")
+@pytest.mark.parametrize("goal", [(30.0, 0.5), (-1e6, 0.5)])
+def test_to_a_goal_beyond_the_map_leads_the_frontier_that_is_nearest_in_cost(goal: Point) -> None:
+    """Known ground ends at x = -1 and 5 m; the wall between the two rooms has a door."""
+    occupied = two_rooms()
+    occupied[:, [0, -1]] = False
+    found = plan(PlainMap(occupied), (0.0, 0.0), goal)
+    assert isinstance(found, FrontierPath)
+    end = found.points[-1]
+    assert end == pytest.approx((4.95, 0.45) if goal[0] > 0.0 else (-0.95, 0.45), abs=0.3)
+    assert abs(found.beyond[0] - end[0]) == pytest.approx(0.1)
+    free = plan(PlainMap(occupied), (0.0, 0.0), goal, PlannerSettings(unknown_is_free=True))
+    assert isinstance(free, Path)
+    assert free.points[-1] == goal
 
 
 def test_no_path_has_a_reason() -> None:
@@ -182,7 +116,7 @@ def test_no_path_has_a_reason() -> None:
 
 
 def test_for_a_goal_too_near_to_a_wall_the_reason_gives_the_nearest_that_fits() -> None:
-    found = plan(PlainMap(two_rooms()), (0.0, 0.0), (1.9, -1.5))
+    found = plan(PlainMap(two_rooms()), (0.0, 0.0), (1.9, -1.52))
     assert isinstance(found, NoPath)
     assert "too near to an obstacle" in found.reason
     assert "the nearest place that fits is (1.65, -1.55)" in found.reason
@@ -228,97 +162,111 @@ def test_the_ground_under_the_robot_is_known() -> None:
 def test_unreachable_frontiers_are_excluded() -> None:
     unknown = np.zeros((40, 60), bool)
     unknown[:, 31:] = True
-    grid, settings = PlainMap(two_rooms(), unknown), PlannerSettings()
-    costmap = planning_costmap(grid, 0.6, settings, standing=(0, 0), unreachable=((2.15, 0.05),))
-    found = PathQuery(costmap, None, (0.0, 0.0), (4.0, 0.0), settings).advance(10**6)
-    assert isinstance(found, NoPath)
+    grid = PlainMap(two_rooms(), unknown)
+    asked, costmap = query(grid, (0.0, 0.0), (4.0, 0.0), unreachable=((2.15, 0.05),), radius=0.6)
+    assert isinstance(asked.advance(EVERYTHING, costmap, grid), NoPath)
 
 
 def test_a_sliced_query_is_bounded_and_a_deep_copy_continues_alike() -> None:
-    grid, settings = PlainMap(two_rooms()), PlannerSettings()
-    costmap = planning_costmap(grid, RADIUS, settings, standing=(0, 0))
-    query = PathQuery(costmap, None, (0.0, 0.0), (4.0, 1.0), settings)
-    first = query.advance(20)
-    assert first == Searching(20)
-    other = copy.deepcopy(query)
-    assert query.advance(10**6) == other.advance(10**6) == plan(grid, (0.0, 0.0), (4.0, 1.0))
+    """At whatever stage it is copied: while tiles are drawn and copied, searching, tracing, shortening."""
+    grid = PlainMap(two_rooms())
+    asked, costmap = query(grid, (0.0, 0.0), (4.0, 1.0))
+    whole, copies = plan(grid, (0.0, 0.0), (4.0, 1.0)), []
+    for _ in range(10_000):
+        copies.append(copy.deepcopy((asked, costmap)))
+        if not isinstance(asked.advance(20, costmap, grid), Searching):
+            break
+    assert len(copies) > 20
+    for other, its_costmap in copies:
+        assert other.advance(EVERYTHING, its_costmap, grid) == whole
+
+
+def test_a_complete_snapshot_does_not_change() -> None:
+    """What appears while a search is under way is the next one's."""
+    grid = PlainMap(two_rooms())
+    asked, costmap = query(grid, (0.0, 0.0), (4.0, 0.0))
+    while not asked.ground.complete:
+        asked.advance(1, costmap, grid)
+    before = bytes(asked.ground.level)
+    grid.occupied[:, 30] = True
+    grid.version += 1
+    costmap.update(grid, (0.0, 0.0), 100)
+    found = asked.advance(EVERYTHING, costmap, grid)
+    assert isinstance(found, Path)
+    assert bytes(asked.ground.level) == before
+    assert isinstance(plan(grid, (0.0, 0.0), (4.0, 0.0)), NoPath)
 
 
 def test_shortcuts_never_cost_more_and_never_leave_free_ground() -> None:
     rng = np.random.Generator(np.random.PCG64(2))
-    blocked = rng.random((60, 60)) < 0.08
-    costmap = costmap_of(blocked, comfort=0.3, dislike=2.0)
-    free = [c for c, level in enumerate(costmap.level) if level >= FREE]
+    grid, settings = (
+        PlainMap(rng.random((60, 60)) < 0.08),
+        PlannerSettings(margin=0.0, comfort=0.3, dislike=2.0),
+    )
+    free = np.argwhere(~grid.occupied)
     for trial in range(8):
-        a, b = (int(c) for c in rng.choice(free, 2, replace=False))
-        found = PathQuery(costmap, None, costmap.centre(a), costmap.centre(b), PlannerSettings()).advance(
-            10**6
-        )
-        if isinstance(found, NoPath):
+        a, b = ((float(x), float(y)) for y, x in rng.choice(free, 2, replace=False) * 0.1 + (-1.95, -0.95))
+        asked, costmap = query(grid, a, b, settings, radius=0.0)
+        found = asked.advance(EVERYTHING, costmap, grid)
+        if isinstance(found, FrontierPath):
             continue
         assert isinstance(found, Path)
-        straight = sum(costmap.line_cost(p, q) for p, q in pairwise(found.points))
+        straight = sum(line_cost(asked.ground, p, q) for p, q in pairwise(found.points))
         # A move is charged by the cell entered, a line by all it crosses: half a cell at each end differs.
         assert straight <= found.cost + 0.1 * 3.0, f"trial {trial}"
-        assert straight < inf
 
 
-def test_an_empty_map_needs_no_corner() -> None:
-    costmap = costmap_of(np.zeros((30, 30), bool))
-    stairs: list[Point] = [costmap.centre(c) for c in (33, 34, 67, 68, 101, 102, 135)]
-    assert shortcut(costmap, stairs) == (stairs[0], stairs[-1])
-    assert shortcut(costmap, stairs[:1]) == (stairs[0],)
+def test_open_ground_needs_no_corner() -> None:
+    there = ground(np.zeros((30, 30), bool))
+    stairs: list[Point] = [
+        (0.05 + 0.1 * x, 0.05 + 0.1 * y) for x, y in ((0, 0), (1, 0), (2, 1), (3, 1), (3, 2))
+    ]
+    for corners in (stairs, stairs[:1]):
+        short = Shortening(corners)
+        short.advance(there, EVERYTHING)
+        assert short.kept == [corners[0], corners[-1]][: len(corners)]
 
 
 def test_nearest_is_nearest() -> None:
     blocked = np.zeros((20, 20), bool)
     blocked[5:15, 5:15] = True
-    costmap = costmap_of(blocked)
-    cell = nearest_cell(costmap, (0.62, 1.0), 0.5, FREE)
-    assert cell is not None
-    assert costmap.centre(cell) == pytest.approx((0.45, 1.05), abs=0.11)
-    assert nearest_cell(costmap, (1.0, 1.0), 0.3, FREE) is None
+    there = ground(blocked)
+    assert there.centre(there.nearest((0.62, 1.0), 0.5, known=True)[0]) == pytest.approx(
+        (0.45, 1.05), abs=0.11
+    )
+    assert there.nearest((1.0, 1.0), 0.3, known=True) == []
 
 
 def test_a_line_crosses_exactly_its_cells() -> None:
-    costmap = costmap_of(np.zeros((10, 10), bool), resolution=0.5, origin=(1.0, -1.0))
     rng = np.random.Generator(np.random.PCG64(3))
-    for _ in range(50):
-        a, b = ((float(x) + 1.0, float(y) - 1.0) for x, y in rng.uniform(0.0, 5.0, (2, 2)))
-        cells, spans = costmap.crossing(a, b)
+    for a, b in rng.uniform(-3.0, 5.0, (50, 2, 2)).tolist():
+        rows, columns, spans = crossing(0.5, a, b)
         assert float(spans.sum()) == pytest.approx(hypot(b[0] - a[0], b[1] - a[1]), abs=1e-9)
-        dense = {
-            costmap.index(a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1])) for t in np.linspace(0, 1, 997)
-        }
-        assert dense <= {int(c) for c in cells}
-    outside, _ = costmap.crossing((2.0, 0.0), (20.0, 0.0))
-    assert -1 in outside
-    assert costmap.line_cost((2.0, 0.0), (20.0, 0.0)) == inf
-    assert costmap.is_blocked((2.0, 0.0), (20.0, 0.0))
+        t = np.linspace(0.0, 1.0, 997)
+        dense = np.floor(np.stack([a[1] + t * (b[1] - a[1]), a[0] + t * (b[0] - a[0])]) / 0.5)
+        assert set(zip(*dense.tolist(), strict=True)) <= set(
+            zip(rows.tolist(), columns.tolist(), strict=True)
+        )
 
 
-def test_levels_give_the_distance_to_blocked_cells() -> None:
-    blocked = np.zeros((21, 21), bool)
-    blocked[10, 10] = True
-    costmap = costmap_of(blocked, comfort=0.4, dislike=2.0)
-    at = [costmap.clearance(1.05 + 0.1 * i, 1.05) for i in range(6)]
-    assert at == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4, inf])
-    assert costmap.multiplier == (inf, inf, 3.0, 2.5, 2.0, 1.5, 1.0)
-    assert costmap.clearance(-5.0, 0.0) == 0.0
+def test_a_line_has_the_same_levels_on_the_live_costmap_as_on_a_snapshot() -> None:
+    """Over several tiles, unknown and blocked ground, and out of what is known."""
+    rng = np.random.Generator(np.random.PCG64(8))
+    grid = PlainMap(rng.random((150, 150)) < 0.01, rng.random((150, 150)) < 0.005, (-70, -60))
+    asked, costmap = query(grid, (0.0, 0.0), (1.0, 1.0))
+    asked.advance(EVERYTHING, costmap, grid)
+    for a, b in rng.uniform(-9.0, 9.0, (100, 2, 2)).tolist():
+        rows, columns, _ = crossing(0.1, a, b)
+        found = asked.ground.levels(rows, columns)
+        away = np.hypot(rows + 0.5, columns + 0.5) > 2.5  # the ground under the robot is known there
+        assert costmap.levels(rows, columns)[away].tolist() == found[away].tolist()
+        assert is_blocked(costmap, a, b, FREE) == is_blocked(asked.ground, a, b, FREE)
+    assert line_cost(costmap, (40.0, 0.0), (41.0, 0.0)) == inf
 
 
 def test_a_cell_and_its_middle_agree() -> None:
-    costmap = costmap_of(np.zeros((7, 9), bool), resolution=0.05, origin=(-3.0, 2.0))
-    for row in range(7):
-        for column in range(9):
-            cell = (row + 1) * 11 + column + 1
-            assert costmap.index(*costmap.centre(cell)) == cell
-    assert costmap.index(-3.01, 2.1) is None
-    assert costmap.level_at(-3.01, 2.1) == BLOCKED
-
-
-def test_dilation_by_one_cell() -> None:
-    dot = np.zeros((5, 5), bool)
-    dot[2, 2] = True
-    assert int(dilated(dot, diagonal=False).sum()) == 5
-    assert int(dilated(dot, diagonal=True).sum()) == 9
+    there = ground(np.zeros((70, 90), bool))
+    for cell in range(2 * there.stride + 2, len(there.level) - 3 * there.stride, 7):
+        if 2 <= cell % there.stride < there.stride - 2:
+            assert there.index(*there.centre(cell)) == cell
+    assert there.index(-0.01, 2.1) is None

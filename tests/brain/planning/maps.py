@@ -1,0 +1,140 @@
+"""A map given by pictures, and what the planner's parts make of it."""
+
+from __future__ import annotations
+
+from math import hypot, inf
+
+import numpy as np
+import numpy.typing as npt
+
+from brain.planning.costmap import TILE, Costmap, Mask, PlannerSettings, Tile
+from brain.planning.planner import PathQuery, PlanResult, Searching
+from brain.planning.polyline import Point
+from brain.planning.snapshot import Snapshot
+
+RADIUS = 0.25
+EVERYTHING = 10**9
+"""More work than any query needs."""
+
+
+class PlainMap:
+    """A map of 0.1 m per cell, written to directly; around it, everything is unknown."""
+
+    def __init__(
+        self, occupied: Mask, unknown: Mask | None = None, low: tuple[int, int] = (-20, -10)
+    ) -> None:
+        self.version, self.resolution, self.low = 1, 0.1, low
+        self.occupied = occupied
+        self.unknown = np.zeros_like(occupied) if unknown is None else unknown
+        self._tiles: dict[Tile, npt.NDArray[np.int8]] = {}
+        self._changed: dict[Tile, int] = {}
+
+    def extent(self) -> tuple[int, int, int, int]:
+        rows, columns = self.occupied.shape
+        return (self.low[0], self.low[1], self.low[0] + rows, self.low[1] + columns)
+
+    def tile(self, row: int, column: int) -> npt.NDArray[np.int8] | None:
+        return self._tiles.get((row, column))
+
+    def changed(self, since: int) -> list[Tile]:
+        """Cut into tiles again, and compared."""
+        bottom, left, top, right = self.extent()
+        down, west = bottom // TILE, left // TILE
+        rows, columns = -(-top // TILE) - down, -(-right // TILE) - west
+        known = np.where(self.unknown, 0, np.where(self.occupied, 1, -1))
+        low, first = bottom - down * TILE, left - west * TILE
+        values = np.zeros((rows * TILE, columns * TILE), np.int8)
+        height, width = known.shape
+        values[low : low + height, first : first + width] = known
+        blocks = values.reshape(rows, TILE, columns, TILE).swapaxes(1, 2)
+        tiles = {
+            (down + r, west + c): blocks[r, c] for r, c in np.ndindex(rows, columns) if blocks[r, c].any()
+        }
+        for key in tiles.keys() | self._tiles.keys():
+            if not np.array_equal(tiles.get(key, 0), self._tiles.get(key, 0)):
+                self._changed[key] = self.version
+        self._tiles = tiles
+        return [key for key, version in self._changed.items() if version > since]
+
+    def middles(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """x and y [m] of every cell's middle."""
+        rows, columns = np.indices(self.occupied.shape)
+        return (self.low[1] + columns + 0.5) * 0.1, (self.low[0] + rows + 0.5) * 0.1
+
+    def blocked(self, radius: float) -> Mask:
+        """Cells whose middle is within the radius [m] of an occupied cell, one obstacle after the other."""
+        x, y = self.middles()
+        blocked = self.occupied.copy()
+        for row, column in np.argwhere(self.occupied):
+            dx = np.maximum(np.abs(x - x[row, column]) - 0.05, 0.0)
+            dy = np.maximum(np.abs(y - y[row, column]) - 0.05, 0.0)
+            blocked |= np.hypot(dx, dy) < radius - 1e-9
+        return blocked
+
+    def clearance(self, x: float, y: float) -> float:
+        """To the nearest occupied cell's edge [m]."""
+        best = inf
+        for row, column in np.argwhere(self.occupied):
+            dx = max(abs((self.low[1] + column + 0.5) * 0.1 - x) - 0.05, 0.0)
+            dy = max(abs((self.low[0] + row + 0.5) * 0.1 - y) - 0.05, 0.0)
+            best = min(best, hypot(dx, dy))
+        return best
+
+
+def two_rooms(height: int = 40, width: int = 60, door: tuple[int, int] = (16, 26)) -> Mask:
+    """Walls all around, and one in the middle with a doorway of 1 m."""
+    occupied = np.zeros((height, width), bool)
+    occupied[[0, -1], :] = occupied[:, [0, -1]] = True
+    occupied[:, 30] = True
+    occupied[door[0] : door[1], 30] = False
+    return occupied
+
+
+def drawn(grid: PlainMap, radius: float = RADIUS, settings: PlannerSettings | None = None) -> Costmap:
+    """The costmap, with every tile up to date."""
+    costmap = Costmap(grid.resolution, radius, settings or PlannerSettings())
+    costmap.update(grid, (0.0, 0.0), EVERYTHING)
+    while costmap.pending:
+        costmap.update(grid, (0.0, 0.0), 1)
+    return costmap
+
+
+def query(
+    grid: PlainMap,
+    start: Point,
+    goal: Point,
+    settings: PlannerSettings | None = None,
+    unreachable: tuple[Point, ...] = (),
+    radius: float = RADIUS,
+) -> tuple[PathQuery, Costmap]:
+    costmap = Costmap(grid.resolution, radius, settings or PlannerSettings())
+    costmap.update(grid, start, 0)
+    region = Snapshot(costmap, grid, start, goal, unreachable)
+    return PathQuery(region, start, goal, costmap.settings), costmap
+
+
+def plan(grid: PlainMap, start: Point, goal: Point, settings: PlannerSettings | None = None) -> PlanResult:
+    asked, costmap = query(grid, start, goal, settings)
+    for _ in range(10_000):
+        found = asked.advance(200, costmap, grid)
+        if not isinstance(found, Searching):
+            assert asked.advance(1, costmap, grid) == found
+            return found
+    raise AssertionError("the planner does not end")
+
+
+def ground(
+    occupied: Mask,
+    unknown: Mask | None = None,
+    comfort: float = 0.0,
+    dislike: float = 0.0,
+    *,
+    free: bool = False,
+) -> Snapshot:
+    """A complete snapshot of a picture from (0, 0) m on, whose occupied cells alone are blocked."""
+    settings = PlannerSettings(margin=0.0, comfort=comfort, dislike=dislike, unknown_is_free=free)
+    grid = PlainMap(occupied, unknown, (0, 0))
+    costmap = drawn(grid, 0.0, settings)
+    found = Snapshot(costmap, grid, (0.05, 0.05), (0.05, 0.05), ())
+    assert found.assemble(costmap, grid, EVERYTHING) > 0
+    return found
