@@ -1,16 +1,15 @@
 """Relocalisation: the pose of a scan in the map, without a prior.
 
-Rules. Correlative scan matching by branch and bound. The scan's hits, thinned to one per 0.2 m, are laid on the
-map at all headings and positions; a pose scores +1 for each hit on an occupied cell (smeared by one cell), -1 for
-each in a cell known to be free, 0 in unknown ground, over their number. Two levels: blocks of 4 × 4 cells of 0.1 m
-on the maxima over windows of that size, an upper bound of every pose inside, exhaustively (a point is one shifted
-addition of arrays, for all blocks at once); then the positions within those blocks whose bound is high enough. What
-is best in each neighbourhood, a mode, is refined by `match` and judged beam by beam at the map's own resolution.
-A pose is found only if enough beams agree with the map, clearly more than at every pose elsewhere, if the match
-constrains every direction, and if the robot then stands in free ground. No pose is nearer to the truth than another
-because it is nearer to the one believed before: a robot that was carried may be anywhere.
-All work is counted; the state in between is plain data.
-Sources: Olson 2009 (real-time correlative scan matching); Hess et al. 2016, section V-B (bounds by maxima).
+Rules. Correlative scan matching by branch and bound. The hits, thinned to one per `THIN`, are laid on the
+map at all headings and positions; a pose scores +1 for each hit on an occupied cell (smeared by one cell),
+-1 for each in a cell known to be free, 0 in unknown ground. First blocks of SIDE × SIDE cells, exhaustively,
+on the maxima over windows of that size: an upper bound of every pose in the block, and one shifted addition
+of arrays per point for all blocks at once. Then the cells of the blocks whose bound is high enough. The best
+pose of each neighbourhood is refined by `match` and judged beam by beam, at the map's own resolution. A pose
+is found only if the scan agrees with the map there, clearly more than at every pose elsewhere, if the match
+constrains every direction, and if the robot stands in free ground. The pose believed before plays no part: a
+robot that was carried may be anywhere. Work is counted in operations; the state in between is plain data.
+Sources: Olson 2009 (real-time correlative matching); Hess et al. 2016, section V-B (bounds by maxima).
 """
 
 from __future__ import annotations
@@ -25,49 +24,31 @@ import numpy.typing as npt
 from brain.belief import Floats, Pose
 from brain.bodies.differential import wrap
 from brain.checks import within
-from brain.perception.map import TILE, Map
-from brain.perception.mount import BodyScan, to_world
-from brain.perception.scan_match import MatchSettings, match
-
-Bytes = npt.NDArray[np.int8]
-Indices = npt.NDArray[np.int64]
+from brain.perception.body_scan import BodyScan, Bools, to_world
+from brain.perception.map import TILE, Map, Values
+from brain.perception.match import MatchSettings, match
 
 
 @dataclass(frozen=True, slots=True)
 class RelocaliseSettings:
-    """When a pose counts as found."""
+    """When a pose counts as found, and the work of a step."""
 
-    operations: int = 600_000
-    """Per step, each about 1 ns on a desktop: see `Search.advance`"""
-    points: int = 96
-    """Largest number of hits of the scan that are laid on the map, evenly chosen"""
-    least: int = 20
-    """Least number of them: a scan with fewer recognises no place"""
-    floor: float = 0.4
-    """Least score of a pose that is looked at more closely"""
     agree: float = 0.72
     """Least share of the scan that agrees with the map: see `agreement`"""
     margin: float = 0.05
     """By how much that share must exceed the one at every pose elsewhere"""
-    elsewhere: float = 0.5
-    """m: poses that are farther apart than this, or than `elsewhere_yaw`, are different places"""
-    elsewhere_yaw: float = 0.35
-    """rad"""
     sigma: float = 0.15
-    """m: largest standard deviation of the pose found, in any direction"""
+    """m: largest standard deviation of the position found, in any direction"""
+    operations: int = 600_000
+    """Per step, each about 1 ns on a desktop"""
 
     def __post_init__(self) -> None:
         within(
             self,
-            operations=(10_000, 1e9),
-            points=(20, 120),
-            least=(5, 120),
-            floor=(0.05, 1.0),
-            agree=(0.1, 1.0),
+            agree=(0.5, 1.0),
             margin=(0.01, 1.0),
-            elsewhere=(0.05, 10.0, "m"),
-            elsewhere_yaw=(0.01, 3.2, "rad"),
-            sigma=(0.01, 10.0, "m"),
+            sigma=(0.01, 1.0, "m"),
+            operations=(100_000, 10_000_000),
         )
 
 
@@ -81,7 +62,7 @@ class Found:
     score: float
     """Share of the scan that agrees with the map"""
     runner_up: float
-    """The same of the best pose elsewhere; 0 if there is none"""
+    """The same at the best pose elsewhere; 0 if there is none"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,308 +83,266 @@ class NotFound:
 
 @dataclass(frozen=True, slots=True)
 class Searching:
-    """The search needs further steps."""
+    """No result yet."""
 
 
 Result: TypeAlias = Found | Ambiguous | NotFound
 
-
-@dataclass(frozen=True, slots=True)
-class Mode:
-    """A pose that scores best in its neighbourhood, refined."""
-
-    pose: Pose
-    covariance: Floats | None
-    """None if no match refined it"""
-    agree: float
-
-
-SIDE = 4
-"""Cells of the search along a block's side"""
 CELL = 0.1
-"""m: side of a cell of the search, as nearly as the map's own cells allow"""
+"""m: side of a cell of the search, as nearly as whole cells of the map allow"""
+SIDE = 4
+"""Cells along the side of a block"""
 THIN = 0.2
 """m: at most one hit is used in each square of this side"""
+POINTS = 20, 96
+"""Least number of hits: fewer recognise no place. Largest number, evenly chosen: sums fit into 8 bits."""
 FAR = 250
 """Cells from the robot within which hits are used: a step of the heading moves farther ones too much"""
-HEADINGS = (180, 720)
-CANDIDATES = 8192
-"""Blocks kept for the second level"""
+HEADINGS = 180, 720
+"""Least and largest number of headings"""
+FLOOR = 0.4
+"""Least score, over the number of points, of a pose that is examined"""
 SPREAD = 0.25
-"""Poses that score by so much less than the best one need no closer look"""
-MODES = 10
+"""Poses whose score is lower than the best one's by so much are not examined"""
+BLOCKS, POSES = 8192, 10
+"""Largest number of blocks whose cells are examined, and of poses that are refined"""
+ELSEWHERE, ELSEWHERE_YAW = 0.5, 0.35
+"""m, rad: poses farther apart are different places"""
 CHUNK = 48
-"""Blocks of the second level, and beams of the first, that are worked on at once"""
+"""Points, or blocks, that are worked on between two looks at the count of operations"""
 CALL = 1000
-"""Operations that count for a call on arrays, beside their elements"""
+"""Operations that a call on arrays counts for, beside those for their elements"""
 
 
 class Search:
-    """One search, for one scan taken while standing. `advance` until it returns a result."""
+    """One search, for one scan taken while standing."""
 
     def __init__(
-        self, map_: Map, scan: BodyScan, settings: RelocaliseSettings, matching: MatchSettings
+        self, chart: Map, scan: BodyScan, settings: RelocaliseSettings, matching: MatchSettings
     ) -> None:
-        self._map, self._scan, self._settings, self._matching = map_, scan, settings, matching
-        self._fine = 2 ** max(0, min(4, round(math.log2(CELL / map_.resolution))))
-        """Cells of the map along a side of one of the search"""
-        self._cell = self._fine * map_.resolution
-        self._points = _thinned(scan.ends[scan.hit], self._cell, settings.points)
-        self._tiles = map_.observed()
+        self._map, self._scan, self._settings, self._matching = chart, scan, settings, matching
+        self._fine = 2 ** max(0, min(4, round(math.log2(CELL / chart.resolution))))
+        """Cells of the map along the side of one of the search"""
+        self._cell = self._fine * chart.resolution
+        self._points = _thinned(scan.ends[scan.hit], FAR * self._cell)
+        self._tiles = chart.changed(0)
         self.result: Result | None = None
-        if len(self._points) < settings.least:
-            self.result = NotFound(f"the scan has only {len(self._points)} separate hits")
+        if len(self._points) < POINTS[0] or not self._tiles:
+            self.result = NotFound(f"{len(self._points)} separate hits, {len(self._tiles)} tiles of the map")
             return
-        if not self._tiles:
-            self.result = NotFound("the map is empty")
-            return
-        self._lay_out()
-
-    def _lay_out(self) -> None:
         ranges = np.hypot(*self._points.T) / self._cell
-        count = math.ceil(2.0 * math.pi * float(np.quantile(ranges, 0.8)))
-        self._headings = min(max(count, HEADINGS[0]), HEADINGS[1])
-        tiles = np.array(self._tiles)
-        (row0, column0), (row1, column1) = tiles.min(axis=0), tiles.max(axis=0) + 1
-        self._corner = int(row0), int(column0)
-        """Tile in the corner of the search"""
-        side = TILE // self._fine
-        rows, columns = int(row1 - row0) * side, int(column1 - column0) * side
+        headings = math.ceil(2.0 * math.pi * float(np.quantile(ranges, 0.8)))
+        self._turn = 2.0 * math.pi / min(max(headings, HEADINGS[0]), HEADINGS[1])
+        self._headings = round(2.0 * math.pi / self._turn)
+        self._corner = np.min(self._tiles, axis=0)
+        """Tile (row, column) at the corner of the search"""
+        rows, columns = (np.max(self._tiles, axis=0) + 1 - self._corner) * (TILE // self._fine)
         self._border = (math.ceil(float(ranges.max())) // SIDE + 2) * SIDE
-        """Unknown cells about the map, so that no point of a pose inside lies outside"""
-        shape = rows + 2 * self._border, columns + 2 * self._border
-        self._cells: Bytes = np.zeros(shape, dtype=np.int8)
-        self._blocks = np.zeros((SIDE, SIDE, shape[0] // SIDE, shape[1] // SIDE), dtype=np.int8)
-        """Largest value in the window of SIDE × SIDE cells that begins at a cell, by phase and block"""
-        self._standing = np.zeros((rows // SIDE, columns // SIDE), dtype=np.bool_)
-        """Blocks in which some of the map's cells are free"""
-        self._band = 0
+        """Unknown cells about the map: no point of a pose inside lies outside"""
+        high, wide = int(rows) + 2 * self._border, int(columns) + 2 * self._border
+        self._cells: Values = np.zeros((high, wide), dtype=np.int8)
+        self._maxima = np.zeros((SIDE, SIDE, high // SIDE, wide // SIDE), dtype=np.int8)
+        """Over the window of SIDE × SIDE cells that begins at a cell, by phase (row, column) and block"""
+        self._free = np.zeros((int(rows) // SIDE, int(columns) // SIDE), dtype=np.bool_)
+        """Blocks in which a cell of the map is free"""
+        self._sum: Values = np.zeros(self._free.shape, dtype=np.int8)
         self._offsets = np.zeros((len(self._points), self._headings), dtype=np.int32)
-        """Of each point at each heading, from the robot's cell, in the flat array of cells"""
-        self._heading = self._point = 0
-        self._shifts: list[tuple[int, int, int, int]] = []
-        self._sum: Bytes = np.zeros_like(self._standing, dtype=np.int8)
-        self._candidates = np.zeros((0, 3), dtype=np.int64)
-        """Bound, heading, flat block"""
-        self._missed = 0
-        """Largest bound of those that were dropped"""
-        self._examined = 0
-        self._leaves = np.zeros((0, 4), dtype=np.int64)
+        """From the robot's cell to each point's, in the flat array of cells"""
+        self._band = self._heading = self._point = self._examined = 0
+        """How far each part of the work is"""
+        self._blocks = np.zeros((0, 3), dtype=np.int64)
+        """Bound, heading, flat index"""
+        self._missed = self._best = 0
+        """Highest bound of the blocks that were dropped, highest score so far"""
+        self._scores = np.zeros((0, 4), dtype=np.int64)
         """Score, heading, row, column"""
-        self._best = 0
-        self._seeds: list[Pose] | None = None
-        self._modes: list[Mode] = []
+        self._left: list[Pose] | None = None
+        """Poses to be refined"""
+        self._refined: list[tuple[float, Pose, Floats | None]] = []
+        """Agreement, pose, covariance if there is a match"""
 
     def advance(self, operations: int) -> Result | Searching:
-        """Work on for about so many operations, at least one part; return the result once there is one."""
+        """Work on for about so many operations, at least one part, or until there is a result."""
         while self.result is None and operations > 0:
-            operations -= self._work()
+            if self._tiles:
+                operations -= self._add_tile(*self._tiles.pop())
+            elif self._band < self._maxima.shape[2]:
+                operations -= self._add_band()
+            elif self._heading < self._headings:
+                operations -= self._add_points()
+            elif self._left is None:
+                operations -= self._examine()
+            elif self._left:
+                operations -= self._refine(self._left.pop(0))
+            else:
+                self.result = self._decide()
         return self.result or Searching()
 
-    def _work(self) -> int:
-        if self._tiles:
-            return self._add_tile(*self._tiles.pop())
-        if self._band < self._blocks.shape[2]:
-            return self._add_band()
-        if self._heading < self._headings:
-            return self._bound()
-        if self._seeds is None:
-            return self._descend()
-        if self._seeds:
-            return self._refine(self._seeds.pop(0))
-        self.result = self._decide()
-        return 0
-
-    # -- what the search is made on --------------------------------------------------------------
+    # -- cells and maxima ------------------------------------------------------------------------
 
     def _add_tile(self, row: int, column: int) -> int:
-        values = np.zeros((TILE + 2, TILE + 2), dtype=np.float32)
+        values = np.zeros((TILE + 2, TILE + 2), dtype=np.int8)
         for down, (to_rows, from_rows) in EDGES.items():
             for right, (to_columns, from_columns) in EDGES.items():
                 tile = self._map.tile(row + down, column + right)
                 if tile is not None:
                     values[to_rows, to_columns] = tile[from_rows, from_columns]
-        occupied = values > 0.0
+        occupied = values > 0
         occupied = occupied[1:-1] | occupied[:-2] | occupied[2:]
         occupied = occupied[:, 1:-1] | occupied[:, :-2] | occupied[:, 2:]
-        free = values[1:-1, 1:-1] < 0.0
-        cells = occupied.astype(np.int8)
-        cells[free & ~occupied] = -1
-        cells = _merged(cells, self._fine)
-        top, left = (row - self._corner[0]) * len(cells), (column - self._corner[1]) * len(cells)
-        down, right = top + self._border, left + self._border
-        self._cells[down : down + len(cells), right : right + len(cells)] = cells
-        standing = _merged(free, self._fine * SIDE)
+        free = values[1:-1, 1:-1] < 0
+        cells = _merged(occupied.astype(np.int8) - (free & ~occupied), self._fine)
+        top, left = (np.array([row, column]) - self._corner) * len(cells)
+        self._cells[self._border :, self._border :][top : top + len(cells), left : left + len(cells)] = cells
+        blocks = _merged(free, self._fine * SIDE)
         top, left = top // SIDE, left // SIDE
-        self._standing[top : top + len(standing), left : left + len(standing)] = standing
+        self._free[top : top + len(blocks), left : left + len(blocks)] = blocks
         return 40 * CALL + 8 * TILE * TILE
 
     def _add_band(self) -> int:
-        """Take the maxima over windows for one row of blocks: of windows of 1, 2, 4 … cells."""
-        top = self._band * SIDE
-        rows = self._cells[top : top + 2 * SIDE]
-        width = rows.shape[1]
-        window = np.zeros((2 * SIDE, width + SIDE), dtype=np.int8)
-        window[: len(rows), :width] = rows
+        """Take the maxima for one row of blocks: over windows of 1, 2, 4 … cells."""
+        rows = self._cells[self._band * SIDE : (self._band + 2) * SIDE]
+        high, wide = rows.shape
+        window = np.zeros((2 * SIDE, wide + SIDE), dtype=np.int8)
+        window[:high, :wide] = rows
         step = 1
         while step < SIDE:
             window[:-step] = np.maximum(window[:-step], window[step:])
             window[:, :-step] = np.maximum(window[:, :-step], window[:, step:])
             step *= 2
-        phases = window[:SIDE, :width].reshape(SIDE, width // SIDE, SIDE)
-        self._blocks[:, :, self._band] = phases.transpose(0, 2, 1)
+        by_block = window[:SIDE, :wide].reshape(SIDE, wide // SIDE, SIDE)
+        self._maxima[:, :, self._band] = by_block.transpose(0, 2, 1)
         self._band += 1
         return 10 * CALL + 8 * window.size
 
-    # -- first level: blocks -----------------------------------------------------------------------
+    # -- blocks ------------------------------------------------------------------------------------
 
-    def _bound(self) -> int:
-        """Add up some points for all blocks at this heading; after the last, keep the blocks worth a look."""
-        if self._point == 0:
-            turned = to_world(
-                self._points, Pose(0.5 * self._cell, 0.5 * self._cell, self._yaw(self._heading))
-            )
-            columns, rows = np.floor(turned / self._cell).astype(np.int64).T + self._border
-            self._offsets[:, self._heading] = rows * self._cells.shape[1] + columns
-            places = (rows % SIDE, columns % SIDE, rows // SIDE, columns // SIDE)
-            self._shifts = list(zip(*(place.tolist() for place in places), strict=True))
-            self._sum[:] = 0
+    def _add_points(self) -> int:
+        """Add some points at the present heading to all blocks' sums; after the last, keep blocks."""
+        half = 0.5 * self._cell
+        some = slice(self._point, self._point + CHUNK)
+        turned = to_world(self._points[some], Pose(half, half, self._heading * self._turn))
+        columns, rows = np.floor(turned / self._cell).astype(np.int64).T + self._border
+        self._offsets[some, self._heading] = rows * self._cells.shape[1] + columns
+        parts = (rows % SIDE, columns % SIDE, rows // SIDE, columns // SIDE)
         high, wide = self._sum.shape
-        some = self._shifts[self._point : self._point + CHUNK]
-        for phase_row, phase_column, row, column in some:
-            self._sum += self._blocks[phase_row, phase_column, row : row + high, column : column + wide]
-        self._point += len(some)
-        if self._point == len(self._shifts):
-            self._keep()
-            self._point = 0
-            self._heading += 1
-        return len(some) * (CALL + self._sum.size // 16) + 20 * CALL
+        for down, right, row, column in zip(*(part.tolist() for part in parts), strict=True):
+            self._sum += self._maxima[down, right, row : row + high, column : column + wide]
+        self._point += CHUNK
+        if self._point >= len(self._points):
+            bounds = self._sum.reshape(-1)
+            blocks = np.flatnonzero((bounds >= FLOOR * len(self._points)) & self._free.reshape(-1))
+            new = np.column_stack([bounds[blocks], np.full(len(blocks), self._heading), blocks])
+            self._blocks = np.concatenate([self._blocks, new])
+            if len(self._blocks) > 2 * BLOCKS:
+                self._sort()
+            self._sum[:] = 0
+            self._heading, self._point = self._heading + 1, 0
+        return len(rows) * (CALL + self._sum.size // 16) + 20 * CALL
 
-    def _keep(self) -> None:
-        least = math.ceil(self._settings.floor * len(self._points))
-        blocks = np.flatnonzero((self._sum >= least) & self._standing)
-        if not len(blocks):
-            return
-        bounds = self._sum.reshape(-1)[blocks].astype(np.int64)
-        new = np.column_stack([bounds, np.full(len(blocks), self._heading), blocks])
-        self._candidates = np.concatenate([self._candidates, new])
-        if len(self._candidates) > 2 * CANDIDATES:
-            self._sort_candidates()
+    def _sort(self) -> None:
+        """Keep the blocks with the highest bounds."""
+        order = np.argsort(-self._blocks[:, 0], kind="stable")
+        self._missed = max(self._missed, int(self._blocks[order[BLOCKS:], 0].max(initial=0)))
+        self._blocks = self._blocks[order[:BLOCKS]]
 
-    def _sort_candidates(self) -> None:
-        order = np.argsort(-self._candidates[:, 0], kind="stable")
-        dropped = self._candidates[order[CANDIDATES:], 0]
-        self._missed = max(self._missed, int(dropped.max(initial=0)))
-        self._candidates = self._candidates[order[:CANDIDATES]]
+    # -- poses -------------------------------------------------------------------------------------
 
-    def _yaw(self, heading: int) -> float:
-        return wrap(2.0 * math.pi * heading / self._headings)
-
-    # -- second level: cells in blocks ---------------------------------------------------------------
-
-    def _descend(self) -> int:
+    def _examine(self) -> int:
         """Score all cells of some blocks, those with the highest bounds first."""
         if self._examined == 0:
-            self._sort_candidates()
-        some = self._candidates[self._examined : self._examined + CHUNK]
+            self._sort()
+        some = self._blocks[self._examined : self._examined + CHUNK]
         some = some[some[:, 0] >= self._best - SPREAD * len(self._points)]
         if not len(some):
-            self._seeds = self._separate()
+            self._left = self._separate()
             return 1000 * CALL
         self._examined += CHUNK
-        width = self._cells.shape[1]
-        rows, columns = (SIDE * place for place in np.divmod(some[:, 2], self._sum.shape[1]))
-        inside = (np.arange(SIDE)[:, None] * width + np.arange(SIDE)).reshape(-1)
-        places = (rows * width + columns)[:, None] + inside
-        index = self._offsets[:, some[:, 1]][:, :, None] + places
+        wide = self._cells.shape[1]
+        rows, columns = (SIDE * part for part in np.divmod(some[:, 2], self._sum.shape[1]))
+        inside = (np.arange(SIDE)[:, None] * wide + np.arange(SIDE)).reshape(-1)
+        index = self._offsets[:, some[:, 1], None] + ((rows * wide + columns)[:, None] + inside)
         scores = self._cells.reshape(-1)[index].sum(axis=0, dtype=np.int8)
-        best = np.argmax(scores, axis=1)
-        score = scores[np.arange(len(some)), best].astype(np.int64)
-        leaves = np.column_stack([score, some[:, 1], rows + best // SIDE, columns + best % SIDE])
-        self._leaves = np.concatenate([self._leaves, leaves])
+        cell = np.argmax(scores, axis=1)
+        score = scores[np.arange(len(some)), cell]
+        new = np.column_stack([score, some[:, 1], rows + cell // SIDE, columns + cell % SIDE])
+        self._scores = np.concatenate([self._scores, new])
         self._best = max(self._best, int(score.max()))
-        return 20 * CALL + 3 * index.size
+        return 20 * CALL + 3 * int(index.size)
 
     def _separate(self) -> list[Pose]:
         """Return the best pose of each neighbourhood, best first."""
-        least = max(self._settings.floor, self._best / len(self._points) - SPREAD) * len(self._points)
-        leaves = self._leaves[self._leaves[:, 0] >= least]
-        leaves = leaves[np.argsort(-leaves[:, 0], kind="stable")]
-        side = TILE // self._fine
-        y, x = ((leaves[:, 2:] + np.array(self._corner) * side + 0.5) * self._cell).T
-        yaw = leaves[:, 1] * (2.0 * math.pi / self._headings)
-        seeds: list[Pose] = []
-        left = np.ones(len(leaves), dtype=np.bool_)
-        while left.any() and len(seeds) < MODES:
+        least = max(FLOOR * len(self._points), self._best - SPREAD * len(self._points))
+        order = np.argsort(-self._scores[:, 0], kind="stable")
+        scores = self._scores[order][self._scores[order, 0] >= least]
+        y, x = ((scores[:, 2:] + self._corner * (TILE // self._fine) + 0.5) * self._cell).T
+        yaw = scores[:, 1] * self._turn
+        poses: list[Pose] = []
+        left = np.ones(len(scores), dtype=np.bool_)
+        while left.any() and len(poses) < POSES:
             first = int(np.argmax(left))
-            seeds.append(Pose(float(x[first]), float(y[first]), wrap(float(yaw[first]))))
+            poses.append(Pose(float(x[first]), float(y[first]), wrap(float(yaw[first]))))
             turn = np.abs(np.mod(yaw - yaw[first] + math.pi, 2.0 * math.pi) - math.pi)
-            far = np.hypot(x - x[first], y - y[first]) > self._settings.elsewhere
-            left &= far | (turn > self._settings.elsewhere_yaw)
-        return seeds
+            left &= (np.hypot(x - x[first], y - y[first]) > ELSEWHERE) | (turn > ELSEWHERE_YAW)
+        return poses
 
-    # -- modes -------------------------------------------------------------------------------------
-
-    def _refine(self, seed: Pose) -> int:
-        """Refine a pose by a match; it counts as one only if the robot then stands in free ground."""
-        found = match(self._map, self._scan, seed, self._cell, self._matching)
-        pose, covariance = (seed, None) if found is None else (found.pose, found.noise + found.shared)
+    def _refine(self, pose: Pose) -> int:
+        """Refine a pose by a match, and judge it; it is dropped if the robot is not in free ground there."""
+        found = match(self._map, self._scan, pose, self._cell, self._matching)
+        pose = found.pose if found else pose
         columns, rows = (self._map.cells(np.array([[pose.x, pose.y]])) + AROUND).T
-        if (self._map.values(columns, rows) < 0.0).any():
-            self._modes.append(Mode(pose, covariance, agreement(self._map, self._scan, pose)))
+        if (self._map.values(columns, rows) < 0).any():
+            score = agreement(self._map, self._scan, pose)
+            self._refined.append((score, pose, found.noise + found.shared if found else None))
         return 1000 * CALL
 
     def _decide(self) -> Result:
-        settings = self._settings
-        modes = sorted(self._modes, key=lambda mode: -mode.agree)
-        if not modes:
+        if not self._refined:
             return NotFound("no pose in free ground lets the scan fit the map")
-        best = modes[0]
-        if best.agree < settings.agree:
-            return NotFound(f"at the best pose only {best.agree:.0%} of the scan agrees with the map")
-        rivals = [mode for mode in modes[1:] if self._elsewhere(mode.pose, best.pose)]
-        runner_up = rivals[0].agree if rivals else 0.0
-        alike = [best.pose, *(r.pose for r in rivals if r.agree > best.agree - settings.margin)]
+        refined = sorted(self._refined, key=lambda one: -one[0])
+        score, pose, covariance = refined[0]
+        if score < self._settings.agree or covariance is None:
+            return NotFound(f"at the best pose only {score:.0%} of the scan agrees with the map")
+        rivals = [one for one in refined[1:] if _elsewhere(one[1], pose)]
+        runner_up = rivals[0][0] if rivals else 0.0
+        alike = (pose, *(rival[1] for rival in rivals if rival[0] > score - self._settings.margin))
         if len(alike) > 1:
-            reason = f"{len(alike)} poses fit alike: {best.agree:.0%} and {runner_up:.0%} of the scan agree with the map"
-            return Ambiguous(reason, tuple(alike))
-        if self._missed > self._best - settings.margin * len(self._points):
-            return Ambiguous("too many poses fit to examine them all", (best.pose,))
-        if best.covariance is None:
-            return NotFound("the best pose has no match on the map's lines")
-        if math.sqrt(float(np.linalg.eigvalsh(best.covariance[:2, :2])[-1])) > settings.sigma:
-            return Ambiguous("a direction is open, as along a corridor", (best.pose,))
-        return Found(best.pose, best.covariance, best.agree, runner_up)
-
-    def _elsewhere(self, one: Pose, other: Pose) -> bool:
-        apart = math.hypot(one.x - other.x, one.y - other.y)
-        return (
-            apart > self._settings.elsewhere or abs(wrap(one.yaw - other.yaw)) > self._settings.elsewhere_yaw
-        )
+            text = f"{len(alike)} places look alike: {score:.0%} and {runner_up:.0%} of the scan agree"
+            return Ambiguous(text, alike)
+        if self._missed > self._best - self._settings.margin * len(self._points):
+            return Ambiguous("more poses fit than can be examined", alike)
+        if np.linalg.eigvalsh(covariance[:2, :2])[-1] > self._settings.sigma**2:
+            return Ambiguous("a direction is open, as along a corridor", alike)
+        return Found(pose, covariance, score, runner_up)
 
 
-AROUND = np.array([(column, row) for column in (-1, 0, 1) for row in (-1, 0, 1)])
 EDGES = {
     -1: (slice(0, 1), slice(TILE - 1, TILE)),
     0: (slice(1, TILE + 1), slice(None)),
     1: (slice(TILE + 1, TILE + 2), slice(0, 1)),
 }
-"""A tile with one cell of each neighbour about it: where the cells go, and where they come from"""
+"""A tile with one cell of its neighbours about it: where they go, and which they are of the neighbour's"""
+AROUND = np.array([(column, row) for column in (-1, 0, 1) for row in (-1, 0, 1)])
+BESIDE = np.array([(0, 0), (-1, 0), (1, 0), (0, -1), (0, 1)])
 
 
-def _thinned(points: Floats, cell: float, most: int) -> Floats:
-    """Return at most one point (n × 2) per square of THIN, within FAR cells, and at most so many of them."""
-    points = points[np.hypot(points[:, 0], points[:, 1]) < FAR * cell]
+def _elsewhere(one: Pose, other: Pose) -> bool:
+    apart = math.dist((one.x, one.y), (other.x, other.y))
+    return apart > ELSEWHERE or abs(wrap(one.yaw - other.yaw)) > ELSEWHERE_YAW
+
+
+def _thinned(points: Floats, far: float) -> Floats:
+    """Return at most one point (n × 2) per square of THIN, within a distance [m], and not too many."""
+    points = points[np.hypot(points[:, 0], points[:, 1]) < far]
     squares = np.floor(points / THIN).astype(np.int64)
-    _, first = np.unique(squares[:, 0] * 2**20 + squares[:, 1], return_index=True)
-    first.sort()
-    if len(first) > most:
-        first = first[np.arange(most) * len(first) // most]
-    return points[first]
+    first = np.sort(np.unique(squares[:, 0] * 2**20 + squares[:, 1], return_index=True)[1])
+    most = min(len(first), POINTS[1])
+    thinned: Floats = points[first[np.arange(most) * len(first) // max(most, 1)]]
+    return thinned
 
 
 def _merged(cells: npt.NDArray[np.generic], side: int) -> npt.NDArray[np.generic]:
-    """Return the largest value in each square of side × side cells, a power of 2."""
+    """Return the largest value in each square of side × side cells; the side is a power of 2."""
     while side > 1:
         cells = np.maximum(cells[::2], cells[1::2])
         cells = np.maximum(cells[:, ::2], cells[:, 1::2])
@@ -411,32 +350,30 @@ def _merged(cells: npt.NDArray[np.generic], side: int) -> npt.NDArray[np.generic
     return cells
 
 
-BEAMS = 180
-SAMPLES = 24
-"""Places along a beam at which the map is looked up"""
+BEAMS, SAMPLES = 180, 24
+"""Largest number of beams that are judged, and of places along each"""
 CLEAR = 0.3
 """m before a beam's end in which what it passes is not judged"""
 
 
-def agreement(map_: Map, scan: BodyScan, pose: Pose) -> float:
-    """Return the share of the scan that agrees with the map, taken at this pose: 0 to 1.
+def agreement(chart: Map, scan: BodyScan, pose: Pose) -> float:
+    """Return the share of the scan, taken at this pose, that agrees with the map.
 
-    A beam agrees if it ends on an occupied cell or beside one; it contradicts the map if it ends in a free cell, or
-    if it passes through an occupied one; in unknown ground a hit counts half against the map. Each beam weighs as
-    much as its range: so long is the piece of wall that it stands for."""
+    A beam agrees if it ends on an occupied cell or beside one; it contradicts the map if it ends in a free
+    cell or passes through an occupied one; a hit in unknown ground counts half against the map. Each beam
+    weighs as much as its range: so long is the piece of wall that it stands for."""
     read = np.flatnonzero(scan.ranges > 0.0)
     read = read[:: max(1, math.ceil(len(read) / BEAMS))]
     ranges, hit, ends = scan.ranges[read], scan.hit[read], to_world(scan.ends[read], pose)
-    columns, rows = map_.cells(ends).T
-    end = map_.values(columns, rows)
-    beside = [map_.values(columns + i, rows + j) for i, j in ((-1, 0), (1, 0), (0, -1), (0, 1))]
+    columns, rows = (chart.cells(ends)[:, None] + BESIDE).reshape(-1, 2).T
+    beside = chart.values(columns, rows).reshape(-1, len(BESIDE))
     origin = to_world(np.array([scan.origin]), pose)[0]
     share = (np.arange(SAMPLES) + 0.5) / SAMPLES * np.maximum(1.0 - CLEAR / ranges, 0.0)[:, None]
     passed = origin + share[:, :, None] * (ends - origin)[:, None, :]
-    columns, rows = map_.cells(passed.reshape(-1, 2)).T
-    pierced = (map_.values(columns, rows) > 0.0).reshape(share.shape).any(axis=1)
-    on = hit & (np.max([end, *beside], axis=0) > 0.0)
+    columns, rows = chart.cells(passed.reshape(-1, 2)).T
+    pierced: Bools = np.any((chart.values(columns, rows) > 0).reshape(share.shape), axis=1)
+    on = hit & (beside > 0).any(axis=1)
     agrees = float(ranges[on & ~pierced].sum())
-    denies = float(ranges[(hit & ~on & (end < 0.0)) | pierced].sum())
-    unknown = float(ranges[hit & ~on & ~pierced & (end == 0.0)].sum())
+    denies = float(ranges[(hit & ~on & (beside[:, 0] < 0)) | pierced].sum())
+    unknown = float(ranges[hit & ~on & ~pierced & (beside[:, 0] == 0)].sum())
     return agrees / max(agrees + denies + unknown / 2.0, 1e-9)

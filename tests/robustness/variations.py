@@ -60,14 +60,22 @@ def appears(
     return lambda base: base.put("screen", distance, width, bearing, depth)
 
 
-def vanishes(base: Base) -> None:
-    """Remove what appeared."""
-    base.remove("screen")
+def passing(
+    distance: float, width: float, at: float = 1.5, bearing: float = 0.0, sides: float = 0.0
+) -> tuple[Then, ...]:
+    """Return a screen that appears before the moving base, others so far at its sides, all gone 8 s later."""
 
+    def appear(base: Base) -> None:
+        base.put("screen", distance, width, bearing)
+        for name, turn in (("left", math.pi / 2.0), ("right", -math.pi / 2.0)):
+            if sides:
+                base.put(name, sides, 2.0 * distance, turn)
 
-def passing(distance: float, width: float, at: float = 1.5, bearing: float = 0.0) -> tuple[Then, ...]:
-    """Return a screen that appears before the moving base, and is gone 8 s later."""
-    return Then(at, appears(distance, width, bearing), FAST), Then(at + 8.0, vanishes)
+    def vanish(base: Base) -> None:
+        for name in {"screen", "left", "right"} & base.solids.keys():
+            base.remove(name)
+
+    return Then(at, appear, FAST), Then(at + 8.0, vanish)
 
 
 def through_the_door(base: Base) -> None:
@@ -153,16 +161,17 @@ TABLE: tuple[Case, ...] = (
     happens("moved 0.5 m", 3.0, lambda base: base.carry(0.5, 0.0), FAST, expect=FOUND),
     happens("turned 30°", 3.0, lambda base: base.move(0.0, math.radians(30.0)), FAST, expect=FOUND),
     happens("moved 2 m", 3.0, lambda base: base.carry(2.0, 0.0), FAST, expect=FOUND),
-    *(happens(f"box appears {d} m ahead", 0.0, appears(d, 0.4, 0.0, 0.4), FAST) for d in (0.8, 1.2)),
-    Case(
-        name="wall of 3 m appears 1.2 m ahead",
-        world="hall",
-        goals=((8.0, 3.5),),
-        then=(Then(1.0, appears(1.2, 3.0), FAST),),
+    *(
+        Case(name=name, world="hall", goals=((8.0, 3.5),), then=(Then(1.0, what, FAST),))
+        for name, what in (
+            ("box appears 0.8 m ahead", appears(0.8, 0.4, 0.0, 0.4)),
+            ("box appears 1.2 m ahead", appears(1.2, 0.4, 0.0, 0.4)),
+            ("wall of 3 m appears 1.2 m ahead", appears(1.2, 3.0)),
+        )
     ),
     *(
-        office(f"screen appears {distance} m ahead", then=passing(distance, 1.0))
-        for distance in (0.8, 1.0, 1.5)
+        office(f"screens {far} m ahead and beside", then=passing(far, 2.0, sides=0.6))
+        for far in (0.8, 1.0, 1.5)
     ),
     happens("person 0.3 m/s across", 1.5, lambda base: base.cross(1.7, 0.9, 0.3), FAST),
     happens("person 1.0 m/s across", 1.5, lambda base: base.cross(1.5, 1.6, 1.0), FAST),
@@ -187,8 +196,8 @@ def screen(seed: int) -> Case:
     """Draw a screen before the moving base: 0.8, 1.0 or 1.5 m off, ahead or to a side."""
     random = np.random.Generator(np.random.PCG64([1, seed]))
     distance, side = (0.8, 1.0, 1.5)[seed % 3], (0.0, 25.0, -25.0, 50.0, -50.0)[seed // 3 % 5]
-    width, at = float(random.uniform(0.4, 1.5)), float(random.uniform(1.0, 8.0))
-    then = passing(distance, width, at, math.radians(side))
+    width, at = float(random.uniform(0.4, 2.0)), float(random.uniform(1.0, 8.0))
+    then = passing(distance, width, at, math.radians(side), 0.6 * (seed % 2))
     return office(f"screen {distance} m {side:+.0f}° {width:.2f} m wide", then=then)
 
 
