@@ -4,12 +4,16 @@ Rules. Every source (a motor's feedback, a sensor) is assessed by the age of its
 share of its own timeout (the robot file's, the only place where a timeout is set), and by the share of its
 measurements that perception has rejected. A reading that shows nothing (an empty scan, a constant IMU) is no
 measurement: slow at once, then its source ages, with that as the cause. Sources that contradict each other
-(`brain.perception.motion_check`, or scans against the map) make the base slow until that is confirmed, and
-then stand. A worse level takes effect at once, a better one only after it has lasted for `recover`. What
-stays bad for `give_up`, a contradiction for `contradicted`, is lost: the tasks are dropped, and when all is
-well again the brain is ready, but does not go on by itself. So is a base that has been slow or standing for
-`too_long`, or `too_often` within `often_within`. A motor in fault is lost at once. At the start a motor that
-initialises is missing, even if it already measures; later some do so briefly whenever they are armed.
+(`brain.perception.motion_check`) make the base slow until that is confirmed, and then stand; an estimate that
+perception holds for lost (`brain.perception.consistency`) makes it stand. A worse level takes effect at once,
+a better one only after it has lasted for `recover`. What stays bad for `give_up`, a contradiction for
+`contradicted`, is lost: the tasks are dropped, and when all is well again the brain is ready, but does not go
+on by itself. So is a base that has been slow or standing for `too_long`, or `too_often` within
+`often_within`. What can be driven with is slow for as long as it lasts, and drops nothing: a lidar mounted a
+little otherwise than stated, an estimate too sure of itself, a sensor that is only helpful (a gyro, where
+wheels and lidar suffice) and does not report, even from the start on. A motor in fault is lost at once. At
+the start a motor that initialises is missing, even if it already measures; later some do so briefly whenever
+they are armed.
 
 Declared: after these faults a base with wheels, gyro, and a lidar of at least 10 Hz with a timeout of 500 ms
 begins to stand within this time, or way; a contradiction drops the tasks 1 s later.
@@ -43,6 +47,7 @@ from enum import IntEnum
 from types import MappingProxyType
 
 from brain.checks import ordered, within
+from brain.perception.consistency import Trust, Verdict
 from brain.perception.motion_check import Contradiction
 from protocols.messages import MILLISECOND, SECOND, Event, Feedback, Fix, Imu, LaserScan, Mode, Nanos, State
 
@@ -76,6 +81,8 @@ class HealthSettings:
     """Share of the largest speeds while slow."""
     window: Nanos = SECOND
     """Time over which rejected measurements are counted."""
+    start_without: Nanos = 3 * SECOND
+    """A sensor that is only helpful is awaited for this time at the start."""
     rejected_slow: float = 0.3
     """Share of a source's measurements rejected, from which on it is slow,"""
     rejected_stop: float = 0.8
@@ -94,6 +101,7 @@ class HealthSettings:
             recover=(1.0, 60_000.0),
             slow=(0.01, 1.0),
             window=(10.0, 60_000.0),
+            start_without=(0.0, 60_000.0),
             rejected_slow=(0.01, 1.0),
             rejected_stop=(0.01, 1.0),
         )
@@ -121,6 +129,7 @@ class SourceHealth:
 
 
 OK = SourceHealth(HealthLevel.OK)
+CONSISTENT = Verdict()
 NOTHING: Mapping[str, str] = MappingProxyType({})
 _MEASUREMENT_NAMES = {Feedback: "feedback", Imu: "reading", LaserScan: "scan", Fix: "fix"}
 
@@ -134,8 +143,10 @@ class Health:
         sensors: Sequence[str],
         timeouts: Mapping[str, Nanos],
         settings: HealthSettings,
+        helpful: Sequence[str] = (),
     ) -> None:
-        self.settings = settings
+        """`helpful`: the sensors without which the base drives slowly."""
+        self.settings, self._helpful = settings, frozenset(helpful)
         self._timeouts = {name: timeouts[name] for name in (*motors, *sensors)}
         self._motors, self._sensors = tuple(motors), tuple(sensors)
         self._last: dict[str, Nanos] = {}
@@ -157,6 +168,8 @@ class Health:
         """The last assessment worse than OK,"""
         self._bad_at: Nanos | None = None
         """and its time; None once recovered."""
+        self._limit, self._limit_at = OK, 0
+        """What was last driven with slowly, and when."""
         self._halted_since: Nanos | None = None
         self._contradicted_since: Nanos | None = None
         self._degraded: deque[Nanos] = deque()
@@ -181,27 +194,52 @@ class Health:
             elif isinstance(event, Imu | LaserScan | Fix) and event.sensor not in absent:
                 self._on_measurement(event.sensor, event)
 
-    def missing(self) -> str:
-        """Return what has never reported or cannot be commanded yet, in words; "" if nothing is missing."""
+    def missing(self, waited: Nanos = 0) -> str:
+        """Return what has never reported or cannot be commanded yet, in words, and is still to be awaited;
+        "" if nothing is."""
         parts = [f"feedback of {name}" for name in self._motors if name not in self._last]
         parts += [
             f"{name} to initialise{detail}"
             for name, detail in self._initialising.items()
             if name in self._last
         ]
+        needless = self._helpful if waited >= self.settings.start_without else ()
         parts += [
-            f"a reading of {name}{self._why_absent(name)}" for name in self._sensors if name not in self._last
+            f"a reading of {name}{self._why_absent(name)}"
+            for name in self._sensors
+            if name not in self._last and name not in needless
         ]
         return ", ".join(parts)
 
     def assess(
-        self, now: Nanos, rejected: Mapping[str, int], contradictions: Sequence[Contradiction] = ()
+        self,
+        now: Nanos,
+        rejected: Mapping[str, int],
+        contradictions: Sequence[Contradiction] = (),
+        verdict: Verdict = CONSISTENT,
     ) -> SourceHealth:
-        """Return the worst of all sources, with memory: worse at once, better after `recover`."""
+        """Return the worst of all sources and of perception's verdict, with memory: worse at once, better
+        after `recover`."""
         self._update_window(now, rejected)
-        worst = max((self.source(now, name) for name in self._last), key=lambda h: h.level, default=OK)
-        worst = max(worst, self._apart(now), key=lambda h: h.level)
-        worst = self._with_contradictions(now, worst, contradictions)
+        needed = [self.source(now, name) for name in self._last if name not in self._helpful]
+        needed.append(self._apart(now))
+        limits = [self.source(now, name) for name in self._sensors if name in self._helpful]
+        limits += [SourceHealth(HealthLevel.SLOW, one.reason) for one in contradictions if one.drivable]
+        if verdict.trust is Trust.LOST:
+            needed.append(SourceHealth(HealthLevel.HALT, verdict.reason))
+        elif verdict.trust is not Trust.CONSISTENT:
+            limits.append(SourceHealth(HealthLevel.SLOW, verdict.reason))
+        worst = max(needed, key=lambda h: h.level)
+        worst = self._with_contradictions(now, worst, [one for one in contradictions if not one.drivable])
+        worst = self._remembered(now, worst)
+        limit = max(limits, key=lambda h: h.level, default=OK)
+        if limit.level > HealthLevel.OK:
+            self._limit, self._limit_at = SourceHealth(HealthLevel.SLOW, limit.reason), now
+        elif now - self._limit_at >= self.settings.recover:
+            self._limit = OK
+        return max(worst, self._limit, key=lambda h: h.level)
+
+    def _remembered(self, now: Nanos, worst: SourceHealth) -> SourceHealth:
         if worst.level >= HealthLevel.HALT:
             if self._halted_since is None:
                 self._halted_since = now

@@ -1,6 +1,6 @@
 """The filter's linear algebra, in two engines that give the same numbers.
 
-Rules. A state is 7 numbers, its covariance the 28 numbers of the lower triangle by rows; both are tuples that
+Rules. A state is 8 numbers, its covariance the 36 numbers of the lower triangle by rows; both are tuples that
 are never changed. STRUCTURED is written out in floats: it multiplies by nothing that is 0 or 1, decorrelates
 a measurement by the Cholesky factor of its noise and applies the components one after another. FILTERPY gives
 the same matrices to `filterpy.kalman.ExtendedKalmanFilter`. The mean of a prediction is the caller's: its
@@ -16,12 +16,13 @@ import numpy as np
 
 from brain.belief import Floats
 
-X, Y, YAW, BIAS, SCALE, SLIP, TURN = range(7)
-SIZE = 7
+X, Y, YAW, BIAS, SCALE, LEFT, RIGHT, TURN = range(8)
+SIZE = 8
 Vector: TypeAlias = tuple[float, ...]
-"""x, y, yaw; gyro bias; distance scale; turn slip; angle of the gyro less that of the wheels."""
+"""x, y, yaw; gyro bias; distance scale; turn slip of the left and the right wheel; angle of the gyro less that of
+the wheels."""
 Packed: TypeAlias = tuple[float, ...]
-"""Lower triangle of a 7 × 7 covariance, by rows."""
+"""Lower triangle of a 8 × 8 covariance, by rows."""
 Result: TypeAlias = tuple[Vector, Packed, float]
 """State and covariance after an update, and the squared Mahalanobis distance of its innovation."""
 LOWER = np.tril_indices(SIZE)
@@ -30,7 +31,7 @@ AT = tuple(tuple(max(i, j) * (max(i, j) + 1) // 2 + min(i, j) for j in range(SIZ
 
 
 def unpacked(packed: Packed) -> Floats:
-    """Return the whole 7 × 7 matrix."""
+    """Return the whole 8 × 8 matrix."""
     P = np.empty((SIZE, SIZE))
     P[LOWER] = packed
     P.T[LOWER] = packed
@@ -51,20 +52,24 @@ class Move(NamedTuple):
     yaw_y: float
     scale_x: float
     scale_y: float
-    slip_x: float
-    slip_y: float
-    slip_yaw: float
-    """d yaw / d slip, and d turn / d slip"""
+    turn_x: float
+    turn_y: float
+    left_yaw: float
+    """d yaw / d slip of the left wheel; d turn as well, and d x, d y through the turn"""
+    right_yaw: float
     dt: float
     """s: d turn / d bias"""
-    keep: float
+    keep_left: float
     """d slip / d slip"""
+    keep_right: float
     noise_xx: float
     noise_xy: float
     noise_yy: float
     noise_bias: float
     noise_scale: float
-    noise_slip: float
+    noise_left: float
+    """Of the slip's walk, which turns the base already within the travel: by 1/2 in covariance, 1/3 in variance"""
+    noise_right: float
     noise_turn: float
 
 
@@ -87,56 +92,70 @@ class Structured:
     def predict(self, packed: Packed, move: Move) -> Packed:
         """Return the covariance after a travel: F P F' + Q, written out."""
         (
-            xx, yx, yy, hx, hy, hh, bx, by, bh, bb, sx, sy, sh, sb, ss,
-            ex, ey, eh, eb, es, ee, gx, gy, gh, gb, gs, ge, gg,
+            xx, yx, yy, hx, hy, hh, bx, by, bh, bb, sx, sy, sh, sb, ss, lx, ly, lh, lb, ls, ll,
+            rx, ry, rh, rb, rs, rl, rr, gx, gy, gh, gb, gs, gl, gr, gg,
         ) = packed  # fmt: skip
-        ax, ay, cx, cy, tx, ty, te, dt, keep, qxx, qxy, qyy, qb, qs, qe, qg = move
-        # rows of F P
-        Xe = ex + ax * eh + cx * es + tx * ee
-        Xs = sx + ax * sh + cx * ss + tx * es
-        Xb = bx + ax * bh + cx * sb + tx * eb
-        Xh = hx + ax * hh + cx * sh + tx * eh
-        Xg = gx + ax * gh + cx * gs + tx * ge
-        Ye = ey + ay * eh + cy * es + ty * ee
-        Ys = sy + ay * sh + cy * ss + ty * es
-        Yb = by + ay * bh + cy * sb + ty * eb
-        Yh = hy + ay * hh + cy * sh + ty * eh
-        Yg = gy + ay * gh + cy * gs + ty * ge
-        He = eh + te * ee
-        Hb = bh + te * eb
-        Ge = ge + dt * eb + te * ee
-        Gb = gb + dt * bb + te * eb
+        ax, ay, cx, cy, wx, wy, tl, tr, dt, kl, kr, qxx, qxy, qyy, qb, qs, ql, qr, qg = move
+        # T: row of the turn by slip; X, Y, H, G: rows of F P
+        Th, Tb, Ts = tl * lh + tr * rh, tl * lb + tr * rb, tl * ls + tr * rs
+        Tl, Tr, Tg = tl * ll + tr * rl, tl * rl + tr * rr, tl * gl + tr * gr
+        Xh = hx + ax * hh + cx * sh + wx * Th
+        Xb = bx + ax * bh + cx * sb + wx * Tb
+        Xs = sx + ax * sh + cx * ss + wx * Ts
+        Xl = lx + ax * lh + cx * ls + wx * Tl
+        Xr = rx + ax * rh + cx * rs + wx * Tr
+        Xg = gx + ax * gh + cx * gs + wx * Tg
+        Xt = tl * Xl + tr * Xr
+        Yh = hy + ay * hh + cy * sh + wy * Th
+        Yb = by + ay * bh + cy * sb + wy * Tb
+        Ys = sy + ay * sh + cy * ss + wy * Ts
+        Yl = ly + ay * lh + cy * ls + wy * Tl
+        Yr = ry + ay * rh + cy * rs + wy * Tr
+        Yg = gy + ay * gh + cy * gs + wy * Tg
+        Yt = tl * Yl + tr * Yr
+        Tx, Ty = tl * lx + tr * rx, tl * ly + tr * ry
+        Hb, Hl, Hr = bh + Tb, lh + Tl, rh + Tr
+        Ht = tl * Hl + tr * Hr
+        Gb, Gl, Gr = gb + dt * bb + Tb, gl + dt * lb + Tl, gr + dt * rb + Tr
+        # noise: the slips' walks turn the base within the travel, too
+        ml, mr = 0.5 * tl * ql, 0.5 * tr * qr
+        qt = (tl * tl * ql + tr * tr * qr) / 3.0
+        qx, qy = wx * qt, wy * qt
         return (
-            xx + ax * hx + cx * sx + tx * ex + ax * Xh + cx * Xs + tx * Xe + qxx,
-            yx + ax * hy + cx * sy + tx * ey + ay * Xh + cy * Xs + ty * Xe + qxy,
-            yy + ay * hy + cy * sy + ty * ey + ay * Yh + cy * Ys + ty * Ye + qyy,
-            Xh + te * Xe, Yh + te * Ye, hh + te * (eh + He),
+            xx + ax * hx + cx * sx + wx * Tx + ax * Xh + cx * Xs + wx * (Xt + qx) + qxx,
+            yx + ax * hy + cx * sy + wx * Ty + ay * Xh + cy * Xs + wy * (Xt + qx) + qxy,
+            yy + ay * hy + cy * sy + wy * Ty + ay * Yh + cy * Ys + wy * (Yt + qy) + qyy,
+            Xh + Xt + qx, Yh + Yt + qy, hh + Th + Ht + qt,
             Xb, Yb, Hb, bb + qb,
-            Xs, Ys, sh + te * es, sb, ss + qs,
-            keep * Xe, keep * Ye, keep * He, keep * eb, keep * es, keep * keep * ee + qe,
-            Xg + dt * Xb + te * Xe, Yg + dt * Yb + te * Ye, gh + te * ge + dt * Hb + te * He,
-            Gb, gs + dt * sb + te * es, keep * Ge, gg + dt * gb + te * ge + dt * Gb + te * Ge + qg,
+            Xs, Ys, sh + Ts, sb, ss + qs,
+            kl * Xl + wx * ml, kl * Yl + wy * ml, kl * Hl + ml, kl * lb, kl * ls, kl * kl * ll + ql,
+            kr * Xr + wx * mr, kr * Yr + wy * mr, kr * Hr + mr, kr * rb, kr * rs, kl * kr * rl, kr * kr * rr + qr,
+            Xg + dt * Xb + Xt + qx, Yg + dt * Yb + Yt + qy, gh + Tg + dt * Hb + Ht + qt,
+            Gb, gs + dt * sb + Ts, kl * Gl + ml, kr * Gr + mr,
+            gg + dt * gb + Tg + dt * Gb + tl * Gl + tr * Gr + qt + qg,
         )  # fmt: skip
 
     def turn(self, x: Vector, packed: Packed, innovation: float, variance: float) -> Result:
         """Correct by a measurement of TURN: one division, and no matrix."""
         (
-            xx, yx, yy, hx, hy, hh, bx, by, bh, bb, sx, sy, sh, sb, ss,
-            ex, ey, eh, eb, es, ee, gx, gy, gh, gb, gs, ge, gg,
+            xx, yx, yy, hx, hy, hh, bx, by, bh, bb, sx, sy, sh, sb, ss, lx, ly, lh, lb, ls, ll,
+            rx, ry, rh, rb, rs, rl, rr, gx, gy, gh, gb, gs, gl, gr, gg,
         ) = packed  # fmt: skip
-        S = gg + variance
-        kx, ky, kh, kb, ks, ke, left = gx / S, gy / S, gh / S, gb / S, gs / S, ge / S, variance / S
-        x0, x1, x2, x3, x4, x5, x6 = x
-        d = innovation
+        S, d = gg + variance, innovation
+        kx, ky, kh, kb, ks, kl, kr = gx / S, gy / S, gh / S, gb / S, gs / S, gl / S, gr / S
+        x0, x1, x2, x3, x4, x5, x6, x7 = x
         state = (
-            x0 + kx * d, x1 + ky * d, x2 + kh * d, x3 + kb * d, x4 + ks * d, x5 + ke * d, x6 + gg / S * d,
+            x0 + kx * d, x1 + ky * d, x2 + kh * d, x3 + kb * d, x4 + ks * d, x5 + kl * d, x6 + kr * d,
+            x7 + gg / S * d,
         )  # fmt: skip
+        kg = variance / S
         covariance = (
             xx - kx * gx, yx - ky * gx, yy - ky * gy, hx - kh * gx, hy - kh * gy, hh - kh * gh,
             bx - kb * gx, by - kb * gy, bh - kb * gh, bb - kb * gb,
             sx - ks * gx, sy - ks * gy, sh - ks * gh, sb - ks * gb, ss - ks * gs,
-            ex - ke * gx, ey - ke * gy, eh - ke * gh, eb - ke * gb, es - ke * gs, ee - ke * ge,
-            left * gx, left * gy, left * gh, left * gb, left * gs, left * ge, left * gg,
+            lx - kl * gx, ly - kl * gy, lh - kl * gh, lb - kl * gb, ls - kl * gs, ll - kl * gl,
+            rx - kr * gx, ry - kr * gy, rh - kr * gh, rb - kr * gb, rs - kr * gs, rl - kr * gl, rr - kr * gr,
+            kg * gx, kg * gy, kg * gh, kg * gb, kg * gs, kg * gl, kg * gr, kg * gg,
         )  # fmt: skip
         return state, covariance, d * d / S
 
@@ -170,14 +189,18 @@ class Filterpy:
 
     def predict(self, packed: Packed, move: Move) -> Packed:
         """Return the covariance after a travel."""
-        ax, ay, cx, cy, tx, ty, te, dt, keep, qxx, qxy, qyy, qb, qs, qe, qg = move
+        ax, ay, cx, cy, wx, wy, tl, tr, dt, kl, kr, qxx, qxy, qyy, qb, qs, ql, qr, qg = move
         F = np.eye(SIZE)
-        F[X, [YAW, SCALE, SLIP]] = ax, cx, tx
-        F[Y, [YAW, SCALE, SLIP]] = ay, cy, ty
-        F[YAW, SLIP], F[SLIP, SLIP] = te, keep
-        F[TURN, [BIAS, SLIP]] = dt, te
-        Q = np.diag([qxx, qyy, 0.0, qb, qs, qe, qg])
+        turned = np.array([wx, wy, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+        F[:, LEFT], F[:, RIGHT] = tl * turned, tr * turned
+        F[X, [YAW, SCALE]], F[Y, [YAW, SCALE]] = (ax, cx), (ay, cy)
+        F[LEFT, LEFT], F[RIGHT, RIGHT], F[TURN, BIAS] = kl, kr, dt
+        Q = np.diag([qxx, qyy, 0.0, qb, qs, ql, qr, qg])
         Q[X, Y] = Q[Y, X] = qxy
+        for slip, by, noise in ((LEFT, tl, ql), (RIGHT, tr, qr)):
+            Q += noise / 3.0 * by * by * np.outer(turned, turned)
+            Q[slip] += noise / 2.0 * by * turned
+            Q[:, slip] += noise / 2.0 * by * turned
         self._filter.x, self._filter.P = np.zeros(SIZE), unpacked(packed)
         self._filter.F, self._filter.Q = F, Q
         self._filter.predict()
@@ -206,7 +229,7 @@ def cross_zeroed(packed: Packed, state: int, variance: float) -> Packed:
 
 
 def relative(packed: Packed, rows: Sequence[int], shared: Floats) -> tuple[Packed, Floats]:
-    """Split a covariance into what is relative to a map and the map's own share, 7 × 7.
+    """Split a covariance into what is relative to a map and the map's own share, 8 × 8.
 
     The map was drawn from the estimate: pose error = map error + error relative to the map, and only the
     latter shows in a match. `shared` is the map's covariance; it counts up to the pose's own, and explains

@@ -4,12 +4,11 @@ Rules. The wheels predict: every increment of their angles moves the pose on an 
 is lost. All else corrects: the gyro by what it turned while the wheels turned, and poses from outside. Each
 correction is gated as a vector by its squared Mahalanobis distance against chi-square.
 
-State (`engine`): x, y, yaw in the frame "odom"; gyro bias; distance scale: the share of the wheels' travel
-that the base does not move; turn slip: the share by which one wheel rolls short and the other long, a
-Gauss-Markov process over the distance rolled; turn: the gyro's angle less that of the wheels, so that noise
-of the gyro is process noise, rounding of the wheels is measurement noise, and neither adds up where it does
-not in truth. Scale and slip are bounded. The scale is learnt from outside references only; so is the bias,
-except while the wheels rest.
+State (`engine`): x, y, yaw in the frame "odom"; gyro bias; distance scale: the share of the wheels' travel that
+the base does not move; slip of each wheel as far as it turns the base, a Gauss-Markov process over the distance that
+the wheel rolls; turn: the gyro's angle less that of the wheels, so that noise of the gyro is process noise, rounding
+of the wheels is measurement noise, and neither adds up where it does not in truth. Scale, slips and bias are bounded.
+The scale is learnt from outside references only; so is the bias, except while the wheels rest.
 
 Inputs come in any order within `rewind`: they are kept sorted, each with the state after it, and a late one
 makes the later ones run again, gates included. So state and decisions depend on the inputs, not on the order
@@ -151,9 +150,12 @@ class Filter:
             settings.bias_sigma,
             settings.scale_sigma,
             settings.turn_slip,
+            settings.turn_slip,
             0.0,
         )
-        self._origin = State((*start, 0.0, 0.0, 0.0, 0.0), pack(np.diag(np.square(sigmas))), start, start)
+        self._origin = State(
+            (*start, 0.0, 0.0, 0.0, 0.0, 0.0), pack(np.diag(np.square(sigmas))), start, start
+        )
         """State before the oldest input that is kept."""
         self._trimmed: Nanos = NEVER
         """Time of the newest input before those."""
@@ -162,7 +164,8 @@ class Filter:
         self._states: list[State] = []
         self._reported: dict[tuple[str, Nanos], None] = {}
         self._judged: list[Judged] = []
-        count = settings.resolution * body.wheel_radius / body.wheel_separation
+        self._yaw_per_rad = body.wheel_radius / body.wheel_separation
+        count = settings.resolution * self._yaw_per_rad
         self._count_variance = count * count / 6.0  # of two wheels, each rounded to a count
         self._still_for = max(settings.still_for, int(count / STILL_RATE * SECOND))
 
@@ -180,7 +183,7 @@ class Filter:
 
     @property
     def covariance(self) -> Floats:
-        """Of x, y, yaw, bias, scale and slip, 6 × 6."""
+        """Of x, y, yaw, bias, scale and the slips of both wheels, 7 × 7."""
         return unpacked(self.state.P)[:TURN, :TURN]
 
     @property
@@ -376,27 +379,32 @@ class Filter:
         on_left, on_right = left - state.at[0], right - state.at[1]
         dt = (t - state.t) / SECOND
         distance, turn = body.forward(on_left, on_right)
-        rolled = 0.5 * body.wheel_radius * (abs(on_left) + abs(on_right))
-        x, y, yaw, bias, scale, slip, angle = state.x
-        lever = 2.0 * rolled / body.wheel_separation
-        length, slipped = (1.0 - scale) * distance, lever * slip
+        left_yaw, right_yaw = self._yaw_per_rad * -on_left, self._yaw_per_rad * on_right
+        rolled_left, rolled_right = body.wheel_radius * abs(on_left), body.wheel_radius * abs(on_right)
+        rolled = 0.5 * (rolled_left + rolled_right)
+        x, y, yaw, bias, scale, slip_left, slip_right, angle = state.x
+        length, slipped = (1.0 - scale) * distance, left_yaw * slip_left + right_yaw * slip_right
         dx, dy, ux, uy, wx, wy = arc_slopes(yaw, length, turn + slipped)
-        keep = math.exp(-rolled / settings.slip_length)
+        keep_left = math.exp(-rolled_left / settings.slip_length)
+        keep_right = math.exp(-rolled_right / settings.slip_length)
+        slip_variance = settings.turn_slip * settings.turn_slip
         along = settings.travel_noise * settings.travel_noise * rolled
         across = settings.sideways_noise * settings.sideways_noise * rolled
         gyro = state.gyro
         turn_noise = 0.0 if gyro is None else gyro.sigma * gyro.sigma * (gyro.interval / SECOND) * dt
         state.x = (
-            x + dx, y + dy, yaw + turn + slipped, bias, scale, keep * slip, angle + slipped + bias * dt,
+            x + dx, y + dy, yaw + turn + slipped, bias, scale, keep_left * slip_left, keep_right * slip_right,
+            angle + slipped + bias * dt,
         )  # fmt: skip
         state.P = self._engine.predict(
             state.P,
             Move(
-                -dy, dx, -distance * ux, -distance * uy, lever * wx, lever * wy, lever, dt, keep,
+                -dy, dx, -distance * ux, -distance * uy, wx, wy, left_yaw, right_yaw, dt, keep_left, keep_right,
                 along * ux * ux + across * uy * uy, (along - across) * ux * uy,
                 along * uy * uy + across * ux * ux, settings.bias_walk * settings.bias_walk * dt,
                 settings.scale_walk * settings.scale_walk * rolled,
-                settings.turn_slip * settings.turn_slip * (1.0 - keep * keep), turn_noise,
+                slip_variance * (1.0 - keep_left * keep_left), slip_variance * (1.0 - keep_right * keep_right),
+                turn_noise,
             ),
         )  # fmt: skip
         state.t, state.at = t, (left, right)
@@ -407,7 +415,8 @@ class Filter:
             state.still = since, _, _ = t, left, right
         state.resting = t - since >= self._still_for
         if gyro is not None:
-            self._compare(state, gyro, body.forward(on_left / dt, on_right / dt))
+            jitter = settings.jitter / dt * math.hypot(on_left, on_right) * body.wheel_radius
+            self._compare(state, gyro, self._count_variance + (jitter / body.wheel_separation) ** 2)
         state.smooth = arc_end(state.smooth, length, state.x[YAW] - yaw)
 
     # -- gyro ----------------------------------------------------------------------------------------------
@@ -436,8 +445,8 @@ class Filter:
             sample = (item.t, item.rate, angle)
             state.gyro = Gyro(item.source, item.sigma, silent, (*kept, sample), gyro.zero, gyro.used)
 
-    def _compare(self, state: State, gyro: Gyro, twist: tuple[float, float]) -> None:
-        """Correct by the gyro's angle less that of the wheels."""
+    def _compare(self, state: State, gyro: Gyro, variance: float) -> None:
+        """Correct by the gyro's angle less that of the wheels, whose variance this is."""
         turned = _gyro_angle(gyro, state.t)
         if turned is None:
             if state.t - gyro.samples[-1][0] > GYRO_GAP:
@@ -445,8 +454,6 @@ class Filter:
             return
         settings = self.settings
         turned -= self.body.forward(*state.rolled)[1]
-        by_jitter = (abs(twist[0]) * 2.0 / self.body.wheel_separation + abs(twist[1])) * settings.jitter
-        variance = self._count_variance + by_jitter * by_jitter
         if gyro.zero is None:
             self._zero_gyro(state, gyro, turned, variance)
             return
@@ -544,12 +551,11 @@ class Filter:
 
     def _bound(self, state: State) -> None:
         """Keep bias, scale and slip within their bounds."""
-        x, y, yaw, bias, scale, slip, turn = state.x
+        x, y, yaw, bias, scale, left, right, turn = state.x
         most, fastest = self.settings.scale_bound, self.settings.bias_bound
-        if abs(scale) > most or abs(slip) > most or abs(bias) > fastest:
-            bias = max(-fastest, min(fastest, bias))
-            scale, slip = max(-most, min(most, scale)), max(-most, min(most, slip))
-            state.x = x, y, yaw, bias, scale, slip, turn
+        if max(abs(scale), abs(left), abs(right)) > most or abs(bias) > fastest:
+            scale, left, right = (max(-most, min(most, value)) for value in (scale, left, right))
+            state.x = x, y, yaw, max(-fastest, min(fastest, bias)), scale, left, right, turn
 
 
 BIAS_BIAS = AT[BIAS][BIAS]

@@ -32,18 +32,18 @@ class FilterSettings:
     """m: near 0, since the start defines the frame"""
     start_yaw_sigma: float = 1e-3
     """rad; larger where position fixes define the frame"""
-    resolution: float = 2.0 * math.pi / 8192.0
+    resolution: float = 2.0 * math.pi / 131072.0
     """rad of the wheel: one count of the encoder, seen through the gear"""
-    jitter: float = 1e-4
+    jitter: float = 2e-5
     """s: jitter of the wheels' time stamps"""
     shortest: Nanos = 4 * MILLISECOND
     """Shorter travels are joined."""
     jump_margin: float = 2.0
     """An angle that changes faster than the wheel's largest speed times this has jumped."""
     turn_slip: float = 0.01
-    """Standard deviation of the turn slip: the share by which one wheel rolls short and the other long"""
+    """Standard deviation of each wheel's slip, as a share of what it rolls; here it turns the base"""
     slip_length: float = 0.3
-    """m: correlation length of slip, a Gauss-Markov process over the distance rolled"""
+    """m: its correlation length: a Gauss-Markov process over the distance that the wheel rolls"""
     travel_noise: float = 0.006
     """m per √m rolled: error along the path by slip that both wheels share"""
     sideways_noise: float = 0.003
