@@ -49,7 +49,20 @@ from types import MappingProxyType
 from brain.checks import ordered, within
 from brain.perception.consistency import Trust, Verdict
 from brain.perception.motion_check import Contradiction
-from protocols.messages import MILLISECOND, SECOND, Event, Feedback, Fix, Imu, LaserScan, Mode, Nanos, State
+from protocols.messages import (
+    MILLISECOND,
+    SECOND,
+    Event,
+    Feedback,
+    Fix,
+    Imu,
+    LaserScan,
+    Measurement,
+    Mode,
+    Nanos,
+    PoseReading,
+    State,
+)
 
 APART: Nanos = SECOND
 """Longest time that one wheel may be armed and another one not: a base with one driven wheel turns aside."""
@@ -131,7 +144,13 @@ class SourceHealth:
 OK = SourceHealth(HealthLevel.OK)
 CONSISTENT = Verdict()
 NOTHING: Mapping[str, str] = MappingProxyType({})
-_MEASUREMENT_NAMES = {Feedback: "feedback", Imu: "reading", LaserScan: "scan", Fix: "fix"}
+_MEASUREMENT_NAMES = {
+    Feedback: "feedback",
+    Imu: "reading",
+    LaserScan: "scan",
+    Fix: "fix",
+    PoseReading: "pose",
+}
 
 
 class Health:
@@ -191,7 +210,7 @@ class Health:
             elif isinstance(event, Feedback):
                 if event.position is not None or event.velocity is not None:
                     self._on_measurement(event.motor, event)
-            elif isinstance(event, Imu | LaserScan | Fix) and event.sensor not in absent:
+            elif isinstance(event, Measurement) and event.sensor not in absent:
                 self._on_measurement(event.sensor, event)
 
     def missing(self, waited: Nanos = 0) -> str:
@@ -338,7 +357,7 @@ class Health:
             else:
                 motors.pop(event.motor, None)
 
-    def _on_measurement(self, name: str, event: Feedback | Imu | LaserScan | Fix) -> None:
+    def _on_measurement(self, name: str, event: Feedback | Measurement) -> None:
         self._last[name] = max(event.t, self._last.get(name, event.t))
         self._measurement[name] = _MEASUREMENT_NAMES[type(event)]
         self._received[name] = self._received.get(name, 0) + 1

@@ -57,6 +57,7 @@ CODES: dict[int, type[Message]] = {
     77: messages.Imu,
     78: messages.LaserScan,
     79: messages.Fix,
+    80: messages.PoseReading,
 }
 """The message type of each code, the first element of a packed message. A code is never reused. Arm has none:
 it is decoded from frames, and neither sent nor recorded."""

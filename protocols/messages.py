@@ -410,5 +410,23 @@ class Fix:
     variance: float | None = None
 
 
-Event: TypeAlias = Feedback | State | Fault | Found | Done | Refused | Parameter | Imu | LaserScan | Fix
+@value
+class PoseReading:
+    """The robot's pose in its frame "odom", measured from outside: motion capture, markers."""
+
+    sensor: str
+    t: Nanos
+    x: float
+    """m"""
+    y: float
+    yaw: float | None = None
+    """rad"""
+    variance: float | None = None
+    """m², of x and of y"""
+    yaw_variance: float | None = None
+    """rad²"""
+
+
+Measurement: TypeAlias = Imu | LaserScan | Fix | PoseReading
+Event: TypeAlias = Feedback | State | Fault | Found | Done | Refused | Parameter | Measurement
 Message: TypeAlias = Obeyed | Task | Event

@@ -249,7 +249,7 @@ class Twin(Protocol):
 
     def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
         """Run the firmware up to `now`; `truth` is the true motion of the shaft (Feedback) or what the
-        sensor observes (Imu, LaserScan, Fix).
+        sensor observes (Imu, LaserScan, Fix, PoseReading).
 
         Returns the torque on the shaft, at the device's side of the gear, and the frames that the device
         sends. Steps may be as short as the world's."""

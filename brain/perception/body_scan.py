@@ -71,7 +71,9 @@ def to_body(
         ends[~read] = origin
         dx, dy = np.where(read, (ends - origin).T, (c * dx - s * dy, s * dx + c * dy))
         lengths = np.where(read, np.sqrt(dx * dx + dy * dy), 0.0)
-    bearings = np.unwrap(np.arctan2(dy, dx))
+    bearings = np.arctan2(dy, dx)
+    turns = np.diff(bearings, prepend=bearings[:1])
+    bearings = bearings[:1] + np.cumsum(turns - 2.0 * math.pi * np.rint(turns / (2.0 * math.pi)))
     if motion is not None or (len(bearings) > 1 and bearings[1] < bearings[0]):
         order = np.argsort(bearings, kind="stable")
         bearings, lengths, hit, ends = bearings[order], lengths[order], hit[order], ends[order]
@@ -110,13 +112,18 @@ def _surfaces(
     spacing = ranges * ((bearings[-1] - bearings[0]) / (count - 1))
     half = np.clip(SPAN / np.maximum(spacing, 1e-6), 1.0, count / 8 + 1).astype(np.intp)
     index = np.arange(count)
-    first, last = np.maximum(index - half, 0), np.minimum(index + half, count - 1) + 1
-    x, y = (ends - origin).T
-    jump = np.abs(np.diff(ranges, prepend=ranges[0])) > 0.05 + spacing / STEEP
-    sums = np.zeros((count + 1, 7))
-    np.cumsum(np.stack([hit, x, y, x * x, y * y, x * y, jump]) * hit, axis=1, out=sums[1:].T)
-    number, x, y, xx, yy, xy, _ = (sums[last] - sums[first]).T
-    jumps = sums[last, 6] - sums[np.minimum(first + 1, count), 6]
+    first, last = np.maximum(index - half, 0), np.minimum(index + half + 1, count)
+    sums = np.zeros((7, count + 1))
+    number, x, y, xx, yy, xy, jump = sums[:, 1:]
+    number[:] = hit
+    np.multiply((ends - origin).T, hit, out=sums[1:3, 1:])
+    np.multiply(x, x, out=xx)
+    np.multiply(y, y, out=yy)
+    np.multiply(x, y, out=xy)
+    jump[:-1] = np.abs(ranges[1:] - ranges[:-1]) > 0.05 + spacing[1:] / STEEP
+    np.cumsum(sums, axis=1, out=sums)
+    number, x, y, xx, yy, xy, _ = sums.take(last, axis=1) - sums.take(first, axis=1)
+    jumps = sums[6].take(last - 1) - sums[6].take(first)
     share = 1.0 / np.maximum(number, 1.0)
     x, y = x * share, y * share
     xx, yy, xy = xx * share - x * x, yy * share - y * y, xy * share - x * y

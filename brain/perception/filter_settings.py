@@ -54,7 +54,7 @@ class FilterSettings:
     scale_walk: float = 1e-3
     """Per √m: random walk of the distance scale"""
     scale_bound: float = 0.1
-    """Largest distance scale, and turn slip"""
+    """Largest distance scale, and slip of a wheel"""
     bias_sigma: float = 0.05
     """rad/s: gyro bias at switch-on"""
     bias_walk: float = 1e-4

@@ -37,17 +37,15 @@ MAX_ANCHORS = 16_384
 NEW_ANCHOR = 0.3
 """m and rad that the robot moves between two anchors"""
 FEW = 8
-"""Cells that are not worth an anchor of their own"""
+"""Surfaces of a scan that are not worth drawing: strays in a place that is known"""
 
 
 class Lines:
-    """Lines and anchors. Cells are given by their places in the map's memory."""
+    """Lines and anchors, for an extent whose sides are powers of two."""
 
     def __init__(self, rows: int, columns: int) -> None:
-        self._shift = columns.bit_length() - 1
-        self._mask = columns - 1
-        self._blocks = np.zeros((rows // SIDE, columns // SIDE), dtype=np.int32)
-        """Block of lines of each block of cells; 0: the first one, which stays empty"""
+        self._blocks = np.zeros((rows // SIDE, columns // SIDE), dtype=np.int64)
+        """First line of each block of cells; 0: those of the first block, which stays empty"""
         self._lines: Records = np.zeros(SIDE * SIDE, dtype=LINE)
         self._unused: list[int] = []
         self._most = self._blocks.size // 2
@@ -58,39 +56,41 @@ class Lines:
         """Anchors: covariance of that pose"""
         self._anchors = 0
 
-    def at(self, cells: Indices) -> Records:
-        """Return the lines of cells, of any shape."""
-        lines: Records = self._lines[self._places(cells)]
+    def at(self, columns: Indices, rows: Indices) -> Records:
+        """Return the lines of cells, given by numbers of any shape; they are taken modulo the extent."""
+        lines: Records = self._lines.take(self._places(columns, rows))
         return lines
 
-    def _places(self, cells: Indices) -> Indices:
-        rows, columns = cells >> self._shift, cells & self._mask
-        block = self._blocks[rows >> BITS, columns >> BITS].astype(np.int64)
-        places: Indices = (block << (2 * BITS)) | ((rows & (SIDE - 1)) << BITS) | (columns & (SIDE - 1))
+    def _places(self, columns: Indices, rows: Indices) -> Indices:
+        down, across = self._blocks.shape
+        block = ((rows >> BITS) & (down - 1)) * across + ((columns >> BITS) & (across - 1))
+        places: Indices = self._blocks.take(block)
+        places += ((rows & (SIDE - 1)) << BITS) + (columns & (SIDE - 1))
         return places
 
     def draw(
         self,
-        cells: Indices,
-        centers: Floats,
+        columns: Indices,
+        rows: Indices,
         points: Floats,
         normals: Floats,
         pose: Pose,
         covariance: Floats,
     ) -> None:
         """Add the surfaces [cells] that a scan hit in cells, where these still take them."""
-        wanted = np.flatnonzero(self.at(cells)["scans"] < MAX_SCANS)
-        if not len(wanted):
+        wanted = np.flatnonzero(self.at(columns, rows)["scans"] < MAX_SCANS)
+        if len(wanted) < FEW:
             return
-        normals = normals[wanted]
-        offsets = np.einsum("ij,ij->i", points[wanted] - centers[wanted], normals)
-        cells, which = np.unique(cells[wanted], return_inverse=True)
+        columns, rows, normals = columns[wanted], rows[wanted], normals[wanted]
+        offsets = np.sum((points[wanted] - np.column_stack([columns, rows]) - 0.5) * normals, axis=1)
+        _, first, which = np.unique((rows << 32) + columns, return_index=True, return_inverse=True)
+        columns, rows = columns[first], rows[first]
         number = np.bincount(which)
         nx, ny, offset = (
             np.bincount(which, weights=w) / number for w in (normals[:, 0], normals[:, 1], offsets)
         )
-        self._allocate(cells)
-        places = self._places(cells)
+        self._allocate(columns, rows)
+        places = self._places(columns, rows)
         lines = self._lines[places]
         scans, angle = lines["scans"], lines["angle"] * TURN
         c, s = np.cos(angle), np.sin(angle)
@@ -100,13 +100,13 @@ class Lines:
         offset = (scans * (lines["offset"] / PER_CELL) + offset) / (scans + 1)
         lines["offset"] = np.rint(offset * PER_CELL)
         new = scans == 0
-        lines["anchor"][new] = self._anchor(pose, covariance, int(np.count_nonzero(new)))
+        lines["anchor"][new] = self._anchor(pose, covariance)
         lines["scans"] += 1
         self._lines[places[kept]] = lines[kept]
 
-    def forget(self, cells: Indices) -> None:
+    def forget(self, columns: Indices, rows: Indices) -> None:
         """Remove the lines of cells."""
-        places = self._places(cells)
+        places = self._places(columns, rows)
         self._lines[places[places >= SIDE * SIDE]] = 0
 
     def drop(self, rows: slice, columns: slice, tile: int) -> None:
@@ -115,13 +115,14 @@ class Lines:
         size = self._blocks.shape
         blocks = self._blocks.reshape(size[0] // per, per, size[1] // per, per)[rows, :, columns]
         used = blocks[blocks > 0]
-        self._lines.reshape(-1, SIDE * SIDE)[used] = 0
+        self._lines.reshape(-1, SIDE * SIDE)[used // SIDE**2] = 0
         self._unused += used.tolist()
         blocks[...] = 0
 
-    def _allocate(self, cells: Indices) -> None:
+    def _allocate(self, columns: Indices, rows: Indices) -> None:
         """Make room for the lines of cells."""
-        rows, columns = cells >> self._shift >> BITS, (cells & self._mask) >> BITS
+        down, across = self._blocks.shape
+        rows, columns = (rows >> BITS) & (down - 1), (columns >> BITS) & (across - 1)
         missing = self._blocks[rows, columns] == 0
         for row, column in sorted(set(zip(rows[missing].tolist(), columns[missing].tolist(), strict=True))):
             if not self._unused:
@@ -130,15 +131,15 @@ class Lines:
                 if more <= 0:
                     return
                 self._lines.resize((have + more) * SIDE**2, refcheck=False)
-                self._unused = list(range(have + more - 1, have - 1, -1))
+                self._unused = [SIDE**2 * block for block in range(have + more - 1, have - 1, -1)]
             self._blocks[row, column] = self._unused.pop()
 
-    def _anchor(self, pose: Pose, covariance: Floats, count: int) -> int:
-        """Return the anchor of cells drawn from a pose: the last one if it is near, or they are few."""
+    def _anchor(self, pose: Pose, covariance: Floats) -> int:
+        """Return the anchor of cells drawn from a pose: the last one if it is near."""
         last = (self._anchors - 1) % MAX_ANCHORS
         x, y, yaw = self.poses[last]
         moved = max(math.hypot(pose.x - x, pose.y - y), abs(wrap(pose.yaw - yaw)))
-        if self._anchors and (count < FEW or moved < NEW_ANCHOR):
+        if self._anchors and moved < NEW_ANCHOR:
             return last
         new = self._anchors % MAX_ANCHORS
         self.poses[new] = pose.x, pose.y, pose.yaw

@@ -26,7 +26,7 @@ import numpy.typing as npt
 from brain.belief import Floats, MapView, Pose
 from brain.checks import within
 from brain.perception.body_scan import BodyScan, Bools, rotated, to_world
-from brain.perception.lines import Lines, Records
+from brain.perception.lines import Lines
 
 Cells = npt.NDArray[np.int64]
 """n × 2: column, row"""
@@ -43,7 +43,7 @@ MAX_CELLS = 2**24
 """Of the extent: 204.8 m × 204.8 m at 0.05 m"""
 MAX_RAY_CELLS = 150_000
 """Cells on the rays of one scan; with more, every second (third …) beam clears. Every hit still counts."""
-FILLED = 4
+FILLED = 2
 """One in so many of the gaps between neighbouring beams is filled at a scan, in turn"""
 FRACTION = 16
 """Bits of a fraction of a cell"""
@@ -128,15 +128,10 @@ class Map:
 
     def values(self, columns: Indices, rows: Indices) -> Values:
         """Return the values of cells; 0 outside of the extent."""
-        return np.where(self._inside(columns, rows), self._values[self._places(columns, rows)], np.int8(0))
+        return np.where(self.inside(columns, rows), self._values[self._places(columns, rows)], np.int8(0))
 
-    def lines_at(self, columns: Indices, rows: Indices) -> Records:
-        """Return the lines of cells; none outside of the extent."""
-        lines = self.lines.at(self._places(columns, rows))
-        lines["scans"] *= self._inside(columns, rows)
-        return lines
-
-    def _inside(self, columns: Indices, rows: Indices) -> Bools:
+    def inside(self, columns: Indices, rows: Indices) -> Bools:
+        """Return which cells are within the extent."""
         # Modulo 2^64, what lies before the first is far beyond the last: one comparison for both.
         across = (columns - self._column0).view(np.uint64) < self._columns
         up = (rows - self._row0).view(np.uint64) < self._rows
@@ -226,16 +221,15 @@ class Map:
         ends = self._places(columns, rows)
         before = self._values[ends]
         self._fill(start, beams * per, scan)
-        self._lower(passed)
+        cleared = self._lower(passed)
         self._raise(ends, before, self._agree(hit, before))
-        gone = passed[self._values[passed] < 0]
-        self.lines.forget(gone)
+        cleared = cleared[self._values[cleared] < 0]
+        self.lines.forget(cleared, cleared >> self._shift)
         drawn = scan.straight[hit] & (self._values[ends] > 0)
         if drawn.any():
             middles = to_world(scan.middles[hit][drawn], pose) * per
-            centers = np.column_stack([columns[drawn], rows[drawn]]) + 0.5
             normals = rotated(scan.normals[hit][drawn], pose.yaw)
-            self.lines.draw(ends[drawn], centers, middles, normals, pose, covariance)
+            self.lines.draw(columns[drawn], rows[drawn], middles, normals, pose, covariance)
 
     def _agree(self, hit: Bools, before: Values) -> Bools:
         """Return which hits end in free cells together with a neighbour."""
@@ -244,14 +238,16 @@ class Map:
         both: Bools = denied[1:-1] & (denied[:-2] | denied[2:])
         return both[hit]
 
-    def _lower(self, cells: Indices) -> None:
+    def _lower(self, cells: Indices) -> Indices:
+        """Lower cells; return those of them that were occupied before and are not now."""
         before = self._values[cells]
         after = np.maximum(before, self._low + self._miss) - self._miss
         after -= after == 0  # observed, and barely free
         lowered = np.flatnonzero(after != before)
-        cells, before = cells[lowered], before[lowered]
-        self._values[cells] = after[lowered]
-        self._mark(cells[before >= 0])
+        cells, before, after = cells[lowered], before[lowered], after[lowered]
+        self._values[cells] = after
+        self._mark(cells[(before >= 0) & (after < 0)])
+        return cells[(before > 0) & (after < 0)]
 
     def _raise(self, cells: Indices, before: Values, agree: Bools) -> None:
         after = np.minimum(before, self._high - self._hit) + self._hit
@@ -275,7 +271,7 @@ class Map:
         near = 1.0 / apart  # nearer, neighbouring beams pass through neighbouring cells
         wide = far > near
         first, near, far = first[wide], near[wide, None], far[wide, None]
-        part = self.version * GOLDEN % 1.0
+        part = self.version // FILLED * GOLDEN % 1.0
         between = beams[first] * ((1.0 - part) / np.maximum(scan.ranges[first], 1e-9))[:, None]
         between += beams[first + 1] * (part / np.maximum(scan.ranges[first + 1], 1e-9))[:, None]
         between *= self.resolution

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from brain.belief import Floats, Pose
 from brain.bodies.differential import wrap
 from brain.checks import ordered, within
-from brain.perception.body_scan import BodyScan, to_world
+from brain.perception.body_scan import BodyScan, rotated, to_world
 from brain.perception.lines import PER_CELL, TURN
 from brain.perception.map import Map
 
@@ -97,9 +97,11 @@ class Match:
     """How the scan compares with the map at this pose"""
 
 
+SMALL = 0.01
+"""m, rad: after a smaller step, the surfaces keep their lines"""
 OPEN = 1e4
 """Variance [m², rad²] of a direction that no line holds."""
-CORRELATED = 2.0
+CORRELATED = 1.6
 """Neighbouring surfaces share hits and lines: this many of them carry the information of one."""
 FACING = round(math.radians(50.0) / TURN)
 """Largest angle between a surface and a line that may be it"""
@@ -139,19 +141,22 @@ def match(chart: Map, scan: BodyScan, predicted: Pose, sigma: float, settings: M
         return None
     points, normals = scan.middles[chosen], scan.normals[chosen]
     directions = np.arctan2(normals[:, 1], normals[:, 0])
-    reach, pose, done = min(max(3.0 * sigma, settings.reach), settings.widest), predicted, False
-    for step in range(settings.steps + 1):
-        linear = _linearised(chart, points, directions, pose, reach, settings)
-        if linear is None:
+    reach, pose = min(max(3.0 * sigma, settings.reach), settings.widest), predicted
+    pairs = None
+    for _ in range(settings.steps):
+        pairs = _paired(chart, points, directions, pose, reach, settings)
+        if pairs is None:
             return None
-        change, covariance, anchors = linear
-        if done or step == settings.steps:
-            break
+        change, _ = _solved(pairs, pose, settings)
         pose = Pose(pose.x + float(change[0]), pose.y + float(change[1]), wrap(pose.yaw + float(change[2])))
-        done = reach == settings.reach and float(np.abs(change).max()) < 1e-3
+        if reach == settings.reach and float(np.abs(change).max()) < SMALL:
+            break
         reach = max(settings.reach, reach / 1.5)
+    assert pairs is not None  # there is at least one step
+    change, covariance = _solved(pairs, pose, settings)
+    pose = Pose(pose.x + float(change[0]), pose.y + float(change[1]), wrap(pose.yaw + float(change[2])))
     floor = np.diag([settings.floor**2, settings.floor**2, settings.floor_yaw**2])
-    return Match(pose, covariance + floor, _shared(chart, anchors, pose), examine(chart, scan, pose))
+    return Match(pose, covariance + floor, _shared(chart, pairs.anchors, pose), examine(chart, scan, pose))
 
 
 def examine(chart: Map, scan: BodyScan, pose: Pose) -> Seen:
@@ -200,45 +205,58 @@ def _spread(scan: BodyScan, most: int) -> Indices:
     return found[np.flatnonzero(np.diff(number, prepend=-1.0))]
 
 
-def _linearised(
-    chart: Map, points: Floats, directions: Floats, pose: Pose, reach: float, settings: MatchSettings
-) -> tuple[Floats, Floats, Indices] | None:
-    """Linearise the least-squares problem about a pose, in x [m], y [m], yaw [rad]; None if too few lines.
+@dataclass(frozen=True, slots=True)
+class _Pairs:
+    """Surfaces of a scan and the map's lines that they may be, n each."""
 
-    Return the step to the least sum, the covariance (3 × 3), and the anchors of the lines used."""
-    world = to_world(points, pose)
-    cells = chart.cells(world)
+    points: Floats
+    """m, in the robot's frame"""
+    normals: Floats
+    offsets: Floats
+    """m: the product of the normal with each of the line's points"""
+    anchors: Indices
+
+
+def _paired(
+    chart: Map, points: Floats, directions: Floats, pose: Pose, reach: float, settings: MatchSettings
+) -> _Pairs | None:
+    """Return the nearest line to each surface (its direction: that of the normal) that faces its way; None if
+    too few of the surfaces have one."""
+    columns, rows = chart.cells(to_world(points, pose)).T
     window = WINDOWS[min(math.ceil(reach / chart.resolution - 1e-9), MAX_AWAY)]
-    lines = chart.lines_at(cells[:, 0, None] + window[0], cells[:, 1, None] + window[1])
+    lines = chart.lines.at(columns[:, None] + window[0], rows[:, None] + window[1])
     facing = np.rint((directions + pose.yaw) / TURN).astype(np.int64).astype(np.int16)
-    apart = (lines["angle"] - facing[:, None] + np.int16(FACING)).view(np.uint16)
+    apart = (lines["angle"] - (facing - np.int16(FACING))[:, None]).view(np.uint16)
     valid = (lines["scans"] > 0) & (apart < 2 * FACING)
     which = valid.argmax(axis=1)
-    index = np.arange(len(points))
-    found = np.flatnonzero(valid[index, which])
-    count = len(found)
-    known = count + int(np.count_nonzero(chart.values(*cells.T) < 0)) / 2
-    if count < max(settings.least, settings.overlap * known):
+    found = np.flatnonzero(valid[np.arange(len(points)), which] & chart.inside(columns, rows))
+    known = len(found) + np.count_nonzero(chart.values(columns, rows) < 0) / 2
+    if len(found) < max(settings.least, settings.overlap * known):
         return None
     which = which[found]
     lines = lines[found, which]
     angle = lines["angle"] * TURN
     nx, ny = np.cos(angle), np.sin(angle)
-    centers = (cells[found] + window[:, which].T + 0.5) * chart.resolution
-    world = world[found]
-    off = world - centers
-    distance = nx * off[:, 0] + ny * off[:, 1] - lines["offset"] * (chart.resolution / PER_CELL)
-    arm = world - (pose.x, pose.y)
-    J = np.column_stack([nx, ny, ny * arm[:, 0] - nx * arm[:, 1]])
+    x, y = columns[found] + window[0, which] + 0.5, rows[found] + window[1, which] + 0.5
+    offsets = (x * nx + y * ny + lines["offset"] / PER_CELL) * chart.resolution
+    return _Pairs(points[found], np.column_stack([nx, ny]), offsets, lines["anchor"])
+
+
+def _solved(pairs: _Pairs, pose: Pose, settings: MatchSettings) -> tuple[Floats, Floats]:
+    """Return the Gauss-Newton step in x [m], y [m], yaw [rad] from a pose, and the covariance (3 × 3)."""
+    arm = rotated(pairs.points, pose.yaw)
+    nx, ny = pairs.normals.T
+    distance = nx * (arm[:, 0] + pose.x) + ny * (arm[:, 1] + pose.y) - pairs.offsets
+    J = np.stack([nx, ny, ny * arm[:, 0] - nx * arm[:, 1]])
     sigma = max(settings.sigma, float(np.abs(distance).mean()))
     weight = 1.0 / (1.0 + (distance / (2.0 * sigma)) ** 2)
-    weighted = J * weight[:, None]
+    weighted = J * weight
     total = float(weight.sum())
     variance = float(weight @ (distance * distance)) / total
-    length = max(math.sqrt(float(np.mean(arm * arm)) * 2.0), 0.1)
-    inverse, open_ = _inverted(weighted.T @ J, length, settings.hold * total)
-    step = -inverse @ (weighted.T @ distance)
-    return step, CORRELATED * variance * inverse + OPEN * open_, lines["anchor"].astype(np.int64)
+    length = max(math.sqrt(float(np.vdot(arm, arm)) / len(arm)), 0.1)
+    inverse, left_open = _inverted(weighted @ J.T, length, settings.hold * total)
+    step = -inverse @ (weighted @ distance)
+    return step, CORRELATED * variance * inverse + OPEN * left_open
 
 
 def _inverted(information: Floats, length: float, least: float) -> tuple[Floats, Floats]:
@@ -255,12 +273,11 @@ def _inverted(information: Floats, length: float, least: float) -> tuple[Floats,
 
 def _shared(chart: Map, anchors: Indices, pose: Pose) -> Floats:
     """Return the mean covariance of anchors, moved to a pose: an anchor's turn displaces it by the lever."""
-    number = np.bincount(anchors)
-    used = np.flatnonzero(number)
-    lever = np.zeros((len(used), 3, 3))
-    lever[:, [0, 1, 2], [0, 1, 2]] = 1.0
-    lever[:, 0, 2] = chart.lines.poses[used, 1] - pose.y
-    lever[:, 1, 2] = pose.x - chart.lines.poses[used, 0]
-    moved = lever @ chart.lines.covariances[used] @ lever.transpose(0, 2, 1)
-    shared: Floats = np.einsum("i,ijk->jk", number[used] / number.sum(), moved)
+    covariances = chart.lines.covariances[anchors]
+    by_turn = covariances[:, :, 2]
+    lever = np.zeros((len(anchors), 3))
+    lever[:, 0] = chart.lines.poses[anchors, 1] - pose.y
+    lever[:, 1] = pose.x - chart.lines.poses[anchors, 0]
+    moved = lever.T @ (by_turn + 0.5 * by_turn[:, 2:] * lever) / len(anchors)
+    shared: Floats = covariances.mean(axis=0) + moved + moved.T
     return shared

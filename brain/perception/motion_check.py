@@ -1,6 +1,6 @@
 """Whether wheels, gyro and scans show the same motion, without a map.
 
-Rules. Each scan is compared with a reference scan of at most a second before (point to line, neighbours by
+Rules. Each scan is compared with a reference scan of at most 1.5 s before (point to line, neighbours by
 bearing): the motion that the two scans show is searched from the motion that wheels and gyro have integrated
 between their times. Wheels and gyro are compared with each other as well. A reference is renewed once all
 have agreed on a motion, and kept while they differ, so that a difference stays visible: a lidar that is
@@ -15,7 +15,6 @@ Source: Censi 2008 (PLICP).
 from __future__ import annotations
 
 import math
-from bisect import bisect_left
 from collections import deque
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -23,18 +22,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from brain.belief import Floats
-from brain.bodies.differential import Differential, sinc
+from brain.bodies.differential import Differential
 from brain.perception.body_scan import BodyScan, _surfaces
+from brain.perception.mounting import Mounting
+from brain.perception.scan_motion import BEAMS, Reference, Shown
+from brain.perception.track import AHEAD, SLIP_SHARE, STILL, Motion, Track
 from protocols.messages import MILLISECOND, SECOND, Nanos, seconds
 
-KEPT: Nanos = 4 * SECOND
-"""Integrated motion is kept for this time,"""
 FORGET: Nanos = 3 * SECOND
-"""and a reference at most for this time."""
-GAP: Nanos = 250 * MILLISECOND
-"""After so long without feedback a track begins anew: what comes then may be stamped late."""
-AHEAD: Nanos = 60 * MILLISECOND
-"""A track is extrapolated by at most this much, and a gyro's rate holds for at most this time."""
+"""A reference is kept at most for this time."""
 FASTEST = 1e3
 """rad/s: a rate beyond counts as this, since sums must stay finite."""
 RENEW_TURNS: Nanos = 500 * MILLISECOND
@@ -45,153 +41,23 @@ CONFIRM, CONFIRM_FOR = 3, 150 * MILLISECOND
 """Comparisons in a row that must differ, and for how long: of a burst that a host stamps late all may."""
 RENEW_DISTANCE, RENEW_TURN, RENEW_AGE = 0.4, 0.35, 1500 * MILLISECOND
 """m, rad, and age from which on a reference is renewed once all agree."""
-BEAMS = 120
-"""Largest number of beams of a scan that are compared, evenly chosen."""
-LEAST = 20
-"""Least number of them on lines of the reference; fewer show no motion."""
-ON_LINE = 0.1
-"""m: a point this near to a line of the reference lies on it."""
-NO_LINE = 1e9
-"""m: distance from where the reference has no line."""
 MOVING = 0.05
 """m: standard deviation of a point that may belong to what moves: in a corridor, few show its length."""
 FIT = 0.5
 """Least share of the points that must lie on lines once the motion is found."""
 TURN, DISTANCE = 0.05, 0.07
 """rad and m: differences below these are none (measured: at most 0.045 rad and 0.015 m),"""
-TURN_SHARE, SLIP_SHARE = 0.15, 0.35
-"""nor are those below this share of the motion (tyres, stamps), or of a way that the base lags behind."""
-PAST: Nanos = 3 * SECOND
+TURN_SHARE = 0.15
+"""nor are those below this share of the motion (tyres, stamps), and of a way that the base lags behind below
+`SLIP_SHARE`."""
+LIKELY_SLIP = 0.07
+"""Share of the slip allowed for, by which wheels may be wrong where they decide between two others."""
+PAST: Nanos = 5 * SECOND
 """A gyro's bias is compared over this time."""
-BIAS, JUMP, SCALE = 0.08, 0.05, 0.05
+BIAS, JUMP, SCALE = 0.08, 0.04, 0.05
 """rad/s: largest bias of a gyro, and largest change of it; share by which it may be wrong in turns."""
-LEARN = 60.0
-"""s: its bias is a mean over this time."""
-FADE = 5.0
-"""m: what was seen of a mounting fades with the way driven (and turned, at 1 m per rad), to 1/e."""
-YAW, PLACE = math.radians(0.8), 0.05
-"""rad, m: smaller errors of a mounting are not named,"""
-DRIVABLE_YAW, DRIVABLE_PLACE = math.radians(10.0), 0.3
-"""and larger ones than these not driven with."""
-BENT, STEERED = (0.25, 0.02), (0.01, 0.0)
-"""Shares of what is across a way, and of it, by which its shape may be wrong; and with a gyro's turns."""
-LIKELY_YAW, LIKELY_PLACE, ASIDE = 1.0, 0.1, 0.001
-"""rad, m, m: standard deviations of a mounting before any motion, and of a comparison beside its noise."""
-
-
-class Motion(NamedTuple):
-    """Motion between two times."""
-
-    x: float
-    """m, in the frame of the first"""
-    y: float
-    heading: float
-    """rad that the way has turned by, not wrapped"""
-    turn: float
-    """rad that the source shows"""
-    uncertain: float = 0.0
-    """rad by which that may be wrong by slip or bias"""
-
-    def then(self, other: Motion, turn: float) -> Motion:
-        """Return this motion and another one after it, that turns by this angle."""
-        c, s = math.cos(self.turn), math.sin(self.turn)
-        x, y, turn = self.x + c * other.x - s * other.y, self.y + s * other.x + c * other.y, self.turn + turn
-        return Motion(x, y, turn, turn)
-
-    def ahead(self) -> tuple[float, float]:
-        """Return the way [m] along and across the mean heading: of an arc, none is across."""
-        c, s = math.cos(self.heading / 2.0), math.sin(self.heading / 2.0)
-        return c * self.x + s * self.y, c * self.y - s * self.x
-
-
-STILL = Motion(0.0, 0.0, 0.0, 0.0)
-
-
-class Shown(NamedTuple):
-    """What two scans show."""
-
-    motion: Motion
-    fit: float
-    """Share of the rays' ends on lines, of those that meet one"""
-    spread: tuple[float, float, float]
-    """Variances of x and y, and their covariance, for points with a variance of 1;"""
-    variance: float
-    """m², and theirs"""
-
-    def along(self) -> float:
-        """Return the spread along the mean heading."""
-        return self._spread(math.cos(self.motion.turn / 2.0), math.sin(self.motion.turn / 2.0))
-
-    def across(self) -> float:
-        """Return the spread across it."""
-        return self._spread(-math.sin(self.motion.turn / 2.0), math.cos(self.motion.turn / 2.0))
-
-    def _spread(self, x: float, y: float) -> float:
-        xx, yy, xy = self.spread
-        return x * x * xx + y * y * yy + 2.0 * x * y * xy
-
-
-_Row = tuple[Nanos, float, float, float, float, float]
-"""Time, then x, y, heading, turn and uncertainty since the beginning of the track."""
-
-
-class Track:
-    """What one source has integrated. Plain data."""
-
-    def __init__(self) -> None:
-        self._rows: list[_Row] = [(0, 0.0, 0.0, 0.0, 0.0, 0.0)]
-
-    def add(
-        self, since: Nanos, t: Nanos, distance: float, heading: float, turn: float, uncertain: float
-    ) -> None:
-        """Add an arc [m, rad] between two times, and what the source shows of its turn; after a gap the track
-        begins anew."""
-        rows = self._rows
-        last, x, y, yaw, turned, total = rows[-1]
-        if last != since or t - since > GAP:
-            rows[:] = [(since if t - since <= GAP else t, x, y, yaw, turned, total)]
-            if t - since > GAP:
-                return
-        if distance:
-            chord, middle = distance * sinc(heading / 2.0), yaw + heading / 2.0
-            x, y = x + chord * math.cos(middle), y + chord * math.sin(middle)
-        rows.append((t, x, y, yaw + heading, turned + turn, total + uncertain))
-        half = len(rows) // 2
-        if rows[half][0] < t - KEPT:
-            del rows[:half]
-
-    def clear(self) -> None:
-        """Forget everything: a motion was lost."""
-        del self._rows[:-1]
-
-    def between(self, since: Nanos, t: Nanos) -> Motion | None:
-        """Return the motion between two times; None if the track does not reach that far."""
-        a, b = self.at(since), self.at(t)
-        if a is None or b is None:
-            return None
-        c, s = math.cos(a[3]), math.sin(a[3])
-        dx, dy = b[1] - a[1], b[2] - a[2]
-        return Motion(c * dx + s * dy, c * dy - s * dx, b[3] - a[3], b[4] - a[4], b[5] - a[5])
-
-    def at(self, t: Nanos) -> _Row | None:
-        """Return the sums at a time."""
-        rows = self._rows
-        if len(rows) < 2 or not rows[0][0] <= t <= rows[-1][0] + AHEAD:
-            return None
-        after = len(rows) - 1
-        if t < rows[after - 1][0]:
-            after = max(bisect_left(rows, (t,)), 1)
-        (t0, x0, y0, yaw0, turn0, total0), (t1, x1, y1, yaw1, turn1, total1) = rows[after - 1], rows[after]
-        p = (t - t0) / max(t1 - t0, 1)
-        q = 1.0 - p
-        return (
-            t,
-            q * x0 + p * x1,
-            q * y0 + p * y1,
-            q * yaw0 + p * yaw1,
-            q * turn0 + p * turn1,
-            q * total0 + p * total1,
-        )
+LEARN, LEARN_MOST = 60.0, 0.01
+"""s, rad/s: its bias is a mean over this time; once known, what differs by more counts as this."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,161 +70,6 @@ class Contradiction:
     """The base may go on slowly for as long as it lasts."""
 
 
-class Reference:
-    """A scan's surfaces. Plain data."""
-
-    def __init__(self, t: Nanos, scan: BodyScan) -> None:
-        self.t, self._origin = t, scan.origin
-        self.last: tuple[Nanos, Motion] = (t, STILL)
-        """Time of the newest scan compared with it, and the motion until then."""
-        bearings, count = scan.bearings, len(scan.bearings)
-        self._first = float(bearings[0])
-        last = float(bearings[-1]) - self._first
-        half = last / max(count - 1, 1) / 2.0
-        self._edges = np.empty(count + 1)
-        """rad after the first bearing, at which the next beam is nearer; behind the last none is, until the
-        first is again."""
-        self._edges[:-2] = (bearings[1:] + bearings[:-1]) / 2.0 - self._first
-        self._edges[-2:] = last + half, max(last + half, 2.0 * math.pi - half)
-        self._lines = np.zeros((3, count + 2))
-        """Of each beam's surface: its normal, and the normal's product with a point of it."""
-        self._lines[2] = NO_LINE
-        line, normals = scan.straight, scan.normals[scan.straight]
-        self._lines[0, :count][line], self._lines[1, :count][line] = normals.T
-        self._lines[2, :count][line] = np.einsum("ij,ij->i", normals, scan.middles[line])
-        self._lines[:, -1] = self._lines[:, 0]
-
-    def motion(self, points: Floats, guess: Motion) -> Shown | None:
-        """Return the motion since the reference that a scan's points (2 × n: its rays' ends, also of those
-        without a return, that pass the lines) show, searched from a guess; None if too few of them meet a
-        line."""
-        x, y, turn = guess.x, guess.y, guess.turn
-        px, py = points
-        J = np.empty((4, len(px)))
-        for gate in (0.8, 0.4, 0.3, 0.3, 0.3):
-            c, s = math.cos(turn), math.sin(turn)
-            arm_x, arm_y = c * px - s * py, s * px + c * py
-            bearing = np.arctan2(arm_y + (y - self._origin[1]), arm_x + (x - self._origin[0]))
-            beam = self._edges.searchsorted((bearing - self._first) % (2.0 * math.pi))
-            J[0], J[1], past = self._lines.take(beam, axis=1)
-            nx, ny = J[0], J[1]
-            np.subtract(ny * arm_x, nx * arm_y, out=J[2])
-            off = np.add(nx * (arm_x + x), ny * (arm_y + y), out=J[3])
-            off -= past
-            size = np.abs(off)
-            lined = int(np.count_nonzero(size < NO_LINE / 2.0))
-            if lined < LEAST:
-                return None
-            weight = (size < gate) / (1.0 + 400.0 * (off * off))
-            M = ((J * weight) @ J.T).tolist()
-            dx, dy, dturn, inverse = _solved(M)
-            x, y, turn = x - dx, y - dy, turn - dturn
-            if max(abs(dx), abs(dy), abs(dturn)) < 2e-3:
-                break
-        variance = M[3][3] / max(float(weight.sum()), 1.0)
-        fit = float(np.count_nonzero(size < ON_LINE)) / lined
-        return Shown(Motion(x, y, turn, turn), fit, inverse, variance)
-
-
-def _solved(M: list[list[float]]) -> tuple[float, float, float, tuple[float, float, float]]:
-    """Return the solution of the damped normal equations in the first three rows of M, their right side in
-    its last column, by cofactors; and of the inverse the elements xx, yy, xy."""
-    (a, b, c, u), (_, d, e, v), (_, _, f, w), _ = M
-    a, d, f = a + 1e-3, d + 1e-3, f + 1e-3
-    aa, ab, ac = d * f - e * e, c * e - b * f, b * e - c * d
-    bb, bc, cc = a * f - c * c, b * c - a * e, a * d - b * b
-    scale = 1.0 / (a * aa + b * ab + c * ac)
-    return (
-        scale * (aa * u + ab * v + ac * w),
-        scale * (ab * u + bb * v + bc * w),
-        scale * (ac * u + bc * v + cc * w),
-        (scale * aa, scale * bb, scale * ab),
-    )
-
-
-class Mounting:
-    """What the scans show of a lidar's true mounting against the robot file's. Plain data.
-
-    A base on two wheels moves along its mean heading. A lidar that stands by (yaw, x, y) otherwise than
-    stated shows, over a way d and a turn w, aside = -yaw d + 2 sin(w/2) x, and along = d - 2 sin(w/2) y:
-    weighted least squares, the place a priori within `LIKELY_PLACE`."""
-
-    def __init__(self) -> None:
-        self._aside, self._along = _Sums(), _Sums()
-        """For yaw and x, and for y."""
-        self.named = False
-
-    def add(self, wheels: Motion, shown: Shown) -> None:
-        """Add the motion that scans show, beside that of the wheels, whose way need be no arc."""
-        self._aside, self._along = self._added(wheels, shown)
-
-    def _added(self, wheels: Motion, shown: Shown) -> tuple[_Sums, _Sums]:
-        turn = shown.motion.turn
-        (way, across), (along, aside) = wheels.ahead(), shown.motion.ahead()
-        lever = 2.0 * math.sin(turn / 2.0)
-        kept = math.exp(-(abs(way) + abs(turn)) / FADE)
-        bent, slip = BENT if wheels.heading == wheels.turn else STEERED
-        bent = bent * (abs(turn * along) + 4.0 * abs(across)) + slip * abs(along)
-        sideways = ASIDE**2 + bent**2 + shown.variance * shown.across()
-        forward = ASIDE**2 + shown.variance * shown.along() + (SLIP_SHARE * way) ** 2
-        return (
-            self._aside.plus(kept, 1.0 / sideways, -along, lever, aside - across),
-            self._along.plus(kept, 1.0 / forward, 0.0, -lever, along - way),
-        )
-
-    def flaw(self, name: str, wheels: Motion, shown: Shown) -> Contradiction | None:
-        """Return how the mounting differs, with this motion added, if that is certain (3 sigma)."""
-        aside, along = self._added(wheels, shown)
-        yaw, x, yaw_sigma, x_sigma = aside.solved()
-        _, y, _, y_sigma = along.solved()
-        certain = 0.0 if self.named else 3.0
-        self.named = True
-        if yaw_sigma < YAW < abs(yaw) - certain * yaw_sigma:
-            by = f"{math.degrees(yaw):+.1f}° (±{math.degrees(2.0 * yaw_sigma):.1f}°)"
-            bad = abs(yaw) > DRIVABLE_YAW + 3.0 * yaw_sigma
-        elif (x_sigma < PLACE < abs(x) - certain * x_sigma) or (y_sigma < PLACE < abs(y) - certain * y_sigma):
-            by = f"{x:+.2f} m (±{2.0 * x_sigma:.2f}) ahead and {y:+.2f} m (±{2.0 * y_sigma:.2f}) to the left"
-            bad = abs(x) > DRIVABLE_PLACE + 3.0 * x_sigma or abs(y) > DRIVABLE_PLACE + 3.0 * y_sigma
-        else:
-            self.named = False
-            return None
-        return Contradiction(f"{name}: mounted {by} off what the robot file states", bad, drivable=not bad)
-
-
-class _Sums(NamedTuple):
-    """Normal equations of weighted least squares for a yaw and a place."""
-
-    aa: float = 0.0
-    ab: float = 0.0
-    bb: float = 0.0
-    a: float = 0.0
-    b: float = 0.0
-    square: float = 0.0
-    number: float = 0.0
-
-    def plus(self, kept: float, weight: float, by_yaw: float, by_place: float, value: float) -> _Sums:
-        """Return them with one more equation, the earlier ones faded."""
-        wa, wb = weight * by_yaw, weight * by_place
-        return _Sums(
-            kept * self.aa + wa * by_yaw,
-            kept * self.ab + wa * by_place,
-            kept * self.bb + wb * by_place,
-            kept * self.a + wa * value,
-            kept * self.b + wb * value,
-            kept * self.square + weight * value * value,
-            kept * self.number + 1.0,
-        )
-
-    def solved(self) -> tuple[float, float, float, float]:
-        """Return yaw and place with their standard deviations, larger if the equations disagree."""
-        aa, bb = self.aa + LIKELY_YAW**-2, self.bb + LIKELY_PLACE**-2
-        scale = 1.0 / (aa * bb - self.ab * self.ab)
-        yaw, place = scale * (bb * self.a - self.ab * self.b), scale * (aa * self.b - self.ab * self.a)
-        left = self.square - yaw * self.a - place * self.b
-        spread = scale * max((left + 3.0) / (self.number + 2.0), 1.0)
-        return yaw, place, math.sqrt(spread * bb), math.sqrt(spread * aa)
-
-
 class _Turns(NamedTuple):
     """Turns over one comparison [rad]."""
 
@@ -366,6 +77,7 @@ class _Turns(NamedTuple):
     dt: float
     shown: float
     wheels: float
+    slip: float
     gyro: float
     """with its bias"""
 
@@ -395,7 +107,8 @@ class MotionCheck:
 
     def contradictions(self) -> list[Contradiction]:
         """Return what differs now."""
-        differ = [Contradiction(one[2], self._confirmed(name)) for name, one in self._differ.items()]
+        three_first = sorted(self._differ, key=lambda name: not name)
+        differ = [Contradiction(self._differ[name][2], self._confirmed(name)) for name in three_first]
         return differ + list(self._flaws.values())
 
     def on_wheels(self, since: Nanos, t: Nanos, left: float, right: float) -> None:
@@ -478,20 +191,22 @@ class MotionCheck:
         if it is time."""
         way, turn = wheels.ahead()[0], shown.motion.turn
         mounting = self._mountings.setdefault(name, Mounting())
-        flaw = mounting.flaw(name, wheels, shown)
+        with_this = mounting.with_one(wheels, shown)
+        flaw = mounting.flaw(*with_this)
         if flaw is None:
             self._flaws.pop(name, None)
         else:
-            self._flaws[name] = flaw
+            text, drivable = flaw
+            self._flaws[name] = Contradiction(f"{name}: {text}", not drivable, drivable)
         dt, reason = seconds(t - since), ""
         turned = self._gyro.between(since, t)
-        now = None if turned is None else _Turns(t, dt, turn, wheels.turn, turned.turn)
+        now = None if turned is None else _Turns(t, dt, turn, wheels.turn, wheels.uncertain, turned.turn)
         past = self._past[name]
         if now is not None:
             reason = self._drift(name, past, now)
         moved = abs(way) > RENEW_DISTANCE or abs(turn) > RENEW_TURN
         if not reason and (moved or t - since > RENEW_AGE) and not self._confirmed(name):
-            mounting.add(wheels, shown)
+            mounting.sums, mounting.number = with_this
             if now is not None:
                 self._learn(past, now)
             self._references[name] = Reference(t, scan)
@@ -527,7 +242,7 @@ class MotionCheck:
                 reason = f"wheels or {name}: {turns}"
             elif not self._references and wheels.uncertain < TURN / 5.0:
                 dt = seconds(t - since)
-                now = _Turns(t, dt, wheels.turn, wheels.turn, gyro.turn + self._bias * dt)
+                now = _Turns(t, dt, wheels.turn, wheels.turn, 0.0, gyro.turn + self._bias * dt)
                 past = self._past.setdefault("", deque())
                 reason = self._drift("wheels", past, now)
                 if not reason and t - since > RENEW_TURNS:
@@ -544,7 +259,7 @@ class MotionCheck:
         if _turns_differ(motion, wheels) or (gyro is not None and _turns_differ(motion, gyro, SCALE)):
             culprit, other = f"{name} or wheels", ""
             if gyro is not None:
-                culprit = self._culprit(name, motion.turn, wheels.turn, gyro.turn)
+                culprit = self._culprit(name, motion.turn, wheels.turn, wheels.uncertain, gyro.turn)
                 other = f", {self._gyro_name} {_deg(gyro.turn)}"
             return (
                 f"{culprit}: turned by {_deg(wheels.turn)} by the wheels{other}, {name} {_deg(motion.turn)}"
@@ -552,43 +267,43 @@ class MotionCheck:
         along, aside = motion.ahead()
         way, across = wheels.ahead()
         allowed = DISTANCE + (SLIP_SHARE if abs(along) < abs(way) else TURN_SHARE) * abs(way)
-        differs_along = abs(along - way) - 3.0 * MOVING * math.sqrt(shown.along())
-        differs_across = abs(aside - across) - 3.0 * MOVING * math.sqrt(shown.across())
-        if max(differs_along, differs_across) > allowed:
+        forward, sideways = (3.0 * MOVING * spread for spread in shown.spread())
+        if max(abs(along - way) - forward, abs(aside - across) - sideways) > allowed:
             by = f"moved by {along:.2f} m along, {aside:.2f} m aside by {name}, {way:.2f} m by the wheels"
             return f"wheels or {name}: {by}"
         return ""
 
-    def _culprit(self, name: str, shown: float, wheels: float, gyro: float) -> str:
-        """Return the one without which the other two agree best."""
+    def _culprit(self, name: str, shown: float, wheels: float, slip: float, gyro: float) -> str:
+        """Return the source without which the other two agree best; two of them if wheels that slip cannot
+        decide."""
         apart = {self._gyro_name: abs(shown - wheels), "wheels": abs(shown - gyro), name: abs(gyro - wheels)}
-        return min(apart, key=lambda one: apart[one])
+        best, second = sorted(apart, key=lambda one: apart[one])[:2]
+        undecided = apart[second] - apart[best] < LIKELY_SLIP * slip
+        return f"{best} or {second}" if undecided else best
 
     def _drift(self, name: str, past: deque[_Turns], now: _Turns) -> str:
         """Return how the gyro's rate has differed over `PAST`, from its mean or from any that is right."""
         while past and past[0].t < now.t - PAST:
             past.popleft()
-        span, shown, wheels, gyro, turned = now.dt, now.shown, now.wheels, now.gyro, abs(now.shown)
-        for one in past:
-            span, turned = span + one.dt, turned + abs(one.shown)
-            shown, wheels, gyro = shown + one.shown, wheels + one.wheels, gyro + one.gyro
-        noise = TURN + SCALE * turned
-        changed = gyro - self._bias * span - shown
-        if abs(changed) > noise + (JUMP - 0.01 + self._unknown_bias()) * span:
-            culprit = self._culprit(name, shown, wheels, gyro - self._bias * span)
-            rate = changed / span
-        elif abs(gyro - shown) > noise + BIAS * span:
-            culprit, rate = self._gyro_name, (gyro - shown) / span
+        span, shown, wheels, slip, gyro = (float(sum(c)) for c in list(zip(*past, now, strict=True))[1:])
+        off, noise = gyro - shown, TURN + SCALE * abs(shown)
+        changed = off - self._bias * span
+        if abs(changed) > noise + (JUMP + self._unknown_bias()) * span:
+            culprit = self._culprit(name, shown, wheels, slip, gyro - self._bias * span)
+            off = changed
+        elif abs(off) > noise + BIAS * span:
+            culprit = self._gyro_name
         else:
             return ""
-        if culprit == "wheels":
-            culprit = f"{self._gyro_name} or {name}"
-        return f"{culprit}: {self._gyro_name} is off by {rate:.2f} rad/s against {name}, over {span:.1f} s"
+        return (
+            f"{culprit}: {self._gyro_name} is off by {off / span:.2f} rad/s against {name}, over {span:.1f} s"
+        )
 
     def _learn(self, past: deque[_Turns], now: _Turns) -> None:
         past.append(now)
         self._learnt = min(self._learnt + now.dt, LEARN)
-        self._bias += (now.gyro - now.shown - self._bias * now.dt) / self._learnt
+        most = LEARN_MOST * now.dt * (1.0 + LEARN / self._learnt**2)
+        self._bias += min(max(now.gyro - now.shown - self._bias * now.dt, -most), most) / self._learnt
 
     def _confirmed(self, name: str) -> bool:
         return self._differ.get(name, (0, 0, ""))[0] >= CONFIRM
@@ -603,7 +318,7 @@ class MotionCheck:
             self._differ.pop(name, None)
 
 
-def _with_surfaces(scan: Any) -> BodyScan:
+def _with_surfaces(scan: Any) -> BodyScan:  # noqa: ANN401 - of the earlier kind, too
     """Return the scan with its surfaces, if perception does not pass them yet."""
     if isinstance(scan, BodyScan):
         return scan

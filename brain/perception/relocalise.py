@@ -33,10 +33,13 @@ from brain.perception.match import MatchSettings, match
 class RelocaliseSettings:
     """When a pose counts as found, and the work of a step."""
 
-    agree: float = 0.72
+    agree: float = 0.75
     """Least share of the scan that agrees with the map: see `agreement`"""
     margin: float = 0.05
-    """By how much that share must exceed the one at every pose elsewhere"""
+    """By how much that share, where it is at least `good`, must exceed what might agree elsewhere"""
+    good: float = 0.9
+    caution: float = 0.3
+    """By how much more, for each part by which the share is below that"""
     sigma: float = 0.15
     """m: largest standard deviation of the position found, in any direction"""
     operations: int = 600_000
@@ -47,6 +50,8 @@ class RelocaliseSettings:
             self,
             agree=(0.5, 1.0),
             margin=(0.01, 1.0),
+            good=(0.5, 1.0),
+            caution=(0.0, 10.0),
             sigma=(0.01, 1.0, "m"),
             operations=(100_000, 10_000_000),
         )
@@ -62,7 +67,7 @@ class Found:
     score: float
     """Share of the scan that agrees with the map"""
     runner_up: float
-    """The same at the best pose elsewhere; 0 if there is none"""
+    """Largest share that might agree at a pose elsewhere; 0 if there is none"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +109,7 @@ FLOOR = 0.4
 """Least score, over the number of points, of a pose that is examined"""
 SPREAD = 0.25
 """Poses whose score is lower than the best one's by so much are not examined"""
-BLOCKS, POSES = 8192, 10
+BLOCKS, POSES = 8192, 24
 """Largest number of blocks whose cells are examined, and of poses that are refined"""
 ELSEWHERE, ELSEWHERE_YAW = 0.5, 0.35
 """m, rad: poses farther apart are different places"""
@@ -153,13 +158,13 @@ class Search:
         self._blocks = np.zeros((0, 3), dtype=np.int64)
         """Bound, heading, flat index"""
         self._missed = self._best = 0
-        """Highest bound of the blocks that were dropped, highest score so far"""
+        """Highest bound, or score, of what was dropped; highest score so far"""
         self._scores = np.zeros((0, 4), dtype=np.int64)
         """Score, heading, row, column"""
         self._left: list[Pose] | None = None
         """Poses to be refined"""
-        self._refined: list[tuple[float, Pose, Floats | None]] = []
-        """Agreement, pose, covariance if there is a match"""
+        self._refined: list[tuple[float, float, Pose, Floats | None]] = []
+        """Agreement, least and most; pose; covariance if there is a match"""
 
     def advance(self, operations: int) -> Result | Searching:
         """Work on for about so many operations, at least one part, or until there is a result."""
@@ -284,6 +289,7 @@ class Search:
             poses.append(Pose(float(x[first]), float(y[first]), wrap(float(yaw[first]))))
             turn = np.abs(np.mod(yaw - yaw[first] + math.pi, 2.0 * math.pi) - math.pi)
             left &= (np.hypot(x - x[first], y - y[first]) > ELSEWHERE) | (turn > ELSEWHERE_YAW)
+        self._missed = max(self._missed, int(scores[left, 0].max(initial=0)))
         return poses
 
     def _refine(self, pose: Pose) -> int:
@@ -292,26 +298,27 @@ class Search:
         pose = found.pose if found else pose
         columns, rows = (self._map.cells(np.array([[pose.x, pose.y]])) + AROUND).T
         if (self._map.values(columns, rows) < 0).any():
-            score = agreement(self._map, self._scan, pose)
-            self._refined.append((score, pose, found.noise + found.shared if found else None))
+            least, most = agreement(self._map, self._scan, pose)
+            self._refined.append((least, most, pose, found.noise + found.shared if found else None))
         return 1000 * CALL
 
     def _decide(self) -> Result:
         if not self._refined:
             return NotFound("no pose in free ground lets the scan fit the map")
-        refined = sorted(self._refined, key=lambda one: -one[0])
-        score, pose, covariance = refined[0]
+        score, _, pose, covariance = max(self._refined, key=lambda one: one[0])
         if score < self._settings.agree or covariance is None:
             return NotFound(f"at the best pose only {score:.0%} of the scan agrees with the map")
-        rivals = [one for one in refined[1:] if _elsewhere(one[1], pose)]
-        runner_up = rivals[0][0] if rivals else 0.0
-        alike = (pose, *(rival[1] for rival in rivals if rival[0] > score - self._settings.margin))
+        settings = self._settings
+        margin = settings.margin + settings.caution * max(settings.good - score, 0.0)
+        elsewhere = [(most, other) for _, most, other, _ in self._refined if _elsewhere(other, pose)]
+        runner_up = max((most for most, _ in elsewhere), default=0.0)
+        alike = (pose, *(other for most, other in elsewhere if most > score - margin))
         if len(alike) > 1:
-            text = f"{len(alike)} places look alike: {score:.0%} and {runner_up:.0%} of the scan agree"
+            text = f"{len(alike)} places look alike: {score:.0%} and up to {runner_up:.0%} of the scan agree"
             return Ambiguous(text, alike)
-        if self._missed > self._best - self._settings.margin * len(self._points):
+        if self._missed > self._best - margin * len(self._points):
             return Ambiguous("more poses fit than can be examined", alike)
-        if np.linalg.eigvalsh(covariance[:2, :2])[-1] > self._settings.sigma**2:
+        if np.linalg.eigvalsh(covariance[:2, :2])[-1] > settings.sigma**2:
             return Ambiguous("a direction is open, as along a corridor", alike)
         return Found(pose, covariance, score, runner_up)
 
@@ -356,12 +363,13 @@ CLEAR = 0.3
 """m before a beam's end in which what it passes is not judged"""
 
 
-def agreement(chart: Map, scan: BodyScan, pose: Pose) -> float:
-    """Return the share of the scan, taken at this pose, that agrees with the map.
+def agreement(chart: Map, scan: BodyScan, pose: Pose) -> tuple[float, float]:
+    """Return the share of the scan, taken at this pose, that agrees with the map: at least, and at most.
 
     A beam agrees if it ends on an occupied cell or beside one; it contradicts the map if it ends in a free
-    cell or passes through an occupied one; a hit in unknown ground counts half against the map. Each beam
-    weighs as much as its range: so long is the piece of wall that it stands for."""
+    cell or passes through an occupied one. At least: a hit in unknown ground counts half against the map; at
+    most: it does not count, where at least half of the hits lie in known ground. Each beam weighs as much as
+    its range: so long is the piece of wall that it stands for."""
     read = np.flatnonzero(scan.ranges > 0.0)
     read = read[:: max(1, math.ceil(len(read) / BEAMS))]
     ranges, hit, ends = scan.ranges[read], scan.hit[read], to_world(scan.ends[read], pose)
@@ -376,4 +384,6 @@ def agreement(chart: Map, scan: BodyScan, pose: Pose) -> float:
     agrees = float(ranges[on & ~pierced].sum())
     denies = float(ranges[(hit & ~on & (beside[:, 0] < 0)) | pierced].sum())
     unknown = float(ranges[hit & ~on & ~pierced & (beside[:, 0] == 0)].sum())
-    return agrees / max(agrees + denies + unknown / 2.0, 1e-9)
+    known = max(agrees + denies, 1e-9)
+    least = agrees / (known + unknown / 2.0)
+    return least, agrees / known if known > unknown else least

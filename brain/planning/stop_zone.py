@@ -12,7 +12,8 @@ may turn on the spot, slowly and up to `turn_gap`, so that it can leave.
 
 Not seen, and therefore not protected: what no lidar's plane meets (glass, table tops), what is nearer than a
 lidar's `range_min`, and everything on a robot without a lidar, which is not slowed either. Driving where no
-lidar looks, as backward with one of 180°, is limited to `blind_speed`; turning is not.
+lidar looks, as backward with one of 180°, is limited to `blind_speed`; turning is not. Nothing is predicted:
+an obstacle that moves counts where it was seen last.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ class StopSettings:
 
     gap: float = 0.05
     """m between the footprint and any point on its way"""
-    turn_gap: float = 0.01
+    turn_gap: float = 0.015
     """m, the same for a slow turn on the spot of a base that an obstacle makes stand"""
     latency: Nanos = 100 * MILLISECOND
     """From a command to the motion that it causes, with the age of the wheels' feedback"""
@@ -195,8 +196,8 @@ class StopZone:
     def _note_own(self, name: str, count: int) -> None:
         if count > 2 and name not in self._own_seen:
             self._own_seen.add(name)
-            what = f"{count} beams end within the footprint, at its own body, and are ignored"
-            self._notes.append(f"{name}: {what}")
+            text = "they are ignored; its own body, or something that touches it"
+            self._notes.append(f"{name}: {count} beams end within the footprint: {text}")
 
     def _placed(self, points: Floats, t: Nanos, after: Floats) -> Floats:
         """Return points of the robot's frame, each measured `after` [ns] t, in that of dead reckoning."""

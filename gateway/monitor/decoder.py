@@ -183,7 +183,7 @@ class BusMonitor:
         if isinstance(event, msg.Fault):
             if len(record.faults) < MAX_FAULTS:
                 record.faults[event.code, event.name] = event
-        elif isinstance(event, msg.Imu | msg.LaserScan | msg.Fix):
+        elif isinstance(event, msg.Measurement):
             record.measurement = event
         elif isinstance(event, msg.Feedback | msg.State) and record.joint is not None:
             if isinstance(event, msg.State) and event.mode is not Mode.FAULT:

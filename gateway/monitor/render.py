@@ -12,9 +12,21 @@ from math import sqrt
 
 from gateway.core.message_text import message_text
 from gateway.monitor.decoder import BusMonitor
-from gateway.monitor.state import BusRecord, DecodedPacket, DeviceRecord, Measurement
+from gateway.monitor.state import BusRecord, DecodedPacket, DeviceRecord
 from protocols.frames import BusState, CanFrame, Packet
-from protocols.messages import MILLISECOND, SECOND, Event, Fault, Feedback, Imu, LaserScan, Nanos, State
+from protocols.messages import (
+    MILLISECOND,
+    SECOND,
+    Event,
+    Fault,
+    Feedback,
+    Imu,
+    LaserScan,
+    Measurement,
+    Nanos,
+    PoseReading,
+    State,
+)
 
 MAX_UNKNOWN = 12
 """Number of unknown ids on the page; the busiest."""
@@ -134,6 +146,9 @@ def measurement_text(event: Measurement) -> str:
         nearest = f", the nearest at {min(valid):.3f} m" if valid else ""
         return f"{len(event.ranges)} beams, {len(valid)} with an echo{nearest}"
     error = "" if event.variance is None else f", ±{sqrt(event.variance):.2f} m"
+    if isinstance(event, PoseReading):
+        yaw = "" if event.yaw is None else f", {event.yaw:.3f} rad"
+        return f"{event.x:.3f} m, {event.y:.3f} m{yaw}{error}"
     return f"{event.latitude:.7f}°, {event.longitude:.7f}°{error}"
 
 
@@ -201,7 +216,7 @@ def _meaning(decoded: DecodedPacket) -> str:
 
 def _event(event: Event) -> str:
     match event:
-        case Imu() | LaserScan():
+        case Imu() | LaserScan() | PoseReading():
             return f"{event.sensor}: {measurement_text(event)}"
         case Fault():
             return f"{event.motor}: FAULT {fault_text(event)}"

@@ -12,10 +12,9 @@ from typing import Literal, TypeAlias
 from gateway.core.joint import Joint
 from gateway.core.robot import BusSettings
 from protocols.frames import BusState, CanFrame, Packet
-from protocols.messages import SECOND, Command, Event, Fault, Fix, Imu, LaserScan, Nanos, Obeyed
+from protocols.messages import SECOND, Command, Event, Fault, Measurement, Nanos, Obeyed
 from protocols.plugin import CommandDecoder, Driver, Spec
 
-Measurement: TypeAlias = Imu | LaserScan | Fix
 CanId: TypeAlias = tuple[str, bool, bool, int]
 """Bus, whether extended, whether a remote frame, and the id."""
 Place: TypeAlias = tuple[str, str, int]

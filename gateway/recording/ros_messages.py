@@ -24,7 +24,7 @@ from brain.belief import MapView, Pose
 from brain.perception.mount import Mount
 from gateway.core.tick import Note
 from gateway.recording.ros_cdr import BASE, WORLD, clock, float32
-from protocols.messages import Fix, Goal, Nanos
+from protocols.messages import Fix, Goal, Nanos, PoseReading
 
 
 class Message(Protocol):
@@ -139,6 +139,19 @@ def fix(types: Types, event: Fix) -> Message:
         altitude=math.nan if event.altitude is None else event.altitude,
         position_covariance=covariance,
         position_covariance_type=0 if event.variance is None else 1,
+    )
+
+
+def pose_reading(types: Types, event: PoseReading) -> Message:
+    """Make geometry_msgs/PoseWithCovarianceStamped in odom; variance 0: not known, 1e9: no yaw."""
+    covariance = np.zeros(36)
+    covariance[0] = covariance[7] = event.variance or 0.0
+    covariance[35] = 1e9 if event.yaw is None else event.yaw_variance or 0.0
+    return types["geometry_msgs/msg/PoseWithCovarianceStamped"](
+        header=header(types, event.t, WORLD),
+        pose=types["geometry_msgs/msg/PoseWithCovariance"](
+            pose=_pose(types, Pose(event.x, event.y, event.yaw or 0.0)), covariance=covariance
+        ),
     )
 
 

@@ -9,6 +9,7 @@ most 50 per second, the map one, the diagnostics two or one per change of state.
 | /BUS/from_can_bus, /BUS/to_can_bus | can_msgs/Frame | each classic frame received, sent |
 | /BUS/from_can_bus_fd, /BUS/to_can_bus_fd | ros2_socketcan_msgs/FdFrame | each FD frame received, sent |
 | /scan, /imu/data, /fix | sensor_msgs | each reading; the header names the sensor |
+| /pose | geometry_msgs/PoseWithCovarianceStamped | each PoseReading |
 | /odom, /tf | nav_msgs/Odometry, tf2_msgs/TFMessage | a new estimate, at most 50 Hz |
 | /wheel_odom | nav_msgs/Odometry | beside /odom: the wheels alone |
 | /tf_static | tf2_msgs/TFMessage | once, at the start: the sensors' mountings |
@@ -54,6 +55,7 @@ _BY_SERIALISER = (
     "nav_msgs/msg/OccupancyGrid",
     "nav_msgs/msg/Path",
     "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
     "sensor_msgs/msg/NavSatFix",
     "diagnostic_msgs/msg/DiagnosticArray",
     "rcl_interfaces/msg/Log",
@@ -229,6 +231,9 @@ class Views:
                     views.append(View("/imu/data", IMU, _stamp(event.t), data))
                 case msg.Fix():
                     views.append(self._view("/fix", event.t, ros_messages.fix(self._types, event)))
+                case msg.PoseReading():
+                    pose = ros_messages.pose_reading(self._types, event)
+                    views.append(self._view("/pose", event.t, pose))
                 case _:
                     self._on_motor_event(event)
         return views

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from typing import get_args
 
 from protocols import messages as msg
 from protocols.conformance import bench as tools
@@ -250,7 +251,7 @@ def beyond_its_range_is_not_measured(case: Case) -> None:
 
 
 def _sensors_arrive(case: Case, spec: Spec, random: Random) -> None:
-    kinds = [kind for kind in (msg.Imu, msg.LaserScan, msg.Fix) if tools.numbers(kind, spec.ranges)]
+    kinds = [kind for kind in get_args(msg.Measurement) if tools.numbers(kind, spec.ranges)]
     if not kinds:
         raise Inapplicable("the spec has no range for any measurement")
     bench = case.start()
@@ -266,9 +267,7 @@ def _sensors_arrive(case: Case, spec: Spec, random: Random) -> None:
                     raise Failure(text, step.up[-2:], (measured, *reported))
 
 
-def _measurement(
-    kind: type[msg.Imu | msg.LaserScan | msg.Fix], sensor: str, t: Nanos, values: dict[str, float]
-) -> Event:
+def _measurement(kind: type[msg.Measurement], sensor: str, t: Nanos, values: dict[str, float]) -> Event:
     get = values.get
     if kind is msg.Imu:
         rate, push = get("angular_velocity", 0.0), get("linear_acceleration", 0.0)
@@ -280,6 +279,9 @@ def _measurement(
         head = [get(n, 0.0) for n in ("angle_min", "angle_increment", "range_min", "range_max")]
         ranges, duration = (near, 0.5 * near, near), round(get("duration", 0.0))
         return msg.LaserScan(sensor, t, head[0], head[1], head[2], head[3], ranges, duration)
+    if kind is msg.PoseReading:
+        at = get("x", 0.0), get("y", 0.0)
+        return msg.PoseReading(sensor, t, *at, get("yaw"), get("variance"), get("yaw_variance"))
     return msg.Fix(sensor, t, get("latitude", 0.0), get("longitude", 0.0), get("altitude"), get("variance"))
 
 

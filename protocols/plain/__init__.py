@@ -51,7 +51,7 @@ def read_only(frame: Frame) -> bool:
 def ranges(options: Options) -> dict[str, Range]:
     """Return what commands and measurements can carry. Everything is float64 on the line: only what lies
     below the smallest normal binary32 is rounded."""
-    kinds = (*COMMANDS, msg.Feedback) if options.kind == "motor" else (msg.Imu, msg.LaserScan, msg.Fix)
+    kinds = (*COMMANDS, msg.Feedback) if options.kind == "motor" else get_args(msg.Measurement)
     return {
         f"{kind.__name__}.{field.name}": Range(*table.LIMITS[field.name], TINY)
         for kind in kinds

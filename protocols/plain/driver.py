@@ -83,7 +83,7 @@ class PlainAdapter(Adapter[Faults]):
         if host is None or isinstance(event, Command | Request):
             return Rx.IGNORED
         if host.options.kind == "sensor":
-            if isinstance(event, msg.Imu | msg.LaserScan | msg.Fix):
+            if isinstance(event, msg.Measurement):
                 return Report(host, address, events=(event,))
             return Rx.MALFORMED
         match event:

@@ -192,15 +192,30 @@ def test_what_goes_wrong_on_the_way(under_way: Trip, fault: Fault, within: float
         (Faulty(right=HALF), 0.3, "wheels"),
         (Faulty(left=HALF, right=HALF), 0.6, "wheels"),
         (Faulty(mount=TURNED), 0.4, "wheels or lidar: moved"),
-        (Faulty(mount=yawed(8.0)), 2.5, "mounted as stated"),
+        (Faulty(mount=yawed(14.0)), 2.5, "mounted +14."),
     ],
-    ids=["swapped", "reversed", "both-reversed", "half", "both-half", "lidar-180", "lidar-8"],
+    ids=["swapped", "reversed", "both-reversed", "half", "both-half", "lidar-180", "lidar-14"],
 )
 def test_what_is_wrong_from_the_start(office: Faulty, distance: float, named: str) -> None:
     trip = Trip(office)
     trip.tick([ACROSS])
     trip.run(0.3)
     assert_stopped(trip, 0, 9.0, distance, named)
+
+
+@pytest.mark.parametrize(
+    ("mount", "named"),
+    [(yawed(-2.0), "lidar: mounted -"), (replace(MOUNTS["lidar"], x=0.22), "lidar: mounted +0.1")],
+    ids=["2°", "0.1 m"],
+)
+def test_with_a_lidar_mounted_a_little_otherwise_it_drives_on_slowly(mount: Mount, named: str) -> None:
+    trip = Trip(Faulty(mount=mount))
+    trip.tick([ACROSS])
+    assert named in trip.run(9.0, lambda b: "mounted" in b.reason).reason
+    trip.run(1.0)
+    speeds = [(trip.run(0.1).state, trip.office.speed) for _ in range(20)]
+    assert {state for state, _ in speeds} == {BrainState.DEGRADED}
+    assert 0.1 < max(speed for _, speed in speeds) < 0.3 * BODY.max_linear + 0.01
 
 
 def test_a_reversed_gyro_is_noticed_when_the_base_turns() -> None:

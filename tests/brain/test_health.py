@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import pytest
 
 from brain.health import Health, HealthLevel, HealthSettings, SourceHealth
+from brain.perception.consistency import Trust, Verdict
 from brain.perception.motion_check import Contradiction
 from protocols.messages import MILLISECOND, SECOND, Event, Feedback, Fix, Imu, LaserScan, Mode, Nanos, State
 
@@ -32,8 +35,8 @@ def all_at(t: Nanos) -> dict[str, Event]:
     }
 
 
-def healthy(settings: HealthSettings = SETTINGS) -> Health:
-    health = Health(["left", "right"], ["lidar", "imu", "gps"], TIMEOUTS, settings)
+def healthy(settings: HealthSettings = SETTINGS, helpful: Sequence[str] = ()) -> Health:
+    health = Health(["left", "right"], ["lidar", "imu", "gps"], TIMEOUTS, settings, helpful)
     health.observe(list(all_at(0).values()))
     return health
 
@@ -99,6 +102,44 @@ def test_a_better_level_takes_effect_only_after_a_while() -> None:
     levels = [level(late + i * 10 * MILLISECOND) for i in range(36)]
     assert levels[:30] == [HealthLevel.SLOW] * 30
     assert levels[30:] == [HealthLevel.OK] * 6
+
+
+def test_what_can_be_driven_with_is_slow_for_as_long_as_it_lasts_and_drops_nothing() -> None:
+    """Longer than any trouble may last: a mounting, a verdict, a helpful sensor that falls silent."""
+    mounted = Contradiction("lidar: mounted +5.0° off", confirmed=False, drivable=True)
+    unsure = Verdict(Trust.TOO_SURE, "too sure")
+    for reason, found, verdict, silent in (
+        (mounted.reason, [mounted], Verdict(), ""),
+        ("too sure", [], unsure, ""),
+        ("imu: no reading for more than 139.5 ms", [], Verdict(), "imu"),
+    ):
+        health = healthy(helpful=["imu"])
+        for now in range(50 * MS, 30 * SECOND, 50 * MS):
+            health.observe([event for name, event in all_at(now).items() if name != silent])
+            result = health.assess(now, {}, found, verdict)
+            assert now < 200 * MS or result == SourceHealth(HealthLevel.SLOW, reason)
+        for later in (0, SETTINGS.recover):
+            health.observe(list(all_at(now + later).values()))
+            result = health.assess(now + later, {})
+        assert result.level is HealthLevel.OK
+
+
+def test_a_helpful_sensor_is_awaited_for_a_while_and_then_done_without() -> None:
+    health = Health(["left"], ["lidar", "imu"], TIMEOUTS, SETTINGS, helpful=["imu"])
+    health.observe([feedback(0)])
+    assert health.missing(SETTINGS.start_without - 1) == "a reading of lidar, a reading of imu"
+    assert health.missing(SETTINGS.start_without) == "a reading of lidar"
+    health.observe([scan(0)])
+    assert health.assess(0, {}) == SourceHealth(HealthLevel.SLOW, "imu has never reported")
+
+
+def test_an_estimate_that_is_lost_stands_and_then_drops_the_tasks() -> None:
+    health, lost = healthy(), Verdict(Trust.LOST, "lost: lidar")
+    levels = []
+    for now in range(0, SETTINGS.give_up + 1, 100 * MS):
+        health.observe(list(all_at(now).values()))
+        levels.append(health.assess(now, {}, (), lost).level)
+    assert levels == [HealthLevel.HALT] * (len(levels) - 1) + [HealthLevel.LOST]
 
 
 def test_what_stays_bad_is_lost_and_what_comes_back_is_well_again() -> None:

@@ -64,7 +64,7 @@ def test_feed_forward_is_zero_unless_given() -> None:
 
 
 def test_no_default_hides_a_measurement() -> None:
-    for kind in (messages.Imu, messages.LaserScan, messages.Fix, messages.Feedback, messages.Parameter):
+    for kind in (*get_args(messages.Measurement), messages.Feedback, messages.Parameter):
         for f in fields(kind):
             instant = f.name == "duration"  # 0 is one that some lidars have
             assert instant or f.default is None or f.default is MISSING, (kind, f.name)

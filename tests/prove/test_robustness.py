@@ -1,4 +1,4 @@
-"""The whole brain in the 79 variations, others drawn at random, before screens, carried away, in four worlds.
+"""The whole brain in the 79 variations, others drawn at random, carried away, in four worlds.
 
 ./go prove -k robustness                              all that are left; then the table
 PROVE_SEED=7 ./go prove -k "robustness and moves"     one campaign, with this seed
@@ -14,7 +14,7 @@ import pytest
 
 from tests.prove.campaign import Campaign
 from tests.robustness.judge import Case, Row, mean_nees, mean_nis, run, table
-from tests.robustness.variations import TABLE, WORLDS, carried, drawn, screen, world
+from tests.robustness.variations import TABLE, WORLDS, carried, drawn, world
 
 pytestmark = pytest.mark.prove
 
@@ -35,10 +35,6 @@ def test_the_variations() -> None:
     assert sum(row.good for row in found) >= 75
     others = rows("drawn", 40, lambda seed, number: drawn(seed + number))
     assert sum(row.good for row in others) / len(others) >= sum(row.good for row in found) / len(found) - 0.05
-
-
-def test_no_screen_is_touched() -> None:
-    assert not [row for row in rows("screens", 100, lambda seed, n: screen(seed + n)) if row.contacts]
 
 
 def test_who_is_carried_away_stands_and_finds_itself() -> None:

@@ -215,6 +215,8 @@ class _Trial:
             self.row.lost = seconds(now - (self.happened or now))
         self.row.span = elapsed
         over = not self.case.drive and self.goal is None and not self.goals
+        searched = seconds(now - (self.happened or now)) < 6.0 and math.isinf(self.row.found)
+        over = over and not (base.moved and searched)
         return elapsed < self.limit and not (over and abs(base.speed) < STANDING)
 
     def _tasks(self, now: Nanos, elapsed: float) -> list[Goal | Drive]:
@@ -270,7 +272,7 @@ class _Trial:
         assert isinstance(self.brain._body, BaseBrain)
         perception = self.brain._body.perception
         row.nis = {name: nis.mean for name, nis in perception.nis.items() if nis.count}
-        row.contacts = [(each.what, each.speed) for each in self.base.touches if abs(each.speed) > OWN]
+        row.contacts = [(what, speed) for what, speed in self.base.touches if abs(speed) > OWN]
         all_reached = row.reached == row.asked and row.nees < MOST_NEES
         word = case.word.lower()
         good = {

@@ -104,16 +104,6 @@ class Person:
     radius: float = 0.2
 
 
-@dataclass(frozen=True, slots=True)
-class Touch:
-    """The outline met something that it did not touch before."""
-
-    t: Nanos
-    what: str
-    speed: float
-    """m/s, of the base"""
-
-
 @dataclass(slots=True)
 class _Wheel:
     """Angle, speed and slip of one wheel: a Gauss-Markov process over the distance rolled."""
@@ -124,10 +114,12 @@ class _Wheel:
     rolled: float = 0.0
 
 
-def cast(segments: Floats, people: Floats, origins: Floats, angles: Floats, farthest: float) -> Floats:
+def cast(
+    segments: Floats, people: Sequence[Floats], origins: Floats, angles: Floats, farthest: float
+) -> Floats:
     """Return how far beams go, each from its own origin (n × 2): exact intersections.
 
-    `segments`: m × 4 (x0 y0 x1 y1). `people`: k × n × 3 (centre at each beam's time, radius)."""
+    `segments`: m × 4 (x0 y0 x1 y1). `people`: of each n × 3, centre at each beam's time and radius."""
     dx, dy = np.cos(angles)[:, None], np.sin(angles)[:, None]
     ex, ey = segments[:, 2] - segments[:, 0], segments[:, 3] - segments[:, 1]
     wx, wy = segments[:, 0] - origins[:, 0, None], segments[:, 1] - origins[:, 1, None]
@@ -163,7 +155,8 @@ class Base:
     speed: float = 0.0
     """m/s, forward"""
     turn_rate: float = 0.0
-    touches: list[Touch] = field(default_factory=list)
+    touches: list[tuple[str, float]] = field(default_factory=list)
+    """What was met that was not touched before, and the speed then"""
     moved: bool = False
     """Lifted and put down elsewhere, at any time"""
     silent: dict[str, Nanos] = field(default_factory=dict)
@@ -197,12 +190,12 @@ class Base:
 
     def carry(self, distance: float, yaw: float) -> None:
         """Move to a place drawn at this distance, with nothing between and 0.3 m free around."""
-        ring, none = np.linspace(-math.pi, math.pi, 72), np.zeros((0, 72, 3))
+        ring = np.linspace(-math.pi, math.pi, 72)
         for bearing in self.random.permutation(ring):
             x, y = self.pose.x + distance * math.cos(bearing), self.pose.y + distance * math.sin(bearing)
             here, there = np.array([[self.pose.x, self.pose.y]] * 72), np.array([[x, y]] * 72)
-            free = cast(self._all, none, there, ring, 9.0).min() > 0.3
-            if free and cast(self._all, none, here, np.full(72, bearing), 99.0)[0] > distance:
+            free = cast(self._all, (), there, ring, 9.0).min() > 0.3
+            if free and cast(self._all, (), here, np.full(72, bearing), 99.0)[0] > distance:
                 self.move(distance, yaw, bearing)
                 return
         self.move(0.0, yaw if abs(yaw) > 0.3 else math.pi)
@@ -313,7 +306,7 @@ class Base:
             offset = np.abs(axes @ np.array([person.x - here.x, person.y - here.y]))
             if np.hypot(*np.maximum(offset - half, 0.0)) < person.radius:
                 names.add(name)
-        self.touches += [Touch(self.now, name, self.speed) for name in sorted(names - self._touching)]
+        self.touches += [(name, self.speed) for name in sorted(names - self._touching)]
         self._touching = frozenset(names)
 
     # -- sensors -------------------------------------------------------------------------------------------
@@ -350,12 +343,10 @@ class Base:
             axis=1,
         )
         ago = (times - self.now) / SECOND
-        people = np.array(
-            [
-                np.stack([p.x + p.vx * ago, p.y + p.vy * ago, np.full(beams, p.radius)], axis=1)
-                for p in self.people.values()
-            ]
-        ).reshape(-1, beams, 3)
+        people = [
+            np.stack([p.x + p.vx * ago, p.y + p.vy * ago, np.full(beams, p.radius)], axis=1)
+            for p in self.people.values()
+        ]
         angles = yaw + mount_yaw + figures.mount_yaw - math.pi + increment * np.arange(beams)
         true = cast(self._segments, people, origins, angles, figures.range)
         read = np.round(true + figures.range_noise * self._lidar.standard_normal(beams), 3)

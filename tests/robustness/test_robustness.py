@@ -42,17 +42,17 @@ def test_a_touch_is_where_outline_and_box_or_disc_share_a_point() -> None:
             "box": np.any((abs(u) < 0.3) & (abs(v) < 0.15)),
             "person": np.any(px**2 + (py + 0.5) ** 2 < 0.04),
         }
-        disagreed += {each.what for each in here.touches} != {name for name, met in wanted.items() if met}
+        disagreed += {what for what, _ in here.touches} != {name for name, met in wanted.items() if met}
     assert disagreed <= 4, "points 10 mm apart miss corners that only just touch"
 
 
 def test_beams_end_at_the_nearest_wall_or_person_each_from_its_own_origin() -> None:
     walls = np.array([[2.0, -1.0, 2.0, 1.0], [3.0, -9.0, 3.0, 9.0]])
     origins, angles = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 2.0], [0.0, 0.0]]), np.array([0, 0, 0, math.pi])
-    nobody, ahead = np.zeros((0, 4, 3)), np.array([[[1.0, 0.1, 0.2]] * 4])
-    assert cast(walls, nobody, origins, angles, 9.0).tolist() == [2.0, 1.5, 3.0, 9.0]
+    ahead = np.array([[1.0, 0.1, 0.2]] * 4)
+    assert cast(walls, [], origins, angles, 9.0).tolist() == [2.0, 1.5, 3.0, 9.0]
     reach = 1.0 - math.sqrt(0.2**2 - 0.1**2)
-    assert np.allclose(cast(walls, ahead, origins, angles, 9.0), [reach, reach - 0.5, 3.0, 9.0])
+    assert np.allclose(cast(walls, [ahead], origins, angles, 9.0), [reach, reach - 0.5, 3.0, 9.0])
 
 
 def test_a_case_repeats_exactly() -> None:

@@ -30,6 +30,7 @@ from protocols.messages import (
     LaserScan,
     Mode,
     Nanos,
+    PoseReading,
     State,
 )
 from tests.gateway import little
@@ -139,6 +140,15 @@ def test_a_fix_without_and_with_variance() -> None:
     assert (with_.latitude, with_.longitude, with_.altitude) == (50.0, 8.0, 120.0)
     assert with_.position_covariance.tolist() == [2.5, 0, 0, 0, 2.5, 0, 0, 0, 0]
     assert with_.position_covariance_type == 1
+
+
+def test_a_pose_reading_without_and_with_yaw() -> None:
+    without = shown(tick(PoseReading("markers", T, 1.0, 2.0)))["/pose"]
+    assert (without.pose.pose.position.x, without.pose.pose.position.y) == (1.0, 2.0)
+    assert without.pose.covariance[[0, 7, 35]].tolist() == [0.0, 0.0, 1e9]
+    with_ = shown(tick(PoseReading("markers", T, 1.0, 2.0, math.pi / 2, 0.01, 0.04)))["/pose"]
+    assert with_.pose.pose.orientation.z == pytest.approx(math.sin(math.pi / 4))
+    assert with_.pose.covariance[[0, 7, 35]].tolist() == [0.01, 0.01, 0.04]
 
 
 def test_joint_states_hold_the_last_values_of_each_motor() -> None:

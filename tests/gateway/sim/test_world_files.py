@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from gateway.errors import ConfigError
-from gateway.sim import WorldError, load_world, parse_world
+from gateway.sim import World, WorldError, load_world, parse_world
 from gateway.sim.files import BenchFile, SceneFile
-from tests.gateway.world_helpers import ROOM
+from gateway.sim.mjcf import Polygon
+from tests.gateway.world_helpers import ROOM, robot
 
 
 def test_the_office() -> None:
@@ -30,6 +33,26 @@ def test_the_office() -> None:
     ys = [y for wall in office.walls.values() for _, y in (wall.start, wall.end)]
     assert 8.0 <= max(xs) - min(xs) <= 10.5
     assert 6.0 <= max(ys) - min(ys) <= 8.5
+
+
+@pytest.mark.parametrize("name", ["maze", "hall", "corridor"])
+def test_another_world_has_the_offices_base_and_room_for_it_at_every_goal(name: str) -> None:
+    office, file = load_world("office"), load_world(name)
+    assert isinstance(file, SceneFile)
+    assert isinstance(office, SceneFile)
+    swept = {sensor: replace(lidar, sweep=False) for sensor, lidar in file.lidars.items()}
+    assert (file.body, file.imus, file.encoder) == (office.body, office.imus, office.encoder)
+    assert swept == {sensor: replace(lidar, sweep=False) for sensor, lidar in office.lidars.items()}
+    built = World(file, robot(), 1)
+    around = [(0.35 * math.cos(a), 0.35 * math.sin(a)) for a in range(60)]
+    for x, y in ((0.0, 0.0), *file.tour):
+        for polygon in built.outlines():
+            assert not any(_inside(polygon, x + dx, y + dy) for dx, dy in around), (x, y)
+
+
+def _inside(polygon: Polygon, x: float, y: float) -> bool:
+    edges = zip(polygon, polygon[1:] + polygon[:1], strict=True)
+    return all((bx - ax) * (y - ay) > (by - ay) * (x - ax) for (ax, ay), (bx, by) in edges)
 
 
 def test_a_world_by_its_path(tmp_path: Path) -> None:

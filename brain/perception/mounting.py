@@ -1,0 +1,83 @@
+"""How a lidar is mounted, by what its scans show of the motion of a base that cannot move sideways."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from brain.belief import Floats
+from brain.perception.scan_motion import Shown
+from brain.perception.track import SLIP_SHARE, Motion
+
+FADE = 5.0
+"""m: what was seen of a mounting fades with the way driven (and turned, at 1 m per rad), to 1/e."""
+YAW, PLACE = math.radians(0.8), 0.05
+"""rad, m: smaller errors of a mounting are not named,"""
+DRIVABLE_YAW, DRIVABLE_PLACE = math.radians(10.0), 0.3
+"""and larger ones than these not driven with."""
+BENT, STEERED = (0.25, 0.02), (0.01, 0.0)
+"""Shares of what is across a way, and of it, by which its shape may be wrong; and with a gyro's turns."""
+ASIDE = 0.001
+"""m: standard deviation of a comparison beside its noise."""
+PRIOR = np.diag([1.0, 100.0, 100.0, 0.0])
+"""Information on a mounting before any motion: 1 rad, 0.1 m."""
+
+
+class Mounting:
+    """What the scans show of a lidar's true mounting against the robot file's. Plain data.
+
+    A base on two wheels moves along its mean heading. A lidar that stands by (yaw, x, y) otherwise than
+    stated shows, over a way d and a turn w, aside = -yaw d + 2 sin(w/2) x, and along = d - 2 sin(w/2) y:
+    weighted least squares."""
+
+    def __init__(self) -> None:
+        self.sums = PRIOR.copy()
+        """Of the equations' outer products, 4 × 4: yaw, x, y, right side;"""
+        self.number = 0.0
+        """and how many they are. Both fade with the way."""
+        self._named = False
+
+    def with_one(self, wheels: Motion, shown: Shown) -> tuple[Floats, float]:
+        """Return the sums with the motion that scans show, beside that of the wheels, whose way need be no
+        arc."""
+        turn = shown.motion.turn
+        (way, across), (along, aside) = wheels.ahead(), shown.motion.ahead()
+        lever, noise = 2.0 * math.sin(turn / 2.0), math.sqrt(shown.variance)
+        bent, slip = BENT if wheels.heading == wheels.turn else STEERED
+        bent = bent * (abs(turn * along) + 4.0 * abs(across)) + slip * abs(along)
+        forward, sideways = shown.spread()
+        forward = math.hypot(ASIDE, noise * forward, SLIP_SHARE * way)
+        sideways = math.hypot(ASIDE, noise * sideways, bent)
+        rows = np.array(
+            [
+                [-along / sideways, lever / sideways, 0.0, (aside - across) / sideways],
+                [0.0, 0.0, -lever / forward, (along - way) / forward],
+            ]
+        )
+        kept = math.exp(-(abs(way) + abs(turn)) / FADE)
+        return PRIOR + kept * (self.sums - PRIOR) + rows.T @ rows, kept * self.number + 1.0
+
+    def flaw(self, sums: Floats, number: float) -> tuple[str, bool] | None:
+        """Return how the mounting differs by these sums, and whether it can be driven with; None if no
+        difference is certain (3 sigma)."""
+        inverse = np.linalg.inv(sums[:3, :3])
+        found = inverse @ sums[:3, 3]
+        left = float(sums[3, 3] - found @ sums[:3, 3])
+        inverse *= max((left + 3.0) / (number + 2.0), 1.0)  # larger if the equations disagree
+        (yaw, x, y), sigma = found.tolist(), np.sqrt(np.diag(inverse)).tolist()
+        certain = 0.0 if self._named else 3.0
+        clear = [
+            spread < least < abs(value) - certain * spread
+            for value, spread, least in zip((yaw, x, y), sigma, (YAW, PLACE, PLACE), strict=True)
+        ]
+        self._named = any(clear)
+        if not self._named:
+            return None
+        if clear[0]:
+            by = f"{math.degrees(yaw):+.1f}° (±{math.degrees(2.0 * sigma[0]):.1f}°)"
+            drivable = abs(yaw) < DRIVABLE_YAW + 3.0 * sigma[0]
+        else:
+            by = f"{x:+.2f} (±{2.0 * sigma[1]:.2f}) m ahead, {y:+.2f} (±{2.0 * sigma[2]:.2f}) m to the left"
+            drivable = math.hypot(x, y) < DRIVABLE_PLACE + 3.0 * max(sigma[1:])
+        return f"mounted {by} off what the robot file states", drivable
