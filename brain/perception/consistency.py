@@ -62,7 +62,7 @@ class Agreement:
         if self.matched and not self.near:
             return f"it fits {self.offset:.2f} m and {math.degrees(self.turn):.0f}° off the believed pose"
         seen = self.seen
-        if seen.crossed > CROSSED:
+        if seen.crossed > CROSSED or (seen.crossed > FEW_CROSSED and seen.fit < LITTLE_FIT):
             return f"{100 * seen.crossed:.0f} % of its rays pass through walls of the map"
         if not self.matched and seen.known > LEAST_KNOWN and seen.denied > DENIED:
             return f"{100 * seen.denied:.0f} % of it lies where the map is free"
@@ -71,9 +71,10 @@ class Agreement:
 
 LEAST_KNOWN = 0.3
 """Of a scan with a smaller share of its hits on known ground nothing is concluded."""
-CROSSED = 0.15
-DENIED = 0.7
-"""Shares of hits, from which on the pose is doubtful"""
+CROSSED, DENIED = 0.15, 0.7
+"""Shares of hits, from which on the pose is doubtful;"""
+FEW_CROSSED, LITTLE_FIT = 0.05, 0.6
+"""and from where on and below which together"""
 LOST_AFTER: Nanos = 300 * MILLISECOND
 LEAST_SCANS = 3
 """Disagreeing for this time, in at least so many scans, the robot is lost."""

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import dijkstra as scipy_dijkstra
 from brain.belief import Belief, Pose
 from brain.bodies.differential import Differential, arc
 from brain.brain import Brain, BrainSettings
-from brain.perception.grid import GridSettings
+from brain.perception.map import MapSettings
 from brain.perception.mount import Mount
 from brain.perception.perception import PerceptionSettings
 from brain.planning.costmap import UNKNOWN
@@ -166,7 +166,7 @@ class Office:
         return [e for e in events if getattr(e, "motor", getattr(e, "sensor", "")) not in self.silent]
 
 
-SMALL = PerceptionSettings(grid=GridSettings(width=9.0, height=7.0, center_x=2.0, center_y=1.0))
+SMALL = PerceptionSettings(map=MapSettings(width=9.0, height=7.0))
 """A map no larger than the office: quicker."""
 
 

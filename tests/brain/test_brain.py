@@ -18,7 +18,6 @@ from brain.belief import BrainState, BrainTask, Pose
 from brain.bodies.differential import arc, wrap
 from brain.bodies.joints import Joints
 from brain.brain import Brain, BrainSettings
-from brain.perception.grid import GridSettings
 from brain.perception.perception import PerceptionSettings
 from protocols import messages as msg
 from protocols.messages import MILLISECOND, Command, Mode, Nanos
@@ -132,9 +131,8 @@ def test_demand_high_speed() -> None:
         (-2.1, -2.1, -2.0, 2.1),
         (14.0, -2.1, 14.1, 2.1),
     )
-    wide = PerceptionSettings(grid=GridSettings(width=17.0, height=6.0, center_x=6.0))
     office = Office((*long_hall, (6.0, -2.0, 6.5, 0.6)), body=fast)
-    trip = Trip(office, BrainSettings("differential", fast, perception=wide))
+    trip = Trip(office, BrainSettings("differential", fast))
     belief = trip.go(msg.Goal(12.0, -1.0), span=30.0)
     assert belief.reached == 1
     assert from_goal(trip, msg.Goal(12.0, -1.0)) < 0.20
