@@ -16,12 +16,13 @@ from benchmarks.measure import Call, Effort, in_turn, rival
 from benchmarks.rivals import BareFilterpy, BresenhamLoop, PlainNumpy
 from benchmarks.rows import Beside, Row, against
 from brain.belief import Floats, Pose
+from brain.perception.body_scan import BodyScan, to_body, to_world
 from brain.perception.ekf import Ekf
 from brain.perception.ekf_settings import EkfSettings
-from brain.perception.grid import Grid, GridSettings
+from brain.perception.map import Map, MapSettings
 from brain.perception.measurement import wheels
 from brain.perception.motion_model import SIZE, V, W, jacobian, process_noise, propagate
-from brain.perception.mount import BodyScan, Mount, to_body, to_world
+from brain.perception.mount import Mount
 from protocols.messages import MILLISECOND, LaserScan, Nanos, seconds
 
 EKF, GRID = (
@@ -32,6 +33,8 @@ PERIOD: Nanos = 5 * MILLISECOND
 SPEED, TURN = 0.5, 0.4
 NOISE = np.diag([0.02**2, 0.05**2])
 BEAMS = 360
+SURE = np.diag([1e-6, 1e-6, 1e-8])
+"""Covariance of the poses"""
 HALL = (9.0, 6.0)
 """m from the middle to the walls, along x and y"""
 PILLARS = ((3.0, 2.0, 0.3), (-4.0, 1.0, 0.4), (1.0, -3.0, 0.3), (-2.0, -4.0, 0.5), (5.0, -2.0, 0.25))
@@ -86,27 +89,30 @@ class OurFilter:
 
 
 def _map(effort: Effort) -> Row:
-    settings = GridSettings()
+    settings = MapSettings(width=24.0, height=24.0)
     drawing = rival("skimage.draw", "scikit-image")
     scans = [(pose, to_body(scan_at(pose), Mount(), settings.farthest)) for pose in places()]
-    grid = Grid(settings)
-    loop, lines = _loop(grid), _loop(grid)
-    cells = [_cells(grid, pose, swept) for pose, swept in scans]
+    chart = Map(settings)
+    loop, lines = loop_over(chart), loop_over(chart)
+    cells = [cells_of(chart, pose, swept) for pose, swept in scans]
     ours, naive, drawn = cycle(scans), cycle(cells), cycle(cells)
     contestants: dict[str, Call] = {
-        "ours": lambda: grid.add(*next(ours)),
+        "ours": lambda: chart.add(*next(ours), SURE),
         "Bresenham in a Python loop": lambda: loop.add(*next(naive)),
     }
     if not drawing.why_not:
         contestants[drawing.name] = lambda: lines.add_by(drawing.module.line, *next(drawn))
     for pose, swept in scans:  # what is measured is a map that knows the hall, not the first look at it
-        grid.add(pose, swept)
+        chart.add(pose, swept, SURE)
     found = in_turn(contestants, effort.of(60, 3))
     beside: tuple[Beside, ...] = against(
         found, "Bresenham in a Python loop", drawing.name, missing=(drawing,)
     )
     longest = max(float(np.max(swept.ranges)) for _, swept in scans)
-    what = f"{grid.columns} × {grid.rows} cells of {settings.resolution:g} m, beams of up to {longest:.0f} m"
+    top, left, bottom, right = chart.extent()
+    what = (
+        f"{right - left} × {bottom - top} cells of {settings.resolution:g} m, beams of up to {longest:.0f} m"
+    )
     return Row(GRID, what, found["ours"], beside)
 
 
@@ -139,11 +145,16 @@ def reach(x: float, y: float, heading: float) -> float:
     return nearest
 
 
-def _loop(grid: Grid) -> BresenhamLoop:
-    chosen = grid.settings
-    return BresenhamLoop((grid.rows, grid.columns), chosen.hit, chosen.miss, chosen.low, chosen.high)
+def loop_over(chart: Map) -> BresenhamLoop:
+    """A rival of the size and with the sensor model of a map."""
+    chosen, (top, left, bottom, right) = chart.settings, chart.extent()
+    shape = bottom - top, right - left
+    return BresenhamLoop(shape, chosen.hit, chosen.miss, chosen.low, chosen.high)
 
 
-def _cells(grid: Grid, pose: Pose, swept: BodyScan) -> tuple[tuple[int, int], list[tuple[int, int]]]:
-    ends: Floats = to_world(swept.ends, pose)
-    return grid.cell(pose.x, pose.y), [grid.cell(x, y) for x, y in ends.tolist()]
+def cells_of(chart: Map, pose: Pose, swept: BodyScan) -> tuple[tuple[int, int], list[tuple[int, int]]]:
+    """Where (row, column) in the rival's array the beams of a scan start and end."""
+    top, left, *_ = chart.extent()
+    points = np.concatenate([[(pose.x, pose.y)], to_world(swept.ends, pose)])
+    start, *ends = [(row - top, column - left) for column, row in chart.cells(points).tolist()]
+    return start, ends

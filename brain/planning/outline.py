@@ -36,6 +36,13 @@ class Outline:
         opening = 1.0 + (before * self._normals).sum(axis=1)
         self._mitres: Floats = (before + self._normals) / np.maximum(opening, 0.1)[:, None]
         """Motion of the corners per metre by which all edges are moved outward"""
+        self.longest = float(np.linalg.norm(self._mitres, axis=1).max())
+        """Farthest that a corner moves per metre"""
+        self.longest = float(np.linalg.norm(self._mitres, axis=1).max())
+        """Farthest that a corner moves per metre"""
+        self._levers: Floats = np.stack([self._normals[:, 1], -self._normals[:, 0]], axis=1)
+        """Outward speed of an edge's point per metre of its position and rad/s of turn"""
+        self._box: Floats = np.abs(self.corners).max(axis=0)
         self.radius = float(np.linalg.norm(self.corners, axis=1).max())
         self._deepest = -0.5 * float(self._offsets.min())
 
@@ -48,7 +55,7 @@ class Outline:
         """Return the time [s] at this twist until the footprint, grown by the gap, meets a point (2 × n), and
         that gap [m]: less than `gap` if a point is nearer already. Points deep inside are ignored."""
         x, y = points
-        box = np.abs(self.corners).max(axis=0) + gap
+        box = self._box + gap * self.longest
         close = (np.abs(x) < box[0]) & (np.abs(y) < box[1])
         grown = gap
         if close.any():
@@ -68,10 +75,9 @@ class Outline:
         swept = (radii >= inner * inner) & (radii <= outer.max())
         if not swept.any():
             return inf, grown
-        speed = linear * self._normals[:, 0]
-        turning = angular * np.stack([self._normals[:, 1], -self._normals[:, 0]], axis=1)
-        after = ahead[self._next]
-        outward = speed + np.maximum((turning * ahead).sum(axis=1), (turning * after).sum(axis=1))
+        after, levers = ahead[self._next], angular * self._levers
+        turning = np.maximum((levers * ahead).sum(axis=1), (levers * after).sum(axis=1))
+        outward = linear * self._normals[:, 0] + turning
         leads = outward > GRAZING * (abs(linear) + abs(angular) * self.radius)
         return _first(x[swept], y[swept], radii[swept], ahead[leads], after[leads], center, angular), grown
 

@@ -191,7 +191,7 @@ class StopZone:
         body, settings = self.body, self.settings
         stopping = body.max_linear**2 / (2.0 * body.max_linear_acceleration)
         driven = body.max_linear * (seconds(settings.latency) + HORIZON)
-        return self._outline.radius + settings.gap + stopping + driven
+        return self._outline.radius + self._outline.longest * settings.gap + stopping + driven
 
     def _note_own(self, name: str, count: int) -> None:
         if count > 2 and name not in self._own_seen:
@@ -216,7 +216,8 @@ class StopZone:
     def _near(self, twist: Velocity) -> Floats:
         """Return the points (2 × n) in the robot's frame that the footprint can reach while it stops."""
         time = seconds(self.settings.latency) + self._to_rest(twist)
-        reach = 1.5 * self._outline.radius + 2.0 * self.settings.gap + abs(twist[0]) * time
+        outline, driven = self._outline, abs(twist[0]) * time
+        reach = outline.radius + outline.longest * self.settings.gap + driven
         x, y = self._points[0] - self._here.x, self._points[1] - self._here.y
         near = x * x + y * y < reach * reach
         x, y = x[near], y[near]

@@ -21,6 +21,7 @@ from tests.brain.perception.office import box, ranges
 
 OBLONG = ((0.2, 0.1), (0.05, 0.12), (-0.05, 0.12), (-0.2, 0.1), (-0.2, -0.1), (0.0, -0.12), (0.2, -0.1))
 ROBOT = replace(BODY, footprint=OBLONG)
+ARROW = replace(BODY, footprint=((0.25, 0.0), (-0.2, 0.12), (-0.2, -0.12)))
 FRONT, REAR = Mount(x=0.12), Mount(x=-0.12, yaw=pi)
 SCAN, STEP = 100 * MILLISECOND, 10 * MILLISECOND
 Walls = list[tuple[float, float, float, float]]
@@ -46,7 +47,7 @@ def moved(points: Floats, v: float, w: float, t: float) -> Floats:
 def test_the_first_contact_is_that_of_the_motion_in_small_steps() -> None:
     random, met = np.random.Generator(np.random.PCG64(3)), 0
     for case in range(120):
-        body = (ROBOT, BODY)[case % 2]
+        body = (ROBOT, BODY, ARROW, ROBOT)[case % 4]
         corners = np.array(body.outline)
         points = random.uniform(-0.8, 0.8, (random.integers(1, 40), 2))
         points = points[outside(corners, points) > 0.0]
