@@ -82,6 +82,8 @@ SURE = 3.0
 """NIS per degree of freedom over a window, beyond which the filter is too sure, and"""
 HONEST = 2.0
 """below which it is not any more."""
+OUTLIER = 12.0
+"""NIS per degree of freedom, as which a larger one counts: one scan is no trend."""
 
 
 class Consistency:
@@ -116,15 +118,16 @@ class Consistency:
         self._too_sure.clear()
 
     def verdict(self, nis: Mapping[str, Nis]) -> Verdict:
-        """Return the verdict now."""
+        """Return the verdict now; `nis`: of the references outside the robot, by name."""
         if self.lost:
             return Verdict(Trust.LOST, self.lost)
         if self._doubt:
             return Verdict(Trust.DOUBTFUL, next(iter(self._doubt.values())))
         for name, one in nis.items():
             limit = HONEST if name in self._too_sure else SURE
-            if len(one.window) == WINDOW and one.recent > limit:
-                self._too_sure[name] = one.recent
+            ratio = one.recent(OUTLIER) if len(one.window) == WINDOW else 0.0
+            if ratio > limit:
+                self._too_sure[name] = ratio
             else:
                 self._too_sure.pop(name, None)
         for name, ratio in self._too_sure.items():

@@ -38,7 +38,7 @@ class PerceptionSettings:
     """All settings of perception."""
 
     filter: FilterSettings = field(default_factory=FilterSettings)
-    gyro_sigma: float = 0.004
+    gyro_sigma: float = 0.01
     """rad/s: standard deviation of one reading"""
     map: MapSettings = field(default_factory=MapSettings)
     match: MatchSettings = field(default_factory=MatchSettings)
@@ -52,9 +52,7 @@ class PerceptionSettings:
     return is to be expected; such a scan is no proof of free space, either, and is not added to the map."""
 
     def __post_init__(self) -> None:
-        within(
-            self, gyro_sigma=(1e-6, 1.0, "rad/s"), scan_wait=(0.0, 1000.0), least_returns=(0.0, 1.0)
-        )
+        within(self, gyro_sigma=(1e-6, 1.0, "rad/s"), scan_wait=(0.0, 1000.0), least_returns=(0.0, 1.0))
 
 
 CONSTANT = "every value is as before: it does not measure"
@@ -279,9 +277,9 @@ class Perception:
         body_scan = to_body(scan, self._mounts[name], self.settings.map.farthest, self._motion(scan))
         draw = True
         if self.settings.matching:
-            agreement = self._agreement(name, end, body_scan, *believed)
+            agreement, draw = self._agreement(name, end, body_scan, *believed)
             self._consistency.on_scan(name, agreement)
-            draw = not agreement.disagrees and not self._consistency.lost
+            draw = draw and not agreement.disagrees and not self._consistency.lost
             if agreement.disagrees:
                 self._count(name, "does not fit the map")
         part = _Part(name, end, body_scan, draw)
@@ -303,20 +301,24 @@ class Perception:
         columns = (c * dx + s * dy, c * dy - s * dx, poses[:, 2] - yaw)
         return np.column_stack([np.interp(beams, since, column) for column in columns])
 
-    def _agreement(self, name: str, t: Nanos, scan: BodyScan, pose: Pose, covariance: Floats) -> Agreement:
+    def _agreement(
+        self, name: str, t: Nanos, scan: BodyScan, pose: Pose, covariance: Floats
+    ) -> tuple[Agreement, bool]:
+        """Match a scan, and correct the filter by it; return also whether the gate lets it be drawn."""
         settings = self.settings.match
         sigma = math.sqrt(max(covariance[0, 0], covariance[1, 1]))
         found = match(self.map, scan, pose, sigma, settings)
         if found is None:
-            return Agreement(t, examine(self.map, scan, pose), matched=False)
+            return Agreement(t, examine(self.map, scan, pose), matched=False), True
         offset = math.hypot(found.pose.x - pose.x, found.pose.y - pose.y)
         turn = abs(wrap(found.pose.yaw - pose.yaw))
         near = offset < max(3.0 * sigma, MOVED) and turn < max(3.0 * math.sqrt(covariance[2, 2]), TURNED)
         agreement = Agreement(t, found.seen, True, near, offset, turn)
         if not agreement.disagrees and not self._consistency.lost:
             value = np.array([found.pose.x, found.pose.y, found.pose.yaw])
-            self._apply([PoseFix(name, t, value, found.noise, found.shared)])
-        return agreement
+            results = self._apply([PoseFix(name, t, value, found.noise, found.shared)])
+            return agreement, results.get(name) is not GateResult.REJECTED
+        return agreement, True
 
     def _draw(self, part: _Part) -> None:
         at = self._filter.at(part.t)
@@ -332,7 +334,9 @@ class Perception:
 
     def _judge(self, part: _Part, believed: Pose) -> None:
         """Update the verdict after a scan, and search for the place if it is needed."""
-        self.verdict = self._consistency.verdict(self._filter.nis)
+        self.verdict = self._consistency.verdict(
+            {name: nis for name, nis in self._filter.nis.items() if name in self._last_scan}
+        )
         if not self._consistency.lost:
             self._search = None
         elif self._search is None or self._search[0].result is not None:

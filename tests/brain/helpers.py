@@ -118,16 +118,18 @@ class Office:
         """One tick: the wheels follow with a lag of 30 ms; on Idle they roll out."""
         dt = seconds(TICK)
         self.now += TICK
+        before = dict(self._rate)
         for command in commands:
             wanted = command.velocity if isinstance(command, msg.Velocity) else 0.0
             self._rate[command.motor] += (wanted - self._rate[command.motor]) * dt / 0.03
-        turned = {name: rate * dt for name, rate in self._rate.items()}
+        turned = {name: (before[name] + rate) / 2.0 * dt for name, rate in self._rate.items()}
         for name, angle in turned.items():
             self._angle[name] += angle
         distance, turn = self.body.forward(turned[self.body.left], turned[self.body.right])
         distance *= 1.0 - self.noise.slip
         self.pose = arc(self.pose, distance, turn)
-        self.speed, self._turn_rate = distance / dt, turn / dt
+        self.speed = distance / dt
+        self._turn_rate = self.body.forward(self._rate[self.body.left], self._rate[self.body.right])[1]
         self.touched += self.touches()
         return self._events()
 

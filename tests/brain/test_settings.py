@@ -13,9 +13,9 @@ from brain.control.pursuit import PursuitSettings
 from brain.health import HealthSettings
 from brain.perception.filter_settings import FilterSettings
 from brain.perception.map import MapSettings
+from brain.perception.match import MatchSettings
 from brain.perception.mount import Mount
 from brain.perception.perception import PerceptionSettings
-from brain.perception.match import MatchSettings
 from brain.planning.costmap import PlannerSettings
 from brain.settings import changed, keys
 from protocols.messages import MILLISECOND, Goal, Nanos
@@ -143,9 +143,7 @@ def test_a_motor_and_a_sensor_of_one_name_are_refused() -> None:
         (
             BrainSettings,
             {
-                "perception": PerceptionSettings(
-                    map=MapSettings(0.01, 4.0, 4.0)
-                ),
+                "perception": PerceptionSettings(map=MapSettings(0.01, 4.0, 4.0)),
                 "planner": PlannerSettings(margin=1.0, comfort=2.0),
             },
             "planner: the footprint's radius, margin and comfort are 3 m, 300 cells of the map",
