@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -55,17 +56,45 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class MapView:
-    """The occupancy grid: log-odds, row = y, column = x; unknown is exactly 0."""
+    """The occupancy map, in tiles that views share until these change; put together only where needed."""
 
     version: int
     """Incremented at each change."""
     resolution: float
     """m per cell"""
-    origin_x: float
-    """m, of the lower left corner of cell (0, 0)"""
-    origin_y: float
-    log_odds: npt.NDArray[np.float32]
-    """rows × columns; must not be written to"""
+    tiles: Mapping[tuple[int, int], npt.NDArray[Any]]
+    """Log-odds by row and column of tiles, all of one size: row = y, column = x; unknown is exactly 0"""
+    unit: float = 1.0
+    """Log-odds of 1 in a tile"""
+    corner: tuple[float, float] = (0.0, 0.0)
+    """m: lower left one of the tile (0, 0)"""
+
+    @property
+    def origin_x(self) -> float:
+        """m, of the lower left corner of `log_odds`"""
+        return self.corner[0] + min(x for _, x in self.tiles) * self._size[1] * self.resolution
+
+    @property
+    def origin_y(self) -> float:
+        """m"""
+        return self.corner[1] + min(y for y, _ in self.tiles) * self._size[0] * self.resolution
+
+    @property
+    def log_odds(self) -> npt.NDArray[np.float32]:
+        """rows × columns"""
+        (rows, columns), (height, width) = zip(*self.tiles, strict=True), self._size
+        top, left = min(rows), min(columns)
+        shape = (max(rows) + 1 - top) * height, (max(columns) + 1 - left) * width
+        whole = np.zeros(shape, dtype=np.float32)
+        for (row, column), tile in self.tiles.items():
+            y, x = (row - top) * height, (column - left) * width
+            np.multiply(tile, self.unit, out=whole[y : y + height, x : x + width], casting="unsafe")
+        return whole
+
+    @property
+    def _size(self) -> tuple[int, int]:
+        height, width = next(iter(self.tiles.values())).shape
+        return height, width
 
 
 @dataclass(frozen=True, slots=True)

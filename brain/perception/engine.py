@@ -19,8 +19,8 @@ from brain.belief import Floats
 X, Y, YAW, BIAS, SCALE, LEFT, RIGHT, TURN = range(8)
 SIZE = 8
 Vector: TypeAlias = tuple[float, ...]
-"""x, y, yaw; gyro bias; distance scale; turn slip of the left and the right wheel; angle of the gyro less that of
-the wheels."""
+"""x, y, yaw; gyro bias; distance scale; turn slip of the left and the right wheel; angle of the gyro less
+that of the wheels."""
 Packed: TypeAlias = tuple[float, ...]
 """Lower triangle of a 8 × 8 covariance, by rows."""
 Result: TypeAlias = tuple[Vector, Packed, float]
@@ -68,7 +68,8 @@ class Move(NamedTuple):
     noise_bias: float
     noise_scale: float
     noise_left: float
-    """Of the slip's walk, which turns the base already within the travel: by 1/2 in covariance, 1/3 in variance"""
+    """Of the slip's walk, which turns the base already within the travel: by 1/2 in covariance, 1/3 in
+    variance"""
     noise_right: float
     noise_turn: float
 
@@ -129,7 +130,8 @@ class Structured:
             Xb, Yb, Hb, bb + qb,
             Xs, Ys, sh + Ts, sb, ss + qs,
             kl * Xl + wx * ml, kl * Yl + wy * ml, kl * Hl + ml, kl * lb, kl * ls, kl * kl * ll + ql,
-            kr * Xr + wx * mr, kr * Yr + wy * mr, kr * Hr + mr, kr * rb, kr * rs, kl * kr * rl, kr * kr * rr + qr,
+            kr * Xr + wx * mr, kr * Yr + wy * mr, kr * Hr + mr, kr * rb, kr * rs,
+            kl * kr * rl, kr * kr * rr + qr,
             Xg + dt * Xb + Xt + qx, Yg + dt * Yb + Yt + qy, gh + Tg + dt * Hb + Ht + qt,
             Gb, gs + dt * sb + Ts, kl * Gl + ml, kr * Gr + mr,
             gg + dt * gb + Tg + dt * Gb + tl * Gl + tr * Gr + qt + qg,

@@ -25,7 +25,8 @@ Records = npt.NDArray[np.void]
 
 TURN = 2.0 * math.pi / 65536.0
 """rad"""
-PER_CELL = 8192.0
+PER_CELL, MAX_OFFSET = 8192.0, 3.9
+"""Steps per cell; cells"""
 MAX_SCANS = 10
 """In a cell's means: the first ones"""
 SIDE, BITS = 16, 4
@@ -48,7 +49,7 @@ class Lines:
         """First line of each block of cells; 0: those of the first block, which stays empty"""
         self._lines: Records = np.zeros(SIDE * SIDE, dtype=LINE)
         self._unused: list[int] = []
-        self._most = self._blocks.size // 2
+        self._most = self._blocks.size * 3 // 8
         """Blocks; with more, further cells have no lines."""
         self.poses = np.zeros((MAX_ANCHORS, 3))
         """Anchors: pose of the robot [m, m, rad]"""
@@ -94,11 +95,13 @@ class Lines:
         lines = self._lines[places]
         scans, angle = lines["scans"], lines["angle"] * TURN
         c, s = np.cos(angle), np.sin(angle)
-        kept = ((scans == 0) | (nx * c + ny * s > 0.0)) & (np.abs(offset) < 3.9) & (places >= SIDE * SIDE)
+        kept = (
+            ((scans == 0) | (nx * c + ny * s > 0.0)) & (np.abs(offset) < MAX_OFFSET) & (places >= SIDE * SIDE)
+        )
         angle = np.arctan2(scans * s + ny, scans * c + nx)
         lines["angle"] = np.rint(angle / TURN).astype(np.int64).astype(np.int16)
         offset = (scans * (lines["offset"] / PER_CELL) + offset) / (scans + 1)
-        lines["offset"] = np.rint(offset * PER_CELL)
+        lines["offset"] = np.rint(np.clip(offset, -MAX_OFFSET, MAX_OFFSET) * PER_CELL)
         new = scans == 0
         lines["anchor"][new] = self._anchor(pose, covariance)
         lines["scans"] += 1

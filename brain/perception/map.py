@@ -108,6 +108,11 @@ class Map:
         self._values: Values = np.zeros(rows * columns, dtype=np.int8)
         self._stamps = np.zeros((rows // TILE, columns // TILE), dtype=np.int64)
         """Version at which a class of a tile's cells last changed; 0 if none was ever observed."""
+        self._touched = np.zeros_like(self._stamps)
+        """Version at which any value in a tile last changed"""
+        self._copies: dict[tuple[int, int], Values] = {}
+        """Tiles as the last view shows them"""
+        self._view: MapView | None = None
         self._rows, self._columns = rows, columns
         self.lines = Lines(rows, columns)
         names = ("hit", "miss", "low", "high")
@@ -156,21 +161,27 @@ class Map:
 
     def changed(self, since: int) -> list[tuple[int, int]]:
         """Return the tiles (row, column) in which a cell's class changed after a version."""
-        rows, columns = np.nonzero(self._stamps > since)
+        return self._after(self._stamps, since)
+
+    def _after(self, stamps: npt.NDArray[np.int64], since: int) -> list[tuple[int, int]]:
+        rows, columns = np.nonzero(stamps > since)
         first_row, first_column = self._row0 // TILE, self._column0 // TILE
-        rows = first_row + (rows - first_row) % self._stamps.shape[0]
-        columns = first_column + (columns - first_column) % self._stamps.shape[1]
+        rows = first_row + (rows - first_row) % stamps.shape[0]
+        columns = first_column + (columns - first_column) % stamps.shape[1]
         return list(zip(rows.tolist(), columns.tolist(), strict=True))
 
     def view(self) -> MapView:
-        """Return the map as a value: a copy of the tiles about all that was observed within the extent."""
-        tiles = np.array(self.changed(0) or [(0, 0)])
-        (top, left), (bottom, right) = tiles.min(axis=0) * TILE, (tiles.max(axis=0) + 1) * TILE
-        rows, columns = np.arange(top, bottom), np.arange(left, right)
-        log_odds = np.multiply(self._values[self._places(columns, rows[:, None])], UNIT, dtype=np.float32)
-        log_odds.flags.writeable = False
-        x, y = float(left * self.resolution), float(top * self.resolution)
-        return MapView(self.version, self.resolution, x, y, log_odds)
+        """Return the map as a value, the same object until it changes: only changed tiles are copied."""
+        before = self._view
+        if before is None or before.version != self.version:
+            for tile in self._after(self._touched, before.version if before else 0):
+                values = self.tile(*tile)
+                if values is not None:
+                    self._copies[tile] = values.copy()
+                    self._copies[tile].flags.writeable = False
+            tiles = dict(self._copies) or {(0, 0): np.zeros((TILE, TILE), dtype=np.int8)}
+            self._view = before = MapView(self.version, self.resolution, tiles, UNIT)
+        return before
 
     def _places(self, columns: Indices, rows: Indices) -> Indices:
         return ((rows & (self._rows - 1)) << self._shift) | (columns & (self._columns - 1))
@@ -180,6 +191,7 @@ class Map:
     def forget(self) -> None:
         """Forget all that was observed."""
         self._drop(slice(None), slice(None))
+        self._copies.clear()
 
     def recenter(self, x: float, y: float) -> None:
         """Move the extent if a position [m] is more than a tile off its middle."""
@@ -197,13 +209,14 @@ class Map:
                 self._row0 += moved * TILE
             else:
                 self._column0 += moved * TILE
+            self._copies = {at: tile for at, tile in self._copies.items() if self.tile(*at) is not None}
 
     def _drop(self, rows: slice, columns: slice) -> None:
         """Forget tiles, by where they are in memory."""
         self.version += 1
         tiles = self._values.reshape(self._stamps.shape[0], TILE, self._stamps.shape[1], TILE)
         tiles[rows, :, columns] = 0
-        self._stamps[rows, columns] = 0
+        self._stamps[rows, columns] = self._touched[rows, columns] = 0
         self.lines.drop(rows, columns, TILE)
 
     def add(self, pose: Pose, scan: BodyScan, covariance: Floats) -> None:
@@ -220,8 +233,8 @@ class Map:
         columns, rows = np.floor(stops[hit].T).astype(np.int64)
         ends = self._places(columns, rows)
         before = self._values[ends]
-        self._fill(start, beams * per, scan)
         cleared = self._lower(passed)
+        self._fill(start, beams * per, scan)
         self._raise(ends, before, self._agree(hit, before))
         cleared = cleared[self._values[cleared] < 0]
         self.lines.forget(cleared, cleared >> self._shift)
@@ -246,20 +259,23 @@ class Map:
         lowered = np.flatnonzero(after != before)
         cells, before, after = cells[lowered], before[lowered], after[lowered]
         self._values[cells] = after
-        self._mark(cells[(before >= 0) & (after < 0)])
+        self._mark(cells, (before >= 0) & (after < 0))
         return cells[(before > 0) & (after < 0)]
 
     def _raise(self, cells: Indices, before: Values, agree: Bools) -> None:
         after = np.minimum(before, self._high - self._hit) + self._hit
         after -= after == 0
         self._values[cells] = after
-        self._values[cells[agree]] = self._hit
-        self._mark(cells[(before <= 0) & (self._values[cells] > 0)])
+        self._values[cells[agree]] = min(self._hit, self._high)
+        self._mark(cells, (before <= 0) & (self._values[cells] > 0))
 
-    def _mark(self, cells: Indices) -> None:
-        """Note that classes of these cells have changed."""
+    def _mark(self, cells: Indices, otherwise: Bools) -> None:
+        """Note that values of these cells have changed, and of some also the class."""
         rows, columns = cells >> self._shift, cells & (self._columns - 1)
-        self._stamps[rows // TILE, columns // TILE] = self.version
+        rows //= TILE
+        columns //= TILE
+        self._touched[rows, columns] = self.version
+        self._stamps[rows[otherwise], columns[otherwise]] = self.version
 
     def _fill(self, start: Floats, beams: Floats, scan: BodyScan) -> None:
         """Mark unknown cells between neighbouring beams as free, as far as the shorter one reaches and they
@@ -277,8 +293,8 @@ class Map:
         between *= self.resolution
         cells = self._rays(start + between * near, start + between * far)
         cells = cells[self._values[cells] == 0]
-        self._values[cells] = -self._miss
-        self._mark(cells)
+        self._values[cells] = max(-self._miss, self._low)
+        self._mark(cells, np.ones(len(cells), dtype=np.bool_))
 
     def _rays(self, start: Floats, stops: Floats) -> Indices:
         """Return where the cells on lines [cells] are in memory, without the last one: one per step of the

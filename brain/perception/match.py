@@ -44,13 +44,13 @@ class MatchSettings:
     """m: distance of surfaces from lines beyond twice which they count less (Cauchy)"""
     least: int = 15
     """Least number of surfaces on lines"""
-    overlap: float = 0.4
-    """Least share of the surfaces in known ground that lie on lines"""
+    overlap: float = 0.25
+    """Least share of lines among the surfaces that are on a line or in free cells"""
     hold: float = 0.02
     """A direction is observable if at least this share of the surfaces holds it"""
-    floor: float = 0.001
+    floor: float = 0.0008
     """m: least standard deviation of a match"""
-    floor_yaw: float = 0.0004
+    floor_yaw: float = 0.0005
     """rad"""
 
     def __post_init__(self) -> None:
@@ -101,7 +101,7 @@ SMALL = 0.01
 """m, rad: after a smaller step, the surfaces keep their lines"""
 OPEN = 1e4
 """Variance [m², rad²] of a direction that no line holds."""
-CORRELATED = 1.6
+CORRELATED = 1.8
 """Neighbouring surfaces share hits and lines: this many of them carry the information of one."""
 FACING = round(math.radians(50.0) / TURN)
 """Largest angle between a surface and a line that may be it"""
@@ -229,8 +229,9 @@ def _paired(
     apart = (lines["angle"] - (facing - np.int16(FACING))[:, None]).view(np.uint16)
     valid = (lines["scans"] > 0) & (apart < 2 * FACING)
     which = valid.argmax(axis=1)
-    found = np.flatnonzero(valid[np.arange(len(points)), which] & chart.inside(columns, rows))
-    known = len(found) + np.count_nonzero(chart.values(columns, rows) < 0) / 2
+    on_line = valid[np.arange(len(points)), which] & chart.inside(columns, rows)
+    found = np.flatnonzero(on_line)
+    known = np.count_nonzero(on_line | (chart.values(columns, rows) < 0))
     if len(found) < max(settings.least, settings.overlap * known):
         return None
     which = which[found]
@@ -252,7 +253,7 @@ def _solved(pairs: _Pairs, pose: Pose, settings: MatchSettings) -> tuple[Floats,
     weight = 1.0 / (1.0 + (distance / (2.0 * sigma)) ** 2)
     weighted = J * weight
     total = float(weight.sum())
-    variance = float(weight @ (distance * distance)) / total
+    variance = float(np.vdot(distance, distance)) / len(distance)
     length = max(math.sqrt(float(np.vdot(arm, arm)) / len(arm)), 0.1)
     inverse, left_open = _inverted(weighted @ J.T, length, settings.hold * total)
     step = -inverse @ (weighted @ distance)

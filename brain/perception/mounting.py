@@ -20,8 +20,8 @@ BENT, STEERED = (0.25, 0.02), (0.01, 0.0)
 """Shares of what is across a way, and of it, by which its shape may be wrong; and with a gyro's turns."""
 ASIDE = 0.001
 """m: standard deviation of a comparison beside its noise."""
-PRIOR = np.diag([1.0, 100.0, 100.0, 0.0])
-"""Information on a mounting before any motion: 1 rad, 0.1 m."""
+PRIOR = np.diag([1.0, 1111.0, 1111.0, 0.0])
+"""Information on a mounting before any motion: standard deviations of 1 rad and 0.03 m."""
 
 
 class Mounting:

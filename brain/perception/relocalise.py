@@ -36,10 +36,9 @@ class RelocaliseSettings:
     agree: float = 0.75
     """Least share of the scan that agrees with the map: see `agreement`"""
     margin: float = 0.05
-    """By how much that share, where it is at least `good`, must exceed what might agree elsewhere"""
-    good: float = 0.9
+    """By how much that share must exceed what might agree elsewhere"""
     caution: float = 0.3
-    """By how much more, for each part by which the share is below that"""
+    """By which part of what it lacks to GOOD it must exceed that even more"""
     sigma: float = 0.15
     """m: largest standard deviation of the position found, in any direction"""
     operations: int = 600_000
@@ -50,7 +49,6 @@ class RelocaliseSettings:
             self,
             agree=(0.5, 1.0),
             margin=(0.01, 1.0),
-            good=(0.5, 1.0),
             caution=(0.0, 10.0),
             sigma=(0.01, 1.0, "m"),
             operations=(100_000, 10_000_000),
@@ -111,6 +109,8 @@ SPREAD = 0.25
 """Poses whose score is lower than the best one's by so much are not examined"""
 BLOCKS, POSES = 8192, 24
 """Largest number of blocks whose cells are examined, and of poses that are refined"""
+GOOD = 0.9
+"""Share of the scan that agrees with a map in which hardly anything has changed"""
 ELSEWHERE, ELSEWHERE_YAW = 0.5, 0.35
 """m, rad: poses farther apart are different places"""
 CHUNK = 48
@@ -131,6 +131,7 @@ class Search:
         self._cell = self._fine * chart.resolution
         self._points = _thinned(scan.ends[scan.hit], FAR * self._cell)
         self._tiles = chart.changed(0)
+        tiles = np.array(self._tiles)
         self.result: Result | None = None
         if len(self._points) < POINTS[0] or not self._tiles:
             self.result = NotFound(f"{len(self._points)} separate hits, {len(self._tiles)} tiles of the map")
@@ -139,9 +140,9 @@ class Search:
         headings = math.ceil(2.0 * math.pi * float(np.quantile(ranges, 0.8)))
         self._turn = 2.0 * math.pi / min(max(headings, HEADINGS[0]), HEADINGS[1])
         self._headings = round(2.0 * math.pi / self._turn)
-        self._corner = np.min(self._tiles, axis=0)
+        self._corner = tiles.min(axis=0)
         """Tile (row, column) at the corner of the search"""
-        rows, columns = (np.max(self._tiles, axis=0) + 1 - self._corner) * (TILE // self._fine)
+        rows, columns = (tiles.max(axis=0) + 1 - self._corner) * (TILE // self._fine)
         self._border = (math.ceil(float(ranges.max())) // SIDE + 2) * SIDE
         """Unknown cells about the map: no point of a pose inside lies outside"""
         high, wide = int(rows) + 2 * self._border, int(columns) + 2 * self._border
@@ -298,7 +299,7 @@ class Search:
         pose = found.pose if found else pose
         columns, rows = (self._map.cells(np.array([[pose.x, pose.y]])) + AROUND).T
         if (self._map.values(columns, rows) < 0).any():
-            least, most = agreement(self._map, self._scan, pose)
+            least, most, _ = agreement(self._map, self._scan, pose)
             self._refined.append((least, most, pose, found.noise + found.shared if found else None))
         return 1000 * CALL
 
@@ -309,7 +310,7 @@ class Search:
         if score < self._settings.agree or covariance is None:
             return NotFound(f"at the best pose only {score:.0%} of the scan agrees with the map")
         settings = self._settings
-        margin = settings.margin + settings.caution * max(settings.good - score, 0.0)
+        margin = settings.margin + settings.caution * max(GOOD - score, 0.0)
         elsewhere = [(most, other) for _, most, other, _ in self._refined if _elsewhere(other, pose)]
         runner_up = max((most for most, _ in elsewhere), default=0.0)
         alike = (pose, *(other for most, other in elsewhere if most > score - margin))
@@ -363,15 +364,19 @@ CLEAR = 0.3
 """m before a beam's end in which what it passes is not judged"""
 
 
-def agreement(chart: Map, scan: BodyScan, pose: Pose) -> tuple[float, float]:
-    """Return the share of the scan, taken at this pose, that agrees with the map: at least, and at most.
+def agreement(chart: Map, scan: BodyScan, pose: Pose) -> tuple[float, float, float]:
+    """Return the share of the scan, taken at this pose, that agrees with the map, at least and at most, and
+    the share of its beams that pass through occupied cells.
 
     A beam agrees if it ends on an occupied cell or beside one; it contradicts the map if it ends in a free
     cell or passes through an occupied one. At least: a hit in unknown ground counts half against the map; at
     most: it does not count, where at least half of the hits lie in known ground. Each beam weighs as much as
-    its range: so long is the piece of wall that it stands for."""
+    its range: so long is the piece of wall that it stands for. What stands before a wall shortens beams; that
+    they pass through walls as well shows a wrong pose."""
     read = np.flatnonzero(scan.ranges > 0.0)
-    read = read[:: max(1, math.ceil(len(read) / BEAMS))]
+    read = read[:: math.ceil(len(read) / BEAMS) or 1]
+    if not len(read):
+        return 0.0, 0.0, 0.0
     ranges, hit, ends = scan.ranges[read], scan.hit[read], to_world(scan.ends[read], pose)
     columns, rows = (chart.cells(ends)[:, None] + BESIDE).reshape(-1, 2).T
     beside = chart.values(columns, rows).reshape(-1, len(BESIDE))
@@ -386,4 +391,4 @@ def agreement(chart: Map, scan: BodyScan, pose: Pose) -> tuple[float, float]:
     unknown = float(ranges[hit & ~on & ~pierced & (beside[:, 0] == 0)].sum())
     known = max(agrees + denies, 1e-9)
     least = agrees / (known + unknown / 2.0)
-    return least, agrees / known if known > unknown else least
+    return least, agrees / known if known > unknown else least, float(np.mean(pierced))

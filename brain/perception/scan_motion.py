@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from brain.belief import Floats
-from brain.perception.body_scan import BodyScan
+from brain.perception.body_scan import BodyScan, Bools
 from brain.perception.track import STILL, Motion
 from protocols.messages import Nanos
 
@@ -66,10 +66,10 @@ class Reference:
         self._lines[2, :count][line] = np.einsum("ij,ij->i", normals, scan.middles[line])
         self._lines[:, -1] = self._lines[:, 0]
 
-    def motion(self, points: Floats, guess: Motion) -> Shown | None:
-        """Return the motion since the reference that a scan's points (2 × n: its rays' ends, also of those
-        without a return, that pass the lines) show, searched from a guess; None if too few of them meet a
-        line."""
+    def motion(self, points: Floats, hit: Bools, guess: Motion) -> Shown | None:
+        """Return the motion since the reference that a scan's points (2 × n: its rays' ends) show, searched
+        from a guess; None if too few of them meet a line. Ends without a hit show no motion, but must not lie
+        behind lines, either."""
         x, y, turn = guess.x, guess.y, guess.turn
         px, py = points
         J = np.empty((4, len(px)))
@@ -87,7 +87,7 @@ class Reference:
             lined = int(np.count_nonzero(size < NO_LINE / 2.0))
             if lined < LEAST:
                 return None
-            weight = (size < gate) / (1.0 + 400.0 * (off * off))
+            weight = (hit & (size < gate)) / (1.0 + 400.0 * (off * off))
             M = (J * weight) @ J.T
             inverse: Floats = np.linalg.inv(M[:3, :3] + DAMPING)
             dx, dy, dturn = (inverse @ M[:3, 3]).tolist()

@@ -148,10 +148,9 @@ class StopZone:
             result, braked = _scaled(desired, share), self._braked(previous, dt)
             if abs(result[0]) < abs(braked[0]) or abs(result[1]) < abs(braked[1]):
                 result = braked
-            if abs(result[0]) < SLOWEST and abs(previous[0]) < SLOWEST:
-                result = max(
-                    result, self._turned(previous, wanted, dt, points), key=lambda twist: abs(twist[1])
-                )
+            if max(abs(result[0]), abs(previous[0])) < SLOWEST:
+                turned = self._turned(previous, wanted, dt, points)
+                result = turned if abs(turned[1]) > abs(result[1]) else result
         self._report(wanted, result, share, away, dt)
         return result
 
@@ -268,7 +267,7 @@ class StopZone:
             self.reason, self.standing = "", 0.0
         if free:
             return
-        stands = speed < (5.0 * SLOWEST if self.standing else SLOWEST)
+        stands = speed < (0.25 * fast if self.standing else SLOWEST)
         self.standing = self.standing + dt if stands else 0.0
         way = "ahead" if wanted[0] > 0.0 else "behind" if wanted[0] < 0.0 else "beside"
         near = f"obstacle {max(away, 0.0):.2f} m {way}" if isfinite(away) else f"no lidar looks {way}"

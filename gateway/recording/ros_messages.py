@@ -110,9 +110,10 @@ def goal_pose(types: Types, t: Nanos, goal: Goal) -> Message:
 
 def occupancy(types: Types, t: Nanos, view: MapView) -> Message:
     """Make nav_msgs/OccupancyGrid: percent, row by row from the lower left; -1 (unknown) for log-odds 0."""
-    rows, columns = view.log_odds.shape
-    percent = np.rint(50.0 + 50.0 * np.tanh(np.float32(0.5) * view.log_odds)).astype(np.int8)
-    percent[view.log_odds == 0.0] = -1
+    log_odds = view.log_odds
+    rows, columns = log_odds.shape
+    percent = np.rint(50.0 + 50.0 * np.tanh(np.float32(0.5) * log_odds)).astype(np.int8)
+    percent[log_odds == 0.0] = -1
     return types["nav_msgs/msg/OccupancyGrid"](
         header=header(types, t, WORLD),
         info=types["nav_msgs/msg/MapMetaData"](

@@ -61,7 +61,7 @@ class Little:
         estimate = Estimate(self.t, Pose(self.position, 0.5, 0.1), 0.2, 0.3, np.eye(3) * 0.01)
         grid = self.grid.copy()
         grid[0, 0] = self.seen
-        view = MapView(self.seen // 100, 0.05, -1.0, -2.0, grid)
+        view = MapView(self.seen // 100, 0.05, {(0, 0): grid}, corner=(-1.0, -2.0))
         return Belief(
             BrainState.RUNNING, "", estimate, self.goal, ((0.0, 0.0), (1.0, 1.0)), 1, view, {"lidar": 0}, 0
         )

@@ -291,6 +291,7 @@ def test_tiles_and_view_show_the_same_values() -> None:
     rows, columns = view.log_odds.shape
     values = chart.values(np.arange(left, left + columns), np.arange(top, top + rows)[:, None])
     assert (view.log_odds == values * np.float32(UNIT)).all()
+    assert view is chart.view()
     assert np.count_nonzero(values) == np.count_nonzero(everything(chart))
     for row, column in chart.changed(0):
         tile = chart.tile(row, column)
@@ -299,9 +300,16 @@ def test_tiles_and_view_show_the_same_values() -> None:
         assert (tile == chart.values(column * TILE + inner, (row * TILE + inner)[:, None])).all()
         with pytest.raises(ValueError, match="read-only"):
             tile[0, 0] = 1
+    for x in (-0.5, -0.4, 0.3):
+        seen(chart, Pose(x, 0.5, 0.3))
+        later = chart.view()
+        assert all((tile == chart.tile(*at)).all() for at, tile in later.tiles.items())
+        assert {*later.tiles} == {*chart.changed(0)}
+    assert later.tiles[0, 0] is not view.tiles[0, 0]
     chart.forget()
     assert not chart.changed(0)
     assert chart.tile(0, 0) is None
+    assert not chart.view().log_odds.any()
     assert (view.log_odds == values * np.float32(UNIT)).all()
 
 
@@ -322,15 +330,16 @@ def test_memory_is_bounded() -> None:
     chart = Map(MapSettings(width=200.0, height=200.0))
     first, _, last, _ = chart.extent()
     columns, rows = (n.ravel() for n in np.meshgrid(*[np.arange(first, last, 16)] * 2))
+    normals = np.tile(np.eye(1, 2), (len(rows), 1))
+    points = np.column_stack([columns, rows]).astype(np.float64) + 0.5
     for some in np.array_split(np.arange(len(rows)), 16):
-        points = np.column_stack([columns[some], rows[some]]) + 0.5
-        chart.lines.draw(
-            columns[some], rows[some], points, np.repeat([[1.0, 0.0]], len(some), axis=0), HERE, SURE
-        )
+        chart.lines.draw(columns[some], rows[some], points[some], normals[some], HERE, SURE)
+    chart._values[:], chart._stamps[:], chart._touched[:] = -5, 1, 1
+    assert len(chart.view().tiles) == 64 * 64
     held, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert 20e6 < held < 100e6
-    assert np.count_nonzero(chart.lines.at(columns, rows)["scans"]) == len(rows) // 2 - 1
+    assert np.count_nonzero(chart.lines.at(columns, rows)["scans"]) == len(rows) * 3 // 8 - 1
 
 
 def test_a_map_that_is_too_large_is_refused() -> None:

@@ -24,6 +24,7 @@ from brain.perception.relocalise import (
     Result,
     Search,
     Searching,
+    agreement,
 )
 from tests.brain.helpers import ROOMS, Box
 from tests.brain.perception.office import OFFICE, box, ranges, scan_at
@@ -216,3 +217,20 @@ def test_with_few_hits_or_without_a_map_nothing_is_found() -> None:
     assert isinstance(finish(search(drawing, nothing))[0], NotFound)
     empty = Map(MapSettings())
     assert isinstance(finish(search(empty, seen(where, Pose(0.0, 0.0, 0.0), random)))[0], NotFound)
+
+
+def test_a_screen_shortens_beams_and_a_wrong_pose_sends_them_through_walls() -> None:
+    """What tells that the robot was moved from what stands before it."""
+    random, where = generator(10), OFFICES["random"]
+    drawing = drawn(where, poses(where, random, 40), random)
+    for pose in poses(where, random, 12):
+        x, y = pose.x + 0.6 * math.cos(pose.yaw), pose.y + 0.6 * math.sin(pose.yaw)
+        dx, dy = 1.0 * math.sin(pose.yaw), 1.0 * math.cos(pose.yaw)
+        screened = np.vstack([where, (x - dx, y + dy, x + dx, y - dy)])
+        _, agrees, through = agreement(drawing, seen(screened, pose, random), pose)
+        assert agrees > 0.5
+        assert through < 0.05
+        turned = replace(pose, yaw=wrap(pose.yaw + math.radians(15.0)))
+        _, agrees, through = agreement(drawing, seen(where, turned, random), pose)
+        assert agrees < 0.5
+        assert through > 0.05

@@ -84,9 +84,10 @@ class Base:
     def scan(self, name: str = "front", count: int = 360) -> LaserScan:
         """The scan that ends now, of a base that has moved during the sweep as it does now."""
         mount, field = self.mounts[name], self.fields[name]
-        angles, read = -field / 2.0 + field / count * np.arange(count), np.empty(count)
+        angles = np.asarray(-field / 2.0 + field / count * np.arange(count), dtype=np.float64)
+        read = np.empty(count)
         for beams in np.array_split(np.arange(count), 12 if self.sweep else 1):
-            ago = seconds(self.sweep) * (1.0 - beams.mean() / (count - 1)) if self.sweep else 0.0
+            ago = seconds(self.sweep) * (1.0 - float(beams.mean()) / (count - 1)) if self.sweep else 0.0
             lidar = arc(self.pose, -self.delayed[0][0] * ago, -self.delayed[0][1] * ago)
             lidar = arc(lidar, mount.x, 0.0)
             read[beams] = ranges(self.walls, lidar.x, lidar.y, lidar.yaw + mount.yaw + angles[beams], 10.0)
@@ -205,6 +206,22 @@ def test_one_beam_alone_is_speckle_until_it_is_there_again() -> None:
     assert beams(zone, 6 * SCAN, b180=0.3, b182=0.3) < (0.5, 0.0)
 
 
+def test_many_beams_alone_are_no_speckle() -> None:
+    """Ranges of which no neighbours agree, as of a hedge or a defect: the step stays short, and it stops."""
+    zone = StopZone(ROBOT, {"front": FRONT}, StopSettings())
+    assert beams(zone, SCAN) == (0.5, 0.0)
+    assert beams(zone, 2 * SCAN, **{f"b{i}": 0.3 + 0.2 * (i % 3) for i in range(360)}) < (0.5, 0.0)
+
+
+def test_a_sweep_of_a_turning_lidar_is_straightened() -> None:
+    base = Base(box(-0.9, -0.9, 0.9, 0.9))
+    base.sweep = 90 * MILLISECOND
+    base.drive((0.0, 1.5), 1.0)
+    away = np.abs(np.abs(vars(base.zone)["_points"]).max(axis=0) - 0.9)
+    assert len(away) > 100
+    assert away.max() < 0.03
+
+
 def test_the_robots_own_body_is_ignored_and_noted_once() -> None:
     zone, own = StopZone(ROBOT, {"front": FRONT}, StopSettings()), {f"b{i}": 0.1 for i in range(170, 191)}
     own = dict.fromkeys(own, 0.07)
@@ -259,6 +276,11 @@ def test_what_is_no_scan_changes_nothing(change: dict[str, float | str | Sequenc
     base.zone.observe(base.now, base.pose, [replace(base.scan(), **{"t": base.now + 1} | change)])  # type: ignore[arg-type]  # wrong on purpose
     assert 0.0 < before[0] < 0.5
     assert base.zone.allowed((0.0, 0.0), (0.5, 0.0), (0.5, 0.0), 0.01) == before
+
+
+def test_a_turn_may_come_nearer_than_a_drive_and_not_the_other_way_round() -> None:
+    with pytest.raises(ValueError, match="gap must not be less than turn_gap"):
+        StopSettings(turn_gap=0.1)
 
 
 def test_numbers_that_are_no_ranges_are_no_readings() -> None:

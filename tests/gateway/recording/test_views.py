@@ -192,7 +192,9 @@ def test_the_wheels_alone_beside_it() -> None:
 
 def test_the_map() -> None:
     odds = np.array([[0.0, -20.0, 20.0], [math.log(3), -0.0, 1e-6]], np.float32)
-    message = shown(tick(), replace(BELIEF, map=MapView(1, 0.05, -1.0, -2.0, odds)))["/map"]
+    message = shown(tick(), replace(BELIEF, map=MapView(1, 0.05, {(0, 0): odds}, corner=(-1.0, -2.0))))[
+        "/map"
+    ]
     assert at(message) == (T, "odom")
     assert (message.info.width, message.info.height) == (3, 2)
     assert message.info.resolution == np.float32(0.05)
@@ -203,7 +205,7 @@ def test_the_map() -> None:
 def test_the_map_comes_with_a_new_version_at_most_once_a_second() -> None:
     views, sent = Views(), []
     for i in range(100):
-        view = MapView(i // 3, 0.05, 0.0, 0.0, np.zeros((2, 2), np.float32))
+        view = MapView(i // 3, 0.05, {(0, 0): np.zeros((2, 2), np.float32)})
         now = i * 100 * MILLISECOND
         if "/map" in shown(tick(now=now), replace(BELIEF, map=view), views):
             sent.append(now)
