@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from brain.belief import Floats
-from brain.perception.body_scan import BodyScan, Bools
+from brain.perception.body_scan import BodyScan
 from brain.perception.track import STILL, Motion
 from protocols.messages import Nanos
 
@@ -66,12 +66,13 @@ class Reference:
         self._lines[2, :count][line] = np.einsum("ij,ij->i", normals, scan.middles[line])
         self._lines[:, -1] = self._lines[:, 0]
 
-    def motion(self, points: Floats, hit: Bools, guess: Motion) -> Shown | None:
-        """Return the motion since the reference that a scan's points (2 × n: its rays' ends) show, searched
-        from a guess; None if too few of them meet a line. Ends without a hit show no motion, but must not lie
-        behind lines, either."""
+    def motion(self, scan: BodyScan, guess: Motion) -> Shown | None:
+        """Return the motion since the reference that a scan shows, searched from a guess; None if too few of
+        its rays' ends meet a line. Ends without a hit show no motion, but must not lie behind lines."""
         x, y, turn = guess.x, guess.y, guess.turn
-        px, py = points
+        read = np.flatnonzero(scan.ranges)
+        read = read[:: max(1, math.ceil(len(read) / BEAMS))]
+        (px, py), hit = scan.ends[read].T, scan.hit[read]
         J = np.empty((4, len(px)))
         for gate in (0.8, 0.4, 0.3, 0.3, 0.3):
             c, s = math.cos(turn), math.sin(turn)
