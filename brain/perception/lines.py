@@ -37,8 +37,8 @@ MAX_ANCHORS = 16_384
 """Then the oldest is replaced"""
 NEW_ANCHOR = 0.3
 """m and rad that the robot moves between two anchors"""
-FEW = 8
-"""Surfaces of a scan that are not worth drawing: strays in a place that is known"""
+FEW = 0.06
+"""Share of a scan's surfaces that is not worth drawing: strays in a place that is known"""
 
 
 class Lines:
@@ -80,7 +80,7 @@ class Lines:
     ) -> None:
         """Add the surfaces [cells] that a scan hit in cells, where these still take them."""
         wanted = np.flatnonzero(self.at(columns, rows)["scans"] < MAX_SCANS)
-        if len(wanted) < FEW:
+        if len(wanted) < FEW * len(columns):
             return
         columns, rows, normals = columns[wanted], rows[wanted], normals[wanted]
         offsets = np.sum((points[wanted] - np.column_stack([columns, rows]) - 0.5) * normals, axis=1)
@@ -117,10 +117,11 @@ class Lines:
         per = tile // SIDE
         size = self._blocks.shape
         blocks = self._blocks.reshape(size[0] // per, per, size[1] // per, per)[rows, :, columns]
-        used = blocks[blocks > 0]
+        drawn = blocks > 0
+        used = blocks[drawn]
         self._lines.reshape(-1, SIDE * SIDE)[used // SIDE**2] = 0
         self._unused += used.tolist()
-        blocks[...] = 0
+        blocks[drawn] = 0
 
     def _allocate(self, columns: Indices, rows: Indices) -> None:
         """Make room for the lines of cells."""
