@@ -23,7 +23,7 @@ from brain.perception.mount import Mount
 from brain.perception.perception import Perception
 from brain.planning.navigator import Navigator
 from brain.planning.planner import FrontierPath
-from brain.planning.stop_zone import StopSettings, StopZone
+from brain.planning.stop_zone import StopZone
 from brain.settings import BrainSettings
 from brain.status import Note, StatusReporter
 from protocols import messages as msg
@@ -35,6 +35,8 @@ MAX_CONTROL_STEP: Nanos = 100 * MILLISECOND
 """A longer time between two commands counts as this: after a pause the speed must not jump."""
 MAX_GOALS = 1000
 """Goals that wait."""
+FARTHEST_GOAL = 10_000.0
+"""m from the origin, along x and y."""
 WAITING_NOTE_AFTER: Nanos = 3 * SECOND
 """After this time of waiting at the start, a note says for what."""
 
@@ -53,7 +55,7 @@ class BaseBrain:
         self._settings, self._body, self._motors = settings, body, tuple(motors)
         self.perception = Perception(body, dict(sensors), settings.perception)
         self.navigator = Navigator(body.radius, settings.planner)
-        self._zone = StopZone(body, dict(sensors), StopSettings())
+        self._zone = StopZone(body, dict(sensors), settings.stop)
         self.pursuit = Pursuit()
         self._health = Health((body.left, body.right), tuple(sensors), timeouts, settings.health)
         self._status = StatusReporter()
@@ -104,7 +106,9 @@ class BaseBrain:
         estimate = self.perception.estimate
         self._zone.observe(estimate.t if estimate else now, self.perception.raw, events)
         self._health.observe(events, self.perception.absent)
-        health = self._health.assess(now, self.perception.rejected, self.perception.contradictions())
+        health = self._health.assess(
+            now, self.perception.rejected, self.perception.contradictions(), self.perception.verdict
+        )
         waiting = self._waiting(now)
         lost = stopped or ("" if waiting else health.reason if health.level is HealthLevel.LOST else "")
         self._accept(now, tasks, lost, waiting)
@@ -157,7 +161,7 @@ class BaseBrain:
         for task in tasks:
             if not isinstance(task, msg.Goal | msg.Drive):
                 reason = f"{task.motor} is a wheel of a base: use a goal, or drive"
-            elif wrong := objection(task) or self._beyond_map(task):
+            elif wrong := objection(task) or self._beyond_reach(task):
                 reason = wrong
             elif waiting and isinstance(task, msg.Drive):
                 reason = waiting
@@ -168,19 +172,14 @@ class BaseBrain:
             elif isinstance(task, msg.Goal | msg.Drive):
                 self.navigator.accept(now, task)
 
-    def _beyond_map(self, task: msg.Goal | msg.Drive) -> str:
+    def _beyond_reach(self, task: msg.Goal | msg.Drive) -> str:
         """Return why a goal can never be reached, whatever is found on the way; "" if it may be."""
         if isinstance(task, msg.Drive):
             return ""
         if len(self.navigator.goals) >= MAX_GOALS:
             return f"{MAX_GOALS} goals are waiting already"
-        grid = self.perception.map
-        row, column = grid.cell(task.x, task.y)
-        if 0 <= row < grid.rows and 0 <= column < grid.columns:
-            return ""
-        (left, bottom), (right, top) = grid.corners()
-        reach = f"which reaches from ({left:g}, {bottom:g}) to ({right:g}, {top:g})"
-        return f"({task.x:g}, {task.y:g}) is outside of the map, {reach} (brain.perception.grid)"
+        far = max(abs(task.x), abs(task.y))
+        return "" if far <= FARTHEST_GOAL else f"({task.x:g}, {task.y:g}) is beyond {FARTHEST_GOAL:g} m"
 
     def _speed_share(self, health: SourceHealth) -> float:
         """Return the share of the largest speeds that is allowed."""
@@ -277,7 +276,7 @@ class BaseBrain:
         )
         clearance = costmap.clearance(pose.x, pose.y) if costmap else 0.0
         twist = self.pursuit.step(pose, self._twist, bounds, clearance, self._settings.pursuit)
-        if self.pursuit.arrived:
+        if self.pursuit.arrived and share > 0.0:  # a pose that is not trusted reaches no goal
             self.navigator.arrived(now)
         return twist.linear, twist.angular
 

@@ -20,6 +20,7 @@ from brain.control.pursuit import PursuitSettings
 from brain.health import HealthSettings
 from brain.perception.perception import PerceptionSettings
 from brain.planning.costmap import PlannerSettings
+from brain.planning.stop_zone import StopSettings
 from protocols.messages import MILLISECOND
 
 
@@ -33,12 +34,13 @@ class BrainSettings:
     perception: PerceptionSettings = field(default_factory=PerceptionSettings)
     planner: PlannerSettings = field(default_factory=PlannerSettings)
     pursuit: PursuitSettings = field(default_factory=PursuitSettings)
+    stop: StopSettings = field(default_factory=StopSettings)
     health: HealthSettings = field(default_factory=HealthSettings)
 
     def __post_init__(self) -> None:
         radius = self.differential.radius if self.differential else 0.0
         reach = radius + self.planner.margin + self.planner.comfort
-        cells = reach / self.perception.grid.resolution
+        cells = reach / self.perception.map.resolution
         if cells > MAX_REACH:
             text = f"the footprint's radius, margin and comfort are {reach:g} m, {cells:.0f} cells of the map"
             raise ValueError(f"planner: {text}; expected at most {MAX_REACH}")

@@ -16,7 +16,7 @@ ONLY: dict[str, tuple[str, ...]] = {
     "asyncio": (),
     "can": ("gateway.buses",),
     "concurrent": (),
-    "filterpy": ("brain.perception.ekf", "brain.perception.engine", "benchmarks"),
+    "filterpy": ("brain.perception.engine", "benchmarks"),
     "matplotlib": ("gateway.cli.picture",),
     "lz4": RECORDINGS,
     "mcap": RECORDINGS,

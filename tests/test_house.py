@@ -61,7 +61,7 @@ BREAKS = [
     ("gateway.runtime.loop", "import random", "no place at all"),
     ("protocols.plain.twin", "import numpy", "protocols imports no numpy"),
     ("brain.planning.astar", "import scipy.ndimage", "brain imports no scipy"),
-    ("brain.perception.grid", "import filterpy.kalman", "only in brain.perception.ekf"),
+    ("brain.perception.map", "import filterpy.kalman", "only in brain.perception.engine"),
     ("brain.brain", "from gateway.core.joint import Joint", "brain lies below gateway"),
     ("protocols.messages", "import brain", "protocols lies below brain"),
     ("protocols.plain", "from brain import belief", "protocols lies below brain"),
@@ -84,7 +84,7 @@ BREAKS = [
 KEEPS = [
     ("gateway.core.clock", "import time"),
     ("gateway.buses.can", "import can\nfrom gateway.core.clock import Clock"),
-    ("brain.perception.ekf", "from filterpy.kalman import ExtendedKalmanFilter\nimport numpy as np"),
+    ("brain.perception.engine", "from filterpy.kalman import ExtendedKalmanFilter\nimport numpy as np"),
     ("brain.brain", "from protocols.messages import Nanos\nfrom brain import belief\nimport math"),
     ("protocols.foo.driver", "from .codec import pack\nfrom protocols.messages import Nanos\nimport struct"),
     ("protocols.foo.driver", "from protocols.foo import codec\nfrom protocols import plugin"),

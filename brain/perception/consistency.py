@@ -11,11 +11,13 @@ sure (Bar-Shalom, Li, Kirubarajan 2001, section 5.4).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 
 from brain.perception.filter_inputs import WINDOW, Nis
+from brain.perception.match import Seen
 from protocols.messages import MILLISECOND, Nanos
 
 
@@ -44,42 +46,35 @@ class Agreement:
     """One scan against the map."""
 
     t: Nanos
-    known: float
-    """Share of its hits on known ground"""
-    fit: float
-    """Share of those that lie on the map's lines at the matched pose, else at the believed one"""
-    denied: float
-    """Share of those in cells known to be free, there"""
+    seen: Seen
+    """Compared with the map at the matched pose, else at the believed one"""
     matched: bool
-    accepted: bool = True
-    """False if the filter's gate rejected the match"""
+    near: bool = True
+    """The matched pose is as near to the believed one as its covariance allows"""
     offset: float = 0.0
     """m, from the believed to the matched pose"""
     turn: float = 0.0
     """rad"""
 
     @property
-    def agrees(self) -> bool:
-        """True if the map confirms the believed pose."""
-        return self.matched and self.accepted and self.fit >= HIDDEN_FIT
-
-    @property
     def disagrees(self) -> str:
         """Why the believed pose is doubtful; "" if it is not."""
-        if self.known < LEAST_KNOWN:
-            return ""
-        if self.matched and not self.accepted:
-            return f"it fits {self.offset:.2f} m and {self.turn * 57.3:.0f}° off the believed pose"
-        if self.fit < HIDDEN_FIT and self.denied > DENIED:
-            return f"{100 * self.denied:.0f} % of it lies where the map is free"
+        if self.matched and not self.near:
+            return f"it fits {self.offset:.2f} m and {math.degrees(self.turn):.0f}° off the believed pose"
+        seen = self.seen
+        if seen.crossed > CROSSED or (seen.crossed > FEW_CROSSED and seen.fit < LITTLE_FIT):
+            return f"{100 * seen.crossed:.0f} % of its rays pass through walls of the map"
+        if not self.matched and seen.known > LEAST_KNOWN and seen.denied > DENIED:
+            return f"{100 * seen.denied:.0f} % of it lies where the map is free"
         return ""
 
 
 LEAST_KNOWN = 0.3
 """Of a scan with a smaller share of its hits on known ground nothing is concluded."""
-HIDDEN_FIT = 0.25
-"""Share that must fit, however much of the scan is hidden by something new."""
-DENIED = 0.3
+CROSSED, DENIED = 0.15, 0.7
+"""Shares of hits, from which on the pose is doubtful;"""
+FEW_CROSSED, LITTLE_FIT = 0.05, 0.6
+"""and from where on and below which together"""
 LOST_AFTER: Nanos = 300 * MILLISECOND
 LEAST_SCANS = 3
 """Disagreeing for this time, in at least so many scans, the robot is lost."""
@@ -87,6 +82,8 @@ SURE = 3.0
 """NIS per degree of freedom over a window, beyond which the filter is too sure, and"""
 HONEST = 2.0
 """below which it is not any more."""
+OUTLIER = 12.0
+"""NIS per degree of freedom, as which a larger one counts: one scan is no trend."""
 
 
 class Consistency:
@@ -121,15 +118,16 @@ class Consistency:
         self._too_sure.clear()
 
     def verdict(self, nis: Mapping[str, Nis]) -> Verdict:
-        """Return the verdict now."""
+        """Return the verdict now; `nis`: of the references outside the robot, by name."""
         if self.lost:
             return Verdict(Trust.LOST, self.lost)
         if self._doubt:
             return Verdict(Trust.DOUBTFUL, next(iter(self._doubt.values())))
         for name, one in nis.items():
             limit = HONEST if name in self._too_sure else SURE
-            if len(one.window) == WINDOW and one.recent > limit:
-                self._too_sure[name] = one.recent
+            ratio = one.recent(OUTLIER) if len(one.window) == WINDOW else 0.0
+            if ratio > limit:
+                self._too_sure[name] = ratio
             else:
                 self._too_sure.pop(name, None)
         for name, ratio in self._too_sure.items():

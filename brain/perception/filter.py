@@ -8,8 +8,8 @@ State (`engine`): x, y, yaw in the frame "odom"; gyro bias; distance scale: the 
 that the base does not move; slip of each wheel as far as it turns the base, a Gauss-Markov process over the
 distance that the wheel rolls; turn: the gyro's angle less that of the wheels, so that noise of the gyro is
 process noise, rounding of the wheels is measurement noise, and neither adds up where it does not in truth.
-Scale, slips and bias are bounded. The scale is learnt from outside references only; so is the bias, except
-while the wheels rest.
+Scale, slips and bias are bounded. The scale is learnt from outside references only. So is the bias, except
+while it is less certain than what slip could turn the base: at rest, and in very slow motion.
 
 Inputs come in any order within `rewind`: they are kept sorted, each with the state after it, and a late one
 makes the later ones run again, gates included. So state and decisions depend on the inputs, not on the order
@@ -58,7 +58,7 @@ from brain.perception.filter_inputs import (
     WheelAngle,
     is_valid,
 )
-from brain.perception.filter_settings import CHI_SQUARE, STILL_RATE, FilterSettings
+from brain.perception.filter_settings import CHI_SQUARE, FilterSettings
 from brain.perception.wheel_odometry import Point, Samples, added, angle_at, arc_end, arc_slopes, jumped
 from protocols.messages import MILLISECOND, SECOND, Nanos, seconds
 
@@ -117,18 +117,15 @@ class State:
     """Poses newer than t, oldest first"""
     rejected: tuple[tuple[str, Nanos], ...] = ()
     """Sources that the gate rejects, and since when"""
-    still: tuple[Nanos, float, float] = (NEVER, 0.0, 0.0)
-    """Since when the wheels have been at these angles"""
-    resting: bool = False
     doubt: bool = False
-    """The gyro contradicted the wheels for long: its bias is not learnt from resting wheels until it is known
+    """The gyro contradicted the wheels for long: its bias is not learnt from the wheels until it is known
     """
 
     def copy(self) -> State:
         """Return a state for the next step to write to."""
         return State(
             self.x, self.P, self.smooth, self.raw, self.t, self.left, self.right, self.at, self.rolled,
-            self.gyro, self.waiting, self.rejected, self.still, self.resting, self.doubt,
+            self.gyro, self.waiting, self.rejected, self.doubt,
         )  # fmt: skip
 
     def __deepcopy__(self, memo: dict[int, Any]) -> State:
@@ -168,7 +165,6 @@ class Filter:
         self._yaw_per_rad = body.wheel_radius / body.wheel_separation
         count = settings.resolution * self._yaw_per_rad
         self._count_variance = count * count / 6.0  # of two wheels, each rounded to a count
-        self._still_for = max(settings.still_for, int(count / STILL_RATE * SECOND))
 
     # -- what is believed ----------------------------------------------------------------------------------
 
@@ -371,8 +367,6 @@ class Filter:
         """Take the wheels' angles at a time as those of the present pose."""
         state.t = t
         state.at = angle_at(state.left, t), angle_at(state.right, t)
-        state.still = (t, *state.at)
-        state.resting = False
 
     def _travel(self, state: State, t: Nanos) -> None:
         """Move by what the wheels turned up to a time, and correct by what the gyro turned."""
@@ -413,13 +407,11 @@ class Filter:
         state.t, state.at = t, (left, right)
         state.rolled = state.rolled[0] + on_left, state.rolled[1] + on_right
         state.raw = arc_end(state.raw, distance, turn)
-        since, still_left, still_right = state.still
-        if max(abs(left - still_left), abs(right - still_right)) > 1.5 * settings.resolution:
-            state.still = since, _, _ = t, left, right
-        state.resting = t - since >= self._still_for
         if gyro is not None:
             jitter = settings.jitter / dt * math.hypot(on_left, on_right) * body.wheel_radius
-            self._compare(state, gyro, self._count_variance + (jitter / body.wheel_separation) ** 2)
+            by_slip = slip_variance * (left_yaw * left_yaw + right_yaw * right_yaw) / (dt * dt)
+            learns = by_slip < state.P[BIAS_BIAS] and not state.doubt
+            self._compare(state, gyro, self._count_variance + (jitter / body.wheel_separation) ** 2, learns)
         state.smooth = arc_end(state.smooth, length, state.x[YAW] - yaw)
 
     # -- gyro ----------------------------------------------------------------------------------------------
@@ -448,7 +440,7 @@ class Filter:
             sample = (item.t, item.rate, angle)
             state.gyro = Gyro(item.source, item.sigma, silent, (*kept, sample), gyro.zero, gyro.used)
 
-    def _compare(self, state: State, gyro: Gyro, variance: float) -> None:
+    def _compare(self, state: State, gyro: Gyro, variance: float, learns: bool) -> None:
         """Correct by the gyro's angle less that of the wheels, whose variance this is."""
         turned = _gyro_angle(gyro, state.t)
         if turned is None:
@@ -465,7 +457,6 @@ class Filter:
         innovation = turned - gyro.zero - state.x[TURN]
         x, P, distance = self._engine.turn(state.x, state.P, innovation, variance)
         if distance <= CHI_SQUARE[settings.confidence][0]:
-            learns = state.resting and not state.doubt
             if not learns:  # the optimal update of all but the bias (Schmidt 1966)
                 x = (*x[:BIAS], state.x[BIAS], *x[BIAS + 1 :])
                 P = (*P[:BIAS_BIAS], state.P[BIAS_BIAS], *P[BIAS_BIAS + 1 :])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -123,11 +124,10 @@ class Nis:
         the first measurement."""
         return self.total / self.freedom if self.freedom else 0.0
 
-    @property
-    def recent(self) -> float:
-        """The same over the window."""
+    def recent(self, most: float = math.inf) -> float:
+        """Return the same over the window, each measurement with at most `most` per degree of freedom."""
         freedom = sum(n for _, n in self.window)
-        return sum(d for d, _ in self.window) / freedom if freedom else 0.0
+        return sum(min(d, most * n) for d, n in self.window) / freedom if freedom else 0.0
 
 
 def is_valid(item: Input) -> bool:

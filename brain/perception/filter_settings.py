@@ -61,9 +61,6 @@ class FilterSettings:
     """rad/s per √s: random walk of the gyro bias"""
     bias_bound: float = 0.2
     """rad/s: largest gyro bias"""
-    still_for: Nanos = 300 * MILLISECOND
-    """The wheels rest if neither has turned by more than one count for this time, or for as long as a count
-    takes at `STILL_RATE`."""
     confidence: float = 0.999
     """Of the chi-square gates: 0.95, 0.99 or 0.999"""
     lockout: Nanos = 400 * MILLISECOND
@@ -93,7 +90,6 @@ class FilterSettings:
             bias_sigma=(1e-6, 1.0, "rad/s"),
             bias_walk=(0.0, 1.0),
             bias_bound=(0.0, 1.0, "rad/s"),
-            still_for=(10.0, 10_000.0),
             lockout=(0.0, 10_000.0),
             rewind=(0.0, 1000.0),
         )
@@ -101,7 +97,3 @@ class FilterSettings:
             raise ValueError(f"confidence must be one of {list(CHI_SQUARE)}, not {self.confidence!r}")
         if self.engine not in ENGINES:
             raise ValueError(f"engine must be one of {list(ENGINES)}, not {self.engine!r}")
-
-
-STILL_RATE = 2e-3
-"""rad/s: a base that turns slower cannot be distinguished from one at rest."""

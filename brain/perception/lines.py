@@ -25,7 +25,8 @@ Records = npt.NDArray[np.void]
 
 TURN = 2.0 * math.pi / 65536.0
 """rad"""
-PER_CELL = 8192.0
+PER_CELL, MAX_OFFSET = 8192.0, 3.9
+"""Steps per cell; cells"""
 MAX_SCANS = 10
 """In a cell's means: the first ones"""
 SIDE, BITS = 16, 4
@@ -36,8 +37,8 @@ MAX_ANCHORS = 16_384
 """Then the oldest is replaced"""
 NEW_ANCHOR = 0.3
 """m and rad that the robot moves between two anchors"""
-FEW = 8
-"""Surfaces of a scan that are not worth drawing: strays in a place that is known"""
+FEW = 0.06
+"""Share of a scan's surfaces that is not worth drawing: strays in a place that is known"""
 
 
 class Lines:
@@ -79,7 +80,7 @@ class Lines:
     ) -> None:
         """Add the surfaces [cells] that a scan hit in cells, where these still take them."""
         wanted = np.flatnonzero(self.at(columns, rows)["scans"] < MAX_SCANS)
-        if len(wanted) < FEW:
+        if len(wanted) < FEW * len(columns):
             return
         columns, rows, normals = columns[wanted], rows[wanted], normals[wanted]
         offsets = np.sum((points[wanted] - np.column_stack([columns, rows]) - 0.5) * normals, axis=1)
@@ -94,11 +95,13 @@ class Lines:
         lines = self._lines[places]
         scans, angle = lines["scans"], lines["angle"] * TURN
         c, s = np.cos(angle), np.sin(angle)
-        kept = ((scans == 0) | (nx * c + ny * s > 0.0)) & (np.abs(offset) < 3.9) & (places >= SIDE * SIDE)
+        kept = (
+            ((scans == 0) | (nx * c + ny * s > 0.0)) & (np.abs(offset) < MAX_OFFSET) & (places >= SIDE * SIDE)
+        )
         angle = np.arctan2(scans * s + ny, scans * c + nx)
         lines["angle"] = np.rint(angle / TURN).astype(np.int64).astype(np.int16)
         offset = (scans * (lines["offset"] / PER_CELL) + offset) / (scans + 1)
-        lines["offset"] = np.rint(offset * PER_CELL)
+        lines["offset"] = np.rint(np.clip(offset, -MAX_OFFSET, MAX_OFFSET) * PER_CELL)
         new = scans == 0
         lines["anchor"][new] = self._anchor(pose, covariance)
         lines["scans"] += 1
@@ -114,10 +117,11 @@ class Lines:
         per = tile // SIDE
         size = self._blocks.shape
         blocks = self._blocks.reshape(size[0] // per, per, size[1] // per, per)[rows, :, columns]
-        used = blocks[blocks > 0]
+        drawn = blocks > 0
+        used = blocks[drawn]
         self._lines.reshape(-1, SIDE * SIDE)[used // SIDE**2] = 0
         self._unused += used.tolist()
-        blocks[...] = 0
+        blocks[drawn] = 0
 
     def _allocate(self, columns: Indices, rows: Indices) -> None:
         """Make room for the lines of cells."""

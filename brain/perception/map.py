@@ -214,9 +214,12 @@ class Map:
     def _drop(self, rows: slice, columns: slice) -> None:
         """Forget tiles, by where they are in memory."""
         self.version += 1
-        tiles = self._values.reshape(self._stamps.shape[0], TILE, self._stamps.shape[1], TILE)
-        tiles[rows, :, columns] = 0
-        self._stamps[rows, columns] = self._touched[rows, columns] = 0
+        observed = np.zeros_like(self._touched)
+        observed[rows, columns] = self._touched[rows, columns]
+        grid = self._values.reshape(self._stamps.shape[0], TILE, self._stamps.shape[1], TILE)
+        for row, column in np.argwhere(observed).tolist():  # memory never written to is not there yet
+            grid[row, :, column] = 0
+            self._stamps[row, column] = self._touched[row, column] = 0
         self.lines.drop(rows, columns, TILE)
 
     def add(self, pose: Pose, scan: BodyScan, covariance: Floats) -> None:

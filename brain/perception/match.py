@@ -71,6 +71,20 @@ class MatchSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class Seen:
+    """A scan compared with the classes of the map's cells: shares of its hits."""
+
+    fit: float
+    """Of those in known ground: beside occupied cells"""
+    denied: float
+    """Of those in known ground: in free cells"""
+    known: float
+    """In known ground"""
+    crossed: float
+    """Not beside occupied cells, but behind some: what appears hides walls, it is not seen through them"""
+
+
+@dataclass(frozen=True, slots=True)
 class Match:
     """Result of matching a scan."""
 
@@ -79,12 +93,8 @@ class Match:
     """3 × 3 covariance of x, y, yaw about where the map's lines place the robot"""
     shared: Floats
     """3 × 3 covariance of those lines themselves, as they were drawn, at the robot"""
-    fit: float
-    """Share of the hits in known ground that lie on occupied cells"""
-    denied: float
-    """Share of the hits in known ground that lie in free cells"""
-    known: float
-    """Share of all hits that lie in known ground"""
+    seen: Seen
+    """How the scan compares with the map at this pose"""
 
 
 SMALL = 0.01
@@ -99,6 +109,12 @@ MAX_AWAY = 20
 """Cells about a surface in which its line is searched, at most"""
 EXAMINED = 120
 """Hits of a scan that are compared with the map's classes, at most"""
+FITTING = 0.85
+"""Of a scan of which a larger share fits, no rays are followed."""
+ALONG = 200
+"""Points on a ray at which it is compared with the map, at most"""
+SHORT_OF = 0.2
+"""m before a ray's end, from where on the cells are those of its own hit"""
 
 
 def _window(away: int) -> Indices:
@@ -139,28 +155,43 @@ def match(chart: Map, scan: BodyScan, predicted: Pose, sigma: float, settings: M
     assert pairs is not None  # there is at least one step
     change, covariance = _solved(pairs, pose, settings)
     pose = Pose(pose.x + float(change[0]), pose.y + float(change[1]), wrap(pose.yaw + float(change[2])))
-    fit, denied, known = examine(chart, scan, pose)
     floor = np.diag([settings.floor**2, settings.floor**2, settings.floor_yaw**2])
-    return Match(pose, covariance + floor, _shared(chart, pairs.anchors, pose), fit, denied, known)
+    return Match(pose, covariance + floor, _shared(chart, pairs.anchors, pose), examine(chart, scan, pose))
 
 
-def examine(chart: Map, scan: BodyScan, pose: Pose) -> tuple[float, float, float]:
-    """Return which share of the scan's hits, taken at this pose, lie beside occupied cells, and which in free
-    ground, both of those in known ground; and which share of all hits lies in known ground.
+def examine(chart: Map, scan: BodyScan, pose: Pose) -> Seen:
+    """Return how a scan taken at this pose compares with the classes of the map's cells.
 
     (In a new place hits lie in unknown cells: that is no contradiction.)"""
     hits = np.flatnonzero(scan.hit)
     hits = hits[:: math.ceil(len(hits) / EXAMINED) or 1]
     if not len(hits):
-        return 0.0, 0.0, 0.0
-    cells = chart.cells(to_world(scan.ends[hits], pose))
+        return Seen(0.0, 0.0, 0.0, 0.0)
+    ends = to_world(scan.ends[hits], pose)
+    cells = chart.cells(ends)
     beside = WINDOWS[1]
     values = chart.values(cells[:, 0, None] + beside[0], cells[:, 1, None] + beside[1])
     occupied = (values > 0).any(axis=1)
     free = ~occupied & (values[:, 0] < 0)
     fits, denied = int(np.count_nonzero(occupied)), int(np.count_nonzero(free))
-    known = max(fits + denied, 1)
-    return fits / known, denied / known, (fits + denied) / len(hits)
+    known, crossed = max(fits + denied, 1), 0.0
+    if fits < FITTING * len(hits):
+        origin = to_world(np.array([scan.origin]), pose)[0]
+        crossed = _crossing(chart, origin, ends[~occupied]) / len(hits)
+    return Seen(fits / known, denied / known, (fits + denied) / len(hits), crossed)
+
+
+def _crossing(chart: Map, origin: Floats, ends: Floats) -> int:
+    """Return how many rays pass through occupied cells before they end."""
+    rays = ends - origin
+    lengths = np.sqrt(np.sum(rays * rays, axis=1))
+    count = min(math.ceil(float(lengths.max()) / chart.resolution), ALONG)
+    parts = (np.arange(count) + 0.5) / count
+    parts = parts * np.maximum(1.0 - SHORT_OF / lengths, 0.0)[:, None]
+    points = origin + rays[:, None, :] * parts[:, :, None]
+    cells = chart.cells(points.reshape(-1, 2))
+    crossed = (chart.values(cells[:, 0], cells[:, 1]) > 0).reshape(len(ends), count).any(axis=1)
+    return int(np.count_nonzero(crossed))
 
 
 def _spread(scan: BodyScan, most: int) -> Indices:

@@ -21,11 +21,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from brain.belief import Floats
 from brain.bodies.differential import Differential
 from brain.perception.body_scan import BodyScan, _surfaces
 from brain.perception.mounting import Mounting
-from brain.perception.scan_motion import BEAMS, Reference, Shown
+from brain.perception.scan_motion import Reference, Shown
 from brain.perception.track import AHEAD, SLIP_SHARE, STILL, Motion, Track
 from protocols.messages import MILLISECOND, SECOND, Nanos, seconds
 
@@ -153,9 +152,7 @@ class MotionCheck:
             self._past[name] = deque()
             self._differ.pop(name, None)
             return
-        read = np.flatnonzero(scan.ranges)
-        points = scan.ends[read[:: max(1, math.ceil(len(read) / BEAMS))]].T
-        shown = self._shown(reference, t, points, wheels, gyro)
+        shown = self._shown(reference, t, scan, wheels, gyro)
         if shown is None:
             if not self._confirmed(name):
                 self._references[name] = Reference(t, scan)
@@ -167,7 +164,7 @@ class MotionCheck:
         self._count(name, t, reason)
 
     def _shown(
-        self, reference: Reference, t: Nanos, points: Floats, wheels: Motion, gyro: Motion | None
+        self, reference: Reference, t: Nanos, scan: BodyScan, wheels: Motion, gyro: Motion | None
     ) -> Shown | None:
         """Return what is found from the motion until the scan before; if it does not fit, from none."""
         last, before = reference.last
@@ -175,10 +172,10 @@ class MotionCheck:
         shown = None
         if since is not None:
             turn = since.turn if turned is None else turned.turn - self._bias * seconds(t - last)
-            shown = reference.motion(points, before.then(since, turn))
+            shown = reference.motion(scan, before.then(since, turn))
         if shown is None or shown.fit < FIT:
             guesses = [wheels] if gyro is None else [STILL.then(wheels, gyro.turn), wheels]
-            others = [shown, *(reference.motion(points, guess) for guess in guesses)]
+            others = [shown, *(reference.motion(scan, guess) for guess in guesses)]
             shown = max(filter(None, others), key=lambda one: one.fit, default=None)
         if shown is not None and shown.fit >= FIT:
             reference.last = t, shown.motion

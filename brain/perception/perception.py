@@ -1,11 +1,11 @@
-"""Perception: from the body's events to estimate and map.
+"""Perception: from the body's events to estimate, map, and how far to trust them.
 
-Rules. Every event is processed once, in order of arrival; each measurement applies at its own time. Wheels
-and gyro drive the filter. A scan waits until the filter has reached its time; it is matched against the map
-from the filter's pose then, the match corrects the filter, and the scan is added to the map at the corrected
-pose. A scan whose match the gate rejects, or that contradicts the map, is not added: a wrong pose would
-corrupt the map. Nothing here knows the time of day, the goal, or the true pose. What is not used is counted
-in `anomalies`, by name and reason.
+Rules. Every event is processed once; each measurement applies at its own time, whatever the order of arrival.
+Wheels, gyro and fixes go to the filter. A scan waits until the filter has reached its end; then, one part of
+the work in each step: it is freed from the motion during the sweep, matched against the map, and the match
+corrects the filter; it is drawn, if the map confirms the pose or has nothing there yet; and it is compared
+with the scans before. Where the scans show that the pose is wrong, nothing is drawn, and the map is searched
+for the place. What is not used is counted in `anomalies`, by name and reason.
 """
 
 from __future__ import annotations
@@ -18,57 +18,31 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from brain.belief import Estimate, Floats, Pose
-from brain.bodies.differential import Differential, arc
+from brain.bodies.differential import Differential, wrap
 from brain.checks import within
-from brain.perception.ekf import Ekf, Nis
-from brain.perception.ekf_settings import EkfSettings
-from brain.perception.grid import Grid, GridSettings
-from brain.perception.measurement import GateResult, Measurement, gyro, gyro_at_rest, pose_fix, wheels
+from brain.perception.body_scan import BodyScan, to_body
+from brain.perception.consistency import Agreement, Consistency, Verdict
+from brain.perception.filter import Filter
+from brain.perception.filter_inputs import GateResult, GyroRate, Input, Nis, PoseFix, WheelAngle
+from brain.perception.filter_settings import FilterSettings
+from brain.perception.map import Map, MapSettings
+from brain.perception.match import MatchSettings, examine, match
 from brain.perception.motion_check import Contradiction, MotionCheck
-from brain.perception.motion_model import BIAS, POSE, SLIP, YAW, V, W, X, Y
-from brain.perception.mount import BodyScan, Mount, to_body
-from brain.perception.odometry import JUMPED, Odometry, OdometrySettings, Travel
-from brain.perception.scan_match import MatchSettings, contradicts_map, match
-from protocols.messages import MILLISECOND, SECOND, Event, Feedback, Imu, LaserScan, Nanos, seconds
-
-
-@dataclass(frozen=True, slots=True)
-class WheelSettings:
-    """Error model of wheel odometry, and detection of rest."""
-
-    jitter: float = 1e-4
-    """s: jitter of the time stamps"""
-    turn_slip: float = 0.03
-    """Share of each wheel's travel that it may slip by itself, and so turn the base"""
-    slip_lasts: float = 1.0
-    """s: correlation time of slip: its errors do not average out from sample to sample"""
-    still_for: Nanos = 300 * MILLISECOND
-    """The base is at rest if the wheels have been for this time, and the gyro agrees."""
-    still_sigma: float = 1e-3
-    """m/s and rad/s: standard deviation of the twist at rest"""
-
-    def __post_init__(self) -> None:
-        within(
-            self,
-            jitter=(0.0, 0.1, "s"),
-            turn_slip=(0.0, 1.0),
-            slip_lasts=(0.0, 600.0, "s"),
-            still_for=(0.0, 10_000.0),
-            still_sigma=(1e-6, 1.0),
-        )
+from brain.perception.mount import Mount
+from brain.perception.relocalise import Found, RelocaliseSettings, Search, Searching
+from protocols.messages import MILLISECOND, SECOND, Event, Feedback, Imu, LaserScan, Nanos
 
 
 @dataclass(frozen=True, slots=True)
 class PerceptionSettings:
     """All settings of perception."""
 
-    ekf: EkfSettings = field(default_factory=EkfSettings)
-    odometry: OdometrySettings = field(default_factory=OdometrySettings)
-    wheels: WheelSettings = field(default_factory=WheelSettings)
+    filter: FilterSettings = field(default_factory=FilterSettings)
     gyro_sigma: float = 0.01
     """rad/s: standard deviation of one reading"""
-    grid: GridSettings = field(default_factory=GridSettings)
+    map: MapSettings = field(default_factory=MapSettings)
     match: MatchSettings = field(default_factory=MatchSettings)
+    relocalise: RelocaliseSettings = field(default_factory=RelocaliseSettings)
     matching: bool = True
     """Match scans against the map; if not, they are only added to it."""
     scan_wait: Nanos = 500 * MILLISECOND
@@ -76,169 +50,154 @@ class PerceptionSettings:
     least_returns: float = 0.15
     """A scan with returns from less than this share of its rays counts as none. 0: in open ground, where no
     return is to be expected; such a scan is no proof of free space, either, and is not added to the map."""
-    redraw: Nanos = 2000 * MILLISECOND
-    """Scans that have contradicted the map for this time are added: the place has changed."""
 
     def __post_init__(self) -> None:
-        within(
-            self,
-            gyro_sigma=(1e-6, 1.0, "rad/s"),
-            scan_wait=(0.0, 1000.0),
-            redraw=(0.0, 60_000.0),
-            least_returns=(0.0, 1.0),
-        )
-        grid, match = self.grid, self.match
-        window = 2 * math.ceil(match.widest / grid.resolution) + 1
-        if match.beams * window**2 > MAX_MATCH_CELLS:
-            text = f"{match.beams} beams, each with {window} × {window} cells about it"
-            raise ValueError(f"match: {text}; expected at most {MAX_MATCH_CELLS} cells in all")
-        if window * grid.resolution > min(grid.width, grid.height):
-            raise ValueError(f"match: widest must be less than half the map, not {match.widest:g}")
+        within(self, gyro_sigma=(1e-6, 1.0, "rad/s"), scan_wait=(0.0, 1000.0), least_returns=(0.0, 1.0))
 
 
 CONSTANT = "every value is as before: it does not measure"
 CONSTANT_COUNT, CONSTANT_FOR = 20, 200 * MILLISECOND
 """An IMU measures nothing if so many readings over that time equal each other in all six numbers: noise alone
 changes the last digit of one of them. A scan does if it equals the one before."""
-MISFIT_FOR: Nanos = 300 * MILLISECOND
-"""Scans that contradict the map for this time are a contradiction."""
-MAX_MATCH_CELLS = 200_000
-"""Cells of the map that one step of matching a scan examines."""
+MAX_BEAMS = 10_000
+"""Of a scan."""
+SCANS_WAITING = 32
+"""Most scans that wait for the filter."""
+MOVED, TURNED = 0.15, 0.09
+"""m and rad: a match this near to the believed pose may correct it; farther ones if the pose is as uncertain."""
+KNOTS = 17
+"""Poses during a sweep, between which the beams' poses are interpolated."""
+LONGEST_SWEEP: Nanos = SECOND
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """What is left to do for a scan."""
+
+    name: str
+    t: Nanos
+    """Its end"""
+    scan: BodyScan
+    draw: bool
 
 
 class Perception:
-    """Estimate and map. Plain data: a deep copy continues exactly as the original."""
+    """Estimate, map and verdict. Plain data: a deep copy continues exactly as the original."""
 
     def __init__(self, body: Differential, mounts: Mapping[str, Mount], settings: PerceptionSettings) -> None:
         self.body = body
         self.settings = settings
-        self.map = Grid(settings.grid)
-        self.raw = Pose(settings.ekf.start_x, settings.ekf.start_y, settings.ekf.start_yaw)
-        """Dead reckoning by the wheels alone, for comparison."""
+        self.map = Map(settings.map)
         self.rejected: dict[str, int] = dict.fromkeys((body.left, body.right, *mounts), 0)
         """Number of measurements rejected by the chi-square gate, by motor or sensor."""
         self.anomalies: dict[str, dict[str, int]] = {name: {} for name in self.rejected}
         """Number of measurements not used, or used against the gate, by motor or sensor, then by reason."""
-        self._mounts = dict(mounts)
-        self._vertical = {name: mount.rotation()[2] for name, mount in mounts.items()}
-        self._ekf = Ekf(settings.ekf)
-        self._odometry = Odometry(body, settings.odometry)
         self.absent: dict[str, str] = {}
         """Why the newest reading of a sensor shows nothing, by sensor; it counts as none."""
+        self.verdict = Verdict()
+        """How far to trust the estimate, and why not more."""
+        self.estimate: Estimate | None = None
+        """The filter's state at its newest measurement; None before both wheels have reported."""
+        self._filter = Filter(body, settings.filter)
+        self._mounts = dict(mounts)
+        self._vertical = {name: mount.rotation()[2] for name, mount in mounts.items()}
         self._last_scan: dict[str, tuple[Nanos, Floats]] = {}
         """Time and ranges of the newest scan."""
         self._last_imu: dict[str, tuple[Imu, int]] = {}
         """First reading of a row of equal ones, and how many they are."""
         self._scans: deque[LaserScan] = deque()
-        self._moved_at: Nanos | None = None
-        self._misfit_since: dict[str, Nanos] = {}
-        self._check = MotionCheck(body, settings.wheels.turn_slip)
-        self._gyro: str | None = None
-        self._rate = 0.0
+        self._parts: deque[_Part] = deque()
+        """To be drawn,"""
+        self._to_check: deque[_Part] = deque()
+        """and to be compared with the scans before."""
+        self._consistency = Consistency()
+        self._check = MotionCheck(body)
+        self._rolled: tuple[Nanos, float, float] | None = None
+        """Up to when, and how far, the wheels' motion was compared."""
+        self._search: tuple[Search, Pose] | None = None
+        """The search for the place, and the pose that was believed at its scan."""
 
     @property
-    def estimate(self) -> Estimate | None:
-        """The filter's state at its newest measurement; None before both wheels have reported."""
-        ekf = self._ekf
-        if ekf.t is None or self._moved_at is None:
-            return None
-        x = ekf.state
-        linear = float((1.0 - x[SLIP]) * x[V])
-        return Estimate(ekf.t, _pose(x), linear, float(x[W]), ekf.covariance[POSE, POSE].copy())
+    def raw(self) -> Pose:
+        """Dead reckoning by the wheels alone, for comparison."""
+        x, y, yaw = self._filter.state.raw
+        return Pose(x, y, wrap(yaw))
 
     @property
     def gyro_bias(self) -> float:
         """Estimated gyro bias [rad/s]."""
-        return float(self._ekf.state[BIAS])
+        return self._filter.bias
 
     @property
     def slip(self) -> float:
         """Estimated slip: the share of the wheels' travel that the base does not move."""
-        return float(self._ekf.state[SLIP])
+        return self._filter.scale
 
     @property
     def nis(self) -> Mapping[str, Nis]:
-        """Normalised innovations squared: by sensor, and of both wheels by the left one's name."""
-        return self._ekf.nis
+        """Normalised innovations squared, by sensor."""
+        return self._filter.nis
 
     def contradictions(self) -> list[Contradiction]:
         """Return what the sources show that cannot all be true."""
-        return self._check.contradictions() + [
-            Contradiction(f"{name}: its scans do not fit the map")
-            for name, since in self._misfit_since.items()
-            if self._last_scan[name][0] - since >= MISFIT_FOR
-        ]
+        return self._check.contradictions()
 
     def observe(self, now: Nanos, events: Sequence[Event]) -> None:
-        """Process the events since the last call, in order of arrival."""
-        measurements: list[Measurement] = []
+        """Process the events since the last call, and the next part of the scans' work."""
+        inputs: list[Input] = []
         for event in events:
             if isinstance(event, Feedback):
-                measurements += self._on_wheel(event)
+                if event.motor in (self.body.left, self.body.right) and event.position is not None:
+                    inputs.append(WheelAngle(event.motor, event.t, event.position))
             elif isinstance(event, Imu):
-                measurements += self._on_imu(event)
+                inputs += self._on_imu(event)
             elif isinstance(event, LaserScan):
                 self._on_scan(event)
-        for measurement in sorted(measurements, key=lambda m: (m.t, m.source)):
-            self._update(measurement)
-        self._process_scans(now)
+        if inputs:
+            self._apply(inputs)
+        self._work(now)
 
-    # -- wheels --------------------------------------------------------------------------------
+    def _apply(self, inputs: Sequence[Input]) -> dict[str, GateResult]:
+        """Give measurements to the filter; return the newest decision by source."""
+        results: dict[str, GateResult] = {}
+        for judged in self._filter.observe(inputs):
+            results[judged.source] = judged.result
+            if judged.result is GateResult.ACCEPTED:
+                continue
+            self._count(judged.source, judged.result)
+            if judged.result is GateResult.REJECTED:
+                self.rejected[judged.source] += 1
+            elif judged.result is GateResult.JUMPED:
+                moving = not self._filter.state.resting
+                self._check.on_jump(judged.source, moving)
+        self._compare_wheels()
+        t = self._filter.t
+        if t is not None:
+            x, y, yaw = self._filter.state.x[:3]
+            linear, angular = self._filter.twist
+            covariance = self._filter.covariance[:3, :3]
+            self.estimate = Estimate(t, Pose(x, y, wrap(yaw)), linear, angular, covariance)
+        return results
 
-    def _on_wheel(self, feedback: Feedback) -> list[Measurement]:
-        if feedback.motor not in (self.body.left, self.body.right):
-            return []
-        travels, defect = self._odometry.observe(feedback)
-        if defect:
-            self._count(feedback.motor, defect)
-        if defect == JUMPED:
-            moved_at = -SECOND if self._moved_at is None else self._moved_at
-            self._check.on_jump(feedback.motor, feedback.t - moved_at < self.settings.wheels.still_for)
-        return [self._wheel_measurement(travel) for travel in travels]
-
-    def _wheel_measurement(self, travel: Travel) -> Measurement:
-        distance, turn = self.body.forward(travel.left, travel.right)
-        self._check.on_wheels(travel.since, travel.t, travel.left, travel.right)
-        self.raw = arc(self.raw, distance, turn)
-        dt = seconds(travel.t - travel.since)
-        resolution = self.settings.odometry.resolution
-        if self._moved_at is None or max(abs(travel.left), abs(travel.right)) > 2.0 * resolution:
-            self._moved_at = travel.t
-        if self._at_rest(travel.t):
-            noise = np.eye(2) * self.settings.wheels.still_sigma**2
-            return wheels(self.body.left, travel.t, 0.0, 0.0, noise)
-        noise = wheel_noise(self.body, travel, resolution, self.settings.wheels)
-        return wheels(self.body.left, travel.t, distance / dt, turn / dt, noise)
-
-    def _at_rest(self, t: Nanos) -> bool:
-        """True if the base rests: the wheels have for a while, and the gyro reads only its bias (else the
-        base is being turned on its resting wheels)."""
-        if self._moved_at is None or t - self._moved_at < self.settings.wheels.still_for:
-            return False
-        sigma = math.hypot(self.settings.gyro_sigma, self._bias_sigma())
-        return self._gyro is None or abs(self._rate - self.gyro_bias) < 4.0 * sigma
-
-    def _bias_sigma(self) -> float:
-        return math.sqrt(float(self._ekf.covariance[BIAS, BIAS]))
+    def _compare_wheels(self) -> None:
+        state = self._filter.state
+        if self._filter.t is None:
+            return
+        if self._rolled is not None and state.t > self._rolled[0]:
+            since, left, right = self._rolled
+            self._check.on_wheels(since, state.t, state.rolled[0] - left, state.rolled[1] - right)
+        self._rolled = state.t, *state.rolled
 
     # -- gyro ----------------------------------------------------------------------------------
 
-    def _on_imu(self, imu: Imu) -> list[Measurement]:
+    def _on_imu(self, imu: Imu) -> list[Input]:
         vertical = self._vertical.get(imu.sensor)
-        if vertical is None:
-            return []
-        self._gyro = self._gyro or imu.sensor
-        if self._is_constant(imu):
-            return []
-        if imu.sensor != self._gyro:
-            self._count(imu.sensor, "not used beside another gyro")
+        if vertical is None or self._is_constant(imu):
             return []
         rate = sum(a * b for a, b in zip(vertical, imu.angular_velocity, strict=True))
         if math.isfinite(rate):
-            self._rate = rate
-            self._check.on_gyro(imu.sensor, imu.t, rate - self.gyro_bias, self._bias_sigma())
-        measurement = gyro_at_rest if self._at_rest(imu.t) else gyro
-        return [measurement(imu.sensor, imu.t, rate, self.settings.gyro_sigma)]
+            self._check.on_gyro(imu.sensor, imu.t, rate)
+        return [GyroRate(imu.sensor, imu.t, rate, self.settings.gyro_sigma)]
 
     def _is_constant(self, imu: Imu) -> bool:
         first, count = self._last_imu.get(imu.sensor, (imu, 0))
@@ -251,16 +210,6 @@ class Perception:
         constant = count + 1 >= CONSTANT_COUNT and imu.t - first.t >= CONSTANT_FOR
         self._set_absent(imu.sensor, CONSTANT if constant else "")
         return constant
-
-    def _update(self, measurement: Measurement) -> GateResult:
-        result = self._ekf.observe(measurement)
-        if result is not GateResult.ACCEPTED:
-            both = (self.body.left, self.body.right)
-            for name in both if measurement.source == self.body.left else (measurement.source,):
-                self._count(name, result)
-                if result is GateResult.REJECTED:
-                    self.rejected[name] += 1
-        return result
 
     # -- lidar ---------------------------------------------------------------------------------
 
@@ -293,79 +242,130 @@ class Perception:
         else:
             self.absent.pop(name, None)
 
-    def _process_scans(self, now: Nanos) -> None:
-        for _ in range(min(len(self._scans), SCANS_PER_STEP)):
-            scan = self._scans[0]
-            reached = self._ekf.t is not None and self._moved_at is not None and self._ekf.t >= scan.t
-            if not reached and now - scan.t < self.settings.scan_wait:
+    def _work(self, now: Nanos) -> None:
+        """Do the next part of the work; and what is left of a scan, before the next one is begun."""
+        while self._scans and self._is_ready(now, self._scans[0]):
+            if self._parts or self._to_check:
+                self._finish_parts()
+            self._match(self._scans.popleft())
+            if not self._scans:
                 return
-            self._scans.popleft()
-            if reached:
-                self._process_scan(scan)
-            else:
-                self._count(scan.sensor, "no estimate for its time")
+        if self._parts:
+            self._draw(self._parts.popleft())
+        elif self._to_check:
+            self._compare(self._to_check.popleft())
+        elif self._search is not None:
+            self._advance_search(*self._search)
 
-    def _process_scan(self, scan: LaserScan) -> None:
-        predicted = self._ekf.at(scan.t)
-        if predicted is None:
-            self._count(scan.sensor, GateResult.LATE)
-            return
-        body_scan = to_body(scan, self._mounts[scan.sensor], self.settings.grid.farthest)
-        self._check.on_scan(scan.sensor, scan.t, body_scan)
-        if self.settings.matching and not self._matched(scan, body_scan, *predicted):
-            return
-        self.map.add(_pose((self._ekf.at(scan.t) or predicted)[0]), body_scan)
+    def _finish_parts(self) -> None:
+        while self._parts:
+            self._draw(self._parts.popleft())
+        while self._to_check:
+            self._compare(self._to_check.popleft())
 
-    def _matched(self, scan: LaserScan, body_scan: BodyScan, state: Floats, covariance: Floats) -> bool:
-        """Match a scan against the map and correct the filter; return True if it may be added to the map."""
-        settings, name = self.settings.match, scan.sensor
-        # While matches are rejected, the wheels may spin on the spot: search as far as they went.
-        spun = abs(float(state[V])) * self._ekf.rejected_for(name, scan.t) / 2.0
-        sigma = max(math.sqrt(max(covariance[X, X], covariance[Y, Y])), spun)
-        found = match(self.map, body_scan, _pose(state), settings, sigma)
-        if found is not None:
-            self._misfit_since.pop(name, None)
-            return self._update(pose_fix(name, scan.t, found.pose, found.noise)) is not GateResult.REJECTED
-        if not contradicts_map(self.map, body_scan, _pose(state), settings):
-            self._misfit_since.pop(name, None)
-            return True
-        self._count(name, "does not fit the map")
-        since = self._misfit_since.setdefault(name, scan.t)
-        return scan.t - since >= self.settings.redraw
+    def _is_ready(self, now: Nanos, scan: LaserScan) -> bool:
+        end, t = scan.t + scan.duration, self._filter.t
+        return (t is not None and t >= end) or now - end >= self.settings.scan_wait
+
+    def _match(self, scan: LaserScan) -> None:
+        """Match a scan against the map and correct the filter."""
+        name, end = scan.sensor, scan.t + scan.duration
+        believed = self._filter.at(end)
+        if self._filter.t is None or self._filter.t < end or believed is None:
+            self._count(name, "no estimate for its time" if believed is None else GateResult.LATE)
+            return
+        body_scan = to_body(scan, self._mounts[name], self.settings.map.farthest, self._motion(scan))
+        draw = True
+        if self.settings.matching:
+            agreement, draw = self._agreement(name, end, body_scan, *believed)
+            self._consistency.on_scan(name, agreement)
+            draw = draw and not agreement.disagrees and not self._consistency.lost
+            if agreement.disagrees:
+                self._count(name, "does not fit the map")
+        part = _Part(name, end, body_scan, draw)
+        self._parts.append(part)
+        self._judge(part, believed[0])
+
+    def _motion(self, scan: LaserScan) -> Floats | None:
+        """Return the robot's pose at each beam's time, in its frame at the scan's end: n × 3."""
+        if scan.duration <= 0:
+            return None
+        since = np.linspace(-float(scan.duration), 0.0, KNOTS)
+        poses = self._filter.poses((scan.t + scan.duration + since).astype(np.int64))
+        if poses is None:
+            return None
+        x, y, yaw = poses[-1].tolist()
+        c, s = math.cos(yaw), math.sin(yaw)
+        dx, dy = poses[:, 0] - x, poses[:, 1] - y
+        beams = np.linspace(-float(scan.duration), 0.0, len(scan.ranges))
+        columns = (c * dx + s * dy, c * dy - s * dx, poses[:, 2] - yaw)
+        return np.column_stack([np.interp(beams, since, column) for column in columns])
+
+    def _agreement(
+        self, name: str, t: Nanos, scan: BodyScan, pose: Pose, covariance: Floats
+    ) -> tuple[Agreement, bool]:
+        """Match a scan, and correct the filter by it; return also whether the gate lets it be drawn."""
+        settings = self.settings.match
+        sigma = math.sqrt(max(covariance[0, 0], covariance[1, 1]))
+        found = match(self.map, scan, pose, sigma, settings)
+        if found is None:
+            return Agreement(t, examine(self.map, scan, pose), matched=False), True
+        offset = math.hypot(found.pose.x - pose.x, found.pose.y - pose.y)
+        turn = abs(wrap(found.pose.yaw - pose.yaw))
+        near = offset < max(3.0 * sigma, MOVED) and turn < max(3.0 * math.sqrt(covariance[2, 2]), TURNED)
+        agreement = Agreement(t, found.seen, True, near, offset, turn)
+        if not agreement.disagrees and not self._consistency.lost:
+            value = np.array([found.pose.x, found.pose.y, found.pose.yaw])
+            results = self._apply([PoseFix(name, t, value, found.noise, found.shared)])
+            return agreement, results.get(name) is not GateResult.REJECTED
+        return agreement, True
+
+    def _draw(self, part: _Part) -> None:
+        at = self._filter.at(part.t)
+        if part.draw and at is not None and not self._consistency.lost:
+            self.map.recenter(at[0].x, at[0].y)
+            self.map.add(at[0], part.scan, at[1])
+        self._to_check.append(part)
+
+    def _compare(self, part: _Part) -> None:
+        self._check.on_scan(part.name, part.t, part.scan)
+
+    # -- lost ----------------------------------------------------------------------------------
+
+    def _judge(self, part: _Part, believed: Pose) -> None:
+        """Update the verdict after a scan, and search for the place if it is needed."""
+        self.verdict = self._consistency.verdict(
+            {name: nis for name, nis in self._filter.nis.items() if name in self._last_scan}
+        )
+        if not self._consistency.lost:
+            self._search = None
+        elif self._search is None or self._search[0].result is not None:
+            search = Search(self.map, part.scan, self.settings.relocalise, self.settings.match)
+            self._search = search, believed
+
+    def _advance_search(self, search: Search, believed: Pose) -> None:
+        result = search.advance(self.settings.relocalise.operations)
+        if isinstance(result, Searching) or not isinstance(result, Found):
+            return
+        self._search = None
+        t = self._filter.t
+        here = None if t is None else self._filter.at(t)
+        if t is not None and here is not None:
+            self._filter.reset(t, _moved(result.pose, believed, here[0]), result.covariance)
+            self._consistency.found()
+            self._count("", "relocalised")
+            self._apply([])
 
     def _count(self, name: str, reason: str) -> None:
-        reasons = self.anomalies[name]
+        reasons = self.anomalies.setdefault(name, {})
         reasons[str(reason)] = reasons.get(str(reason), 0) + 1
 
 
-def wheel_noise(body: Differential, travel: Travel, resolution: float, settings: WheelSettings) -> Floats:
-    """Return the covariance (2 × 2) of the tread speed and the base's yaw rate over one travel.
-
-    Each end of each wheel's travel is rounded to a count (variance resolution² / 12) and stamped with
-    jitter; each wheel may slip by itself in proportion to its travel, for longer than one travel lasts,
-    hence the factor 2 τ / dt of an error with correlation time τ. That part is given to the turn
-    alone: common slip of both wheels is the filter's slip state."""
-    dt = seconds(travel.t - travel.since)
-    rounding = 2.0 * resolution**2 / 12.0
-    uneven = 2.0 * (settings.jitter / dt) ** 2
-    radius = body.wheel_radius
-    left, right = (radius**2 * (rounding + uneven * way**2) for way in (travel.left, travel.right))
-    slips = (settings.turn_slip * radius) ** 2 * (travel.left**2 + travel.right**2)
-    slips *= max(1.0, 2.0 * settings.slip_lasts / dt)
-    linear = (left + right) / 4.0
-    cross = (right - left) / (2.0 * body.wheel_separation)
-    angular = (left + right + slips) / body.wheel_separation**2
-    return np.array([[linear, cross], [cross, angular]]) / dt**2
-
-
-def _pose(state: Floats) -> Pose:
-    return Pose(float(state[X]), float(state[Y]), float(state[YAW]))
-
-
-MAX_BEAMS = 10_000
-"""Of a scan."""
-SCANS_PER_STEP, SCANS_WAITING = 4, 32
-"""Most scans that a step processes, and that wait for the next ones."""
+def _moved(start: Pose, a: Pose, b: Pose) -> Pose:
+    """Return the pose that follows from `start` by the motion from a to b."""
+    c, s = math.cos(start.yaw - a.yaw), math.sin(start.yaw - a.yaw)
+    dx, dy = b.x - a.x, b.y - a.y
+    return Pose(start.x + c * dx - s * dy, start.y + s * dx + c * dy, wrap(start.yaw + b.yaw - a.yaw))
 
 
 def _is_valid(scan: LaserScan) -> bool:
@@ -378,4 +378,5 @@ def _is_valid(scan: LaserScan) -> bool:
         and abs(scan.angle_min) <= 4.0 * math.pi
         and abs(scan.range_min) <= 1e3
         and 0.0 < scan.range_max <= 1e4
+        and 0 <= scan.duration <= LONGEST_SWEEP
     )

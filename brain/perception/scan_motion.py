@@ -66,12 +66,13 @@ class Reference:
         self._lines[2, :count][line] = np.einsum("ij,ij->i", normals, scan.middles[line])
         self._lines[:, -1] = self._lines[:, 0]
 
-    def motion(self, points: Floats, guess: Motion) -> Shown | None:
-        """Return the motion since the reference that a scan's points (2 × n: its rays' ends, also of those
-        without a return, that pass the lines) show, searched from a guess; None if too few of them meet a
-        line."""
+    def motion(self, scan: BodyScan, guess: Motion) -> Shown | None:
+        """Return the motion since the reference that a scan shows, searched from a guess; None if too few of
+        its rays' ends meet a line. Ends without a hit show no motion, but must not lie behind lines."""
         x, y, turn = guess.x, guess.y, guess.turn
-        px, py = points
+        read = np.flatnonzero(scan.ranges)
+        read = read[:: max(1, math.ceil(len(read) / BEAMS))]
+        (px, py), hit = scan.ends[read].T, scan.hit[read]
         J = np.empty((4, len(px)))
         for gate in (0.8, 0.4, 0.3, 0.3, 0.3):
             c, s = math.cos(turn), math.sin(turn)
@@ -87,7 +88,7 @@ class Reference:
             lined = int(np.count_nonzero(size < NO_LINE / 2.0))
             if lined < LEAST:
                 return None
-            weight = (size < gate) / (1.0 + 400.0 * (off * off))
+            weight = (hit & (size < gate)) / (1.0 + 400.0 * (off * off))
             M = (J * weight) @ J.T
             inverse: Floats = np.linalg.inv(M[:3, :3] + DAMPING)
             dx, dy, dturn = (inverse @ M[:3, 3]).tolist()

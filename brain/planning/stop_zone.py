@@ -148,9 +148,9 @@ class StopZone:
             result, braked = _scaled(desired, share), self._braked(previous, dt)
             if abs(result[0]) < abs(braked[0]) or abs(result[1]) < abs(braked[1]):
                 result = braked
-            turned = self._turned(previous, wanted, dt, points)
-            stands = max(abs(result[0]), abs(previous[0])) < SLOWEST
-            result = turned if stands and abs(turned[1]) > abs(result[1]) else result
+            if max(abs(result[0]), abs(previous[0])) < SLOWEST:
+                turned = self._turned(previous, wanted, dt, points)
+                result = turned if abs(turned[1]) > abs(result[1]) else result
         self._report(wanted, result, share, away, dt)
         return result
 

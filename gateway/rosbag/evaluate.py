@@ -19,7 +19,7 @@ import numpy as np
 
 from brain.belief import Estimate, Floats, Pose
 from brain.bodies.differential import Differential, arc
-from brain.perception.ekf import Nis
+from brain.perception.filter_inputs import Nis
 from brain.perception.perception import Perception
 from gateway.core.robot import Robot
 from gateway.errors import BagError

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import dijkstra as scipy_dijkstra
 from brain.belief import Belief, Pose
 from brain.bodies.differential import Differential, arc
 from brain.brain import Brain, BrainSettings
-from brain.perception.grid import GridSettings
+from brain.perception.map import MapSettings
 from brain.perception.mount import Mount
 from brain.perception.perception import PerceptionSettings
 from brain.planning.costmap import UNKNOWN
@@ -118,16 +118,18 @@ class Office:
         """One tick: the wheels follow with a lag of 30 ms; on Idle they roll out."""
         dt = seconds(TICK)
         self.now += TICK
+        before = dict(self._rate)
         for command in commands:
             wanted = command.velocity if isinstance(command, msg.Velocity) else 0.0
             self._rate[command.motor] += (wanted - self._rate[command.motor]) * dt / 0.03
-        turned = {name: rate * dt for name, rate in self._rate.items()}
+        turned = {name: (before[name] + rate) / 2.0 * dt for name, rate in self._rate.items()}
         for name, angle in turned.items():
             self._angle[name] += angle
         distance, turn = self.body.forward(turned[self.body.left], turned[self.body.right])
         distance *= 1.0 - self.noise.slip
         self.pose = arc(self.pose, distance, turn)
-        self.speed, self._turn_rate = distance / dt, turn / dt
+        self.speed = distance / dt
+        self._turn_rate = self.body.forward(self._rate[self.body.left], self._rate[self.body.right])[1]
         self.touched += self.touches()
         return self._events()
 
@@ -166,7 +168,7 @@ class Office:
         return [e for e in events if getattr(e, "motor", getattr(e, "sensor", "")) not in self.silent]
 
 
-SMALL = PerceptionSettings(grid=GridSettings(width=9.0, height=7.0, center_x=2.0, center_y=1.0))
+SMALL = PerceptionSettings(map=MapSettings(width=9.0, height=7.0))
 """A map no larger than the office: quicker."""
 
 

@@ -11,11 +11,11 @@ from brain.bodies.joints import Joints
 from brain.brain import Brain, BrainSettings
 from brain.control.pursuit import PursuitSettings
 from brain.health import HealthSettings
-from brain.perception.ekf_settings import EkfSettings
-from brain.perception.grid import GridSettings
+from brain.perception.filter_settings import FilterSettings
+from brain.perception.map import MapSettings
+from brain.perception.match import MatchSettings
 from brain.perception.mount import Mount
 from brain.perception.perception import PerceptionSettings
-from brain.perception.scan_match import MatchSettings
 from brain.planning.costmap import PlannerSettings
 from brain.settings import changed, keys
 from protocols.messages import MILLISECOND, Goal, Nanos
@@ -133,21 +133,17 @@ def test_a_motor_and_a_sensor_of_one_name_are_refused() -> None:
 @pytest.mark.parametrize(
     ("settings", "values", "message"),
     [
-        (EkfSettings, {"confidence": 0.9}, "confidence must be one of"),
-        (GridSettings, {"resolution": 0.02}, "width × height: 24 m × 24 m at 0.02 m are 1440000 cells"),
+        (FilterSettings, {"confidence": 0.9}, "confidence must be one of"),
+        (MapSettings, {"resolution": 0.01}, "width × height: 60 m × 60 m at 0.01 m need"),
         (HealthSettings, {"slow_age": 0.95}, "stand_age must not be less than slow_age, 0.95"),
         (HealthSettings, {"rejected_stop": 0.2}, "rejected_stop must not be less than rejected_slow, 0.3"),
-        (MatchSettings, {"widest": 0.1}, "widest must not be less than reach, 0.15"),
-        (PerceptionSettings, {"match": MatchSettings(widest=1.0)}, "match: 120 beams, each with 41 × 41"),
-        (PerceptionSettings, {"grid": GridSettings(width=1.0, resolution=0.5)}, "match: widest must be less"),
+        (MatchSettings, {"widest": 0.05}, "widest must not be less than reach, 0.1"),
         (PursuitSettings, {"lookahead_min": 2.0}, "lookahead_max must not be less than lookahead_min, 2"),
         (PursuitSettings, {"turn_until": 1.0}, "turn_until must be less than turn_from"),
         (
             BrainSettings,
             {
-                "perception": PerceptionSettings(
-                    grid=GridSettings(0.01, 4.0, 4.0), match=MatchSettings(beams=20)
-                ),
+                "perception": PerceptionSettings(map=MapSettings(0.01, 4.0, 4.0)),
                 "planner": PlannerSettings(margin=1.0, comfort=2.0),
             },
             "planner: the footprint's radius, margin and comfort are 3 m, 300 cells of the map",

@@ -95,9 +95,9 @@ def test_the_settings_are_no_lucky_hit(bag: Bag, husky: Robot) -> None:
     """Half or twice the slip, its time and the gyro's noise: the path hardly changes."""
     perception = husky.brain.perception
     for factor in (0.5, 2.0):
-        wheels = perception.wheels
-        loose = replace(wheels, turn_slip=wheels.turn_slip * factor, slip_lasts=wheels.slip_lasts * factor)
-        other = replace(perception, wheels=loose, gyro_sigma=perception.gyro_sigma * factor)
+        wheels = perception.filter
+        loose = replace(wheels, turn_slip=wheels.turn_slip * factor, slip_length=wheels.slip_length * factor)
+        other = replace(perception, filter=loose, gyro_sigma=perception.gyro_sigma * factor)
         evaluation = evaluate(bag, replace(husky, brain=replace(husky.brain, perception=other)))
         assert evaluation.estimated is not None
         assert evaluation.estimated.rms < 3.2, factor

@@ -38,7 +38,7 @@ def test_it_ends_where_another_filter_does(recording: Callable[[str], Path]) -> 
     x, y, z, w = first
     yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     perception = robot.brain.perception
-    turned = replace(perception, ekf=replace(perception.ekf, start_yaw=yaw))
+    turned = replace(perception, filter=replace(perception.filter, start_yaw=yaw))
     evaluation = evaluate(bag, replace(robot, brain=replace(robot.brain, perception=turned)))
     assert evaluation.driven == pytest.approx(84.2, abs=1.0)
     assert evaluation.end is not None

@@ -234,8 +234,7 @@ max_linear_acceleration = 1.0
 max_angular_acceleration = 4.0
 
 [brain.perception]
-wheels = { turn_slip = 0.2, slip_lasts = 60.0 }
-ekf = { bias_sigma = 0.002 }
+filter = { turn_slip = 0.1, slip_length = 60.0, bias_sigma = 0.002 }
 
 [bag]
 odometry = "/odom"

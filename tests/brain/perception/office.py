@@ -13,9 +13,9 @@ import numpy as np
 
 from brain.belief import Floats, Pose
 from brain.bodies.differential import Differential, arc, wrap
-from brain.perception.grid import Grid
+from brain.perception.filter_settings import FilterSettings
+from brain.perception.map import Map
 from brain.perception.mount import Mount
-from brain.perception.odometry import OdometrySettings
 from brain.perception.perception import Perception, PerceptionSettings
 from protocols.messages import MILLISECOND, Event, Feedback, Imu, LaserScan, Nanos
 
@@ -163,7 +163,7 @@ class Drive:
         return math.dist((raw.x, raw.y), (truth.x, truth.y))
 
 
-SETTINGS = PerceptionSettings(odometry=OdometrySettings(resolution=2.0 * math.pi / 4096.0), gyro_sigma=0.006)
+SETTINGS = PerceptionSettings(FilterSettings(resolution=2.0 * math.pi / 4096.0), gyro_sigma=0.006)
 """Settings by the rover's data sheets."""
 
 
@@ -217,12 +217,19 @@ def _measure(result: Drive, before: Pose, raw: Pose) -> None:
     result.worst = max(result.worst, result.apart)
 
 
-def clearance(grid: Grid, x: float, y: float) -> float:
+def classes(chart: Map) -> tuple[Floats, Floats]:
+    """The values of the cells within the extent, and the middles of the occupied ones [m], n × 2."""
+    view = chart.view()
+    rows, columns = np.nonzero(view.log_odds > 0.0)
+    x = view.origin_x + (columns + 0.5) * view.resolution
+    y = view.origin_y + (rows + 0.5) * view.resolution
+    return view.log_odds, np.column_stack([x, y])
+
+
+def clearance(chart: Map, x: float, y: float) -> float:
     """From a position to the nearest part of an occupied cell [m]; infinite if there is none."""
-    rows, columns = np.nonzero(grid.occupied)
-    if not len(rows):
+    _, middles = classes(chart)
+    if not len(middles):
         return math.inf
-    half = grid.resolution / 2.0
-    dx = np.maximum(np.abs(grid.origin_x + (columns + 0.5) * grid.resolution - x) - half, 0.0)
-    dy = np.maximum(np.abs(grid.origin_y + (rows + 0.5) * grid.resolution - y) - half, 0.0)
-    return float(np.sqrt(np.min(dx * dx + dy * dy)))
+    away = np.maximum(np.abs(middles - (x, y)) - chart.resolution / 2.0, 0.0)
+    return float(np.sqrt(np.min(np.sum(away * away, axis=1))))

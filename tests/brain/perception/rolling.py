@@ -1,4 +1,4 @@
-"""A base that rolls over an uneven floor: true poses, and what wheels, gyro and references measure of them."""
+"""A base that rolls over an uneven floor: true poses, and what wheels, gyro and references measure."""
 
 from __future__ import annotations
 

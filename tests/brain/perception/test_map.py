@@ -7,7 +7,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from brain.belief import Floats, Pose
+from brain.belief import Pose
 from brain.perception.body_scan import BodyScan, to_body, to_world
 from brain.perception.lines import MAX_SCANS, PER_CELL, TURN, Lines
 from brain.perception.map import FRACTION, MAX_RAY_CELLS, TILE, UNIT, Map, MapSettings
@@ -331,7 +331,7 @@ def test_memory_is_bounded() -> None:
     first, _, last, _ = chart.extent()
     columns, rows = (n.ravel() for n in np.meshgrid(*[np.arange(first, last, 16)] * 2))
     normals = np.tile(np.eye(1, 2), (len(rows), 1))
-    points: Floats = np.column_stack([columns, rows]) + 0.5
+    points = np.column_stack([columns, rows]).astype(np.float64) + 0.5
     for some in np.array_split(np.arange(len(rows)), 16):
         chart.lines.draw(columns[some], rows[some], points[some], normals[some], HERE, SURE)
     chart._values[:], chart._stamps[:], chart._touched[:] = -5, 1, 1

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import astuple
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from brain.belief import Floats, Pose
 from brain.bodies.differential import wrap
 from brain.perception.body_scan import BodyScan, to_body
 from brain.perception.map import Map, MapSettings
-from brain.perception.match import Match, MatchSettings, examine, match
+from brain.perception.match import Match, MatchSettings, Seen, examine, match
 from tests.brain.perception.office import MOUNTS, OFFICE, box, scan_at
 
 LIDAR = MOUNTS["lidar"]
@@ -178,24 +179,25 @@ def test_beyond_the_extent_there_is_nothing() -> None:
     scan = seen(HERE, random)
     assert match(chart, scan, HERE, 0.02, SETTINGS) is not None
     assert match(chart, scan, far, 0.02, SETTINGS) is None
-    assert examine(chart, scan, far) == (0.0, 0.0, 0.0)
+    assert examine(chart, scan, far) == Seen(0.0, 0.0, 0.0, 0.0)
 
 
 def test_what_contradicts_the_map_is_denied() -> None:
     """At the right pose, and in a place never seen, nothing is; 0.7 m off, much; a screen, its share."""
     random = np.random.Generator(np.random.PCG64(12))
     chart = drawn([(0.0, 0.0)], random)
-    fit, denied, known = examine(chart, seen(HERE, random), HERE)
+    fit, denied, known, _ = astuple(examine(chart, seen(HERE, random), HERE))
     assert (fit > 0.95, denied < 0.02, known > 0.95) == (True, True, True)
     far = Pose(7.5, 1.5, 0.0)
-    assert examine(chart, seen(far, random), far)[2] < 0.3
-    fit, denied, _ = examine(chart, seen(Pose(0.6, 0.4, 1.0), random), HERE)
-    assert (fit < 0.5, denied > 0.3) == (True, True)
+    assert examine(chart, seen(far, random), far).known < 0.3
+    fit, denied, _, crossed = astuple(examine(chart, seen(Pose(0.6, 0.4, 1.0), random), HERE))
+    assert (fit < 0.5, denied > 0.3, crossed > 0.2) == (True, True, True)
     screen = np.concatenate([OFFICE, [(0.8, -1.0, 0.8, 1.0)]])
-    fit, denied, _ = examine(chart, seen(HERE, random, screen), HERE)
+    fit, denied, _, crossed = astuple(examine(chart, seen(HERE, random, screen), HERE))
     assert denied == pytest.approx(110.0 / 360.0, abs=0.05)
     assert fit == pytest.approx(1.0 - denied)
+    assert crossed < 0.02  # what appears hides walls, it is not seen through them
     found = match(chart, seen(HERE, random, screen), Pose(0.02, 0.01, 0.01), 0.02, SETTINGS)
     assert np.abs(error(found, HERE)).max() < 0.01
     assert found is not None
-    assert found.denied == pytest.approx(denied, abs=0.05)
+    assert found.seen.denied == pytest.approx(denied, abs=0.05)

@@ -59,7 +59,7 @@ class Drive:
             elif isinstance(event, Feedback):
                 self.wheels[event.motor] = event.position or 0.0
             elif isinstance(event, LaserScan):
-                self.check.on_scan("lidar", event.t, to_body(event, MOUNT, 12.0))
+                self.check.on_scan("lidar", event.t + event.duration, to_body(event, MOUNT, 12.0))
         if before:
             turned = [self.wheels[motor] - before[motor] for motor in ("left", "right")]
             self.check.on_wheels(self.last, self.base.now, *turned)

@@ -278,6 +278,11 @@ def test_what_is_no_scan_changes_nothing(change: dict[str, float | str | Sequenc
     assert base.zone.allowed((0.0, 0.0), (0.5, 0.0), (0.5, 0.0), 0.01) == before
 
 
+def test_a_turn_may_come_nearer_than_a_drive_and_not_the_other_way_round() -> None:
+    with pytest.raises(ValueError, match="gap must not be less than turn_gap"):
+        StopSettings(turn_gap=0.1)
+
+
 def test_numbers_that_are_no_ranges_are_no_readings() -> None:
     base = Base(box(0.4, -2.0, 0.6, 2.0))
     base.drive((0.0, 0.0), 0.2)
