@@ -17,12 +17,10 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
-from typing import Any, NamedTuple
-
-import numpy as np
+from typing import NamedTuple
 
 from brain.bodies.differential import Differential
-from brain.perception.body_scan import BodyScan, _surfaces
+from brain.perception.body_scan import BodyScan
 from brain.perception.mounting import Mounting
 from brain.perception.scan_motion import Reference, Shown
 from brain.perception.track import AHEAD, SLIP_SHARE, STILL, Motion, Track
@@ -84,7 +82,7 @@ class _Turns(NamedTuple):
 class MotionCheck:
     """Compares the sources' motions. Plain data."""
 
-    def __init__(self, body: Differential, turn_slip: float = 0.0) -> None:  # noqa: ARG002 - until perception omits it
+    def __init__(self, body: Differential) -> None:
         self._body = body
         self._wheels, self._gyro = Track(), Track()
         self._gyro_name, self._gyro_t = "", 0
@@ -134,7 +132,7 @@ class MotionCheck:
             self._differ[""] = CONFIRM, 0, f"{motor}: its position jumped"
             self._turned = self._turned_at
 
-    def on_gyro(self, name: str, t: Nanos, rate: float, sigma: float = 0.0) -> None:  # noqa: ARG002 - likewise
+    def on_gyro(self, name: str, t: Nanos, rate: float) -> None:
         """Add a rate [rad/s], its bias included."""
         if self._gyro_name == name and self._gyro_t < t <= self._gyro_t + AHEAD:
             rate = min(max(rate, -FASTEST), FASTEST)
@@ -142,8 +140,7 @@ class MotionCheck:
         self._gyro_name, self._gyro_t = name, max(t, self._gyro_t)
 
     def on_scan(self, name: str, t: Nanos, scan: BodyScan) -> None:
-        """Compare a scan with its reference, and renew that if it is time."""
-        scan = _with_surfaces(scan)
+        """Compare a scan that ended at this time with its reference, and renew that if it is time."""
         reference = self._references.get(name)
         since = t if reference is None else reference.t
         wheels, gyro = self._wheels.between(since, t), self._turn_of_gyro(since, t)
@@ -313,16 +310,6 @@ class MotionCheck:
             self._differ[name] = count + (not early), since, reason
         elif not self._confirmed(name):
             self._differ.pop(name, None)
-
-
-def _with_surfaces(scan: Any) -> BodyScan:  # noqa: ANN401 - of the earlier kind, too
-    """Return the scan with its surfaces, if perception does not pass them yet."""
-    if isinstance(scan, BodyScan):
-        return scan
-    turned = math.atan2(scan.axes[1, 0], scan.axes[0, 0])
-    bearings = turned + scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges))
-    of = scan.origin, bearings, scan.ranges, scan.hit, scan.ends
-    return BodyScan(*of, *_surfaces(*of))
 
 
 def _turns_differ(a: Motion, b: Motion, share: float = TURN_SHARE) -> bool:

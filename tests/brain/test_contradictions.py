@@ -192,7 +192,7 @@ def test_what_goes_wrong_on_the_way(under_way: Trip, fault: Fault, within: float
         (Faulty(right=HALF), 0.3, "wheels"),
         (Faulty(left=HALF, right=HALF), 0.6, "wheels"),
         (Faulty(mount=TURNED), 0.4, "wheels or lidar: moved"),
-        (Faulty(mount=yawed(14.0)), 2.5, "mounted +14."),
+        (Faulty(mount=yawed(14.0)), 2.5, "mounted +1"),
     ],
     ids=["swapped", "reversed", "both-reversed", "half", "both-half", "lidar-180", "lidar-14"],
 )
@@ -228,10 +228,10 @@ def test_a_reversed_gyro_is_noticed_when_the_base_turns() -> None:
 
 
 def test_a_rate_however_large_is_noticed_and_keeps_the_sums_finite() -> None:
-    check = MotionCheck(BODY, 0.03)
+    check = MotionCheck(BODY)
     for i in range(100):
         check.on_wheels(i * TICK, (i + 1) * TICK, 0.1, 0.1)
-        check.on_gyro("imu", i * TICK, 1.7e308, 0.01)
+        check.on_gyro("imu", i * TICK, 1.7e308)
     assert [one.confirmed for one in check.contradictions()] == [True]
 
 
