@@ -80,7 +80,7 @@ class BaseBrain:
         self._body = settings.differential or self._body
         self._health.settings = self._joints.health.settings = settings.health
         self.navigator.settings, self.navigator.radius = settings.planner, self._body.radius
-        self._zone.body = self._body
+        self._zone.body, self._zone.settings = self._body, settings.stop
 
     def step(
         self, now: Nanos, events: Sequence[Event], tasks: Sequence[BrainTask], stopped: str
@@ -106,6 +106,7 @@ class BaseBrain:
         estimate = self.perception.estimate
         self._zone.observe(estimate.t if estimate else now, self.perception.raw, events)
         self._health.observe(events, self.perception.absent)
+        self._health.helpful = self.perception.helpful
         health = self._health.assess(
             now, self.perception.rejected, self.perception.contradictions(), self.perception.verdict
         )

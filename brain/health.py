@@ -174,7 +174,7 @@ class Health:
         helpful: Sequence[str] = (),
     ) -> None:
         """`helpful`: the sensors without which the base drives slowly."""
-        self.settings, self._helpful = settings, frozenset(helpful)
+        self.settings, self.helpful = settings, frozenset(helpful)
         self._timeouts = {name: timeouts[name] for name in (*motors, *sensors)}
         self._motors, self._sensors = tuple(motors), tuple(sensors)
         self._last: dict[str, Nanos] = {}
@@ -231,7 +231,7 @@ class Health:
             for name, detail in self._initialising.items()
             if name in self._last
         ]
-        needless = self._helpful if waited >= self.settings.start_without else ()
+        needless = self.helpful if waited >= self.settings.start_without else ()
         parts += [
             f"a reading of {name}{self._why_absent(name)}"
             for name in self._sensors
@@ -249,9 +249,9 @@ class Health:
         """Return the worst of all sources and of perception's verdict, with memory: worse at once, better
         after `recover`."""
         self._update_window(now, rejected)
-        needed = [self.source(now, name) for name in self._last if name not in self._helpful]
+        needed = [self.source(now, name) for name in self._last if name not in self.helpful]
         needed.append(self._apart(now))
-        limits = [self.source(now, name) for name in self._sensors if name in self._helpful]
+        limits = [self.source(now, name) for name in self._sensors if name in self.helpful]
         limits += [SourceHealth(HealthLevel.SLOW, one.reason) for one in contradictions if one.drivable]
         if verdict.trust is Trust.LOST:
             needed.append(SourceHealth(HealthLevel.HALT, verdict.reason))

@@ -59,7 +59,7 @@ AT_RUN_TIME: tuple[tuple[Direction, str, str], ...] = (
         "distances from obstacles, the cost of unknown ground, caution after trouble: they only get larger",
         (
             "planner.margin planner.comfort planner.dislike planner.unknown_multiplier health.recover_ms "
-            "pursuit.obstacle_distance"
+            "pursuit.obstacle_distance stop.gap stop.turn_gap stop.latency_ms"
         ),
     ),
     (
@@ -68,7 +68,7 @@ AT_RUN_TIME: tuple[tuple[Direction, str, str], ...] = (
         (
             "differential.max_linear differential.max_angular differential.max_wheel_speed planner.escape "
             "planner.slack planner.unknown_is_free health.slow pursuit.braking pursuit.creep "
-            "pursuit.lateral_acceleration pursuit.obstacle_speed"
+            "pursuit.lateral_acceleration pursuit.obstacle_speed stop.blind_speed"
         ),
     ),
     (

@@ -138,6 +138,11 @@ class Perception:
         """Normalised innovations squared, by sensor."""
         return self._filter.nis
 
+    @property
+    def helpful(self) -> frozenset[str]:
+        """The sensors that are not needed: a gyro, where wheels and a lidar suffice."""
+        return frozenset(self._last_imu if self._last_scan and self.settings.matching else ())
+
     def contradictions(self) -> list[Contradiction]:
         """Return what the sources show that cannot all be true."""
         return self._check.contradictions()
