@@ -13,13 +13,14 @@ import pytest
 
 from brain.base_brain import BaseBrain
 from brain.belief import Pose
-from brain.perception.grid import Grid, GridSettings, _inflated
-from brain.perception.mount import Mount, to_body
+from brain.perception.body_scan import to_body, to_world
+from brain.perception.map import Map, MapSettings
+from brain.perception.mount import Mount
 from protocols.messages import LaserScan
 from tests.brain.helpers import Office, Trip
 
-LARGEST = GridSettings(resolution=0.05, width=50.0, height=50.0, farthest=100.0)
-"""A million cells."""
+LARGEST = MapSettings(width=200.0, height=200.0, farthest=97.0)
+"""Sixteen million cells, all within reach of the beams."""
 
 
 def peak(action: Callable[[], object]) -> int:
@@ -32,28 +33,16 @@ def peak(action: Callable[[], object]) -> int:
 
 
 def test_a_scan_touches_few_cells_of_the_largest_map() -> None:
-    grid, beams = Grid(LARGEST), 10_000
-    increment = 2.0 * math.pi / beams
-    scan = LaserScan("lidar", 0, 0.0, increment, 0.05, 1000.0, (99.0,) * beams)
+    chart, beams = Map(LARGEST), 10_000
+    scan = LaserScan("lidar", 0, 0.0, 2.0 * math.pi / beams, 0.05, 1000.0, (96.0,) * beams)
     swept = to_body(scan, Mount(), LARGEST.farthest)
-    assert peak(lambda: grid.add(Pose(0.0, 0.0, 0.3), swept)) < 80e6
-    assert np.count_nonzero(grid.free) > 100_000
-
-
-@pytest.mark.parametrize("radius", [0.0, 0.3, 0.5, 1.0, 1.5, 2.2, 4.9, 30.0])
-def test_an_inflation_is_the_union_of_discs(radius: float) -> None:
-    """Against each pair of cells: the middle of one, and the nearest part of the other."""
-    random = np.random.default_rng(7)
-    for shape in ((1, 1), (1, 9), (9, 1), (12, 17)):
-        occupied = random.random(shape) < 0.1
-        occupied[0, 0] = True
-        rows, columns = (axis.reshape(-1) for axis in np.indices(shape))
-        up, across = (
-            np.maximum(np.abs(axis[:, None] - axis[None, :]) - 0.5, 0.0) for axis in (rows, columns)
-        )
-        near = (up**2 + across**2 < radius**2) | np.eye(rows.size, dtype=bool)
-        expected = near[:, occupied.reshape(-1)].any(axis=1).reshape(shape)
-        assert (_inflated(occupied, radius) == expected).all()
+    assert peak(lambda: chart.add(Pose(0.0, 0.0, 0.3), swept, np.eye(3))) < 30e6
+    top, left, bottom, right = chart.extent()
+    values = chart.values(np.arange(left, right), np.arange(top, bottom)[:, None])
+    assert np.count_nonzero(values < 0) > 50_000
+    assert (
+        np.count_nonzero(chart.values(*chart.cells(to_world(swept.ends, Pose(0.0, 0.0, 0.3))).T) > 0) == beams
+    )
 
 
 @pytest.mark.parametrize(
