@@ -294,13 +294,17 @@ class Search:
         return poses
 
     def _refine(self, pose: Pose) -> int:
-        """Refine a pose by a match, and judge it; it is dropped if the robot is not in free ground there."""
-        found = match(self._map, self._scan, pose, self._cell, self._matching)
-        pose = found.pose if found else pose
+        """Refine a pose by a match, unless much less agrees then; drop it if it is not in free ground."""
+        least, most, _ = agreement(self._map, self._scan, pose)
+        found, covariance = match(self._map, self._scan, pose, self._cell, self._matching), None
+        if found is not None:
+            refined = agreement(self._map, self._scan, found.pose)
+            most = max(most, refined[1])
+            if refined[0] > least - self._settings.margin:
+                least, pose, covariance = refined[0], found.pose, found.noise + found.shared
         columns, rows = (self._map.cells(np.array([[pose.x, pose.y]])) + AROUND).T
         if (self._map.values(columns, rows) < 0).any():
-            least, most, _ = agreement(self._map, self._scan, pose)
-            self._refined.append((least, most, pose, found.noise + found.shared if found else None))
+            self._refined.append((least, most, pose, covariance))
         return 1000 * CALL
 
     def _decide(self) -> Result:

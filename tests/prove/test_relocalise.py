@@ -33,14 +33,15 @@ def test_of_a_hundred_poses_none_is_wrong(name: str, noise: float, beams: int, n
 
     def case(seed: int, number: int) -> str:
         random = generator(seed + number)
-        pose = poses(where, random, 5)[-1]
+        pose = poses(where, random, 30)[-1]
         around = changed(where, pose, random, new) if new else where
         return verdict(finish(search(drawing, seen(around, pose, random, noise, beams)))[0], pose)
 
     done = Counter(Campaign(f"relocalise-{name}-{beams}-{new:g}", 100).run(case).values())
     print(name, beams, new, dict(done))
     assert done["wrong"] == 0
-    assert done["right"] >= (95 if new == 0.0 else 85)
+    assert done["inexact"] <= 2
+    assert done["right"] >= (95 if new == 0.0 else 80)
 
 
 @pytest.mark.parametrize("name", OFFICES)

@@ -128,8 +128,11 @@ def verdict(result: Result, truth: Pose) -> str:
     if not isinstance(result, Found):
         return type(result).__name__
     off = error(result.pose, truth)
+    apart, turn = math.hypot(*off[:2]), math.degrees(abs(off[2]))
+    if apart > 0.3 or turn > 10.0:
+        return "wrong"
     likely = float(off @ np.linalg.solve(result.covariance, off)) < 16.3
-    return "right" if math.hypot(*off[:2]) < 0.05 and abs(off[2]) < math.radians(1.0) and likely else "wrong"
+    return "right" if apart < 0.05 and turn < 1.0 and likely else "inexact"
 
 
 OFFICES = {"office": OFFICE, "rooms": walls(*ROOMS), "random": room(generator(3), 8.0, 6.0)}
