@@ -91,7 +91,7 @@ class Picture:
 
     def changed(self, since: int) -> list[Tile]:
         """All of them, at first."""
-        return [(row, column) for row, column in np.ndindex(self._tiles.shape[:2]) if since < 0]
+        return [(row, column) for row, column in np.ndindex(self._tiles.shape[:2]) if since < self.version]
 
     def extent(self) -> tuple[int, int, int, int]:
         """First row and column, and those after the last."""

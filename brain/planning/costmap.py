@@ -155,7 +155,8 @@ class Costmap:
         """The map's version that each tile was drawn from."""
         self._occupied: dict[Tile, bytes] = {}
         """Occupied cells, eight per byte, of tiles that have any."""
-        self._version = -1
+        self._version = 0
+        """Of the map, up to which its changes are marked."""
 
     def update(self, grid: Map, here: Point, most: int) -> int:
         """Draw at most this many of the changed tiles, those about the robot first; return how many."""

@@ -7,6 +7,10 @@ from math import inf
 import numpy as np
 import pytest
 
+from brain.belief import Pose
+from brain.perception.body_scan import to_body
+from brain.perception.map import Map, MapSettings
+from brain.perception.mount import Mount
 from brain.planning.costmap import (
     NEAR,
     OCCUPIED,
@@ -17,6 +21,7 @@ from brain.planning.costmap import (
     PlannerSettings,
     disc,
 )
+from tests.brain.perception.office import box, scan_at
 from tests.brain.planning.maps import RADIUS, PlainMap, drawn
 
 
@@ -94,3 +99,14 @@ def test_each_tile_is_drawn_once_and_a_change_far_from_its_edge_draws_no_other()
         while costmap.pending:
             count += costmap.update(grid, (0.0, 0.0), 1)
         assert count == tiles
+
+
+def test_of_a_large_map_only_what_was_observed_is_drawn() -> None:
+    large, pose = Map(MapSettings(width=100.0, height=100.0)), Pose(0.0, 0.0, 0.0)
+    scan = scan_at(np.array(box(-2.0, -2.0, 2.0, 2.0)), pose, Mount(), 0, np.zeros(360))
+    large.add(pose, to_body(scan, Mount()), np.zeros((3, 3)))
+    costmap = Costmap(large.resolution, RADIUS, PlannerSettings())
+    assert sum(costmap.update(large, (0.0, 0.0), 1) for _ in range(100)) <= 16
+    assert costmap.box is not None
+    assert costmap.clearance(0.0, 0.0) > 0.0
+    assert costmap.clearance(1.9, 0.0) == 0.0
