@@ -9,29 +9,33 @@ from __future__ import annotations
 
 from itertools import cycle
 from math import cos, inf, sin, sqrt, tau
+from typing import Literal
 
 import numpy as np
 
 from benchmarks.measure import Call, Effort, in_turn, rival
 from benchmarks.rivals import BareFilterpy, BresenhamLoop, PlainNumpy
 from benchmarks.rows import Beside, Row, against
-from brain.belief import Floats, Pose
+from brain.belief import Pose
+from brain.bodies.differential import Differential
+from brain.perception import engine
 from brain.perception.body_scan import BodyScan, to_body, to_world
-from brain.perception.ekf import Ekf
-from brain.perception.ekf_settings import EkfSettings
+from brain.perception.engine import SIZE, Move
+from brain.perception.filter import Filter
+from brain.perception.filter_inputs import GyroRate, WheelAngle
+from brain.perception.filter_settings import FilterSettings
 from brain.perception.map import Map, MapSettings
-from brain.perception.measurement import wheels
-from brain.perception.motion_model import SIZE, V, W, jacobian, process_noise, propagate
 from brain.perception.mount import Mount
 from protocols.messages import MILLISECOND, LaserScan, Nanos, seconds
 
 EKF, GRID = (
-    "one predict and update of the filter (7 states, 2 measured)",
+    "both wheels and the gyro into the filter (8 states, 1 measured)",
     "one scan of 360 beams into the map",
 )
 PERIOD: Nanos = 5 * MILLISECOND
 SPEED, TURN = 0.5, 0.4
-NOISE = np.diag([0.02**2, 0.05**2])
+NOISE = np.array([[1e-9]])
+BODY = Differential("left", "right", 0.05, 0.22, 0.24, 0.6, 2.0, 0.8, 4.0)
 BEAMS = 360
 SURE = np.diag([1e-6, 1e-6, 1e-8])
 """Covariance of the poses"""
@@ -52,37 +56,44 @@ def perceive(effort: Effort) -> list[Row]:
 
 def _filter(effort: Effort) -> Row:
     package = rival("filterpy", "filterpy")
-    ours = OurFilter()
-    H, z = np.eye(SIZE)[[V, W]], np.array([SPEED, TURN])
-    start = ours.ekf.state, ours.ekf.covariance
-    given = model(ours.ekf.state)
-    bare = BareFilterpy(*start, H, NOISE, lambda _: given)
-    same = BareFilterpy(*start, H, NOISE, model)
-    plain = PlainNumpy(*start, H, NOISE, model)
-    names = (f"{package.name}, this model", f"{package.name}, F and Q given", "plain numpy, this model")
-    steps = (lambda: same.step(z), lambda: bare.step(z), lambda: plain.step(z))
+    ours, same = OurFilter("structured"), OurFilter("filterpy")
+    for _ in range(20):  # the first travels only wait for the other sensor
+        ours.step()
+        same.step()
+    z = np.zeros(1)
+    bare, plain = BareFilterpy(*RIVALS), PlainNumpy(*RIVALS)
+    names = (f"{package.name} as its engine", f"{package.name}, F and Q given", "plain numpy, F and Q given")
+    steps = (same.step, lambda: bare.step(z), lambda: plain.step(z))
     contestants: dict[str, Call] = {"ours": ours.step, **dict(zip(names, steps, strict=True))}
     found = in_turn(contestants, effort.of(2000, 100))
-    return Row(EKF, "speeds from the encoders of both wheels", found["ours"], against(found, *names))
+    return Row(EKF, "one predict and update, gated", found["ours"], against(found, *names))
 
 
-def model(state: Floats) -> tuple[Floats, Floats, Floats]:
-    """How the brain's filter believes that a state moves within a period."""
-    dt = seconds(PERIOD)
-    return propagate(state, dt), jacobian(state, dt), process_noise(state, dt, EkfSettings())
+MOVE = Move(
+    -1e-3, 2e-3, -2e-3, -1e-3, 1e-3, 2e-3, -0.01, 0.01, 5e-3, 0.99, 0.99,
+    4e-8, 0.0, 2e-8, 5e-11, 2e-9, 1e-6, 1e-6, 2e-10,
+)  # fmt: skip
+"""Some travel of the wheels"""
+MATRICES = engine.matrices(MOVE)
+RIVALS = (
+    np.zeros(SIZE), np.eye(SIZE) * 1e-4, np.eye(SIZE)[[engine.TURN]], NOISE, lambda x: (x, *MATRICES)
+)  # fmt: skip
+"""Of the rivals: start, covariance, measurement of the turn, its noise, model of that travel"""
 
 
 class OurFilter:
     """The filter of the brain, on a circle."""
 
-    def __init__(self) -> None:
-        self.ekf = Ekf(EkfSettings())
+    def __init__(self, engine: Literal["structured", "filterpy"]) -> None:
+        self.belief = Filter(BODY, FilterSettings(engine=engine))
         self._t: Nanos = 0
 
     def step(self) -> None:
-        """A period later, the next measurement."""
+        """A period later, the next measurements."""
         self._t += PERIOD
-        self.ekf.observe(wheels("wheels", self._t, SPEED, TURN, NOISE))
+        left, right = (speed * seconds(self._t) for speed in BODY.inverse(SPEED, TURN))
+        wheels = WheelAngle("left", self._t, left), WheelAngle("right", self._t, right)
+        self.belief.observe((GyroRate("imu", self._t, TURN, 0.003), *wheels))
 
 
 # -- the map --------------------------------------------------------------------------------------

@@ -74,6 +74,23 @@ class Move(NamedTuple):
     noise_turn: float
 
 
+def matrices(move: Move) -> tuple[Floats, Floats]:
+    """Return the matrices F and Q of a travel."""
+    ax, ay, cx, cy, wx, wy, tl, tr, dt, kl, kr, qxx, qxy, qyy, qb, qs, ql, qr, qg = move
+    F = np.eye(SIZE)
+    turned = np.array([wx, wy, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    F[:, LEFT], F[:, RIGHT] = tl * turned, tr * turned
+    F[X, [YAW, SCALE]], F[Y, [YAW, SCALE]] = (ax, cx), (ay, cy)
+    F[LEFT, LEFT], F[RIGHT, RIGHT], F[TURN, BIAS] = kl, kr, dt
+    Q = np.diag([qxx, qyy, 0.0, qb, qs, ql, qr, qg])
+    Q[X, Y] = Q[Y, X] = qxy
+    for slip, by, noise in ((LEFT, tl, ql), (RIGHT, tr, qr)):
+        Q += noise / 3.0 * by * by * np.outer(turned, turned)
+        Q[slip] += noise / 2.0 * by * turned
+        Q[:, slip] += noise / 2.0 * by * turned
+    return F, Q
+
+
 class Engine(Protocol):
     """The three operations."""
 
@@ -191,20 +208,8 @@ class Filterpy:
 
     def predict(self, packed: Packed, move: Move) -> Packed:
         """Return the covariance after a travel."""
-        ax, ay, cx, cy, wx, wy, tl, tr, dt, kl, kr, qxx, qxy, qyy, qb, qs, ql, qr, qg = move
-        F = np.eye(SIZE)
-        turned = np.array([wx, wy, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-        F[:, LEFT], F[:, RIGHT] = tl * turned, tr * turned
-        F[X, [YAW, SCALE]], F[Y, [YAW, SCALE]] = (ax, cx), (ay, cy)
-        F[LEFT, LEFT], F[RIGHT, RIGHT], F[TURN, BIAS] = kl, kr, dt
-        Q = np.diag([qxx, qyy, 0.0, qb, qs, ql, qr, qg])
-        Q[X, Y] = Q[Y, X] = qxy
-        for slip, by, noise in ((LEFT, tl, ql), (RIGHT, tr, qr)):
-            Q += noise / 3.0 * by * by * np.outer(turned, turned)
-            Q[slip] += noise / 2.0 * by * turned
-            Q[:, slip] += noise / 2.0 * by * turned
         self._filter.x, self._filter.P = np.zeros(SIZE), unpacked(packed)
-        self._filter.F, self._filter.Q = F, Q
+        self._filter.F, self._filter.Q = matrices(move)
         self._filter.predict()
         return pack(self._filter.P)
 

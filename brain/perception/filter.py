@@ -474,7 +474,7 @@ class Filter:
     def _contradiction(
         self, state: State, gyro: Gyro, turned: float, innovation: float, variance: float
     ) -> GateResult:
-        """Leave out a gyro that contradicts the wheels. One of the two is wrong: by so much may be the yaw."""
+        """Leave out a gyro that contradicts the wheels; one of the two is wrong, the yaw perhaps by as much."""
         result = self._rejection(state, gyro.source, state.t)
         if result is GateResult.FORCED:  # its bias may be any, and resting wheels do not show it
             state.P = cross_zeroed(state.P, BIAS, self.settings.bias_sigma**2)
@@ -546,10 +546,18 @@ class Filter:
     def _bound(self, state: State) -> None:
         """Keep bias, scale and slip within their bounds."""
         x, y, yaw, bias, scale, left, right, turn = state.x
-        most, fastest = self.settings.scale_bound, self.settings.bias_bound
-        if max(abs(scale), abs(left), abs(right)) > most or abs(bias) > fastest:
-            scale, left, right = (max(-most, min(most, value)) for value in (scale, left, right))
-            state.x = x, y, yaw, max(-fastest, min(fastest, bias)), scale, left, right, turn
+        settings = self.settings
+        slip = settings.slip_bound
+        if (
+            abs(bias) > settings.bias_bound
+            or abs(scale) > settings.scale_bound
+            or abs(left) > slip
+            or abs(right) > slip
+        ):
+            bias = max(-settings.bias_bound, min(settings.bias_bound, bias))
+            scale = max(-settings.scale_bound, min(settings.scale_bound, scale))
+            left, right = max(-slip, min(slip, left)), max(-slip, min(slip, right))
+            state.x = x, y, yaw, bias, scale, left, right, turn
 
 
 BIAS_BIAS = AT[BIAS][BIAS]

@@ -6,6 +6,7 @@ import math
 from collections import deque
 from dataclasses import dataclass, field
 from enum import StrEnum
+from math import isfinite
 from typing import TypeAlias
 
 import numpy as np
@@ -133,9 +134,9 @@ class Nis:
 def is_valid(item: Input) -> bool:
     """Return whether an input is finite, and its noise a covariance."""
     if isinstance(item, WheelAngle):
-        return bool(np.isfinite(item.angle))
+        return isfinite(item.angle)
     if isinstance(item, GyroRate):
-        return bool(np.isfinite(item.rate)) and 0.0 < item.sigma < 1e6
+        return isfinite(item.rate) and 0.0 < item.sigma < 1e6
     size = len(item.value)
     matrices = [item.noise, *([item.shared] if isinstance(item, PoseFix) and item.shared is not None else ())]
     if size not in (2, 3) or any(matrix.shape != (size, size) for matrix in matrices):

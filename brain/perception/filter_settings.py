@@ -54,7 +54,9 @@ class FilterSettings:
     scale_walk: float = 1e-3
     """Per √m: random walk of the distance scale"""
     scale_bound: float = 0.1
-    """Largest distance scale, and slip of a wheel"""
+    """Largest distance scale"""
+    slip_bound: float = 0.1
+    """Largest slip of a wheel; a base that turns by slipping (skid steer) needs more"""
     bias_sigma: float = 0.05
     """rad/s: gyro bias at switch-on"""
     bias_walk: float = 1e-4
@@ -87,6 +89,7 @@ class FilterSettings:
             scale_sigma=(0.0, 0.1),
             scale_walk=(0.0, 0.1),
             scale_bound=(0.0, 0.1),
+            slip_bound=(0.0, 1.0),
             bias_sigma=(1e-6, 1.0, "rad/s"),
             bias_walk=(0.0, 1.0),
             bias_bound=(0.0, 1.0, "rad/s"),

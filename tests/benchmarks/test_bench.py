@@ -22,9 +22,9 @@ from benchmarks.__main__ import main
 from benchmarks.measure import Effort, Figures, NotMeasured, Rival
 from benchmarks.rows import Beside, Row, Target
 from benchmarks.samples import odrive_can as samples
+from brain.perception import engine
 from brain.perception.body_scan import to_body
 from brain.perception.map import Map, MapSettings
-from brain.perception.motion_model import V, W
 from brain.perception.mount import Mount
 from gateway import config
 from protocols.frames import CanFrame
@@ -309,24 +309,20 @@ def test_without_its_package_a_dbc_is_not_there(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_bare_filters_follow_ours() -> None:
-    """With nothing refused, our filter is the textbook's: to the last digits of the arithmetic."""
-    ours = perceive.OurFilter()
-    H, z = np.eye(7)[[V, W]], np.array([perceive.SPEED, perceive.TURN])
-    start = ours.ekf.state, ours.ekf.covariance
-    bare = rivals.BareFilterpy(*start, H, perceive.NOISE, perceive.model)
-    plain = rivals.PlainNumpy(*start, H, perceive.NOISE, perceive.model)
-    ours.step()  # the first measurement starts the clock: nothing is predicted to it
-    first = ours.ekf.state, ours.ekf.covariance
-    bare.filter.x, bare.filter.P = first
-    plain.x, plain.P = first
+    """Our arithmetic is the textbook's: to its last digits."""
+    ours, (x, P, _, R, _) = engine.Structured(), perceive.RIVALS
+    bare, plain = rivals.BareFilterpy(*perceive.RIVALS), rivals.PlainNumpy(*perceive.RIVALS)
+    state, packed = tuple(x.tolist()), engine.pack(P)
     for _ in range(50):
-        ours.step()
-        distances = bare.step(z), plain.step(z)
-        assert distances[0] == pytest.approx(distances[1], abs=1e-9)
-    for x, P in ((bare.filter.x, bare.filter.P), (plain.x, plain.P)):
-        np.testing.assert_allclose(x, ours.ekf.state, atol=1e-9)
-        np.testing.assert_allclose(P, ours.ekf.covariance, atol=1e-9)
-    assert ours.ekf.state[0] > 0.1
+        packed = ours.predict(packed, perceive.MOVE)
+        innovation = 1e-4 - state[engine.TURN]
+        state, packed, distance = ours.turn(state, packed, innovation, float(R[0, 0]))
+        for rival in (bare, plain):
+            assert rival.step(np.array([1e-4])) ** 2 == pytest.approx(distance, abs=1e-9)
+    for found_x, found_P in ((bare.filter.x, bare.filter.P), (plain.x, plain.P)):
+        np.testing.assert_allclose(found_x, state, atol=1e-9)
+        np.testing.assert_allclose(found_P, engine.unpacked(packed), atol=1e-9)
+    assert state[engine.TURN] > 5e-5
 
 
 @pytest.mark.parametrize(

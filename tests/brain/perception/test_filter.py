@@ -172,7 +172,7 @@ def test_what_is_older_than_the_rewind_is_late_and_changes_nothing() -> None:
 def test_what_is_not_finite_never_enters(bad: float) -> None:
     belief = rested()
     before = belief.state
-    spoilt = [
+    spoilt: list[Input] = [
         WheelAngle("left", SECOND, bad),
         GyroRate("imu", SECOND, bad, 0.003),
         GyroRate("imu", SECOND, 0.0, bad),
