@@ -196,6 +196,9 @@ class Health:
         """The last assessment worse than OK,"""
         self._bad_at: Nanos | None = None
         """and its time; None once recovered."""
+        self._began: Nanos | None = None
+        self._waited: Nanos = 0
+        """Since the first assessment."""
         self._limit, self._limit_at = OK, 0
         """What was last driven with slowly, and when."""
         self._halted_since: Nanos | None = None
@@ -222,7 +225,7 @@ class Health:
             elif isinstance(event, Measurement) and event.sensor not in absent:
                 self._on_measurement(event.sensor, event)
 
-    def missing(self, waited: Nanos = 0) -> str:
+    def missing(self) -> str:
         """Return what has never reported or cannot be commanded yet, in words, and is still to be awaited;
         "" if nothing is."""
         parts = [f"feedback of {name}" for name in self._motors if name not in self._last]
@@ -231,7 +234,7 @@ class Health:
             for name, detail in self._initialising.items()
             if name in self._last
         ]
-        needless = self.helpful if waited >= self.settings.start_without else ()
+        needless = self.helpful if self._waited >= self.settings.start_without else ()
         parts += [
             f"a reading of {name}{self._why_absent(name)}"
             for name in self._sensors
@@ -248,6 +251,8 @@ class Health:
     ) -> SourceHealth:
         """Return the worst of all sources and of perception's verdict, with memory: worse at once, better
         after `recover`."""
+        self._began = now if self._began is None else self._began
+        self._waited = now - self._began
         self._update_window(now, rejected)
         needed = [self.source(now, name) for name in self._last if name not in self.helpful]
         needed.append(self._apart(now))
@@ -309,7 +314,7 @@ class Health:
         )
         if now - since >= self.settings.contradicted:
             self._lost = confirmed[0]
-        return max(worst, SourceHealth(HealthLevel.HALT, confirmed[0]), key=lambda h: h.level)
+        return max(SourceHealth(HealthLevel.HALT, confirmed[0]), worst, key=lambda h: h.level)
 
     def _limited(self, now: Nanos, bad: SourceHealth) -> SourceHealth:
         """Return what is bad as lost, if it has been for too long or too often."""

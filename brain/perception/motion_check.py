@@ -42,8 +42,8 @@ MOVING = 0.05
 """m: standard deviation of a point that may belong to what moves: in a corridor, few show its length."""
 FIT = 0.5
 """Least share of the points that must lie on lines once the motion is found."""
-TURN, DISTANCE = 0.05, 0.07
-"""rad and m: differences below these are none (measured: at most 0.045 rad and 0.015 m),"""
+TURN, GYRO_TURN, DISTANCE = 0.05, 0.035, 0.07
+"""rad, rad between gyro and scans, m: differences below these are none,"""
 TURN_SHARE = 0.15
 """nor are those below this share of the motion (tyres, stamps), and of a way that the base lags behind below
 `SLIP_SHARE`."""
@@ -250,7 +250,9 @@ class MotionCheck:
         motion, fit = shown.motion, shown.fit
         if fit < FIT:
             return f"{name}: {100 * fit:.0f} % of its rays agree with the scan before: has it moved?"
-        if _turns_differ(motion, wheels) or (gyro is not None and _turns_differ(motion, gyro, SCALE)):
+        if _turns_differ(motion, wheels) or (
+            gyro is not None and _turns_differ(motion, gyro, SCALE, GYRO_TURN)
+        ):
             culprit, other = f"{name} or wheels", ""
             if gyro is not None:
                 culprit = self._culprit(name, motion.turn, wheels.turn, wheels.uncertain, gyro.turn)
@@ -312,8 +314,8 @@ class MotionCheck:
             self._differ.pop(name, None)
 
 
-def _turns_differ(a: Motion, b: Motion, share: float = TURN_SHARE) -> bool:
-    allowed = TURN + share * max(abs(a.turn), abs(b.turn)) + a.uncertain + b.uncertain
+def _turns_differ(a: Motion, b: Motion, share: float = TURN_SHARE, least: float = TURN) -> bool:
+    allowed = least + share * max(abs(a.turn), abs(b.turn)) + a.uncertain + b.uncertain
     return abs(a.turn - b.turn) > allowed
 
 

@@ -126,11 +126,14 @@ def test_what_can_be_driven_with_is_slow_for_as_long_as_it_lasts_and_drops_nothi
 
 def test_a_helpful_sensor_is_awaited_for_a_while_and_then_done_without() -> None:
     health = Health(["left"], ["lidar", "imu"], TIMEOUTS, SETTINGS, helpful=["imu"])
-    health.observe([feedback(0)])
-    assert health.missing(SETTINGS.start_without - 1) == "a reading of lidar, a reading of imu"
-    assert health.missing(SETTINGS.start_without) == "a reading of lidar"
-    health.observe([scan(0)])
-    assert health.assess(0, {}) == SourceHealth(HealthLevel.SLOW, "imu has never reported")
+    for now, missing in ((0, ", a reading of imu"), (3 * SECOND - 1, ", a reading of imu"), (3 * SECOND, "")):
+        health.observe([feedback(now)])
+        health.assess(now, {})
+        assert health.missing() == f"a reading of lidar{missing}"
+    health.observe([scan(now)])
+    now += SETTINGS.recover
+    health.observe([feedback(now), scan(now)])
+    assert health.assess(now, {}) == SourceHealth(HealthLevel.SLOW, "imu has never reported")
 
 
 def test_an_estimate_that_is_lost_stands_and_then_drops_the_tasks() -> None:
