@@ -311,9 +311,11 @@ class Search:
         if not self._refined:
             return NotFound("no pose in free ground lets the scan fit the map")
         score, _, pose, covariance = max(self._refined, key=lambda one: one[0])
-        if score < self._settings.agree or covariance is None:
-            return NotFound(f"at the best pose only {score:.0%} of the scan agrees with the map")
         settings = self._settings
+        if score < settings.agree:
+            return NotFound(f"at the best pose only {score:.0%} of the scan agrees with the map")
+        if covariance is None:
+            return NotFound("the best pose has no match on the map's lines")
         margin = settings.margin + settings.caution * max(GOOD - score, 0.0)
         elsewhere = [(most, other) for _, most, other, _ in self._refined if _elsewhere(other, pose)]
         runner_up = max((most for most, _ in elsewhere), default=0.0)
