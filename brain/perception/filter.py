@@ -74,6 +74,8 @@ FARTHEST: Nanos = 100 * MILLISECOND
 MAX_INPUTS = 600
 MAX_WAITING = 16
 """Most inputs that are run again, and poses that wait for the wheels."""
+SKID_RATE, MOST_EXCESS, MOST_SKID = 0.05, 30.0, 0.09
+"""Share of a travel in the estimate of the skid, its largest weight, and the largest estimate"""
 MAX_INFLATION = 1e6
 """Largest factor on a variance."""
 POSE = (X, Y, YAW)
@@ -117,6 +119,10 @@ class State:
     """Poses newer than t, oldest first"""
     rejected: tuple[tuple[str, Nanos], ...] = ()
     """Sources that the gate rejects, and since when"""
+    skid: float = 0.0
+    """Variance of the share by which a wheel turns the base otherwise in one travel than in the next,"""
+    skids: tuple[float, float] = (0.0, 0.0)
+    """estimated from the gyro: squares of excess innovations over those of the wheels' turns, faded"""
     doubt: bool = False
     """The gyro contradicted the wheels for long: its bias is not learnt from the wheels until it is known
     """
@@ -125,7 +131,7 @@ class State:
         """Return a state for the next step to write to."""
         return State(
             self.x, self.P, self.smooth, self.raw, self.t, self.left, self.right, self.at, self.rolled,
-            self.gyro, self.waiting, self.rejected, self.doubt,
+            self.gyro, self.waiting, self.rejected, self.skid, self.skids, self.doubt,
         )  # fmt: skip
 
     def __deepcopy__(self, memo: dict[int, Any]) -> State:
@@ -259,8 +265,8 @@ class Filter:
 
     def reset(self, t: Nanos, pose: Pose, covariance: Floats) -> bool:
         """Set the pose at a time, keeping bias, scale and slip; False if that is too long ago."""
-        late = self.observe([Relocated(t, np.array([pose.x, pose.y, pose.yaw]), covariance)])
-        return not late
+        judged = self.observe([Relocated(t, np.array([pose.x, pose.y, pose.yaw]), covariance)])
+        return all(each.source for each in judged)  # what has no source is this
 
     def observe(self, inputs: Sequence[Input]) -> list[Judged]:
         """Apply inputs, each at its own time; return the decisions that were made for the first time. A pose
@@ -386,6 +392,7 @@ class Filter:
         slip_variance = settings.turn_slip * settings.turn_slip
         along = settings.travel_noise * settings.travel_noise * rolled
         across = settings.sideways_noise * settings.sideways_noise * rolled
+        lever = left_yaw * left_yaw + right_yaw * right_yaw
         gyro = state.gyro
         turn_noise = 0.0 if gyro is None else gyro.sigma * gyro.sigma * (gyro.interval / SECOND) * dt
         state.x = (
@@ -401,7 +408,7 @@ class Filter:
                 along * uy * uy + across * ux * ux, settings.bias_walk * settings.bias_walk * dt,
                 settings.scale_walk * settings.scale_walk * rolled,
                 slip_variance * (1.0 - keep_left * keep_left),
-                slip_variance * (1.0 - keep_right * keep_right), turn_noise,
+                slip_variance * (1.0 - keep_right * keep_right), turn_noise, state.skid * lever,
             ),
         )  # fmt: skip
         state.t, state.at = t, (left, right)
@@ -409,9 +416,10 @@ class Filter:
         state.raw = arc_end(state.raw, distance, turn)
         if gyro is not None:
             jitter = settings.jitter / dt * math.hypot(on_left, on_right) * body.wheel_radius
-            by_slip = slip_variance * (left_yaw * left_yaw + right_yaw * right_yaw) / (dt * dt)
+            by_slip = slip_variance * lever / (dt * dt)
             learns = by_slip < state.P[BIAS_BIAS] and not state.doubt
-            self._compare(state, gyro, self._count_variance + (jitter / body.wheel_separation) ** 2, learns)
+            variance = self._count_variance + (jitter / body.wheel_separation) ** 2
+            self._compare(state, gyro, variance, learns, lever)
         state.smooth = arc_end(state.smooth, length, state.x[YAW] - yaw)
 
     # -- gyro ----------------------------------------------------------------------------------------------
@@ -440,7 +448,7 @@ class Filter:
             sample = (item.t, item.rate, angle)
             state.gyro = Gyro(item.source, item.sigma, silent, (*kept, sample), gyro.zero, gyro.used)
 
-    def _compare(self, state: State, gyro: Gyro, variance: float, learns: bool) -> None:
+    def _compare(self, state: State, gyro: Gyro, variance: float, learns: bool, lever: float) -> None:
         """Correct by the gyro's angle less that of the wheels, whose variance this is."""
         turned = _gyro_angle(gyro, state.t)
         if turned is None:
@@ -470,11 +478,18 @@ class Filter:
         else:
             result = self._contradiction(state, gyro, turned, innovation, variance)
         self._report(gyro.source, state.t, result, distance, 1)
+        if lever > 0.0:
+            expected = innovation * innovation / max(distance, 1e-12) - state.skid * lever
+            excess = min(innovation * innovation, MOST_EXCESS * (expected + state.skid * lever)) - expected
+            over, rolled = state.skids
+            over, rolled = over + SKID_RATE * (excess - over), rolled + SKID_RATE * (lever - rolled)
+            state.skids = over, rolled
+            state.skid = min(max(over / rolled, 0.0), MOST_SKID)
 
     def _contradiction(
         self, state: State, gyro: Gyro, turned: float, innovation: float, variance: float
     ) -> GateResult:
-        """Leave out a gyro that contradicts the wheels; one of the two is wrong, the yaw perhaps by as much."""
+        """Leave out a gyro that contradicts the wheels; the yaw may be wrong by as much."""
         result = self._rejection(state, gyro.source, state.t)
         if result is GateResult.FORCED:  # its bias may be any, and resting wheels do not show it
             state.P = cross_zeroed(state.P, BIAS, self.settings.bias_sigma**2)
