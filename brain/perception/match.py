@@ -48,9 +48,9 @@ class MatchSettings:
     """Least share of lines among the surfaces that are on a line or in free cells"""
     hold: float = 0.02
     """A direction is observable if at least this share of the surfaces holds it"""
-    floor: float = 0.0008
-    """m: least standard deviation of a match"""
-    floor_yaw: float = 0.0005
+    floor: float = 0.0006
+    """m: standard deviation of the map's lines, drawn from exact poses: it does not average out on the spot"""
+    floor_yaw: float = 0.0004
     """rad"""
 
     def __post_init__(self) -> None:
@@ -92,7 +92,7 @@ class Match:
     noise: Floats
     """3 × 3 covariance of x, y, yaw about where the map's lines place the robot"""
     shared: Floats
-    """3 × 3 covariance of those lines themselves, as they were drawn, at the robot"""
+    """3 × 3 covariance of those lines themselves at the robot: from the poses that drew them, and in any map"""
     seen: Seen
     """How the scan compares with the map at this pose"""
 
@@ -101,7 +101,7 @@ SMALL = 0.01
 """m, rad: after a smaller step, the surfaces keep their lines"""
 OPEN = 1e4
 """Variance [m², rad²] of a direction that no line holds."""
-CORRELATED = 1.8
+CORRELATED = 1.4
 """Neighbouring surfaces share hits and lines: this many of them carry the information of one."""
 FACING = round(math.radians(50.0) / TURN)
 """Largest angle between a surface and a line that may be it"""
@@ -156,7 +156,8 @@ def match(chart: Map, scan: BodyScan, predicted: Pose, sigma: float, settings: M
     change, covariance = _solved(pairs, pose, settings)
     pose = Pose(pose.x + float(change[0]), pose.y + float(change[1]), wrap(pose.yaw + float(change[2])))
     floor = np.diag([settings.floor**2, settings.floor**2, settings.floor_yaw**2])
-    return Match(pose, covariance + floor, _shared(chart, pairs.anchors, pose), examine(chart, scan, pose))
+    shared = _shared(chart, pairs.anchors, pose) + floor
+    return Match(pose, covariance, shared, examine(chart, scan, pose))
 
 
 def examine(chart: Map, scan: BodyScan, pose: Pose) -> Seen:

@@ -16,7 +16,7 @@ from tests.brain.perception.office import MOUNTS, OFFICE, box, scan_at
 LIDAR = MOUNTS["lidar"]
 SETTINGS = MatchSettings()
 HERE = Pose(0.0, 0.0, 0.0)
-SURE = np.diag([1e-6, 1e-6, 1e-8])
+SURE = np.eye(3) * 1e-12
 Places = list[tuple[float, float]]
 
 MAZE = np.array(
@@ -79,7 +79,7 @@ def test_errors_are_small_and_as_large_as_the_covariance_states(world: str) -> N
             off = error(found, truth)
             assert found is not None
             errors.append(off)
-            distances.append(float(off @ np.linalg.solve(found.noise, off)) / 3.0)
+            distances.append(float(off @ np.linalg.solve(found.noise + found.shared, off)) / 3.0)
     rms = np.sqrt(np.mean(np.square(errors), axis=0))
     assert math.hypot(rms[0], rms[1]) < 0.005
     assert rms[2] < math.radians(0.15)
@@ -152,7 +152,8 @@ def test_the_map_is_no_surer_than_the_poses_it_was_drawn_from() -> None:
     found = match(chart, seen(there, random), there, 0.02, SETTINGS)
     assert found is not None
     lever = np.array([[1.0, 0.0, -found.pose.y], [0.0, 1.0, found.pose.x], [0.0, 0.0, 1.0]])
-    assert found.shared == pytest.approx(lever @ covariance @ lever.T, rel=1e-6)
+    floor = np.diag([SETTINGS.floor**2, SETTINGS.floor**2, SETTINGS.floor_yaw**2])
+    assert found.shared == pytest.approx(lever @ covariance @ lever.T + floor, rel=1e-6)
     assert found.noise[0, 0] < 1e-4  # what is the match's own does not contain it
 
 
