@@ -52,7 +52,7 @@ TILE_WORK = 450
 class PlannerSettings:
     """Parameters of planning and replanning, SI."""
 
-    expansions_per_step: int = 3000
+    expansions_per_step: int = 2500
     """Work of a step of the brain, in A* expansions of about 0.2 µs; all other work is converted."""
     margin: float = 0.05
     """m, clearance kept beyond the footprint's radius"""
