@@ -49,7 +49,7 @@ class MatchSettings:
     hold: float = 0.02
     """A direction is observable if at least this share of the surfaces holds it"""
     floor: float = 0.0006
-    """m: standard deviation of the map's lines, drawn from exact poses: it does not average out on the spot"""
+    """m: error of the map's lines, even drawn from exact poses: it does not average out on the spot"""
     floor_yaw: float = 0.0004
     """rad"""
 
@@ -92,7 +92,7 @@ class Match:
     noise: Floats
     """3 × 3 covariance of x, y, yaw about where the map's lines place the robot"""
     shared: Floats
-    """3 × 3 covariance of those lines themselves at the robot: from the poses that drew them, and in any map"""
+    """3 × 3 covariance of those lines at the robot: from the poses that drew them, and in any map"""
     seen: Seen
     """How the scan compares with the map at this pose"""
 
@@ -254,7 +254,7 @@ def _solved(pairs: _Pairs, pose: Pose, settings: MatchSettings) -> tuple[Floats,
     weight = 1.0 / (1.0 + (distance / (2.0 * sigma)) ** 2)
     weighted = J * weight
     total = float(weight.sum())
-    variance = float(np.vdot(distance, distance)) / len(distance)
+    variance = settings.floor**2 + float(np.vdot(distance, distance)) / len(distance)
     length = max(math.sqrt(float(np.vdot(arm, arm)) / len(arm)), 0.1)
     inverse, left_open = _inverted(weighted @ J.T, length, settings.hold * total)
     step = -inverse @ (weighted @ distance)
