@@ -41,9 +41,8 @@ def test_of_a_hundred_poses_none_is_wrong(name: str, noise: float, beams: int, n
     print(name, beams, new, dict(done))
     assert done["wrong"] == 0
     assert done["inexact"] <= 2
-    assert done["right"] >= (
-        90 if new == 0.0 else 60
-    )  # the rooms are nearly symmetric: the rest is ambiguous
+    # the rooms are nearly symmetric: without a fifth of what was there, some poses are ambiguous
+    assert done["right"] >= (90 if new == 0.0 else 60)
 
 
 @pytest.mark.parametrize("name", OFFICES)
