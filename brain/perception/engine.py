@@ -72,11 +72,13 @@ class Move(NamedTuple):
     variance"""
     noise_right: float
     noise_turn: float
+    noise_skid: float
+    """rad²: of the turn, anew in each travel"""
 
 
 def matrices(move: Move) -> tuple[Floats, Floats]:
     """Return the matrices F and Q of a travel."""
-    ax, ay, cx, cy, wx, wy, tl, tr, dt, kl, kr, qxx, qxy, qyy, qb, qs, ql, qr, qg = move
+    ax, ay, cx, cy, wx, wy, tl, tr, dt, kl, kr, qxx, qxy, qyy, qb, qs, ql, qr, qg, qk = move
     F = np.eye(SIZE)
     turned = np.array([wx, wy, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0])
     F[:, LEFT], F[:, RIGHT] = tl * turned, tr * turned
@@ -84,6 +86,7 @@ def matrices(move: Move) -> tuple[Floats, Floats]:
     F[LEFT, LEFT], F[RIGHT, RIGHT], F[TURN, BIAS] = kl, kr, dt
     Q = np.diag([qxx, qyy, 0.0, qb, qs, ql, qr, qg])
     Q[X, Y] = Q[Y, X] = qxy
+    Q += qk * np.outer(turned, turned)
     for slip, by, noise in ((LEFT, tl, ql), (RIGHT, tr, qr)):
         Q += noise / 3.0 * by * by * np.outer(turned, turned)
         Q[slip] += noise / 2.0 * by * turned
@@ -113,7 +116,7 @@ class Structured:
             xx, yx, yy, hx, hy, hh, bx, by, bh, bb, sx, sy, sh, sb, ss, lx, ly, lh, lb, ls, ll,
             rx, ry, rh, rb, rs, rl, rr, gx, gy, gh, gb, gs, gl, gr, gg,
         ) = packed  # fmt: skip
-        ax, ay, cx, cy, wx, wy, tl, tr, dt, kl, kr, qxx, qxy, qyy, qb, qs, ql, qr, qg = move
+        ax, ay, cx, cy, wx, wy, tl, tr, dt, kl, kr, qxx, qxy, qyy, qb, qs, ql, qr, qg, qk = move
         # T: row of the turn by slip; X, Y, H, G: rows of F P
         Th, Tb, Ts = tl * lh + tr * rh, tl * lb + tr * rb, tl * ls + tr * rs
         Tl, Tr, Tg = tl * ll + tr * rl, tl * rl + tr * rr, tl * gl + tr * gr
@@ -137,7 +140,7 @@ class Structured:
         Gb, Gl, Gr = gb + dt * bb + Tb, gl + dt * lb + Tl, gr + dt * rb + Tr
         # noise: the slips' walks turn the base within the travel, too
         ml, mr = 0.5 * tl * ql, 0.5 * tr * qr
-        qt = (tl * tl * ql + tr * tr * qr) / 3.0
+        qt = (tl * tl * ql + tr * tr * qr) / 3.0 + qk
         qx, qy = wx * qt, wy * qt
         return (
             xx + ax * hx + cx * sx + wx * Tx + ax * Xh + cx * Xs + wx * (Xt + qx) + qxx,

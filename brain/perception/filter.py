@@ -65,6 +65,8 @@ from protocols.messages import MILLISECOND, SECOND, Nanos, seconds
 NEVER: Nanos = -(1 << 62)
 GYRO_GAP: Nanos = 250 * MILLISECOND
 """A gyro silent for longer has lost its angle."""
+STILL_FOR: Nanos = 300 * MILLISECOND
+"""Wheels that have not turned for this time rest."""
 GYRO_HOLD = 1.5
 """Intervals for which a gyro's last rate holds."""
 SPEED_OVER: Nanos = 20 * MILLISECOND
@@ -119,19 +121,28 @@ class State:
     """Poses newer than t, oldest first"""
     rejected: tuple[tuple[str, Nanos], ...] = ()
     """Sources that the gate rejects, and since when"""
+    turning: float = 0.0
+    """Yaw rate by the wheels [rad/s], over the last travel"""
     skid: float = 0.0
     """Variance of the share by which a wheel turns the base otherwise in one travel than in the next,"""
     skids: tuple[float, float] = (0.0, 0.0)
     """estimated from the gyro: squares of excess innovations over those of the wheels' turns, faded"""
+    still: tuple[Nanos, float, float] = (NEVER, 0.0, 0.0)
+    """Since when the wheels have been at these angles, to a count"""
     doubt: bool = False
     """The gyro contradicted the wheels for long: its bias is not learnt from the wheels until it is known
     """
+
+    @property
+    def resting(self) -> bool:
+        """Whether the wheels have not turned for a while."""
+        return self.t - self.still[0] >= STILL_FOR
 
     def copy(self) -> State:
         """Return a state for the next step to write to."""
         return State(
             self.x, self.P, self.smooth, self.raw, self.t, self.left, self.right, self.at, self.rolled,
-            self.gyro, self.waiting, self.rejected, self.skid, self.skids, self.doubt,
+            self.gyro, self.waiting, self.rejected, self.skid, self.skids, self.still, self.doubt,
         )  # fmt: skip
 
     def __deepcopy__(self, memo: dict[int, Any]) -> State:
@@ -373,6 +384,7 @@ class Filter:
         """Take the wheels' angles at a time as those of the present pose."""
         state.t = t
         state.at = angle_at(state.left, t), angle_at(state.right, t)
+        state.still = (t, *state.at)
 
     def _travel(self, state: State, t: Nanos) -> None:
         """Move by what the wheels turned up to a time, and correct by what the gyro turned."""
@@ -393,6 +405,9 @@ class Filter:
         along = settings.travel_noise * settings.travel_noise * rolled
         across = settings.sideways_noise * settings.sideways_noise * rolled
         lever = left_yaw * left_yaw + right_yaw * right_yaw
+        late = settings.turn_lag * (turn / dt - state.turning)
+        skid = state.skid * lever + late * late
+        state.turning = turn / dt
         gyro = state.gyro
         turn_noise = 0.0 if gyro is None else gyro.sigma * gyro.sigma * (gyro.interval / SECOND) * dt
         state.x = (
@@ -408,11 +423,14 @@ class Filter:
                 along * uy * uy + across * ux * ux, settings.bias_walk * settings.bias_walk * dt,
                 settings.scale_walk * settings.scale_walk * rolled,
                 slip_variance * (1.0 - keep_left * keep_left),
-                slip_variance * (1.0 - keep_right * keep_right), turn_noise, state.skid * lever,
+                slip_variance * (1.0 - keep_right * keep_right), turn_noise, skid,
             ),
         )  # fmt: skip
         state.t, state.at = t, (left, right)
         state.rolled = state.rolled[0] + on_left, state.rolled[1] + on_right
+        _, still_left, still_right = state.still
+        if max(abs(left - still_left), abs(right - still_right)) > 1.5 * settings.resolution:
+            state.still = t, left, right
         state.raw = arc_end(state.raw, distance, turn)
         if gyro is not None:
             jitter = settings.jitter / dt * math.hypot(on_left, on_right) * body.wheel_radius
