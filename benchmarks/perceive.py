@@ -71,7 +71,7 @@ def _filter(effort: Effort) -> Row:
 
 MOVE = Move(
     -1e-3, 2e-3, -2e-3, -1e-3, 1e-3, 2e-3, -0.01, 0.01, 5e-3, 0.99, 0.99,
-    4e-8, 0.0, 2e-8, 5e-11, 2e-9, 1e-6, 1e-6, 2e-10,
+    4e-8, 0.0, 2e-8, 5e-11, 2e-9, 1e-6, 1e-6, 2e-10, 1e-10,
 )  # fmt: skip
 """Some travel of the wheels"""
 MATRICES = engine.matrices(MOVE)
