@@ -147,8 +147,8 @@ class Search:
         """Unknown cells about the map: no point of a pose inside lies outside"""
         high, wide = int(rows) + 2 * self._border, int(columns) + 2 * self._border
         self._cells: Values = np.zeros((high, wide), dtype=np.int8)
-        self._maxima = np.zeros((SIDE, SIDE, high // SIDE, wide // SIDE), dtype=np.int8)
-        """Over the window of SIDE × SIDE cells that begins at a cell, by phase (row, column) and block"""
+        self._maxima = np.zeros((high // SIDE, SIDE, SIDE, wide // SIDE), dtype=np.int8)
+        """Over the window of SIDE × SIDE cells that begins at a cell: block's row, phases, block's column"""
         self._free = np.zeros((int(rows) // SIDE, int(columns) // SIDE), dtype=np.bool_)
         """Blocks in which a cell of the map is free"""
         self._sum: Values = np.zeros(self._free.shape, dtype=np.int8)
@@ -172,7 +172,7 @@ class Search:
         while self.result is None and operations > 0:
             if self._tiles:
                 operations -= self._add_tile(*self._tiles.pop())
-            elif self._band < self._maxima.shape[2]:
+            elif self._band < len(self._maxima):
                 operations -= self._add_band()
             elif self._heading < self._headings:
                 operations -= self._add_points()
@@ -217,7 +217,7 @@ class Search:
             window[:, :-step] = np.maximum(window[:, :-step], window[:, step:])
             step *= 2
         by_block = window[:SIDE, :wide].reshape(SIDE, wide // SIDE, SIDE)
-        self._maxima[:, :, self._band] = by_block.transpose(0, 2, 1)
+        self._maxima[self._band] = by_block.transpose(0, 2, 1)
         self._band += 1
         return 10 * CALL + 8 * window.size
 
@@ -233,7 +233,7 @@ class Search:
         parts = (rows % SIDE, columns % SIDE, rows // SIDE, columns // SIDE)
         high, wide = self._sum.shape
         for down, right, row, column in zip(*(part.tolist() for part in parts), strict=True):
-            self._sum += self._maxima[down, right, row : row + high, column : column + wide]
+            self._sum += self._maxima[row : row + high, down, right, column : column + wide]
         self._point += CHUNK
         if self._point >= len(self._points):
             bounds = self._sum.reshape(-1)
