@@ -29,7 +29,8 @@ import numpy.typing as npt
 from brain.belief import Floats, Pose
 from brain.bodies.differential import Differential, wrap
 from brain.checks import ordered, within
-from brain.perception.mount import Bools, Mount
+from brain.perception.body_scan import Bools
+from brain.perception.mount import Mount
 from brain.planning.outline import Outline
 from protocols.messages import MILLISECOND, Event, LaserScan, Nanos, seconds
 
