@@ -254,16 +254,18 @@ class Health:
         self._began = now if self._began is None else self._began
         self._waited = now - self._began
         self._update_window(now, rejected)
+        flawed = {one.flawed for one in contradictions}  # which is why its measurements are rejected
+        self._rejected_share = {k: share for k, share in self._rejected_share.items() if k not in flawed}
         needed = [self.source(now, name) for name in self._last if name not in self.helpful]
         needed.append(self._apart(now))
         limits = [self.source(now, name) for name in self._sensors if name in self.helpful]
-        limits += [SourceHealth(HealthLevel.SLOW, one.reason) for one in contradictions if one.drivable]
+        limits += [SourceHealth(HealthLevel.SLOW, one.reason) for one in contradictions if one.flawed]
         if verdict.trust is Trust.LOST:
             needed.append(SourceHealth(HealthLevel.HALT, verdict.reason))
         elif verdict.trust is not Trust.CONSISTENT:
             limits.append(SourceHealth(HealthLevel.SLOW, verdict.reason))
         worst = max(needed, key=lambda h: h.level)
-        worst = self._with_contradictions(now, worst, [one for one in contradictions if not one.drivable])
+        worst = self._with_contradictions(now, worst, [one for one in contradictions if not one.flawed])
         worst = self._remembered(now, worst)
         limit = max(limits, key=lambda h: h.level, default=OK)
         if limit.level > HealthLevel.OK:

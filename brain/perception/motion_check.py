@@ -63,8 +63,8 @@ class Contradiction:
 
     reason: str
     confirmed: bool = True
-    drivable: bool = False
-    """The base may go on slowly for as long as it lasts."""
+    flawed: str = ""
+    """The sensor with which the base may go on slowly for as long as it lasts; "" if it may not."""
 
 
 class _Turns(NamedTuple):
@@ -109,8 +109,14 @@ class MotionCheck:
         return differ + list(self._flaws.values())
 
     def on_wheels(self, since: Nanos, t: Nanos, left: float, right: float) -> None:
-        """Add the wheels' rotation [rad] between two times."""
-        body = self._body
+        """Add the wheels' rotation [rad] between two times; of what begins before the newest one, since a
+        filter was rewound, the part after it."""
+        body, known = self._body, self._wheels.t
+        if since < known:
+            if t <= known:
+                return
+            share = (t - known) / (t - since)
+            since, left, right = known, share * left, share * right
         distance, turn = body.forward(left, right)
         slip = SLIP_SHARE * body.wheel_radius * math.hypot(left, right) / body.wheel_separation
         heading, gyro = turn, self._gyro.at(t)
@@ -191,7 +197,7 @@ class MotionCheck:
             self._flaws.pop(name, None)
         else:
             text, drivable = flaw
-            self._flaws[name] = Contradiction(f"{name}: {text}", not drivable, drivable)
+            self._flaws[name] = Contradiction(f"{name}: {text}", not drivable, name if drivable else "")
         dt, reason = seconds(t - since), ""
         turned = self._gyro.between(since, t)
         now = None if turned is None else _Turns(t, dt, turn, wheels.turn, wheels.uncertain, turned.turn)

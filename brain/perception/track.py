@@ -76,6 +76,11 @@ class Track:
         if rows[half][0] < t - KEPT:
             del rows[:half]
 
+    @property
+    def t(self) -> Nanos:
+        """Newest time."""
+        return self._rows[-1][0]
+
     def clear(self) -> None:
         """Forget everything: a motion was lost."""
         del self._rows[:-1]

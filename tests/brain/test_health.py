@@ -106,7 +106,7 @@ def test_a_better_level_takes_effect_only_after_a_while() -> None:
 
 def test_what_can_be_driven_with_is_slow_for_as_long_as_it_lasts_and_drops_nothing() -> None:
     """Longer than any trouble may last: a mounting, a verdict, a helpful sensor that falls silent."""
-    mounted = Contradiction("lidar: mounted +5.0° off", confirmed=False, drivable=True)
+    mounted = Contradiction("lidar: mounted +5.0° off", confirmed=False, flawed="lidar")
     unsure = Verdict(Trust.TOO_SURE, "too sure")
     for reason, found, verdict, silent in (
         (mounted.reason, [mounted], Verdict(), ""),

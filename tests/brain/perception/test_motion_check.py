@@ -64,7 +64,7 @@ class Drive:
             turned = [self.wheels[motor] - before[motor] for motor in ("left", "right")]
             self.check.on_wheels(self.last, self.base.now, *turned)
         self.last = self.base.now
-        now = [one for one in self.check.contradictions() if one.confirmed or one.drivable]
+        now = [one for one in self.check.contradictions() if one.confirmed or one.flawed]
         self.found += [(self.time, one.reason) for one in now]
 
     def straight(self, speed: float, span: float) -> None:
