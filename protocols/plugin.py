@@ -47,6 +47,8 @@ class Device:
     settings: Any
     """An instance of the plugin's `settings` dataclass: what is configured on the device itself.
     The twin is built with it; a driver must not need it."""
+    line_rate: int = 0
+    """bit/s of the serial line that the device is on; 0 on a CAN bus, or if unknown"""
 
 
 @dataclass(slots=True)

@@ -72,7 +72,7 @@ class Move(NamedTuple):
     variance"""
     noise_right: float
     noise_turn: float
-    noise_skid: float
+    noise_lag: float
     """rad²: of the turn, anew in each travel"""
 
 

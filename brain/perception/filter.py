@@ -76,8 +76,6 @@ FARTHEST: Nanos = 100 * MILLISECOND
 MAX_INPUTS = 600
 MAX_WAITING = 16
 """Most inputs that are run again, and poses that wait for the wheels."""
-SKID_RATE, MOST_EXCESS, MOST_SKID = 0.05, 30.0, 0.09
-"""Share of a travel in the estimate of the skid, its largest weight, and the largest estimate"""
 MAX_INFLATION = 1e6
 """Largest factor on a variance."""
 POSE = (X, Y, YAW)
@@ -123,10 +121,6 @@ class State:
     """Sources that the gate rejects, and since when"""
     turning: float = 0.0
     """Yaw rate by the wheels [rad/s], over the last travel"""
-    skid: float = 0.0
-    """Variance of the share by which a wheel turns the base otherwise in one travel than in the next,"""
-    skids: tuple[float, float] = (0.0, 0.0)
-    """estimated from the gyro: squares of excess innovations over those of the wheels' turns, faded"""
     still: tuple[Nanos, float, float] = (NEVER, 0.0, 0.0)
     """Since when the wheels have been at these angles, to a count"""
     doubt: bool = False
@@ -142,7 +136,8 @@ class State:
         """Return a state for the next step to write to."""
         return State(
             self.x, self.P, self.smooth, self.raw, self.t, self.left, self.right, self.at, self.rolled,
-            self.gyro, self.waiting, self.rejected, self.skid, self.skids, self.still, self.doubt,
+            self.gyro, self.waiting, self.rejected, self.turning, self.still,
+            self.doubt,
         )  # fmt: skip
 
     def __deepcopy__(self, memo: dict[int, Any]) -> State:
@@ -406,7 +401,6 @@ class Filter:
         across = settings.sideways_noise * settings.sideways_noise * rolled
         lever = left_yaw * left_yaw + right_yaw * right_yaw
         late = settings.turn_lag * (turn / dt - state.turning)
-        skid = state.skid * lever + late * late
         state.turning = turn / dt
         gyro = state.gyro
         turn_noise = 0.0 if gyro is None else gyro.sigma * gyro.sigma * (gyro.interval / SECOND) * dt
@@ -423,7 +417,7 @@ class Filter:
                 along * uy * uy + across * ux * ux, settings.bias_walk * settings.bias_walk * dt,
                 settings.scale_walk * settings.scale_walk * rolled,
                 slip_variance * (1.0 - keep_left * keep_left),
-                slip_variance * (1.0 - keep_right * keep_right), turn_noise, skid,
+                slip_variance * (1.0 - keep_right * keep_right), turn_noise, late * late,
             ),
         )  # fmt: skip
         state.t, state.at = t, (left, right)
@@ -437,7 +431,7 @@ class Filter:
             by_slip = slip_variance * lever / (dt * dt)
             learns = by_slip < state.P[BIAS_BIAS] and not state.doubt
             variance = self._count_variance + (jitter / body.wheel_separation) ** 2
-            self._compare(state, gyro, variance, learns, lever)
+            self._compare(state, gyro, variance, learns)
         state.smooth = arc_end(state.smooth, length, state.x[YAW] - yaw)
 
     # -- gyro ----------------------------------------------------------------------------------------------
@@ -466,7 +460,7 @@ class Filter:
             sample = (item.t, item.rate, angle)
             state.gyro = Gyro(item.source, item.sigma, silent, (*kept, sample), gyro.zero, gyro.used)
 
-    def _compare(self, state: State, gyro: Gyro, variance: float, learns: bool, lever: float) -> None:
+    def _compare(self, state: State, gyro: Gyro, variance: float, learns: bool) -> None:
         """Correct by the gyro's angle less that of the wheels, whose variance this is."""
         turned = _gyro_angle(gyro, state.t)
         if turned is None:
@@ -496,13 +490,6 @@ class Filter:
         else:
             result = self._contradiction(state, gyro, turned, innovation, variance)
         self._report(gyro.source, state.t, result, distance, 1)
-        if lever > 0.0:
-            expected = innovation * innovation / max(distance, 1e-12) - state.skid * lever
-            excess = min(innovation * innovation, MOST_EXCESS * (expected + state.skid * lever)) - expected
-            over, rolled = state.skids
-            over, rolled = over + SKID_RATE * (excess - over), rolled + SKID_RATE * (lever - rolled)
-            state.skids = over, rolled
-            state.skid = min(max(over / rolled, 0.0), MOST_SKID)
 
     def _contradiction(
         self, state: State, gyro: Gyro, turned: float, innovation: float, variance: float

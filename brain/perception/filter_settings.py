@@ -44,6 +44,8 @@ class FilterSettings:
     """Standard deviation of each wheel's slip, as a share of what it rolls; here it turns the base"""
     slip_length: float = 0.3
     """m: its correlation length: a Gauss-Markov process over the distance that the wheel rolls"""
+    turn_lag: float = 0.002
+    """s by which the base may follow the turn of its wheels (tyres give way), or the gyro's stamps be off theirs"""
     travel_noise: float = 0.004
     """m per √m rolled: error along the path by slip that both wheels share"""
     sideways_noise: float = 0.003
@@ -84,6 +86,7 @@ class FilterSettings:
             jump_margin=(1.0, 10.0),
             turn_slip=(1e-6, 1.0),
             slip_length=(0.01, 1000.0, "m"),
+            turn_lag=(0.0, 1.0, "s"),
             travel_noise=(0.0, 1.0),
             sideways_noise=(0.0, 1.0),
             scale_sigma=(0.0, 0.1),

@@ -110,8 +110,8 @@ def parse_robot(
         except UserError as error:
             mistakes.add(("world",), str(error))
 
-    known = tuple(groups["buses"])
-    buses = {n: bus for n, t in groups["buses"].items() if (bus := read_bus(n, t, mistakes))}
+    known = {n: read_bus(n, t, mistakes) for n, t in groups["buses"].items()}
+    buses = {n: bus for n, bus in known.items() if bus}
     motors = {n: m for n, t in groups["motors"].items() if (m := read_motor(n, t, known, find, mistakes))}
     sensors = {n: s for n, t in groups["sensors"].items() if (s := read_sensor(n, t, known, find, mistakes))}
     for n, bus in buses.items():

@@ -6,7 +6,7 @@ and settings of its protocol, the settings of its joint or its mounting.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal, TypeAlias
 
@@ -111,7 +111,9 @@ def check_interface(interface: str, kind: str, at: Key, mistakes: Mistakes) -> N
         mistakes.add((*at, "interface"), f'found {shown(interface)}, expected "serial:PORT" on a serial bus')
 
 
-def read_motor(name: str, table: Table, buses: Iterable[str], find: Find, mistakes: Mistakes) -> Motor | None:
+def read_motor(
+    name: str, table: Table, buses: Mapping[str, BusSettings | None], find: Find, mistakes: Mistakes
+) -> Motor | None:
     """Read one motor; `buses` are those of the file."""
     at = ("motors", name)
     connected = _connected(at, table, buses, find, "motor", mistakes)
@@ -120,7 +122,7 @@ def read_motor(name: str, table: Table, buses: Iterable[str], find: Find, mistak
 
 
 def read_sensor(
-    name: str, table: Table, buses: Iterable[str], find: Find, mistakes: Mistakes
+    name: str, table: Table, buses: Mapping[str, BusSettings | None], find: Find, mistakes: Mistakes
 ) -> Sensor | None:
     """Read one sensor; `buses` are those of the file."""
     at = ("sensors", name)
@@ -132,7 +134,7 @@ def read_sensor(
 def _connected(
     at: Key,
     table: Table,
-    buses: Iterable[str],
+    buses: Mapping[str, BusSettings | None],
     find: Find,
     kind: Literal["motor", "sensor"],
     mistakes: Mistakes,
@@ -154,7 +156,9 @@ def _connected(
     settings: object = build(protocol.settings, table.get("settings", {}), (*at, "settings"), mistakes)
     if connection is None or options is None or settings is None:
         return None
-    device = Device(at[-1], connection.address, options, settings)
+    line = buses.get(bus) if isinstance(bus, str) else None
+    line_rate = line.baudrate if line else 0
+    device = Device(at[-1], connection.address, options, settings, line_rate)
     try:
         spec = protocol.spec(device)
     except ValueError as error:

@@ -14,7 +14,7 @@ from typing import Any
 
 from protocols import messages as msg
 from protocols.frames import Frame
-from protocols.messages import MILLISECOND, Command, Event, Mode, Nanos, Obeyed, Request
+from protocols.messages import MILLISECOND, SECOND, Command, Event, Mode, Nanos, Obeyed, Request
 from protocols.plain import table
 from protocols.plugin import Device
 from protocols.toolkit.firmware import ServoFirmware, milliseconds
@@ -24,6 +24,8 @@ from protocols.toolkit.servo import Encoder, Gains, Servo
 
 BOOT: Nanos = 50 * MILLISECOND
 """Time from Reboot to ready, without a message."""
+BITS_PER_BYTE = 10
+"""On a serial line, with start and stop bit"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,5 +232,12 @@ class PlainTwin(ServoFirmware):
         encoded = []
         for event in events:
             with contextlib.suppress(ValueError):
-                encoded += [table.encode(self.address, event, now)] if event else []
+                encoded += [self._frame(now, event)] if event else []
         return encoded
+
+    def _frame(self, now: Nanos, event: Event) -> bytes:
+        """Return an event as bytes; a measurement's age is the one when the last of them will be sent."""
+        frame, rate = table.encode(self.address, event, now), self.device.line_rate
+        if rate:
+            frame = table.encode(self.address, event, now + BITS_PER_BYTE * len(frame) * SECOND // rate)
+        return frame

@@ -74,7 +74,7 @@ class TwinBus:
     def __init__(self, settings: BusSettings, world: TwinWorld) -> None:
         self.name = settings.name
         self.devices: list[SimulatedDevice] = []
-        serial = settings.kind == "serial"
+        self.is_serial = serial = settings.kind == "serial"
         self._from_host = Medium(settings.baudrate if serial else settings.bitrate, settings.data_bitrate)
         # Both directions of a serial line work at once; a CAN bus is one medium for all.
         self.from_devices = Medium(settings.baudrate) if serial else self._from_host
@@ -280,11 +280,14 @@ class TwinWorld:
 
 
 def _run_sensor(t: Nanos, device: SimulatedDevice) -> None:
-    """Run a sensor's firmware, if there is anything for it to do."""
-    if not (device.readings or device.received):
+    """Run a sensor's firmware, if there is anything for it to do. It measures on, and reports when the line
+    is idle: what it sends has its age then."""
+    waits = device.bus.from_devices.pending and device.bus.is_serial
+    if not ((device.readings and not waits) or device.received):
         due = device.twin.due()
         if due is None or due > t:
             return
-    readings, device.readings, device.received = device.readings, [], False
+    readings, device.readings = ([], device.readings) if waits else (device.readings, [])
+    device.received = False
     _, frames = device.twin.step(t, readings)
     device.send(t, frames)
