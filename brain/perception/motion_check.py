@@ -109,14 +109,8 @@ class MotionCheck:
         return differ + list(self._flaws.values())
 
     def on_wheels(self, since: Nanos, t: Nanos, left: float, right: float) -> None:
-        """Add the wheels' rotation [rad] between two times; of what begins before the newest one, since a
-        filter was rewound, the part after it."""
-        body, known = self._body, self._wheels.t
-        if since < known:
-            if t <= known:
-                return
-            share = (t - known) / (t - since)
-            since, left, right = known, share * left, share * right
+        """Add the wheels' rotation [rad] between two times."""
+        body = self._body
         distance, turn = body.forward(left, right)
         slip = SLIP_SHARE * body.wheel_radius * math.hypot(left, right) / body.wheel_separation
         heading, gyro = turn, self._gyro.at(t)

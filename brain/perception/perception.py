@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -139,9 +139,9 @@ class Perception:
         return self._filter.nis
 
     @property
-    def helpful(self) -> frozenset[str]:
-        """The sensors that are not needed: a gyro, where wheels and a lidar suffice."""
-        return frozenset(self._last_imu if self._last_scan and self.settings.matching else ())
+    def helpful(self) -> Set[str]:
+        """The sensors that are not needed: all but lidars, where wheels and a lidar suffice."""
+        return self._mounts.keys() - self._last_scan.keys() if self._last_scan else frozenset()
 
     def contradictions(self) -> list[Contradiction]:
         """Return what the sources show that cannot all be true."""
@@ -188,10 +188,11 @@ class Perception:
         state = self._filter.state
         if self._filter.t is None:
             return
-        if self._rolled is not None and state.t > self._rolled[0]:
-            since, left, right = self._rolled
-            self._check.on_wheels(since, state.t, state.rolled[0] - left, state.rolled[1] - right)
-        self._rolled = state.t, *state.rolled
+        if self._rolled is None or state.t > self._rolled[0]:
+            if self._rolled is not None:
+                since, left, right = self._rolled
+                self._check.on_wheels(since, state.t, state.rolled[0] - left, state.rolled[1] - right)
+            self._rolled = state.t, *state.rolled
 
     # -- gyro ----------------------------------------------------------------------------------
 

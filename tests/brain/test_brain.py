@@ -162,9 +162,7 @@ def test_demand_sensor_noise() -> None:
     assert trip.office.touched == 0
 
 
-@pytest.mark.parametrize(
-    ("silent", "measurement"), [("lidar", "scan"), ("left", "feedback"), ("imu", "reading")]
-)
+@pytest.mark.parametrize(("silent", "measurement"), [("lidar", "scan"), ("left", "feedback")])
 def test_demand_safe_mode_on_perception_failure(silent: str, measurement: str) -> None:
     """Slow, then standing, with the reason; and on again when it comes back in time."""
     trip = driving()
@@ -183,6 +181,17 @@ def test_demand_safe_mode_on_perception_failure(silent: str, measurement: str) -
     assert trip.states == ["running", "degraded", "running"]
     assert trip.run(60.0, lambda b: b.reached == 1).reached == 1
     assert from_goal(trip, ACROSS) < 0.20
+    assert trip.office.touched == 0
+
+
+def test_without_the_gyro_the_base_goes_on_slowly() -> None:
+    """Wheels and lidar suffice to know where it is."""
+    trip = driving()
+    trip.office.silent = {"imu"}
+    belief = trip.run(60.0, lambda b: b.reached == 1)
+    assert belief.reached == 1
+    assert from_goal(trip, ACROSS) < 0.20
+    assert any("imu: no reading for more than 135 ms: slow" in text for _, text in trip.notes)
     assert trip.office.touched == 0
 
 
