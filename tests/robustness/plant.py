@@ -250,22 +250,23 @@ class Base:
     def _advance(self, left: float, right: float) -> None:
         figures, dt = self.figures, seconds(STEP)
         self.now += STEP
-        ways = []
+        ways, speeds = [], []
         for wheel, wanted, error in zip(self._wheels, (left, right), figures.radius_errors, strict=True):
+            before = wheel.rate
             wheel.rate += (wanted - wheel.rate) * -math.expm1(-dt / figures.lag)
-            wheel.angle += wheel.rate * dt
-            way = self.body.wheel_radius * (1.0 + error) * wheel.rate * dt
-            ways.append(way * (1.0 - wheel.slip))
-            wheel.rolled += abs(way)
+            angle, radius = 0.5 * (before + wheel.rate) * dt, self.body.wheel_radius * (1.0 + error)
+            wheel.angle += angle
+            ways.append(radius * angle * (1.0 - wheel.slip))
+            speeds.append(radius * wheel.rate * (1.0 - wheel.slip))
+            wheel.rolled += radius * abs(angle)
             if wheel.rolled >= figures.slip_length / STRETCHES:
                 wheel.rolled = 0.0
                 kept = math.exp(-1.0 / STRETCHES)
                 drawn = math.sqrt(1.0 - kept * kept) * figures.slip * float(self._slips.standard_normal())
                 wheel.slip = kept * wheel.slip + drawn
         separation = self.body.wheel_separation * (1.0 + figures.separation_error)
-        distance, turn = (ways[0] + ways[1]) / 2.0, (ways[1] - ways[0]) / separation
-        self.pose = arc(self.pose, distance, turn)
-        self.speed, self.turn_rate = distance / dt, turn / dt
+        self.pose = arc(self.pose, (ways[0] + ways[1]) / 2.0, (ways[1] - ways[0]) / separation)
+        self.speed, self.turn_rate = (speeds[0] + speeds[1]) / 2.0, (speeds[1] - speeds[0]) / separation
         self._poses.append((self.now, self.pose))
         for person in self.people.values():
             person.x += person.vx * dt
