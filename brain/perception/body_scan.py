@@ -96,7 +96,7 @@ def rotated(vectors: Floats, angle: float) -> Floats:
 
 SPAN = 0.2
 """m to each side of a hit: the surface that is fitted, at least one hit to each side"""
-STRAIGHT = 0.1
+STRAIGHT = 0.02
 """Hits form a line if their variance across it is below this share of the variance along it"""
 STEEP = 0.2
 """Cosine between a surface's normal and the beam below which it rather is the gap between two surfaces"""
@@ -120,7 +120,9 @@ def _surfaces(
     np.multiply(x, x, out=xx)
     np.multiply(y, y, out=yy)
     np.multiply(x, y, out=xy)
-    jump[:-1] = np.abs(ranges[1:] - ranges[:-1]) > 0.05 + spacing[1:] / STEEP
+    before = np.maximum.accumulate(np.where(hit, index, 0))[:-1]  # a beam without a reading is no jump
+    away = np.abs(ranges[1:] - ranges[before]) > 0.05 + spacing[1:] * (index[1:] - before) / STEEP
+    jump[:-1] = hit[1:] & hit[before] & away
     np.cumsum(sums, axis=1, out=sums)
     number, x, y, xx, yy, xy, _ = sums.take(last, axis=1) - sums.take(first, axis=1)
     jumps = sums[6].take(last - 1) - sums[6].take(first)

@@ -48,9 +48,9 @@ class MatchSettings:
     """Least share of lines among the surfaces that are on a line or in free cells"""
     hold: float = 0.02
     """A direction is observable if at least this share of the surfaces holds it"""
-    floor: float = 0.0006
+    floor: float = 0.0004
     """m: error of the map's lines, even drawn from exact poses: it does not average out on the spot"""
-    floor_yaw: float = 0.0004
+    floor_yaw: float = 0.00025
     """rad"""
 
     def __post_init__(self) -> None:
@@ -156,8 +156,9 @@ def match(chart: Map, scan: BodyScan, predicted: Pose, sigma: float, settings: M
     change, covariance = _solved(pairs, pose, settings)
     pose = Pose(pose.x + float(change[0]), pose.y + float(change[1]), wrap(pose.yaw + float(change[2])))
     floor = np.diag([settings.floor**2, settings.floor**2, settings.floor_yaw**2])
+    # The lines' own error is new to the filter, and the same again at each scan from the same place.
     shared = _shared(chart, pairs.anchors, pose) + floor
-    return Match(pose, covariance, shared, examine(chart, scan, pose))
+    return Match(pose, covariance + floor, shared, examine(chart, scan, pose))
 
 
 def examine(chart: Map, scan: BodyScan, pose: Pose) -> Seen:
