@@ -37,6 +37,8 @@ class Figures:
 
     lag: float = 0.03
     """s, time constant of the wheels' speed"""
+    give: float = 0.002
+    """s, time constant by which the base's turn follows its wheels: tyres give way"""
     slip: float = 0.01
     """Standard deviation, as a share of the rolled distance"""
     slip_length: float = 0.3
@@ -46,6 +48,8 @@ class Figures:
     separation_error: float = 0.0
     counts: int = 131_072
     """Of an encoder, per turn of its wheel"""
+    jitter: float = 2e-5
+    """s, by which the wheels' stamps are off"""
     gyro_noise: float = 0.003
     gyro_bias: float = 0.004
     gyro_walk: float = 0.0001
@@ -168,9 +172,9 @@ class Base:
         self.solids = dict(self.scene.solids)
         self.people: dict[str, Person] = {}
         streams = [
-            np.random.Generator(np.random.PCG64(s)) for s in np.random.SeedSequence(self.seed).spawn(4)
+            np.random.Generator(np.random.PCG64(s)) for s in np.random.SeedSequence(self.seed).spawn(5)
         ]
-        self._slips, self._gyro, self._lidar, self.random = streams
+        self._slips, self._gyro, self._lidar, self.random, self._stamps = streams
         draws = self._slips.standard_normal(2)
         self._wheels = [_Wheel(self.figures.slip * float(draw)) for draw in draws]
         self._bias = self.figures.gyro_bias
@@ -243,7 +247,8 @@ class Base:
             events += self._imu() + self._scan()
         for motor, wheel in zip((self.body.left, self.body.right), self._wheels, strict=True):
             count = 2.0 * math.pi / self.figures.counts
-            events.append(msg.Feedback(motor, self.now, math.floor(wheel.angle / count) * count, wheel.rate))
+            angle = wheel.angle - wheel.rate * self.figures.jitter * float(self._stamps.standard_normal())
+            events.append(msg.Feedback(motor, self.now, math.floor(angle / count) * count, wheel.rate))
         self._touch()
         return [event for event in events if self.now >= self.silent.get(_source(event), 0)]
 
@@ -265,8 +270,10 @@ class Base:
                 drawn = math.sqrt(1.0 - kept * kept) * figures.slip * float(self._slips.standard_normal())
                 wheel.slip = kept * wheel.slip + drawn
         separation = self.body.wheel_separation * (1.0 + figures.separation_error)
-        self.pose = arc(self.pose, (ways[0] + ways[1]) / 2.0, (ways[1] - ways[0]) / separation)
-        self.speed, self.turn_rate = (speeds[0] + speeds[1]) / 2.0, (speeds[1] - speeds[0]) / separation
+        self.speed, before, rate = sum(speeds) / 2.0, self.turn_rate, (speeds[1] - speeds[0]) / separation
+        self.turn_rate += (rate - before) * -math.expm1(-dt / max(figures.give, 1e-9))
+        turn = (ways[1] - ways[0]) / separation - figures.give * (self.turn_rate - before)
+        self.pose = arc(self.pose, sum(ways) / 2.0, turn)
         self._poses.append((self.now, self.pose))
         for person in self.people.values():
             person.x += person.vx * dt
