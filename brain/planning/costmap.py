@@ -16,6 +16,7 @@ snapshot is unknown ground without obstacles.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise, product
 from math import ceil, floor, inf
 from typing import Any, Protocol, TypeAlias
@@ -155,6 +156,8 @@ class Costmap:
         """The map's version that each tile was drawn from."""
         self._occupied: dict[Tile, bytes] = {}
         """Occupied cells, eight per byte, of tiles that have any."""
+        self._seen: dict[Tile, bytes] = {}
+        """The same of each tile and what is around it, as it was drawn: most changes leave it as it is."""
         self._version = 0
         """Of the map, up to which its changes are marked."""
 
@@ -181,8 +184,13 @@ class Costmap:
         if values is None and not window.any():
             self.tiles.pop(tile, None)
             self._drawn.pop(tile, None)
+            self._seen.pop(tile, None)
             return
-        level = self._levels_of(window)
+        seen = np.packbits(window, bitorder="little").tobytes()
+        if self._seen.get(tile) == seen:
+            level = np.frombuffer(self.tiles[tile], np.uint8).reshape(TILE, TILE) & np.uint8(UNKNOWN - 1)
+        else:
+            level, self._seen[tile] = self._levels_of(seen), seen
         if not self.settings.unknown_is_free:
             unseen = level >= FREE
             if values is not None:
@@ -232,7 +240,7 @@ class Costmap:
             first, last = (columns.start, columns.stop) if row in rows else (before[1].stop,) * 2
             left = range(before[1].start, min(first, before[1].stop))
             for column in (*left, *range(max(last, before[1].start), before[1].stop)):
-                for state in (self.tiles, self.pending, self._drawn):
+                for state in (self.tiles, self.pending, self._drawn, self._seen):
                     state.pop((row, column), None)
                 if self._occupied.pop((row, column), None):
                     for up, right in product(reach, reach):
@@ -246,15 +254,15 @@ class Costmap:
         (row, column), box = tile, self.box or (*tile, *tile)
         self.box = (min(box[0], row), min(box[1], column), max(box[2], row + 1), max(box[3], column + 1))
 
-    def _levels_of(self, window: Mask) -> Levels:
-        """Return the levels of a tile, unknown cells not flagged, from the occupied cells around it.
+    def _levels_of(self, seen: bytes) -> Levels:
+        """Return the levels of a tile, unknown cells not flagged, from the occupied cells around it, packed.
 
         Masks are integers of one bit per cell of the window: a shift by a row moves all of them at once. What
         a shift carries over the window's edge stays within the halo."""
-        if not window.any():
+        occupied = int.from_bytes(seen, "little")
+        if not occupied:
             return np.full((TILE, TILE), self.top, np.uint8)
-        side, halo = len(window), self._halo
-        occupied = int.from_bytes(np.packbits(window, bitorder="little").tobytes(), "little")
+        side, halo = TILE + 2 * self._halo, self._halo
         near = disc(occupied, side, (self.radius + self.settings.margin) / self.resolution)
         masks = [occupied, disc(occupied, side, self.radius / self.resolution), near]
         for ring in range(self._rings):
@@ -320,13 +328,19 @@ def disc(mask: int, side: int, radius: float) -> int:
     [cells] to any part of a cell that is set.
 
     The disc is the union of its rows, the longest last: each is made of the one before."""
-    near = np.maximum(np.arange(ceil(radius + 0.5) + 1) - 0.5, 0.0) ** 2
-    half_widths = np.count_nonzero(near[:, None] + near[None, :] < radius * radius, axis=1) - 1
     grown, row, width = mask, mask, 0
-    for up, half_width in reversed(list(enumerate(half_widths.tolist()))):
+    for up, half_width in _rows_of_disc(radius):
         while width < half_width:
             width += 1
             row |= mask << width | mask >> width
         if half_width >= 0:
             grown |= row << up * side | row >> up * side
     return grown
+
+
+@cache
+def _rows_of_disc(radius: float) -> list[tuple[int, int]]:
+    """Return the rows of a quarter of a disc [cells], the farthest first: how far up, and half their width."""
+    near = np.maximum(np.arange(ceil(radius + 0.5) + 1) - 0.5, 0.0) ** 2
+    half_widths = np.count_nonzero(near[:, None] + near[None, :] < radius * radius, axis=1) - 1
+    return list(enumerate(half_widths.tolist()))[::-1]
