@@ -374,7 +374,8 @@ class Health:
                 motors.pop(event.motor, None)
 
     def _on_measurement(self, name: str, event: Feedback | Measurement) -> None:
-        self._last[name] = max(event.t, self._last.get(name, event.t))
+        t = event.t + (min(event.duration, SECOND) if isinstance(event, LaserScan) else 0)  # its last beam
+        self._last[name] = max(t, self._last.get(name, t))
         self._measurement[name] = _MEASUREMENT_NAMES[type(event)]
         self._received[name] = self._received.get(name, 0) + 1
 
