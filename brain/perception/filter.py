@@ -76,6 +76,8 @@ FARTHEST: Nanos = 100 * MILLISECOND
 MAX_INPUTS = 600
 MAX_WAITING = 16
 """Most inputs that are run again, and poses that wait for the wheels."""
+NOISE_RATE, MOST_SQUARE, MOST_NOISE = 0.02, 25.0, 400.0
+"""Share of one innovation in the noise, its largest square, and the largest factor"""
 MAX_INFLATION = 1e6
 """Largest factor on a variance."""
 POSE = (X, Y, YAW)
@@ -119,6 +121,9 @@ class State:
     """Poses newer than t, oldest first"""
     rejected: tuple[tuple[str, Nanos], ...] = ()
     """Sources that the gate rejects, and since when"""
+    noise: tuple[float, float, float] = (1.0, 1.0, 0.0)
+    """Factors on the variances of the gyro and of slip, found from innovations at rest and in motion, and the newest
+    innovation over its standard deviation"""
     turning: float = 0.0
     """Yaw rate by the wheels [rad/s], over the last travel"""
     still: tuple[Nanos, float, float] = (NEVER, 0.0, 0.0)
@@ -136,7 +141,7 @@ class State:
         """Return a state for the next step to write to."""
         return State(
             self.x, self.P, self.smooth, self.raw, self.t, self.left, self.right, self.at, self.rolled,
-            self.gyro, self.waiting, self.rejected, self.turning, self.still,
+            self.gyro, self.waiting, self.rejected, self.noise, self.turning, self.still,
             self.doubt,
         )  # fmt: skip
 
@@ -396,14 +401,15 @@ class Filter:
         dx, dy, ux, uy, wx, wy = arc_slopes(yaw, length, turn + slipped)
         keep_left = math.exp(-rolled_left / settings.slip_length)
         keep_right = math.exp(-rolled_right / settings.slip_length)
-        slip_variance = settings.turn_slip * settings.turn_slip
-        along = settings.travel_noise * settings.travel_noise * rolled
+        loud, slippery, _ = state.noise
+        slip_variance = slippery * settings.turn_slip * settings.turn_slip
+        along = slippery * settings.travel_noise * settings.travel_noise * rolled
         across = settings.sideways_noise * settings.sideways_noise * rolled
         lever = left_yaw * left_yaw + right_yaw * right_yaw
         late = settings.turn_lag * (turn / dt - state.turning)
         state.turning = turn / dt
         gyro = state.gyro
-        turn_noise = 0.0 if gyro is None else gyro.sigma * gyro.sigma * (gyro.interval / SECOND) * dt
+        turn_noise = 0.0 if gyro is None else loud * gyro.sigma * gyro.sigma * (gyro.interval / SECOND) * dt
         state.x = (
             x + dx, y + dy, yaw + turn + slipped, bias, scale, keep_left * slip_left, keep_right * slip_right,
             angle + slipped + bias * dt,
@@ -431,7 +437,7 @@ class Filter:
             by_slip = slip_variance * lever / (dt * dt)
             learns = by_slip < state.P[BIAS_BIAS] and not state.doubt
             variance = self._count_variance + (jitter / body.wheel_separation) ** 2
-            self._compare(state, gyro, variance, learns)
+            self._compare(state, gyro, variance, learns, lever)
         state.smooth = arc_end(state.smooth, length, state.x[YAW] - yaw)
 
     # -- gyro ----------------------------------------------------------------------------------------------
@@ -460,7 +466,7 @@ class Filter:
             sample = (item.t, item.rate, angle)
             state.gyro = Gyro(item.source, item.sigma, silent, (*kept, sample), gyro.zero, gyro.used)
 
-    def _compare(self, state: State, gyro: Gyro, variance: float, learns: bool) -> None:
+    def _compare(self, state: State, gyro: Gyro, variance: float, learns: bool, lever: float) -> None:
         """Correct by the gyro's angle less that of the wheels, whose variance this is."""
         turned = _gyro_angle(gyro, state.t)
         if turned is None:
@@ -490,6 +496,19 @@ class Filter:
         else:
             result = self._contradiction(state, gyro, turned, innovation, variance)
         self._report(gyro.source, state.t, result, distance, 1)
+        self._learn_noise(state, math.copysign(math.sqrt(distance), innovation), moving=lever > 0.0)
+
+    def _learn_noise(self, state: State, innovation: float, *, moving: bool) -> None:
+        """Raise what is more than the settings state: in motion the slip, at rest the noise of the gyro. Of that
+        only what changes from sample to sample is noise: a gyro that reads a turn at rest has another fault."""
+        loud, slippery, last = state.noise
+        if moving:
+            square = min(innovation * innovation, MOST_SQUARE)
+            slippery = min(max(slippery * (1.0 + NOISE_RATE * (square - 1.0)), 1.0), MOST_NOISE)
+        else:
+            square = min((innovation - last) ** 2 / 2.0, MOST_SQUARE)
+            loud = min(max(loud * (1.0 + NOISE_RATE * (square - 1.0)), 1.0), MOST_NOISE)
+        state.noise = loud, slippery, innovation
 
     def _contradiction(
         self, state: State, gyro: Gyro, turned: float, innovation: float, variance: float
