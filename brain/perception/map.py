@@ -189,9 +189,10 @@ class Map:
     # -- writing -------------------------------------------------------------------------------
 
     def forget(self) -> None:
-        """Forget all that was observed."""
+        """Forget all that was observed: its tiles change to unknown."""
+        observed = self._touched > 0
         self._drop(slice(None), slice(None))
-        self._copies.clear()
+        self._stamps[observed] = self._touched[observed] = self.version
 
     def recenter(self, x: float, y: float) -> None:
         """Move the extent if a position [m] is more than a tile off its middle."""

@@ -17,27 +17,26 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from brain.bodies.differential import Differential
 from brain.perception.body_scan import BodyScan
 from brain.perception.mounting import Mounting
 from brain.perception.scan_motion import Reference, Shown
-from brain.perception.track import AHEAD, SLIP_SHARE, STILL, Motion, Track
+from brain.perception.track import AHEAD, SLIP_SHARE, Motion, Track
 from protocols.messages import MILLISECOND, SECOND, Nanos, seconds
 
 FORGET: Nanos = 3 * SECOND
 """A reference is kept at most for this time."""
 FASTEST = 1e3
 """rad/s: a rate beyond counts as this, since sums must stay finite."""
-RENEW_TURNS: Nanos = 500 * MILLISECOND
-"""Age from which on the turns of wheels and gyro are compared anew."""
 PERIOD: Nanos = 50 * MILLISECOND
-"""Wheels and gyro are compared this often."""
+"""Wheels and gyro are compared this often,"""
+RENEW_TURNS: Nanos = 500 * MILLISECOND
+"""since a time that is renewed this often."""
+RENEW_DISTANCE, RENEW_TURN, RENEW_AGE = 0.4, 0.35, 1500 * MILLISECOND
+"""m, rad, and age from which on a reference is renewed once all agree; after a gap, at three times."""
 CONFIRM, CONFIRM_FOR = 3, 150 * MILLISECOND
 """Comparisons in a row that must differ, and for how long: of a burst that a host stamps late all may."""
-RENEW_DISTANCE, RENEW_TURN, RENEW_AGE = 0.4, 0.35, 1500 * MILLISECOND
-"""m, rad, and age from which on a reference is renewed once all agree."""
 MOVING = 0.05
 """m: standard deviation of a point that may belong to what moves: in a corridor, few show its length."""
 FIT = 0.5
@@ -67,16 +66,9 @@ class Contradiction:
     """The sensor with which the base may go on slowly for as long as it lasts; "" if it may not."""
 
 
-class _Turns(NamedTuple):
-    """Turns over one comparison [rad]."""
-
-    t: Nanos
-    dt: float
-    shown: float
-    wheels: float
-    slip: float
-    gyro: float
-    """with its bias"""
+_Turns = tuple[Nanos, float, float, float, float, float]
+"""Time of a comparison, its span [s], and turns over it [rad]: as shown, of the wheels, their possible slip,
+and of the gyro with its bias."""
 
 
 class MotionCheck:
@@ -96,9 +88,8 @@ class MotionCheck:
         """and when they last were."""
         self._references: dict[str, Reference] = {}
         self._past: dict[str, deque[_Turns]] = {}
-        """By lidar ("": at rest by the wheels): the comparisons after which its reference was renewed."""
+        """By lidar ("": wheels at rest): the comparisons that renewed its reference."""
         self._mountings: dict[str, Mounting] = {}
-        self._flaws: dict[str, Contradiction] = {}
         self._differ: dict[str, tuple[int, Nanos, str]] = {}
         """By lidar ("": wheels and gyro): comparisons in a row that differed, since when, and how."""
 
@@ -106,20 +97,22 @@ class MotionCheck:
         """Return what differs now."""
         three_first = sorted(self._differ, key=lambda name: not name)
         differ = [Contradiction(self._differ[name][2], self._confirmed(name)) for name in three_first]
-        return differ + list(self._flaws.values())
+        return differ + [
+            Contradiction(f"{name}: {one.flaw}", not one.drivable, name if one.drivable else "")
+            for name, one in self._mountings.items()
+            if one.flaw
+        ]
 
     def on_wheels(self, since: Nanos, t: Nanos, left: float, right: float) -> None:
         """Add the wheels' rotation [rad] between two times."""
         body = self._body
         distance, turn = body.forward(left, right)
         slip = SLIP_SHARE * body.wheel_radius * math.hypot(left, right) / body.wheel_separation
-        heading, gyro = turn, self._gyro.at(t)
-        if gyro is not None:
-            if self._headed is not None:
-                heading = gyro[4] - self._headed - self._bias * seconds(t - since)
-            self._headed = gyro[4]
-        else:
-            self._headed = None
+        gyro = self._gyro.at(t)
+        before, self._headed = self._headed, None if gyro is None else gyro[4]
+        heading = turn
+        if before is not None and self._headed is not None:
+            heading = self._headed - before - self._bias * seconds(t - since)
         self._wheels.add(since, t, distance, heading, turn, slip)
         if t - self._turned_at >= PERIOD:
             self._turned_at = t
@@ -139,72 +132,63 @@ class MotionCheck:
             self._gyro.add(self._gyro_t, t, 0.0, 0.0, rate * seconds(t - self._gyro_t), 0.0)
         self._gyro_name, self._gyro_t = name, max(t, self._gyro_t)
 
-    def on_scan(self, name: str, t: Nanos, scan: BodyScan) -> None:
-        """Compare a scan that ended at this time with its reference, and renew that if it is time."""
+    def on_scan(self, name: str, t: Nanos, scan: BodyScan) -> float:
+        """Compare a scan that ended at this time with its reference, and renew that if it is time. Return the
+        yaw [rad] by which the mounting of this lidar's next scans is to be corrected: mostly 0."""
         reference = self._references.get(name)
         since = t if reference is None else reference.t
         wheels, gyro = self._wheels.between(since, t), self._turn_of_gyro(since, t)
-        if reference is None or wheels is None or t - since > FORGET or self._is_far(name, wheels):
-            self._references[name] = Reference(t, scan)
-            self._past[name] = deque()
-            self._differ.pop(name, None)
-            return
-        shown = self._shown(reference, t, scan, wheels, gyro)
-        if shown is None:
-            if not self._confirmed(name):
-                self._references[name] = Reference(t, scan)
-                self._differ.pop(name, None)
-            return
-        reason = self._difference(name, shown, wheels, gyro)
-        if not reason:
-            reason = self._compare_slowly(name, t, since, scan, shown, wheels)
-        self._count(name, t, reason)
-
-    def _shown(
-        self, reference: Reference, t: Nanos, scan: BodyScan, wheels: Motion, gyro: Motion | None
-    ) -> Shown | None:
-        """Return what is found from the motion until the scan before; if it does not fit, from none."""
-        last, before = reference.last
-        since, turned = self._wheels.between(last, t), self._gyro.between(last, t)
         shown = None
-        if since is not None:
-            turn = since.turn if turned is None else turned.turn - self._bias * seconds(t - last)
-            shown = reference.motion(scan, before.then(since, turn))
-        if shown is None or shown.fit < FIT:
-            guesses = [wheels] if gyro is None else [STILL.then(wheels, gyro.turn), wheels]
-            others = [shown, *(reference.motion(scan, guess) for guess in guesses)]
-            shown = max(filter(None, others), key=lambda one: one.fit, default=None)
-        if shown is not None and shown.fit >= FIT:
-            reference.last = t, shown.motion
-        return shown
-
-    def _compare_slowly(
-        self, name: str, t: Nanos, since: Nanos, scan: BodyScan, shown: Shown, wheels: Motion
-    ) -> str:
-        """Return what differs over some time, though it agreed between these two scans; renew the reference
-        if it is time."""
-        way, turn = wheels.ahead()[0], shown.motion.turn
-        mounting = self._mountings.setdefault(name, Mounting())
-        with_this = mounting.with_one(wheels, shown)
-        flaw = mounting.flaw(*with_this)
-        if flaw is None:
-            self._flaws.pop(name, None)
-        else:
-            text, drivable = flaw
-            self._flaws[name] = Contradiction(f"{name}: {text}", not drivable, name if drivable else "")
-        dt, reason = seconds(t - since), ""
-        turned = self._gyro.between(since, t)
-        now = None if turned is None else _Turns(t, dt, turn, wheels.turn, wheels.uncertain, turned.turn)
-        past = self._past[name]
-        if now is not None:
-            reason = self._drift(name, past, now)
-        moved = abs(way) > RENEW_DISTANCE or abs(turn) > RENEW_TURN
-        if not reason and (moved or t - since > RENEW_AGE) and not self._confirmed(name):
-            mounting.sums, mounting.number = with_this
-            if now is not None:
-                self._learn(past, now)
+        if reference is not None and wheels is not None and t - since <= FORGET:
+            far = (
+                math.hypot(wheels.x, wheels.y) > 3.0 * RENEW_DISTANCE
+                or abs(wheels.heading) > 3.0 * RENEW_TURN
+            )
+            if name in self._differ or not far:
+                shown = _shown(reference, scan, wheels, gyro)
+                if shown is None and self._confirmed(name):
+                    return 0.0
+        if shown is None or wheels is None:
+            self._differ.pop(name, None)
+            self._past[name] = deque()
             self._references[name] = Reference(t, scan)
-        return reason
+            return 0.0
+        turn = shown.motion.turn
+        now = self._turns(since, t, turn, wheels)
+        reason = self._difference(name, shown, wheels, gyro) or self._drift(name, self._past[name], now)
+        self._count(name, t, reason)
+        moved = abs(wheels.ahead()[0]) > RENEW_DISTANCE or abs(turn) > RENEW_TURN or t - since > RENEW_AGE
+        if reason or self._confirmed(name) or not moved:
+            return 0.0
+        self._learn(self._past[name], now)
+        correction = self._mountings.setdefault(name, Mounting()).add(wheels, shown)
+        self._references[name] = Reference(t, scan)
+        if correction:
+            del self._references[name]
+        return correction
+
+    def _compare_turns(self, t: Nanos) -> None:
+        since = self._turned
+        wheels, gyro = self._wheels.between(since, t), self._turn_of_gyro(since, t)
+        if t - since > FORGET or (wheels is None and not self._confirmed("")):
+            self._turned = t
+            self._differ.pop("", None)
+        elif wheels is not None and gyro is not None:
+            reason, now = "", None
+            if _turns_differ(wheels, gyro):
+                turns = f"turned by {_deg(wheels.turn)} by the wheels, {_deg(gyro.turn)} by {self._gyro_name}"
+                reason = f"wheels or {self._gyro_name}: {turns}"
+            elif not self._references and wheels.uncertain < TURN / 5.0:
+                now = self._turns(since, t, wheels.turn, wheels)
+                reason = self._drift("wheels", self._past.setdefault("", deque()), now)
+            self._count("", t, reason)
+            if not reason and t - since > RENEW_TURNS and not self._confirmed(""):
+                self._learn(self._past.get("", deque()), now)
+                self._turned = t
+
+    def _turns(self, since: Nanos, t: Nanos, shown: float, wheels: Motion) -> _Turns | None:
+        gyro = self._gyro.between(since, t)
+        return gyro and (t, seconds(t - since), shown, wheels.turn, wheels.uncertain, gyro.turn)
 
     def _turn_of_gyro(self, since: Nanos, t: Nanos) -> Motion | None:
         """Return the gyro's motion without its bias."""
@@ -218,48 +202,19 @@ class MotionCheck:
         """Return by how much the bias may be wrong [rad/s]: less, the longer it has been learnt."""
         return 0.01 + BIAS / (1.0 + self._learnt)
 
-    def _is_far(self, name: str, wheels: Motion) -> bool:
-        """True if a gap of the scans leaves too little in common with the reference."""
-        far = math.hypot(wheels.x, wheels.y) > 3.0 * RENEW_DISTANCE or abs(wheels.heading) > 3.0 * RENEW_TURN
-        return far and name not in self._differ
-
-    def _compare_turns(self, t: Nanos) -> None:
-        since = self._turned
-        wheels, gyro = self._wheels.between(since, t), self._turn_of_gyro(since, t)
-        if t - since > FORGET or (wheels is None and not self._confirmed("")):
-            self._turned = t
-            self._differ.pop("", None)
-        elif wheels is not None and gyro is not None:
-            name, reason = self._gyro_name, ""
-            if _turns_differ(wheels, gyro):
-                turns = f"turned by {_deg(wheels.turn)} by the wheels, {_deg(gyro.turn)} by {name}"
-                reason = f"wheels or {name}: {turns}"
-            elif not self._references and wheels.uncertain < TURN / 5.0:
-                dt = seconds(t - since)
-                now = _Turns(t, dt, wheels.turn, wheels.turn, 0.0, gyro.turn + self._bias * dt)
-                past = self._past.setdefault("", deque())
-                reason = self._drift("wheels", past, now)
-                if not reason and t - since > RENEW_TURNS:
-                    self._learn(past, now)
-            self._count("", t, reason)
-            if not reason and t - since > RENEW_TURNS and not self._confirmed(""):
-                self._turned = t
-
     def _difference(self, name: str, shown: Shown, wheels: Motion, gyro: Motion | None) -> str:
         """Return in what the motions differ, beginning with the likely culprit; "" if they agree."""
-        motion, fit = shown.motion, shown.fit
-        if fit < FIT:
-            return f"{name}: {100 * fit:.0f} % of its rays agree with the scan before: has it moved?"
-        if _turns_differ(motion, wheels) or (
-            gyro is not None and _turns_differ(motion, gyro, SCALE, GYRO_TURN)
-        ):
+        motion = shown.motion
+        if shown.fit < FIT:
+            return f"{name}: {100 * shown.fit:.0f} % of its rays agree with the scan before: has it moved?"
+        gyro_differs = gyro is not None and _turns_differ(motion, gyro, SCALE, GYRO_TURN)
+        if gyro_differs or _turns_differ(motion, wheels):
             culprit, other = f"{name} or wheels", ""
             if gyro is not None:
                 culprit = self._culprit(name, motion.turn, wheels.turn, wheels.uncertain, gyro.turn)
                 other = f", {self._gyro_name} {_deg(gyro.turn)}"
-            return (
-                f"{culprit}: turned by {_deg(wheels.turn)} by the wheels{other}, {name} {_deg(motion.turn)}"
-            )
+            turns = f"{_deg(wheels.turn)} by the wheels{other}, {name} {_deg(motion.turn)}"
+            return f"{culprit}: turned by {turns}"
         along, aside = motion.ahead()
         way, across = wheels.ahead()
         allowed = DISTANCE + (SLIP_SHARE if abs(along) < abs(way) else TURN_SHARE) * abs(way)
@@ -277,29 +232,31 @@ class MotionCheck:
         undecided = apart[second] - apart[best] < LIKELY_SLIP * slip
         return f"{best} or {second}" if undecided else best
 
-    def _drift(self, name: str, past: deque[_Turns], now: _Turns) -> str:
+    def _drift(self, name: str, past: deque[_Turns], now: _Turns | None) -> str:
         """Return how the gyro's rate has differed over `PAST`, from its mean or from any that is right."""
-        while past and past[0].t < now.t - PAST:
-            past.popleft()
-        span, shown, wheels, slip, gyro = (float(sum(c)) for c in list(zip(*past, now, strict=True))[1:])
-        off, noise = gyro - shown, TURN + SCALE * abs(shown)
-        changed = off - self._bias * span
-        if abs(changed) > noise + (JUMP + self._unknown_bias()) * span:
-            culprit = self._culprit(name, shown, wheels, slip, gyro - self._bias * span)
-            off = changed
-        elif abs(off) > noise + BIAS * span:
-            culprit = self._gyro_name
-        else:
+        if now is None:
             return ""
-        return (
-            f"{culprit}: {self._gyro_name} is off by {off / span:.2f} rad/s against {name}, over {span:.1f} s"
-        )
+        while past and past[0][0] < now[0] - PAST:
+            past.popleft()
+        span, shown, wheels, slip, gyro = (math.fsum(c) for c in list(zip(*past, now, strict=True))[1:])
+        off, noise = gyro - shown, TURN + SCALE * abs(shown)
+        changed, culprit = off - self._bias * span, self._gyro_name
+        if abs(changed) > noise + (JUMP + self._unknown_bias()) * span:
+            culprit, off = self._culprit(name, shown, wheels, slip, gyro - self._bias * span), changed
+        elif abs(off) <= noise + BIAS * span:
+            return ""
+        rate = f"{off / span:.2f} rad/s against {name}, over {span:.1f} s"
+        return f"{culprit}: {self._gyro_name} is off by {rate}"
 
-    def _learn(self, past: deque[_Turns], now: _Turns) -> None:
+    def _learn(self, past: deque[_Turns], now: _Turns | None) -> None:
+        """Learn the gyro's bias from a comparison in which nothing differed."""
+        if now is None:
+            return
         past.append(now)
-        self._learnt = min(self._learnt + now.dt, LEARN)
-        most = LEARN_MOST * now.dt * (1.0 + LEARN / self._learnt**2)
-        self._bias += min(max(now.gyro - now.shown - self._bias * now.dt, -most), most) / self._learnt
+        _, dt, shown, _, _, gyro = now
+        self._learnt = min(self._learnt + dt, LEARN)
+        most = LEARN_MOST * dt * (1.0 + LEARN / self._learnt**2)
+        self._bias += min(max(gyro - shown - self._bias * dt, -most), most) / self._learnt
 
     def _confirmed(self, name: str) -> bool:
         return self._differ.get(name, (0, 0, ""))[0] >= CONFIRM
@@ -312,6 +269,26 @@ class MotionCheck:
             self._differ[name] = count + (not early), since, reason
         elif not self._confirmed(name):
             self._differ.pop(name, None)
+
+
+def _shown(reference: Reference, scan: BodyScan, wheels: Motion, gyro: Motion | None) -> Shown | None:
+    """Return the motion found from that of wheels and gyro, which differs as it did at the scan before; if it
+    does not fit, from others as well."""
+    turn = wheels.turn if gyro is None else gyro.turn
+    x, y, by = reference.apart
+    best: Shown | None = None
+    for guess in (
+        Motion(wheels.x + x, wheels.y + y, turn + by, turn + by),
+        Motion(0.0, 0.0, turn, turn),
+        Motion(wheels.x, wheels.y, wheels.turn, wheels.turn),
+    ):
+        one = reference.motion(scan, guess)
+        best = one if best is None or (one is not None and one.fit > best.fit) else best
+        if best is not None and best.fit >= FIT:
+            found = best.motion
+            reference.apart = found.x - wheels.x, found.y - wheels.y, found.turn - turn
+            break
+    return best
 
 
 def _turns_differ(a: Motion, b: Motion, share: float = TURN_SHARE, least: float = TURN) -> bool:

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from brain.belief import Floats
 from brain.perception.scan_motion import Shown
 from brain.perception.track import SLIP_SHARE, Motion
 
@@ -16,6 +15,8 @@ YAW, PLACE = math.radians(0.8), 0.05
 """rad, m: smaller errors of a mounting are not named,"""
 DRIVABLE_YAW, DRIVABLE_PLACE = math.radians(10.0), 0.3
 """and larger ones than these not driven with."""
+KNOWN_YAW = math.radians(0.25)
+"""rad: a yaw is corrected once its standard deviation is below this."""
 BENT, STEERED = (0.25, 0.02), (0.01, 0.0)
 """Shares of what is across a way, and of it, by which its shape may be wrong; and with a gyro's turns."""
 ASIDE = 0.001
@@ -32,15 +33,20 @@ class Mounting:
     weighted least squares."""
 
     def __init__(self) -> None:
-        self.sums = PRIOR.copy()
+        self.flaw = ""
+        """How the mounting differs, once that is certain (3 sigma),"""
+        self.drivable = True
+        """and whether it can be driven with."""
+        self._sums = PRIOR.copy()
         """Of the equations' outer products, 4 × 4: yaw, x, y, right side;"""
-        self.number = 0.0
+        self._number = 0.0
         """and how many they are. Both fade with the way."""
-        self._named = False
+        self._corrected = 0.0
+        """rad, of the yaw; the equations are about what is left."""
 
-    def with_one(self, wheels: Motion, shown: Shown) -> tuple[Floats, float]:
-        """Return the sums with the motion that scans show, beside that of the wheels, whose way need be no
-        arc."""
+    def add(self, wheels: Motion, shown: Shown) -> float:
+        """Add the motion that scans show, beside that of the wheels, whose way need be no arc. Return the yaw
+        [rad] by which the mounting of later scans is to be corrected: mostly 0."""
         turn = shown.motion.turn
         (way, across), (along, aside) = wheels.ahead(), shown.motion.ahead()
         lever, noise = 2.0 * math.sin(turn / 2.0), math.sqrt(shown.variance)
@@ -56,28 +62,33 @@ class Mounting:
             ]
         )
         kept = math.exp(-(abs(way) + abs(turn)) / FADE)
-        return PRIOR + kept * (self.sums - PRIOR) + rows.T @ rows, kept * self.number + 1.0
+        self._sums = PRIOR + kept * (self._sums - PRIOR) + rows.T @ rows
+        self._number = kept * self._number + 1.0
+        return self._judge()
 
-    def flaw(self, sums: Floats, number: float) -> tuple[str, bool] | None:
-        """Return how the mounting differs by these sums, and whether it can be driven with; None if no
-        difference is certain (3 sigma)."""
+    def _judge(self) -> float:
+        sums = self._sums
         inverse = np.linalg.inv(sums[:3, :3])
         found = inverse @ sums[:3, 3]
         left = float(sums[3, 3] - found @ sums[:3, 3])
-        inverse *= max((left + 3.0) / (number + 2.0), 1.0)  # larger if the equations disagree
-        (yaw, x, y), sigma = found.tolist(), np.sqrt(np.diag(inverse)).tolist()
-        certain = 0.0 if self._named else 3.0
-        clear = [
-            spread < least < abs(value) - certain * spread
-            for value, spread, least in zip((yaw, x, y), sigma, (YAW, PLACE, PLACE), strict=True)
-        ]
-        self._named = any(clear)
-        if not self._named:
-            return None
-        if clear[0]:
-            by = f"{math.degrees(yaw):+.1f}° (±{math.degrees(2.0 * sigma[0]):.1f}°)"
-            drivable = abs(yaw) < DRIVABLE_YAW + 3.0 * sigma[0]
+        inverse *= max((left + 3.0) / (self._number + 2.0), 1.0)  # larger if the equations disagree
+        (off, x, y), (spread, *places) = found.tolist(), np.sqrt(np.diag(inverse)).tolist()
+        yaw, certain = self._corrected + off, 0.0 if self.flaw else 3.0
+        if spread < YAW < abs(yaw) - certain * spread:
+            by = f"{math.degrees(yaw):+.1f}° (±{math.degrees(2.0 * spread):.1f}°)"
+            self.drivable = abs(yaw) < DRIVABLE_YAW + 3.0 * spread
+        elif any(s < PLACE < abs(at) - certain * s for at, s in zip((x, y), places, strict=True)):
+            by = f"{x:+.2f} (±{2.0 * places[0]:.2f}) m ahead, {y:+.2f} (±{2.0 * places[1]:.2f}) m to the left"
+            self.drivable = math.hypot(x, y) < DRIVABLE_PLACE + 3.0 * max(places)
         else:
-            by = f"{x:+.2f} (±{2.0 * sigma[1]:.2f}) m ahead, {y:+.2f} (±{2.0 * sigma[2]:.2f}) m to the left"
-            drivable = math.hypot(x, y) < DRIVABLE_PLACE + 3.0 * max(sigma[1:])
-        return f"mounted {by} off what the robot file states", drivable
+            self.flaw, self.drivable = "", True
+            return 0.0
+        self.flaw = f"mounted {by} off what the robot file states"
+        if not self.drivable or spread > KNOWN_YAW or abs(off) < YAW + 3.0 * spread:
+            return 0.0
+        before = self._corrected
+        self._corrected = min(max(yaw, -DRIVABLE_YAW), DRIVABLE_YAW)
+        shift = np.eye(4)
+        shift[3, 0] = before - self._corrected
+        self._sums = shift @ sums @ shift.T
+        return self._corrected - before

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping, Sequence, Set
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -110,6 +110,7 @@ class Perception:
         """To be drawn,"""
         self._to_check: deque[_Part] = deque()
         """and to be compared with the scans before."""
+        self._map_began: Pose | None = None
         self._consistency = Consistency()
         self._check = MotionCheck(body)
         self._rolled: tuple[Nanos, float, float] | None = None
@@ -255,13 +256,13 @@ class Perception:
                 self._finish_parts()
             self._match(self._scans.popleft())
             if not self._scans:
-                return
+                return self._advance_search()
         if self._parts:
             self._draw(self._parts.popleft())
         elif self._to_check:
             self._compare(self._to_check.popleft())
-        elif self._search is not None:
-            self._advance_search(*self._search)
+        else:
+            self._advance_search()
 
     def _finish_parts(self) -> None:
         while self._parts:
@@ -329,12 +330,35 @@ class Perception:
     def _draw(self, part: _Part) -> None:
         at = self._filter.at(part.t)
         if part.draw and at is not None and not self._consistency.lost:
+            self._map_began = self._map_began or at[0]
             self.map.recenter(at[0].x, at[0].y)
             self.map.add(at[0], part.scan, at[1])
         self._to_check.append(part)
 
     def _compare(self, part: _Part) -> None:
-        self._check.on_scan(part.name, part.t, part.scan)
+        yaw = self._check.on_scan(part.name, part.t, part.scan)
+        if yaw:
+            self._correct_mounting(part.name, yaw)
+
+    def _correct_mounting(self, name: str, yaw: float) -> None:
+        """Turn a lidar's mounting, and begin the map anew. What a single lidar drew is turned about where the
+        map began, and so is the estimate: turn it back."""
+        mount, t = self._mounts[name], self._filter.t
+        self._mounts[name] = replace(mount, yaw=wrap(mount.yaw + yaw))
+        here = None if t is None else self._filter.at(t)
+        if t is not None and here is not None and len(self._last_scan) == 1:
+            pose, covariance = here
+            began = self._map_began or pose
+            c, s = math.cos(yaw), math.sin(yaw)
+            dx, dy = pose.x - began.x, pose.y - began.y
+            back = replace(pose, x=began.x + c * dx - s * dy, y=began.y + s * dx + c * dy)
+            unsure = (0.25 * math.dist((back.x, back.y), (pose.x, pose.y))) ** 2
+            self._filter.reset(t, back, covariance + np.diag([unsure, unsure, 0.0]))
+            self._apply([])
+        self.map.forget()
+        self._map_began, self._search = None, None
+        self._consistency.found()
+        self._count(name, "mounting corrected")
 
     # -- lost ----------------------------------------------------------------------------------
 
@@ -349,7 +373,10 @@ class Perception:
             search = Search(self.map, part.scan, self.settings.relocalise, self.settings.match)
             self._search = search, believed
 
-    def _advance_search(self, search: Search, believed: Pose) -> None:
+    def _advance_search(self) -> None:
+        if self._search is None:
+            return
+        search, believed = self._search
         result = search.advance(self.settings.relocalise.operations)
         if isinstance(result, Searching) or not isinstance(result, Found):
             return

@@ -9,7 +9,7 @@ import numpy as np
 
 from brain.belief import Floats
 from brain.perception.body_scan import BodyScan
-from brain.perception.track import STILL, Motion
+from brain.perception.track import Motion
 from protocols.messages import Nanos
 
 BEAMS = 120
@@ -47,8 +47,8 @@ class Reference:
 
     def __init__(self, t: Nanos, scan: BodyScan) -> None:
         self.t, self._origin = t, scan.origin
-        self.last: tuple[Nanos, Motion] = (t, STILL)
-        """Time of the newest scan compared with it, and the motion until then."""
+        self.apart = 0.0, 0.0, 0.0
+        """By how much the motion to the newest scan differed from what was integrated: m, m, rad"""
         bearings, count = scan.bearings, len(scan.bearings)
         self._first = float(bearings[0])
         last = float(bearings[-1]) - self._first

@@ -37,15 +37,6 @@ class Motion(NamedTuple):
         c, s = math.cos(self.heading / 2.0), math.sin(self.heading / 2.0)
         return c * self.x + s * self.y, c * self.y - s * self.x
 
-    def then(self, other: Motion, turn: float) -> Motion:
-        """Return this motion and another one after it, that turns by this angle."""
-        c, s = math.cos(self.turn), math.sin(self.turn)
-        x, y, turn = self.x + c * other.x - s * other.y, self.y + s * other.x + c * other.y, self.turn + turn
-        return Motion(x, y, turn, turn)
-
-
-STILL = Motion(0.0, 0.0, 0.0, 0.0)
-
 
 _Row = tuple[Nanos, float, float, float, float, float]
 """Time, then x, y, heading, turn and uncertainty since the beginning of the track."""
@@ -75,11 +66,6 @@ class Track:
         half = len(rows) // 2
         if rows[half][0] < t - KEPT:
             del rows[:half]
-
-    @property
-    def t(self) -> Nanos:
-        """Newest time."""
-        return self._rows[-1][0]
 
     def clear(self) -> None:
         """Forget everything: a motion was lost."""

@@ -215,6 +215,10 @@ def test_with_a_lidar_mounted_a_little_otherwise_it_drives_on_slowly(mount: Moun
     speeds = [(trip.run(0.1).state, trip.office.speed) for _ in range(20)]
     assert {state for state, _ in speeds} == {BrainState.DEGRADED}
     assert 0.1 < max(speed for _, speed in speeds) < 0.3 * BODY.max_linear + 0.01
+    assert trip.run(40.0, lambda b: b.reached == 1).reached == 1
+    assert (
+        mount.yaw == 0.0 or math.dist((trip.office.pose.x, trip.office.pose.y), (ACROSS.x, ACROSS.y)) < 0.08
+    )
 
 
 def silent(_: Faulty, event: Event) -> Event:

@@ -30,6 +30,8 @@ class Drive:
 
     figures: Figures = INSTANT
     true: Mount = MOUNT
+    mount: Mount = MOUNT
+    """As the check has corrected it"""
     lie: float = 0.0
     """rad/s, of the gyro"""
     seed: int = 1
@@ -59,7 +61,9 @@ class Drive:
             elif isinstance(event, Feedback):
                 self.wheels[event.motor] = event.position or 0.0
             elif isinstance(event, LaserScan):
-                self.check.on_scan("lidar", event.t + event.duration, to_body(event, MOUNT, 12.0))
+                scan = to_body(event, self.mount, 12.0)
+                yaw = self.check.on_scan("lidar", event.t + event.duration, scan)
+                self.mount = replace(self.mount, yaw=self.mount.yaw + yaw)
         if before:
             turned = [self.wheels[motor] - before[motor] for motor in ("left", "right")]
             self.check.on_wheels(self.last, self.base.now, *turned)
@@ -136,6 +140,15 @@ def test_a_lidar_that_looks_aside_is_named_within_two_seconds(
     drive.straight(speed, span)
     assert drive.found
     assert drive.found[0][1].startswith(named)
+
+
+def test_a_yaw_that_is_off_is_corrected_to_half_a_degree() -> None:
+    true = replace(MOUNT, yaw=math.radians(-5.0))
+    drive = Drive(true=true)
+    drive.straight(0.5, 4.0)
+    assert drive.mount.yaw == pytest.approx(true.yaw, abs=math.radians(0.5))
+    drive.turn(1.0, 2.0)
+    assert drive.found[-1][1].startswith("lidar: mounted -")
 
 
 @pytest.mark.parametrize(
