@@ -340,7 +340,7 @@ def disc(mask: int, side: int, radius: float) -> int:
 
 @cache
 def _rows_of_disc(radius: float) -> list[tuple[int, int]]:
-    """Return the rows of a quarter of a disc [cells], the farthest first: how far up, and half their width."""
+    """Return the rows of a disc [cells], the farthest first: how far up, and half their width."""
     near = np.maximum(np.arange(ceil(radius + 0.5) + 1) - 0.5, 0.0) ** 2
     half_widths = np.count_nonzero(near[:, None] + near[None, :] < radius * radius, axis=1) - 1
     return list(enumerate(half_widths.tolist()))[::-1]

@@ -3,8 +3,8 @@
 Rules. It trusts neither the brain nor a driver: of each frame it takes only what the devices' own command
 decoders make of it, and holds that against the limits of the robot file, the feedback, and what has been
 asked for. It cannot be switched off. Whatever it does not understand must be read-only, or belong to a device
-that was commanded. Idle always passes to a device that is ours. It decodes on a copy first: a blocked frame
-leaves no trace in what the devices are taken to have received.
+that was commanded. Idle always passes to a device that is ours. A blocked frame is taken back: it leaves no
+trace in what the devices are taken to have received.
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ changes the mode, or that arms at rest, sends other set-points in between."""
 LATENCY: Nanos = 50 * MILLISECOND
 """What a device obeys may be this much ahead of what it last obeyed: a joint's set-point moves on while the
 device is being armed, and while a set-point waits for its SYNC."""
+FRAMES_KEPT = 16
+"""Most frames that a decoder is given again when a frame is taken back."""
 SPRING_ERROR = 0.05
 """Share of the limit by which the torque of a spring may be wrong: its gains are rounded, too."""
 
@@ -69,21 +71,42 @@ class _Receivers:
             for spec in [plugin.spec(device)]
         ]
         self._decoders = [decoder for _, decoder in devices]
+        self._before = copy.deepcopy(self._decoders)
+        """The decoders as they were some frames ago,"""
+        self._since: list[list[tuple[Nanos, Frame]]] = [[] for _ in devices]
+        """and the frames that each was given since, and that were kept."""
         self._ids = [(*spec.sends, *spec.obeys_also) for spec, _ in devices]
         self._by_id: dict[tuple[int, bool], list[int]] = {}
         """The decoders by the id of a frame and its format: filled as ids are used."""
 
     def decode(self, t: Nanos, frame: Frame) -> list[Obeyed]:
         """Decode what any device on the bus would obey."""
-        if isinstance(frame, CanFrame):
-            key = (frame.id, frame.extended)
-            numbers = self._by_id.get(key)
-            if numbers is None:
-                numbers = [n for n, ids in enumerate(self._ids) if any_matches(ids, frame)]
-                self._by_id[key] = numbers
-        else:
-            numbers = list(range(len(self._decoders)))
-        return [one for number in numbers for one in self._decoders[number].decode(t, frame)]
+        return [one for number in self._listening(frame) for one in self._decoders[number].decode(t, frame)]
+
+    def keep(self, t: Nanos, frame: Frame) -> None:
+        """Keep the frame that was decoded last."""
+        for number in self._listening(frame):
+            self._since[number].append((t, frame))
+            if len(self._since[number]) >= FRAMES_KEPT:
+                self._before[number] = copy.deepcopy(self._decoders[number])
+                self._since[number].clear()
+
+    def take_back(self, frame: Frame) -> None:
+        """Decode from now on as if the frame that was decoded last had not been there."""
+        for number in self._listening(frame):
+            self._decoders[number] = copy.deepcopy(self._before[number])
+            for t, before in self._since[number]:
+                self._decoders[number].decode(t, before)
+
+    def _listening(self, frame: Frame) -> Sequence[int]:
+        if not isinstance(frame, CanFrame):
+            return range(len(self._decoders))
+        key = (frame.id, frame.extended)
+        numbers = self._by_id.get(key)
+        if numbers is None:
+            numbers = [n for n, ids in enumerate(self._ids) if any_matches(ids, frame)]
+            self._by_id[key] = numbers
+        return numbers
 
 
 def decoder_of(robot: Robot, bus: str) -> CommandDecoder:
@@ -102,10 +125,8 @@ class Guard:
             for plugin, devices in robot.by_protocol(bus)
         }
         """By bus and protocol, then by device."""
-        self._sent = {bus: decoder_of(robot, bus) for bus in robot.buses}
+        self._receivers = {bus: _Receivers(robot, bus) for bus in robot.buses}
         """What the devices have received: the frames that were passed."""
-        self._trial = {bus: decoder_of(robot, bus) for bus in robot.buses}
-        """The same, for trying the next frame."""
         self._last: dict[tuple[str, type[Command] | None], tuple[Nanos, Command]] = {}
         """The last set-point that each motor was sent: of each type, and (None) of any."""
         self._coasting: dict[str, tuple[Nanos, float]] = {}
@@ -147,16 +168,16 @@ class Guard:
             obeyed: Sequence[Obeyed] = ()
             objection: Objection | None
             try:
-                obeyed = self._trial[bus].decode(now, frame)
+                obeyed = self._receivers[bus].decode(now, frame)
                 objection = self._objection(now, bus, protocol, frame, obeyed, joints, stopped)
             except Exception as error:  # noqa: BLE001 -- a plugin's: what cannot be read must not go out
                 objection = "its decoder failed", f"{type(error).__name__}: {error}"
             if objection is not None:
-                self._trial[bus] = copy.deepcopy(self._sent[bus])
+                self._receivers[bus].take_back(frame)
                 motors = self._motors_of(bus, protocol, frame, obeyed)
                 blocked.append(Blocked(frame, motors, *objection))
                 continue
-            self._sent[bus].decode(now, frame)
+            self._receivers[bus].keep(now, frame)
             for one in obeyed:
                 if isinstance(one, Command):
                     last[one.motor, type(one)] = last[one.motor, None] = (now, one)

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
-from itertools import zip_longest
+from itertools import chain, islice, zip_longest
 from typing import Literal, TypeAlias, TypeVar
 
 from brain.belief import Belief
@@ -181,7 +181,7 @@ def compare(
     `belief` is called after each step; `decoder` makes the command decoder of a bus; `mounts` are those of
     the recorder. `robot_text` and `facts` are the present ones, to find the cause of a difference (None:
     the recorded ones). Frames received on a bus that is not among `buses` (None: all are) are left over."""
-    comparer = _Comparer(step, belief, decoder, Views(mounts), buses, texts=recording.format != "1")
+    comparer = _Comparer(recording, step, belief, decoder, Views(mounts), buses)
     try:
         for recorded in recording.steps:
             comparer.take(recorded)
@@ -198,21 +198,20 @@ def compare(
 
 
 class _Comparer:
-    """Counts and first differences so far, and command decoders that have decoded all frames sent so far."""
+    """Counts and first differences so far."""
 
     def __init__(
         self,
+        recording: Recording,
         step: Callable[[Nanos, Inputs], Outputs],
         belief: Callable[[], Belief],
         decoder: Callable[[str], CommandDecoder],
         views: Views,
         buses: Collection[str] | None,
-        *,
-        texts: bool,
     ) -> None:
+        self._recording = recording
         self._step, self._belief, self._decoder = step, belief, decoder
-        self._views, self._buses, self._texts = views, buses, texts
-        self._decoders: dict[str, CommandDecoder | None] = {}
+        self._views, self._buses, self._texts = views, buses, recording.format != "1"
         self._start: Nanos = 0
         self._last: Tick | None = None
         self.differences: dict[Kind, Difference] = {}
@@ -287,15 +286,18 @@ class _Comparer:
         self._differing += tuple(recorded) != tuple(now)
         if "packets" in self.differences:
             return
-        for one, two in zip_longest(recorded, now):
+        for same, (one, two) in enumerate(zip_longest(recorded, now)):
             if one != two:
-                self.differ("packets", self._side_by_side(one, two))
+                self.differ("packets", self._side_by_side(one, two, recorded[:same]))
                 return
-            self._decode(self._decoders, one)
 
-    def _side_by_side(self, recorded: Packet | None, now: Packet | None) -> str:
+    def _side_by_side(self, recorded: Packet | None, now: Packet | None, same: Sequence[Packet]) -> str:
         """Return both packets and what a device would obey, given all frames before."""
-        commands = [self._decode(deepcopy(self._decoders), packet) for packet in (recorded, now)]
+        decoders: dict[str, CommandDecoder | None] = {}
+        before = islice(self._recording.ticks, self.ticks - 1)
+        for each in chain(chain.from_iterable(tick.outputs.packets for tick in before), same):
+            self._decode(decoders, each)
+        commands = [self._decode(deepcopy(decoders), packet) for packet in (recorded, now)]
         buses = dict.fromkeys(packet.bus for packet in (recorded, now) if packet)
         lines = [f"bus {' and '.join(buses)}"]
         for side, packet, text in zip(

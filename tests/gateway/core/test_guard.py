@@ -253,7 +253,7 @@ def test_what_is_blocked_is_named_with_its_numbers_and_its_motor(
 def test_what_a_decoder_cannot_read_does_not_go_out(monkeypatch: pytest.MonkeyPatch) -> None:
     guard = Guard(ROBOT)
     joints = {name: Joint(name, motor.joint, motor.spec) for name, motor in ROBOT.motors.items()}
-    monkeypatch.setattr(guard._trial["can0"], "decode", failing)
+    monkeypatch.setattr(guard._receivers["can0"], "decode", failing)
     passed, (blocked,) = guard.check(0, "can0", "odrive_can", [IDLE], joints, stopped=False)
     assert passed == []
     assert (blocked.rule, blocked.detail) == ("its decoder failed", "ZeroDivisionError: a defect")
@@ -272,9 +272,15 @@ def test_a_blocked_frame_leaves_no_trace_and_does_not_hold_back_the_next() -> No
     decoder = decoder_of(robot, "can0")
     for frame in passed:
         decoder.decode(now, frame)
+    for _ in range(40):
+        more = [mode(LEFT, 2), velocity(RIGHT, 1.0), velocity(LEFT, 1.0)]
+        kept, _ = guard.check(now, "can0", "odrive_can", more, joints, stopped=False)
+        assert kept == [more[0], more[2]]
+        for frame in kept:
+            decoder.decode(now, frame)
     joints["right"].owned = True
     again = velocity(RIGHT, 1.0)
-    assert guard._trial["can0"].decode(now, again) == decoder.decode(now, again)
+    assert guard._receivers["can0"].decode(now, again) == decoder.decode(now, again)
 
 
 @pytest.mark.parametrize(
@@ -358,7 +364,7 @@ def test_on_a_serial_line_what_is_not_read_only_is_for_all() -> None:
 
 def test_a_command_to_a_strange_name_does_not_go_out(monkeypatch: pytest.MonkeyPatch) -> None:
     guard = Guard(ROBOT)
-    monkeypatch.setattr(guard._trial["can0"], "decode", lambda *_: [msg.Idle("mast")])
+    monkeypatch.setattr(guard._receivers["can0"], "decode", lambda *_: [msg.Idle("mast")])
     _, (blocked,) = guard.check(0, "can0", "odrive_can", [IDLE], {}, stopped=False)
     assert (blocked.rule, blocked.detail) == (
         "a command to a device that is not a motor of this robot",
