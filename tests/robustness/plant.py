@@ -270,10 +270,10 @@ class Base:
                 drawn = math.sqrt(1.0 - kept * kept) * figures.slip * float(self._slips.standard_normal())
                 wheel.slip = kept * wheel.slip + drawn
         separation = self.body.wheel_separation * (1.0 + figures.separation_error)
-        self.speed, before, rate = sum(speeds) / 2.0, self.turn_rate, (speeds[1] - speeds[0]) / separation
-        self.turn_rate += (rate - before) * -math.expm1(-dt / max(figures.give, 1e-9))
-        turn = (ways[1] - ways[0]) / separation - figures.give * (self.turn_rate - before)
-        self.pose = arc(self.pose, sum(ways) / 2.0, turn)
+        self.speed, before = sum(speeds) / 2.0, self.turn_rate
+        rate = (ways[1] - ways[0]) / separation / dt
+        self.turn_rate += (rate - before) / (figures.give / dt + 0.5)  # bilinear: the gyro's angle is exact
+        self.pose = arc(self.pose, sum(ways) / 2.0, 0.5 * (before + self.turn_rate) * dt)
         self._poses.append((self.now, self.pose))
         for person in self.people.values():
             person.x += person.vx * dt
