@@ -33,12 +33,16 @@ PERIOD: Nanos = 50 * MILLISECOND
 """Wheels and gyro are compared this often,"""
 RENEW_TURNS: Nanos = 500 * MILLISECOND
 """since a time that is renewed this often."""
+REST_AGE: Nanos = 250 * MILLISECOND
+"""Age from which on a reference is renewed at rest,"""
 RENEW_DISTANCE, RENEW_TURN, RENEW_AGE = 0.4, 0.35, 1500 * MILLISECOND
-"""m, rad, and age from which on a reference is renewed once all agree; after a gap, at three times."""
+"""and m, rad, and age from which on it is once all agree; after a gap, at three times."""
 CONFIRM, CONFIRM_FOR = 3, 150 * MILLISECOND
 """Comparisons in a row that must differ, and for how long: of a burst that a host stamps late all may."""
 MOVING = 0.05
 """m: standard deviation of a point that may belong to what moves: in a corridor, few show its length."""
+RESTING = 0.01
+"""rad: wheels whose turn is less uncertain are at rest."""
 FIT = 0.5
 """Least share of the points that must lie on lines once the motion is found."""
 TURN, GYRO_TURN, DISTANCE = 0.05, 0.035, 0.07
@@ -157,11 +161,14 @@ class MotionCheck:
         now = self._turns(since, t, turn, wheels)
         reason = self._difference(name, shown, wheels, gyro) or self._drift(name, self._past[name], now)
         self._count(name, t, reason)
-        moved = abs(wheels.ahead()[0]) > RENEW_DISTANCE or abs(turn) > RENEW_TURN or t - since > RENEW_AGE
-        if reason or self._confirmed(name) or not moved:
+        way, resting = abs(wheels.ahead()[0]), wheels.uncertain < RESTING
+        old = t - since > (REST_AGE if resting else RENEW_AGE)
+        renewed = old or way > RENEW_DISTANCE or abs(turn) > RENEW_TURN
+        if reason or self._confirmed(name) or not renewed:
             return 0.0
         self._learn(self._past[name], now)
-        correction = self._mountings.setdefault(name, Mounting()).add(wheels, shown)
+        mounting = self._mountings.setdefault(name, Mounting())
+        correction = 0.0 if resting else mounting.add(wheels, shown)
         self._references[name] = Reference(t, scan)
         if correction:
             del self._references[name]
@@ -178,7 +185,7 @@ class MotionCheck:
             if _turns_differ(wheels, gyro):
                 turns = f"turned by {_deg(wheels.turn)} by the wheels, {_deg(gyro.turn)} by {self._gyro_name}"
                 reason = f"wheels or {self._gyro_name}: {turns}"
-            elif not self._references and wheels.uncertain < TURN / 5.0:
+            elif not self._references and wheels.uncertain < RESTING:
                 now = self._turns(since, t, wheels.turn, wheels)
                 reason = self._drift("wheels", self._past.setdefault("", deque()), now)
             self._count("", t, reason)
@@ -200,7 +207,7 @@ class MotionCheck:
 
     def _unknown_bias(self) -> float:
         """Return by how much the bias may be wrong [rad/s]: less, the longer it has been learnt."""
-        return 0.01 + BIAS / (1.0 + self._learnt)
+        return 0.01 + BIAS / (1.0 + 4.0 * self._learnt**2)
 
     def _difference(self, name: str, shown: Shown, wheels: Motion, gyro: Motion | None) -> str:
         """Return in what the motions differ, beginning with the likely culprit; "" if they agree."""
@@ -255,7 +262,7 @@ class MotionCheck:
         past.append(now)
         _, dt, shown, _, _, gyro = now
         self._learnt = min(self._learnt + dt, LEARN)
-        most = LEARN_MOST * dt * (1.0 + LEARN / self._learnt**2)
+        most = dt * (LEARN_MOST + self._unknown_bias())
         self._bias += min(max(gyro - shown - self._bias * dt, -most), most) / self._learnt
 
     def _confirmed(self, name: str) -> bool:
