@@ -55,10 +55,7 @@ def to_body(
     read = (ranges >= max(scan.range_min, 1e-9)) & (ranges < math.inf)
     hit = read & (ranges < end)
     lengths = np.where(read, np.minimum(ranges, end), 0.0)
-    angles = scan.angle_min + scan.angle_increment * np.arange(len(ranges))
-    (xx, xy, _), (yx, yy, _), _ = mount.rotation()
-    along, across = np.cos(angles), np.sin(angles)
-    dx, dy = xx * along + xy * across, yx * along + yy * across
+    dx, dy = mount.beams(scan)
     origin = (mount.x, mount.y)
     if motion is None:
         scale = np.sqrt(dx * dx + dy * dy)  # of a tilted lidar, less than 1
@@ -74,7 +71,7 @@ def to_body(
     bearings = np.arctan2(dy, dx)
     turns = np.diff(bearings, prepend=bearings[:1])
     bearings = bearings[:1] + np.cumsum(turns - 2.0 * math.pi * np.rint(turns / (2.0 * math.pi)))
-    if motion is not None or (len(bearings) > 1 and bearings[1] < bearings[0]):
+    if (bearings[1:] < bearings[:-1]).any():
         order = np.argsort(bearings, kind="stable")
         bearings, lengths, hit, ends = bearings[order], lengths[order], hit[order], ends[order]
     return BodyScan(origin, bearings, lengths, hit, ends, *_surfaces(origin, bearings, lengths, hit, ends))

@@ -1,12 +1,11 @@
 """Whether the estimate may be trusted: a verdict, with its reason, for health and planning.
 
-Rules. A scan agrees with the map if its match is found and passes the filter's gate. It is no witness if too
-little of it lies on known ground (a new place), or if most of it is hidden: what stands before a wall denies
-free ground, but what is left fits. It disagrees if it denies free ground and hardly fits anywhere near, or if it
-fits elsewhere than the gate allows. Disagreeing for `LOST_AFTER` the robot is lost: it was moved, or believes
-a wrong pose; a doubt comes before that. Lost ends by relocalisation only, or when scans agree again
-at the pose believed. Besides, innovations that are larger than believed, over a window, make the filter too
-sure (Bar-Shalom, Li, Kirubarajan 2001, section 5.4).
+Rules. A scan is no witness against the believed pose because most of it is hidden: what appears before a wall
+denies free ground, but no ray passes through the wall. It disagrees if rays do, or if it fits elsewhere than
+the covariance allows. Disagreeing for `LOST_AFTER` the robot is lost: it was moved, or believes a wrong pose;
+before that comes a doubt. Being lost ends by relocalisation, or when scans in a row fit near the believed pose.
+Besides, innovations that are larger than believed, over a window, make the filter too sure (Bar-Shalom, Li,
+Kirubarajan 2001, section 5.4).
 """
 
 from __future__ import annotations
@@ -75,6 +74,8 @@ CROSSED, DENIED = 0.15, 0.7
 """Shares of hits, from which on the pose is doubtful;"""
 FEW_CROSSED, LITTLE_FIT = 0.05, 0.6
 """and from where on and below which together"""
+MOST_FIT, RECOGNISED_SCANS = 0.85, 3
+"""Least share that fits of a scan that shows where the robot is, and how many in a row end being lost"""
 LOST_AFTER: Nanos = 300 * MILLISECOND
 LEAST_SCANS = 3
 """Disagreeing for this time, in at least so many scans, the robot is lost."""
@@ -95,6 +96,8 @@ class Consistency:
         self._since: dict[str, tuple[Nanos, int]] = {}
         """By lidar: since when its scans disagree, and how many."""
         self._doubt: dict[str, str] = {}
+        self._recognised = 0
+        """Scans in a row that fit near the believed pose, while lost"""
         self._too_sure: dict[str, float] = {}
 
     def on_scan(self, name: str, one: Agreement) -> None:
@@ -110,9 +113,21 @@ class Consistency:
         if count + 1 >= LEAST_SCANS and one.t - since >= LOST_AFTER and not self.lost:
             self.lost = f"lost: {name}: {why}"
 
+    @property
+    def doubtful(self) -> bool:
+        """True while scans disagree, or the robot is lost."""
+        return bool(self._doubt or self.lost)
+
+    def recognised(self, one: Agreement) -> bool:
+        """Return whether a scan, matched near the believed pose, ends being lost."""
+        fits = self.lost and one.seen.fit > MOST_FIT and one.seen.crossed < FEW_CROSSED
+        self._recognised = self._recognised + 1 if fits else 0
+        return self._recognised >= RECOGNISED_SCANS
+
     def found(self) -> None:
         """End being lost."""
         self.lost = ""
+        self._recognised = 0
         self._since.clear()
         self._doubt.clear()
         self._too_sure.clear()

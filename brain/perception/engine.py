@@ -38,6 +38,12 @@ def unpacked(packed: Packed) -> Floats:
     return P
 
 
+def pose_part(packed: Packed) -> Floats:
+    """Return the covariance of x, y and yaw, 3 × 3."""
+    xx, yx, yy, hx, hy, hh = packed[:6]
+    return np.array([[xx, yx, hx], [yx, yy, hy], [hx, hy, hh]])
+
+
 def pack(P: Floats) -> Packed:
     """Return the lower triangle of a symmetric matrix."""
     packed: list[float] = ((P + P.T) / 2.0)[LOWER].tolist()

@@ -44,6 +44,7 @@ from brain.perception.engine import (
     Y,
     cross_zeroed,
     pack,
+    pose_part,
     relative,
     unpacked,
 )  # fmt: skip
@@ -245,20 +246,23 @@ class Filter:
         elif t > state.t:
             linear, angular = self.twist
             end = arc_end(end, linear * seconds(t - state.t), angular * seconds(t - state.t))
-        return Pose(end[0], end[1], wrap(end[2])), unpacked(state.P)[:3, :3]
+        return Pose(end[0], end[1], wrap(end[2])), pose_part(state.P)
 
     def poses(self, times: npt.NDArray[np.int64]) -> Floats | None:
         """Return the poses at these times, n × 3, of a motion without leaps that ends in the newest pose;
         None if one is beyond what is kept, or too far ahead. Yaw is not wrapped."""
-        knots = [state for state in (self._origin, *self._states) if state.t != NEVER]
-        if not knots or not len(times):
+        first = bisect_right(self._states, int(times.min()), key=_time)
+        new, knots = self.state, [self._states[first - 1] if first else self._origin]
+        if knots[0].t == NEVER:
             return None
-        new = knots[-1]
+        for state in self._states[first:]:
+            if state.t != knots[-1].t:
+                knots.append(state)
         linear, angular = self.twist
         steps = [seconds(FARTHEST) * k / 4 for k in (1, 2, 3, 4)]
         ahead = [arc_end(new.smooth, linear * dt, angular * dt) for dt in steps]
         at = np.array([*(seconds(state.t - new.t) for state in knots), *steps])
-        wanted = (np.asarray(times) - new.t) / SECOND
+        wanted = (times - new.t) / SECOND
         if wanted.min() < at[0] or wanted.max() > at[-1]:
             return None
         path = np.array([*(state.smooth for state in knots), *ahead])

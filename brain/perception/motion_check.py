@@ -34,7 +34,7 @@ PERIOD: Nanos = 50 * MILLISECOND
 RENEW_TURNS: Nanos = 500 * MILLISECOND
 """since a time that is renewed this often."""
 REST_AGE: Nanos = 250 * MILLISECOND
-"""Age from which on a reference is renewed at rest,"""
+"""Age from which on a reference is renewed at rest, to learn the gyro's bias,"""
 RENEW_DISTANCE, RENEW_TURN, RENEW_AGE = 0.4, 0.35, 1500 * MILLISECOND
 """and m, rad, and age from which on it is once all agree; after a gap, at three times."""
 CONFIRM, CONFIRM_FOR = 3, 150 * MILLISECOND
@@ -136,9 +136,11 @@ class MotionCheck:
             self._gyro.add(self._gyro_t, t, 0.0, 0.0, rate * seconds(t - self._gyro_t), 0.0)
         self._gyro_name, self._gyro_t = name, max(t, self._gyro_t)
 
-    def on_scan(self, name: str, t: Nanos, scan: BodyScan) -> float:
+    def on_scan(self, name: str, t: Nanos, scan: BodyScan, *, known: bool = False) -> float:
         """Compare a scan that ended at this time with its reference, and renew that if it is time. Return the
-        yaw [rad] by which the mounting of this lidar's next scans is to be corrected: mostly 0."""
+        yaw [rad] by which the mounting of this lidar's next scans is to be corrected: mostly 0.
+
+        `known`: the map shows the place, so that what hides the reference is something that appeared."""
         reference = self._references.get(name)
         since = t if reference is None else reference.t
         wheels, gyro = self._wheels.between(since, t), self._turn_of_gyro(since, t)
@@ -152,7 +154,7 @@ class MotionCheck:
                 shown = _shown(reference, scan, wheels, gyro)
                 if shown is None and self._confirmed(name):
                     return 0.0
-        if shown is None or wheels is None:
+        if shown is None or wheels is None or (known and shown.fit < FIT):
             self._differ.pop(name, None)
             self._past[name] = deque()
             self._references[name] = Reference(t, scan)
@@ -162,7 +164,7 @@ class MotionCheck:
         reason = self._difference(name, shown, wheels, gyro) or self._drift(name, self._past[name], now)
         self._count(name, t, reason)
         way, resting = abs(wheels.ahead()[0]), wheels.uncertain < RESTING
-        old = t - since > (REST_AGE if resting else RENEW_AGE)
+        old = t - since > (REST_AGE if resting and now else RENEW_AGE)
         renewed = old or way > RENEW_DISTANCE or abs(turn) > RENEW_TURN
         if reason or self._confirmed(name) or not renewed:
             return 0.0
@@ -283,18 +285,14 @@ def _shown(reference: Reference, scan: BodyScan, wheels: Motion, gyro: Motion | 
     does not fit, from others as well."""
     turn = wheels.turn if gyro is None else gyro.turn
     x, y, by = reference.apart
-    best: Shown | None = None
-    for guess in (
-        Motion(wheels.x + x, wheels.y + y, turn + by, turn + by),
-        Motion(0.0, 0.0, turn, turn),
-        Motion(wheels.x, wheels.y, wheels.turn, wheels.turn),
-    ):
-        one = reference.motion(scan, guess)
-        best = one if best is None or (one is not None and one.fit > best.fit) else best
-        if best is not None and best.fit >= FIT:
-            found = best.motion
-            reference.apart = found.x - wheels.x, found.y - wheels.y, found.turn - turn
-            break
+    best = reference.motion(scan, Motion(wheels.x + x, wheels.y + y, turn + by, turn + by))
+    if best is None or best.fit < FIT:
+        guesses = Motion(wheels.x, wheels.y, turn, turn), wheels, Motion(0.0, 0.0, turn, turn)
+        others = [best, *(reference.motion(scan, guess) for guess in guesses)]
+        best = max(filter(None, others), key=lambda one: one.fit, default=None)
+    if best is not None and best.fit >= FIT:
+        found = best.motion
+        reference.apart = found.x - wheels.x, found.y - wheels.y, found.turn - turn
     return best
 
 

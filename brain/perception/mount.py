@@ -10,8 +10,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
+import numpy as np
+
+from brain.belief import Floats
 from brain.checks import within
+from protocols.messages import LaserScan
 
 Vector = tuple[float, float, float]
 
@@ -42,7 +47,21 @@ class Mount:
             (-sp, cp * sr, cp * cr),
         )
 
+    def beams(self, scan: LaserScan) -> Floats:
+        """Return the directions of a scan's beams in the robot's frame, seen from above: 2 × n, read-only."""
+        return _beams(self, scan.angle_min, scan.angle_increment, len(scan.ranges))
+
     def rotate(self, vector: Vector) -> Vector:
         """Return a free vector (angular velocity, acceleration) of the sensor in the robot's frame."""
         x, y, z = (sum(a * b for a, b in zip(row, vector, strict=True)) for row in self.rotation())
         return x, y, z
+
+
+@lru_cache(maxsize=8)
+def _beams(mount: Mount, first: float, increment: float, count: int) -> Floats:
+    angles = first + increment * np.arange(count)
+    (xx, xy, _), (yx, yy, _), _ = mount.rotation()
+    along, across = np.cos(angles), np.sin(angles)
+    beams = np.array([xx * along + xy * across, yx * along + yy * across])
+    beams.flags.writeable = False
+    return beams

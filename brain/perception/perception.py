@@ -2,8 +2,8 @@
 
 Rules. Every event is processed once; each measurement applies at its own time, whatever the order of arrival.
 Wheels, gyro and fixes go to the filter. A scan waits until the filter has reached its end; then, one part of
-the work in each step: it is freed from the motion during the sweep, matched against the map, and the match
-corrects the filter; it is drawn, if the map confirms the pose or has nothing there yet; and it is compared
+the work in each step: it is freed from the motion during the sweep; matched against the map, and the match
+corrects the filter; drawn, if the map confirms the pose or has nothing there yet; and compared
 with the scans before. Where the scans show that the pose is wrong, nothing is drawn, and the map is searched
 for the place. What is not used is counted in `anomalies`, by name and reason.
 """
@@ -12,8 +12,9 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from enum import Enum, auto
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from brain.bodies.differential import Differential, wrap
 from brain.checks import within
 from brain.perception.body_scan import BodyScan, to_body
 from brain.perception.consistency import Agreement, Consistency, Verdict
+from brain.perception.engine import pose_part
 from brain.perception.filter import Filter
 from brain.perception.filter_inputs import GateResult, GyroRate, Input, Nis, PoseFix, WheelAngle
 from brain.perception.filter_settings import FilterSettings
@@ -64,21 +66,29 @@ MAX_BEAMS = 10_000
 SCANS_WAITING = 32
 """Most scans that wait for the filter."""
 MOVED, TURNED = 0.15, 0.09
-"""m and rad: a match this near to the believed pose may correct it; farther ones if the pose is as uncertain."""
-KNOTS = 17
-"""Poses during a sweep, between which the beams' poses are interpolated."""
+"""m and rad: a match this near to the believed pose may correct it; a farther one if that is as uncertain."""
 LONGEST_SWEEP: Nanos = SECOND
+
+
+class _Work(Enum):
+    """What one step does for a scan, after it was freed from the motion."""
+
+    MATCH = auto()
+    DRAW = auto()
+    COMPARE = auto()
 
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """What is left to do for a scan."""
+    """A scan on its way."""
 
     name: str
     t: Nanos
     """Its end"""
     scan: BodyScan
-    draw: bool
+    draw: bool = True
+    known: bool = False
+    """The map shows the place"""
 
 
 class Perception:
@@ -106,10 +116,8 @@ class Perception:
         self._last_imu: dict[str, tuple[Imu, int]] = {}
         """First reading of a row of equal ones, and how many they are."""
         self._scans: deque[LaserScan] = deque()
-        self._parts: deque[_Part] = deque()
-        """To be drawn,"""
-        self._to_check: deque[_Part] = deque()
-        """and to be compared with the scans before."""
+        self._todo: deque[tuple[_Work, _Part]] = deque()
+        """What is left to do for the scan before those."""
         self._map_began: Pose | None = None
         self._consistency = Consistency()
         self._check = MotionCheck(body)
@@ -140,9 +148,9 @@ class Perception:
         return self._filter.nis
 
     @property
-    def helpful(self) -> Set[str]:
+    def helpful(self) -> frozenset[str]:
         """The sensors that are not needed: all but lidars, where wheels and a lidar suffice."""
-        return self._mounts.keys() - self._last_scan.keys() if self._last_scan else frozenset()
+        return frozenset(self._mounts.keys() - self._last_scan.keys() if self._last_scan else ())
 
     def contradictions(self) -> list[Contradiction]:
         """Return what the sources show that cannot all be true."""
@@ -181,7 +189,7 @@ class Perception:
         if t is not None:
             x, y, yaw = self._filter.state.x[:3]
             linear, angular = self._filter.twist
-            covariance = self._filter.covariance[:3, :3]
+            covariance = pose_part(self._filter.state.P)
             self.estimate = Estimate(t, Pose(x, y, wrap(yaw)), linear, angular, covariance)
         return results
 
@@ -252,61 +260,69 @@ class Perception:
     def _work(self, now: Nanos) -> None:
         """Do the next part of the work; and what is left of a scan, before the next one is begun."""
         while self._scans and self._is_ready(now, self._scans[0]):
-            if self._parts or self._to_check:
-                self._finish_parts()
-            self._match(self._scans.popleft())
+            while self._todo:
+                self._do(*self._todo.popleft())
+            self._free(self._scans.popleft())
             if not self._scans:
-                return self._advance_search()
-        if self._parts:
-            self._draw(self._parts.popleft())
-        elif self._to_check:
-            self._compare(self._to_check.popleft())
+                self._advance_search()
+                return
+        if self._todo:
+            self._do(*self._todo.popleft())
         else:
             self._advance_search()
 
-    def _finish_parts(self) -> None:
-        while self._parts:
-            self._draw(self._parts.popleft())
-        while self._to_check:
-            self._compare(self._to_check.popleft())
+    def _do(self, work: _Work, part: _Part) -> None:
+        if work is _Work.MATCH:
+            self._match(part)
+        elif work is _Work.DRAW:
+            self._draw(part)
+        else:
+            self._compare(part)
 
     def _is_ready(self, now: Nanos, scan: LaserScan) -> bool:
         end, t = scan.t + scan.duration, self._filter.t
         return (t is not None and t >= end) or now - end >= self.settings.scan_wait
 
-    def _match(self, scan: LaserScan) -> None:
-        """Match a scan against the map and correct the filter."""
-        name, end = scan.sensor, scan.t + scan.duration
-        believed = self._filter.at(end)
-        if self._filter.t is None or self._filter.t < end or believed is None:
-            self._count(name, "no estimate for its time" if believed is None else GateResult.LATE)
+    def _free(self, scan: LaserScan) -> None:
+        """Free a scan from the motion during its sweep."""
+        name, end, t = scan.sensor, scan.t + scan.duration, self._filter.t
+        known = self._filter.at(end) is not None
+        if t is None or t < end or not known:
+            self._count(name, GateResult.LATE if known else "no estimate for its time")
             return
         body_scan = to_body(scan, self._mounts[name], self.settings.map.farthest, self._motion(scan))
-        draw = True
+        self._todo.append((_Work.MATCH, _Part(name, end, body_scan)))
+
+    def _match(self, part: _Part) -> None:
+        """Match a scan against the map and correct the filter."""
+        believed = self._filter.at(part.t)
+        if believed is None:
+            self._count(part.name, "no estimate for its time")
+            return
         if self.settings.matching:
-            agreement, draw = self._agreement(name, end, body_scan, *believed)
-            self._consistency.on_scan(name, agreement)
+            agreement, draw = self._agreement(part.name, part.t, part.scan, *believed)
+            self._consistency.on_scan(part.name, agreement)
             draw = draw and not agreement.disagrees and not self._consistency.lost
             if agreement.disagrees:
-                self._count(name, "does not fit the map")
-        part = _Part(name, end, body_scan, draw)
-        self._parts.append(part)
+                self._count(part.name, "does not fit the map")
+            part = replace(part, draw=draw, known=agreement.matched and not agreement.disagrees)
+        self._todo.append((_Work.DRAW, part))
         self._judge(part, believed[0])
 
     def _motion(self, scan: LaserScan) -> Floats | None:
         """Return the robot's pose at each beam's time, in its frame at the scan's end: n × 3."""
         if scan.duration <= 0:
             return None
-        since = np.linspace(-float(scan.duration), 0.0, KNOTS)
-        poses = self._filter.poses((scan.t + scan.duration + since).astype(np.int64))
+        count = len(scan.ranges)
+        times = np.linspace(0.0, scan.duration, max(count, 2)).astype(np.int64)
+        times += scan.t
+        poses = self._filter.poses(times)
         if poses is None:
             return None
         x, y, yaw = poses[-1].tolist()
         c, s = math.cos(yaw), math.sin(yaw)
-        dx, dy = poses[:, 0] - x, poses[:, 1] - y
-        beams = np.linspace(-float(scan.duration), 0.0, len(scan.ranges))
-        columns = (c * dx + s * dy, c * dy - s * dx, poses[:, 2] - yaw)
-        return np.column_stack([np.interp(beams, since, column) for column in columns])
+        dx, dy = poses[:count, 0] - x, poses[:count, 1] - y
+        return np.column_stack((c * dx + s * dy, c * dy - s * dx, poses[:count, 2] - yaw))
 
     def _agreement(
         self, name: str, t: Nanos, scan: BodyScan, pose: Pose, covariance: Floats
@@ -314,7 +330,8 @@ class Perception:
         """Match a scan, and correct the filter by it; return also whether the gate lets it be drawn."""
         settings = self.settings.match
         sigma = math.sqrt(max(covariance[0, 0], covariance[1, 1]))
-        found = match(self.map, scan, pose, sigma, settings)
+        search = max(sigma, settings.widest) if self._consistency.doubtful else sigma
+        found = match(self.map, scan, pose, search, settings)
         if found is None:
             return Agreement(t, examine(self.map, scan, pose), matched=False), True
         offset = math.hypot(found.pose.x - pose.x, found.pose.y - pose.y)
@@ -325,6 +342,8 @@ class Perception:
             value = np.array([found.pose.x, found.pose.y, found.pose.yaw])
             results = self._apply([PoseFix(name, t, value, found.noise, found.shared)])
             return agreement, results.get(name) is not GateResult.REJECTED
+        if self._consistency.recognised(agreement):
+            self._relocate(t, found.pose, found.noise + found.shared)
         return agreement, True
 
     def _draw(self, part: _Part) -> None:
@@ -333,10 +352,10 @@ class Perception:
             self._map_began = self._map_began or at[0]
             self.map.recenter(at[0].x, at[0].y)
             self.map.add(at[0], part.scan, at[1])
-        self._to_check.append(part)
+        self._todo.append((_Work.COMPARE, part))
 
     def _compare(self, part: _Part) -> None:
-        yaw = self._check.on_scan(part.name, part.t, part.scan)
+        yaw = self._check.on_scan(part.name, part.t, part.scan, known=part.known)
         if yaw:
             self._correct_mounting(part.name, yaw)
 
@@ -384,10 +403,13 @@ class Perception:
         t = self._filter.t
         here = None if t is None else self._filter.at(t)
         if t is not None and here is not None:
-            self._filter.reset(t, _moved(result.pose, believed, here[0]), result.covariance)
-            self._consistency.found()
-            self._count("", "relocalised")
-            self._apply([])
+            self._relocate(t, _moved(result.pose, believed, here[0]), result.covariance)
+
+    def _relocate(self, t: Nanos, pose: Pose, covariance: Floats) -> None:
+        self._filter.reset(t, pose, covariance)
+        self._consistency.found()
+        self._count("", "relocalised")
+        self._apply([])
 
     def _count(self, name: str, reason: str) -> None:
         reasons = self.anomalies.setdefault(name, {})
