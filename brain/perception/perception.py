@@ -27,12 +27,13 @@ from brain.perception.engine import pose_part
 from brain.perception.filter import Filter
 from brain.perception.filter_inputs import GateResult, GyroRate, Input, Nis, PoseFix, WheelAngle
 from brain.perception.filter_settings import FilterSettings
+from brain.perception.fixes import Fixes, FixSettings
 from brain.perception.map import Map, MapSettings
 from brain.perception.match import MatchSettings, examine, match
 from brain.perception.motion_check import Contradiction, MotionCheck
 from brain.perception.mount import Mount
 from brain.perception.relocalise import Found, RelocaliseSettings, Search, Searching
-from protocols.messages import MILLISECOND, SECOND, Event, Feedback, Imu, LaserScan, Nanos
+from protocols.messages import MILLISECOND, SECOND, Event, Feedback, Fix, Imu, LaserScan, Nanos, PoseReading
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +46,7 @@ class PerceptionSettings:
     map: MapSettings = field(default_factory=MapSettings)
     match: MatchSettings = field(default_factory=MatchSettings)
     relocalise: RelocaliseSettings = field(default_factory=RelocaliseSettings)
+    fixes: FixSettings = field(default_factory=FixSettings)
     matching: bool = True
     """Match scans against the map; if not, they are only added to it."""
     scan_wait: Nanos = 500 * MILLISECOND
@@ -120,6 +122,9 @@ class Perception:
         """What is left to do for the scan before those."""
         self._map_began: Pose | None = None
         self._consistency = Consistency()
+        self._fixes = Fixes(settings.fixes)
+        self._outside: set[str] = set()
+        """Sensors that have measured the pose."""
         self._check = MotionCheck(body)
         self._rolled: tuple[Nanos, float, float] | None = None
         """Up to when, and how far, the wheels' motion was compared."""
@@ -167,6 +172,8 @@ class Perception:
                 inputs += self._on_imu(event)
             elif isinstance(event, LaserScan):
                 self._on_scan(event)
+            elif isinstance(event, Fix | PoseReading) and event.sensor in self._mounts:
+                inputs.append(self._on_fix(event))
         if inputs:
             self._apply(inputs)
         self._work(now)
@@ -202,6 +209,17 @@ class Perception:
                 since, left, right = self._rolled
                 self._check.on_wheels(since, state.t, state.rolled[0] - left, state.rolled[1] - right)
             self._rolled = state.t, *state.rolled
+
+    def _on_fix(self, event: Fix | PoseReading) -> PoseFix:
+        """Return the measurement; of a fix, that of the antenna's place, moved to the robot's origin."""
+        self._outside.add(event.sensor)
+        measured = self._fixes.observe(event)
+        if isinstance(event, PoseReading):
+            return measured
+        mount, yaw = self._mounts[event.sensor], self._filter.state.x[2]
+        c, s = math.cos(yaw), math.sin(yaw)
+        arm = np.array([c * mount.x - s * mount.y, s * mount.x + c * mount.y])
+        return replace(measured, value=measured.value - arm)
 
     # -- gyro ----------------------------------------------------------------------------------
 
@@ -239,6 +257,7 @@ class Perception:
         else:
             ranges = np.asarray(scan.ranges, dtype=np.float64)
             self._last_scan[scan.sensor] = scan.t, ranges
+            self._outside.add(scan.sensor)
             returns = int(np.count_nonzero((scan.range_min <= ranges) & (ranges < scan.range_max)))
             few = returns < self.settings.least_returns * len(ranges)
             reason = f"{returns} of {len(ranges)} rays have returns" if few else ""
@@ -384,7 +403,7 @@ class Perception:
     def _judge(self, part: _Part, believed: Pose) -> None:
         """Update the verdict after a scan, and search for the place if it is needed."""
         self.verdict = self._consistency.verdict(
-            {name: nis for name, nis in self._filter.nis.items() if name in self._last_scan}
+            {name: nis for name, nis in self._filter.nis.items() if name in self._outside}
         )
         if not self._consistency.lost:
             self._search = None

@@ -165,9 +165,7 @@ class StopZone:
     def _view(self, scan: LaserScan, last: _View | None) -> _View:
         mount, count = self._mounts[scan.sensor], len(scan.ranges)
         ranges = np.asarray(scan.ranges, dtype=np.float64)
-        angles = scan.angle_min + scan.angle_increment * np.arange(count)
-        axes = np.array([row[:2] for row in mount.rotation()[:2]])
-        beams = axes @ np.array([np.cos(angles), np.sin(angles)])
+        beams = mount.beams(scan)
         read = np.isfinite(ranges) & (ranges >= max(scan.range_min, 1e-9))
         sees = [read[way].sum() > SEEING * way.sum() for way in (beams[0] > AHEAD, beams[0] < -AHEAD)]
         farthest = min(scan.range_max, self._reach() + hypot(mount.x, mount.y))

@@ -10,7 +10,19 @@ from brain.belief import Pose
 from brain.perception.consistency import Trust
 from brain.perception.mount import Mount
 from brain.perception.perception import Perception, PerceptionSettings
-from protocols.messages import MILLISECOND, SECOND, Event, Feedback, Imu, LaserScan, Mode, Nanos, State
+from protocols.messages import (
+    MILLISECOND,
+    SECOND,
+    Event,
+    Feedback,
+    Fix,
+    Imu,
+    LaserScan,
+    Mode,
+    Nanos,
+    PoseReading,
+    State,
+)
 from tests.brain.perception.office import (
     BODY,
     MOUNTS,
@@ -387,3 +399,25 @@ def test_foreign_words_are_no_concern() -> None:
 
 def test_names_stand_in_the_ledger_from_the_start() -> None:
     assert new().rejected == {"left": 0, "right": 0, "imu": 0, "lidar": 0}
+
+
+# -- references from outside ----------------------------------------------------------------------
+
+
+def test_motion_capture_and_satellites_correct_where_wheels_and_gyro_drift() -> None:
+    """Without a lidar: a pose each 100 ms, or a position of an antenna 0.3 m ahead of the origin each second."""
+    mounts = {**IMU_ONLY, "markers": Mount(), "gps": Mount(x=0.3)}
+    for name, every in (("markers", 20), ("gps", 200)):
+        rover, belief = Rover(14), Perception(BODY, mounts, SETTINGS)
+        for step in range(6000):
+            events = [event for event in rover.step(0.3, 0.25) if not isinstance(event, LaserScan)]
+            here = rover.truth
+            if step % every == 0 and name == "markers":
+                events.append(PoseReading(name, rover.now, here.x, here.y, here.yaw, 1e-4, 1e-4))
+            elif step % every == 0:
+                x, y = here.x + 0.3 * math.cos(here.yaw), here.y + 0.3 * math.sin(here.yaw)
+                north, east = math.degrees(y / 6_335_439.0), math.degrees(x / 6_378_137.0)
+                events.append(Fix(name, rover.now, north, east, None, 1e-4))  # on the equator: plain metres
+            belief.observe(rover.now, events)
+        assert apart(belief, rover.truth) < 0.05, name
+        assert math.dist((belief.raw.x, belief.raw.y), (rover.truth.x, rover.truth.y)) > 0.2
