@@ -191,7 +191,7 @@ def test_without_the_gyro_the_base_goes_on_slowly() -> None:
     belief = trip.run(60.0, lambda b: b.reached == 1)
     assert belief.reached == 1
     assert from_goal(trip, ACROSS) < 0.20
-    assert any("imu: no reading for more than 135 ms: slow" in text for _, text in trip.notes)
+    assert any("imu: no reading for more than 75 ms: slow" in text for _, text in trip.notes)
     assert trip.office.touched == 0
 
 
