@@ -406,7 +406,7 @@ def test_names_stand_in_the_ledger_from_the_start() -> None:
 
 
 def test_motion_capture_and_satellites_correct_where_wheels_and_gyro_drift() -> None:
-    """Without a lidar: poses at 10 Hz, or each second the position of an antenna 0.3 m ahead of the origin."""
+    """Without a lidar: poses at 10 Hz, or each second the place of an antenna 0.3 m ahead of the origin."""
     mounts = {**IMU_ONLY, "markers": Mount(), "gps": Mount(x=0.3)}
     settings = replace(SETTINGS, fixes=FixSettings(latitude=0.0, longitude=0.0))
     errors = {}
