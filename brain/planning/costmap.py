@@ -2,10 +2,11 @@
 
 Rules. Cells are the map's own: (row, column) = floor(y / resolution), floor(x / resolution), in tiles of
 `TILE` × `TILE`. A cell has one level: occupied, within the footprint's radius of an occupied cell, within
-radius + margin of one (all three are blocked: the robot's centre must not be there), or free at one of a few
-levels, the lowest nearest to blocked cells; its multiplier (>= 1) is the cost of a metre through the cell. A
-cell that was never observed and is not blocked has the flag `UNKNOWN` beside its level. Distances are taken
-between the middles of cells, which is what the margin is for.
+radius + margin of one (blocked: the robot's centre must not be there, but for the last, where a path may pass
+if no other is nearly as short), or free at one of a few levels, the lowest nearest to blocked cells; its
+multiplier (>= 1) is the cost of a metre through the cell. A cell that was never observed, and is farther than
+the radius from an occupied cell, has the flag `UNKNOWN` beside its level. Distances are taken between the
+middles of cells, which is what the margin is for.
 
 The work of a step does not depend on the map's size: `Costmap.update` draws a few of the tiles that changed,
 the nearest first. A search works on a `Snapshot`, which is assembled from the tiles one row of them after
@@ -43,6 +44,8 @@ FREE = 3
 """The free level nearest to blocked cells; each level above it is one cell farther away."""
 UNKNOWN = 128
 """Flag of a cell that was never observed, beside the level that it would have."""
+NARROW = 4.0
+"""How much more a metre costs where the margin is missing than beside such a place"""
 EXIT = 255
 """Level of the cells at the edge of a snapshot from where the straight way to a goal beyond it is open."""
 TILE_WORK = 450
@@ -135,6 +138,7 @@ class Costmap:
         assert self.outside < EXIT, "brain.settings.MAX_REACH"
         self.multiplier = np.full(256, inf)
         """Cost factor by level, over known ground."""
+        self.multiplier[NEAR] = NARROW * (1.0 + settings.dislike)
         self.multiplier[FREE : self.top] = [
             1.0 + settings.dislike * (1.0 - ring / rings) for ring in range(rings)
         ]
@@ -156,8 +160,6 @@ class Costmap:
         """The map's version that each tile was drawn from."""
         self._occupied: dict[Tile, bytes] = {}
         """Occupied cells, eight per byte, of tiles that have any."""
-        self._seen: dict[Tile, bytes] = {}
-        """The same of each tile and what is around it, as it was drawn: most changes leave it as it is."""
         self._version = 0
         """Of the map, up to which its changes are marked."""
 
@@ -184,15 +186,10 @@ class Costmap:
         if values is None and not window.any():
             self.tiles.pop(tile, None)
             self._drawn.pop(tile, None)
-            self._seen.pop(tile, None)
             return
-        seen = np.packbits(window, bitorder="little").tobytes()
-        if self._seen.get(tile) == seen:
-            level = np.frombuffer(self.tiles[tile], np.uint8).reshape(TILE, TILE) & np.uint8(UNKNOWN - 1)
-        else:
-            level, self._seen[tile] = self._levels_of(seen), seen
+        level = self._levels_of(window)
         if not self.settings.unknown_is_free:
-            unseen = level >= FREE
+            unseen = level >= NEAR
             if values is not None:
                 unseen &= values == 0
             level |= unseen.view(np.uint8) << np.uint8(7)
@@ -240,7 +237,7 @@ class Costmap:
             first, last = (columns.start, columns.stop) if row in rows else (before[1].stop,) * 2
             left = range(before[1].start, min(first, before[1].stop))
             for column in (*left, *range(max(last, before[1].start), before[1].stop)):
-                for state in (self.tiles, self.pending, self._drawn, self._seen):
+                for state in (self.tiles, self.pending, self._drawn):
                     state.pop((row, column), None)
                 if self._occupied.pop((row, column), None):
                     for up, right in product(reach, reach):
@@ -254,12 +251,12 @@ class Costmap:
         (row, column), box = tile, self.box or (*tile, *tile)
         self.box = (min(box[0], row), min(box[1], column), max(box[2], row + 1), max(box[3], column + 1))
 
-    def _levels_of(self, seen: bytes) -> Levels:
-        """Return the levels of a tile, unknown cells not flagged, from the occupied cells around it, packed.
+    def _levels_of(self, window: Mask) -> Levels:
+        """Return the levels of a tile, unknown cells not flagged, from the occupied cells around it.
 
         Masks are integers of one bit per cell of the window: a shift by a row moves all of them at once. What
         a shift carries over the window's edge stays within the halo."""
-        occupied = int.from_bytes(seen, "little")
+        occupied = int.from_bytes(np.packbits(window, bitorder="little").tobytes(), "little")
         if not occupied:
             return np.full((TILE, TILE), self.top, np.uint8)
         side, halo = TILE + 2 * self._halo, self._halo

@@ -18,7 +18,7 @@ from typing import TypeAlias
 import numpy as np
 
 from brain.planning.astar import BEYOND, CellPath, Search, Searching, Unreachable
-from brain.planning.costmap import FREE, TOUCHING, UNKNOWN, Costmap, Map, PlannerSettings
+from brain.planning.costmap import FREE, NEAR, TOUCHING, UNKNOWN, Costmap, Map, PlannerSettings
 from brain.planning.polyline import Point
 from brain.planning.snapshot import MAX_LINES, Ground, Snapshot, is_blocked, line_cost
 
@@ -102,14 +102,14 @@ class PathQuery:
         here, there = ground.index(*self.start), ground.index(*self.goal)
         assert here is not None, "a snapshot contains the robot's place"
         if there is not None:
-            if ground.level[there] < FREE:
+            if ground.level[there] % UNKNOWN < FREE:
                 beside = ground.nearest(self.goal, self.settings.slack, known=False)[:1]
                 if not beside:
                     return NoPath(_too_near(ground, self.goal))
                 there = beside[0]
                 self.goal = ground.centre(there)
             self._to = there
-        if ground.level[here] < FREE:
+        if ground.level[here] < NEAR:
             self._ways_out = ground.nearest(self.start, self.settings.escape, known=True)[::-1]
             return Searching(0)
         return self._set_out(here)

@@ -10,9 +10,9 @@ import numpy as np
 from brain.planning.costmap import (
     EXIT,
     FREE,
-    NEAR,
     TILE,
     TILE_WORK,
+    TOUCHING,
     UNKNOWN,
     Cells,
     Costmap,
@@ -130,7 +130,7 @@ class Snapshot:
             if place is self.standing:
                 part[unknown & (part != EXIT)] %= UNKNOWN
             else:
-                part[unknown] = NEAR
+                part[unknown] = TOUCHING
 
     def around(self, centre: Point, radius: float) -> tuple[tuple[slice, slice], Floats]:
         """Return the rows and columns of this snapshot that contain a circle, and the squared distance [m²]
@@ -169,7 +169,7 @@ class Snapshot:
         """Return the cells within a distance [m] that are free, or unknown unless `known`; nearest first."""
         window, square = self.around(place, within)
         level = self._plane()[window]
-        free = (level >= FREE) & (level < UNKNOWN if known else level != EXIT)
+        free = (level % UNKNOWN >= FREE) & (level < UNKNOWN if known else level != EXIT)
         row, column = np.nonzero(free & (square <= within**2))
         nearest = np.argsort(square[row, column], kind="stable")[:MAX_LINES]
         first = window[0].start * self.stride + window[1].start

@@ -32,7 +32,7 @@ def test_levels_give_the_distance_to_blocked_cells() -> None:
     costmap = drawn(PlainMap(occupied, low=(0, 0)), 0.0, settings)
     at = [costmap.clearance(1.05 + 0.1 * i, 1.05) for i in range(6)]
     assert at == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4, inf])
-    assert costmap.multiplier[: costmap.top + 1].tolist() == [inf, inf, inf, 3.0, 2.5, 2.0, 1.5, 1.0]
+    assert costmap.multiplier[: costmap.top + 1].tolist() == [inf, inf, 12.0, 3.0, 2.5, 2.0, 1.5, 1.0]
     assert costmap.clearance(-50.0, 0.0) == 0.0
 
 
@@ -48,7 +48,7 @@ def test_blocked_are_the_cells_within_the_radius_of_an_obstacle(radius: float, m
     grid.occupied = seen
     assert np.array_equal(level == OCCUPIED, seen)
     assert np.array_equal(level <= TOUCHING, grid.blocked(radius))
-    assert np.array_equal(level <= NEAR, grid.blocked(radius + margin))
+    assert np.array_equal(level % UNKNOWN <= NEAR, grid.blocked(radius + margin))
     assert np.array_equal(level >= UNKNOWN, grid.unknown & (level > NEAR))
 
 

@@ -46,6 +46,14 @@ def test_path_clearance_is_at_least_the_footprint_radius(seed: int) -> None:
     assert min(grid.clearance(*p) for p in samples(found.points)) >= RADIUS + 0.05 - 0.0708, f"seed {seed}"
 
 
+def test_a_doorway_without_room_for_the_margin_is_passed_if_another_is_far() -> None:
+    narrow, wide, start, goal = two_rooms(door=(10, 15)), two_rooms(door=(20, 30)), (0.0, -0.8), (4.0, -0.8)
+    only, other = plan(PlainMap(narrow), start, goal), plan(PlainMap(narrow & wide), start, goal)
+    assert isinstance(only, Path)
+    assert isinstance(other, Path)
+    assert [len(path.points) > 2 for path in (only, other)] == [False, True]
+
+
 def test_walls_are_disliked() -> None:
     """In a wide corridor the path keeps off the walls, although along the wall would be shorter."""
     occupied = np.zeros((40, 60), bool)
