@@ -646,10 +646,10 @@ def _gyro_angle(gyro: Gyro, t: Nanos) -> float | None:
 
 
 def _inflated(packed: Packed, rows: Sequence[int], y: Sequence[float]) -> Packed:
-    """Return a covariance that covers an innovation: larger for what was observed, and for the distance
-    scale, since wheels that spin on the spot are the usual cause of a wrong position."""
+    """Return a covariance that covers an innovation: larger for what was observed, and for the usual causes:
+    the distance scale (wheels that spin on the spot), of a wrong yaw the gyro's bias."""
     P = unpacked(packed)
     factor = max(value * value / P[row, row] for value, row in zip(y, rows, strict=True))
     scale = np.ones(len(P))
-    scale[[*rows, SCALE]] = math.sqrt(min(max(1.0, factor), MAX_INFLATION))
+    scale[[*rows, SCALE, *([BIAS] if YAW in rows else ())]] = math.sqrt(min(max(1.0, factor), MAX_INFLATION))
     return pack(P * np.outer(scale, scale))
