@@ -281,18 +281,21 @@ class MotionCheck:
 
 
 def _shown(reference: Reference, scan: BodyScan, wheels: Motion, gyro: Motion | None) -> Shown | None:
-    """Return the motion found from that of wheels and gyro, which differs as it did at the scan before; if it
-    does not fit, from others as well."""
+    """Return the motion found from that of wheels and gyro; if it does not fit, from others as well."""
     turn = wheels.turn if gyro is None else gyro.turn
     x, y, by = reference.apart
-    best = reference.motion(scan, Motion(wheels.x + x, wheels.y + y, turn + by, turn + by))
-    if best is None or best.fit < FIT:
-        guesses = Motion(wheels.x, wheels.y, turn, turn), wheels, Motion(0.0, 0.0, turn, turn)
-        others = [best, *(reference.motion(scan, guess) for guess in guesses)]
-        best = max(filter(None, others), key=lambda one: one.fit, default=None)
-    if best is not None and best.fit >= FIT:
-        found = best.motion
-        reference.apart = found.x - wheels.x, found.y - wheels.y, found.turn - turn
+    best: Shown | None = None
+    for guess in (
+        wheels._replace(turn=turn),
+        wheels._replace(x=wheels.x + x, y=wheels.y + y, turn=turn + by),
+        wheels,
+    ):
+        one = reference.motion(scan, guess)
+        best = one if best is None or (one is not None and one.fit > best.fit) else best
+        if best is not None and best.fit >= FIT:
+            found = best.motion
+            reference.apart = found.x - wheels.x, found.y - wheels.y, found.turn - turn
+            break
     return best
 
 
