@@ -193,12 +193,12 @@ class Base:
         self.moved = True
 
     def carry(self, distance: float, yaw: float) -> None:
-        """Move to a place drawn at this distance, with nothing between and 0.3 m free around."""
+        """Move to a place drawn at this distance, with nothing between, 0.5 m free around: it may move."""
         ring = np.linspace(-math.pi, math.pi, 72)
         for bearing in self.random.permutation(ring):
             x, y = self.pose.x + distance * math.cos(bearing), self.pose.y + distance * math.sin(bearing)
             here, there = np.array([[self.pose.x, self.pose.y]] * 72), np.array([[x, y]] * 72)
-            free = cast(self._all, (), there, ring, 9.0).min() > 0.3
+            free = cast(self._all, (), there, ring, 9.0).min() > 0.5
             if free and cast(self._all, (), here, np.full(72, bearing), 99.0)[0] > distance:
                 self.move(distance, yaw, bearing)
                 return
