@@ -146,15 +146,12 @@ class MotionCheck:
         wheels, gyro = self._wheels.between(since, t), self._turn_of_gyro(since, t)
         shown = None
         if reference is not None and wheels is not None and t - since <= FORGET:
-            far = (
-                math.hypot(wheels.x, wheels.y) > 3.0 * RENEW_DISTANCE
-                or abs(wheels.heading) > 3.0 * RENEW_TURN
-            )
-            if name in self._differ or not far:
+            far = max(math.hypot(wheels.x, wheels.y) / RENEW_DISTANCE, abs(wheels.heading) / RENEW_TURN)
+            if name in self._differ or far < 3.0:
                 shown = _shown(reference, scan, wheels, gyro)
                 if shown is None and self._confirmed(name):
                     return 0.0
-        if shown is None or wheels is None or (known and shown.fit < FIT):
+        if shown is None or wheels is None or (known and shown.fit < FIT < shown.fit + shown.hidden):
             self._differ.pop(name, None)
             self._past[name] = deque()
             self._references[name] = Reference(t, scan)

@@ -28,7 +28,9 @@ class Shown(NamedTuple):
 
     motion: Motion
     fit: float
-    """Share of the rays' ends on lines, of those that meet one"""
+    """Share of the rays' ends on lines, of those that meet one,"""
+    hidden: float
+    """and share of those before their line: something stands there"""
     inverse: Floats
     """3 × 3: covariance of x, y, turn, for points with a variance of 1;"""
     variance: float
@@ -96,5 +98,5 @@ class Reference:
             if max(abs(dx), abs(dy), abs(dturn)) < 2e-3:
                 break
         variance = float(M[3, 3]) / max(float(weight.sum()), 1.0)
-        fit = float(np.count_nonzero(size < ON_LINE)) / lined
-        return Shown(Motion(x, y, turn, turn), fit, inverse, variance)
+        fit, hidden = np.count_nonzero(size < ON_LINE) / lined, np.count_nonzero(off > ON_LINE) / lined
+        return Shown(Motion(x, y, turn, turn), fit, hidden, inverse, variance)
