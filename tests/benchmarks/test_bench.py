@@ -85,7 +85,7 @@ def test_every_row_is_there_once_and_in_order(run: Run) -> None:
         *(f"a frame: {name}" for name in STEPS),
         *(sample.what for _, language in LANGUAGES for sample in language.SAMPLES),
         "one predict and update, gated",
-        "480 × 480 cells of 0.05 m, beams of up to 12 m",
+        "1024 × 1024 cells of 0.05 m, beams of up to 12 m",
         "200 × 200 cells",
         "1000 × 1000 cells",
         *drive.KINDS,

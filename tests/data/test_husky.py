@@ -96,7 +96,9 @@ def test_the_settings_are_no_lucky_hit(bag: Bag, husky: Robot) -> None:
     perception = husky.brain.perception
     for factor in (0.5, 2.0):
         wheels = perception.filter
-        loose = replace(wheels, turn_slip=wheels.turn_slip * factor, slip_length=wheels.slip_length * factor)
+        loose = replace(
+            wheels, turn_slip=min(1.0, wheels.turn_slip * factor), slip_length=wheels.slip_length * factor
+        )
         other = replace(perception, filter=loose, gyro_sigma=perception.gyro_sigma * factor)
         evaluation = evaluate(bag, replace(husky, brain=replace(husky.brain, perception=other)))
         assert evaluation.estimated is not None
