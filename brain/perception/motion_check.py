@@ -160,15 +160,16 @@ class MotionCheck:
         now = self._turns(since, t, turn, wheels)
         reason = self._difference(name, shown, wheels, gyro) or self._drift(name, self._past[name], now)
         self._count(name, t, reason)
+        if reason:
+            return 0.0
         way, resting = abs(wheels.ahead()[0]), wheels.uncertain < RESTING
         old = t - since > (REST_AGE if resting and now else RENEW_AGE)
-        renewed = old or way > RENEW_DISTANCE or abs(turn) > RENEW_TURN
-        if reason or self._confirmed(name) or not renewed:
-            return 0.0
-        self._learn(self._past[name], now)
+        renewed = (old or way > RENEW_DISTANCE or abs(turn) > RENEW_TURN) and not self._confirmed(name)
         mounting = self._mountings.setdefault(name, Mounting())
-        correction = 0.0 if resting else mounting.add(wheels, shown)
-        self._references[name] = Reference(t, scan)
+        correction = 0.0 if resting else mounting.add(wheels, shown, keep=renewed)
+        if renewed:
+            self._learn(self._past[name], now)
+            self._references[name] = Reference(t, scan)
         if correction:
             del self._references[name]
         return correction

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from brain.belief import Floats
 from brain.perception.scan_motion import Shown
 from brain.perception.track import SLIP_SHARE, Motion
 
@@ -44,9 +45,9 @@ class Mounting:
         self._corrected = 0.0
         """rad, of the yaw; the equations are about what is left."""
 
-    def add(self, wheels: Motion, shown: Shown) -> float:
-        """Add the motion that scans show, beside that of the wheels, whose way need be no arc. Return the yaw
-        [rad] by which the mounting of later scans is to be corrected: mostly 0."""
+    def add(self, wheels: Motion, shown: Shown, keep: bool) -> float:
+        """Judge by the motion that scans show, beside that of the wheels, whose way need be no arc; and keep
+        it. Return the yaw [rad] by which the mounting of later scans is to be corrected: mostly 0."""
         turn = shown.motion.turn
         (way, across), (along, aside) = wheels.ahead(), shown.motion.ahead()
         lever, noise = 2.0 * math.sin(turn / 2.0), math.sqrt(shown.variance)
@@ -62,16 +63,16 @@ class Mounting:
             ]
         )
         kept = math.exp(-(abs(way) + abs(turn)) / FADE)
-        self._sums = PRIOR + kept * (self._sums - PRIOR) + rows.T @ rows
-        self._number = kept * self._number + 1.0
-        return self._judge()
+        sums, number = PRIOR + kept * (self._sums - PRIOR) + rows.T @ rows, kept * self._number + 1.0
+        if keep:
+            self._sums, self._number = sums, number
+        return self._judge(sums, number)
 
-    def _judge(self) -> float:
-        sums = self._sums
+    def _judge(self, sums: Floats, number: float) -> float:
         inverse = np.linalg.inv(sums[:3, :3])
         found = inverse @ sums[:3, 3]
         left = float(sums[3, 3] - found @ sums[:3, 3])
-        inverse *= max((left + 3.0) / (self._number + 2.0), 1.0)  # larger if the equations disagree
+        inverse *= max((left + 3.0) / (number + 2.0), 1.0)  # larger if the equations disagree
         (off, x, y), (spread, *places) = found.tolist(), np.sqrt(np.diag(inverse)).tolist()
         yaw, certain = self._corrected + off, 0.0 if self.flaw else 3.0
         if spread < YAW < abs(yaw) - certain * spread:
@@ -90,5 +91,5 @@ class Mounting:
         self._corrected = min(max(yaw, -DRIVABLE_YAW), DRIVABLE_YAW)
         shift = np.eye(4)
         shift[3, 0] = before - self._corrected
-        self._sums = shift @ sums @ shift.T
+        self._sums, self._number = shift @ sums @ shift.T, number
         return self._corrected - before
