@@ -1,10 +1,9 @@
 """The filter's linear algebra, in two engines that give the same numbers.
 
 Rules. A state is 8 numbers, its covariance the 36 numbers of the lower triangle by rows; both are tuples that
-are never changed. STRUCTURED is written out in floats: it multiplies by nothing that is 0 or 1, decorrelates
-a measurement by the Cholesky factor of its noise and applies the components one after another. FILTERPY gives
-the same matrices to `filterpy.kalman.ExtendedKalmanFilter`. The mean of a prediction is the caller's: its
-arcs are exact.
+are never changed. STRUCTURED is written out in floats where nearly every factor is 0 or 1, and else corrects
+by an innovation whitened by the Cholesky factor of its covariance. FILTERPY gives the same matrices to
+`filterpy.kalman.ExtendedKalmanFilter`. The mean of a prediction is the caller's: its arcs are exact.
 """
 
 from __future__ import annotations
@@ -188,23 +187,14 @@ class Structured:
         return state, covariance, d * d / S
 
     def update(self, x: Vector, packed: Packed, rows: Sequence[int], y: Vector, noise: Floats) -> Result:
-        """Correct by whitened components, one after another."""
-        count = len(rows)
-        white = np.linalg.inv(np.linalg.cholesky(noise)).tolist()
-        P = [[packed[k] for k in line] for line in AT]
-        shift = [0.0] * SIZE
-        distance = 0.0
-        for line in white:
-            c = [sum(line[j] * P[i][rows[j]] for j in range(count)) for i in range(SIZE)]
-            S = 1.0 + sum(line[j] * c[rows[j]] for j in range(count))
-            residual = sum(line[j] * (y[j] - shift[rows[j]]) for j in range(count))
-            distance += residual * residual / S
-            for i in range(SIZE):
-                gain = c[i] / S
-                shift[i] += gain * residual
-                P[i] = [p - gain * value for p, value in zip(P[i], c, strict=True)]
-        corrected = tuple(a + b for a, b in zip(x, shift, strict=True))
-        return corrected, tuple(P[i][j] for i in range(SIZE) for j in range(i + 1)), distance
+        """Correct by the whitened innovation: the covariance stays symmetric."""
+        P = unpacked(packed)
+        columns = P.take(rows, axis=1)
+        white = np.linalg.inv(np.linalg.cholesky(columns.take(rows, axis=0) + noise))
+        gain, innovation = columns @ white.T, white @ y
+        shift, distance = gain @ innovation, float(innovation @ innovation)
+        corrected = tuple(a + b for a, b in zip(x, shift.tolist(), strict=True))
+        return corrected, tuple((P - gain @ gain.T)[LOWER].tolist()), distance
 
 
 class Filterpy:
@@ -244,6 +234,9 @@ def cross_zeroed(packed: Packed, state: int, variance: float) -> Packed:
     return tuple(new)
 
 
+TINY = 1e-12 * np.eye(3)
+
+
 def relative(packed: Packed, rows: Sequence[int], shared: Floats) -> tuple[Packed, Floats]:
     """Split a covariance into what is relative to a map and the map's own share, 8 × 8.
 
@@ -251,12 +244,11 @@ def relative(packed: Packed, rows: Sequence[int], shared: Floats) -> tuple[Packe
     latter shows in a match. `shared` is the map's covariance; it counts up to the pose's own, and explains
     the errors of the other states in proportion to the pose's."""
     P = unpacked(packed)
-    pose = P[np.ix_(rows, rows)]
-    root = np.linalg.cholesky(pose + np.eye(len(rows)) * 1e-12)
-    inverse = np.linalg.inv(root)
-    values, vectors = np.linalg.eigh(inverse @ ((shared + shared.T) / 2.0) @ inverse.T)
-    part = P[:, rows] @ inverse.T @ vectors
-    share: Floats = (part * np.clip(values, 0.0, 1.0)) @ part.T
+    columns = P.take(rows, axis=1)
+    inverse = np.linalg.inv(np.linalg.cholesky(columns.take(rows, axis=0) + TINY[: len(rows), : len(rows)]))
+    values, vectors = np.linalg.eigh(inverse @ (shared + shared.T) @ (0.5 * inverse.T))
+    part = columns @ (inverse.T @ vectors)
+    share: Floats = (part * np.minimum(np.maximum(values, 0.0), 1.0)) @ part.T
     return pack(P - share), share
 
 

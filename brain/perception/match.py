@@ -201,10 +201,14 @@ def _spread(scan: BodyScan, most: int) -> Indices:
     found = np.flatnonzero(scan.straight)
     if len(found) <= most:
         return found
-    apart = np.diff(scan.middles[found], axis=0, prepend=scan.middles[found[:1]])
-    length = np.cumsum(np.minimum(np.sqrt(np.sum(apart * apart, axis=1)), 0.5))
+    x, y = scan.middles[found].T
+    dx, dy = x[1:] - x[:-1], y[1:] - y[:-1]
+    length = np.minimum(np.sqrt(dx * dx + dy * dy), 0.5).cumsum()
     number = np.floor(length * (most / (length[-1] + 1e-9)))
-    return found[np.flatnonzero(np.diff(number, prepend=-1.0))]
+    chosen = np.ones(len(found), dtype=np.bool_)
+    chosen[1] = number[0] > 0.0
+    np.not_equal(number[1:], number[:-1], out=chosen[2:])
+    return found[chosen]
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,6 +218,7 @@ class _Pairs:
     points: Floats
     """m, in the robot's frame"""
     normals: Floats
+    """2 × n"""
     offsets: Floats
     """m: the product of the normal with each of the line's points"""
     anchors: Indices
@@ -242,17 +247,17 @@ def _paired(
     nx, ny = np.cos(angle), np.sin(angle)
     x, y = columns[found] + window[0, which] + 0.5, rows[found] + window[1, which] + 0.5
     offsets = (x * nx + y * ny + lines["offset"] / PER_CELL) * chart.resolution
-    return _Pairs(points[found], np.column_stack([nx, ny]), offsets, lines["anchor"])
+    return _Pairs(points[found], np.array([nx, ny]), offsets, lines["anchor"])
 
 
 def _solved(pairs: _Pairs, pose: Pose, settings: MatchSettings) -> tuple[Floats, Floats]:
     """Return the Gauss-Newton step in x [m], y [m], yaw [rad] from a pose, and the covariance (3 × 3)."""
     arm = rotated(pairs.points, pose.yaw)
-    nx, ny = pairs.normals.T
-    distance = nx * (arm[:, 0] + pose.x) + ny * (arm[:, 1] + pose.y) - pairs.offsets
-    J = np.stack([nx, ny, ny * arm[:, 0] - nx * arm[:, 1]])
-    sigma = max(settings.sigma, float(np.abs(distance).mean()))
-    weight = 1.0 / (1.0 + (distance / (2.0 * sigma)) ** 2)
+    (nx, ny), (x, y) = pairs.normals, arm.T
+    distance = nx * (x + pose.x) + ny * (y + pose.y) - pairs.offsets
+    J = np.array([nx, ny, ny * x - nx * y])
+    sigma = max(settings.sigma, float(np.abs(distance).sum()) / len(distance))
+    weight = 1.0 / (1.0 + (distance * (0.5 / sigma)) ** 2)
     weighted = J * weight
     total = float(weight.sum())
     variance = settings.floor**2 + float(np.vdot(distance, distance)) / len(distance)
@@ -266,7 +271,7 @@ def _inverted(information: Floats, length: float, least: float) -> tuple[Floats,
     """Return the inverse in the directions with at least this information, and the projection on the others.
     To compare metres with radians, a turn counts by how far it moves points at `length` [m]."""
     scale = np.array([1.0, 1.0, 1.0 / length])
-    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    values, vectors = np.linalg.eigh(information * scale * scale[:, None])
     directions = vectors * scale[:, None]
     held = values >= least
     inverse: Floats = (directions[:, held] / values[held]) @ directions[:, held].T
