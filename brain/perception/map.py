@@ -133,7 +133,9 @@ class Map:
 
     def values(self, columns: Indices, rows: Indices) -> Values:
         """Return the values of cells; 0 outside of the extent."""
-        return np.where(self.inside(columns, rows), self._values[self._places(columns, rows)], np.int8(0))
+        values = self._values.take(self._places(columns, rows))
+        values *= self.inside(columns, rows)
+        return values
 
     def inside(self, columns: Indices, rows: Indices) -> Bools:
         """Return which cells are within the extent."""
@@ -257,7 +259,7 @@ class Map:
 
     def _lower(self, cells: Indices) -> Indices:
         """Lower cells; return those of them that were occupied before and are not now."""
-        before = self._values[cells]
+        before = self._values.take(cells)
         after = np.maximum(before, self._low + self._miss) - self._miss
         after -= after == 0  # observed, and barely free
         lowered = np.flatnonzero(after != before)
@@ -275,11 +277,10 @@ class Map:
 
     def _mark(self, cells: Indices, otherwise: Bools) -> None:
         """Note that values of these cells have changed, and of some also the class."""
-        rows, columns = cells >> self._shift, cells & (self._columns - 1)
-        rows //= TILE
-        columns //= TILE
-        self._touched[rows, columns] = self.version
-        self._stamps[rows[otherwise], columns[otherwise]] = self.version
+        columns = (cells & (self._columns - 1)) // TILE
+        tiles = (cells >> self._shift) // TILE * self._touched.shape[1] + columns
+        self._touched.put(tiles, self.version)
+        self._stamps.put(tiles[otherwise], self.version)
 
     def _fill(self, start: Floats, beams: Floats, scan: BodyScan) -> None:
         """Mark unknown cells between neighbouring beams as free, as far as the shorter one reaches and they
@@ -296,7 +297,7 @@ class Map:
         between += beams[first + 1] * (part / np.maximum(scan.ranges[first + 1], 1e-9))[:, None]
         between *= self.resolution
         cells = self._rays(start + between * near, start + between * far)
-        cells = cells[self._values[cells] == 0]
+        cells = cells[self._values.take(cells) == 0]
         self._values[cells] = max(-self._miss, self._low)
         self._mark(cells, np.ones(len(cells), dtype=np.bool_))
 
@@ -307,7 +308,8 @@ class Map:
         Column and row are in one integer, each with the bits of its fraction below it, so that one cumulative
         sum makes both; what wraps from the column into the row's fraction is below its rounding."""
         lines = stops - start
-        lengths = np.ceil(np.abs(lines).max(axis=1, initial=0.0)).astype(np.int64)
+        sides = np.abs(lines).T
+        lengths = np.ceil(np.maximum(sides[0], sides[1])).astype(np.int64)
         every = math.ceil(int(lengths.sum()) / MAX_RAY_CELLS)
         kept = np.flatnonzero(lengths)[self.version % max(every, 1) :: max(every, 1)]
         if not len(kept):
