@@ -172,7 +172,7 @@ def evaluate(bag: Bag, robot: Robot, at_most: float | None = None) -> Evaluation
         estimated=estimated,
         wheels=wheels,
         odometry=odometry,
-        nis={f"{body.left} and {body.right}" if n == body.left else n: v for n, v in perception.nis.items()},
+        nis=perception.nis,
         anomalies=perception.anomalies,
         at_most=at_most,
     )
@@ -201,7 +201,7 @@ class _EventFeed:
             self._perception.observe(event.t, [event])
             after = self._perception.estimate
             if before is not None and after is not None:
-                self.driven += abs(before.linear) * seconds(after.t - before.t)
+                self.driven += abs(after.linear) * seconds(after.t - before.t)
 
 
 def _error_of(poses: Sequence[Pose], truth: Floats) -> PathError | None:
