@@ -22,7 +22,7 @@ from brain.belief import Estimate, Floats, Pose
 from brain.bodies.differential import Differential, wrap
 from brain.checks import within
 from brain.perception.body_scan import BodyScan, to_body
-from brain.perception.consistency import Agreement, Consistency, Verdict
+from brain.perception.consistency import OUTLIER, Agreement, Consistency, Verdict
 from brain.perception.engine import pose_part
 from brain.perception.filter import Filter
 from brain.perception.filter_inputs import GateResult, GyroRate, Input, Nis, PoseFix, WheelAngle
@@ -67,6 +67,8 @@ MAX_BEAMS = 10_000
 """Of a scan."""
 SCANS_WAITING = 32
 """Most scans that wait for the filter."""
+LOUDER, LOUDEST = 0.1, 25.0
+"""Share of one innovation in the factor on the noise of matches, and its bound"""
 MOVED, TURNED = 0.15, 0.09
 """m and rad: a match this near to the believed pose may correct it; a farther one if that is as uncertain."""
 LONGEST_SWEEP: Nanos = SECOND
@@ -122,6 +124,8 @@ class Perception:
         """What is left to do for the scan before those."""
         self._map_began: Pose | None = None
         self._consistency = Consistency()
+        self._loud: dict[str, float] = {}
+        """Factor on the noise of matches, by lidar."""
         self._fixes = Fixes(settings.fixes)
         self._outside: set[str] = set()
         """Sensors that have measured the pose."""
@@ -359,7 +363,7 @@ class Perception:
         agreement = Agreement(t, found.seen, True, near, offset, turn)
         if not agreement.disagrees and not self._consistency.lost:
             value = np.array([found.pose.x, found.pose.y, found.pose.yaw])
-            results = self._apply([PoseFix(name, t, value, found.noise, found.shared)])
+            results = self._apply([PoseFix(name, t, value, self._louder(name) * found.noise, found.shared)])
             return agreement, results.get(name) is not GateResult.REJECTED
         if self._consistency.recognised(agreement):
             self._relocate(t, found.pose, found.noise + found.shared)
@@ -423,6 +427,14 @@ class Perception:
         here = None if t is None else self._filter.at(t)
         if t is not None and here is not None:
             self._relocate(t, _moved(result.pose, believed, here[0]), result.covariance)
+
+    def _louder(self, name: str) -> float:
+        """Return the factor on the noise of a lidar's matches: raised while innovations are larger."""
+        nis = self._filter.nis.get(name)
+        distance, freedom = nis.window[-1] if nis is not None else (0.0, 1)
+        change = LOUDER * (min(distance / freedom, OUTLIER) - 1.0)
+        self._loud[name] = min(max(self._loud.get(name, 1.0) * (1.0 + change), 1.0), LOUDEST)
+        return self._loud[name]
 
     def _relocate(self, t: Nanos, pose: Pose, covariance: Floats) -> None:
         self._filter.reset(t, pose, covariance)
