@@ -37,11 +37,11 @@ NOTICED = 10.0
 """s, within which a note must have the case's word"""
 SAMPLE: Nanos = 500 * MILLISECOND
 
-Expected: TypeAlias = Literal["reached", "refused", "stops", "named", "found"]
+Expected: TypeAlias = Literal["reached", "safe", "refused", "stops", "named", "found"]
 """What is good, besides no contact by own motion and no goal falsely called reached.
 
 reached: every goal is, and NEES is below 10, without the time between being moved and being found again.
-refused: no goal is reached, with a note. stops: it stands at the end, with a note. named: a note has the
+safe: or it stands at the end, with a note. refused: no goal is reached, with a note. stops: it stands at the end, with a note. named: a note has the
 case's word in time, or as reached. found: lost within 1 s of being moved, the pose found again within 5 s."""
 
 
@@ -283,10 +283,12 @@ class _Trial:
         row.nis = {name: nis.mean for name, nis in perception.nis.items() if nis.count}
         row.contacts = [(what, speed) for what, speed in self.base.touches if abs(speed) > OWN]
         all_reached = row.reached == row.asked and row.nees < MOST_NEES
+        stands = abs(self.base.speed) < STANDING and bool(row.named)
         good = {
             "reached": all_reached,
             "refused": not row.reached and bool(row.named),
-            "stops": abs(self.base.speed) < STANDING and bool(row.named),
+            "safe": all_reached or stands,
+            "stops": stands,
             "named": all_reached or row.noticed <= NOTICED,
             "found": row.lost <= 1.0 and row.found <= 5.0,
         }

@@ -157,7 +157,7 @@ TABLE: tuple[Case, ...] = (
     happens("lidar dies", 6.0, lambda base: base.silence("lidar"), expect="stops", limit=60.0),
     happens("IMU dies", 6.0, lambda base: base.silence("imu")),
     happens("lidar gone for 2 s", 6.0, lambda base: base.silence("lidar", 2.0)),
-    happens("moved 0.14 m, 6°", 3.0, lambda base: base.move(0.14, math.radians(6.0))),
+    happens("moved 0.14 m, 6°", 3.0, lambda base: base.move(0.14, math.radians(6.0)), expect=FOUND),
     happens("moved 0.5 m", 3.0, lambda base: base.carry(0.5, 0.0), FAST, expect=FOUND),
     happens("turned 30°", 3.0, lambda base: base.move(0.0, math.radians(30.0)), FAST, expect=FOUND),
     happens("moved 2 m", 3.0, lambda base: base.carry(2.0, 0.0), FAST, expect=FOUND),
@@ -170,7 +170,7 @@ TABLE: tuple[Case, ...] = (
         )
     ),
     *(
-        office(f"screens {far} m ahead and beside", then=passing(far, 2.0, sides=0.6))
+        office(f"screens {far} m ahead and beside", then=passing(far, 2.0, sides=0.6), expect="safe")
         for far in (0.8, 1.0, 1.5)
     ),
     happens("person 0.3 m/s across", 1.5, lambda base: base.cross(1.7, 0.9, 0.3), FAST),
@@ -181,7 +181,7 @@ TABLE: tuple[Case, ...] = (
 
 MORE: tuple[Case, ...] = (
     office("without IMU", imu=False),
-    office("lidar turned by 180°", mount_yaw=math.pi, expect="named", word="lidar", limit=40.0),
+    office("lidar turned by 180°", mount_yaw=math.pi, goals=((1.0, 0.0),), expect="named", word="lidar"),
     office("gyro lies by 0.1 rad/s while moving", gyro_lie=0.1, expect="named", word="imu", limit=60.0),
     *(
         office(f"by hand against a wall, {v} m/s", drive=(v, 0.0), expect="stops", limit=15.0)
@@ -198,7 +198,7 @@ def screen(seed: int) -> Case:
     distance, side = (0.8, 1.0, 1.5)[seed % 3], (0.0, 25.0, -25.0, 50.0, -50.0)[seed // 3 % 5]
     width, at = float(random.uniform(0.4, 2.0)), float(random.uniform(1.0, 8.0))
     then = passing(distance, width, at, math.radians(side), 0.6 * (seed % 2))
-    return office(f"screen {distance} m {side:+.0f}° {width:.2f} m wide", then=then)
+    return office(f"screen {distance} m {side:+.0f}° {width:.2f} m wide", then=then, expect="safe")
 
 
 def carried(seed: int) -> Case:
