@@ -41,8 +41,9 @@ Expected: TypeAlias = Literal["reached", "safe", "refused", "stops", "named", "f
 """What is good, besides no contact by own motion and no goal falsely called reached.
 
 reached: every goal is, and NEES is below 10, without the time between being moved and being found again.
-safe: or it stands at the end, with a note. refused: no goal is reached, with a note. stops: it stands at the end, with a note. named: a note has the
-case's word in time, or as reached. found: lost within 1 s of being moved, the pose found again within 5 s."""
+refused: no goal is reached, with a note. stops: it stands at the end, with a note. safe: reached, or stops.
+named: a note has the case's word in time, or as reached. found: lost within 1 s of being moved, the pose
+found again within 5 s."""
 
 
 @dataclass(frozen=True, slots=True)
