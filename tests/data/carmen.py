@@ -15,7 +15,7 @@ from pathlib import Path
 
 from brain.belief import Pose
 from brain.bodies.differential import Differential, sinc, wrap
-from protocols.messages import SECOND, Event, Feedback, LaserScan, Nanos
+from protocols.messages import MILLISECOND, SECOND, Event, Feedback, LaserScan, Nanos
 
 BODY = Differential("left", "right", 0.1, 0.4, 0.3, 20.0, 50.0, 2.0, 6.0)
 """Stands for both robots: only its kinematics are used, forth and back, so that its figures cancel."""
@@ -77,7 +77,9 @@ def against_relations(path: Path, times: Sequence[Nanos], poses: Sequence[Pose])
     apart, turned = [], []
     for line in path.read_text().splitlines():
         first, second, x, y, _, _, _, yaw = map(float, line.split())
-        a, b = (poses[max(bisect_right(times, round(t * SECOND) + 1_000_000) - 1, 0)] for t in (first, second))
+        a, b = (
+            poses[max(bisect_right(times, round(t * SECOND) + MILLISECOND) - 1, 0)] for t in (first, second)
+        )
         c, s = math.cos(a.yaw), math.sin(a.yaw)
         dx, dy = b.x - a.x, b.y - a.y
         apart.append(math.hypot(c * dx + s * dy - x, c * dy - s * dx - y))

@@ -18,7 +18,9 @@ from tests.data.carmen import BODY, events
 
 
 @pytest.mark.prove
-@pytest.mark.parametrize(("log", "ahead", "most"), [("aces", 0.06, 2), ("intel", 0.09, 1)])
+@pytest.mark.parametrize(
+    ("log", "ahead", "most"), [("carmen/aces.clf.bz2", 0.06, 2), ("carmen/intel.clf.bz2", 0.09, 1)]
+)
 def test_hardly_anything_contradicts(
     recording: Callable[[str], Path], log: str, ahead: float, most: int
 ) -> None:
@@ -26,7 +28,7 @@ def test_hardly_anything_contradicts(
     check, wheels, last = MotionCheck(BODY), {"left": 0.0, "right": 0.0}, (0, 0.0, 0.0)
     found: list[tuple[Nanos, str]] = []
     before = mounted = 0
-    for event in events(recording(f"carmen/{log}.clf.bz2")):
+    for event in events(recording(log)):
         if isinstance(event, Feedback):
             wheels[event.motor] = event.position or 0.0
             if event.motor == "right":
