@@ -6,7 +6,7 @@ between their times. Wheels and gyro are compared with each other as well. A ref
 have agreed on a motion, and kept while they differ, so that a difference stays visible: a lidar that is
 knocked out of its mount agrees with itself again one scan later. After `FORGET` it is renewed anyway. One
 comparison that differs may be a glitch, `CONFIRM` of them in a row are not. A scan too bare to show a motion
-is not compared. Of three sources that turn, the one without which the other two agree best is named.
+is not compared, nor is one hidden by what has appeared: most of its rays end before the reference's lines. Of three sources that turn, the one without which the other two agree best is named.
 What differs slowly is summed: the gyro's rate against the scans' (its bias is learnt here, independently of
 the filter), and the scans' sideways motion against a base that cannot move sideways (the lidar's mounting).
 Source: Censi 2008 (PLICP).
@@ -136,11 +136,9 @@ class MotionCheck:
             self._gyro.add(self._gyro_t, t, 0.0, 0.0, rate * seconds(t - self._gyro_t), 0.0)
         self._gyro_name, self._gyro_t = name, max(t, self._gyro_t)
 
-    def on_scan(self, name: str, t: Nanos, scan: BodyScan, *, known: bool = False) -> float:
+    def on_scan(self, name: str, t: Nanos, scan: BodyScan) -> float:
         """Compare a scan that ended at this time with its reference, and renew that if it is time. Return the
-        yaw [rad] by which the mounting of this lidar's next scans is to be corrected: mostly 0.
-
-        `known`: the map shows the place, so that what hides the reference is something that appeared."""
+        yaw [rad] by which the mounting of this lidar's next scans is to be corrected: mostly 0."""
         reference = self._references.get(name)
         since = t if reference is None else reference.t
         wheels, gyro = self._wheels.between(since, t), self._turn_of_gyro(since, t)
@@ -151,7 +149,7 @@ class MotionCheck:
                 shown = _shown(reference, scan, wheels, gyro)
                 if shown is None and self._confirmed(name):
                     return 0.0
-        if shown is None or wheels is None or (known and shown.fit < FIT < shown.fit + shown.hidden):
+        if shown is None or wheels is None or shown.fit < FIT < shown.fit + shown.hidden:
             self._differ.pop(name, None)
             self._past[name] = deque()
             self._references[name] = Reference(t, scan)

@@ -91,8 +91,6 @@ class _Part:
     """Its end"""
     scan: BodyScan
     draw: bool = True
-    known: bool = False
-    """The map shows the place"""
 
 
 class Perception:
@@ -328,7 +326,7 @@ class Perception:
             draw = draw and not agreement.disagrees and not self._consistency.lost
             if agreement.disagrees:
                 self._count(part.name, "does not fit the map")
-            part = replace(part, draw=draw, known=agreement.matched and not agreement.disagrees)
+            part = replace(part, draw=draw)
         self._todo.append((_Work.DRAW, part))
         self._judge(part, believed[0])
 
@@ -378,7 +376,7 @@ class Perception:
         self._todo.append((_Work.COMPARE, part))
 
     def _compare(self, part: _Part) -> None:
-        yaw = self._check.on_scan(part.name, part.t, part.scan, known=part.known)
+        yaw = self._check.on_scan(part.name, part.t, part.scan)
         if yaw:
             self._correct_mounting(part.name, yaw)
 
