@@ -152,9 +152,7 @@ class BaseBrain:
         if self._status.state is not BrainState.INITIALISING:
             return ""
         self._started = now if self._started is None else self._started
-        missing = self._health.missing() or (
-            "" if self.perception.estimate else "an estimate of the pose"
-        )
+        missing = self._health.missing() or ("" if self.perception.estimate else "an estimate of the pose")
         if missing and not self._waiting_noted and now - self._started > WAITING_NOTE_AFTER:
             self._waiting_noted = True
             self._status.add_note("warning", f"still waiting for {missing}")

@@ -3,9 +3,9 @@
 Rules. A scan is no witness against the believed pose because most of it is hidden: what appears before a wall
 denies free ground, but no ray passes through the wall. It disagrees if rays do, or if it fits elsewhere than
 the covariance allows. Disagreeing for `LOST_AFTER` the robot is lost: it was moved, or believes a wrong pose;
-before that comes a doubt. Being lost ends by relocalisation, or when scans in a row fit near the believed pose.
-Besides, innovations that are larger than believed, over a window, make the filter too sure (Bar-Shalom, Li,
-Kirubarajan 2001, section 5.4).
+before that comes a doubt. Being lost ends by relocalisation, or when scans in a row fit near the believed
+pose. Besides, innovations that are larger than believed, over a window, make the filter too sure (Bar-Shalom,
+Li, Kirubarajan 2001, section 5.4).
 """
 
 from __future__ import annotations

@@ -123,8 +123,8 @@ class State:
     rejected: tuple[tuple[str, Nanos], ...] = ()
     """Sources that the gate rejects, and since when"""
     noise: tuple[float, float, float] = (1.0, 1.0, 0.0)
-    """Factors on the variances of the gyro and of slip, found from innovations at rest and in motion, and the newest
-    innovation over its standard deviation"""
+    """Factors on the variances of the gyro and of slip, found from innovations at rest and in motion, and the
+    newest innovation over its standard deviation"""
     turning: float = 0.0
     """Yaw rate by the wheels [rad/s], over the last travel"""
     still: tuple[Nanos, float, float] = (NEVER, 0.0, 0.0)
@@ -503,8 +503,9 @@ class Filter:
         self._learn_noise(state, math.copysign(math.sqrt(distance), innovation), moving=lever > 0.0)
 
     def _learn_noise(self, state: State, innovation: float, *, moving: bool) -> None:
-        """Raise what is more than the settings state: in motion the slip, at rest the noise of the gyro. Of that
-        only what changes from sample to sample is noise: a gyro that reads a turn at rest has another fault."""
+        """Raise what is more than the settings state: in motion the slip, at rest the noise of the gyro. Of
+        that only what changes from sample to sample is noise: a gyro that reads a turn at rest has another
+        fault."""
         loud, slippery, last = state.noise
         if moving:
             square = min(innovation * innovation, MOST_SQUARE)

@@ -45,7 +45,7 @@ class FilterSettings:
     slip_length: float = 0.3
     """m: its correlation length: a Gauss-Markov process over the distance that the wheel rolls"""
     turn_lag: float = 0.002
-    """s by which the base may follow the turn of its wheels (tyres give way), or the gyro's stamps be off theirs"""
+    """s by which the base may follow the turn of its wheels (tyres give way), or the gyro's stamps be off"""
     travel_noise: float = 0.004
     """m per √m rolled: error along the path by slip that both wheels share"""
     sideways_noise: float = 0.003

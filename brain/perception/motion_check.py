@@ -6,9 +6,10 @@ between their times. Wheels and gyro are compared with each other as well. A ref
 have agreed on a motion, and kept while they differ, so that a difference stays visible: a lidar that is
 knocked out of its mount agrees with itself again one scan later. After `FORGET` it is renewed anyway. One
 comparison that differs may be a glitch, `CONFIRM` of them in a row are not. A scan too bare to show a motion
-is not compared, nor is one hidden by what has appeared: most of its rays end before the reference's lines. Of three sources that turn, the one without which the other two agree best is named.
-What differs slowly is summed: the gyro's rate against the scans' (its bias is learnt here, independently of
-the filter), and the scans' sideways motion against a base that cannot move sideways (the lidar's mounting).
+is not compared, nor is one hidden by what has appeared: most of its rays end before the reference's lines. Of
+three sources that turn, the one without which the other two agree best is named. What differs slowly is
+summed: the gyro's rate against the scans' (its bias is learnt here, independently of the filter), and the
+scans' sideways motion against a base that cannot move sideways (the lidar's mounting).
 Source: Censi 2008 (PLICP).
 """
 

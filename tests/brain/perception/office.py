@@ -223,7 +223,7 @@ def classes(chart: Map) -> tuple[Floats, Floats]:
     rows, columns = np.nonzero(view.log_odds > 0.0)
     x = view.origin_x + (columns + 0.5) * view.resolution
     y = view.origin_y + (rows + 0.5) * view.resolution
-    return view.log_odds, np.column_stack([x, y])
+    return view.log_odds.astype(np.float64), np.column_stack([x, y])
 
 
 def clearance(chart: Map, x: float, y: float) -> float:
