@@ -69,8 +69,9 @@ def to_body(
         dx, dy = np.where(read, (ends - origin).T, (c * dx - s * dy, s * dx + c * dy))
         lengths = np.where(read, np.sqrt(dx * dx + dy * dy), 0.0)
     bearings = np.arctan2(dy, dx)
-    turns = np.diff(bearings, prepend=bearings[:1])
-    bearings = bearings[:1] + np.cumsum(turns - 2.0 * math.pi * np.rint(turns / (2.0 * math.pi)))
+    turns = bearings[1:] - bearings[:-1]
+    turns -= 2.0 * math.pi * np.rint(turns / (2.0 * math.pi))
+    bearings[1:] = bearings[:1] + np.cumsum(turns)
     if (bearings[1:] < bearings[:-1]).any():
         order = np.argsort(bearings, kind="stable")
         bearings, lengths, hit, ends = bearings[order], lengths[order], hit[order], ends[order]
@@ -107,7 +108,7 @@ def _surfaces(
     if count < 3:
         return np.zeros(count, dtype=np.bool_), np.zeros((count, 2)), np.zeros((count, 2))
     spacing = ranges * ((bearings[-1] - bearings[0]) / (count - 1))
-    half = np.clip(SPAN / np.maximum(spacing, 1e-6), 1.0, count / 8 + 1).astype(np.intp)
+    half = np.minimum(np.maximum(SPAN / np.maximum(spacing, 1e-6), 1.0), count / 8 + 1).astype(np.intp)
     index = np.arange(count)
     first, last = np.maximum(index - half, 0), np.minimum(index + half + 1, count)
     sums = np.zeros((7, count + 1))

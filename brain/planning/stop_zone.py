@@ -167,7 +167,8 @@ class StopZone:
         ranges = np.asarray(scan.ranges, dtype=np.float64)
         beams = mount.beams(scan)
         read = np.isfinite(ranges) & (ranges >= max(scan.range_min, 1e-9))
-        sees = [read[way].sum() > SEEING * way.sum() for way in (beams[0] > AHEAD, beams[0] < -AHEAD)]
+        ways = beams[0] > AHEAD, beams[0] < -AHEAD
+        sees = [np.count_nonzero(read & way) > SEEING * np.count_nonzero(way) for way in ways]
         farthest = min(scan.range_max, self._reach() + hypot(mount.x, mount.y))
         index = np.flatnonzero(read & (ranges < farthest))
         points = ranges[index] * beams[:, index] + [[mount.x], [mount.y]]
@@ -285,10 +286,10 @@ def _is_usable(scan: LaserScan) -> bool:
 
 def _supported(ends: Floats, index: Ints, spacing: Floats, count: int) -> Bools:
     """Return which beams end within `spacing` of the next reading, or of the one before, among neighbours."""
-    step = (np.roll(index, -1) - index) % count
-    x, y = np.roll(ends, -1, axis=1) - ends
+    step = (np.concatenate((index[1:], index[:1])) - index) % count
+    x, y = np.concatenate((ends[:, 1:], ends[:, :1]), axis=1) - ends
     pair = (step > 0) & (step <= 2) & (x * x + y * y <= spacing * spacing)
-    found: Bools = pair | np.roll(pair, 1)
+    found: Bools = pair | np.concatenate((pair[-1:], pair[:-1]))
     return found
 
 
