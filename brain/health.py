@@ -34,7 +34,8 @@ begins to stand within this time, or way; a contradiction drops the tasks 1 s la
     wheels: a position jumps by more than the wheel can turn  at once
     wheels: one is armed, and another one is not              1 s
 
-It names, and goes on slowly (at 0.3 to 0.6 m/s; ranges with a noise of 0.01 m):
+It names, and goes on slowly (at 0.3 to 0.6 m/s; ranges with a noise of 0.01 m; a lidar's yaw is corrected
+after 1 m):
 
     lidar: mounted 5° otherwise than stated; 2°               1 s; 2 s straight on
     lidar: 0.1 m elsewhere                                    1 rad turned

@@ -156,7 +156,7 @@ class MotionCheck:
             self._references[name] = Reference(t, scan)
             return 0.0
         turn = shown.motion.turn
-        now = self._turns(since, t, turn, wheels)
+        now = gyro and self._turns(since, t, turn, wheels, gyro)
         reason = self._difference(name, shown, wheels, gyro) or self._drift(name, self._past[name], now)
         self._count(name, t, reason)
         if reason:
@@ -185,16 +185,16 @@ class MotionCheck:
                 turns = f"turned by {_deg(wheels.turn)} by the wheels, {_deg(gyro.turn)} by {self._gyro_name}"
                 reason = f"wheels or {self._gyro_name}: {turns}"
             elif not self._references and wheels.uncertain < RESTING:
-                now = self._turns(since, t, wheels.turn, wheels)
+                now = self._turns(since, t, wheels.turn, wheels, gyro)
                 reason = self._drift("wheels", self._past.setdefault("", deque()), now)
             self._count("", t, reason)
             if not reason and t - since > RENEW_TURNS and not self._confirmed(""):
                 self._learn(self._past.get("", deque()), now)
                 self._turned = t
 
-    def _turns(self, since: Nanos, t: Nanos, shown: float, wheels: Motion) -> _Turns | None:
-        gyro = self._gyro.between(since, t)
-        return gyro and (t, seconds(t - since), shown, wheels.turn, wheels.uncertain, gyro.turn)
+    def _turns(self, since: Nanos, t: Nanos, shown: float, wheels: Motion, gyro: Motion) -> _Turns:
+        dt = seconds(t - since)
+        return t, dt, shown, wheels.turn, wheels.uncertain, gyro.turn + self._bias * dt
 
     def _turn_of_gyro(self, since: Nanos, t: Nanos) -> Motion | None:
         """Return the gyro's motion without its bias."""

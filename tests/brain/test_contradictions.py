@@ -144,6 +144,14 @@ def assert_stopped(trip: Trip, since: int, within: float, distance: float, named
     assert trip.office.touched == 0
 
 
+def assert_slow(trip: Trip) -> None:
+    """It drives on, slowly."""
+    trip.run(1.0)
+    speeds = [(trip.run(0.1).state, trip.office.speed) for _ in range(20)]
+    assert {state for state, _ in speeds} == {BrainState.DEGRADED}
+    assert 0.1 < max(speed for _, speed in speeds) < 0.3 * BODY.max_linear + 0.01
+
+
 NO_RETURNS = "0 of 360 rays have returns"
 AS_BEFORE = "every value is as before"
 
@@ -211,10 +219,7 @@ def test_with_a_lidar_mounted_a_little_otherwise_it_drives_on_slowly(mount: Moun
     trip = Trip(Faulty(mount=mount))
     trip.tick([ACROSS])
     assert named in trip.run(9.0, lambda b: "mounted" in b.reason).reason
-    trip.run(1.0)
-    speeds = [(trip.run(0.1).state, trip.office.speed) for _ in range(20)]
-    assert {state for state, _ in speeds} == {BrainState.DEGRADED}
-    assert 0.1 < max(speed for _, speed in speeds) < 0.3 * BODY.max_linear + 0.01
+    assert_slow(trip)
     assert trip.run(40.0, lambda b: b.reached == 1).reached == 1
     assert (
         mount.yaw == 0.0 or math.dist((trip.office.pose.x, trip.office.pose.y), (ACROSS.x, ACROSS.y)) < 0.08
@@ -231,10 +236,7 @@ def test_without_the_gyro_it_drives_on_slowly(under_way: Trip, fault: Fault, nam
     assert isinstance(trip.office, Faulty)
     trip.office.fault = fault
     assert named in trip.run(0.4, lambda b: b.state is BrainState.DEGRADED).reason
-    trip.run(1.0)
-    speeds = [(trip.run(0.1).state, trip.office.speed) for _ in range(20)]
-    assert {state for state, _ in speeds} == {BrainState.DEGRADED}
-    assert 0.1 < max(speed for _, speed in speeds) < 0.3 * BODY.max_linear + 0.01
+    assert_slow(trip)
 
 
 def test_a_gyro_that_never_reports_is_awaited_for_three_seconds() -> None:

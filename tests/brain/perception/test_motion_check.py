@@ -117,7 +117,7 @@ ORDINARY = {
 }
 
 
-@pytest.mark.parametrize("kind", ["slip 10 %", "radii", "few beams", "no gyro"])
+@pytest.mark.parametrize("kind", ["radii", "few beams", "no gyro"])
 def test_ordinary_driving_is_no_lie(kind: str) -> None:
     """All kinds, with 100 seeds each: `./go prove -k ordinary`."""
     drive = Drive(ORDINARY[kind])
@@ -173,15 +173,6 @@ def test_a_gyro_that_lies_a_little_is_named_whenever_that_began(lie: float, know
         drive.found = [one for one in drive.found if one[0] > known]
         assert drive.found[0][1].startswith("imu: ")
         assert drive.found[0][0] < known + 6.0
-
-
-def test_a_gyro_that_lies_much_is_named_within_a_second() -> None:
-    drive = Drive()
-    drive.straight(0.5, 2.0)
-    drive.lie = 0.3
-    drive.straight(0.5, 1.0)
-    assert "imu" in drive.found[-1][1]
-    assert drive.found[0][0] < 3.0
 
 
 def test_one_scan_stamped_late_or_a_burst_of_them_confirms_nothing() -> None:
