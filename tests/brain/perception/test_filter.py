@@ -73,7 +73,7 @@ def hostile(seed: int) -> list[Input]:
     return inputs
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_engines_agree(seed: int) -> None:
     beliefs = [Filter(BODY, FilterSettings(engine=engine)) for engine in ("structured", "filterpy")]
     ours, theirs = (fed(belief, hostile(seed)) for belief in beliefs)
@@ -133,7 +133,7 @@ def test_the_table_of_chi_square(confidence: float) -> None:
 # -- order of arrival --------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_order_of_arrival_changes_no_bit(seed: int) -> None:
     """Shuffled within the rewind, some inputs twice, several per call: same state, same decisions."""
     inputs, rng = hostile(seed), random(100 + seed)
@@ -452,7 +452,7 @@ CASES = {
 def test_the_covariance_is_honest(case: str) -> None:
     """A sample; the campaign is in tests/prove."""
     floor, settings = CASES[case]
-    nees, beliefs = zip(*(consistency(seed, 12 * SECOND, floor, settings) for seed in range(8)), strict=True)
+    nees, beliefs = zip(*(consistency(seed, 12 * SECOND, floor, settings) for seed in range(4)), strict=True)
     assert 0.4 < np.mean(nees) < 1.7
     for source in beliefs[0].nis:
         total = sum(belief.nis[source].total for belief in beliefs)
