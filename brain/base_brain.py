@@ -19,6 +19,7 @@ from brain.control.profile import REST, Twist, approach
 from brain.control.pursuit import Bounds, Pursuit
 from brain.health import Health, HealthLevel, SourceHealth
 from brain.joint_targets import JointTargets
+from brain.perception.consistency import Trust
 from brain.perception.mount import Mount
 from brain.perception.perception import Perception
 from brain.planning.navigator import Navigator
@@ -277,7 +278,8 @@ class BaseBrain:
         )
         clearance = costmap.clearance(pose.x, pose.y) if costmap else 0.0
         twist = self.pursuit.step(pose, self._twist, bounds, clearance, self._settings.pursuit)
-        if self.pursuit.arrived and share > 0.0:  # a pose that is not trusted reaches no goal
+        trusted = share > 0.0 and self.perception.verdict.trust < Trust.DOUBTFUL
+        if self.pursuit.arrived and trusted:
             self.navigator.arrived(now)
         return twist.linear, twist.angular
 
