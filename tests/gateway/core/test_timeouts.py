@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from typing import TypeGuard
 
 import pytest
 
@@ -59,7 +60,8 @@ def pulled(text: str, name: str, seconds: float) -> Seen:
         speeds.append((tick.now, rig.velocity("right")))
 
     ticks = rig.run(seconds, at=look)
-    last = max(event.t for tick in rig.ticks for event in tick.outputs.events if _is_of(event, name))
+    events = [event for tick in rig.ticks for event in tick.outputs.events if _is_of(event, name)]
+    last = max(event.t + (event.duration if isinstance(event, LaserScan) else 0) for event in events)
 
     def first(reason: str) -> Nanos:
         ends = [
@@ -71,7 +73,7 @@ def pulled(text: str, name: str, seconds: float) -> Seen:
     return Seen(first(": slow"), first(": standing"), reasons, [(t - last, v) for t, v in speeds], rig, ticks)
 
 
-def _is_of(event: Event, name: str) -> bool:
+def _is_of(event: Event, name: str) -> TypeGuard[Feedback | LaserScan]:
     """True for a measurement of this motor or sensor."""
     match event:
         case Feedback(motor, _, position):
