@@ -53,7 +53,7 @@ class FilterSettings:
     scale_sigma: float = 0.03
     """Initial standard deviation of the distance scale: the share of the wheels' travel that the base does
     not move"""
-    scale_walk: float = 1e-3
+    scale_walk: float = 3e-4
     """Per √m: random walk of the distance scale"""
     scale_bound: float = 0.1
     """Largest distance scale"""
