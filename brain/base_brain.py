@@ -56,7 +56,7 @@ class BaseBrain:
         self._settings, self._body, self._motors = settings, body, tuple(motors)
         self.perception = Perception(body, dict(sensors), settings.perception)
         self.navigator = Navigator(body.radius, settings.planner)
-        self._zone = StopZone(body, dict(sensors), settings.stop)
+        self._zone = StopZone(body, self.perception.mounts, settings.stop)
         self.pursuit = Pursuit()
         self._health = Health((body.left, body.right), tuple(sensors), timeouts, settings.health)
         self._status = StatusReporter()
@@ -108,9 +108,11 @@ class BaseBrain:
         self._zone.observe(estimate.t if estimate else now, self.perception.raw, events)
         self._health.observe(events, self.perception.absent)
         self._health.helpful = self.perception.helpful
-        health = self._health.assess(
-            now, self.perception.rejected, self.perception.contradictions(), self.perception.verdict
-        )
+        verdict = self.perception.verdict
+        health = self._health.assess(now, self.perception.rejected, self.perception.contradictions(), verdict)
+        by_hand = self.navigator.drive is not None or any(isinstance(task, msg.Drive) for task in tasks)
+        if by_hand and verdict.trust is Trust.LOST and health.reason == verdict.reason:
+            health = SourceHealth(HealthLevel.SLOW, health.reason)  # a person sees where it is
         waiting = self._waiting(now)
         lost = stopped or ("" if waiting else health.reason if health.level is HealthLevel.LOST else "")
         self._accept(now, tasks, lost, waiting)

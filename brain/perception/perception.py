@@ -111,7 +111,8 @@ class Perception:
         self.estimate: Estimate | None = None
         """The filter's state at its newest measurement; None before both wheels have reported."""
         self._filter = Filter(body, settings.filter)
-        self._mounts = dict(mounts)
+        self.mounts = dict(mounts)
+        """Where the sensors are: a lidar whose mounting differs from the stated one is corrected."""
         self._vertical = {name: mount.rotation()[2] for name, mount in mounts.items()}
         self._last_scan: dict[str, tuple[Nanos, Floats]] = {}
         """Time and ranges of the newest scan."""
@@ -157,7 +158,7 @@ class Perception:
     @property
     def helpful(self) -> frozenset[str]:
         """The sensors that are not needed: all but lidars, where wheels and a lidar suffice."""
-        return frozenset(self._mounts.keys() - self._last_scan.keys() if self._last_scan else ())
+        return frozenset(self.mounts.keys() - self._last_scan.keys() if self._last_scan else ())
 
     def contradictions(self) -> list[Contradiction]:
         """Return what the sources show that cannot all be true."""
@@ -174,7 +175,7 @@ class Perception:
                 inputs += self._on_imu(event)
             elif isinstance(event, LaserScan):
                 self._on_scan(event)
-            elif isinstance(event, Fix | PoseReading) and event.sensor in self._mounts:
+            elif isinstance(event, Fix | PoseReading) and event.sensor in self.mounts:
                 inputs.append(self._on_fix(event))
         if inputs:
             self._apply(inputs)
@@ -218,7 +219,7 @@ class Perception:
         measured = self._fixes.observe(event)
         if isinstance(event, PoseReading):
             return measured
-        mount, yaw = self._mounts[event.sensor], self._filter.state.x[2]
+        mount, yaw = self.mounts[event.sensor], self._filter.state.x[2]
         c, s = math.cos(yaw), math.sin(yaw)
         arm = np.array([c * mount.x - s * mount.y, s * mount.x + c * mount.y])
         return replace(measured, value=measured.value - arm)
@@ -249,7 +250,7 @@ class Perception:
     # -- lidar ---------------------------------------------------------------------------------
 
     def _on_scan(self, scan: LaserScan) -> None:
-        if scan.sensor not in self._mounts:
+        if scan.sensor not in self.mounts:
             return
         last = self._last_scan.get(scan.sensor)
         if not _is_valid(scan):
@@ -311,7 +312,7 @@ class Perception:
         if t is None or t < end or not known:
             self._count(name, GateResult.LATE if known else "no estimate for its time")
             return
-        body_scan = to_body(scan, self._mounts[name], self.settings.map.farthest, self._motion(scan))
+        body_scan = to_body(scan, self.mounts[name], self.settings.map.farthest, self._motion(scan))
         self._todo.append((_Work.MATCH, _Part(name, end, body_scan)))
 
     def _match(self, part: _Part) -> None:
@@ -383,8 +384,8 @@ class Perception:
     def _correct_mounting(self, name: str, yaw: float) -> None:
         """Turn a lidar's mounting, and begin the map anew. What a single lidar drew is turned about where the
         map began, and so is the estimate: turn it back."""
-        mount, t = self._mounts[name], self._filter.t
-        self._mounts[name] = replace(mount, yaw=wrap(mount.yaw + yaw))
+        mount, t = self.mounts[name], self._filter.t
+        self.mounts[name] = replace(mount, yaw=wrap(mount.yaw + yaw))
         here = None if t is None else self._filter.at(t)
         if t is not None and here is not None and len(self._last_scan) == 1:
             pose, covariance = here

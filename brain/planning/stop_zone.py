@@ -107,7 +107,7 @@ class StopZone:
         """Why the base is slower than wanted: "obstacle 0.31 m ahead: slow"; "" if it is not."""
         self.standing = 0.0
         """s for which an obstacle has made the base stand"""
-        self._mounts, self._outline = dict(mounts), Outline(body)
+        self._mounts, self._outline = mounts, Outline(body)  # the mounts may be corrected
         self._views: dict[str, _View] = {}
         self._points: Floats = np.empty((2, 0))
         self._track: deque[tuple[Nanos, Pose]] = deque(maxlen=HISTORY)

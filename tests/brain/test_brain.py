@@ -195,6 +195,28 @@ def test_without_the_gyro_the_base_goes_on_slowly() -> None:
     assert trip.office.touched == 0
 
 
+def test_a_lost_robot_drops_its_goals_and_is_driven_by_hand_slowly() -> None:
+    """Put into a room that it has never seen: it stands, and after a while a person drives it."""
+    trip = driving()
+    trip.office.boxes = [
+        (-3.0, -3.1, 3.0, -3.0),
+        (2.4, -3.0, 2.5, 3.0),
+        (-3.0, 2.2, 3.0, 2.3),
+        (-1.6, -3.0, -1.5, 3.0),
+    ]
+    trip.office.pose = Pose(0.3, -1.0, 2.2)
+    belief = trip.run(8.0, lambda b: b.state is BrainState.STOPPED)
+    assert belief.state is BrainState.STOPPED
+    assert belief.reason.startswith("lost: lidar: ")
+    assert belief.reached == 0
+    for _ in range(15):
+        trip.tick([msg.Drive(0.3, 0.0)])
+        trip.run(0.1)
+    assert 0.05 < trip.office.speed < 0.1
+    trip.run(1.0)
+    assert trip.brain.belief().state is BrainState.STOPPED
+
+
 def test_slow_means_slow_before_it_means_standing() -> None:
     """A patient timeout: slow from 1.5 s on, standing from 2.7 s on."""
     trip = driving(timeouts={**TIMEOUTS, "lidar": 3000 * MILLISECOND})
