@@ -212,6 +212,8 @@ def kill(name: str) -> None:
 def test_signals_are_reasons_to_leave_from_the_opening_to_the_close(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # under nohup, where it is no reason
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
     before = {each: signal.getsignal(signal.Signals[each]) for each in SIGNALS}
     opened, closed = TwinBus.__init__, TwinBus.close
     after_opening, after_running = [], []
