@@ -272,10 +272,6 @@ class Filter:
         x, y = x - new.smooth[0], y - new.smooth[1]
         return np.column_stack((new.x[X] + c * x - s * y, new.x[Y] + s * x + c * y, yaw + turned))
 
-    def rejected_for(self, source: str, t: Nanos) -> float:
-        """Return for how long [s] the gate has rejected this source without interruption, up to a time."""
-        return max(0.0, seconds(t - dict(self.state.rejected).get(source, t)))
-
     # -- inputs --------------------------------------------------------------------------------------------
 
     def reset(self, t: Nanos, pose: Pose, covariance: Floats) -> bool:

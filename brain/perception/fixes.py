@@ -48,8 +48,20 @@ class FixSettings:
             raise ValueError("latitude and longitude: both or neither")
 
 
-LEAST_VARIANCE = 1e-8
-"""m² and rad²: a smaller one is taken for this."""
+LEAST_VARIANCE, MOST_VARIANCE = 1e-8, 1e12
+"""m² and rad²: a smaller one is taken for the least; with a larger one nothing is known."""
+FARTHEST = 1e6
+"""m from the origin of the frame "odom", along x and y"""
+
+
+def is_possible(event: Fix | PoseReading) -> bool:
+    """Return whether it is a place that a robot may be at, or one on the earth."""
+    if isinstance(event, PoseReading):
+        place = abs(event.x) <= FARTHEST and abs(event.y) <= FARTHEST and abs(event.yaw or 0.0) <= FARTHEST
+        variances = (event.variance, event.yaw_variance)
+    else:
+        place, variances = abs(event.latitude) <= 90.0 and abs(event.longitude) <= 360.0, (event.variance,)
+    return place and all(one is None or 0.0 <= one <= MOST_VARIANCE for one in variances)
 
 
 class Fixes:

@@ -27,7 +27,7 @@ from brain.perception.engine import pose_part
 from brain.perception.filter import Filter
 from brain.perception.filter_inputs import GateResult, GyroRate, Input, Nis, PoseFix, WheelAngle
 from brain.perception.filter_settings import FilterSettings
-from brain.perception.fixes import Fixes, FixSettings
+from brain.perception.fixes import Fixes, FixSettings, is_possible
 from brain.perception.map import Map, MapSettings
 from brain.perception.match import MatchSettings, examine, match
 from brain.perception.motion_check import Contradiction, MotionCheck
@@ -63,6 +63,8 @@ CONSTANT = "every value is as before: it does not measure"
 CONSTANT_COUNT, CONSTANT_FOR = 20, 200 * MILLISECOND
 """An IMU measures nothing if so many readings over that time equal each other in all six numbers: noise alone
 changes the last digit of one of them. A scan does if it equals the one before."""
+FASTEST = 1e3
+"""rad/s: no gyro reads more."""
 MAX_BEAMS = 10_000
 """Of a scan."""
 SCANS_WAITING = 32
@@ -176,7 +178,7 @@ class Perception:
             elif isinstance(event, LaserScan):
                 self._on_scan(event)
             elif isinstance(event, Fix | PoseReading) and event.sensor in self.mounts:
-                inputs.append(self._on_fix(event))
+                inputs += self._on_fix(event)
         if inputs:
             self._apply(inputs)
         self._work(now)
@@ -213,16 +215,19 @@ class Perception:
                 self._check.on_wheels(since, state.t, state.rolled[0] - left, state.rolled[1] - right)
             self._rolled = state.t, *state.rolled
 
-    def _on_fix(self, event: Fix | PoseReading) -> PoseFix:
+    def _on_fix(self, event: Fix | PoseReading) -> list[Input]:
         """Return the measurement; of a fix, that of the antenna's place, moved to the robot's origin."""
+        if not is_possible(event):
+            self._count(event.sensor, "no possible place")
+            return []
         self._outside.add(event.sensor)
         measured = self._fixes.observe(event)
         if isinstance(event, PoseReading):
-            return measured
+            return [measured]
         mount, yaw = self.mounts[event.sensor], self._filter.state.x[2]
         c, s = math.cos(yaw), math.sin(yaw)
         arm = np.array([c * mount.x - s * mount.y, s * mount.x + c * mount.y])
-        return replace(measured, value=measured.value - arm)
+        return [replace(measured, value=measured.value - arm)]
 
     # -- gyro ----------------------------------------------------------------------------------
 
@@ -231,6 +236,9 @@ class Perception:
         if vertical is None or self._is_constant(imu):
             return []
         rate = sum(a * b for a, b in zip(vertical, imu.angular_velocity, strict=True))
+        if FASTEST < abs(rate) < math.inf:
+            self._count(imu.sensor, "no possible rate")
+            return []
         if math.isfinite(rate):
             self._check.on_gyro(imu.sensor, imu.t, rate)
         return [GyroRate(imu.sensor, imu.t, rate, self.settings.gyro_sigma)]

@@ -37,9 +37,14 @@ def main() -> None:
     parser.add_argument("--draw", action="append", choices=[*DRAWN], default=[], help="cases drawn at random")
     parser.add_argument("--instant", action="store_true", help="a lidar that takes all beams at one instant")
     asked = parser.parse_args()
+    chosen = list(cases(asked))
+    if not chosen:
+        parser.error(
+            f"no variation's name contains {' or '.join(map(repr, asked.names))}, or no seed is asked for"
+        )
     rows: list[Row] = []
     print(HEADER)
-    for case, seed in cases(asked):
+    for case, seed in chosen:
         figures = replace(case.figures, sweep=False) if asked.instant else case.figures
         rows.append(run(replace(case, figures=figures), seed))
         print(rows[-1].line(), flush=True)

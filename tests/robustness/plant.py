@@ -62,10 +62,10 @@ class Figures:
     dropout: float = 0.002
     sweep: bool = True
     """Whether the beams are spread over the scan's period"""
-    told: bool = True
+    stated: bool = True
     """Whether the scan tells its duration; otherwise it is stamped at the middle of it"""
     mount_yaw: float = 0.0
-    """rad, of the true mounting minus the one told"""
+    """rad, of the true mounting minus the one stated"""
     lidar: bool = True
     imu: bool = True
 
@@ -148,9 +148,9 @@ class Base:
 
     scene: Scene
     body: Differential
-    """As the brain is told"""
+    """As the brain is stated"""
     lidar: tuple[float, float, float]
-    """x, y, yaw of the lidar's mounting as told"""
+    """x, y, yaw of the lidar's mounting as stated"""
     figures: Figures
     seed: int
     glass: frozenset[str] = frozenset()
@@ -360,9 +360,9 @@ class Base:
         read = np.round(true + figures.range_noise * self._lidar.standard_normal(beams), 3)
         read = np.where(true >= figures.range, figures.range, np.minimum(read, figures.range))
         read[(read < 0.1) | (self._lidar.random(beams) < figures.dropout)] = 0.0
-        t, told = (first, duration) if figures.told else (first + duration // 2, 0)
+        t, stated = (first, duration) if figures.stated else (first + duration // 2, 0)
         limits, ranges = (0.1, figures.range), tuple(read.tolist())
-        return [msg.LaserScan("lidar", t, -math.pi, increment, *limits, ranges, told)]
+        return [msg.LaserScan("lidar", t, -math.pi, increment, *limits, ranges, stated)]
 
 
 def _source(event: Event) -> str:

@@ -125,11 +125,11 @@ TABLE: tuple[Case, ...] = (
     office("glass: east and north walls", glass=frozenset({"east", "north"})),
     office("glass: table", glass=frozenset({"table"}), goals=(*GOALS[:2], (0.2, 1.8))),
     *(
-        office(f"lidar mounting told {d}° wrong", mount_yaw=math.radians(d), expect="named", word="mount")
+        office(f"lidar mounting stated {d}° wrong", mount_yaw=math.radians(d), expect="named", word="mount")
         for d in (2, 5)
     ),
     office("spinning lidar", sweep=True),
-    office("spinning lidar, duration not told", sweep=True, told=False),
+    office("spinning lidar, duration not stated", sweep=True, stated=False),
     *(
         Case(name=f"maze, lidar {far:.0f} m", world="maze", figures=Figures(range=far), goals=((5.6, 4.2),))
         for far in (10.0, 4.0)

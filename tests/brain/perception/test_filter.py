@@ -305,7 +305,6 @@ def test_a_rejected_pose_changes_nothing() -> None:
     (judged,) = belief.observe([pose_fix(990 * MS, 1.0, 0.0, 0.0)])
     assert judged.result is GateResult.REJECTED
     assert (belief.state.x, belief.state.P) == (before.x, before.P)
-    assert belief.rejected_for("lidar", 1190 * MS) == pytest.approx(0.2)
 
 
 def test_a_vector_is_gated_as_a_vector() -> None:

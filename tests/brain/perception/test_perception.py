@@ -425,3 +425,28 @@ def test_motion_capture_and_satellites_correct_where_wheels_and_gyro_drift() -> 
         errors[name] = apart(belief, rover.truth)
     assert errors[""] > 0.1
     assert max(errors["markers"], errors["gps"]) < 0.05
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e308, -1e308])
+def test_a_place_where_no_robot_can_be_is_counted_and_left_out(bad: float) -> None:
+    """Nor does it become the datum of the fixes that follow."""
+    belief = Perception(BODY, {"markers": Mount(), "gps": Mount()}, SETTINGS)
+    places = [Fix("gps", 0, bad, 11.0), Fix("gps", 0, 48.0, bad), Fix("gps", 0, 48.0, 11.0, None, bad)]
+    poses = [PoseReading("markers", 0, *pose) for pose in ((bad, 0.0), (0.0, bad), (0.0, 0.0, bad))]
+    poses += [PoseReading("markers", 0, 0.0, 0.0, 0.0, *two) for two in ((bad, 1.0), (1.0, bad))]
+    for t in range(0, SECOND, 10 * MS):
+        events = [replace(event, t=t) for event in (*places, *poses)] if t % (100 * MS) == 0 else []
+        belief.observe(t, [*reports(t), *events])
+    assert belief.anomalies["gps"] == {"no possible place": 30}
+    assert belief.anomalies["markers"] == {"no possible place": 50}
+    belief.observe(SECOND, [Fix("gps", 990 * MS, 48.0, 11.0, None, 1e-4)])
+    assert (pose(belief).x, pose(belief).y) == pytest.approx((0.0, 0.0), abs=1e-3)
+    assert np.isfinite(covariance(belief)).all()
+
+
+@pytest.mark.parametrize("rate", [1e308, -1e308, 1e4])
+def test_a_rate_that_no_gyro_reads_is_counted_and_left_out(rate: float) -> None:
+    belief = rested(new())
+    belief.observe(SECOND, [*reports(SECOND), Imu("imu", SECOND + 1, (0.0, 0.0, rate), (0.0, 0.0, 9.81))])
+    assert belief.anomalies["imu"] == {"no possible rate": 1}
+    assert abs(pose(belief).yaw) < 1e-3
