@@ -58,9 +58,9 @@ def is_possible(event: Fix | PoseReading) -> bool:
     """Return whether it is a place that a robot may be at, or one on the earth."""
     if isinstance(event, PoseReading):
         place = abs(event.x) <= FARTHEST and abs(event.y) <= FARTHEST and abs(event.yaw or 0.0) <= FARTHEST
-        variances = (event.variance, event.yaw_variance)
+        variances = [event.variance, event.yaw_variance]
     else:
-        place, variances = abs(event.latitude) <= 90.0 and abs(event.longitude) <= 360.0, (event.variance,)
+        place, variances = abs(event.latitude) <= 90.0 and abs(event.longitude) <= 360.0, [event.variance]
     return place and all(one is None or 0.0 <= one <= MOST_VARIANCE for one in variances)
 
 

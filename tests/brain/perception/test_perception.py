@@ -435,8 +435,10 @@ def test_a_place_where_no_robot_can_be_is_counted_and_left_out(bad: float) -> No
     poses = [PoseReading("markers", 0, *pose) for pose in ((bad, 0.0), (0.0, bad), (0.0, 0.0, bad))]
     poses += [PoseReading("markers", 0, 0.0, 0.0, 0.0, *two) for two in ((bad, 1.0), (1.0, bad))]
     for t in range(0, SECOND, 10 * MS):
-        events = [replace(event, t=t) for event in (*places, *poses)] if t % (100 * MS) == 0 else []
-        belief.observe(t, [*reports(t), *events])
+        belief.observe(t, reports(t))
+        if t % (100 * MS) == 0:
+            belief.observe(t, [replace(event, t=t) for event in places])
+            belief.observe(t, [replace(event, t=t) for event in poses])
     assert belief.anomalies["gps"] == {"no possible place": 30}
     assert belief.anomalies["markers"] == {"no possible place": 50}
     belief.observe(SECOND, [Fix("gps", 990 * MS, 48.0, 11.0, None, 1e-4)])
