@@ -15,7 +15,7 @@ from typing import Any, Generic, TypeVar
 
 import can
 import pytest
-from odrive_can.odrive import ODriveCAN
+from odrive_can.odrive import DriveError, ODriveCAN
 
 from protocols.frames import CanFrame
 from protocols.messages import Feedback
@@ -84,6 +84,14 @@ class Session(Generic[TwinKind]):
         self.ran.add(name)
         answer = getattr(self.client, name)(*args)
         return await answer if isinstance(answer, Awaitable) else answer
+
+    def error(self) -> str:
+        """What the client says of the last heartbeat; one from before an error may still be under way to it."""
+        try:
+            self.client.check_errors()
+        except DriveError as error:
+            return str(error)
+        return ""
 
     async def begin(self) -> None:
         """Receive frames of a device without errors, idle, on 24 V."""
