@@ -5,9 +5,9 @@ message, bit for bit (float64 throughout, also for the ranges of a scan). `pack`
 no message (a mistake of the caller); `unpack` returns None for malformed bytes, and never raises.
 
 A packed message is a msgpack array: the message's code (`CODES`, never renumbered), then its fields in the
-order of `protocols.messages`. Floats are float64; fixed tuples are arrays; a tuple of any length is a
-binary string of little-endian float64. Decoding also accepts integers and float32 for floats, since many
-msgpack writers shorten numbers.
+order of `protocols.messages`. Floats are float64; fixed tuples are arrays; a tuple of any length, of floats
+or of points, is a binary string of little-endian float64, and one of messages an array of them. Decoding
+also accepts integers and float32 for floats, since many msgpack writers shorten numbers.
 """
 
 from __future__ import annotations
@@ -47,6 +47,19 @@ CODES: dict[int, type[Message]] = {
     32: messages.Leave,
     50: messages.Goal,
     51: messages.Drive,
+    52: messages.Mission,
+    53: messages.Pause,
+    54: messages.Resume,
+    55: messages.Drop,
+    56: messages.Move,
+    57: messages.Turn,
+    58: messages.Follow,
+    59: messages.Wait,
+    60: messages.Dock,
+    61: messages.Reach,
+    62: messages.Repeat,
+    63: messages.Try,
+    64: messages.MoveTool,
     70: messages.Feedback,
     71: messages.State,
     72: messages.Fault,
@@ -58,17 +71,23 @@ CODES: dict[int, type[Message]] = {
     78: messages.LaserScan,
     79: messages.Fix,
     80: messages.PoseReading,
+    81: messages.Marker,
 }
 """The message type of each code, the first element of a packed message. A code is never reused. Arm has none:
 it is decoded from frames, and neither sent nor recorded."""
 ADDED_FIELDS: dict[type[Message], list[Any]] = {
+    messages.Hold: [0.0],
     messages.Found: [False],
     messages.Leave: [False, False],
     messages.LaserScan: [0],
+    messages.Goal: [False],
+    messages.Drive: [0.0],
 }
 """Defaults of fields that were added at the end of a message: older recordings lack them."""
 MAX_ITEMS = 64
-"""Items of an array: more than any message has fields."""
+"""Items of an array: more than any message has fields, and the most steps in one place of a mission,"""
+MAX_DEPTH = 16
+"""and the most arrays within each other."""
 _INT_LOW, _INT_HIGH = -(2**63), 2**64 - 1
 
 
@@ -137,6 +156,17 @@ def _decode_floats(data: object) -> tuple[float, ...]:
     return values
 
 
+def _encode_points(points: object) -> bytes:
+    if not isinstance(points, tuple) or not all(isinstance(p, tuple) and len(p) == 2 for p in points):
+        raise TypeError(f"{points!r} is not a tuple of points")
+    return _encode_floats(tuple(number for point in points for number in point))
+
+
+def _decode_points(data: object) -> tuple[tuple[float, float], ...]:
+    numbers = _decode_floats(data)
+    return tuple(zip(numbers[::2], numbers[1::2], strict=True))
+
+
 def _check_finite(values: Sequence[float]) -> None:
     # A finite sum proves it in a fifth of the time; only a sum that overflows needs the slow check.
     if not math.isfinite(sum(values)) and not all(map(math.isfinite, values)):
@@ -156,6 +186,34 @@ def _vector(length: int) -> tuple[_Convert, _Convert]:
         if type(values) is not list or len(values) != length:
             raise ValueError("not a vector")
         return tuple([_decode_float(value) for value in values])
+
+    return encode, decode
+
+
+def _nested(kinds: frozenset[type]) -> tuple[_Convert, _Convert]:
+    """Return the encoder and the decoder of a tuple of messages of these types."""
+
+    def encode(values: object) -> list[list[Any]]:
+        if not isinstance(values, tuple) or len(values) > MAX_ITEMS:
+            raise ValueError(f"not a tuple of at most {MAX_ITEMS}")
+        rows: list[list[Any]] = []
+        for value in values:
+            if type(value) not in kinds:
+                raise ValueError(f"{value!r} has no place there")
+            layout = _BY_TYPE[type(value)]
+            rows.append([layout.code, *_converted(layout.encode, layout.values(value))])
+        return rows
+
+    def decode(rows: object) -> tuple[Message, ...]:
+        if type(rows) is not list:
+            raise ValueError("not an array")
+        values: list[Message] = []
+        for row in rows:
+            layout, items = _decoded(row)
+            if layout.message_type not in kinds:
+                raise ValueError(f"a {layout.message_type.__name__} has no place there")
+            values.append(layout.message_type(*items))
+        return tuple(values)
 
     return encode, decode
 
@@ -180,7 +238,13 @@ def _converters(hint: object) -> tuple[_Convert, _Convert]:
         return scalars[hint]
     if get_origin(hint) is tuple:
         items = get_args(hint)
-        return (_encode_floats, _decode_floats) if Ellipsis in items else _vector(len(items))
+        if Ellipsis not in items:
+            return _vector(len(items))
+        if items[0] is float:
+            return _encode_floats, _decode_floats
+        if get_origin(items[0]) is tuple:
+            return _encode_points, _decode_points
+        return _nested(frozenset(get_args(items[0])))
     if get_origin(hint) in (Union, types.UnionType):
         (inner,) = [part for part in get_args(hint) if part is not type(None)]
         return _optional(*_converters(inner))
@@ -272,8 +336,11 @@ def layout_of(message: Message) -> Layout:
 def pack_fields(layout: Layout, values: Sequence[Any]) -> bytes:
     """Encode a message with these fields. Raises ValueError as `pack` does."""
     try:
-        packed: bytes = msgpack.packb([layout.code, *_converted(layout.encode, values)])
-    except (TypeError, ValueError, OverflowError, struct.error) as error:
+        row = [layout.code, *_converted(layout.encode, values)]
+        if layout.message_type is messages.Mission:
+            _check_depth(row)
+        packed: bytes = msgpack.packb(row)
+    except (TypeError, ValueError, OverflowError, RecursionError, struct.error) as error:
         raise ValueError(f"{layout.message_type.__name__}: {error}") from error
     return packed
 
@@ -292,15 +359,30 @@ def unpack_fields(data: bytes) -> tuple[Layout, list[Any]] | None:
     """Decode the layout and fields of a message; None if the bytes hold none. Never raises."""
     try:
         row = msgpack.unpackb(data, max_array_len=MAX_ITEMS, max_map_len=0, max_ext_len=0)
-        if type(row) is not list or not row or type(row[0]) is not int:
-            return None
-        layout = LAYOUTS.get(row[0])
-        if layout is None:
-            return None
-        added = ADDED_FIELDS.get(layout.message_type, [])
-        row += added if len(row) + len(added) == len(layout.decode) + 1 else []
-        if len(row) != len(layout.decode) + 1:
-            return None
-        return layout, _converted(layout.decode, row[1:])
+        return _decoded(row)
     except (ValueError, TypeError, OverflowError, struct.error, msgpack.UnpackException):
         return None
+
+
+def _decoded(row: object) -> tuple[Layout, list[Any]]:
+    """Return the layout and the fields of a row. Raises ValueError if it is no message."""
+    if type(row) is not list or not row or type(row[0]) is not int or row[0] not in LAYOUTS:
+        raise ValueError("not a message")
+    layout = LAYOUTS[row[0]]
+    added = ADDED_FIELDS.get(layout.message_type, [])
+    row += added if len(row) + len(added) == len(layout.decode) + 1 else []
+    if len(row) != len(layout.decode) + 1:
+        raise ValueError("too many fields, or too few")
+    if layout.message_type is messages.Mission:
+        _check_depth(row)
+    return layout, _converted(layout.decode, row[1:])
+
+
+def _check_depth(row: object) -> None:
+    """Raise ValueError if a row has too many arrays within each other."""
+    arrays, depth = [row], 0
+    while arrays:
+        depth += 1
+        arrays = [item for array in arrays if type(array) is list for item in array if type(item) is list]
+    if depth > MAX_DEPTH:
+        raise ValueError(f"more than {MAX_DEPTH} arrays within each other")

@@ -49,9 +49,11 @@ class Idle:
 
 @value
 class Hold:
-    """Hold the position that the shaft has when this command is first given."""
+    """Hold the position that the shaft has when this command is first given, with feed-forward of torque
+    [N·m], where the device takes one, of a load that it carries."""
 
     motor: str
+    torque: float = 0.0
 
 
 @value
@@ -243,17 +245,139 @@ class Goal:
     x: float
     y: float
     yaw: float | None = None
+    near: bool = False
+    """Whether a place as near to it as the robot can get will do, if it cannot get there."""
 
 
 @value
 class Drive:
-    """Drive the base by hand with a twist: linear [m/s] forward, angular [rad/s] to the left."""
+    """Drive the base by hand with a twist: m/s forward, rad/s to the left, m/s to the left."""
 
     linear: float
     angular: float
+    lateral: float = 0.0
 
 
-Task: TypeAlias = Goal | Drive
+# -- missions: steps as data; a Goal is a step, too -----------------------------------------------------
+
+
+@value
+class Move:
+    """Drive at a speed, straight or on an arc, until one of `seconds` and `distance` is over."""
+
+    linear: float
+    """m/s, forward"""
+    lateral: float = 0.0
+    """m/s, to the left"""
+    angular: float = 0.0
+    """rad/s, to the left"""
+    seconds: float | None = None
+    distance: float | None = None
+    """m along its path"""
+
+
+@value
+class Turn:
+    """Turn by an angle [rad] to the left from the present heading, several times around if it is large."""
+
+    angle: float
+
+
+@value
+class Follow:
+    """Drive along points on the map [m], past each but the last, where the robot comes to rest."""
+
+    points: tuple[tuple[float, float], ...]
+
+
+@value
+class Wait:
+    """Stand still for a time [s]."""
+
+    seconds: float
+
+
+@value
+class Dock:
+    """Stand before a marker that a camera sees, facing it."""
+
+    marker: int
+    """Its id"""
+    distance: float = 0.5
+    """m, from the marker to the robot's origin"""
+    lateral: float = 0.0
+    """m, of the robot to its left of the marker's normal"""
+
+
+@value
+class Reach:
+    """Give joints targets, all at once; they keep them when the step is done."""
+
+    targets: tuple[Command, ...]
+    """Of positions: the joints move together and arrive together, and stand there when the step is done."""
+    seconds: float = 0.0
+    """Time of the motion; of targets other than positions: how long before the step is done"""
+    contact: bool = False
+    """Whether the step is done when every joint is held up by something, and fails if one is not"""
+
+
+@value
+class MoveTool:
+    """Bring the tip of an arm to a place in the frame of its base [m]."""
+
+    x: float
+    y: float
+    z: float
+    attitude: tuple[float, float, float] | None = None
+    """Roll, pitch and yaw of the tip [rad], or None for any"""
+    seconds: float = 0.0
+    """Time of the motion, if the arm needs no more"""
+
+
+@value
+class Repeat:
+    """Do steps several times."""
+
+    times: int
+    """0: without an end"""
+    steps: tuple[Step, ...]
+
+
+@value
+class Try:
+    """Do steps; if one of them fails, leave out the rest of them and do others."""
+
+    steps: tuple[Step, ...]
+    otherwise: tuple[Step, ...] = ()
+
+
+Step: TypeAlias = Goal | Move | Turn | Follow | Wait | Dock | Reach | MoveTool | Repeat | Try
+
+
+@value
+class Mission:
+    """Do steps, one after the other. A step that fails, outside of every Try, ends it."""
+
+    name: str
+    steps: tuple[Step, ...]
+
+
+@value
+class Pause:
+    """Stand, and keep the mission."""
+
+
+@value
+class Resume:
+    """Go on with the mission that was paused, by an operator or by a stop, from the step it was at."""
+
+
+@value
+class Drop:
+    """Drop the mission, and every goal."""
+
+
+Task: TypeAlias = Goal | Drive | Mission | Pause | Resume | Drop
 Instruction: TypeAlias = Request | Task | Command
 """What may be asked of a running robot from outside; a Command only of a joint that is no wheel of a base."""
 
@@ -427,6 +551,27 @@ class PoseReading:
     """rad²"""
 
 
-Measurement: TypeAlias = Imu | LaserScan | Fix | PoseReading
+@value
+class Marker:
+    """A marker (a tag, or a target of a known size) in an image of a camera, in the sensor's own frame: x
+    along the optical axis, y to the left, z up. An image without any is reported as one without a number."""
+
+    sensor: str
+    t: Nanos
+    """Time of the image"""
+    marker: int | None
+    """Number of the marker; None: the image shows none"""
+    position: tuple[float, float, float] | None = None
+    """m, of its centre"""
+    orientation: tuple[float, float, float, float] | None = None
+    """Quaternion x, y, z, w from the marker's frame (x out of its face, z up) to the sensor's; None:
+    not known, as of a ball"""
+    variance: tuple[float, float] | None = None
+    """m², of the centre: along the line of sight, and across it"""
+    turn_variance: float | None = None
+    """rad², of the orientation"""
+
+
+Measurement: TypeAlias = Imu | LaserScan | Fix | PoseReading | Marker
 Event: TypeAlias = Feedback | State | Fault | Found | Done | Refused | Parameter | Measurement
-Message: TypeAlias = Obeyed | Task | Event
+Message: TypeAlias = Obeyed | Task | Step | Event

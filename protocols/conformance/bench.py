@@ -206,7 +206,7 @@ def make_bench(
 
 def sensor_events(
     sensor: str, t: Nanos, count: int
-) -> tuple[msg.Imu, msg.LaserScan, msg.Fix, msg.PoseReading]:
+) -> tuple[msg.Imu, msg.LaserScan, msg.Fix, msg.PoseReading, msg.Marker]:
     """Return a measurement for each kind of sensor, with other numbers for each count."""
     wave = math.sin(0.37 * count)
     ranges = tuple(2.0 + math.sin(0.37 * count + 0.1 * beam) for beam in range(36))
@@ -215,6 +215,7 @@ def sensor_events(
         msg.LaserScan(sensor, t, -math.pi, math.pi / 18, 0.1, 10.0, ranges, 1000 * (count % 7)),
         msg.Fix(sensor, t, 48.0 + 1e-6 * wave, 11.0, 500.0 + wave, 4.0),
         msg.PoseReading(sensor, t, wave, -wave, 0.5 * wave, 1e-4, 1e-4),
+        msg.Marker(sensor, t, count, (2.0, wave, 0.1), (0.0, 0.0, wave, 0.5), (1e-2, 1e-4), 1e-3),
     )
 
 

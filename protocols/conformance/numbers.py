@@ -101,7 +101,7 @@ def _check_finite(events: Sequence[Event], frames: Sequence[Frame]) -> None:
 
 
 def _mad_sensors(sensor: str, t: Nanos, value: float) -> list[Event]:
-    imu, scan, fix, pose = tools.sensor_events(sensor, t, 1)
+    imu, scan, fix, pose, marker = tools.sensor_events(sensor, t, 1)
     return [
         replace(imu, angular_velocity=(0.0, value, 0.0)),
         replace(imu, linear_acceleration=(value, 0.0, 0.0)),
@@ -109,6 +109,7 @@ def _mad_sensors(sensor: str, t: Nanos, value: float) -> list[Event]:
         replace(scan, range_max=value),
         replace(fix, altitude=value),
         replace(pose, x=value),
+        replace(marker, position=(value, 0.0, 0.0)),
     ]
 
 
@@ -191,13 +192,14 @@ def _with(message: Any, name: str, number: float) -> Any:  # noqa: ANN401 -- a c
 
 
 def _tiny_sensors(sensor: str, t: Nanos, number: float) -> list[Event]:
-    imu, scan, fix, pose = tools.sensor_events(sensor, t, 1)
+    imu, scan, fix, pose, marker = tools.sensor_events(sensor, t, 1)
     small = abs(number) if number else number
     return [
         replace(imu, angular_velocity=(0.0, number, number), linear_acceleration=(number, 0.0, 9.81)),
         replace(scan, ranges=(1.0, small, 1.0), angle_min=number),
         replace(fix, longitude=number, altitude=number),
         replace(pose, y=number, yaw=number),
+        replace(marker, position=(1.0, number, number)),
     ]
 
 

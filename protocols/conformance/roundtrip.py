@@ -92,7 +92,7 @@ def obeyed(bench: Bench, spec: Spec, given: Command, received: Obeyed) -> bool:
     ranges = spec.ranges
     if isinstance(given, msg.Hold) and not isinstance(received, msg.Hold):
         # Many devices have no Hold: the driver then sends the position at which the shaft was measured.
-        given = msg.Position(given.motor, bench.shafts[given.motor].position)
+        given = msg.Position(given.motor, bench.shafts[given.motor].position, torque=given.torque)
         key = f"{type(spec.canonical(given)).__name__}.position"
         measured = ranges.get("Feedback.position", Range(0.0, 0.0, 0.0))
         bounds = ranges.get(key, measured)
@@ -282,6 +282,17 @@ def _measurement(kind: type[msg.Measurement], sensor: str, t: Nanos, values: dic
     if kind is msg.PoseReading:
         at = get("x", 0.0), get("y", 0.0)
         return msg.PoseReading(sensor, t, *at, get("yaw"), get("variance"), get("yaw_variance"))
+    if kind is msg.Marker:
+        put, turned, unsure = get("position", 0.0), get("orientation"), get("variance")
+        return msg.Marker(
+            sensor,
+            t,
+            7,
+            (put, -put, put),
+            None if turned is None else (turned, 0.0, 0.0, turned),
+            None if unsure is None else (unsure, 0.5 * unsure),
+            get("turn_variance"),
+        )
     return msg.Fix(sensor, t, get("latitude", 0.0), get("longitude", 0.0), get("altitude"), get("variance"))
 
 

@@ -1,9 +1,9 @@
 """The host's end: what a Damiao motor is sent in each phase, and what its answers report.
 
-Rules. A motor sends only answers, one to each frame. Registers answer with the id of the feedback, and a
-position near −PMAX looks the same: such a frame is the answer about a register if that register was asked
-for just before, and reports nothing if it was not (another host may have asked). Before a motor is enabled,
-the ranges in it must be those of the model in the robot file (every number would be scaled wrongly
+Rules. A motor sends only answers, one to each frame. Registers answer with the id of the feedback, and that
+of a disabled motor near −PMAX looks the same: such a frame is the answer about a register if that register
+was asked for just before, and reports nothing if it was not (another host may have asked). Before a motor is
+enabled, the ranges in it must be those of the model in the robot file (every number would be scaled wrongly
 otherwise), its mode the option's and its watchdog on.
 """
 

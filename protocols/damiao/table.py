@@ -114,9 +114,13 @@ def table_of(model: str) -> Table:
         return Row(name, (const(page, 3), uint("address", 8)), fields)
 
     def register(operation: int) -> tuple[Field, ...]:
-        return uint("motor", 16), const(operation), uint("number"), uint("value", 32)
+        return uint("motor", 16), *about(operation)
+
+    def about(operation: int) -> tuple[Field, ...]:
+        return const(operation), uint("number"), uint("value", 32)
 
     measured = [span(*each, measured=True) for each in ends]
+    asked = uint("motor", 4), const(0, 12)  # these zeros alone tell an answer from most feedbacks
     status = (uint("status", 4), uint("motor", 4), *measured, uint("mos"), uint("rotor"))
     return Table(
         (
@@ -127,7 +131,7 @@ def table_of(model: str) -> Table:
             set_point("FORCE_POS", 3, f32("position"), uint("fastest", 16, 0.01), uint("force", 16, 1e-4)),
             *(Row(n, all_motors, register(OPERATIONS[n]), read_only=True) for n in ("read", "refresh")),
             *(Row(n, all_motors, register(OPERATIONS[n])) for n in ("write", "save")),
-            *(Row(f"{n} reply", reply, register(OPERATIONS[n]), "from_device") for n in REPLIES),
+            *(Row(f"{n} reply", reply, (*asked, *about(OPERATIONS[n])), "from_device") for n in REPLIES),
             Row("feedback", reply, status, "from_device", order="big"),
         )
     )

@@ -65,6 +65,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "duration": (0.0, float(MAX_AGE)),
     "latitude": (-90.0, 90.0), "longitude": (-180.0, 180.0), "altitude": (-1e7, 1e7), "variance": (0.0, 1e15),
     "x": (-1e6, 1e6), "y": (-1e6, 1e6), "yaw": (-1e3, 1e3), "yaw_variance": (0.0, 1e6),
+    "turn_variance": (0.0, 1e6),
     "value": (math.nextafter(-math.inf, 0.0), math.nextafter(math.inf, 0.0)),
 }
 # fmt: on

@@ -145,7 +145,9 @@ class PlainTwin(ServoFirmware):
         if fresh:
             self.servo.reset()
         if isinstance(command, msg.Hold):
-            command = msg.Position(command.motor, self.encoder.position) if fresh else self.goal
+            goal, now = self.goal, self.encoder.position
+            held = goal.position if isinstance(goal, msg.Impedance) and not fresh else now
+            command = msg.Position(command.motor, held, torque=command.torque)
         if isinstance(command, msg.Position):
             numbers = command.position, command.velocity, command.torque
             gains = self.settings.position_gain, self.settings.position_damping

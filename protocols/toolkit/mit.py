@@ -39,9 +39,10 @@ class ImpedanceGains:
                 return msg.Impedance(motor, 0.0, 0.0, torque, 0.0, 0.0)
             case msg.Impedance():
                 return command
+        torque = getattr(command, "torque", 0.0)  # of Hold
         if held is None:  # where it is, is not known: a spring would pull it to zero
-            return msg.Impedance(motor, 0.0, 0.0, 0.0, 0.0, self.damping)
-        return msg.Impedance(motor, held, 0.0, 0.0, self.stiffness, self.damping)
+            return msg.Impedance(motor, 0.0, 0.0, torque, 0.0, self.damping)
+        return msg.Impedance(motor, held, 0.0, torque, self.stiffness, self.damping)
 
     def canonical(self, command: Command) -> Command:
         """Return the plainest command of the same numbers, as `Spec.canonical` does."""
@@ -68,6 +69,7 @@ class ImpedanceGains:
             "Position": NUMBERS[:3],
             "Velocity": NUMBERS[1:3],
             "Torque": NUMBERS[2:3],
+            "Hold": NUMBERS[2:3],
             "Impedance": NUMBERS,
         }
         return {f"{kind}.{name}": spans[name] for kind, names in carried.items() for name in names}

@@ -25,13 +25,17 @@ TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
 def message_of(row: dict[str, Any]) -> Message:
     """The message that a row of the vectors names."""
     kind = getattr(messages, row["word"])
-    values: dict[str, Any] = {
-        key: tuple(value) if isinstance(value, list) else value for key, value in row["fields"].items()
-    }
+    values: dict[str, Any] = {key: _value(value) for key, value in row["fields"].items()}
     if "mode" in values:
         values["mode"] = Mode(values["mode"])
     message: Message = kind(**values)
     return message
+
+
+def _value(value: object) -> Any:
+    if isinstance(value, dict):
+        return message_of(value)
+    return tuple(_value(item) for item in value) if isinstance(value, list) else value
 
 
 def _strategy(hint: object) -> st.SearchStrategy[Any]:
@@ -47,9 +51,19 @@ def _strategy(hint: object) -> st.SearchStrategy[Any]:
     if get_origin(hint) in (Union, types.UnionType):
         return st.one_of(*(st.none() if part is type(None) else _strategy(part) for part in get_args(hint)))
     items = get_args(hint)
-    if items[-1] is Ellipsis:
+    if items[-1] is Ellipsis and items[0] is float:
         return st.lists(FLOATS, max_size=40).map(tuple)
+    if items[-1] is Ellipsis and get_origin(items[0]) is tuple:
+        return st.lists(st.tuples(FLOATS, FLOATS), max_size=20).map(tuple)
+    if items[-1] is Ellipsis:
+        return st.lists(_several(items[0]), max_size=2).map(tuple)
     return st.tuples(*(_strategy(item) for item in items))
+
+
+def _several(kinds: object) -> st.SearchStrategy[Message]:
+    """Messages of these kinds; what holds further ones seldom enough to end."""
+    simple = [kind for kind in get_args(kinds) if kind not in (messages.Repeat, messages.Try)]
+    return st.one_of(*(messages_of(kind) for kind in simple))
 
 
 def messages_of(kind: type[Message]) -> st.SearchStrategy[Message]:

@@ -31,11 +31,9 @@ def with_spec(plugin: Plugin, **changes: Any) -> Callable[[Device], Spec]:
 
 
 def as_impedance(command: Command) -> Command:
-    """Return a torque as an impedance without gains, and that without set-points."""
+    """Return a torque as an impedance without gains and set-points."""
     if isinstance(command, msg.Torque):
         return msg.Impedance(command.motor, 0.0, 0.0, command.torque, 0.0, 0.0)
-    if isinstance(command, msg.Impedance) and not command.stiffness and not command.damping:
-        return replace(command, position=0.0, velocity=0.0)
     return command
 
 
@@ -84,7 +82,7 @@ PACKED = {
     "damping": (0.0, 5.0, 12),
 }
 """By quantity: the ends and the bits, as of a motor of MIT type."""
-_KINDS = (msg.Position, msg.Velocity, msg.Torque, msg.Impedance, msg.Feedback)
+_KINDS = (msg.Hold, msg.Position, msg.Velocity, msg.Torque, msg.Impedance, msg.Feedback)
 
 
 def packed_range(name: str) -> Range:

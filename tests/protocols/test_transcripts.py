@@ -21,7 +21,7 @@ CYCLE = DRIVER + "cycle 10\n"
 TWIN = "tests twin\n== Title\nbackground rx A557???????? 019946 *\n"
 BOTH = "tests both\ncycle 10\nbackground tx *\nbackground rx *\nbackground event Feedback ...\n== Title\n"
 DECODER = "tests decoder\n== Title\n"
-HOLD = '1 Hold ""'
+HOLD = '1 Hold "" 0.0'
 READY = '1 State "" 0 "ready" ""'
 MOVED = '1 Feedback "" 0 0.25 none none none none none'
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from typing import Any
 
 import pytest
@@ -72,6 +73,18 @@ def test_answers_about_registers() -> None:
         frame = VECTORS[name].frame
         assert isinstance(frame, CanFrame)
         assert register_in(frame) == content
+
+
+def test_no_feedback_but_that_of_a_disabled_motor_at_one_end_looks_like_an_answer() -> None:
+    alike = set()
+    for status, high, low in product((0x0, 0x1, 0xA), range(256), (0x33, 0x55, 0xAA)):
+        for velocity in (0x7F, 0x51):  # at rest; the number of a register
+            frame = CanFrame(0x11, bytes((status << 4 | 1, high, low, velocity, 0xF8, 0x0E, 30, 30)))
+            decoded = TABLE.decode(frame, "from_device")
+            assert decoded is not None
+            assert (register_in(frame)[0] != "") <= (decoded.name != "feedback")
+            alike |= {(status, high)} if decoded.name != "feedback" else set()
+    assert alike == {(0x0, 0x00)}
 
 
 def test_models_and_registers_are_those_of_the_package() -> None:

@@ -98,6 +98,7 @@ def test_impedance_is_a_command_where_both_gains_are_known() -> None:
         assert (Impedance in spec.commands) == (kp > 0.0 and kd > 0.0)
 
 
+@pytest.mark.prove
 def test_the_contract_is_kept_with_gains_limits_and_bounds() -> None:
     given = {"kp": 10.0, "kd": 0.4, "velocity_limit": 30.0, "within_min": -200.0, "within_max": 300.0}
     results = check(replace(plugin, options=partial(plugin.options, max_torque=1.0, **given)))  # type: ignore[arg-type] # what makes the options

@@ -25,7 +25,8 @@ def test_a_plain_device_is_a_sensor_by_default() -> None:
     assert spec.kind == "sensor"
     assert not spec.commands
     assert spec.requests == frozenset[type[msg.Request]]((msg.Scan, msg.SetId))
-    assert {name.partition(".")[0] for name in spec.ranges} == {"Imu", "LaserScan", "Fix", "PoseReading"}
+    kinds = {name.partition(".")[0] for name in spec.ranges}
+    assert kinds == {"Imu", "LaserScan", "Fix", "PoseReading", "Marker"}
 
 
 @pytest.mark.parametrize(("watchdog", "enabled", "holds"), [(100.0, True, False), (0.0, False, True)])
