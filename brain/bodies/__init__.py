@@ -1,5 +1,21 @@
-"""Robot bodies, one file each: exact kinematics both ways, limits, footprint, stopping distance.
+"""Robot bodies, one file each: exact kinematics both ways, limits, footprint.
 
-Exports: `differential.Differential` (a base on two driven wheels), `joints.Joints` (bare motors).
-Must not import: perception, planning, control, nor numpy.
+Exports: `body.Body` and `body.Base`, which the brain knows; `plane`, poses and twists; `bare`. The bodies
+themselves are found by their entry points, and named nowhere else.
+Must not import: perception, planning, control, nor numpy where a twist is computed at every step.
 """
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from brain.bodies.body import Body
+
+
+def bare(motors: Iterable[str]) -> Body:
+    """Return a body of independent motors."""
+    from brain.bodies.joints import Joints
+
+    return Joints(motors=tuple(motors))

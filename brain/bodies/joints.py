@@ -3,16 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
+
+from brain.bodies.body import Body
 
 
-@dataclass(frozen=True, slots=True)
-class Joints:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Joints(Body):
     """Motors, in the order of the robot file."""
 
+    kind: ClassVar[str] = "joints"
+    bare: ClassVar[bool] = True
     motors: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        if not self.motors or any(not name for name in self.motors):
-            raise ValueError("a body of joints needs at least one motor, each with a name")
-        if len(set(self.motors)) < len(self.motors):
-            raise ValueError("a body of joints names each motor once")
+        self.check_motors()
+
+    @classmethod
+    def motor_keys(cls) -> tuple[str, ...]:
+        """Return the key of the list."""
+        return ("motors",)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """The motors."""
+        return self.motors

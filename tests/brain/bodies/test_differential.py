@@ -1,14 +1,27 @@
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from brain.belief import Pose
-from brain.bodies.differential import Differential, arc, sinc, wrap
+from brain.bodies.differential import Differential
+from brain.bodies.plane import Twist, arc, sinc, wrap
+from tests.brain.bodies.kinematics import rolled
+from tests.brain.bodies.kinematics import speeds as wheel_speeds
 
-BODY = Differential("left", "right", 0.05, 0.22, 0.24, 0.6, 2.0, 1.0, 4.0)
+BODY = Differential(
+    left="left",
+    right="right",
+    wheel_radius=0.05,
+    wheel_separation=0.22,
+    radius=0.24,
+    max_linear=0.6,
+    max_angular=2.0,
+    max_linear_acceleration=1.0,
+    max_angular_acceleration=4.0,
+)
 
 speeds = st.floats(-20.0, 20.0)
 turns = st.floats(-12.0, 12.0)
@@ -17,19 +30,19 @@ places = st.builds(Pose, st.floats(-50, 50), st.floats(-50, 50), st.floats(-3.14
 
 @given(speeds, speeds)
 def test_forward_undoes_inverse(linear: float, angular: float) -> None:
-    assert BODY.forward(*BODY.inverse(linear, angular)) == pytest.approx((linear, angular), abs=1e-9)
+    assert rolled(BODY, *wheel_speeds(BODY, linear, angular)) == pytest.approx((linear, angular), abs=1e-9)
 
 
 @given(speeds, speeds)
 def test_inverse_undoes_forward(left: float, right: float) -> None:
-    assert BODY.inverse(*BODY.forward(left, right)) == pytest.approx((left, right), abs=1e-9)
+    assert wheel_speeds(BODY, *rolled(BODY, left, right)) == pytest.approx((left, right), abs=1e-9)
 
 
 def test_signs() -> None:
-    distance, turn = BODY.forward(1.0, 2.0)
+    distance, turn = rolled(BODY, 1.0, 2.0)
     assert distance == pytest.approx(0.075)
     assert turn == pytest.approx(0.05 / 0.22)  # the right wheel goes further: to the left
-    left, right = BODY.inverse(0.0, 1.0)
+    left, right = wheel_speeds(BODY, 0.0, 1.0)
     assert left == pytest.approx(-2.2)
     assert right == pytest.approx(2.2)
 
@@ -66,7 +79,7 @@ def test_ros2_controllers_agrees(left: float, right: float, end: tuple[float, fl
     """Wheels of 1 m radius, 1 m apart, turning for 1 s: the figures expected by ros2_controllers
     @94e74de, diff_drive_controller/test/test_odometry.cpp."""
     body = replace(BODY, wheel_radius=1.0, wheel_separation=1.0)
-    pose = arc(Pose(0.0, 0.0, 0.0), *body.forward(left, right))
+    pose = arc(Pose(0.0, 0.0, 0.0), *rolled(body, left, right))
     assert (pose.x, pose.y, pose.yaw) == pytest.approx(end, abs=1e-12)
 
 
@@ -104,29 +117,32 @@ def test_wrap_has_one_name_for_backwards() -> None:
 @given(st.floats(-5.0, 5.0), st.floats(-20.0, 20.0), st.sampled_from([None, 8.0, 100.0]))
 def test_limit_keeps_curvature_and_limits(linear: float, angular: float, fastest: float | None) -> None:
     body = replace(BODY, max_wheel_speed=fastest)
-    v, w = body.limit(linear, angular)
+    v, w, _ = body.limit(Twist(linear, angular))
+    most = body.top_speeds[0]
     assert abs(v) <= body.max_linear + 1e-12
     assert abs(w) <= body.max_angular + 1e-12
-    assert max(abs(speed) for speed in body.inverse(v, w)) <= body.wheel_speed + 1e-9
+    assert max(abs(speed) for speed in wheel_speeds(body, v, w)) <= most + 1e-9
     assert v * angular == pytest.approx(w * linear, abs=1e-9)
     within = abs(linear) <= body.max_linear and abs(angular) <= body.max_angular
-    if within and max(abs(speed) for speed in body.inverse(linear, angular)) <= body.wheel_speed:
+    if within and max(abs(speed) for speed in wheel_speeds(body, linear, angular)) <= most:
         assert (v, w) == (linear, angular)
     else:
         used = [abs(v) / body.max_linear, abs(w) / body.max_angular]
-        used += [abs(speed) / body.wheel_speed for speed in body.inverse(v, w)]
+        used += [abs(speed) / most for speed in wheel_speeds(body, v, w)]
         assert max(used) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_limit_refuses_what_is_not_finite(bad: float) -> None:
     with pytest.raises(ValueError, match="must be finite"):
-        BODY.limit(bad, 0.0)
+        BODY.limit(Twist(bad, 0.0))
     with pytest.raises(ValueError, match="must be finite"):
-        BODY.limit(0.0, bad)
+        BODY.limit(Twist(0.0, bad))
 
 
-@pytest.mark.parametrize("field", [f for f in BODY.__slots__ if f not in ("left", "right", "footprint")])
+@pytest.mark.parametrize(
+    "field", [f.name for f in fields(BODY) if f.name not in ("left", "right", "footprint")]
+)
 @pytest.mark.parametrize("bad", [0.0, -1.0, math.nan, math.inf])
 def test_every_length_and_limit_is_above_0(field: str, bad: float) -> None:
     with pytest.raises(ValueError, match=f"{field} must be from"):
@@ -135,7 +151,7 @@ def test_every_length_and_limit_is_above_0(field: str, bad: float) -> None:
 
 @pytest.mark.parametrize(("left", "right"), [("a", "a"), ("", "b"), ("a", "")])
 def test_two_wheels_are_two_motors(left: str, right: str) -> None:
-    with pytest.raises(ValueError, match="must name two motors"):
+    with pytest.raises(ValueError, match="left and right must"):
         replace(BODY, left=left, right=right)
 
 

@@ -1,0 +1,313 @@
+"""URDF: the text of a robot's links and joints as a `Model`.
+
+Rules. What a brain needs is read: kinematics, limits, inertia, plain shapes; meshes, materials, transmissions
+and what simulators add are skipped. Every mistake becomes a sentence, all of one ValueError. A text with a
+DOCTYPE or an entity, or beyond the bounds below, is refused before it is read further.
+
+Source: the URDF specification at wiki.ros.org/urdf/XML (robot, link, joint). Lengths in m, angles in rad; a
+joint's frame is its child link's, at position 0 at `origin` in the parent link's frame; roll, pitch and yaw
+turn about the fixed axes x, y, z, in this order.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any, Literal, NamedTuple, TypeAlias, cast, get_args
+
+MOST_CHARACTERS, MOST_LINKS, MOST_ELEMENTS, MOST_DEPTH = 200_000, 128, 20_000, 32
+FARTHEST, HEAVIEST = 1e3, 1e5
+"""m and rad; kg and kg·m²"""
+Vector: TypeAlias = tuple[float, float, float]
+Kind: TypeAlias = Literal["revolute", "continuous", "prismatic", "fixed", "floating", "planar"]
+Numbers: TypeAlias = dict[str, float]
+
+
+class Origin(NamedTuple):
+    """A frame in another: m; roll, pitch, yaw in rad."""
+
+    xyz: Vector = (0.0, 0.0, 0.0)
+    rpy: Vector = (0.0, 0.0, 0.0)
+
+
+class Inertial(NamedTuple):
+    """Mass of a link, in the frame of its centre of mass."""
+
+    origin: Origin
+    mass: float
+    """kg"""
+    inertia: tuple[float, float, float, float, float, float]
+    """kg·m²: xx, xy, xz, yy, yz, zz"""
+
+
+class Shape(NamedTuple):
+    """A box (x, y, z), cylinder (radius, length along z) or sphere (radius) in its link's frame [m]."""
+
+    kind: str
+    size: tuple[float, ...]
+    origin: Origin
+
+
+class Link(NamedTuple):
+    """A rigid body."""
+
+    name: str
+    inertial: Inertial | None
+    shapes: tuple[Shape, ...]
+    """What it collides with; where it has nothing, what it looks like."""
+
+
+class Joint(NamedTuple):
+    """What connects a link to its parent; limits are None where the kind of joint has none."""
+
+    name: str
+    kind: Kind
+    parent: str
+    child: str
+    origin: Origin
+    axis: Vector
+    """In the child's frame, of length 1."""
+    range: tuple[float, float] | None
+    """rad, or m of a prismatic joint"""
+    velocity: float | None
+    """rad/s, m/s"""
+    effort: float | None
+    """N·m, N"""
+    mimics: str = ""
+    """The joint that this one follows."""
+
+    @property
+    def moves(self) -> bool:
+        """Whether it has one degree of freedom."""
+        return self.kind in ("revolute", "continuous", "prismatic")
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """The links and joints of a robot, by name; parents are before their children."""
+
+    name: str
+    root: str
+    links: dict[str, Link]
+    joints: dict[str, Joint]
+    joint_of: dict[str, Joint]
+    """The joint above each link but the root."""
+
+    def above(self, link: str) -> Iterator[Joint]:
+        """Yield the joints from a link up to the root."""
+        while link in self.joint_of:
+            joint = self.joint_of[link]
+            yield joint
+            link = joint.parent
+
+
+@lru_cache(maxsize=8)
+def parse(text: str) -> Model:
+    """Return the model of a URDF's text. Raises ValueError with every mistake, in sentences."""
+    reader = _Reader()
+    root = _read(text)
+    links = {link.name: link for element in root.findall("link") if (link := reader.link(element))}
+    joints = {one.name: one for element in root.findall("joint") if (one := reader.joint(element))}
+    model = reader.model(root.get("name", ""), links, joints)
+    if reader.mistakes or model is None:
+        raise ValueError("; ".join(reader.mistakes))
+    return model
+
+
+def _read(text: str) -> ET.Element:
+    """Return the element <robot>, whose size is bounded."""
+    if len(text) > MOST_CHARACTERS:
+        raise ValueError(f"the URDF is too large: expected at most {MOST_CHARACTERS} characters")
+    for forbidden in ("<!DOCTYPE", "<!ENTITY"):
+        if forbidden in text:
+            raise ValueError(f"the URDF has a {forbidden[2:]}: expected plain elements only")
+    parser: Any = ET.XMLPullParser(("start", "end"))
+    depth = count = 0
+    root: ET.Element | None = None
+    try:
+        parser.feed(text)
+        for event, element in parser.read_events():
+            if root is None:
+                root = element
+            depth += 1 if event == "start" else -1
+            count += event == "start"
+            if depth > MOST_DEPTH or count > MOST_ELEMENTS:
+                raise ValueError(
+                    f"the URDF has more than {MOST_ELEMENTS} elements, or {MOST_DEPTH} in each other"
+                )
+        parser.close()
+    except ET.ParseError as error:
+        raise ValueError(f"the URDF is not XML: {error}") from error
+    if root is None or root.tag != "robot":
+        raise ValueError(f"the URDF has the root <{root.tag if root is not None else ''}>, expected <robot>")
+    return root
+
+
+@dataclass(slots=True)
+class _Reader:
+    """Turns elements into values, and notes what is wrong with them."""
+
+    mistakes: list[str] = field(default_factory=list)
+    names: set[tuple[str, str]] = field(default_factory=set)
+
+    def wrong(self, sentence: str) -> None:
+        if len(self.mistakes) < 20:
+            self.mistakes.append(sentence)
+
+    def name(self, element: ET.Element) -> str:
+        """Return the name of a link or joint; "" with a mistake if it has none, or not for itself."""
+        name = element.get("name", "")
+        if not name:
+            self.wrong(f"a <{element.tag}> has no name")
+        elif (element.tag, name) in self.names:
+            self.wrong(f"there are two of the name {name!r}: <{element.tag}>")
+            return ""
+        self.names.add((element.tag, name))
+        return name
+
+    def numbers(
+        self, element: ET.Element, key: str, default: str, what: str, count: int
+    ) -> tuple[float, ...]:
+        """Return the numbers of an attribute; zeros, with a mistake, if they are not as they should be."""
+        written = element.get(key, default)
+        try:
+            found = tuple(map(float, written.split()))
+        except ValueError:
+            found = ()
+        if len(found) == count and all(abs(one) <= HEAVIEST for one in found):
+            return found
+        wanted = "a number" if count == 1 else f"{count} numbers"
+        self.wrong(f"{what}: {key} is {written[:40]!r}, expected {wanted} within ±{HEAVIEST:g}")
+        return (0.0,) * count
+
+    def number(self, element: ET.Element, key: str, default: str, what: str) -> float:
+        return self.numbers(element, key, default, what, 1)[0]
+
+    def origin(self, element: ET.Element | None, what: str) -> Origin:
+        if element is None:
+            return Origin()
+        xyz = cast(Vector, self.numbers(element, "xyz", "0 0 0", what, 3))
+        rpy = cast(Vector, self.numbers(element, "rpy", "0 0 0", what, 3))
+        if max(map(abs, (*xyz, *rpy))) > FARTHEST:
+            self.wrong(f"{what}: its origin is farther than {FARTHEST:g}")
+        return Origin(xyz, rpy)
+
+    def link(self, element: ET.Element) -> Link | None:
+        name = self.name(element)
+        if not name:
+            return None
+        what = f"link {name!r}"
+        given = element.find("inertial")
+        inertial = None if given is None else self.inertial(given, what)
+        solid = element.findall("collision") or element.findall("visual")
+        shapes = [shape for one in solid if (shape := self.shape(one, what))]
+        return Link(name, inertial, tuple(shapes))
+
+    def inertial(self, element: ET.Element, what: str) -> Inertial | None:
+        mass, inertia = element.find("mass"), element.find("inertia")
+        if mass is None or inertia is None:
+            self.wrong(f"{what}: its <inertial> needs <mass> and <inertia>")
+            return None
+        keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+        xx, xy, xz, yy, yz, zz = (self.number(inertia, key, "0", what) for key in keys)
+        kg = self.number(mass, "value", "", what)
+        most = sum((xx, yy, zz)) / 2.0 * (1.0 + 1e-6) + 1e-12
+        if kg < 0.0 or min(xx, yy, zz) < 0.0:
+            self.wrong(f"{what}: mass and moments of inertia must not be negative")
+        elif max(xx, yy, zz) > most:
+            self.wrong(f"{what}: no body has these moments of inertia, {xx:g}, {yy:g}, {zz:g}")
+        return Inertial(self.origin(element.find("origin"), what), kg, (xx, xy, xz, yy, yz, zz))
+
+    def shape(self, element: ET.Element, what: str) -> Shape | None:
+        geometry = element.find("geometry")
+        sizes = {"box": ("size", 3), "cylinder": ("radius", 1), "sphere": ("radius", 1)}
+        for one in () if geometry is None else geometry:
+            if one.tag in sizes:
+                key, count = sizes[one.tag]
+                size = self.numbers(one, key, "", what, count)
+                if one.tag == "cylinder":
+                    size += self.numbers(one, "length", "", what, 1)
+                return Shape(one.tag, size, self.origin(element.find("origin"), what))
+        return None
+
+    def joint(self, element: ET.Element) -> Joint | None:
+        name, kind = self.name(element), element.get("type", "")
+        if not name:
+            return None
+        what = f"joint {name!r}"
+        if kind not in get_args(Kind):
+            self.wrong(f"{what}: its type is {kind[:40]!r}, expected {', '.join(get_args(Kind))}")
+            return None
+        ends = []
+        for tag in ("parent", "child"):
+            found = element.find(tag)
+            ends.append("" if found is None else found.get("link", ""))
+            if not ends[-1]:
+                self.wrong(f"{what}: it has no <{tag} link=…>")
+        axis = (1.0, 0.0, 0.0)
+        if (given := element.find("axis")) is not None:
+            axis = cast(Vector, self.numbers(given, "xyz", "1 0 0", what, 3))
+        length = math.hypot(*axis)
+        if length < 1e-6:
+            self.wrong(f"{what}: its axis has no direction")
+            length = 1.0
+        x, y, z = (one / length for one in axis)
+        limits = self.limits(element.find("limit"), kind, what)
+        mimic = element.find("mimic")
+        mimics = "" if mimic is None else mimic.get("joint", "")
+        origin = self.origin(element.find("origin"), what)
+        return Joint(name, cast(Kind, kind), ends[0], ends[1], origin, (x, y, z), *limits, mimics)
+
+    def limits(
+        self, element: ET.Element | None, kind: str, what: str
+    ) -> tuple[tuple[float, float] | None, float | None, float | None]:
+        bounded = kind in ("revolute", "prismatic")
+        if element is None:
+            if bounded:
+                self.wrong(f"{what}: a {kind} joint needs a <limit>")
+            return None, None, None
+        low, high = (self.number(element, key, "0", what) for key in ("lower", "upper"))
+        velocity, effort = (self.number(element, key, "0", what) for key in ("velocity", "effort"))
+        if bounded and not low <= high:
+            self.wrong(f"{what}: its range is from {low:g} to {high:g}, expected the lowest first")
+        if velocity < 0.0 or effort < 0.0:
+            self.wrong(f"{what}: velocity and effort must not be negative")
+        return (low, high) if bounded else None, velocity or None, effort or None
+
+    def model(self, name: str, links: dict[str, Link], joints: dict[str, Joint]) -> Model | None:
+        """Return the tree of these joints, if they form one."""
+        above: dict[str, Joint] = {}
+        below: dict[str, list[Joint]] = {}
+        for joint in joints.values():
+            for link in (joint.parent, joint.child):
+                if link and link not in links:
+                    self.wrong(f"joint {joint.name!r}: there is no link {link!r}")
+            if joint.child in above:
+                self.wrong(f"link {joint.child!r} has two joints above it, expected one")
+            above[joint.child] = joint
+            below.setdefault(joint.parent, []).append(joint)
+        roots = [link for link in links if link not in above]
+        if len(links) > MOST_LINKS:
+            self.wrong(f"there are {len(links)} links, expected at most {MOST_LINKS}")
+        elif len(roots) != 1:
+            found = (
+                f"{len(roots)} links without a joint above them ({', '.join(roots[:5])})"
+                if roots
+                else "a loop"
+            )
+            self.wrong(f"there is {found}, expected one tree of links")
+        if self.mistakes:
+            return None
+        order, ordered = [roots[0]], {}
+        for link in order:
+            for joint in below.get(link, ()):
+                ordered[joint.name] = joint
+                order.append(joint.child)
+        if len(order) < len(links):
+            lost = next(link for link in links if link not in order)
+            self.wrong(f"link {lost!r} is in a loop, expected one tree of links")
+            return None
+        return Model(name, roots[0], {link: links[link] for link in order}, ordered, above)

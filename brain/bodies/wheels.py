@@ -1,0 +1,320 @@
+"""Wheels on the floor: what each measures of the base's twist, and the twist that fits them all.
+
+A row is the derivative of a wheel's speed on the floor by the twist: (forward, turn, to the left), in m/s per
+m/s, rad/s and m/s (Lynch and Park 2017, section 13.2). There are more wheels than directions of motion, so
+the twist is that of least squares: exact if all wheels roll without slipping. What is linear for speeds is
+so for travelled angles: a constant twist turns each wheel at a constant speed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, NamedTuple, TypeAlias
+
+from brain.bodies.body import Base, Setpoint, Travel
+from brain.bodies.plane import Twist
+from brain.checks import within
+from protocols.messages import Command
+
+Row: TypeAlias = tuple[float, float, float]
+LEAST_PIVOT = 1e-9
+"""Of the normal equations: below, the wheels do not determine the twist."""
+STANDING = 1e-4
+"""m/s: a wheel that shall roll more slowly is not steered."""
+CATCHING_UP = 8.0
+"""1/s: rate at which what is driven approaches the twist, once the wheels are ready"""
+
+
+def rolling_row(x: float, y: float, direction: float) -> Row:
+    """Return the row of a wheel at x, y [m] that rolls in a direction [rad] of the base."""
+    c, s = math.cos(direction), math.sin(direction)
+    return c, x * s - y * c, s
+
+
+def sliding_row(x: float, y: float, direction: float) -> Row:
+    """Return the row of the same wheel's speed across, to its left: 0 of a wheel that does not slip."""
+    c, s = math.cos(direction), math.sin(direction)
+    return -s, x * c + y * s, c
+
+
+def roller_row(x: float, y: float, direction: float, roller: float) -> Row:
+    """Return the row of a wheel with rollers: `roller` [rad] is the angle from across the wheel to the
+    direction in which it moves freely; 0: an omni wheel, ± 45 degrees: a Mecanum wheel (equation 13.5)."""
+    along, across, slope = rolling_row(x, y, direction), sliding_row(x, y, direction), math.tan(roller)
+    return along[0] + slope * across[0], along[1] + slope * across[1], along[2] + slope * across[2]
+
+
+def dot(row: Row, twist: Sequence[float]) -> float:
+    """Return what a row measures of a twist (forward, turn, to the left)."""
+    return row[0] * twist[0] + row[1] * twist[1] + row[2] * twist[2]
+
+
+@lru_cache(maxsize=64)
+def gains(rows: tuple[Row, ...], unknowns: int = 3) -> tuple[Row, ...]:
+    """Return by wheel the derivative of the fitted twist by the wheel's speed: the columns of the
+    pseudo-inverse. With 2 unknowns the base does not move sideways.
+
+    Raises ValueError if the wheels do not determine the twist."""
+    inverse = normal_inverse(rows, unknowns)
+    return tuple(times(inverse, row) for row in rows)
+
+
+def normal_inverse(rows: Sequence[Row], unknowns: int = 3) -> tuple[Row, Row, Row]:
+    """Return the inverse of the normal equations, by Cramer's rule; symmetric. Raises ValueError."""
+    a, b, c = (sum(row[0] * row[i] for row in rows) for i in range(3))
+    d, e, f = (sum(row[i] * row[j] for row in rows) for i, j in ((1, 1), (1, 2), (2, 2)))
+    if unknowns == 2:
+        c, e, f = 0.0, 0.0, 1.0
+    one, two, three = d * f - e * e, c * e - b * f, b * e - c * d
+    whole = a * one + b * two + c * three
+    if not whole > LEAST_PIVOT * a * d * f:
+        raise ValueError("the wheels do not determine how the base moves")
+    four, five, six = (a * f - c * c) / whole, (b * c - a * e) / whole, (a * d - b * b) / whole
+    one, two, three = one / whole, two / whole, three / whole
+    if unknowns == 2:
+        return (one, two, 0.0), (two, four, 0.0), (0.0, 0.0, 0.0)
+    return (one, two, three), (two, four, five), (three, five, six)
+
+
+def times(matrix: tuple[Row, Row, Row], vector: Row) -> Row:
+    """Return a matrix times a vector."""
+    return dot(matrix[0], vector), dot(matrix[1], vector), dot(matrix[2], vector)
+
+
+def scaled(vector: Row, factor: float) -> Row:
+    """Return a vector times a number."""
+    return vector[0] * factor, vector[1] * factor, vector[2] * factor
+
+
+def weighted(columns: Sequence[Row], weights: Sequence[float]) -> Row:
+    """Return the sum of columns times weights."""
+    pairs = list(zip(columns, weights, strict=True))
+    first, second, third = (sum(column[i] * weight for column, weight in pairs) for i in range(3))
+    return first, second, third
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WheeledBase(Base):
+    """A base on wheels of one radius."""
+
+    wheel_radius: float
+    """m"""
+    max_wheel_speed: float | None = None
+    """rad/s of a wheel; None: what the largest speeds of the base together need"""
+
+    def __post_init__(self) -> None:
+        within(self, wheel_radius=(0.005, 2.0, "m"), max_wheel_speed=(1e-3, 1e4, "rad/s"))
+        Base.__post_init__(self)
+
+    def top_speed(self, row: Row) -> float:
+        """Return the largest speed [rad/s] of a wheel with this row."""
+        if self.max_wheel_speed is not None:
+            return self.max_wheel_speed
+        lateral = (self.max_lateral or self.max_linear) if self.moves_sideways else 0.0
+        angular = self.max_angular
+        if self.turning_radius > 0.0:
+            angular = min(angular, self.max_linear / self.turning_radius)
+        most = math.hypot(row[0] * self.max_linear, row[2] * lateral) + abs(row[1]) * angular
+        return max(most, 1e-3) / self.wheel_radius
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FixedWheels(WheeledBase):
+    """A base whose wheels do not steer: their speeds are linear in the twist."""
+
+    def __post_init__(self) -> None:
+        WheeledBase.__post_init__(self)
+        gains(self.rows, self.unknowns)
+
+    @property
+    def rows(self) -> tuple[Row, ...]:
+        """The row of each wheel, in the order of `joints`."""
+        raise NotImplementedError
+
+    @property
+    def unknowns(self) -> int:
+        """Directions of motion."""
+        return 3 if self.moves_sideways else 2
+
+    @property
+    def top_speeds(self) -> tuple[float, ...]:
+        """Largest speed of each wheel [rad/s]."""
+        return tuple(map(self.top_speed, self.rows))
+
+    @property
+    def rolling(self) -> tuple[float, ...]:
+        """The radius of each wheel [m]."""
+        return (self.wheel_radius,) * len(self.joints)
+
+    def inverse(self, twist: Twist, positions: Sequence[float | None] = ()) -> tuple[Setpoint, ...]:
+        """Return the wheels' speeds [rad/s]."""
+        lateral = twist.lateral if self.moves_sideways else 0.0
+        able = (twist.linear, twist.angular, lateral)
+        return tuple(Setpoint(dot(row, able) / self.wheel_radius) for row in self.rows)
+
+    def travel(self, before: Sequence[float], after: Sequence[float]) -> Travel:
+        """Return the motion that fits the angles rolled, by least squares; exact without slip."""
+        columns, radius = gains(self.rows, self.unknowns), self.wheel_radius
+        rolled = [radius * (b - a) for a, b in zip(before, after, strict=True)]
+        first, second, third = (tuple(radius * column[i] for column in columns) for i in range(3))
+        return Travel(*weighted(columns, rolled), first, second, third)
+
+
+class Contact(NamedTuple):
+    """A wheel of a base whose wheels steer: where it touches the floor, and its joints."""
+
+    x: float
+    """m"""
+    y: float
+    drive: int | None
+    """Index of the joint that turns it; None: it is not driven,"""
+    steering: int | None
+    """and of the one that steers it, about a vertical axis through its point of contact; None: forward."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SteeredWheels(WheeledBase):
+    """A base with wheels that steer, 0 being forward: it waits, or goes slowly, until they point the right
+    way; at rest they stay as they are."""
+
+    max_steering: float | None = None
+    """rad, to either side; None: endless"""
+    steering_error: float
+    """rad: with a wheel this far from its direction the base does not drive; from half of it on, its speed is
+    scaled by a cosine"""
+
+    def __post_init__(self) -> None:
+        half = math.pi / 2.0
+        within(self, max_steering=(0.05, 1e4, "rad"), steering_error=(0.02, half, "rad"))
+        WheeledBase.__post_init__(self)
+
+    @property
+    def contacts(self) -> tuple[Contact, ...]:
+        """Every wheel that drives or steers."""
+        raise NotImplementedError
+
+    @property
+    def top_speeds(self) -> tuple[float, ...]:
+        """Largest speed of each driven wheel [rad/s]; inf for those that steer."""
+        most = [math.inf] * len(self.joints)
+        for x, y, drive, steering in self.contacts:
+            if drive is not None:
+                arm = y if steering is None else math.hypot(x, y)
+                most[drive] = self.top_speed((1.0, arm, 0.0))
+                if steering is not None:
+                    most[drive] = max(most[drive], self.top_speed((0.0, arm, 1.0)))
+        return tuple(most)
+
+    @property
+    def rolling(self) -> tuple[float, ...]:
+        """The radius of each driven wheel [m]; 0 for those that steer."""
+        driven = {contact.drive for contact in self.contacts}
+        return tuple(self.wheel_radius if i in driven else 0.0 for i in range(len(self.joints)))
+
+    def inverse(self, twist: Twist, positions: Sequence[float | None]) -> tuple[Setpoint, ...]:
+        """Return the joints' set-points for a twist, driven as far as the wheels are ready for it."""
+        return self._steer(twist, positions, self.readiness(twist, positions))
+
+    def actuate(
+        self, twist: Twist, positions: Sequence[float | None], dt: float, memory: Any
+    ) -> tuple[tuple[Command, ...], Any]:
+        """Return one command per joint. What is driven grows within the accelerations and jerks, whenever the
+        wheels become ready. The memory: the time that it takes to brake what is driven, its growth per
+        second, and the time to brake the whole twist."""
+        whole = self.to_rest(twist)
+        driven, growth, whole_before = memory or (0.0, 0.0, 0.0)
+        wanted = whole * self.readiness(twist, positions)
+        own = max(whole - whole_before, 0.0) / dt
+        growth = min(1.0, growth + dt * self._stiffness, own + CATCHING_UP * max(wanted - driven, 0.0))
+        before, driven = driven, min(wanted, driven + growth * dt)
+        share = driven / whole if whole > 0.0 else 0.0
+        remembered = driven, max(driven - before, 0.0) / dt, whole
+        return self.commands(self._steer(twist, positions, share)), remembered
+
+    @property
+    def _stiffness(self) -> float:
+        """Return by how much per second the acceleration may grow, as a share of the largest."""
+        linear = self.max_linear_jerk / self.max_linear_acceleration
+        return min(linear, self.max_angular_jerk / self.max_angular_acceleration)
+
+    def readiness(self, twist: Twist, positions: Sequence[float | None]) -> float:
+        """Return the share of a twist, from 0 to 1, that may be driven with the wheels' present directions.
+
+        The slower a wheel is to roll, the less its direction matters."""
+        share, fastest = 1.0, max(math.hypot(*self._at(one, twist)) for one in self.contacts)
+        for contact in self.contacts:
+            present = None if contact.steering is None else positions[contact.steering]
+            forward, left = self._at(contact, twist)
+            speed = math.hypot(forward, left)
+            if present is None or speed < STANDING:
+                continue
+            error = nearest(math.atan2(left, forward), present, self.max_steering)[0] - present
+            turned = min(max(2.0 * abs(error) / self.steering_error - 1.0, 0.0), 1.0)
+            share = min(share, 1.0 - speed / fastest * (1.0 - math.cos(turned * math.pi / 2.0)))
+        return max(share, 0.0)
+
+    def _at(self, contact: Contact, twist: Twist) -> tuple[float, float]:
+        """Return the velocity of a wheel's axle [m/s]: forward, to the left."""
+        lateral = twist.lateral if self.moves_sideways else 0.0
+        return twist.linear - twist.angular * contact.y, lateral + twist.angular * contact.x
+
+    def _steer(self, twist: Twist, positions: Sequence[float | None], share: float) -> tuple[Setpoint, ...]:
+        """Return the set-points: steered for the twist, driven at a share of it."""
+        setpoints = [Setpoint()] * len(self.joints)
+        for contact in self.contacts:
+            forward, left = self._at(contact, twist)
+            rolled = forward
+            if contact.steering is not None:
+                rolled = math.hypot(forward, left)
+                if rolled >= STANDING:
+                    direction, present = math.atan2(left, forward), positions[contact.steering]
+                    angle, backward = nearest(direction, present, self.max_steering)
+                    setpoints[contact.steering] = Setpoint(position=angle)
+                    rolled = -rolled if backward else rolled
+            if contact.drive is not None:
+                setpoints[contact.drive] = Setpoint(share * rolled / self.wheel_radius)
+        return tuple(setpoints)
+
+    def travel(self, before: Sequence[float], after: Sequence[float]) -> Travel:
+        """Return the motion that fits all wheels that roll, and do not slip sideways where they are steered,
+        by least squares: exact while the steering does not turn, else with its angles midway."""
+        rows: list[Row] = []
+        values: list[float] = []
+        sources: list[tuple[int | None, int | None, Row]] = []
+        for x, y, drive, steering in self.contacts:
+            turned = 0.0 if steering is None else (before[steering] + after[steering]) / 2.0
+            along, across = rolling_row(x, y, turned), sliding_row(x, y, turned)
+            if drive is not None:
+                rows.append(along)
+                values.append(self.wheel_radius * (after[drive] - before[drive]))
+                sources.append((drive, steering, across))
+            if steering is not None:
+                rows.append(across)
+                values.append(0.0)
+                sources.append((None, steering, (-along[0], -along[1], -along[2])))
+        inverse = normal_inverse(rows, 3 if self.moves_sideways else 2)
+        motion = times(inverse, weighted(rows, values))
+        by = [(0.0, 0.0, 0.0)] * len(self.joints)
+        for row, value, (drive, steering, slope) in zip(rows, values, sources, strict=True):
+            if drive is not None:
+                by[drive] = scaled(times(inverse, row), self.wheel_radius)
+            if steering is not None:  # derivative of M⁻¹ Aᵀ b; the angle midway moves by half
+                missed, changed = (value - dot(row, motion)) / 2.0, dot(slope, motion) / -2.0
+                both = weighted((slope, row), (missed, changed))
+                by[steering] = weighted((by[steering], times(inverse, both)), (1.0, 1.0))
+        return Travel(*motion, *zip(*by, strict=True))
+
+
+def nearest(direction: float, present: float | None, most: float | None) -> tuple[float, bool]:
+    """Return the steering angle [rad] nearest to the present one with which a wheel rolls in a direction,
+    forward or backward, within ± `most` if there is such a limit; and whether backward."""
+    turns = round(((present or 0.0) - direction) / math.pi)
+    if most is None:
+        return direction + turns * math.pi, turns % 2 == 1
+    low = math.ceil((-most - direction) / math.pi - 1e-9)
+    high = math.floor((most - direction) / math.pi + 1e-9)
+    turns = min(max(turns, low), high) if low <= high else round(-direction / math.pi)
+    return min(max(direction + turns * math.pi, -most), most), turns % 2 == 1
