@@ -1,24 +1,31 @@
-"""Regulated pure pursuit: steer at the point one lookahead distance ahead on the path.
+"""Following a path: the speed allowed on it, and the curvature that leads back to it.
 
-Rules. The lookahead point lies on the path, at the lookahead distance from the robot, beyond the point of the
-path nearest to it; the robot steers on the circle through itself and that point which is tangent to its
-heading (Coulter 1992, CMU-RI-TR-92-01). The distance grows with the speed, within bounds. The speed is
-lowered in bends, near obstacles and before the end (Macenski et al. 2023, arXiv 2305.20026). Where the path
-lies too far to the side, the robot first turns on the spot. For the lookahead point the path is extended
-straight beyond its end, so steering stays calm there.
+Rules. The path is driven run by run (`brain.control.track`). The base is compared with the place of the run
+nearest to where it will be when a command takes effect. What cannot move sideways steers by the curvature of
+the run there, and by its errors: to the side, e, and in heading, h, so that both vanish within the lookahead
+distance L (Samson 1995, "Control of chained systems", with the distance in place of time):
+
+    curvature = k cos h / (1 - k e) - e sinc(h) / L² - 2 sin(h) / L        with sinc(h) = sin(h) / h
+
+What moves sideways corrects its place by its velocity, and turns on its way. A base that turns on the spot
+does so where its heading is too far off: at rest for any larger error, on its way for a large one only. It
+ends at rest within the tolerance of the goal, with the yaw that is wanted. Backward the base is led by its
+rear: the same law with the yaw turned by half a turn.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import atan2, hypot, sin, sqrt
+from math import atan2, cbrt, cos, hypot, pi, sin, sqrt
 
 from brain.belief import Pose
-from brain.bodies.differential import wrap
+from brain.bodies.body import Base
+from brain.bodies.plane import REST, Twist, arc, wrap
 from brain.checks import ordered, within
-from brain.control.profile import REST, Twist
-from brain.planning.polyline import Point, Polyline
-from protocols.messages import MILLISECOND, SECOND, Nanos
+from brain.control.track import Place, Run, runs
+from brain.planning.polyline import Point
+from protocols.messages import MILLISECOND, SECOND, Nanos, seconds
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,26 +34,30 @@ class PursuitSettings:
 
     period: Nanos = 20 * MILLISECOND
     """Period of the commands."""
-    lookahead_time: float = 1.0
-    """s; the lookahead distance is the speed times this,"""
-    lookahead_min: float = 0.25
+    latency: Nanos = 40 * MILLISECOND
+    """From a command to the motion that it causes"""
+    lookahead_time: float = 0.5
+    """s; the distance in which errors vanish is the speed times this,"""
+    lookahead_min: float = 0.2
     """m, but at least this"""
     lookahead_max: float = 1.0
     """m, and at most this"""
+    corner: float = 0.03
+    """m, by which a corner of a path may be cut"""
     lateral_acceleration: float = 0.5
     """m/s², in bends"""
     turn_from: float = 0.8
-    """rad: bearing of the lookahead point from which on the robot turns on the spot,"""
+    """rad: error of the heading from which on the robot stops and turns on the spot,"""
     turn_until: float = 0.1
-    """rad: until the bearing is below this"""
-    turn_gain: float = 3.0
+    """rad: until the error is below this; at rest it turns for more than twice this"""
+    turn_gain: float = 4.0
     """rad/s per rad of heading error, on the spot"""
-    obstacle_distance: float = 0.3
+    obstacle_distance: float = 0.15
     """m between footprint and obstacle, below which the speed is lowered,"""
-    obstacle_speed: float = 0.3
+    obstacle_speed: float = 0.4
     """down to this share of the largest at no distance"""
-    braking: float = 0.6
-    """Share of the largest deceleration that is used to brake before the end of the path."""
+    braking: float = 0.8
+    """Share of the largest deceleration that is used to brake before bends and the end of the path."""
     creep: float = 0.04
     """m/s, the lowest speed before the end"""
     tolerance: float = 0.05
@@ -60,9 +71,11 @@ class PursuitSettings:
         within(
             self,
             period=(1.0, 100.0),
+            latency=(0.0, 500.0),
             lookahead_time=(0.01, 10.0, "s"),
             lookahead_min=(0.01, 10.0, "m"),
             lookahead_max=(0.01, 10.0, "m"),
+            corner=(1e-3, 1.0, "m"),
             lateral_acceleration=(0.01, 20.0, "m/s²"),
             turn_from=(0.01, 3.2, "rad"),
             turn_until=(0.001, 3.2, "rad"),
@@ -80,119 +93,226 @@ class PursuitSettings:
             raise ValueError(f"turn_until must be less than turn_from, {self.turn_from}")
 
 
-@dataclass(frozen=True, slots=True)
-class Bounds:
-    """Limits of the base at this moment."""
-
-    linear: float
-    """m/s"""
-    angular: float
-    """rad/s"""
-    linear_acceleration: float
-    """m/s²"""
-    angular_acceleration: float
-    """rad/s²"""
+STEADY = 0.02
+"""m/s, and rad/s over the footprint's radius: slower is at rest"""
+EXACT = 0.004
+"""m before its end where a run is done"""
+APPROACH = 6.0
+"""1/s: speed per distance left, at the very end"""
+ASIDE = 2.0
+"""1/s: speed to the side per error, of what moves sideways"""
+TURNS_AHEAD = 1.0
+"""m before its end from which on a base that moves sideways takes the yaw of the goal"""
+MISSED_YAW = 3.0
+"""Times the tolerance that a base that cannot turn on the spot may be off at the end"""
 
 
 class Pursuit:
-    """Path follower. State: the path, the progress along it, whether the robot turns on the spot."""
+    """Path follower. State: the runs of the path, the one driven, and how far; plain data."""
 
     def __init__(self) -> None:
-        self.path: Polyline | None = None
+        self.runs: tuple[Run, ...] = ()
+        self.end: Point | None = None
+        """Of the path; None without one."""
         self.yaw: float | None = None
-        self.along = 0.0
-        """m of the path already covered"""
+        self.index, self.along = 0, 0.0
+        """The run that is driven, and how far it is [m]."""
         self.turning = False
-        self.at_end = False
-        """Within tolerance of the end: only the final turn is left."""
         self.arrived = False
         """At rest at the end, in the wanted yaw."""
-        self.lookahead: Point | None = None
-        """Point last steered at, for tests."""
+        self.missed = ""
+        """Why the end cannot be reached on this path any more; "" while it can"""
+        self.error = 0.0
+        """m to the left of the path, of the pose by which it is steered"""
+        self._begun = False
 
-    def follow(self, points: tuple[Point, ...], yaw: float | None = None) -> None:
-        """Follow a new path (at least one point), ending in this yaw if given."""
-        self.path, self.yaw = Polyline(points), yaw
-        self.along, self.at_end, self.arrived, self.lookahead = 0.0, False, False, None
+    def follow(
+        self,
+        points: Sequence[Point],
+        yaw: float | None,
+        body: Base,
+        settings: PursuitSettings,
+        headings: Sequence[float] | None = None,
+        gears: Sequence[int] | None = None,
+        slow: Callable[[float, float], float] | None = None,
+    ) -> None:
+        """Follow a new path (at least one point), ending in this yaw if given.
+
+        `slow`: the largest speed [m/s] at a place [m, m]."""
+        s = settings
+        self.runs = runs(points, headings, gears, body, s.corner, s.braking, s.lateral_acceleration, slow)
+        self.end, self.yaw = points[-1], yaw
+        self.index, self.along, self.turning, self._begun = 0, 0.0, False, False
+        self.arrived, self.missed, self.error = False, "", 0.0
 
     def drop(self) -> None:
         """Forget the path."""
-        self.path, self.yaw, self.lookahead = None, None, None
-        self.turning, self.at_end, self.arrived = False, False, False
+        self.runs, self.end, self.yaw, self.turning = (), None, None, False
+        self.arrived, self.missed = False, ""
 
     def step(
-        self, pose: Pose, previous: Twist, bounds: Bounds, clearance: float, settings: PursuitSettings
+        self, pose: Pose, previous: Twist, share: float, clearance: float, body: Base, s: PursuitSettings
     ) -> Twist:
-        """Return the wanted twist, before acceleration limits; rest if there is no path, or at its end.
+        """Return the wanted twist, before limits of acceleration; rest if there is no path, or at its end.
 
-        `clearance` [m] is the distance between the footprint and the nearest obstacle."""
-        if self.path is None:
-            return REST
-        position = (pose.x, pose.y)
-        window = max(1.0, 2.0 * settings.lookahead_max)
-        self.along, _ = self.path.project(position, self.along, self.along + window)
-        end = self.path.points[-1]
-        distance = hypot(end[0] - pose.x, end[1] - pose.y)
+        `share`: of the largest speeds, that is allowed; `clearance`: m from the footprint to the nearest
+        obstacle."""
         self.arrived = False
-        # Hysteresis: drifting off a little during the final turn must not send the robot back.
-        self.at_end = distance <= settings.tolerance * (2.0 if self.at_end else 1.0)
-        if self.at_end:
-            return self._final_turn(pose, previous, bounds, settings)
-        remaining = max(self.path.length - self.along, 0.0)
-        lookahead = min(
-            max(abs(previous.linear) * settings.lookahead_time, settings.lookahead_min),
-            settings.lookahead_max,
+        if self.end is None or share <= 0.0:
+            return REST
+        soon = arc(
+            pose, *(v * seconds(s.latency) for v in (previous.linear, previous.angular, previous.lateral))
         )
-        # Past the end, or beside it, steer at the end itself.
-        target = (
-            self.path.points[-1]
-            if remaining <= settings.tolerance
-            else self.path.ahead((pose.x, pose.y), self.along, lookahead)
-        )
-        self.lookahead = target
-        bearing = wrap(atan2(target[1] - pose.y, target[0] - pose.x) - pose.yaw)
-        if abs(bearing) > (settings.turn_until if self.turning else settings.turn_from):
-            self.turning = True
-            return self._on_the_spot(bearing, previous, bounds, settings)
-        self.turning = False
-        curvature = 2.0 * sin(bearing) / max(hypot(target[0] - pose.x, target[1] - pose.y), 1e-6)
-        distance_left = max(remaining, distance if remaining <= settings.tolerance else 0.0)
-        speed = self._speed(curvature, distance_left, clearance, bounds, settings)
-        return Twist(speed, curvature * speed)
+        rests = previous.speed < STEADY
+        if self.index < len(self.runs):
+            run = self.runs[self.index]
+            if clearance < s.obstacle_distance:
+                near = max(clearance, 0.0) / s.obstacle_distance
+                share *= s.obstacle_speed + (1.0 - s.obstacle_speed) * near
+            twist = self._along(run, soon, rests, previous, share, body, s)
+            if twist is not None:
+                return twist
+            if not rests:
+                return REST
+            self.index, self.along, self._begun = self.index + 1, 0.0, False
+            return REST if self.index < len(self.runs) else self._at_end(soon, previous, share, body, s)
+        return self._at_end(soon, previous, share, body, s)
 
-    def _speed(
+    def _along(
         self,
-        curvature: float,
-        distance_left: float,
-        clearance: float,
-        bounds: Bounds,
-        settings: PursuitSettings,
-    ) -> float:
-        speed = bounds.linear
-        if abs(curvature) > 1e-6:
-            speed = min(
-                speed, sqrt(settings.lateral_acceleration / abs(curvature)), bounds.angular / abs(curvature)
+        run: Run,
+        pose: Pose,
+        rests: bool,
+        previous: Twist,
+        share: float,
+        body: Base,
+        s: PursuitSettings,
+    ) -> Twist | None:
+        """Return the twist on a run; None at its end."""
+        reach = max(0.5, 2.0 * s.lookahead_max)
+        self.along = run.nearest(
+            pose.x, pose.y, self.along if not self._begun else self.along - 0.1, self.along + reach
+        )
+        self._begun = True
+        place = run.place(self.along)
+        c, si = cos(place.heading), sin(place.heading)
+        dx, dy = pose.x - place.x, pose.y - place.y
+        left = run.length - self.along
+        self.error = c * dy - si * dx
+        if left <= 1e-6:
+            left = -(c * dx + si * dy)
+        if left <= EXACT:
+            return None
+        ahead = run.place(self.along + previous.speed * _lead(body, s))
+        allowed = max(share * ahead.speed, min(s.creep, share * body.max_linear))
+        speed = min(allowed, max(APPROACH * left, s.creep))
+        if body.moves_sideways:
+            return self._sideways(run, place, ahead, pose, speed, left, share, body, s)
+        travelling = pose.yaw if run.gear > 0 else wrap(pose.yaw + pi)
+        lookahead = min(max(previous.speed * s.lookahead_time, s.lookahead_min), s.lookahead_max)
+        heading = wrap(travelling - place.heading)
+        if body.turning_radius == 0.0:
+            wanted = (
+                place.heading - atan2(self.error, lookahead)
+                if abs(self.error) > s.tolerance
+                else place.heading
             )
-        if clearance < settings.obstacle_distance:
-            share = max(clearance, 0.0) / settings.obstacle_distance
-            speed = min(
-                speed, bounds.linear * (settings.obstacle_speed + (1.0 - settings.obstacle_speed) * share)
-            )
-        braking = sqrt(2.0 * settings.braking * bounds.linear_acceleration * distance_left)
-        return min(max(min(speed, braking), settings.creep), bounds.linear)
+            off = wrap(wanted - travelling)
+            limit = s.turn_until if self.turning else 2.0 * s.turn_until if rests else s.turn_from
+            self.turning = abs(off) > limit
+            if self.turning:
+                return self._on_the_spot(off, previous, share, body, s)
+        bend = run.place(self.along + previous.speed * _turn_lead(body)).curvature
+        curvature = steered(bend, self.error, heading, lookahead)
+        most = 1.0 / body.turning_radius if body.turning_radius > 0.0 else 2.0 / s.lookahead_min
+        most = max(most, abs(bend) if body.turning_radius == 0.0 else 0.0)
+        curvature = min(max(curvature, -most), most)
+        return Twist(run.gear * speed, curvature * speed)
 
-    def _final_turn(self, pose: Pose, previous: Twist, bounds: Bounds, settings: PursuitSettings) -> Twist:
+    def _sideways(
+        self,
+        run: Run,
+        place: Place,
+        ahead: Place,
+        pose: Pose,
+        speed: float,
+        left: float,
+        share: float,
+        body: Base,
+        s: PursuitSettings,
+    ) -> Twist:
+        """Return the twist of a base that keeps to its path in any heading."""
+        c, si = cos(ahead.heading), sin(ahead.heading)
+        back = min(max(-ASIDE * self.error, -0.5 * body.max_linear), 0.5 * body.max_linear)
+        vx, vy = speed * c - back * si, speed * si + back * c
+        if place.facing is not None:
+            wanted = place.facing
+        elif self.yaw is not None and left < TURNS_AHEAD:
+            wanted = self.yaw
+        else:
+            along = place.heading if run.gear > 0 else place.heading + pi
+            wanted = along if left > s.lookahead_min else pose.yaw
+        rate = self._rate(wrap(wanted - pose.yaw), share, body, s)
+        cy, sy = cos(pose.yaw), sin(pose.yaw)
+        return Twist(cy * vx + sy * vy, rate, cy * vy - sy * vx)
+
+    def _at_end(self, pose: Pose, previous: Twist, share: float, body: Base, s: PursuitSettings) -> Twist:
+        """At the end of the last run: turn to the goal's yaw; if the end is missed, go there once more."""
+        assert self.end is not None
+        away = hypot(self.end[0] - pose.x, self.end[1] - pose.y)
         error = 0.0 if self.yaw is None else wrap(self.yaw - pose.yaw)
-        if abs(error) > settings.yaw_tolerance:
-            return self._on_the_spot(error, previous, bounds, settings)
-        self.turning = False
-        self.arrived = abs(previous.linear) < settings.creep and abs(previous.angular) < 0.1
+        rests = previous.speed < STEADY
+        if away > s.tolerance * (2.0 if self.turning else 1.0):
+            if not rests:
+                return REST
+            if body.turning_radius > 0.0:
+                self.missed = f"it ended {away:.2f} m from the end of its path"
+                return REST
+            self.runs = runs(
+                ((pose.x, pose.y), self.end), None, None, body, s.corner, s.braking, s.lateral_acceleration
+            )
+            self.index, self.along, self._begun, self.turning = 0, 0.0, False, False
+            return REST
+        if body.turning_radius > 0.0:
+            if abs(error) > MISSED_YAW * s.yaw_tolerance:
+                self.missed = f"it ended with its yaw {error:.2f} rad off"
+                return REST
+            error = 0.0
+        self.turning = abs(error) > s.yaw_tolerance * (0.5 if self.turning else 1.0)
+        if self.turning:
+            return self._on_the_spot(error, previous, share, body, s)
+        self.arrived = rests and abs(previous.angular) < 0.1
         return REST
 
-    def _on_the_spot(self, error: float, previous: Twist, bounds: Bounds, settings: PursuitSettings) -> Twist:
+    def _on_the_spot(
+        self, error: float, previous: Twist, share: float, body: Base, s: PursuitSettings
+    ) -> Twist:
         """Brake first, then turn, slowly enough to be able to stop at the wanted heading."""
-        if abs(previous.linear) > settings.creep:
-            return REST
-        braking = sqrt(2.0 * settings.braking * bounds.angular_acceleration * abs(error))
-        rate = min(settings.turn_gain * abs(error), braking, bounds.angular)
-        return Twist(0.0, rate if error > 0.0 else -rate)
+        return REST if previous.speed > STEADY else Twist(0.0, self._rate(error, share, body, s))
+
+    @staticmethod
+    def _rate(error: float, share: float, body: Base, s: PursuitSettings) -> float:
+        # With little jerk it must brake more gently, and correct more slowly.
+        gentle = min(body.max_angular_acceleration, 0.4 * sqrt(body.max_angular_jerk * body.max_angular))
+        gain = min(s.turn_gain, 1.3 * cbrt(0.8 * body.max_angular_jerk))
+        braking = sqrt(2.0 * s.braking * gentle * abs(error))
+        rate = min(gain * abs(error), braking, share * body.max_angular)
+        return rate if error > 0.0 else -rate
+
+
+def _lead(body: Base, s: PursuitSettings) -> float:
+    """Return by how much earlier [s] a change must be wanted, since the jerk is limited."""
+    return s.braking * body.max_linear_acceleration / (2.0 * body.max_linear_jerk)
+
+
+def _turn_lead(body: Base) -> float:
+    """Return the same of a change of the curvature [s]."""
+    return body.max_angular_acceleration / (2.0 * body.max_angular_jerk) + 0.02
+
+
+def steered(curvature: float, error: float, heading: float, lookahead: float) -> float:
+    """Return the curvature [1/m] with which errors to the left [m, rad] vanish within the lookahead [m]."""
+    straight = sin(heading) / heading if abs(heading) > 1e-6 else 1.0
+    room = max(1.0 - curvature * error, 0.3)
+    follow = curvature * cos(heading) / room
+    return follow - error * straight / lookahead**2 - 2.0 * sin(heading) / lookahead

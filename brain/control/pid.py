@@ -1,0 +1,94 @@
+"""A position and velocity loop for a motor that takes only torque, with feed-forward and anti-windup.
+
+Rules. The position's error asks for a velocity, the velocity's error for a torque, and its integral removes
+what load and friction leave. What is known is given in advance: the torque of inertia, damping and dry
+friction at the set-point. The integral stands still while the torque is at its limit and would be pushed
+further, and never exceeds its own bound (conditional integration: Astrom and Hagglund 2006, "Advanced PID
+Control", section 3.5). The derivative is of the measurement, so that no step of a set-point kicks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import copysign
+
+from brain.checks import within
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopSettings:
+    """Gains at the joint's output shaft, SI."""
+
+    position_gain: float = 8.0
+    """rad/s of velocity per rad of error"""
+    velocity_gain: float
+    """N·m per rad/s of error"""
+    integral_gain: float = 0.0
+    """N·m per rad/s of error and s"""
+    integral_most: float = 0.0
+    """N·m of the integral, at most"""
+    inertia: float = 0.0
+    """kg·m², given in advance"""
+    damping: float = 0.0
+    """N·m·s/rad, likewise,"""
+    friction: float = 0.0
+    """and N·m of dry friction"""
+
+    def __post_init__(self) -> None:
+        within(
+            self,
+            position_gain=(0.0, 1e3, "1/s"),
+            velocity_gain=(0.0, 1e4, "N·m·s/rad"),
+            integral_gain=(0.0, 1e5, "N·m/rad"),
+            integral_most=(0.0, 1e4, "N·m"),
+            inertia=(0.0, 1e3, "kg·m²"),
+            damping=(0.0, 1e3, "N·m·s/rad"),
+            friction=(0.0, 1e3, "N·m"),
+        )
+
+
+CREEP = 0.05
+"""rad/s of a set-point below which its dry friction is given in proportion"""
+
+
+class Loop:
+    """The loop of one joint. State: the integral, and the last set-point; plain data."""
+
+    def __init__(self) -> None:
+        self.integral = 0.0
+        """N·m"""
+        self._velocity: float | None = None
+        """rad/s, of the last set-point"""
+
+    def reset(self) -> None:
+        """Forget: the motor was disarmed, or is commanded otherwise."""
+        self.integral, self._velocity = 0.0, None
+
+    def step(
+        self,
+        position_error: float,
+        velocity: float,
+        measured: float,
+        torque: float,
+        dt: float,
+        most: float,
+        settings: LoopSettings,
+    ) -> float:
+        """Return the torque [N·m], within ± `most`, dt [s] after the last.
+
+        `position_error` [rad]: how far the set-point is ahead; `velocity` [rad/s]: of the set-point;
+        `measured` [rad/s]; `torque` [N·m]: given in advance besides."""
+        before = velocity if self._velocity is None else self._velocity
+        self._velocity = velocity
+        rate = (velocity - before) / dt if dt > 0.0 else 0.0
+        error = velocity + settings.position_gain * position_error - measured
+        known = settings.inertia * rate + settings.damping * velocity
+        known += settings.friction * max(-1.0, min(1.0, velocity / CREEP))
+        free = torque + known + settings.velocity_gain * error
+        step = settings.integral_gain * error * dt
+        wanted = free + self.integral
+        if abs(wanted) < most or wanted * step < 0.0:
+            bound = settings.integral_most
+            self.integral = max(-bound, min(bound, self.integral + step))
+        wanted = free + self.integral
+        return wanted if abs(wanted) <= most else copysign(most, wanted)
