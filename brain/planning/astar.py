@@ -32,6 +32,8 @@ BATCH_WORK = 130
 """What a batch costs beside its cells, in expansions."""
 BUCKET = 1.0
 """Cells, width of a bucket"""
+SPREAD, NEARBY = 1.2, 40.0
+"""A search that spreads ends at this multiple of the goal's cost, and so many cells more."""
 BESIDE = np.array(((0, 0, 1, 1), (2, 3, 2, 3)))
 """The two moves beside each of the diagonal ones."""
 ZERO = 5e-324
@@ -66,7 +68,8 @@ Outcome: TypeAlias = CellPath | Unreachable | Searching
 
 class Search:
     """One search from a cell to a cell; `beyond` is the row and column of a goal beyond the snapshot;
-    `through_unknown` is the assumed cost of a metre through unknown ground, if it may be entered."""
+    `through_unknown` is the assumed cost of a metre through unknown ground, if it may be entered. With
+    `spread` it goes on without aim until each cell that costs not much more than the goal has its cost."""
 
     def __init__(
         self,
@@ -76,28 +79,32 @@ class Search:
         *,
         beyond: tuple[int, int] = (0, 0),
         through_unknown: float = inf,
+        spread: bool = False,
     ) -> None:
         self.ground, self.start, self.goal = ground, start, goal
         self.work = 0
         """Done so far, in expansions."""
+        self._spread = spread
         self._multiplier = ground.multiplier.copy()
         if through_unknown < inf:
             self._multiplier[UNKNOWN:] = np.minimum(self._multiplier[UNKNOWN:], through_unknown)
         self._goal_at = beyond if goal == BEYOND else divmod(goal, ground.stride)
         side = ground.stride
         self._moves = np.array((side, -side, 1, -1, side + 1, side - 1, -side + 1, -side - 1))[:, None]
-        self._cost = np.zeros(len(ground.level))
-        """Cells; 0 where not reached."""
+        self.cost = np.zeros(len(ground.level))
+        """Cells, from the start to each; 0 where not reached"""
         self._came = np.zeros(len(ground.level), np.uint8)
         """The move to each cell that was reached."""
-        self._cost[start] = ZERO
+        self.cost[start] = ZERO
         self._open: dict[int, list[Cells]] = {}
         """Cells by cost + heuristic, in buckets."""
         self._best = (inf, start)
         """Cost of the goal, and the last cell on the way to it."""
+        self.most = inf
+        """Cells: what costs more is of no use."""
         self._cells: list[int] = []
         """The path found, from the goal as far back as it was traced."""
-        self._closed = goal != BEYOND and self._multiplier[ground.level[goal]] == inf
+        self._closed = goal != BEYOND and not spread and self._multiplier[ground.level[goal]] == inf
         self._put(np.array([start]))
 
     def advance(self, work: int) -> Outcome:
@@ -134,12 +141,12 @@ class Search:
 
     def _expand(self) -> int:
         """Expand a batch of cells; return the work."""
-        if not self._open or min(self._open) * BUCKET >= self._best[0]:
+        if not self._open or min(self._open) * BUCKET >= self.most:
             self._closed = self._best[0] == inf
             self._cells = [self.goal]
             return 1
         cells = self._take()
-        count, cost = len(cells), self._cost
+        count, cost = len(cells), self.cost
         there = cells + self._moves
         step = self._multiplier[self.ground.level[there]]
         step[4:] *= DIAGONAL
@@ -162,23 +169,26 @@ class Search:
 
     def _put(self, cells: Cells) -> None:
         """Put cells into their buckets, unless the goal is reached at less than they promise."""
-        costs = self._cost[cells]
+        costs = self.cost[cells]
         rows, columns = np.divmod(cells, self.ground.stride)
         dx, dy = np.abs(columns - self._goal_at[1]), np.abs(rows - self._goal_at[0])
         ahead = dx + dy + (DIAGONAL - 2.0) * np.minimum(dx, dy)
+        if self._spread:
+            ahead *= 0.0
         if self.goal == BEYOND:
             exits = (self.ground.level[cells] == EXIT).nonzero()[0]
             if len(exits):
                 whole = costs[exits] + self._multiplier[EXIT] * ahead[exits]
                 first = int(np.argmin(whole))
                 self._best = min(self._best, (float(whole[first]), int(cells[exits[first]])))
-        elif self._cost[self.goal] > 0.0:
-            self._best = (float(self._cost[self.goal]), self.goal)
+        elif self.cost[self.goal] > 0.0:
+            self._best = (float(self.cost[self.goal]), self.goal)
         promise = costs + ahead
         buckets = (promise * (1.0 / BUCKET)).astype(np.int64)
         order = buckets.argsort(kind="stable")
         if self._best[0] < inf:
-            order = order[promise[order] < self._best[0]]
+            self.most = SPREAD * self._best[0] + NEARBY if self._spread else self._best[0]
+            order = order[promise[order] < self.most]
         cells, buckets = cells[order], buckets[order]
         cuts = ((buckets[1:] != buckets[:-1]).nonzero()[0] + 1).tolist()
         for first, last in pairwise((0, *cuts, len(cells)) if len(cells) else ()):

@@ -1,12 +1,13 @@
 """The costmap: what it costs to be in each cell of the map, kept up to date tile by tile.
 
 Rules. Cells are the map's own: (row, column) = floor(y / resolution), floor(x / resolution), in tiles of
-`TILE` × `TILE`. A cell has one level: occupied, within the footprint's radius of an occupied cell, within
-radius + margin of one (blocked: the robot's centre must not be there, but for the last, where a path may pass
-if no other is nearly as short), or free at one of a few levels, the lowest nearest to blocked cells; its
-multiplier (>= 1) is the cost of a metre through the cell. A cell that was never observed, and is farther than
-the radius from an occupied cell, has the flag `UNKNOWN` beside its level. Distances are taken between the
-middles of cells, which is what the margin is for.
+`TILE` × `TILE`. A cell has one level: occupied; within the footprint's inner radius of an occupied cell, or
+within that radius + margin (blocked: the robot's centre must not be there, but for the last, where a path may
+pass if no other is nearly as short); or free at one of a few levels, the lowest nearest to blocked cells:
+first, unless the robot is a circle, where not every heading fits. Its multiplier (>= 1) is the cost of a
+metre through the cell. A cell that was never observed, and is farther than the inner radius from an occupied
+cell, has the flag `UNKNOWN` beside its level. Distances are taken between the middles of cells, which is what
+the margin is for.
 
 The work of a step does not depend on the map's size: `Costmap.update` draws a few of the tiles that changed,
 the nearest first. A search works on a `Snapshot`, which is assembled from the tiles one row of them after
@@ -16,7 +17,7 @@ snapshot is unknown ground without obstacles.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from itertools import pairwise, product
 from math import ceil, floor, inf
@@ -27,6 +28,7 @@ import numpy.typing as npt
 
 from brain.checks import within
 from brain.planning.polyline import Point
+from brain.planning.zones import MOST_ZONES, Zone, Zones
 from protocols.messages import MILLISECOND, SECOND, Nanos
 
 Cells = npt.NDArray[np.int64]
@@ -46,6 +48,10 @@ UNKNOWN = 128
 """Flag of a cell that was never observed, beside the level that it would have."""
 NARROW = 4.0
 """How much more a metre costs where the margin is missing than beside such a place"""
+TIGHT = 1.5
+"""The same where not every heading fits"""
+SLOW = 106
+"""Level of the cells of the first slow zone, and one more for each."""
 EXIT = 255
 """Level of the cells at the edge of a snapshot from where the straight way to a goal beyond it is open."""
 TILE_WORK = 450
@@ -60,9 +66,9 @@ class PlannerSettings:
     """Work of a step of the brain, in A* expansions of about 0.2 µs; all other work is converted."""
     margin: float = 0.05
     """m, clearance kept beyond the footprint's radius"""
-    comfort: float = 0.4
+    comfort: float = 0.3
     """m: within this distance of obstacles, a metre costs more"""
-    dislike: float = 3.0
+    dislike: float = 0.3
     """Additional cost of a metre next to an obstacle, over one far from any."""
     unknown_multiplier: float = 1.2
     """Assumed cost of a metre through unknown ground, where no known path leads to the goal.
@@ -73,12 +79,19 @@ class PlannerSettings:
     """m: how far the start may lie from the nearest place that fits the footprint"""
     slack: float = 0.1
     """m: how far a goal too close to an obstacle may be moved to a place that fits"""
+    reverse: float = 2.0
+    """Cost of a metre backward, over one forward"""
+    switch: float = 0.5
+    """m that each change between forward and backward costs"""
     period: Nanos = 250 * MILLISECOND
     """Period of checking the path against the map, and of searching while there is none."""
     explore: Nanos = 500 * MILLISECOND
     """Period of replanning while no known path leads to the goal."""
-    patience: Nanos = 8 * SECOND
-    """After this time without any path to a goal, the goal is given up."""
+    patience: Nanos = 30 * SECOND
+    """After this time without a path to a goal, or before an obstacle, the goal is given up: longer than a
+    door is closed."""
+    zones: dict[str, Zone] = field(default_factory=dict)
+    """Zones of the map by name: keep_out and slow."""
     drive_timeout: Nanos = 500 * MILLISECOND
     """Watchdog of Drive: not repeated within this time, it ends (a lost operator means stop)."""
 
@@ -92,11 +105,15 @@ class PlannerSettings:
             unknown_multiplier=(1.0, 100.0),
             escape=(0.01, 2.0, "m"),
             slack=(0.0, 2.0, "m"),
+            reverse=(1.0, 100.0),
+            switch=(0.0, 100.0, "m"),
             period=(50.0, 5000.0),
             explore=(50.0, 60_000.0),
             patience=(10.0, 600_000.0),
             drive_timeout=(10.0, 2000.0),
         )
+        if len(self.zones) > MOST_ZONES:
+            raise ValueError(f"zones: there must be at most {MOST_ZONES}, not {len(self.zones)}")
 
 
 class Map(Protocol):
@@ -128,10 +145,22 @@ class Map(Protocol):
 class Costmap:
     """The levels of all tiles, up to date but for those that are `pending`. State is plain data."""
 
-    def __init__(self, resolution: float, radius: float, settings: PlannerSettings) -> None:
+    def __init__(
+        self,
+        resolution: float,
+        radius: float,
+        settings: PlannerSettings,
+        outer: float | None = None,
+        fastest: float = 1.0,
+    ) -> None:
+        """`radius` [m] of the largest circle inside of the robot's outline, `outer` of one that contains it;
+        None: the same; `fastest` [m/s]: its speed outside of slow zones."""
         self.resolution, self.radius, self.settings = resolution, radius, settings
+        self.outer = outer = max(radius, outer or 0.0)
+        self.wide = FREE + (outer > radius)
+        """Level from which on every heading fits."""
         self._rings = rings = round(settings.comfort / resolution) if settings.dislike > 0.0 else 0
-        self.top = FREE + rings
+        self.top = self.wide + rings
         """Level of free cells far from obstacles."""
         self.outside = self.top if settings.unknown_is_free else UNKNOWN + self.top
         """Level of cells that no tile holds."""
@@ -139,13 +168,16 @@ class Costmap:
         self.multiplier = np.full(256, inf)
         """Cost factor by level, over known ground."""
         self.multiplier[NEAR] = NARROW * (1.0 + settings.dislike)
-        self.multiplier[FREE : self.top] = [
+        self.multiplier[FREE] = TIGHT * (1.0 + settings.dislike)
+        self.multiplier[self.wide : self.top] = [
             1.0 + settings.dislike * (1.0 - ring / rings) for ring in range(rings)
         ]
         self.multiplier[self.top] = 1.0
         if settings.unknown_is_free:
             self.multiplier[EXIT] = 1.0
-        self._halo = ceil((radius + settings.margin) / resolution + 0.5) + rings
+        self.zones = Zones(settings.zones, resolution, outer, TILE, fastest)
+        self.multiplier[SLOW : SLOW + len(self.zones.prices)] = self.zones.prices
+        self._halo = ceil((outer + settings.margin) / resolution + 0.5) + rings
         """Cells around a tile in which obstacles matter to it,"""
         self._reach = -(-self._halo // TILE)
         """and tiles."""
@@ -260,8 +292,10 @@ class Costmap:
         if not occupied:
             return np.full((TILE, TILE), self.top, np.uint8)
         side, halo = TILE + 2 * self._halo, self._halo
-        near = disc(occupied, side, (self.radius + self.settings.margin) / self.resolution)
-        masks = [occupied, disc(occupied, side, self.radius / self.resolution), near]
+        margin, small = self.settings.margin, self.radius
+        reaches = [small, small + margin, *([self.outer + margin] if self.wide > FREE else [])]
+        masks = [occupied, *(disc(occupied, side, reach / self.resolution) for reach in reaches)]
+        near = masks[-1]
         for ring in range(self._rings):
             near = dilated(near, side, diagonal=ring % 2 == 1)
             masks.append(near)
@@ -299,7 +333,11 @@ class Costmap:
         if (floor(y / self.resolution) // TILE, floor(x / self.resolution) // TILE) not in self.tiles:
             return 0.0
         level = self.level_at(x, y) % UNKNOWN
-        return inf if level == self.top else max(level - FREE + 1, 0) * self.resolution
+        if level < self.wide:
+            return max(level - FREE + 1, 0) * self.resolution
+        return (
+            inf if level == self.top else self.outer - self.radius + (level - self.wide + 1) * self.resolution
+        )
 
 
 NOTHING = bytes(TILE * TILE // 8)

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from itertools import accumulate, pairwise
-from math import hypot, inf, sqrt
+from math import dist, hypot, inf, sqrt
 
 Point = tuple[float, float]
 """m, m"""
+SAME = 1e-9
+"""m between two points that are one"""
 
 
 class Polyline:
     """A polyline parametrised by the length along it [m]. Immutable."""
 
     def __init__(self, points: tuple[Point, ...]) -> None:
-        self.points = (points[0], *(b for a, b in pairwise(points) if a != b))
+        self.points = (points[0], *(b for a, b in pairwise(points) if dist(a, b) > SAME))
         steps = (hypot(b[0] - a[0], b[1] - a[1]) for a, b in pairwise(self.points))
         self.at = (0.0, *accumulate(steps))
         """Length [m] along the line, of each point."""

@@ -10,6 +10,8 @@ import numpy as np
 from brain.planning.costmap import (
     EXIT,
     FREE,
+    NEAR,
+    SLOW,
     TILE,
     TILE_WORK,
     TOUCHING,
@@ -22,9 +24,14 @@ from brain.planning.costmap import (
     tiles_of,
 )
 from brain.planning.polyline import Point
+from brain.planning.zones import Marks, Zones
 
 COPY_WORK = 16
 """Copying a tile into a snapshot, in expansions of A*."""
+LINE_WORK = 140
+"""A straight line, in expansions of A*,"""
+CELLS_PER_WORK = 10
+"""and its cells."""
 MAX_LINES = 500
 """Straight lines that one search of the nearest place, or one shortening of a path, compares."""
 
@@ -40,6 +47,11 @@ class Ground(Protocol):
     @property
     def multiplier(self) -> Floats:
         """Cost factor by level; infinite for blocked and unknown."""
+        ...
+
+    @property
+    def wide(self) -> int:
+        """Level from which on every heading of the robot fits"""
         ...
 
     def levels(self, rows: Cells, columns: Cells) -> Levels:
@@ -58,9 +70,11 @@ class Snapshot:
     def __init__(
         self, costmap: Costmap, grid: Map, here: Point, goal: Point, unreachable: tuple[Point, ...]
     ) -> None:
-        self.resolution, self.radius = costmap.resolution, costmap.radius
+        self.resolution, self.radius, self.wide = costmap.resolution, costmap.outer, costmap.wide
         self.multiplier, self.outside = costmap.multiplier, costmap.outside
         self.standing, self.unreachable = here, unreachable
+        self._leaves = costmap.zones.holding(here)
+        """Keep-out zones in which the robot stands."""
         row, column = floor(here[1] / self.resolution) // TILE, floor(here[0] / self.resolution) // TILE
         box, (rows, columns) = costmap.box or (row, column, row, column), tiles_of(grid.extent())
         self._rows = range(min(row, max(box[0], rows.start)), max(row + 1, min(box[2], rows.stop)))
@@ -95,7 +109,13 @@ class Snapshot:
             joined = b"".join(costmap.tiles.get(tile, blank) for tile in tiles)
             block = np.frombuffer(joined, np.uint8).reshape(-1, TILE, TILE).swapaxes(0, 1)
             first = 2 + self._filled * TILE
-            self._plane()[first : first + TILE, 2:-2] = block.reshape(TILE, -1)
+            rows = self._plane()[first : first + TILE, 2:-2]
+            rows[:] = block.reshape(TILE, -1)
+            for tile, (_, column) in enumerate(tiles):
+                marks = costmap.zones.marks((self._rows[self._filled], column))
+                if marks is not None:
+                    work -= TILE_WORK
+                    self._add_zones(rows[:, tile * TILE : (tile + 1) * TILE], marks, costmap.zones)
             self._filled += 1
             work -= len(tiles) * COPY_WORK
             if self._filled == len(self._rows):
@@ -103,6 +123,18 @@ class Snapshot:
                 self._judge_places()
                 self.complete = True
         return work
+
+    def _add_zones(self, part: Levels, marks: Marks, zones: Zones) -> None:
+        """Set the levels of a tile's cells in zones: blocked; dear, if the robot is to leave the zone; slow,
+        where that is dearer than what the cell costs already. Unknown ground in slow zones stays unknown."""
+        for number, price in enumerate(zones.prices):
+            cells = marks == number + 1
+            if price < inf:
+                cells &= (part >= self.wide) & (part < UNKNOWN) & (self.multiplier[part] < price)
+                part[cells] = SLOW + number
+            else:
+                highest = np.uint8(NEAR if number in self._leaves else TOUCHING)
+                part[cells] = np.minimum(part[cells], highest)
 
     def _plane(self) -> Levels:
         """Return the levels by row and column."""

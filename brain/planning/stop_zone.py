@@ -10,10 +10,15 @@ gap already, no motion that brings any point nearer than that one is allowed. Th
 that it is on, which was found free, until the wanted one is slow enough. A base that an obstacle makes stand
 may turn on the spot, slowly and up to `turn_gap`, so that it can leave.
 
+What moves, or may (`moving`: discs with velocities), counts along its predicted way, too, until the base
+stands: the share is such that the disc does not come within the gap while the base is faster than `STANDS`.
+The disc grows by `doubt` standard deviations of the velocity, at most by `walk`. Where an edge hides who
+might step out ahead, at `walk`, the same holds down to `hidden_speed`: it makes the base slower, never stand.
+
 Not seen, and therefore not protected: what no lidar's plane meets (glass, table tops), what is nearer than a
 lidar's `range_min`, and everything on a robot without a lidar, which is not slowed either. Driving where no
-lidar looks, as backward with one of 180°, is limited to `blind_speed`; turning is not. Nothing is predicted:
-an obstacle that moves counts where it was seen last.
+lidar looks, as backward with one of 180°, is limited to `blind_speed`; turning is not. The body's limit of
+jerk does not count for braking here.
 """
 
 from __future__ import annotations
@@ -21,13 +26,15 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import cos, hypot, inf, isfinite, sin, sqrt
+from math import cos, hypot, inf, isfinite, pi, sin, sqrt
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from brain.belief import Floats, Pose
-from brain.bodies.differential import Differential, wrap
+from brain.bodies.body import Base
+from brain.bodies.plane import Twist, wrap
 from brain.checks import ordered, within
 from brain.perception.body_scan import Bools
 from brain.perception.mount import Mount
@@ -35,8 +42,6 @@ from brain.planning.outline import Outline
 from protocols.messages import MILLISECOND, Event, LaserScan, Nanos, seconds
 
 Ints = npt.NDArray[np.int64]
-Velocity = tuple[float, float]
-"""Twist: m/s forward, rad/s to the left."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +56,12 @@ class StopSettings:
     """From a command to the motion that it causes, with the age of the wheels' feedback"""
     blind_speed: float = 0.1
     """m/s: largest speed towards where no lidar looks, and of the footprint's corners in such a slow turn"""
+    walk: float = 1.2
+    """m/s: how fast what has just appeared may come,"""
+    doubt: float = 1.0
+    """and by how many standard deviations of its velocity what moves is taken to be nearer"""
+    hidden_speed: float = 20.0
+    """m/s, down to which an edge ahead that may hide somebody slows the base; by default none does"""
     self_seen: float = 0.0
     """m about the footprint, within which a beam ends at the robot's own body and is ignored"""
 
@@ -61,6 +72,9 @@ class StopSettings:
             turn_gap=(0.0, 2.0, "m"),
             latency=(0.0, 2000.0),
             blind_speed=(0.0, 20.0, "m/s"),
+            walk=(0.0, 5.0, "m/s"),
+            doubt=(0.0, 5.0),
+            hidden_speed=(0.05, 20.0, "m/s"),
             self_seen=(0.0, 1.0, "m"),
         )
         ordered(self, "turn_gap", "gap")
@@ -81,6 +95,18 @@ CLEAR_AFTER = 0.3
 """s without an obstacle, after which none is reported"""
 SLOWEST = 0.01
 """m/s: less is standing"""
+BEGIN = 0.03
+"""m/s of a corner, with which a base that begins to move is judged"""
+TOUCHING = 1e-3
+"""m: less nearer is no nearer"""
+STANDS = 0.05
+"""m/s, below which a person that walks into the base is not the base's contact"""
+MAX_MOVING, MOMENTS, LONGEST = 8, 10, 3.0
+"""Moving obstacles that count, the nearest; moments looked at until the base stands; s of them"""
+HIDES = 0.8
+"""m by which neighbouring beams differ if a person fits behind the nearer one"""
+SHARES = np.array([1.0, 0.8, 0.6, 0.45, 0.3, 0.2, 0.1, 0.0])
+"""Shares of a twist that are tried"""
 
 
 @dataclass(slots=True)
@@ -94,14 +120,35 @@ class _View:
     """Those that count: of this scan,"""
     before: Floats
     """and of the one before"""
-    sees: tuple[bool, bool]
-    """Ahead, behind"""
+    looks: Floats
+    """Directions of all its beams in the robot's frame, unit vectors,"""
+    read: Bools
+    """and which of them gave a reading"""
+    edges: Floats
+    """Nearest ends beside which a beam goes much farther"""
+
+
+class Mover(Protocol):
+    """Something that moves: m, m/s."""
+
+    @property
+    def x(self) -> float: ...  # noqa: D102
+    @property
+    def y(self) -> float: ...  # noqa: D102
+    @property
+    def vx(self) -> float: ...  # noqa: D102
+    @property
+    def vy(self) -> float: ...  # noqa: D102
+    @property
+    def radius(self) -> float: ...  # noqa: D102
+    @property
+    def sigma(self) -> float: ...  # noqa: D102
 
 
 class StopZone:
     """Points about the base, and the twist that they allow. State is plain data."""
 
-    def __init__(self, body: Differential, mounts: Mapping[str, Mount], settings: StopSettings) -> None:
+    def __init__(self, body: Base, mounts: Mapping[str, Mount], settings: StopSettings) -> None:
         self.body, self.settings = body, settings
         self.reason = ""
         """Why the base is slower than wanted: "obstacle 0.31 m ahead: slow"; "" if it is not."""
@@ -110,6 +157,9 @@ class StopZone:
         self._mounts, self._outline = mounts, Outline(body)  # the mounts may be corrected
         self._views: dict[str, _View] = {}
         self._points: Floats = np.empty((2, 0))
+        self._moving: Floats = np.empty((6, 0))
+        """x, y [m], their rates [m/s], radius [m], standard deviation of the rates [m/s]"""
+        self._edges: Floats = np.empty((2, 0))
         self._track: deque[tuple[Nanos, Pose]] = deque(maxlen=HISTORY)
         self._here = Pose(0.0, 0.0, 0.0)
         self._fresh = False
@@ -120,8 +170,12 @@ class StopZone:
         """Lidars that see the robot's own body."""
         self._notes: list[str] = []
 
-    def observe(self, t: Nanos, here: Pose, events: Sequence[Event]) -> None:
-        """Process the scans since the last call; `here`: dead reckoning by the wheels at time t."""
+    def observe(self, t: Nanos, here: Pose, events: Sequence[Event], moving: Sequence[Mover] = ()) -> None:
+        """Process the scans since the last call; `here`: dead reckoning by the wheels at time t.
+
+        `moving`: what moves, as it is at t, in the frame of dead reckoning."""
+        rows = [(m.x, m.y, m.vx, m.vy, m.radius, m.sigma) for m in moving]
+        self._moving = np.array(rows).reshape(-1, 6).T
         self._here = here
         if not self._track or t > self._track[-1][0]:
             self._track.append((t, here))
@@ -133,27 +187,42 @@ class StopZone:
                     self._fresh = True
         if self._fresh:
             self._points = np.hstack([p for view in self._views.values() for p in (view.kept, view.before)])
+            self._edges = np.hstack([view.edges for view in self._views.values()])
 
-    def is_too_fast(self, twist: Velocity) -> bool:
+    def is_too_fast(self, twist: Twist) -> bool:
         """Return whether a scan since the last call shows that this twist is too fast."""
         fresh, self._fresh = self._fresh, False
         return fresh and self._share(twist, self._near(twist), self.settings.gap)[0] < 1.0
 
-    def allowed(self, previous: Velocity, desired: Velocity, wanted: Velocity, dt: float) -> Velocity:
+    def allowed(self, previous: Twist, desired: Twist, wanted: Twist, dt: float) -> Twist:
         """Return the next twist, dt [s] after the previous: the desired one (within the accelerations, on its
         way to the wanted one), or what can be stopped in time."""
-        points = self._near(desired)
-        share, away = self._share(desired, points, self.settings.gap)
+        tried = self._tried(desired, wanted)
+        points = self._near(tried)
+        share, away = self._share(tried, points, self.settings.gap)
         result = desired
         if share < 1.0:
-            result, braked = _scaled(desired, share), self._braked(previous, dt)
-            if abs(result[0]) < abs(braked[0]) or abs(result[1]) < abs(braked[1]):
+            slower, braked = tried.scaled(share), self._braked(previous, dt)
+            result = slower if tried == desired or self._fast(slower) < self._fast(desired) else desired
+            if result.speed < braked.speed or abs(result.angular) < abs(braked.angular):
                 result = braked
-            if max(abs(result[0]), abs(previous[0])) < SLOWEST:
+            if max(result.speed, previous.speed) < SLOWEST:
                 turned = self._turned(previous, wanted, dt, points)
-                result = turned if abs(turned[1]) > abs(result[1]) else result
+                result = turned if abs(turned.angular) > abs(result.angular) else result
         self._report(wanted, result, share, away, dt)
         return result
+
+    def _fast(self, twist: Twist) -> float:
+        """Return the most that a corner of the footprint may move [m/s]."""
+        return twist.speed + self._outline.radius * abs(twist.angular)
+
+    def _tried(self, desired: Twist, wanted: Twist) -> Twist:
+        """Return the twist to judge: of a base that only begins to move a little more than the desired one,
+        which hardly moves yet and so would always be free."""
+        fast = self._fast(wanted)
+        if self._fast(desired) >= BEGIN or fast <= 0.0:
+            return desired
+        return wanted.scaled(min(1.0, BEGIN / fast))
 
     def take_notes(self) -> list[str]:
         """Return the notes for the operator since the last call."""
@@ -167,8 +236,6 @@ class StopZone:
         ranges = np.asarray(scan.ranges, dtype=np.float64)
         beams = mount.beams(scan)
         read = np.isfinite(ranges) & (ranges >= max(scan.range_min, 1e-9))
-        ways = beams[0] > AHEAD, beams[0] < -AHEAD
-        sees = [np.count_nonzero(read & way) > SEEING * np.count_nonzero(way) for way in ways]
         farthest = min(scan.range_max, self._reach() + hypot(mount.x, mount.y))
         index = np.flatnonzero(read & (ranges < farthest))
         points = ranges[index] * beams[:, index] + [[mount.x], [mount.y]]
@@ -183,7 +250,14 @@ class StopZone:
             counts = _confirmed(ends, counts, last.ends)
         before = last.kept if last else ends[:, :0]
         kept = _thinned(ends[:, counts], self._here)
-        return _View(scan.t, _thinned(ends, self._here), kept, before, (bool(sees[0]), bool(sees[1])))
+        edges = self._nearest(ends[:, _hiding(ranges, index, scan.range_max)], MAX_MOVING)
+        return _View(scan.t, _thinned(ends, self._here), kept, before, beams, read, edges)
+
+    def _nearest(self, points: Floats, most: int) -> Floats:
+        """Return the points (2 × n, or more rows) nearest to the base, at most so many."""
+        away = np.hypot(points[0] - self._here.x, points[1] - self._here.y)
+        nearest: Floats = points[:, np.argsort(away, kind="stable")[:most]]
+        return nearest
 
     def _reach(self) -> float:
         """Return how far from the origin a point may matter until the next scans [m]."""
@@ -212,10 +286,10 @@ class StopZone:
 
     # -- twist --------------------------------------------------------------------------------
 
-    def _near(self, twist: Velocity) -> Floats:
+    def _near(self, twist: Twist) -> Floats:
         """Return the points (2 × n) in the robot's frame that the footprint can reach while it stops."""
         time = seconds(self.settings.latency) + self._to_rest(twist)
-        outline, driven = self._outline, abs(twist[0]) * time
+        outline, driven = self._outline, twist.speed * time
         reach = outline.radius + outline.longest * self.settings.gap + driven
         x, y = self._points[0] - self._here.x, self._points[1] - self._here.y
         near = x * x + y * y < reach * reach
@@ -223,44 +297,96 @@ class StopZone:
         c, s = cos(self._here.yaw), sin(self._here.yaw)
         return np.array([c * x + s * y, c * y - s * x])
 
-    def _share(self, twist: Velocity, points: Floats, gap: float) -> tuple[float, float]:
+    def _share(self, twist: Twist, points: Floats, gap: float) -> tuple[float, float]:
         """Return the share of a twist from which the base can stop, and how far away along its arc the point
         is for which it must [m]; inf if it is another reason.
 
         Reaction and braking: r·share + T·share²/2 <= time, with T the time in which all of it is braked."""
         share, away = 1.0, inf
-        time, grown = self._outline.contact(points, *twist, gap) if any(twist) and points.size else (inf, gap)
+        time, grown = self._outline.contact(points, twist, gap) if any(twist) and points.size else (inf, gap)
         if isfinite(time):
             reaction, braking = seconds(self.settings.latency), self._to_rest(twist)
             share = min((sqrt(reaction**2 + 2.0 * braking * time) - reaction) / braking, 1.0)
-            away = grown + abs(twist[0]) * time
-        blind = self._views and not any(view.sees[int(twist[0] < 0.0)] for view in self._views.values())
-        if blind and self.settings.blind_speed < share * abs(twist[0]):
-            return self.settings.blind_speed / abs(twist[0]), inf
+            away = grown + twist.speed * time
+        if self._moving.size and twist.speed > STANDS:
+            before_moving, near = self._before_moving(twist, gap, self._moving)
+            if before_moving < share:
+                share, away = before_moving, near
+        least = self.settings.hidden_speed / max(twist.speed, 1e-9)
+        if self._edges.size and least < share and (edges := self._ahead(twist)).size:
+            hidden, near = self._before_moving(twist, gap, edges)
+            if max(hidden, least) < share:
+                share, away = max(hidden, least), near
+        if self.settings.blind_speed < share * twist.speed and self._is_blind(twist):
+            return self.settings.blind_speed / twist.speed, inf
         return share, away
 
-    def _to_rest(self, twist: Velocity) -> float:
-        """Return the time [s] to brake a twist along its arc, within both accelerations."""
-        linear, angular = abs(twist[0]), abs(twist[1])
-        return max(linear / self.body.max_linear_acceleration, angular / self.body.max_angular_acceleration)
+    def _is_blind(self, twist: Twist) -> bool:
+        """Return whether no lidar looks where the base would go."""
+        way = np.array([twist.linear, twist.lateral]) / twist.speed
+        for view in self._views.values():
+            there = way @ view.looks > AHEAD
+            if np.count_nonzero(view.read & there) > SEEING * np.count_nonzero(there):
+                return False
+        return bool(self._views)
 
-    def _braked(self, twist: Velocity, dt: float) -> Velocity:
+    def _ahead(self, twist: Twist) -> Floats:
+        """Return the edges ahead of the footprint, as discs of which the velocity is not known."""
+        c, s = cos(self._here.yaw), sin(self._here.yaw)
+        way = np.array([c * twist.linear - s * twist.lateral, s * twist.linear + c * twist.lateral])
+        off = self._edges - [[self._here.x], [self._here.y]]
+        edges = self._edges[:, way @ off > self._outline.radius * twist.speed]
+        return np.vstack([edges, np.zeros((3, edges.shape[1])), np.full((1, edges.shape[1]), 1e6)])
+
+    def _before_moving(self, twist: Twist, gap: float, discs: Floats) -> tuple[float, float]:
+        """Return the largest share of a twist with which the base stands before something that moves comes
+        within the gap, and how far away that is [m]."""
+        x, y, vx, vy, radius, sigma = self._nearest(discs, MAX_MOVING)
+        away = np.hypot(x - self._here.x, y - self._here.y)
+        grows = np.minimum(self.settings.doubt * sigma, self.settings.walk)
+        reaction, whole = seconds(self.settings.latency), self._to_rest(twist)
+        # from a share of the speed the base is slower than STANDS after this time
+        until = reaction + whole * np.maximum(SHARES - STANDS / twist.speed, 0.0)
+        t = np.minimum(until, LONGEST)[:, None] * np.linspace(0.0, 1.0, MOMENTS)
+        late = np.maximum(t - reaction, 0.0)
+        gone = SHARES[:, None] * t - np.minimum(late * late / (2.0 * max(whole, 1e-9)), SHARES[:, None] * t)
+        yaw = self._here.yaw + twist.angular * gone
+        half = self._here.yaw + twist.angular * gone / 2.0
+        chord = np.sinc(twist.angular * gone / (2.0 * pi)) * gone
+        hx = self._here.x + chord * (twist.linear * np.cos(half) - twist.lateral * np.sin(half))
+        hy = self._here.y + chord * (twist.linear * np.sin(half) + twist.lateral * np.cos(half))
+        dx = x[:, None, None] + vx[:, None, None] * t - hx
+        dy = y[:, None, None] + vy[:, None, None] * t - hy
+        c, s = np.cos(yaw), np.sin(yaw)
+        seen = np.stack([c * dx + s * dy, c * dy - s * dx]).reshape(2, -1)
+        off = self._outline.distances(seen).reshape(dx.shape) - radius[:, None, None]
+        off -= grows[:, None, None] * t
+        # what is within the gap already may stay there, if it comes no nearer; what touches may not
+        least = np.clip(off[:, :, :1], 0.0, gap) - TOUCHING
+        met = ((off < least).any(axis=2)).any(axis=0) & (SHARES * twist.speed > STANDS)
+        free = np.flatnonzero(~met)
+        return float(SHARES[free[0]]), float(away.min() - self._outline.radius)
+
+    def _to_rest(self, twist: Twist) -> float:
+        """Return the time [s] to brake a twist along its arc, within both accelerations."""
+        return self.body.to_rest(twist)
+
+    def _braked(self, twist: Twist, dt: float) -> Twist:
         """Return a twist after braking for dt [s] along its arc, as hard as the body may."""
         body = self.body
         harder = (body.stop_deceleration or body.max_linear_acceleration) / body.max_linear_acceleration
-        return _scaled(twist, 1.0 - dt * harder / max(self._to_rest(twist), dt * harder, 1e-9))
+        return twist.scaled(1.0 - dt * harder / max(self._to_rest(twist), dt * harder, 1e-9))
 
-    def _turned(self, previous: Velocity, wanted: Velocity, dt: float, points: Floats) -> Velocity:
+    def _turned(self, previous: Twist, wanted: Twist, dt: float, points: Floats) -> Twist:
         """Return a slow turn on the spot towards the wanted side, as far as there is room for it."""
         slow, step = self.settings.blind_speed / self._outline.radius, self.body.max_angular_acceleration * dt
-        target = max(min(wanted[1], slow), -slow)
-        turn = 0.0, max(min(target, previous[1] + step), previous[1] - step)
-        return _scaled(turn, self._share(turn, points, self.settings.turn_gap)[0])
+        target = max(min(wanted.angular, slow), -slow)
+        turn = Twist(0.0, max(min(target, previous.angular + step), previous.angular - step))
+        return turn.scaled(self._share(turn, points, self.settings.turn_gap)[0])
 
-    def _report(self, wanted: Velocity, result: Velocity, share: float, away: float, dt: float) -> None:
+    def _report(self, wanted: Twist, result: Twist, share: float, away: float, dt: float) -> None:
         """Set the reason, with hysteresis: noise of the ranges must not make it flicker."""
-        radius = self._outline.radius
-        fast, speed = (abs(linear) + radius * abs(angular) for linear, angular in (wanted, result))
+        fast, speed = self._fast(wanted), self._fast(result)
         free = share >= 1.0 or speed >= 0.9 * fast
         self._clear = self._clear + dt if free else 0.0
         if self._clear >= CLEAR_AFTER or fast == 0.0:
@@ -269,13 +395,16 @@ class StopZone:
             return
         stands = speed < (0.25 * fast if self.standing else SLOWEST)
         self.standing = self.standing + dt if stands else 0.0
-        way = "ahead" if wanted[0] > 0.0 else "behind" if wanted[0] < 0.0 else "beside"
+        way = _way(wanted)
         near = f"obstacle {max(away, 0.0):.2f} m {way}" if isfinite(away) else f"no lidar looks {way}"
         self.reason = f"{near}: {'standing' if stands else 'slow'}"
 
 
-def _scaled(twist: Velocity, share: float) -> Velocity:
-    return twist[0] * share, twist[1] * share
+def _way(twist: Twist) -> str:
+    """Return where a twist leads, in a word."""
+    if abs(twist.lateral) > abs(twist.linear):
+        return "to the left" if twist.lateral > 0.0 else "to the right"
+    return "ahead" if twist.linear > 0.0 else "behind" if twist.linear < 0.0 else "beside"
 
 
 def _is_usable(scan: LaserScan) -> bool:
@@ -291,6 +420,14 @@ def _supported(ends: Floats, index: Ints, spacing: Floats, count: int) -> Bools:
     pair = (step > 0) & (step <= 2) & (x * x + y * y <= spacing * spacing)
     found: Bools = pair | np.concatenate((pair[-1:], pair[:-1]))
     return found
+
+
+def _hiding(ranges: Floats, index: Ints, range_max: float) -> Bools:
+    """Return which beams (by their index) have a neighbour that goes much farther."""
+    far = np.where(np.isnan(ranges) | (ranges <= 0.0), 0.0, np.minimum(ranges, range_max))
+    beyond = np.maximum(far[(index + 1) % len(far)], far[index - 1])
+    hides: Bools = beyond > far[index] + HIDES
+    return hides
 
 
 def _confirmed(ends: Floats, counts: Bools, before: Floats) -> Bools:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from math import hypot, inf
+from collections.abc import Sequence
+from math import cos, hypot, inf, sin
 
 import numpy as np
 import numpy.typing as npt
 
+from brain.belief import Pose
 from brain.planning.astar import Searching
 from brain.planning.costmap import TILE, Costmap, Mask, PlannerSettings, Tile
+from brain.planning.footprint import Footprint, Shape
 from brain.planning.planner import PathQuery, PlanResult
 from brain.planning.polyline import Point
 from brain.planning.snapshot import Snapshot
@@ -19,12 +22,16 @@ EVERYTHING = 10**9
 
 
 class PlainMap:
-    """A map of 0.1 m per cell, written to directly; around it, everything is unknown."""
+    """A map, of 0.1 m per cell unless told, written to directly; around it, everything is unknown."""
 
     def __init__(
-        self, occupied: Mask, unknown: Mask | None = None, low: tuple[int, int] = (-20, -10)
+        self,
+        occupied: Mask,
+        unknown: Mask | None = None,
+        low: tuple[int, int] = (-20, -10),
+        resolution: float = 0.1,
     ) -> None:
-        self.version, self.resolution, self.low = 1, 0.1, low
+        self.version, self.resolution, self.low = 1, resolution, low
         self.window: tuple[int, int, int, int] | None = None
         """The extent, in whole tiles, if it is not the picture's: what is outside of it is forgotten."""
         self.occupied = occupied
@@ -132,6 +139,75 @@ def plan(grid: PlainMap, start: Point, goal: Point, settings: PlannerSettings | 
             assert asked.advance(1, costmap, grid) == found
             return found
     raise AssertionError("the planner does not end")
+
+
+DIFFBOT = Shape(
+    0.12,
+    hypot(0.2, 0.1),
+    (
+        (0.2, -0.1),
+        (0.2, 0.1),
+        (0.05, 0.12),
+        (-0.05, 0.12),
+        (-0.2, 0.1),
+        (-0.2, -0.1),
+        (-0.05, -0.12),
+        (0.05, -0.12),
+    ),
+)
+"""The outline of fixtures/robots/diffbot.toml."""
+CAR = Shape(0.15, hypot(0.45, 0.15), ((0.45, -0.15), (0.45, 0.15), (-0.15, 0.15), (-0.15, -0.15)), 0.5)
+"""A car of 0.6 × 0.3 m, its origin on the rear axle, that turns with a radius of 0.5 m."""
+
+
+def ask(
+    occupied: Mask,
+    shape: Shape,
+    start: Pose,
+    goal: tuple[float, float, float | None],
+    settings: PlannerSettings | None = None,
+    *,
+    unknown: Mask | None = None,
+    near: bool = False,
+) -> tuple[PlanResult, Snapshot]:
+    """What is planned for a shape on a picture of 0.05 m per cell from (0, 0) m on, and the ground."""
+    grid, here = PlainMap(occupied, unknown, (0, 0), 0.05), (start.x, start.y)
+    costmap = Costmap(0.05, shape.inner, settings or PlannerSettings(), shape.outer)
+    costmap.update(grid, here, 0)
+    region = Snapshot(costmap, grid, here, goal[:2], ())
+    asked = PathQuery(
+        region,
+        here,
+        goal[:2],
+        costmap.settings,
+        Footprint(shape, 0.05),
+        yaw=start.yaw,
+        goal_yaw=goal[2],
+        near=near,
+    )
+    for _ in range(20_000):
+        found = asked.advance(2500, costmap, grid)
+        if not isinstance(found, Searching):
+            return found, region
+    raise AssertionError("the planner does not end")
+
+
+def touches(occupied: Mask, shape: Shape, poses: Sequence[tuple[float, float, float]]) -> bool:
+    """Whether the middle of an occupied cell of 0.05 m is inside the outline at any of these poses: each
+    pose against each cell, by the side of each edge."""
+    rows, columns = np.nonzero(occupied)
+    x, y = (columns + 0.5) * 0.05, (rows + 0.5) * 0.05
+    assert shape.corners is not None
+    for px, py, yaw in poses:
+        inside = np.hypot(x - px, y - py) < shape.outer
+        world = [
+            (px + cos(yaw) * a - sin(yaw) * b, py + sin(yaw) * a + cos(yaw) * b) for a, b in shape.corners
+        ]
+        for (ax, ay), (bx, by) in zip(world, [*world[1:], world[0]], strict=True):
+            inside &= (bx - ax) * (y - ay) - (by - ay) * (x - ax) > 0.0
+        if inside.any():
+            return True
+    return False
 
 
 def ground(

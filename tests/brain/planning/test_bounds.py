@@ -13,11 +13,13 @@ import pytest
 from brain.planning.astar import BATCH, BATCH_WORK, Search
 from brain.planning.costmap import TILE_WORK, Costmap, PlannerSettings
 from brain.planning.navigator import CHECKED_PER_STEP, TILES_PER_STEP, Navigator
-from brain.planning.planner import LINE_WORK, SHORTCUT_CORNERS, NoPath, Shortening
+from brain.planning.planner import NoPath
 from brain.planning.polyline import Point
-from brain.planning.snapshot import MAX_LINES, crossing
+from brain.planning.shortening import SHORTCUT_CORNERS, Shortening
+from brain.planning.snapshot import LINE_WORK, MAX_LINES, crossing
 from protocols.messages import MILLISECOND, Goal
-from tests.brain.planning.maps import RADIUS, PlainMap, ground, query, two_rooms
+from tests.brain.helpers import BODY
+from tests.brain.planning.maps import PlainMap, ground, query, two_rooms
 
 WORK = {Costmap.draw.__code__: TILE_WORK, Search._expand.__code__: BATCH_WORK, crossing.__code__: LINE_WORK}
 
@@ -45,7 +47,7 @@ def test_no_step_does_more_than_its_work_however_large_the_map(side: int) -> Non
     occupied = np.random.Generator(np.random.PCG64(3)).random((side, side)) < 0.003
     occupied[:10, :10] = occupied[-10:, -10:] = False
     settings = PlannerSettings(patience=600_000 * MILLISECOND)
-    navigator = Navigator(RADIUS, settings)
+    navigator = Navigator(BODY, settings)
     grid, here, now, most, phases = PlainMap(occupied, low=(0, 0)), (0.5, 0.5), 0, 0, set()
     navigator.accept(now, Goal(side / 10 - 0.5, side / 10 - 0.5))
     while navigator._checked == 0.0 or navigator._checked < navigator._line.length:
@@ -83,7 +85,7 @@ def test_the_way_out_of_an_obstacle_is_searched_along_few_lines() -> None:
 
 
 def test_a_step_without_news_costs_nothing() -> None:
-    navigator, grid = Navigator(RADIUS, PlannerSettings()), PlainMap(two_rooms())
+    navigator, grid = Navigator(BODY, PlannerSettings()), PlainMap(two_rooms())
     for _ in range(20):
         navigator.step(0, (0.0, 0.0), grid)
     assert navigator.costmap is not None

@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 from math import hypot
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from brain.belief import Pose
+from brain.bodies.plane import Twist
 from brain.perception.body_scan import to_body
 from brain.perception.map import Map, MapSettings
 from brain.perception.mount import Mount
+from brain.planning.behaviours import STATES, Fact, State
 from brain.planning.costmap import TILE, PlannerSettings
 from brain.planning.navigator import Navigator
 from brain.planning.planner import FrontierPath, Path
 from brain.planning.polyline import Point, Polyline
 from protocols.messages import MILLISECOND, SECOND, Drive, Goal, Nanos
+from tests.brain.helpers import BODY
 from tests.brain.perception.office import box, scan_at
-from tests.brain.planning.maps import RADIUS, PlainMap, two_rooms
+from tests.brain.planning.maps import PlainMap, two_rooms
 
 
 class Run:
@@ -26,7 +30,7 @@ class Run:
     def __init__(
         self, grid: PlainMap, here: Point = (0.0, 0.0), settings: PlannerSettings | None = None
     ) -> None:
-        self.navigator = Navigator(RADIUS, settings or PlannerSettings())
+        self.navigator = Navigator(BODY, settings or PlannerSettings())
         self.grid, self.here, self.now = grid, here, SECOND
 
     def tick(self, *tasks: Goal | Drive) -> None:
@@ -109,24 +113,93 @@ def test_off_the_path_a_new_one_is_planned() -> None:
     assert "m off it" in run.texts()
 
 
-def test_no_path_in_time_gives_the_goals_up_with_the_reason() -> None:
+def test_a_goal_without_a_path_is_given_up_with_the_reason_and_the_next_follows() -> None:
     closed = two_rooms()
     closed[:, 30] = True
-    run = Run(PlainMap(closed))
-    run.tick(Goal(4.0, 0.0), Goal(1.0, 1.0))
+    run = Run(PlainMap(closed), settings=PlannerSettings(patience=8 * SECOND))
+    run.tick(Goal(4.0, 0.0), Goal(1.0, 1.0), Goal(4.0, 1.0))
     run.run(1.0)
-    assert run.busy()
     assert run.navigator.path_version == 0
     assert "is closed" in run.navigator.no_path_reason
     run.run(7.5)
+    assert run.navigator.why.startswith("no path to goal 1 (4.00, 0.00) within 8 s: everything between")
+    assert (run.navigator.ended, run.navigator.reached, run.navigator.given_up) == (1, 0, "")
+    assert "it is given up, 2 to go" in run.texts()
+    assert isinstance(run.navigator.path, Path)
+    run.here = (1.0, 1.0)
+    run.navigator.arrived(run.now)
+    run.run(8.5)
     assert not run.busy()
-    assert run.navigator.given_up.startswith("no path to goal 1 (4.00, 0.00) within 8 s: everything between")
-    assert run.texts().endswith("2 goals dropped")
-    assert run.texts().count("no path: ") == 1
+    assert (run.navigator.ended, run.navigator.reached) == (3, 1)
+    assert run.navigator.given_up.startswith("no path to goal 3 (4.00, 1.00)")
+    assert run.texts().count("no path: ") == 2
     run.tick(Goal(1.0, 1.0))
     assert run.navigator.given_up == ""
-    run.run(0.3)
-    assert isinstance(run.navigator.path, Path)
+
+
+class Person(NamedTuple):
+    """Somebody in motion."""
+
+    x: float
+    y: float
+    vx: float
+    vy: float
+
+
+def test_who_crosses_is_waited_for_and_who_stands_is_driven_around() -> None:
+    for speed, states in ((0.8, ["following", "yielding"]), (0.0, ["following"])):
+        grid = PlainMap(np.zeros((40, 60), bool))
+        run = Run(grid, (0.0, 0.0))
+        run.tick(Goal(4.0, 0.0))
+        run.run(0.4)
+        grid.occupied[17:24, 30] = True
+        grid.version += 1
+        seen = []
+        for _ in range(150):
+            moving = (Person(2.0, 0.0, 0.0, speed),)
+            run.navigator.step(run.now, run.here, grid, moving=moving)
+            run.now += 5 * MILLISECOND
+            seen.append(run.navigator.behaviour.state.value)
+        assert list(dict.fromkeys(seen))[: len(states)] == states
+        assert (run.navigator.motion == Twist()) == (speed > 0.0)  # stands, and keeps its path
+        assert run.path() is not None
+        grid.occupied[17:24, 30] = speed == 0.0
+        grid.version += 1
+        run.run(0.6)
+        assert run.navigator.behaviour.state is State.FOLLOWING
+        assert run.navigator.motion is None
+
+
+def test_a_base_that_is_stuck_backs_off_twice_then_looks_around_then_gives_up() -> None:
+    """There is a path by the map, and an obstacle that only the stop zone sees."""
+    run = Run(PlainMap(np.zeros((40, 60), bool)), settings=PlannerSettings(patience=25 * SECOND))
+    run.tick(Goal(4.0, 0.0))
+    seen, standing, yaw = [], 0.0, 0.0
+    for _ in range(5400):
+        motion = run.navigator.motion
+        moves = motion is not None and motion != Twist()
+        standing = 0.0 if moves else standing + 0.005
+        if motion is not None:
+            run.here = run.here[0] + motion.linear * 0.005, run.here[1]
+            yaw += motion.angular * 0.005
+        elif run.here[0] < 0.0:
+            run.here = run.here[0] + 0.002, run.here[1]
+            standing = 0.0
+        run.navigator.step(run.now, run.here, run.grid, yaw, standing, "a chair ahead")
+        run.now += 5 * MILLISECOND
+        seen.append(run.navigator.behaviour.state.value)
+    states = [state for state, before in zip(seen, ["", *seen], strict=False) if state != before]
+    stuck = ["following", "backing off", "planning"]
+    assert states[:8] == ["planning", *stuck, *stuck, "following"]
+    assert states[8:10] == ["looking", "planning"]
+    assert run.navigator.given_up == "no way on to goal 1 (4.00, 0.00) for 25 s: a chair ahead"
+
+
+def test_every_state_is_left_and_every_fact_is_used() -> None:
+    following = {after for rows in STATES.values() for _, after in rows}
+    assert set(STATES) == set(State) == following | {State.IDLE}
+    assert all(any(fact in (Fact.NO_GOAL, Fact.GOAL) for fact, _ in rows) for rows in STATES.values())
+    assert {fact for rows in STATES.values() for fact, _ in rows} == set(Fact)
 
 
 def test_a_search_that_does_not_end_is_no_path_in_time() -> None:
@@ -160,7 +233,7 @@ def test_a_path_out_of_a_place_too_near_to_an_obstacle_is_not_dropped_for_its_be
 
 
 def test_a_goal_given_up_after_its_path_was_blocked_says_so() -> None:
-    run = Run(PlainMap(two_rooms()))
+    run = Run(PlainMap(two_rooms()), settings=PlannerSettings(patience=8 * SECOND))
     run.tick(Goal(4.0, 0.0))
     run.run(0.3)
     run.grid.occupied[:, 30] = True
@@ -232,7 +305,7 @@ def test_a_frontier_that_stays_unknown_is_excluded_and_exploring_ends() -> None:
     """A pane of glass, a blind spot: exploring must not wait there for ever."""
     unknown = np.zeros((40, 60), bool)
     unknown[:, 31:] = True
-    run = Run(PlainMap(two_rooms(), unknown))
+    run = Run(PlainMap(two_rooms(), unknown), settings=PlannerSettings(patience=8 * SECOND))
     run.tick(Goal(4.0, 0.0))
     for _ in range(10_000):
         run.tick()
@@ -292,7 +365,7 @@ def test_a_goal_beyond_the_maps_extent_is_reached_as_the_map_rolls(name: str) ->
     walls, far = HALLS[name]
     rolling = Map(MapSettings(width=24.0, height=24.0, farthest=6.0))
     extent = rolling.extent()
-    navigator, now, here = Navigator(RADIUS, PlannerSettings()), SECOND, (0.0, 0.0)
+    navigator, now, here = Navigator(BODY, PlannerSettings()), SECOND, (0.0, 0.0)
     navigator.accept(now, Goal(far, 0.0))
     while navigator.goals:
         pose = Pose(*here, 0.0)

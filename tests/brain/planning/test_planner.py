@@ -11,8 +11,9 @@ import pytest
 
 from brain.planning.astar import Searching
 from brain.planning.costmap import FREE, UNKNOWN, PlannerSettings
-from brain.planning.planner import FrontierPath, NoPath, Path, Shortening
+from brain.planning.planner import FrontierPath, NoPath, Path
 from brain.planning.polyline import Point, Polyline
+from brain.planning.shortening import Shortening
 from brain.planning.snapshot import crossing, is_blocked, line_cost
 from tests.brain.planning.maps import EVERYTHING, RADIUS, PlainMap, drawn, ground, plan, query, two_rooms
 
