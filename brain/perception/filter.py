@@ -1,15 +1,17 @@
 """The extended Kalman filter of the base's motion.
 
-Rules. The wheels predict: every increment of their angles moves the pose on an exact arc, ungated, and none
-is lost. All else corrects: the gyro by what it turned while the wheels turned, and poses from outside. Each
-correction is gated as a vector by its squared Mahalanobis distance against chi-square.
+Rules. The joints predict: every increment of their angles moves the pose by an exact motion of constant
+twist (`Base.travel`), ungated, and none is lost. All else corrects: the gyro by what it turned while the
+joints turned, and poses from outside. Each correction is gated as a vector by its squared Mahalanobis
+distance against chi-square.
 
 State (`engine`): x, y, yaw in the frame "odom"; gyro bias; distance scale: the share of the wheels' travel
-that the base does not move; slip of each wheel as far as it turns the base, a Gauss-Markov process over the
-distance that the wheel rolls; turn: the gyro's angle less that of the wheels, so that noise of the gyro is
-process noise, rounding of the wheels is measurement noise, and neither adds up where it does not in truth.
-Scale, slips and bias are bounded. The scale is learnt from outside references only. So is the bias, except
-while it is less certain than what slip could turn the base: at rest, and in very slow motion.
+that the base does not move; slip of each side's wheels as far as it turns the base, a Gauss-Markov process
+over the distance that they roll (`wheel_odometry.Rolling`); turn: the gyro's angle less that of the wheels,
+so that noise of the gyro is process noise, rounding of the wheels is measurement noise, and neither adds up
+where it does not in truth. Scale, slips and bias are bounded. The scale is learnt from outside references
+only. So is the bias, except while it is less certain than what slip could turn the base: at rest, and in
+very slow motion.
 
 Inputs come in any order within `rewind`: they are kept sorted, each with the state after it, and a late one
 makes the later ones run again, gates included. So state and decisions depend on the inputs, not on the order
@@ -22,13 +24,15 @@ import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import sub
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from brain.belief import Floats, Pose
-from brain.bodies.differential import Differential, wrap
+from brain.bodies.body import Base
+from brain.bodies.plane import Twist, wrap
 from brain.perception.engine import (
     AT,
     BIAS,
@@ -60,7 +64,16 @@ from brain.perception.filter_inputs import (
     is_valid,
 )
 from brain.perception.filter_settings import CHI_SQUARE, FilterSettings
-from brain.perception.wheel_odometry import Point, Samples, added, angle_at, arc_end, arc_slopes, jumped
+from brain.perception.wheel_odometry import (
+    Point,
+    Rolling,
+    Samples,
+    added,
+    angle_at,
+    arc_end,
+    arc_slopes,
+    jumped,
+)  # fmt: skip
 from protocols.messages import MILLISECOND, SECOND, Nanos, seconds
 
 NEVER: Nanos = -(1 << 62)
@@ -111,12 +124,13 @@ class State:
     """Pose by the wheels alone"""
     t: Nanos = NEVER
     """Time up to which the wheels have moved the pose"""
-    left: Samples = ()
-    right: Samples = ()
-    at: tuple[float, float] = (0.0, 0.0)
-    """Angles of the wheels [rad] at t"""
-    rolled: tuple[float, float] = (0.0, 0.0)
-    """Turned since the start [rad], without jumps"""
+    samples: tuple[Samples, ...] = ()
+    """By joint"""
+    at: tuple[float, ...] = ()
+    """Angles of the joints [rad] at t; () before the start, and after a jump"""
+    way: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Sums since the start, without jumps: m forward and to the left in the moving frame, and rad that a slip
+    of 1 of all joints would have turned the base by"""
     gyro: Gyro | None = None
     waiting: tuple[PoseFix | Relocated, ...] = ()
     """Poses newer than t, oldest first"""
@@ -127,7 +141,7 @@ class State:
     newest innovation over its standard deviation"""
     turning: float = 0.0
     """Yaw rate by the wheels [rad/s], over the last travel"""
-    still: tuple[Nanos, float, float] = (NEVER, 0.0, 0.0)
+    still: tuple[Nanos, tuple[float, ...]] = (NEVER, ())
     """Since when the wheels have been at these angles, to a count"""
     doubt: bool = False
     """The gyro contradicted the wheels for long: its bias is not learnt from the wheels until it is known
@@ -141,8 +155,8 @@ class State:
     def copy(self) -> State:
         """Return a state for the next step to write to."""
         return State(
-            self.x, self.P, self.smooth, self.raw, self.t, self.left, self.right, self.at, self.rolled,
-            self.gyro, self.waiting, self.rejected, self.noise, self.turning, self.still,
+            self.x, self.P, self.smooth, self.raw, self.t, self.samples, self.at, self.way, self.gyro,
+            self.waiting, self.rejected, self.noise, self.turning, self.still,
             self.doubt,
         )  # fmt: skip
 
@@ -153,7 +167,7 @@ class State:
 class Filter:
     """The filter. Plain data: a deep copy continues exactly as the original."""
 
-    def __init__(self, body: Differential, settings: FilterSettings) -> None:
+    def __init__(self, body: Base, settings: FilterSettings) -> None:
         self.body = body
         self.settings = settings
         self.nis: dict[str, Nis] = {}
@@ -170,7 +184,11 @@ class Filter:
             0.0,
         )
         self._origin = State(
-            (*start, 0.0, 0.0, 0.0, 0.0, 0.0), pack(np.diag(np.square(sigmas))), start, start
+            (*start, 0.0, 0.0, 0.0, 0.0, 0.0),
+            pack(np.diag(np.square(sigmas))),
+            start,
+            start,
+            samples=((),) * len(body.joints),
         )
         """State before the oldest input that is kept."""
         self._trimmed: Nanos = NEVER
@@ -180,9 +198,10 @@ class Filter:
         self._states: list[State] = []
         self._reported: dict[tuple[str, Nanos], None] = {}
         self._judged: list[Judged] = []
-        self._yaw_per_rad = body.wheel_radius / body.wheel_separation
-        count = settings.resolution * self._yaw_per_rad
-        self._count_variance = count * count / 6.0  # of two wheels, each rounded to a count
+        self._joints = Rolling(body, settings.turn_slip)
+        self._wheels = self._joints.wheels
+        self._number = {motor: number for number, motor in enumerate(body.joints)}
+        self._fastest = body.top_speeds
 
     # -- what is believed ----------------------------------------------------------------------------------
 
@@ -193,12 +212,12 @@ class Filter:
 
     @property
     def t(self) -> Nanos | None:
-        """Newest time that both wheels have reached; None before."""
+        """Newest time that all joints have reached; None before."""
         return None if self.state.t == NEVER else self.state.t
 
     @property
     def covariance(self) -> Floats:
-        """Of x, y, yaw, bias, scale and the slips of both wheels, 7 × 7."""
+        """Of x, y, yaw, bias, scale and the slips of both sides, 7 × 7."""
         return unpacked(self.state.P)[:TURN, :TURN]
 
     @property
@@ -217,16 +236,17 @@ class Filter:
         return self.state.x[SCALE]
 
     @property
-    def twist(self) -> tuple[float, float]:
-        """Linear and angular speed of the base [m/s, rad/s]."""
+    def twist(self) -> Twist:
+        """Motion of the base."""
         new = self.state
         i = bisect_right(self._states, new.t - SPEED_OVER, key=_time) - 1
         old = self._states[i] if i >= 0 else self._origin
         if old.t == NEVER or old.t >= new.t:
-            return 0.0, 0.0
-        distance, _ = self.body.forward(new.rolled[0] - old.rolled[0], new.rolled[1] - old.rolled[1])
+            return Twist()
         dt = seconds(new.t - old.t)
-        return (1.0 - new.x[SCALE]) * distance / dt, (new.smooth[2] - old.smooth[2]) / dt
+        share = (1.0 - new.x[SCALE]) / dt
+        ahead, aside = share * (new.way[0] - old.way[0]), share * (new.way[1] - old.way[1])
+        return Twist(ahead, (new.smooth[2] - old.smooth[2]) / dt, aside)
 
     def at(self, t: Nanos) -> tuple[Pose, Floats] | None:
         """Return pose and its covariance 3 × 3 at a time; None if beyond what is kept, or too far ahead."""
@@ -238,14 +258,11 @@ class Filter:
         if i + 1 < len(self._states):
             after = self._states[i + 1]
             share = (t - state.t) / (after.t - state.t)
-            distance, turn = self.body.forward(
-                after.rolled[0] - state.rolled[0], after.rolled[1] - state.rolled[1]
-            )
-            distance, turn = (1.0 - state.x[SCALE]) * distance, after.smooth[2] - state.smooth[2]
-            end = arc_end(end, share * distance, share * turn)
+            rolled = share * (1.0 - state.x[SCALE])
+            ahead, aside = after.way[0] - state.way[0], after.way[1] - state.way[1]
+            end = arc_end(end, rolled * ahead, share * (after.smooth[2] - state.smooth[2]), rolled * aside)
         elif t > state.t:
-            linear, angular = self.twist
-            end = arc_end(end, linear * seconds(t - state.t), angular * seconds(t - state.t))
+            end = arc_end(end, *self.twist.scaled(seconds(t - state.t)))
         return Pose(end[0], end[1], wrap(end[2])), pose_part(state.P)
 
     def poses(self, times: npt.NDArray[np.int64]) -> Floats | None:
@@ -258,9 +275,8 @@ class Filter:
         for state in self._states[first:]:
             if state.t != knots[-1].t:
                 knots.append(state)
-        linear, angular = self.twist
-        steps = [seconds(FARTHEST) * k / 4 for k in (1, 2, 3, 4)]
-        ahead = [arc_end(new.smooth, linear * dt, angular * dt) for dt in steps]
+        twist, steps = self.twist, [seconds(FARTHEST) * k / 4 for k in (1, 2, 3, 4)]
+        ahead = [arc_end(new.smooth, *twist.scaled(dt)) for dt in steps]
         at = np.array([*(seconds(state.t - new.t) for state in knots), *steps])
         wanted = (times - new.t) / SECOND
         if wanted.min() < at[0] or wanted.max() > at[-1]:
@@ -281,7 +297,7 @@ class Filter:
 
     def observe(self, inputs: Sequence[Input]) -> list[Judged]:
         """Apply inputs, each at its own time; return the decisions that were made for the first time. A pose
-        is judged when both wheels have reached its time."""
+        is judged when all joints have reached its time."""
         self._judged = []
         first = len(self._keys)
         newest = self._keys[-1][0] if self._keys else NEVER
@@ -347,28 +363,26 @@ class Filter:
     # -- wheels --------------------------------------------------------------------------------------------
 
     def _on_wheel(self, state: State, item: WheelAngle) -> None:
-        is_left = item.motor == self.body.left
+        number = self._number[item.motor]
         new = item.t, item.angle
-        samples = state.left if is_left else state.right
+        samples = state.samples[number]
         settings = self.settings
         if samples:
             if item.t <= samples[-1][0]:
                 self._report(item.motor, item.t, GateResult.CONFLICT)
                 return
-            if jumped(self.body, samples[-1], new, settings.jump_margin, settings.resolution):
+            most = self._fastest[number]
+            if jumped(most, samples[-1], new, settings.jump_margin, settings.resolution):
                 self._report(item.motor, item.t, GateResult.JUMPED)
-                state.left = state.right = samples = ()
-        samples = added(samples, new, state.t)
-        if is_left:
-            state.left = samples
-        else:
-            state.right = samples
-        if not state.left or not state.right:
+                state.samples, state.at, samples = ((),) * len(state.samples), (), ()
+        each = list(state.samples)
+        each[number] = added(samples, new, state.t)
+        state.samples = tuple(each)
+        if not all(state.samples):
             return
-        t = min(state.left[-1][0], state.right[-1][0])
-        first = max(state.left[0][0], state.right[0][0])
-        if state.t < first:  # the start, or a new zero
-            if t < first:
+        t = min([each[-1][0] for each in state.samples])
+        if not state.at:  # the start, or a new zero
+            if t < max(each[0][0] for each in state.samples):
                 return
             self._start(state, t)
         while state.waiting and state.waiting[0].t <= t:
@@ -381,30 +395,36 @@ class Filter:
             self._travel(state, t)
 
     def _start(self, state: State, t: Nanos) -> None:
-        """Take the wheels' angles at a time as those of the present pose."""
+        """Take the joints' angles at a time as those of the present pose."""
         state.t = t
-        state.at = angle_at(state.left, t), angle_at(state.right, t)
-        state.still = (t, *state.at)
+        state.at = tuple([angle_at(samples, t) for samples in state.samples])
+        state.still = t, state.at
 
     def _travel(self, state: State, t: Nanos) -> None:
-        """Move by what the wheels turned up to a time, and correct by what the gyro turned."""
-        settings, body = self.settings, self.body
-        left, right = angle_at(state.left, t), angle_at(state.right, t)
-        on_left, on_right = left - state.at[0], right - state.at[1]
+        """Move by what the joints turned up to a time, and correct by what the gyro turned."""
+        settings, before = self.settings, state.at
+        angles = tuple([angle_at(samples, t) for samples in state.samples])
+        turned = tuple(map(sub, angles, before))
         dt = (t - state.t) / SECOND
-        distance, turn = body.forward(on_left, on_right)
-        left_yaw, right_yaw = self._yaw_per_rad * -on_left, self._yaw_per_rad * on_right
-        rolled_left, rolled_right = body.wheel_radius * abs(on_left), body.wheel_radius * abs(on_right)
-        rolled = 0.5 * (rolled_left + rolled_right)
+        travel = self.body.travel(before, angles)
+        distance, turn, sideways = travel[:3]
+        errors = self._joints.errors(travel, turned)
+        left_yaw, right_yaw, slid, way_left, way_right, rolled, rounding, turning, walks = errors
         x, y, yaw, bias, scale, slip_left, slip_right, angle = state.x
         length, slipped = (1.0 - scale) * distance, left_yaw * slip_left + right_yaw * slip_right
-        dx, dy, ux, uy, wx, wy = arc_slopes(yaw, length, turn + slipped)
-        keep_left = math.exp(-rolled_left / settings.slip_length)
-        keep_right = math.exp(-rolled_right / settings.slip_length)
+        aside = (1.0 - scale) * sideways
+        dx, dy, ux, uy, wx, wy = arc_slopes(yaw, length, turn + slipped, aside)
+        keep_left = math.exp(-way_left / settings.slip_length)
+        keep_right = math.exp(-way_right / settings.slip_length)
         loud, slippery, _ = state.noise
         slip_variance = slippery * settings.turn_slip * settings.turn_slip
         along = slippery * settings.travel_noise * settings.travel_noise * rolled
         across = settings.sideways_noise * settings.sideways_noise * rolled
+        single = both = 0.0
+        if walks is not None:
+            walk = 2.0 * slip_variance * settings.slip_length
+            single, both = walk * walks[0], walk * walks[3]
+            along, across = along + walk * walks[1], across + walk * walks[2]
         lever = left_yaw * left_yaw + right_yaw * right_yaw
         late = settings.turn_lag * (turn / dt - state.turning)
         state.turning = turn / dt
@@ -417,28 +437,33 @@ class Filter:
         state.P = self._engine.predict(
             state.P,
             Move(
-                -dy, dx, -distance * ux, -distance * uy, wx, wy, left_yaw, right_yaw,
-                dt, keep_left, keep_right,
-                along * ux * ux + across * uy * uy, (along - across) * ux * uy,
-                along * uy * uy + across * ux * ux, settings.bias_walk * settings.bias_walk * dt,
+                -dy, dx, sideways * uy - distance * ux, -distance * uy - sideways * ux, wx, wy,
+                left_yaw, right_yaw, dt, keep_left, keep_right,
+                along * ux * ux + across * uy * uy - 2.0 * both * ux * uy,
+                (along - across) * ux * uy + both * (ux * ux - uy * uy),
+                along * uy * uy + across * ux * ux + 2.0 * both * ux * uy,
+                settings.bias_walk * settings.bias_walk * dt,
                 settings.scale_walk * settings.scale_walk * rolled,
                 slip_variance * (1.0 - keep_left * keep_left),
-                slip_variance * (1.0 - keep_right * keep_right), turn_noise, late * late,
+                slip_variance * (1.0 - keep_right * keep_right), turn_noise, late * late + single,
             ),
         )  # fmt: skip
-        state.t, state.at = t, (left, right)
-        state.rolled = state.rolled[0] + on_left, state.rolled[1] + on_right
-        _, still_left, still_right = state.still
-        if max(abs(left - still_left), abs(right - still_right)) > 1.5 * settings.resolution:
-            state.still = t, left, right
-        state.raw = arc_end(state.raw, distance, turn)
+        state.t, state.at = t, angles
+        way = state.way
+        state.way = way[0] + distance, way[1] + sideways, way[2] + slid
+        still, most = state.still[1], 1.5 * settings.resolution
+        for j in self._wheels:
+            if abs(angles[j] - still[j]) > most:
+                state.still = t, angles
+                break
+        state.raw = arc_end(state.raw, distance, turn, sideways)
         if gyro is not None:
-            jitter = settings.jitter / dt * math.hypot(on_left, on_right) * body.wheel_radius
             by_slip = slip_variance * lever / (dt * dt)
             learns = by_slip < state.P[BIAS_BIAS] and not state.doubt
-            variance = self._count_variance + (jitter / body.wheel_separation) ** 2
+            rounding *= settings.resolution
+            variance = rounding * rounding / 12.0 + (settings.jitter / dt * turning) ** 2
             self._compare(state, gyro, variance, learns, lever)
-        state.smooth = arc_end(state.smooth, length, state.x[YAW] - yaw)
+        state.smooth = arc_end(state.smooth, length, state.x[YAW] - yaw, aside)
 
     # -- gyro ----------------------------------------------------------------------------------------------
 
@@ -467,14 +492,14 @@ class Filter:
             state.gyro = Gyro(item.source, item.sigma, silent, (*kept, sample), gyro.zero, gyro.used)
 
     def _compare(self, state: State, gyro: Gyro, variance: float, learns: bool, lever: float) -> None:
-        """Correct by the gyro's angle less that of the wheels, whose variance this is."""
+        """Correct by the gyro's angle less that of the joints, whose variance this is."""
         turned = _gyro_angle(gyro, state.t)
         if turned is None:
             if state.t - gyro.samples[-1][0] > GYRO_GAP:
                 state.gyro = gyro._replace(zero=None)
             return
         settings = self.settings
-        turned -= self.body.forward(*state.rolled)[1]
+        turned -= state.raw[2]
         if gyro.zero is None:
             self._zero_gyro(state, gyro, turned, variance)
             return

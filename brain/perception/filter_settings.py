@@ -58,7 +58,7 @@ class FilterSettings:
     scale_bound: float = 0.1
     """Largest distance scale"""
     slip_bound: float = 0.1
-    """Largest slip of a wheel; a base that turns by slipping (skid steer) needs more"""
+    """Largest slip of a wheel; that of a base that turns by slipping is larger in turns (`Base.turn_slip`)"""
     bias_sigma: float = 0.05
     """rad/s: gyro bias at switch-on"""
     bias_walk: float = 1e-4

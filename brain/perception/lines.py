@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from brain.belief import Floats, Pose
-from brain.bodies.differential import wrap
+from brain.bodies.plane import wrap
 
 Indices = npt.NDArray[np.int64]
 

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from brain.belief import Floats, Pose
-from brain.bodies.differential import wrap
+from brain.bodies.plane import wrap
 from brain.checks import ordered, within
 from brain.perception.body_scan import BodyScan, rotated, to_world
 from brain.perception.lines import PER_CELL, TURN

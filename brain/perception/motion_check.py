@@ -9,7 +9,7 @@ comparison that differs may be a glitch, `CONFIRM` of them in a row are not. A s
 is not compared, nor is one hidden by what has appeared: most of its rays end before the reference's lines. Of
 three sources that turn, the one without which the other two agree best is named. What differs slowly is
 summed: the gyro's rate against the scans' (its bias is learnt here, independently of the filter), and the
-scans' sideways motion against a base that cannot move sideways (the lidar's mounting).
+direction of the scans' motion against that of the base (the lidar's mounting).
 Source: Censi 2008 (PLICP).
 """
 
@@ -19,7 +19,7 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
-from brain.bodies.differential import Differential
+from brain.bodies.body import Base
 from brain.perception.body_scan import BodyScan
 from brain.perception.mounting import Mounting
 from brain.perception.scan_motion import Reference, Shown
@@ -79,8 +79,8 @@ and of the gyro with its bias."""
 class MotionCheck:
     """Compares the sources' motions. Plain data."""
 
-    def __init__(self, body: Differential) -> None:
-        self._body = body
+    def __init__(self, body: Base) -> None:
+        self._any_way, self._slip = body.moves_sideways, SLIP_SHARE + 2.0 * body.turn_slip
         self._wheels, self._gyro = Track(), Track()
         self._gyro_name, self._gyro_t = "", 0
         self._headed: float | None = None
@@ -108,17 +108,17 @@ class MotionCheck:
             if one.flaw
         ]
 
-    def on_wheels(self, since: Nanos, t: Nanos, left: float, right: float) -> None:
-        """Add the wheels' rotation [rad] between two times."""
-        body = self._body
-        distance, turn = body.forward(left, right)
-        slip = SLIP_SHARE * body.wheel_radius * math.hypot(left, right) / body.wheel_separation
+    def on_wheels(
+        self, since: Nanos, t: Nanos, distance: float, turn: float, sideways: float, slid: float
+    ) -> None:
+        """Add the motion that the joints show between two times [m, rad, m to the left], and the turn [rad]
+        that a slip of 1 of all of them would have added."""
         gyro = self._gyro.at(t)
         before, self._headed = self._headed, None if gyro is None else gyro[4]
         heading = turn
         if before is not None and self._headed is not None:
             heading = self._headed - before - self._bias * seconds(t - since)
-        self._wheels.add(since, t, distance, heading, turn, slip)
+        self._wheels.add(since, t, distance, heading, turn, self._slip * slid, sideways)
         if t - self._turned_at >= PERIOD:
             self._turned_at = t
             self._compare_turns(t)
@@ -161,10 +161,10 @@ class MotionCheck:
         self._count(name, t, reason)
         if reason:
             return 0.0
-        way, resting = abs(wheels.ahead()[0]), wheels.uncertain < RESTING
+        way, resting = self._way(wheels), wheels.uncertain < RESTING
         old = t - since > (REST_AGE if resting and now else RENEW_AGE)
         renewed = (old or way > RENEW_DISTANCE or abs(turn) > RENEW_TURN) and not self._confirmed(name)
-        mounting = self._mountings.setdefault(name, Mounting())
+        mounting = self._mountings.setdefault(name, Mounting(self._any_way))
         correction = 0.0 if resting else mounting.add(wheels, shown, keep=renewed)
         if renewed:
             self._learn(self._past[name], now)
@@ -223,12 +223,20 @@ class MotionCheck:
             return f"{culprit}: turned by {turns}"
         along, aside = motion.ahead()
         way, across = wheels.ahead()
-        allowed = DISTANCE + (SLIP_SHARE if abs(along) < abs(way) else TURN_SHARE) * abs(way)
+        far = self._way(wheels)
+        lags = (abs(along) if not self._any_way else math.hypot(along, aside)) < far
+        allowed = DISTANCE + (SLIP_SHARE if lags else TURN_SHARE) * far
         forward, sideways = (3.0 * MOVING * spread for spread in shown.spread())
         if max(abs(along - way) - forward, abs(aside - across) - sideways) > allowed:
-            by = f"moved by {along:.2f} m along, {aside:.2f} m aside by {name}, {way:.2f} m by the wheels"
+            wheel = f"{way:.2f} m along, {across:.2f} m aside" if self._any_way else f"{way:.2f} m"
+            by = f"moved by {along:.2f} m along, {aside:.2f} m aside by {name}, {wheel} by the wheels"
             return f"wheels or {name}: {by}"
         return ""
+
+    def _way(self, wheels: Motion) -> float:
+        """Return the way [m]; of a base that cannot move sideways, what is along it."""
+        along, across = wheels.ahead()
+        return math.hypot(along, across) if self._any_way else abs(along)
 
     def _culprit(self, name: str, shown: float, wheels: float, slip: float, gyro: float) -> str:
         """Return the source without which the other two agree best; two of them if wheels that slip cannot

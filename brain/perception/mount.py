@@ -51,6 +51,11 @@ class Mount:
         """Return the directions of a scan's beams in the robot's frame, seen from above: 2 × n, read-only."""
         return _beams(self, scan.angle_min, scan.angle_increment, len(scan.ranges))
 
+    def place(self, point: Vector) -> Vector:
+        """Return a point of the sensor's frame in the robot's."""
+        x, y, z = self.rotate(point)
+        return x + self.x, y + self.y, z + self.z
+
     def rotate(self, vector: Vector) -> Vector:
         """Return a free vector (angular velocity, acceleration) of the sensor in the robot's frame."""
         x, y, z = (sum(a * b for a, b in zip(row, vector, strict=True)) for row in self.rotation())

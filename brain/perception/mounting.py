@@ -1,4 +1,4 @@
-"""How a lidar is mounted, by what its scans show of the motion of a base that cannot move sideways."""
+"""How a lidar is mounted, by the direction of the motion that its scans show."""
 
 from __future__ import annotations
 
@@ -29,11 +29,14 @@ PRIOR = np.diag([1.0, 1111.0, 1111.0, 0.0])
 class Mounting:
     """What the scans show of a lidar's true mounting against the robot file's. Plain data.
 
-    A base on two wheels moves along its mean heading. A lidar that stands by (yaw, x, y) otherwise than
-    stated shows, over a way d and a turn w, aside = -yaw d + 2 sin(w/2) x, and along = d - 2 sin(w/2) y:
-    weighted least squares."""
+    A base on wheels that do not slip sideways moves along its mean heading. A lidar that stands by (yaw, x,
+    y) otherwise than stated shows, over a way d and a turn w, aside = -yaw d + 2 sin(w/2) x, and along = d -
+    2 sin(w/2) y: weighted least squares. Over a way e to the left, which its wheels show with all their slip,
+    it shows yaw e along."""
 
-    def __init__(self) -> None:
+    def __init__(self, any_way: bool = False) -> None:
+        self._any_way = any_way
+        """Whether the base moves sideways, too"""
         self.flaw = ""
         """How the mounting differs, once that is certain (3 sigma),"""
         self.drivable = True
@@ -51,18 +54,22 @@ class Mounting:
         turn = shown.motion.turn
         (way, across), (along, aside) = wheels.ahead(), shown.motion.ahead()
         lever, noise = 2.0 * math.sin(turn / 2.0), math.sqrt(shown.variance)
-        bent, slip = BENT if wheels.heading == wheels.turn else STEERED
+        bent, slip = BENT if wheels.heading == wheels.turn or self._any_way else STEERED
         bent = bent * (abs(turn * along) + 4.0 * abs(across)) + slip * abs(along)
         forward, sideways = shown.spread()
         forward = math.hypot(ASIDE, noise * forward, SLIP_SHARE * way)
-        sideways = math.hypot(ASIDE, noise * sideways, bent)
+        lags = SLIP_SHARE * across if self._any_way else 0.0
+        sideways = math.hypot(ASIDE, noise * sideways, bent, lags)
+        if self._any_way:
+            forward = math.hypot(forward, BENT[1] * across)
         rows = np.array(
             [
                 [-along / sideways, lever / sideways, 0.0, (aside - across) / sideways],
-                [0.0, 0.0, -lever / forward, (along - way) / forward],
+                [aside / forward if self._any_way else 0.0, 0.0, -lever / forward, (along - way) / forward],
             ]
         )
-        kept = math.exp(-(abs(way) + abs(turn)) / FADE)
+        far = math.hypot(way, across) if self._any_way else abs(way)
+        kept = math.exp(-(far + abs(turn)) / FADE)
         sums, number = PRIOR + kept * (self._sums - PRIOR) + rows.T @ rows, kept * self._number + 1.0
         if keep:
             self._sums, self._number = sums, number

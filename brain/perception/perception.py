@@ -19,20 +19,25 @@ from enum import Enum, auto
 import numpy as np
 
 from brain.belief import Estimate, Floats, Pose
-from brain.bodies.differential import Differential, wrap
+from brain.bodies.body import Base
+from brain.bodies.plane import wrap
 from brain.checks import within
-from brain.perception.body_scan import BodyScan, to_body
+from brain.perception.body_scan import BodyScan, Bools, to_body
 from brain.perception.consistency import OUTLIER, Agreement, Consistency, Verdict
 from brain.perception.engine import pose_part
-from brain.perception.filter import Filter
+from brain.perception.filter import Filter, State
 from brain.perception.filter_inputs import GateResult, GyroRate, Input, Nis, PoseFix, WheelAngle
 from brain.perception.filter_settings import FilterSettings
 from brain.perception.fixes import Fixes, FixSettings, is_possible
 from brain.perception.map import Map, MapSettings
+from brain.perception.markers import Markers, MarkerSettings
+from brain.perception.markers import is_possible as is_possible_marker
 from brain.perception.match import MatchSettings, examine, match
 from brain.perception.motion_check import Contradiction, MotionCheck
 from brain.perception.mount import Mount
+from brain.perception.movers import Movers, Moving
 from brain.perception.relocalise import Found, RelocaliseSettings, Search, Searching
+from protocols import messages as msg
 from protocols.messages import MILLISECOND, SECOND, Event, Feedback, Fix, Imu, LaserScan, Nanos, PoseReading
 
 
@@ -47,6 +52,7 @@ class PerceptionSettings:
     match: MatchSettings = field(default_factory=MatchSettings)
     relocalise: RelocaliseSettings = field(default_factory=RelocaliseSettings)
     fixes: FixSettings = field(default_factory=FixSettings)
+    markers: MarkerSettings = field(default_factory=MarkerSettings)
     matching: bool = True
     """Match scans against the map; if not, they are only added to it."""
     scan_wait: Nanos = 500 * MILLISECOND
@@ -74,6 +80,8 @@ LOUDER, LOUDEST = 0.1, 25.0
 MOVED, TURNED = 0.15, 0.09
 """m and rad: a match this near to the believed pose may correct it; a farther one if that is as uncertain."""
 LONGEST_SWEEP: Nanos = SECOND
+MOST_MOVING = 0.1
+"""Share of the hits that may be of what moves; if there are more, it is the estimate that moves."""
 
 
 class _Work(Enum):
@@ -92,17 +100,19 @@ class _Part:
     t: Nanos
     """Its end"""
     scan: BodyScan
+    still: Bools
+    """Of each beam, whether it ends at what does not move: what moves leaves no trace in the map"""
     draw: bool = True
 
 
 class Perception:
     """Estimate, map and verdict. Plain data: a deep copy continues exactly as the original."""
 
-    def __init__(self, body: Differential, mounts: Mapping[str, Mount], settings: PerceptionSettings) -> None:
+    def __init__(self, body: Base, mounts: Mapping[str, Mount], settings: PerceptionSettings) -> None:
         self.body = body
         self.settings = settings
         self.map = Map(settings.map)
-        self.rejected: dict[str, int] = dict.fromkeys((body.left, body.right, *mounts), 0)
+        self.rejected: dict[str, int] = dict.fromkeys((*body.joints, *mounts), 0)
         """Number of measurements rejected by the chi-square gate, by motor or sensor."""
         self.anomalies: dict[str, dict[str, int]] = {name: {} for name in self.rejected}
         """Number of measurements not used, or used against the gate, by motor or sensor, then by reason."""
@@ -111,7 +121,7 @@ class Perception:
         self.verdict = Verdict()
         """How far to trust the estimate, and why not more."""
         self.estimate: Estimate | None = None
-        """The filter's state at its newest measurement; None before both wheels have reported."""
+        """The filter's state at its newest measurement; None before all joints have reported."""
         self._filter = Filter(body, settings.filter)
         self.mounts = dict(mounts)
         """Where the sensors are: a lidar whose mounting differs from the stated one is corrected."""
@@ -128,11 +138,14 @@ class Perception:
         self._loud: dict[str, float] = {}
         """Factor on the noise of matches, by lidar."""
         self._fixes = Fixes(settings.fixes)
+        self.markers = Markers(settings.markers)
         self._outside: set[str] = set()
         """Sensors that have measured the pose."""
         self._check = MotionCheck(body)
-        self._rolled: tuple[Nanos, float, float] | None = None
-        """Up to when, and how far, the wheels' motion was compared."""
+        self._movers = Movers()
+        self._joints = frozenset(body.joints)
+        self._compared: State | None = None
+        """Up to which the wheels' motion was compared."""
         self._search: tuple[Search, Pose] | None = None
         """The search for the place, and the pose that was believed at its scan."""
 
@@ -141,6 +154,12 @@ class Perception:
         """Dead reckoning by the wheels alone, for comparison."""
         x, y, yaw = self._filter.state.raw
         return Pose(x, y, wrap(yaw))
+
+    def moving(self, there: Pose, *, doubts: bool = False) -> tuple[Moving, ...]:
+        """Return what moves, as it is at the estimate's time, in a frame in which the robot then is `there`:
+        `raw`, or the estimate's pose. `doubts`: also what may move."""
+        now = self.estimate
+        return () if now is None else self._movers.moving(now.t, now.pose, there, doubts=doubts)
 
     @property
     def gyro_bias(self) -> float:
@@ -171,7 +190,7 @@ class Perception:
         inputs: list[Input] = []
         for event in events:
             if isinstance(event, Feedback):
-                if event.motor in (self.body.left, self.body.right) and event.position is not None:
+                if event.motor in self._joints and event.position is not None:
                     inputs.append(WheelAngle(event.motor, event.t, event.position))
             elif isinstance(event, Imu):
                 inputs += self._on_imu(event)
@@ -179,6 +198,8 @@ class Perception:
                 self._on_scan(event)
             elif isinstance(event, Fix | PoseReading) and event.sensor in self.mounts:
                 inputs += self._on_fix(event)
+            elif isinstance(event, msg.Marker) and event.sensor in self.mounts:
+                inputs += self._on_marker(event)
         if inputs:
             self._apply(inputs)
         self._work(now)
@@ -200,20 +221,21 @@ class Perception:
         t = self._filter.t
         if t is not None:
             x, y, yaw = self._filter.state.x[:3]
-            linear, angular = self._filter.twist
+            linear, angular, lateral = self._filter.twist
             covariance = pose_part(self._filter.state.P)
-            self.estimate = Estimate(t, Pose(x, y, wrap(yaw)), linear, angular, covariance)
+            self.estimate = Estimate(t, Pose(x, y, wrap(yaw)), linear, angular, covariance, lateral)
         return results
 
     def _compare_wheels(self) -> None:
         state = self._filter.state
         if self._filter.t is None:
             return
-        if self._rolled is None or state.t > self._rolled[0]:
-            if self._rolled is not None:
-                since, left, right = self._rolled
-                self._check.on_wheels(since, state.t, state.rolled[0] - left, state.rolled[1] - right)
-            self._rolled = state.t, *state.rolled
+        before = self._compared
+        if before is None or state.t > before.t:
+            if before is not None:
+                ahead, aside, slid = (now - then for now, then in zip(state.way, before.way, strict=True))
+                self._check.on_wheels(before.t, state.t, ahead, state.raw[2] - before.raw[2], aside, slid)
+            self._compared = state
 
     def _on_fix(self, event: Fix | PoseReading) -> list[Input]:
         """Return the measurement; of a fix, that of the antenna's place, moved to the robot's origin."""
@@ -228,6 +250,23 @@ class Perception:
         c, s = math.cos(yaw), math.sin(yaw)
         arm = np.array([c * mount.x - s * mount.y, s * mount.x + c * mount.y])
         return [replace(measured, value=measured.value - arm)]
+
+    def _on_marker(self, event: msg.Marker) -> list[Input]:
+        """Keep where it is; return the measurement that it is if its place is known."""
+        here = self._filter.at(event.t)
+        if here is None or not is_possible_marker(event):
+            self._count(event.sensor, "no possible marker" if here else "no estimate for its time")
+            return []
+        measured = self.markers.observe(event, self.mounts[event.sensor], here[0], here[1][2, 2])
+        if measured is None:
+            return []
+        self._outside.add(event.sensor)
+        return [measured]
+
+    def marker(self, number: int) -> Pose | None:
+        """Return where a marker is that a camera sees now, its x axis out of its face; None if it is not
+        seen."""
+        return None if self._filter.t is None else self.markers.seen(number, self._filter.t)
 
     # -- gyro ----------------------------------------------------------------------------------
 
@@ -316,12 +355,13 @@ class Perception:
     def _free(self, scan: LaserScan) -> None:
         """Free a scan from the motion during its sweep."""
         name, end, t = scan.sensor, scan.t + scan.duration, self._filter.t
-        known = self._filter.at(end) is not None
-        if t is None or t < end or not known:
+        known = self._filter.at(end)
+        if t is None or t < end or known is None:
             self._count(name, GateResult.LATE if known else "no estimate for its time")
             return
         body_scan = to_body(scan, self.mounts[name], self.settings.map.farthest, self._motion(scan))
-        self._todo.append((_Work.MATCH, _Part(name, end, body_scan)))
+        moves = self._movers.observe(name, end, scan.duration, known[0], body_scan)
+        self._todo.append((_Work.MATCH, _Part(name, end, body_scan, ~moves)))
 
     def _match(self, part: _Part) -> None:
         """Match a scan against the map and correct the filter."""
@@ -381,7 +421,10 @@ class Perception:
         if part.draw and at is not None and not self._consistency.lost:
             self._map_began = self._map_began or at[0]
             self.map.recenter(at[0].x, at[0].y)
-            self.map.add(at[0], part.scan, at[1])
+            scan, still = part.scan, part.still
+            if 0 < np.count_nonzero(~still) <= MOST_MOVING * np.count_nonzero(scan.hit):
+                scan = replace(scan, hit=scan.hit & still, straight=scan.straight & still)
+            self.map.add(at[0], scan, at[1])
         self._todo.append((_Work.COMPARE, part))
 
     def _compare(self, part: _Part) -> None:
@@ -405,6 +448,7 @@ class Perception:
             self._filter.reset(t, back, covariance + np.diag([unsure, unsure, 0.0]))
             self._apply([])
         self.map.forget()
+        self._movers = Movers()
         self._map_began, self._search = None, None
         self._consistency.found()
         self._count(name, "mounting corrected")
@@ -445,6 +489,7 @@ class Perception:
 
     def _relocate(self, t: Nanos, pose: Pose, covariance: Floats) -> None:
         self._filter.reset(t, pose, covariance)
+        self._movers = Movers()
         self._consistency.found()
         self._count("", "relocalised")
         self._apply([])

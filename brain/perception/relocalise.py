@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from brain.belief import Floats, Pose
-from brain.bodies.differential import wrap
+from brain.bodies.plane import wrap
 from brain.checks import within
 from brain.perception.body_scan import BodyScan, Bools, to_world
 from brain.perception.map import TILE, Map, Values

@@ -6,7 +6,7 @@ import math
 from bisect import bisect_left
 from typing import NamedTuple
 
-from brain.bodies.differential import sinc
+from brain.bodies.plane import sinc
 from protocols.messages import MILLISECOND, SECOND, Nanos
 
 KEPT: Nanos = 4 * SECOND
@@ -33,7 +33,7 @@ class Motion(NamedTuple):
     """rad by which that may be wrong by slip or bias"""
 
     def ahead(self) -> tuple[float, float]:
-        """Return the way [m] along and across the mean heading: of an arc, none is across."""
+        """Return the way [m] along and across the mean heading: of an arc driven forward, none is across."""
         c, s = math.cos(self.heading / 2.0), math.sin(self.heading / 2.0)
         return c * self.x + s * self.y, c * self.y - s * self.x
 
@@ -49,19 +49,27 @@ class Track:
         self._rows: list[_Row] = [(0, 0.0, 0.0, 0.0, 0.0, 0.0)]
 
     def add(
-        self, since: Nanos, t: Nanos, distance: float, heading: float, turn: float, uncertain: float
+        self,
+        since: Nanos,
+        t: Nanos,
+        distance: float,
+        heading: float,
+        turn: float,
+        uncertain: float,
+        sideways: float = 0.0,
     ) -> None:
-        """Add an arc [m, rad] between two times, and what the source shows of its turn; after a gap the track
-        begins anew."""
+        """Add a motion of constant twist [m, rad] between two times, and what the source shows of its turn;
+        after a gap the track begins anew."""
         rows = self._rows
         last, x, y, yaw, turned, total = rows[-1]
         if last != since or t - since > GAP:
             rows[:] = [(since if t - since <= GAP else t, x, y, yaw, turned, total)]
             if t - since > GAP:
                 return
-        if distance:
-            chord, middle = distance * sinc(heading / 2.0), yaw + heading / 2.0
-            x, y = x + chord * math.cos(middle), y + chord * math.sin(middle)
+        if distance or sideways:
+            share, middle = sinc(heading / 2.0), yaw + heading / 2.0
+            chord, across, c, s = distance * share, sideways * share, math.cos(middle), math.sin(middle)
+            x, y = x + (chord * c - across * s), y + (chord * s + across * c)
         rows.append((t, x, y, yaw + heading, turned + turn, total + uncertain))
         half = len(rows) // 2
         if rows[half][0] < t - KEPT:

@@ -12,14 +12,26 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from brain.belief import Floats, Pose
-from brain.bodies.differential import Differential, arc, wrap
+from brain.bodies.differential import Differential
+from brain.bodies.plane import arc, wrap
 from brain.perception.filter_settings import FilterSettings
 from brain.perception.map import Map
 from brain.perception.mount import Mount
 from brain.perception.perception import Perception, PerceptionSettings
 from protocols.messages import MILLISECOND, Event, Feedback, Imu, LaserScan, Nanos
+from tests.brain.bodies.kinematics import speeds
 
-BODY = Differential("left", "right", 0.05, 0.22, 0.24, 0.6, 2.0, 1.0, 4.0)
+BODY = Differential(
+    left="left",
+    right="right",
+    wheel_radius=0.05,
+    wheel_separation=0.22,
+    radius=0.24,
+    max_linear=0.6,
+    max_angular=2.0,
+    max_linear_acceleration=1.0,
+    max_angular_acceleration=4.0,
+)
 MOUNTS = {"imu": Mount(0.02, 0.01, 0.08, yaw=math.pi / 2), "lidar": Mount(0.08, 0.0, 0.15, yaw=0.3)}
 STEP = 5 * MILLISECOND
 
@@ -105,12 +117,13 @@ class Rover:
 
     def step(self, linear: float, angular: float) -> list[Event]:
         """Drive for 5 ms at these tread speeds; return the sensors' events."""
-        wheel = BODY.inverse(linear, angular)
+        wheel = speeds(BODY, linear, angular)
         turned = [speed * 0.005 for speed in wheel]
         self.angles = [angle + more for angle, more in zip(self.angles, turned, strict=True)]
         slip = np.array([self.slip_left, self.slip_right]) + self.slip_noise * self.random.normal(size=2)
         kept = 1.0 - slip
-        distance, turn = BODY.forward(turned[0] * kept[0], turned[1] * kept[1])
+        rolled = turned[0] * float(kept[0]), turned[1] * float(kept[1])
+        distance, turn = BODY.travel((0.0, 0.0), rolled)[:2]
         turn *= 1.0 - self.scrub
         self.truth = arc(self.truth, distance, turn)
         self.length += abs(distance)

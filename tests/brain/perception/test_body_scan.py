@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from brain.belief import Pose
-from brain.bodies.differential import arc, wrap
+from brain.bodies.plane import arc, wrap
 from brain.perception.body_scan import to_body, to_world
 from brain.perception.mount import Mount
 from protocols.messages import LaserScan

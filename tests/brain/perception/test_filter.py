@@ -9,13 +9,14 @@ import pytest
 from scipy import stats
 
 from brain.belief import Floats, Pose
-from brain.bodies.differential import wrap
+from brain.bodies.plane import wrap
 from brain.perception.engine import SCALE, SIZE, YAW, Filterpy, Structured, X, relative, unpacked
 from brain.perception.filter import Filter
 from brain.perception.filter_inputs import GateResult, GyroRate, Input, Judged, PoseFix, WheelAngle
 from brain.perception.filter_settings import CHI_SQUARE, FilterSettings
 from brain.perception.fixes import Fixes, FixSettings
 from protocols.messages import SECOND, Fix, Nanos, PoseReading, seconds
+from tests.brain.bodies.kinematics import speeds
 from tests.brain.perception.rolling import BODY, MS, Floor, consistency, roll
 
 NOISE = np.diag([0.02**2, 0.02**2, 0.01**2])
@@ -95,7 +96,7 @@ def test_the_jacobian_equals_differences(turning: float) -> None:
     def after(x: Floats) -> Floats:
         state = start.copy()
         state.x, state.gyro = tuple(x.tolist()), None
-        state.left, state.right = ((0, 0.0), (50 * MS, 0.5)), ((0, 0.0), (50 * MS, 0.5 + 0.7 * turning))
+        state.samples = ((0, 0.0), (50 * MS, 0.5)), ((0, 0.0), (50 * MS, 0.5 + 0.7 * turning))
         belief._travel(state, 50 * MS)
         return np.array(state.x)
 
@@ -191,7 +192,7 @@ def test_memory_is_bounded() -> None:
         belief.observe([pose_fix(t, 0.0, 0.0, 0.0)])
     state = belief.state
     assert state.gyro is not None
-    counts = [len(each) for each in (belief._items, state.left, state.gyro.samples, state.waiting)]
+    counts = [len(each) for each in (belief._items, state.samples[0], state.gyro.samples, state.waiting)]
     assert all(count <= most for count, most in zip(counts, (600, 33, 151, 16), strict=True)), counts
     assert len(belief._reported) < 2000
 
@@ -207,7 +208,7 @@ def creeping(linear: float, angular: float, until: Nanos) -> list[Input]:
         share = min(1.0, seconds(max(0, t - SECOND)))  # it starts within a second
         moving = seconds(max(0, t - SECOND)) - share + 0.5 * share * share
         inputs.append(GyroRate("imu", t, angular * share, 0.003))
-        for motor, speed in zip(("left", "right"), BODY.inverse(linear, angular), strict=True):
+        for motor, speed in zip(("left", "right"), speeds(BODY, linear, angular), strict=True):
             inputs.append(WheelAngle(motor, t, math.floor(speed * moving / res) * res))
     return inputs
 
@@ -390,12 +391,12 @@ def test_poses_at_other_times() -> None:
     """Between stamps, ahead by the twist, and none beyond what is kept."""
     belief = Filter(BODY, FilterSettings())
     fed(belief, standing(100 * MS, gyro=False))
-    left, right = BODY.inverse(0.4, 0.8)
+    left, right = speeds(BODY, 0.4, 0.8)
     start, radius = 90 * MS, 0.5
     for t in range(start, 900 * MS, 30 * MS):
         dt = seconds(t - start)
         belief.observe([WheelAngle("left", t, left * dt), WheelAngle("right", t, right * dt)])
-    assert belief.twist == pytest.approx((0.4, 0.8))
+    assert belief.twist == pytest.approx((0.4, 0.8, 0.0))
     assert belief.t == 870 * MS
     times = np.arange(500, 960, 7) * MS
     turns = 0.8 * (times - start) / SECOND

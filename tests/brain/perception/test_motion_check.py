@@ -11,15 +11,28 @@ from dataclasses import dataclass, field, replace
 
 import pytest
 
-from brain.bodies.differential import Differential, wrap
+from brain.bodies.differential import Differential
+from brain.bodies.plane import wrap
 from brain.perception.body_scan import to_body
 from brain.perception.motion_check import MotionCheck
 from brain.perception.mount import Mount
 from brain.perception.track import GAP, Track
 from protocols.messages import MILLISECOND, Feedback, Imu, LaserScan, Velocity, seconds
+from tests.brain.bodies.kinematics import speeds
+from tests.brain.perception.rolling import shown
 from tests.robustness.plant import Base, Figures, scene
 
-BODY = Differential("left", "right", 0.05, 0.22, 0.25, 0.6, 2.0, 0.8, 4.0)
+BODY = Differential(
+    left="left",
+    right="right",
+    wheel_radius=0.05,
+    wheel_separation=0.22,
+    radius=0.25,
+    max_linear=0.6,
+    max_angular=2.0,
+    max_linear_acceleration=0.8,
+    max_angular_acceleration=4.0,
+)
 MOUNT = Mount(x=0.12)
 INSTANT = Figures(sweep=False)
 
@@ -53,7 +66,7 @@ class Drive:
 
     def step(self, linear: float, angular: float) -> None:
         """Drive for 10 ms."""
-        left, right = BODY.inverse(linear, angular)
+        left, right = speeds(BODY, linear, angular)
         before = dict(self.wheels)
         for event in self.base.step([Velocity("left", left), Velocity("right", right)]):
             if isinstance(event, Imu):
@@ -65,8 +78,8 @@ class Drive:
                 yaw = self.check.on_scan("lidar", event.t + event.duration, scan)
                 self.mount = replace(self.mount, yaw=self.mount.yaw + yaw)
         if before:
-            turned = [self.wheels[motor] - before[motor] for motor in ("left", "right")]
-            self.check.on_wheels(self.last, self.base.now, *turned)
+            ends = [[angles[motor] for motor in BODY.joints] for angles in (before, self.wheels)]
+            self.check.on_wheels(self.last, self.base.now, *shown(BODY, *ends))
         self.last = self.base.now
         now = [one for one in self.check.contradictions() if one.confirmed or one.flawed]
         self.found += [(self.time, one.reason) for one in now]

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from brain.belief import Floats, Pose
-from brain.bodies.differential import wrap
+from brain.bodies.plane import wrap
 from brain.perception.body_scan import BodyScan, to_body
 from brain.perception.map import Map, MapSettings
 from brain.perception.match import MatchSettings

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from brain.belief import Pose
-from brain.bodies.differential import arc, wrap
+from brain.bodies.plane import arc, wrap
 from brain.perception.filter import Filter
 from brain.perception.filter_inputs import GateResult, WheelAngle
 from brain.perception.filter_settings import FilterSettings
@@ -34,7 +34,7 @@ def reckoned(stamps: list[Nanos]) -> Pose:
     pose, before = Pose(0.0, 0.0, 0.0), angles(stamps[0])
     for t in stamps[1:]:
         now = angles(t)
-        pose = arc(pose, *BODY.forward(now[0] - before[0], now[1] - before[1]))
+        pose = arc(pose, *BODY.travel(before, now)[:2])
         before = now
     return pose
 
@@ -84,8 +84,8 @@ def test_lost_reports_lose_no_motion(seed: int) -> None:
             if random.random() < 0.5 or t % (10 * SECOND) == 0:
                 belief.observe([WheelAngle(motor, t, angle)])
     expected = [b - a for a, b in zip(angles(0), angles(10 * SECOND), strict=True)]
-    assert belief.state.rolled == pytest.approx(expected, abs=1e-9)
-    assert belief.state.x[2] == pytest.approx(BODY.forward(*expected)[1], abs=1e-9)
+    assert belief.state.way[0] == pytest.approx(0.025 * sum(expected), abs=1e-9)
+    assert belief.state.x[2] == pytest.approx(0.05 / 0.22 * (expected[1] - expected[0]), abs=1e-9)
 
 
 @pytest.mark.parametrize("silent", ["left", "right"])
@@ -118,7 +118,7 @@ def test_a_jump_is_a_new_zero() -> None:
 def test_the_fastest_wheel_does_not_jump() -> None:
     belief = Filter(BODY, FilterSettings())
     for t in range(0, SECOND, 10 * MS):
-        angle = BODY.wheel_speed * seconds(t)
+        angle = BODY.top_speeds[0] * seconds(t)
         assert not belief.observe([WheelAngle("left", t, angle), WheelAngle("right", t, angle)])
 
 
