@@ -1,27 +1,33 @@
-"""The brain of a base on wheels: perceive → plan → control, and whether it may move.
+"""The brain of a base: perceive → plan → control, and whether it may move.
 
 Rules. Perception processes every event at every step, planning does a bounded amount of work at each, control
 runs with its own period. The allowed speed is a share of the body's limits: all of it while every source is
 well, some while one is late, none while one is lost. None means braking within the acceleration limits, not
 disarming; only a stop from above, or rest with nothing to do, disarms the motors (Idle).
 Motors that are not wheels are joints that the base carries (a mast, a lift): they take an operator's targets
-(`brain.joint_targets`) independently of the base.
+(`brain.joint_targets`) independently of the base. A mission (`brain.planning.missions`) drives both: its
+goals are those of the navigator, its measured motions take the place of a path. A stop, a lost source, or a
+hand at the controls pauses it, and only an operator resumes it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from math import hypot
 
-from brain.belief import Belief, BrainState, BrainTask, Pose
-from brain.bodies.differential import Differential, arc
+from brain.belief import Belief, BrainState, BrainTask, Pose, SystemState
+from brain.bodies.body import Base
+from brain.bodies.plane import Twist, arc
 from brain.checks import objection
-from brain.control.profile import REST, Twist, approach
-from brain.control.pursuit import Bounds, Pursuit
+from brain.control.motion import Motion, Wish
 from brain.health import Health, HealthLevel, SourceHealth
 from brain.joint_targets import JointTargets
 from brain.perception.consistency import Trust
 from brain.perception.mount import Mount
 from brain.perception.perception import Perception
+from brain.planning.behaviours import State
+from brain.planning.mission_steps import Seen
+from brain.planning.missions import Missions, MissionTask, Phase
 from brain.planning.navigator import Navigator
 from brain.planning.planner import FrontierPath
 from brain.planning.stop_zone import StopZone
@@ -32,8 +38,6 @@ from protocols.messages import MILLISECOND, SECOND, Command, Event, Nanos, secon
 
 MAX_EXTRAPOLATION: Nanos = 100 * MILLISECOND
 """An estimate is extrapolated to now by its own twist, by at most this much."""
-MAX_CONTROL_STEP: Nanos = 100 * MILLISECOND
-"""A longer time between two commands counts as this: after a pause the speed must not jump."""
 MAX_GOALS = 1000
 """Goals that wait."""
 FARTHEST_GOAL = 10_000.0
@@ -48,40 +52,37 @@ class BaseBrain:
     def __init__(
         self,
         settings: BrainSettings,
-        body: Differential,
+        body: Base,
         motors: Sequence[str],
         sensors: Mapping[str, Mount],
         timeouts: Mapping[str, Nanos],
     ) -> None:
-        self._settings, self._body, self._motors = settings, body, tuple(motors)
+        self._settings, self._body = settings, body
         self.perception = Perception(body, dict(sensors), settings.perception)
-        self.navigator = Navigator(body.radius, settings.planner)
+        self.navigator = Navigator(body, settings.planner, settings.behaviour)
+        self.missions = Missions()
         self._zone = StopZone(body, self.perception.mounts, settings.stop)
-        self.pursuit = Pursuit()
-        self._health = Health((body.left, body.right), tuple(sensors), timeouts, settings.health)
+        self.motion = Motion(settings.pursuit, body, motors)
+        self._health = Health(body.joints, tuple(sensors), timeouts, settings.health)
         self._status = StatusReporter()
-        joints = [motor for motor in motors if motor not in (body.left, body.right)]
+        joints = [motor for motor in motors if motor not in body.joints]
         self._joints = JointTargets(joints, timeouts, settings.health, self._status)
-        self._twist = REST
-        """Commanded twist."""
         self._followed = 0
-        """Version of the path that pursuit follows."""
-        self._control_at: Nanos | None = None
-        """When control is due next,"""
-        self._controlled: Nanos | None = None
-        """and when it last ran."""
-        self._rest_since: Nanos | None = None
+        """Version of the path that is followed."""
         self._started: Nanos | None = None
         self._waiting_noted = False
-        self._commands: Sequence[Command] = self._idle()
 
     def adopt(self, settings: BrainSettings) -> None:
         """Continue with other settings."""
         self._settings = settings
-        self._body = settings.differential or self._body
+        assert isinstance(settings.body, Base), "a change of a setting keeps the body"
+        self._body = settings.body
         self._health.settings = self._joints.health.settings = settings.health
-        self.navigator.settings, self.navigator.radius = settings.planner, self._body.radius
+        navigator = self.navigator
+        navigator.settings, navigator.body = settings.planner, self._body
+        navigator.behaviour_settings = settings.behaviour
         self._zone.body, self._zone.settings = self._body, settings.stop
+        self.motion.body, self.motion.settings = self._body, settings.pursuit
 
     def step(
         self, now: Nanos, events: Sequence[Event], tasks: Sequence[BrainTask], stopped: str
@@ -90,13 +91,18 @@ class BaseBrain:
         base_tasks: list[BrainTask] = []
         self._joints.observe(events)
         for task in tasks:
-            if isinstance(task, msg.Goal | msg.Drive) or task.motor not in self._joints.motors:
+            motor = getattr(task, "motor", None)
+            if motor not in self._joints.motors or not isinstance(task, Command):
                 base_tasks.append(task)
-            else:
-                self._joints.request(now, task, stopped)
-        self._joints.drop_lost(now, stopped)
-        joints = {command.motor: command for command in self._joints.commands()}
+                continue
+            if self.missions.moves(task.motor):
+                self._halt(now, f"an operator moves {motor}")
+            self._joints.request(now, task, stopped)
+        for reason in self._joints.drop_lost(now, stopped):
+            if self.missions.moves(reason.replace(":", " ").split()[0]):
+                self._halt(now, reason)
         wheels = self._step_base(now, events, base_tasks, stopped)
+        joints = {command.motor: command for command in self._joints.commands(now)}
         return [joints.get(command.motor, command) for command in wheels]
 
     def _step_base(
@@ -104,8 +110,11 @@ class BaseBrain:
     ) -> Sequence[Command]:
         """Return the wheels' commands; Idle for the other motors."""
         self.perception.observe(now, events)
+        self.motion.observe(events)
         estimate = self.perception.estimate
-        self._zone.observe(estimate.t if estimate else now, self.perception.raw, events)
+        raw = self.perception.raw
+        moving = self.perception.moving(raw, doubts=True)
+        self._zone.observe(estimate.t if estimate else now, raw, events, moving)
         self._health.observe(events, self.perception.absent)
         self._health.helpful = self.perception.helpful
         verdict = self.perception.verdict
@@ -116,11 +125,14 @@ class BaseBrain:
         waiting = self._waiting(now)
         lost = stopped or ("" if waiting else health.reason if health.level is HealthLevel.LOST else "")
         self._accept(now, tasks, lost, waiting)
-        if lost and not waiting and self.navigator.busy:
-            self._status.add_note("warning", f"{self.navigator.drop()}: {lost}")
+        if lost:
+            self._halt(now, lost)
+            if self.navigator.busy:
+                self._status.add_note("warning", f"{self.navigator.drop()}: {lost}")
         if not waiting and not lost:
+            twist = self._mission(now, health)
             self._plan(now, health)
-            self._give_up_standing()
+            self.navigator.motion = twist if twist is not None else self.navigator.motion
         self._update_state(stopped, lost, waiting, health)
         if stopped or waiting:
             return self._disarm()
@@ -140,13 +152,16 @@ class BaseBrain:
             dict(perception.rejected),
             self.navigator.reached,
             perception.raw,
+            self.missions.view(),
+            self._systems(),
         )
 
     def take_notes(self) -> list[Note]:
         """Return the notes for the operator since the last call."""
         planned, self.navigator.notes = self.navigator.notes, []
         seen: list[Note] = [("warning", text) for text in self._zone.take_notes()]
-        return planned + seen + self._status.take_notes()
+        told, self.missions.notes = self.missions.notes, []
+        return told + planned + seen + self._status.take_notes()
 
     # -- may it move? -------------------------------------------------------------------------
 
@@ -163,18 +178,55 @@ class BaseBrain:
 
     def _accept(self, now: Nanos, tasks: Sequence[BrainTask], lost: str, waiting: str) -> None:
         for task in tasks:
-            if not isinstance(task, msg.Goal | msg.Drive):
-                reason = f"{task.motor} is a wheel of a base: use a goal, or drive"
-            elif wrong := objection(task) or self._beyond_reach(task):
-                reason = wrong
-            elif waiting and isinstance(task, msg.Drive):
-                reason = waiting
-            else:
-                reason = "" if waiting else lost
+            match task:
+                case msg.Goal() | msg.Drive():
+                    reason = self._drive_to(now, task, lost, waiting)
+                case msg.Mission() | msg.Pause() | msg.Resume() | msg.Drop():
+                    reason = self._on_mission(now, task, lost)
+                case _:
+                    reason = f"{task.motor} is a wheel of a base: use a goal, or drive"
             if reason:
                 self._status.add_note("warning", f"{type(task).__name__} refused: {reason}")
-            elif isinstance(task, msg.Goal | msg.Drive):
-                self.navigator.accept(now, task)
+
+    def _drive_to(self, now: Nanos, task: msg.Goal | msg.Drive, lost: str, waiting: str) -> str:
+        """Take a goal, or drive by hand; return why not, or ""."""
+        by_hand, missions = isinstance(task, msg.Drive), self.missions
+        reason = objection(task) or self._beyond_reach(task) or (waiting if by_hand else "") or lost
+        if not reason and not by_hand and missions.phase is Phase.RUNNING:
+            reason = "a mission is running: pause it, or drop it"
+        if reason:
+            return reason
+        missions.forget()
+        self._halt(now, "manual driving")
+        self.navigator.accept(now, task)
+        return ""
+
+    def _on_mission(self, now: Nanos, task: MissionTask, may_not_move: str) -> str:
+        """Begin, pause, resume or drop a mission; return why not, or ""."""
+        missions, before = self.missions, self.missions.phase
+        goes = isinstance(task, msg.Mission | msg.Resume)
+        if goes and self.navigator.busy and before is not Phase.RUNNING:
+            return "there are goals: drop them first"
+        reason = missions.request(task, self._body, self._joints.motors, may_not_move)
+        if isinstance(task, msg.Drop) and self.navigator.goals:
+            reason = ""
+            self._status.add_note("info", f"{self.navigator.drop()}: an operator sent drop")
+        if goes and not reason:
+            self.navigator.given_up = ""
+        self._settle(now, before)
+        return reason
+
+    def _halt(self, now: Nanos, reason: str) -> None:
+        """Pause the mission, if it is running."""
+        before = self.missions.phase
+        self.missions.halt(reason)
+        self._settle(now, before)
+
+    def _settle(self, now: Nanos, before: Phase) -> None:
+        """End what a mission has begun that does not run any more."""
+        if before is Phase.RUNNING and self.missions.phase not in (Phase.RUNNING, Phase.DONE):
+            self._joints.stand(now)
+            self.navigator.drop()
 
     def _beyond_reach(self, task: msg.Goal | msg.Drive) -> str:
         """Return why a goal can never be reached, whatever is found on the way; "" if it may be."""
@@ -194,14 +246,17 @@ class BaseBrain:
     def _update_state(self, stopped: str, lost: str, waiting: str, health: SourceHealth) -> None:
         status, navigator = self._status, self.navigator
         pathless = bool(navigator.goals) and navigator.path is None and bool(navigator.no_path_reason)
+        planning, mission = navigator.behaviour, self.missions
         if waiting:
             status.reason = waiting if not stopped else f"{waiting}; stopped: {stopped}"
         elif stopped:
             status.enter(BrainState.STOPPED, stopped, "warning")
         elif lost:
             status.enter(BrainState.STOPPED, lost)
-        elif navigator.given_up:
+        elif navigator.given_up and not mission.active:
             status.enter(BrainState.STOPPED, navigator.given_up)
+        elif mission.phase is Phase.FAILED:
+            status.enter(BrainState.STOPPED, f"mission {mission.name}: {mission.reason}")
         elif health.level is HealthLevel.SLOW:
             status.enter(BrainState.DEGRADED, f"{health.reason}: slow")
         elif health.level is HealthLevel.HALT:
@@ -210,10 +265,37 @@ class BaseBrain:
             status.enter(BrainState.DEGRADED, f"no path: {navigator.no_path_reason}")
         elif navigator.busy and self._zone.standing:
             status.enter(BrainState.DEGRADED, self._zone.reason)
-        elif navigator.busy:
-            status.enter(BrainState.RUNNING, self._zone.reason)
+        elif planning.state in (State.LOOKING, State.BACKING):
+            status.enter(BrainState.DEGRADED, f"{planning.state}: {planning.reason}")
+        elif navigator.busy or mission.phase is Phase.RUNNING:
+            why = planning.reason if planning.state is State.YIELDING else self._zone.reason
+            status.enter(BrainState.RUNNING, why)
+        elif mission.phase is Phase.PAUSED:
+            status.enter(BrainState.READY, f"mission {mission.name} is paused: {mission.reason}")
         else:
             status.enter(BrainState.READY, "")
+
+    def _systems(self) -> tuple[SystemState, ...]:
+        """Return what perception, planning and control do, and why."""
+        verdict, behaviour = self.perception.verdict, self.navigator.behaviour
+        perception = "waiting" if self.perception.estimate is None else verdict.trust.name.lower()
+        return (
+            SystemState("perception", perception, verdict.reason),
+            SystemState("planning", behaviour.state.value, behaviour.reason),
+            SystemState("control", self._controlling(), self._zone.reason),
+        )
+
+    def _controlling(self) -> str:
+        """Return in a word what control does."""
+        if all(isinstance(command, msg.Idle) for command in self.motion.commands):
+            return "disarmed"
+        if self.navigator.drive is not None:
+            return "by hand"
+        if self._zone.standing:
+            return "standing"
+        if self.navigator.motion is not None:
+            return "measured motion" if any(self.navigator.motion) else "holding"
+        return "following" if self.navigator.path is not None else "holding"
 
     # -- plan ---------------------------------------------------------------------------------
 
@@ -221,69 +303,74 @@ class BaseBrain:
         pose = self._pose(now)
         if health.level >= HealthLevel.HALT:
             self.navigator.pause()
-        self.navigator.step(now, (pose.x, pose.y), self.perception.map)
+        zone = self._zone
+        obstacle = (zone.standing, zone.reason) if zone.standing else (0.0, "")
+        moving = self.perception.moving(pose)
+        self.navigator.step(now, (pose.x, pose.y), self.perception.map, pose.yaw, *obstacle, moving)
 
-    def _give_up_standing(self) -> None:
-        """Drop goals to which no way is free: there is a path by the map, and an obstacle by the lidar."""
-        if self.navigator.goals and self._zone.standing > seconds(self._settings.planner.patience):
-            self._status.add_note("warning", f"{self.navigator.drop()}: {self._zone.reason}")
+    def _mission(self, now: Nanos, health: SourceHealth) -> Twist | None:
+        """Let the mission do its step; return the twist that it wants, None for the navigator's."""
+        missions, navigator, before = self.missions, self.navigator, self.missions.phase
+        if before is not Phase.RUNNING:
+            return None
+        estimate, zone = self.perception.estimate, self._zone
+        assert estimate is not None
+        seen = Seen(
+            now,
+            self._body,
+            self._pose(now),
+            hypot(estimate.linear, estimate.lateral),
+            estimate.angular,
+            health.level < HealthLevel.HALT,
+            zone.reason if zone.standing else "",
+            navigator.ended,
+            navigator.why,
+            self._joints.feedback,
+            self.perception.marker,
+        )
+        want = missions.advance(seen)
+        if want.goal is not None:
+            navigator.go(now, want.goal, passing=want.passing)
+        elif not want.keep and navigator.goals:
+            navigator.drop()
+        if want.targets and (why := self._joints.reach(now, want.targets, round(want.seconds * SECOND))):
+            missions.halt(why)
+        self._settle(now, before)
+        if navigator.goals or missions.phase is not Phase.RUNNING:
+            return None
+        return want.twist or Twist()
 
     def _pose(self, now: Nanos) -> Pose:
         """Return the newest estimate's pose, extrapolated to now by its own twist."""
         estimate = self.perception.estimate
         assert estimate is not None
         dt = seconds(min(max(now - estimate.t, 0), MAX_EXTRAPOLATION))
-        return arc(estimate.pose, estimate.linear * dt, estimate.angular * dt)
+        return arc(estimate.pose, estimate.linear * dt, estimate.angular * dt, estimate.lateral * dt)
 
     # -- control ------------------------------------------------------------------------------
 
     def _control(self, now: Nanos, share: float) -> Sequence[Command]:
         """Return new commands if control is due, or a scan shows an obstacle; else the previous ones."""
-        due = self._control_at is None or now >= self._control_at
-        if not due and not self._zone.is_too_fast((self._twist.linear, self._twist.angular)):
-            return self._commands
-        period = self._settings.pursuit.period
-        if due:
-            late = self._control_at is None or now - self._control_at >= period
-            self._control_at = now + period if late or self._control_at is None else self._control_at + period
-        since = period if self._controlled is None else min(now - self._controlled, MAX_CONTROL_STEP)
-        self._controlled = now
-        body = self._body
-        wanted = body.limit(*self._wanted_twist(now, share))
-        desired = approach(
-            self._twist,
-            Twist(*wanted),
-            seconds(since),
-            body.max_linear_acceleration,
-            body.max_angular_acceleration,
-        )
-        previous = self._twist.linear, self._twist.angular
-        allowed = self._zone.allowed(previous, (desired.linear, desired.angular), wanted, seconds(since))
-        self._twist = Twist(*allowed)
-        self._commands = self._wheel_commands(now)
-        return self._commands
-
-    def _wanted_twist(self, now: Nanos, share: float) -> tuple[float, float]:
-        """Return the twist wanted (linear, angular), before the body's limits."""
+        if not self.motion.is_due(now, self._zone):
+            return self.motion.commands
         self._follow_new_path()
-        drive = self.navigator.drive
-        if drive is not None:
-            linear, angular = self._body.limit(drive.linear, drive.angular)
-            return share * linear, share * angular
-        pose = self._pose(now)
-        body, costmap = self._body, self.navigator.costmap
-        bounds = Bounds(
-            share * body.max_linear,
-            share * body.max_angular,
-            body.max_linear_acceleration,
-            body.max_angular_acceleration,
+        pose, navigator = self._pose(now), self.navigator
+        drive, costmap = navigator.drive, navigator.costmap
+        hand = Twist(drive.linear, drive.angular, drive.lateral) if drive is not None else navigator.motion
+        wish = Wish(
+            pose,
+            share,
+            navigator.busy or self.missions.phase is Phase.RUNNING,
+            hand,
+            costmap.clearance(pose.x, pose.y) if costmap else 0.0,
         )
-        clearance = costmap.clearance(pose.x, pose.y) if costmap else 0.0
-        twist = self.pursuit.step(pose, self._twist, bounds, clearance, self._settings.pursuit)
+        commands = self.motion.step(now, wish, self._zone)
         trusted = share > 0.0 and self.perception.verdict.trust < Trust.DOUBTFUL
-        if self.pursuit.arrived and trusted:
-            self.navigator.arrived(now)
-        return twist.linear, twist.angular
+        if self.motion.arrived and trusted and hand is None:
+            navigator.arrived(now)
+        elif self.motion.pursuit.missed and hand is None:
+            navigator.missed(now, self.motion.pursuit.missed)
+        return commands
 
     def _follow_new_path(self) -> None:
         navigator = self.navigator
@@ -291,33 +378,12 @@ class BaseBrain:
             return
         self._followed = navigator.path_version
         if navigator.path is None or navigator.goal is None:
-            self.pursuit.drop()
+            self.motion.drop()
         else:
             yaw = None if isinstance(navigator.path, FrontierPath) else navigator.goal.yaw
-            self.pursuit.follow(navigator.path.points, yaw)
-
-    def _wheel_commands(self, now: Nanos) -> Sequence[Command]:
-        if self._twist != REST or self.navigator.busy:
-            self._rest_since = None
-        elif self._rest_since is None:
-            self._rest_since = now
-        if self._rest_since is not None and now - self._rest_since >= self._settings.pursuit.idle_after:
-            return self._idle()
-        if self._rest_since is not None and all(isinstance(c, msg.Idle) for c in self._commands):
-            return self._commands  # not armed since it was last disarmed: there is nothing to bring to rest
-        left, right = self._body.inverse(self._twist.linear, self._twist.angular)
-        wheels = {self._body.left: left, self._body.right: right}
-        return tuple(
-            msg.Velocity(motor, wheels[motor]) if motor in wheels else msg.Idle(motor)
-            for motor in self._motors
-        )
+            costmap = navigator.costmap
+            self.motion.follow(navigator.path, yaw, costmap.zones.limit if costmap else None)
 
     def _disarm(self) -> Sequence[Command]:
-        self._twist, self._controlled, self._control_at = REST, None, None
-        self._rest_since = None
         self._follow_new_path()
-        self._commands = self._idle()
-        return self._commands
-
-    def _idle(self) -> Sequence[Command]:
-        return tuple(msg.Idle(motor) for motor in self._motors)
+        return self.motion.disarm()

@@ -10,10 +10,10 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from protocols.messages import Command, Drive, Goal, Nanos
+from protocols.messages import Command, Goal, Nanos, Task
 
 Floats = npt.NDArray[np.float64]
-BrainTask: TypeAlias = Goal | Drive | Command
+BrainTask: TypeAlias = Task | Command
 """A task for the brain; a Command is a target for a bare joint."""
 
 
@@ -52,6 +52,8 @@ class Estimate:
     """rad/s, to the left"""
     covariance: Floats
     """3 × 3, of x, y, yaw"""
+    lateral: float = 0.0
+    """m/s, to the left"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +100,34 @@ class MapView:
 
 
 @dataclass(frozen=True, slots=True)
+class MissionView:
+    """The mission, and how far it is."""
+
+    name: str
+    phase: str
+    """running, paused, done, failed or dropped"""
+    step: str
+    """Number of the present step, from 1: "3", or "4.1" within a Repeat or Try; "" at the end"""
+    text: str
+    """What the present step is, in words"""
+    steps: int
+    """How many steps it has, those within others not counted"""
+    reason: str
+    """Why it is paused, or has failed; "" if that needs none"""
+
+
+@dataclass(frozen=True, slots=True)
+class SystemState:
+    """The state of one of the three systems, and why."""
+
+    name: str
+    """perception, planning or control"""
+    state: str
+    reason: str
+    """Why the state was entered, or ""."""
+
+
+@dataclass(frozen=True, slots=True)
 class Belief:
     """The brain's output for observers, after a step."""
 
@@ -117,3 +147,7 @@ class Belief:
     """Number of goals reached so far."""
     raw: Pose | None = None
     """Dead reckoning by the wheels alone, for comparison; not used for control."""
+    mission: MissionView | None = None
+    """The present mission, or the last; None before the first"""
+    systems: tuple[SystemState, ...] = ()
+    """Of perception, planning and control, where there is a base"""

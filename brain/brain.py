@@ -16,6 +16,7 @@ from dataclasses import replace
 
 from brain.base_brain import BaseBrain
 from brain.belief import Belief, BrainTask
+from brain.bodies.body import Base
 from brain.health import HealthSettings
 from brain.joint_brain import JointBrain
 from brain.perception.mount import Mount
@@ -32,7 +33,7 @@ class Brain:
     `timeouts` are by motor and by sensor: the age from which on the newest measurement is too old. The brain
     reacts at shares of it (`health`).
 
-    Raises ValueError if the settings lack the body's own table, or if motors, sensors and timeouts do not
+    Raises ValueError if the body has a joint that is no motor, or if motors, sensors and timeouts do not
     match one to one, with timeouts above 0."""
 
     def __init__(
@@ -91,11 +92,9 @@ def _body(
     sensors: Mapping[str, Mount],
     timeouts: Mapping[str, Nanos],
 ) -> BaseBrain | JointBrain:
-    if settings.body == "differential":
-        if settings.differential is None:
-            raise ValueError('the body "differential" needs its table, brain.differential')
-        wheels = (settings.differential.left, settings.differential.right)
-        if unknown := [name for name in wheels if name not in motors]:
-            raise ValueError(f"brain.differential names wheels that are no motors: {', '.join(unknown)}")
-        return BaseBrain(settings, settings.differential, motors, sensors, timeouts)
+    body = settings.body
+    if unknown := [name for name in body.joints if name not in motors]:
+        raise ValueError(f"brain.{body.kind} names joints that are no motors: {', '.join(unknown)}")
+    if isinstance(body, Base):
+        return BaseBrain(settings, body, motors, sensors, timeouts)
     return JointBrain(settings, motors, timeouts)

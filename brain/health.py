@@ -67,6 +67,7 @@ from protocols.messages import (
     Fix,
     Imu,
     LaserScan,
+    Marker,
     Measurement,
     Mode,
     Nanos,
@@ -160,6 +161,7 @@ _MEASUREMENT_NAMES = {
     LaserScan: "scan",
     Fix: "fix",
     PoseReading: "pose",
+    Marker: "image",
 }
 
 

@@ -1,6 +1,7 @@
 """The brain of bare joints: no sensors, no map; an operator's targets, motor by motor.
 
-Rules. `brain.joint_targets` decides what happens to a target. Every motor has one command at every step.
+Rules. `brain.joint_targets` decides what happens to a target, `brain.planning.missions` to a mission. Every
+motor has one command at every step. A stop, or a lost joint, pauses the mission.
 """
 
 from __future__ import annotations
@@ -8,10 +9,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from brain.belief import Belief, BrainState, BrainTask
+from brain.bodies.body import Linkage
 from brain.joint_targets import JointTargets
+from brain.linked_targets import LinkedTargets
+from brain.planning.mission_steps import STAND, Seen
+from brain.planning.missions import Missions, Phase
 from brain.settings import BrainSettings
 from brain.status import Note, StatusReporter
-from protocols.messages import Command, Drive, Event, Goal, Nanos
+from protocols.messages import SECOND, Command, Drive, Drop, Event, Goal, Mission, Nanos, Pause, Resume
 
 
 class JointBrain:
@@ -19,7 +24,9 @@ class JointBrain:
 
     def __init__(self, settings: BrainSettings, motors: Sequence[str], timeouts: Mapping[str, Nanos]) -> None:
         self._status = StatusReporter()
-        self._joints = JointTargets(motors, timeouts, settings.health, self._status)
+        body, given = settings.body, (motors, timeouts, settings.health, self._status)
+        self._joints = LinkedTargets(body, *given) if isinstance(body, Linkage) else JointTargets(*given)
+        self._missions = Missions()
 
     def adopt(self, settings: BrainSettings) -> None:
         """Continue with other settings."""
@@ -29,25 +36,47 @@ class JointBrain:
         self, now: Nanos, events: Sequence[Event], tasks: Sequence[BrainTask], stopped: str
     ) -> Sequence[Command]:
         """Return one command per motor."""
-        joints = self._joints
+        joints, missions = self._joints, self._missions
         joints.observe(events)
         missing = joints.health.missing()
+        before = missions.phase
         for task in tasks:
+            reason = ""
             if isinstance(task, Goal | Drive):
                 reason = "these are bare joints: there is no base to drive"
-                self._status.add_note("warning", f"{type(task).__name__} refused: {reason}")
+            elif isinstance(task, Mission | Pause | Resume | Drop):
+                reason = missions.request(task, None, joints.motors, stopped)
             else:
+                if missions.moves(task.motor):
+                    missions.halt(f"an operator moves {task.motor}")
+                missions.forget()
                 joints.request(now, task, stopped)
-        self._update_state(stopped, missing, joints.drop_lost(now, stopped))
-        return joints.commands()
+            if reason:
+                self._status.add_note("warning", f"{type(task).__name__} refused: {reason}")
+        lost = joints.drop_lost(now, stopped)
+        waiting = bool(missing) and self._status.state is BrainState.INITIALISING
+        if reason := stopped or ("" if waiting else "; ".join(lost)):
+            missions.halt(reason)
+        seen = Seen(now, joints=joints.feedback, ended=joints.ended, why=joints.why)
+        want = STAND if waiting else missions.advance(seen)
+        if want.place is not None and (reason := joints.place(now, want.place)):
+            missions.halt(reason)
+        if want.targets and (reason := joints.reach(now, want.targets, round(want.seconds * SECOND))):
+            missions.halt(reason)
+        if before is Phase.RUNNING and missions.phase in (Phase.PAUSED, Phase.DROPPED, Phase.FAILED):
+            joints.stand(now)
+        self._update_state(stopped, missing, lost)
+        return joints.commands(now)
 
     def belief(self) -> Belief:
         """Return the state and its reason; a bare joint has no estimate, map or path."""
-        return Belief(self._status.state, self._status.reason, None, None, (), 0, None, {}, 0)
+        state, reason, mission = self._status.state, self._status.reason, self._missions.view()
+        return Belief(state, reason, None, None, (), 0, None, {}, 0, mission=mission)
 
     def take_notes(self) -> list[Note]:
         """Return the notes for the operator since the last call."""
-        return self._status.take_notes()
+        told, self._missions.notes = self._missions.notes, []
+        return told + self._status.take_notes()
 
     def _update_state(self, stopped: str, missing: str, lost: Sequence[str]) -> None:
         if stopped:
@@ -57,7 +86,9 @@ class JointBrain:
         elif lost:
             all_lost = len(lost) == len(self._joints.motors)
             self._status.enter(BrainState.STOPPED if all_lost else BrainState.DEGRADED, "; ".join(lost))
-        elif self._joints.busy:
+        elif self._missions.phase is Phase.FAILED:
+            self._status.enter(BrainState.STOPPED, self._missions.reason)
+        elif self._joints.busy or self._missions.phase is Phase.RUNNING:
             self._status.enter(BrainState.RUNNING, "")
         else:
             self._status.enter(BrainState.READY, "")

@@ -13,12 +13,12 @@ from difflib import get_close_matches
 from math import isfinite
 from typing import Literal, TypeAlias, TypeVar
 
-from brain.bodies.differential import Differential
-from brain.bodies.joints import Joints
+from brain.bodies.body import Base, Body
 from brain.checks import Settings
 from brain.control.pursuit import PursuitSettings
 from brain.health import HealthSettings
 from brain.perception.perception import PerceptionSettings
+from brain.planning.behaviours import BehaviourSettings
 from brain.planning.costmap import PlannerSettings
 from brain.planning.stop_zone import StopSettings
 from protocols.messages import MILLISECOND
@@ -26,19 +26,19 @@ from protocols.messages import MILLISECOND
 
 @dataclass(frozen=True, slots=True)
 class BrainSettings:
-    """The body, and the settings of perception, planning and control. The body's own table is required."""
+    """The body, and the settings of perception, planning and control."""
 
-    body: Literal["differential", "joints"] = "joints"
-    differential: Differential | None = None
-    joints: Joints | None = None
+    body: Body
+    """In the robot file its name; its own table, below [brain], has that name."""
     perception: PerceptionSettings = field(default_factory=PerceptionSettings)
     planner: PlannerSettings = field(default_factory=PlannerSettings)
+    behaviour: BehaviourSettings = field(default_factory=BehaviourSettings)
     pursuit: PursuitSettings = field(default_factory=PursuitSettings)
     stop: StopSettings = field(default_factory=StopSettings)
     health: HealthSettings = field(default_factory=HealthSettings)
 
     def __post_init__(self) -> None:
-        radius = self.differential.radius if self.differential else 0.0
+        radius = self.body.radius if isinstance(self.body, Base) else 0.0
         reach = radius + self.planner.margin + self.planner.comfort
         cells = reach / self.perception.map.resolution
         if cells > MAX_REACH:
@@ -59,16 +59,18 @@ AT_RUN_TIME: tuple[tuple[Direction, str, str], ...] = (
         "distances from obstacles, the cost of unknown ground, caution after trouble: they only get larger",
         (
             "planner.margin planner.comfort planner.dislike planner.unknown_multiplier health.recover_ms "
-            "pursuit.obstacle_distance stop.gap stop.turn_gap stop.latency_ms"
+            "pursuit.obstacle_distance stop.gap stop.turn_gap stop.latency_ms stop.walk stop.doubt"
         ),
     ),
     (
         "at most",
         "limits, speeds, and shares of them: less is more cautious",
         (
-            "differential.max_linear differential.max_angular differential.max_wheel_speed planner.escape "
+            "body.max_linear body.max_lateral body.max_angular body.max_wheel_speed planner.escape "
             "planner.slack planner.unknown_is_free health.slow pursuit.braking pursuit.creep "
-            "pursuit.lateral_acceleration pursuit.obstacle_speed stop.blind_speed"
+            "pursuit.lateral_acceleration pursuit.corner pursuit.obstacle_speed stop.blind_speed "
+            "stop.hidden_speed "
+            "behaviour.back behaviour.tries"
         ),
     ),
     (
@@ -77,7 +79,8 @@ AT_RUN_TIME: tuple[tuple[Direction, str, str], ...] = (
         (
             "health.slow_age health.stand_age health.give_up_ms health.window_ms health.rejected_slow "
             "health.rejected_stop health.contradicted_ms health.too_long_ms health.too_often "
-            "planner.period_ms planner.drive_timeout_ms planner.patience_ms pursuit.idle_after_ms"
+            "planner.period_ms planner.drive_timeout_ms planner.patience_ms pursuit.idle_after_ms "
+            "behaviour.crossing_ms"
         ),
     ),
     ("at most", "the work of a step", "planner.expansions_per_step"),
@@ -85,24 +88,27 @@ AT_RUN_TIME: tuple[tuple[Direction, str, str], ...] = (
         "free",
         "how a path is followed: every value within its bounds keeps the limits",
         (
-            "pursuit.period_ms pursuit.lookahead_time pursuit.lookahead_min pursuit.lookahead_max "
-            "pursuit.turn_from pursuit.turn_until pursuit.turn_gain pursuit.tolerance pursuit.yaw_tolerance "
-            "planner.explore_ms"
+            "pursuit.period_ms pursuit.latency_ms pursuit.lookahead_time pursuit.lookahead_min "
+            "pursuit.lookahead_max pursuit.turn_from pursuit.turn_until pursuit.turn_gain pursuit.tolerance "
+            "pursuit.yaw_tolerance planner.explore_ms planner.reverse planner.switch behaviour.look_after_ms "
+            "behaviour.look behaviour.stuck_after_ms"
         ),
     ),
 )
 """How a number may differ from the robot file's at run time, why, and which. It may always be changed back.
 
-All others are fixed at the start: geometry and perception, since a change would invalidate the present
-estimate and map; the body's accelerations, since more is rougher than the file allows, and less makes every
-stop longer."""
+"body" stands for the body's own table. All others are fixed at the start: geometry and perception, since a
+change would invalidate the present estimate and map; the body's accelerations, since more is rougher than the
+file allows, and less makes every stop longer."""
 
 
 def keys(settings: Settings, prefix: str = "") -> Iterator[tuple[str, float]]:
     """Yield every number of a settings dataclass: its dotted key and its value, as in the robot file."""
     for one in fields(settings):
         value = getattr(settings, one.name)
-        if hasattr(value, "__dataclass_fields__"):
+        if isinstance(value, Body):
+            yield from keys(value, f"{value.kind}.")
+        elif hasattr(value, "__dataclass_fields__"):
             yield from keys(value, f"{prefix}{one.name}.")
         elif "Nanos" in str(one.type):
             yield f"{prefix}{one.name}_ms", value / MILLISECOND
@@ -126,7 +132,9 @@ def changed(
     if key not in known:
         hint = suggestion(key, known) or f"there are {', '.join(known)}"
         return settings, f"there is no setting {key!r}; {hint}"
-    direction = next((kind for kind, _, names in AT_RUN_TIME if key in names.split()), "fixed")
+    table, _, name = key.partition(".")
+    path = f"body.{name}" if table == settings.body.kind else key
+    direction = next((kind for kind, _, names in AT_RUN_TIME if path in names.split()), "fixed")
     if direction == "fixed":
         return settings, f"{key} is fixed at the start: change it in the robot file"
     if not isfinite(value):
@@ -137,7 +145,7 @@ def changed(
     if isinstance(now, int) and not float(value).is_integer():
         return settings, f"{key} must be an integer, not {value:g}"
     try:
-        after = _replaced(settings, key.split("."), type(now)(value))
+        after = _replaced(settings, path.split("."), type(now)(value))
     except OverflowError:
         return settings, f"{key} is out of every bound: {value:g}"
     except ValueError as error:

@@ -1,0 +1,279 @@
+"""Targets of joints that carry one another: an arm. Positions are moved to together; what is armed is held.
+
+Rules. The first target arms every joint: those without one hold where they are, against gravity. A joint goes
+limp only if an operator says Idle to it, if it is lost, or if the stop action disarmed it; nothing is armed
+by the release of a stop. Positions are reached at one time, within the body's limits of velocity,
+acceleration and jerk; every command has the torque that the motion takes. A joint that is given a torque
+pushes with it, and goes on to when it is told to hold: what is gripped stays gripped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from math import inf
+
+from brain.bodies.body import Linkage, Placement, Search
+from brain.control.joint_profile import JointLimits, JointState, Profiles, stopping, synchronised
+from brain.health import HealthLevel, HealthSettings
+from brain.joint_targets import JointTargets
+from brain.status import StatusReporter
+from protocols.messages import (
+    SECOND,
+    Command,
+    Event,
+    Feedback,
+    Hold,
+    Idle,
+    Impedance,
+    Mode,
+    MoveTool,
+    Nanos,
+    Position,
+    State,
+    Torque,
+    Velocity,
+)
+
+ITERATIONS = 4
+"""Of the search for a place, in each step"""
+AT_REST = 0.05
+"""rad/s: a joint that is taken up from less starts at rest."""
+SAME = 1e-9
+"""rad: a target that is given again"""
+
+
+class LinkedTargets(JointTargets):
+    """The joints of a linkage. Plain data."""
+
+    def __init__(
+        self,
+        body: Linkage,
+        motors: Sequence[str],
+        timeouts: Mapping[str, Nanos],
+        settings: HealthSettings,
+        status: StatusReporter,
+    ) -> None:
+        super().__init__(motors, timeouts, settings, status)
+        self._body, self._joints, self._moves_tip = body, body.joints, body.of_tip
+        self._limits = [JointLimits(*each) for each in body.limits]
+        self._armed: dict[str, bool] = {}
+        self._states: dict[str, JointState] = {}
+        """Where each joint that is held should be now."""
+        self._goals: dict[str, float] = {}
+        """Where the present motion ends, by joint that is held."""
+        self._holding: dict[str, float] = {}
+        """Where each joint holds that was told to hold."""
+        self._grips: dict[str, float] = {}
+        """Torque with which a joint goes on to push while it holds."""
+        self._profiles = Profiles(())
+        self._since: Nanos = 0
+        self._span: Nanos = 0
+        """Time that the next motion is to take, at least."""
+        self._search: Search | None = None
+        self._placing: dict[str, float] = {}
+        """Positions of the place that the tip is on its way to."""
+
+    def observe(self, events: Sequence[Event]) -> None:
+        """Process the motors' events of this step."""
+        super().observe(events)
+        for event in events:
+            if isinstance(event, State) and event.mode is not Mode.OFFLINE:
+                self._armed[event.motor] = event.mode is Mode.ARMED
+
+    # -- what is asked for --------------------------------------------------------------------------
+
+    def request(self, now: Nanos, task: Command, stopped: str) -> None:
+        """Accept a target, or note the reason why not; hold the other joints."""
+        before = self._targets.get(task.motor)
+        super().request(now, task, stopped)
+        if self._targets.get(task.motor) is not before:
+            self._span = 0
+            self._engage(task)
+
+    def reach(self, now: Nanos, targets: Sequence[Command], span: Nanos) -> str:
+        """Take targets, positions to be reached together, in this time or more; return why not, or ""."""
+        if why := super().reach(now, targets, 0):
+            return why
+        self._span = span
+        for target in targets:
+            self._engage(target)
+        return ""
+
+    def place(self, now: Nanos, task: MoveTool) -> str:
+        """Begin to bring the tip to a place; return why not, or ""."""
+        lost = [self.health.source(now, motor).reason for motor in self._joints if self._is_lost(now, motor)]
+        if lost or not self._known():
+            return lost[0] if lost else "the positions of the joints are not known yet"
+        attitude = None
+        if task.attitude is not None:
+            roll, pitch, yaw = task.attitude
+            attitude = roll, pitch, yaw
+        place = Placement(task.x, task.y, task.z, attitude)
+        self._search = self._body.search([self._at(motor) for motor in self._joints], place)
+        self._span = round(task.seconds * SECOND)
+        self._placing = {}
+        return ""
+
+    def _engage(self, task: Command) -> None:
+        """Hold what has no target, once anything has: the joints carry one another."""
+        self._give_up("another target was given")
+        if isinstance(task, Idle):
+            return
+        for motor in self._joints:
+            if isinstance(self._targets[motor], Idle) and motor != task.motor:
+                self._targets[motor] = Hold(motor)
+
+    def stand(self, now: Nanos) -> None:  # noqa: ARG002 -- others end their motions at it
+        """Come to rest, and hold; what pushes goes on to push."""
+        self._give_up("it was to stand")
+        for motor, target in self._targets.items():
+            if isinstance(target, Position | Velocity):
+                self._targets[motor] = Hold(motor)
+
+    def drop_lost(self, now: Nanos, stopped: str) -> tuple[str, ...]:
+        """Drop the targets of lost motors, and if stopped every target; return why each motor is lost.
+
+        What is still armed when the stop is released holds from then on."""
+        if not stopped:
+            return super().drop_lost(now, stopped)
+        self._give_up(f"stopped: {stopped}")
+        reasons = super().drop_lost(now, stopped)
+        for motor in self._joints:
+            if self._armed.get(motor) and not self._is_lost(now, motor):
+                self._targets[motor] = Hold(motor)
+        for known in (self._states, self._goals, self._holding):
+            known.clear()
+        self._profiles = Profiles(())
+        return reasons
+
+    def _objection(self, now: Nanos, task: Command) -> str:
+        if why := super()._objection(now, task):
+            return why
+        ranges = dict(zip(self._joints, self._body.ranges, strict=True))
+        low, high = ranges.get(task.motor, (-inf, inf))
+        if isinstance(task, Position) and not low <= task.position <= high:
+            return f"{task.motor} goes from {low:g} to {high:g}, not to {task.position:g}"
+        return ""
+
+    def _is_lost(self, now: Nanos, motor: str) -> bool:
+        return self.health.source(now, motor).level >= HealthLevel.HALT
+
+    def _give_up(self, why: str) -> None:
+        if self._search is not None or self._placing:
+            self._search, self._placing = None, {}
+            self.ended, self.why = self.ended + 1, why
+
+    @property
+    def busy(self) -> bool:
+        """True while a joint moves to its target, or is to be moved otherwise."""
+        plain = any(not isinstance(target, Idle | Hold | Position) for target in self._targets.values())
+        moving = any(self._states[motor].position != goal for motor, goal in self._goals.items())
+        return plain or moving or self._search is not None
+
+    # -- what is commanded --------------------------------------------------------------------------
+
+    def commands(self, now: Nanos) -> tuple[Command, ...]:
+        """Return one command per motor, in the order of the robot file."""
+        self._advance_search(now)
+        if not self._known():
+            return tuple(Idle(motor) for motor in self.motors)
+        self._plan(now)
+        states = dict(zip(self._goals, self._profiles.at((now - self._since) / SECOND), strict=True))
+        self._states = states
+        self._arrive()
+        free = [
+            states.get(motor, JointState(self._measured(motor).position or 0.0)) for motor in self._joints
+        ]
+        torques = self._body.torques(*zip(*free, strict=True))
+        needed = dict(zip(self._joints, torques, strict=True))
+        return tuple(self._command(target, needed) for target in self._targets.values())
+
+    def _command(self, target: Command, needed: Mapping[str, float]) -> Command:
+        motor = target.motor
+        torque = needed.get(motor, 0.0)
+        if state := self._states.get(motor):
+            torque += self._grips.get(motor, 0.0)
+            return self._body.command(motor, state.position, state.velocity, torque)
+        if motor not in needed or isinstance(target, Idle):
+            return target
+        if isinstance(target, Torque):
+            return self._body.push(motor, self._at(motor), target.torque + torque)
+        if isinstance(target, Velocity | Impedance):
+            return replace(target, torque=target.torque + torque)
+        return target
+
+    def _plan(self, now: Nanos) -> None:
+        """Plan a motion of all joints that are held, if where one of them ends has changed."""
+        goals: dict[str, float] = {}
+        for motor, limit, (low, high) in zip(self._joints, self._limits, self._body.ranges, strict=True):
+            target = self._targets[motor]
+            if isinstance(target, Torque):
+                self._grips[motor] = target.torque
+            elif not isinstance(target, Hold):
+                self._grips.pop(motor, None)
+            if not isinstance(target, Hold):
+                self._holding.pop(motor, None)
+            elif motor not in self._holding:
+                self._holding[motor] = stopping(self._state(motor), limit).goal
+            if isinstance(target, Position | Hold):
+                wanted = target.position if isinstance(target, Position) else self._holding[motor]
+                goals[motor] = max(low, min(high, wanted))
+        if goals.keys() == self._goals.keys() and all(
+            abs(goals[m] - g) <= SAME for m, g in self._goals.items()
+        ):
+            return
+        starts = [self._state(motor) for motor in goals]
+        limits = [each for motor, each in zip(self._joints, self._limits, strict=True) if motor in goals]
+        self._profiles = synchronised(starts, list(goals.values()), limits)
+        self._goals, self._since = goals, now
+        duration, span = self._profiles.duration, self._span / SECOND
+        self._span = 0
+        if duration < span and duration > 0.0 and not any(s.velocity or s.acceleration for s in starts):
+            slower = span / duration
+            self._profiles = Profiles(
+                tuple(replace(one, slower=one.slower * slower) for one in self._profiles.joints)
+            )
+
+    def _arrive(self) -> None:
+        """Note that the tip has come to its place."""
+        if self._placing and all(
+            abs(self._states[m].position - at) <= SAME if m in self._states else False
+            for m, at in self._placing.items()
+        ):
+            self._placing = {}
+            self.ended, self.why = self.ended + 1, ""
+
+    def _advance_search(self, now: Nanos) -> None:
+        search = self._search
+        if search is None or not search.advance(ITERATIONS):
+            return
+        self._search = None
+        if search.found is None:
+            self.ended, self.why = self.ended + 1, search.why
+            return
+        before = self._span
+        found = dict(zip(self._joints, search.found, strict=True))
+        self.reach(now, [Position(m, at) for m, at in found.items() if m in self._moves_tip], before)
+        self._placing = {motor: found[motor] for motor in self._moves_tip}
+
+    # -- what is known ------------------------------------------------------------------------------
+
+    def _known(self) -> bool:
+        return all(self._measured(motor).position is not None for motor in self._joints)
+
+    def _measured(self, motor: str) -> Feedback:
+        return self.feedback.get(motor) or Feedback(motor, 0)
+
+    def _at(self, motor: str) -> float:
+        """Return where a joint should be, or else where it is."""
+        return (
+            self._states[motor].position if motor in self._states else self._measured(motor).position or 0.0
+        )
+
+    def _state(self, motor: str) -> JointState:
+        if motor in self._states:
+            return self._states[motor]
+        measured = self._measured(motor)
+        speed = measured.velocity or 0.0
+        return JointState(measured.position or 0.0, speed if abs(speed) > AT_REST else 0.0)
