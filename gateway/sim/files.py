@@ -1,19 +1,19 @@
-"""World files: the simulated world behind the twins, as TOML; `gateway.sim.load` reads them.
+"""World files: the place behind the twins, as TOML; `gateway.sim.load` reads them.
 
-Rules. A world file names motors and sensors as the robot file does and knows nothing of how they are driven.
-It is the ground truth: the brain has its own parameters and never reads these. All is SI, in the world's
-frame (z up, the floor at z = 0) or the body's (x forward, y left, z up, origin on the floor below the middle
-of the axle). Invalid combinations raise ValueError in `__post_init__`, naming the field.
+Rules. A world is a bench with bare shafts, or a scene: a floor with walls, boxes and people, the same for
+every robot, whose own truth is a plant file (`gateway.sim.plant_files`). All is SI, in the world's frame (z
+up, the floor at z = 0). Invalid combinations raise ValueError in `__post_init__`, naming the field.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Annotated, Literal, TypeAlias
 
 from gateway.core.bounds import Bounds
-from protocols.messages import MILLISECOND, SECOND, Nanos
+from protocols.messages import MILLISECOND, Nanos
 
 STEP: Nanos = MILLISECOND
 """Time step of every world: the wheels' contacts were tested with it, and it is short for a motor's loops."""
@@ -29,8 +29,10 @@ Place: TypeAlias = Annotated[float, Bounds(-1e3, 1e3)]
 Angle: TypeAlias = Annotated[float, Bounds(-1e3, 1e3)]
 Noise: TypeAlias = Annotated[float, Bounds(0.0, 10.0)]
 Bias: TypeAlias = Annotated[float, Bounds(-10.0, 10.0)]
+Seconds: TypeAlias = Annotated[float, Bounds(0.0, 1e5)]
 Rate: TypeAlias = Annotated[float, Bounds(0.1, 1000.0)]
 Point: TypeAlias = tuple[Place, Place]
+Share: TypeAlias = Annotated[float, Bounds(0.0, 1.0)]
 Vector: TypeAlias = tuple[Bias, Bias, Bias]
 
 
@@ -76,7 +78,7 @@ class BenchFile:
     shafts: dict[str, ShaftFile] = field(default_factory=dict)
 
 
-# -- scene: a base with two wheels among walls ---------------------------------------------------------
+# -- scene: a place ---------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,139 +106,105 @@ class Wall:
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """A box on the floor; size is its length along x, y and z before it is turned by yaw."""
+    """A box; size is its length along x, y and z before it is turned by yaw."""
 
     x: Place
     y: Place
     size: tuple[Length, Length, Length]
     yaw: Angle = 0.0
+    z: Annotated[float, Bounds(0.0, 100.0)] = 0.0
+    """m, of its lower side above the floor"""
+    mass: Mass | None = None
+    """kg, of one that can be pushed and lifted; None: it is fixed"""
 
 
 @dataclass(frozen=True, slots=True)
-class Wheel:
-    """One driven wheel."""
+class Person:
+    """Somebody who walks along a path and back again, for ever: an upright cylinder.
 
-    motor: str
-    """Name of the motor in the robot file whose joint turns this wheel; forward is positive."""
-    radius_error: Annotated[float, Bounds(-0.1, 0.1)] = 0.0
-    """The wheel's true radius is wheel_radius × (1 + this): wear, pressure, load."""
+    People push nothing and are not pushed: that the robot touches one is counted."""
 
-
-@dataclass(frozen=True, slots=True)
-class Slip:
-    """Creep between tyre and floor: a Gauss-Markov process over the rolled distance, one for each wheel.
-
-    That fraction of the rolled distance is lost (or gained). Besides, a wheel spins when its torque exceeds
-    its grip."""
-
-    sigma: Fraction = 0.0
-    """Standard deviation, as a fraction of the rolled distance."""
-    length: Length = 0.3
-    """m, correlation length (to 1/e) in rolled distance"""
-
-
-@dataclass(frozen=True, slots=True)
-class Body:
-    """A differential base: chassis, two wheels on one axle, low-friction casters at front and rear."""
-
-    left: Wheel
-    right: Wheel
-    size: tuple[Length, Length, Length] = (0.4, 0.2, 0.1)
-    mass: Mass = 5.0
-    """kg, in total"""
-    height: Length = 0.07
-    """m, of the chassis' centre above the floor"""
-    wheel_radius: Length = 0.05
-    wheel_separation: Length = 0.22
-    wheel_width: Length = 0.02
-    wheel_mass: Mass = 0.2
-    damping: Resistance = 0.002
-    """N·m·s/rad, at the output shaft"""
-    armature: Inertia = 0.002
-    """kg·m², rotor and gear, reflected to the output shaft"""
-    caster_offset: Length = 0.16
-    """m, in front of and behind the axle"""
-    caster_radius: Length = 0.02
-    slip: Slip = field(default_factory=Slip)
+    path: tuple[Point, ...]
+    """m, from the first point straight to the next; one point: stands there"""
+    speed: Annotated[float, Bounds(0.01, 5.0)] = 0.8
+    """m/s"""
+    start: Seconds = 0.0
+    """s, when the walk begins"""
+    pause: Seconds = 0.0
+    """s, standing at each end of the path"""
+    radius: Annotated[float, Bounds(0.05, 1.0)] = 0.2
+    height: Length = 1.7
 
     def __post_init__(self) -> None:
-        if self.mass <= 2.0 * self.wheel_mass:
-            raise ValueError("mass must be more than that of the two wheels, which it includes")
-        if self.left.motor == self.right.motor:
-            raise ValueError("right must be another motor than left")
+        if not self.path or any(a == b for a, b in pairwise(self.path)):
+            raise ValueError("path must have a point, and no point twice in succession")
+
+    def place(self, t: float) -> Point:
+        """Return where the person is t [s] after the world began."""
+        ways = [math.dist(a, b) for a, b in pairwise(self.path)]
+        length = sum(ways)
+        walk = length / self.speed + self.pause
+        if t <= self.start or not ways:
+            return self.path[0]
+        back, since = divmod(t - self.start, walk)
+        done = min((since * self.speed), length)
+        along = length - done if back % 2 else done
+        for (ax, ay), (bx, by), way in zip(self.path, self.path[1:], ways, strict=False):
+            if along <= way:
+                share = along / way
+                return ax + share * (bx - ax), ay + share * (by - ay)
+            along -= way
+        return self.path[-1]
 
 
 @dataclass(frozen=True, slots=True)
-class Lidar:
-    """A planar lidar: beams evenly over a full turn, the first at -180 degrees, counter-clockwise."""
+class Tag:
+    """An AprilTag of the family 36h11 that stands upright, on a plate with a white margin of one cell."""
 
-    beams: Annotated[int, Bounds(2, 10_000)] = 360
-    rate_hz: Rate = 10.0
-    range_min: Annotated[float, Bounds(0.0, 1e3)] = 0.1
-    range_max: Length = 10.0
-    noise: Noise = 0.0
-    """m, standard deviation of one range"""
-    resolution: Noise = 0.0
-    """m; 0 is exact"""
-    dropout: Fraction = 0.0
-    """Fraction of the beams without a reading."""
-    sweep: bool = True
-    """Whether the beams of a scan are spread evenly over its period, as of a lidar that turns; otherwise all
-    are taken at its beginning."""
-
-    def __post_init__(self) -> None:
-        if self.range_min >= self.range_max:
-            raise ValueError("range_min must be less than range_max")
-        _whole_steps(self.rate_hz)
+    marker: Annotated[int, Bounds(0, 586)]
+    """Its number in the family"""
+    x: Place
+    """m, of its centre"""
+    y: Place
+    z: Place
+    yaw: Angle
+    """rad: where its face looks to"""
+    size: Annotated[float, "m", Bounds(0.01, 5.0)] = 0.16
+    """Outer edge of its black border"""
 
 
 @dataclass(frozen=True, slots=True)
-class InertialUnit:
-    """An IMU: noise per sample, constant bias, random walk of the gyro bias."""
+class Ball:
+    """A ball of one colour."""
 
-    rate_hz: Rate = 200.0
-    gyro_noise: Noise = 0.0
-    """rad/s, standard deviation of one sample"""
-    gyro_bias: Vector = (0.0, 0.0, 0.0)
-    """rad/s"""
-    gyro_walk: Noise = 0.0
-    """rad/s per √s, random walk of the bias"""
-    accel_noise: Noise = 0.0
-    """m/s², standard deviation of one sample"""
-    accel_bias: Vector = (0.0, 0.0, 0.0)
-    """m/s²"""
-
-    def __post_init__(self) -> None:
-        _whole_steps(self.rate_hz)
-
-
-def _whole_steps(rate_hz: float) -> None:
-    if SECOND / rate_hz % STEP:
-        raise ValueError(f"rate_hz must divide the world's {SECOND // STEP} steps a second, not {rate_hz:g}")
+    x: Place
+    """m, of its centre"""
+    y: Place
+    z: Place
+    diameter: Annotated[float, "m", Bounds(0.01, 5.0)] = 0.1
+    colour: tuple[Share, Share, Share] = (0.9, 0.1, 0.1)
+    """Red, green, blue"""
 
 
 @dataclass(frozen=True, slots=True)
 class SceneFile:
-    """A base with two wheels on a floor with walls and boxes. Needs MuJoCo (the extra `sim`)."""
+    """A floor with walls, boxes and people. Needs MuJoCo (the extra `sim`)."""
 
     kind: Literal["scene"]
     name: str
-    body: Body
     start: Start = field(default_factory=Start)
     friction: Annotated[float, Bounds(0.01, 10.0)] = 1.0
-    """Coefficient, of the wheels on the floor, and of walls, boxes and chassis."""
-    encoder: Encoder = field(default_factory=Encoder)
-    lidars: dict[str, Lidar] = field(default_factory=dict)
-    """By the sensor's name in the robot file, which has its mount; so are `imus`."""
-    imus: dict[str, InertialUnit] = field(default_factory=dict)
-    shaft: ShaftFile = field(default_factory=ShaftFile)
-    """For every motor that turns no wheel and is not in `shafts`: a joint carried by the base, on which it
-    has no effect."""
-    shafts: dict[str, ShaftFile] = field(default_factory=dict)
+    """Coefficient, of all that touches"""
     walls: dict[str, Wall] = field(default_factory=dict)
     boxes: dict[str, Box] = field(default_factory=dict)
+    people: dict[str, Person] = field(default_factory=dict)
+    tags: dict[str, Tag] = field(default_factory=dict)
+    """For cameras; so are `balls`."""
+    balls: dict[str, Ball] = field(default_factory=dict)
     tour: tuple[Point, ...] = ()
     """m, goals for a demo, relative to where the robot starts"""
+    mission: str = ""
+    """A mission for a demo instead: a shipped one's name or a file's path"""
 
 
 WorldFile: TypeAlias = SceneFile | BenchFile

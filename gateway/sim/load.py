@@ -1,19 +1,29 @@
-"""Reading world files."""
+"""Reading world files and plant files."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Literal, TypeAlias, TypeVar
 
 from gateway.config import resources
 from gateway.config.errors import Mistakes, shown
 from gateway.config.schema import MAX_SIZE, build, read_toml
 from gateway.errors import ConfigError, Mistake, UserError
 from gateway.sim.files import BenchFile, SceneFile, WorldFile
+from gateway.sim.linked_file import LinkedFile
+from gateway.sim.plant_files import PlantFile, WheeledFile
+
+T = TypeVar("T")
+Parse: TypeAlias = Callable[[str, str], T]
+
+WORLDS: dict[str, type[WorldFile]] = {"scene": SceneFile, "bench": BenchFile}
+PLANTS: dict[str, type[PlantFile]] = {"wheels": WheeledFile, "linked": LinkedFile}
+"""Kinds of files, by their key `kind`."""
 
 
 class WorldError(ConfigError):
-    """A wrong world file, or a robot that does not fit into its world: every mistake at once."""
+    """A wrong world or plant file, or a robot that does not fit into its world: every mistake at once."""
 
     @classmethod
     def about(cls, subject: str, texts: Sequence[str]) -> WorldError:
@@ -25,28 +35,45 @@ def load_world(name_or_path: str | Path) -> WorldFile:
     """Load a world that ships with the package, by its name, or any .toml file, by its path.
 
     Raises WorldError with every mistake, each with file, line, key and what was expected."""
-    try:
-        path = resources.find("worlds", str(name_or_path))
-        text = resources.read(path, MAX_SIZE)
-    except (UserError, OSError, UnicodeDecodeError) as error:
-        raise WorldError.about(str(name_or_path), [f"cannot be read: {error}"]) from error
-    return parse_world(text, str(path))
+    return _load("worlds", name_or_path, parse_world)
+
+
+def load_plant(name_or_path: str | Path) -> PlantFile:
+    """Load a plant, likewise."""
+    return _load("plants", name_or_path, parse_plant)
 
 
 def parse_world(text: str, source: str = "world.toml") -> WorldFile:
     """Parse the text of a world file; `source` is its name in mistakes. Raises WorldError with all of
     them."""
+    return _parse(text, source, WORLDS)
+
+
+def parse_plant(text: str, source: str = "plant.toml") -> PlantFile:
+    """Parse the text of a plant file, likewise."""
+    return _parse(text, source, PLANTS)
+
+
+def _load(kind: Literal["worlds", "plants"], name_or_path: str | Path, parse: Parse[T]) -> T:
+    try:
+        path = resources.find(kind, str(name_or_path))
+        text = resources.read(path, MAX_SIZE)
+    except (UserError, OSError, UnicodeDecodeError) as error:
+        raise WorldError.about(str(name_or_path), [f"cannot be read: {error}"]) from error
+    return parse(text, str(path))
+
+
+def _parse(text: str, source: str, kinds: dict[str, type[T]]) -> T:
     mistakes = Mistakes(source, text)
     try:
         table = read_toml(text, mistakes)
-        kinds: dict[str, type[SceneFile | BenchFile]] = {"scene": SceneFile, "bench": BenchFile}
         kind = table.get("kind")
         file = None
         if isinstance(kind, str) and kind in kinds:
             file = build(kinds[kind], table, (), mistakes)
         else:
             found = f"found {shown(kind)}," if "kind" in table else "missing;"
-            mistakes.add(("kind",), f"{found} expected 'scene' or 'bench'")
+            mistakes.add(("kind",), f"{found} expected {' or '.join(map(repr, kinds))}")
         mistakes.check()
     except ConfigError as error:
         raise WorldError(error.mistakes) from error

@@ -1,52 +1,28 @@
-"""A planar base with two wheels in MuJoCo: shafts, tyres, contacts, lidar ranges and inertial quantities.
+"""A base on wheels in a scene: shafts, steering, tyres that creep, rollers.
 
-Rules. Exact: noise is added by `gateway.sim.sensors`, except for the slip of the tyres, which is motion. No
-graphics: no display and no GL is needed. MuJoCo gives the same bits for the same steps on one version and
-processor; elsewhere compare within a tolerance.
-Fields of the model: qpos = x, y, z, quaternion w x y z, left, left creep, right, right creep.
+Rules. The slip of the tyres is no noise but motion. A roller's joint is put back to angle 0 after each step
+and keeps its speed: the wheel is a ball there, and the axis of the roller on the floor stays where it is.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from brain.belief import Pose
 from brain.perception.mount import Mount
-from gateway.sim.files import SceneFile, Slip, Start
-from gateway.sim.load import WorldError
-from gateway.sim.mjcf import scene_xml
+from gateway.sim import mjcf
+from gateway.sim.files import SceneFile
+from gateway.sim.plant_files import Slip, WheeledBody, WheeledFile
+from gateway.sim.scene import FLOOR, Scene, import_mujoco
 
-if TYPE_CHECKING:
-    from types import ModuleType
-
-Floats = npt.NDArray[np.float64]
-
-FLOOR = 0
-"""MuJoCo's id of the floor's geom: the first one of the model."""
-LEFT, RIGHT = (0, 7, 6), (1, 9, 8)
-"""Indices of each wheel (motor in ctrl, creep in eq_data), and of its shaft in qpos and in qvel."""
-SOLIDS = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
-"""Geom groups that beams hit: group 0, the floor, walls and boxes."""
-SETTLING = 300
-"""Steps in which the base settles into its contacts before time begins."""
+HELD = 0.05
+"""m/s, slip up to which a tyre that others drag is held in proportion to it: then Coulomb friction is
+stable."""
 STRETCHES = 20
 """Stretches of constant slip per correlation length."""
-
-
-def import_mujoco(world: str) -> ModuleType:
-    """Import the library. Raises WorldError with the command that installs it."""
-    try:
-        import mujoco  # 0.3 s, and an extra: only where a scene is simulated
-    except ImportError as error:
-        hint = f"it needs MuJoCo ({error}): pip install 'motor-gateway[sim]'"
-        raise WorldError.about(f"world {world!r}", [hint]) from error
-    module: ModuleType = mujoco
-    return module
 
 
 class Tyre:
@@ -72,86 +48,119 @@ class Tyre:
             self._slip = self._kept * self._slip + drawn
 
 
-class Rover:
-    """The base of a scene. `imus`: where each inertial sensor is mounted."""
+class Dragged:
+    """A tyre that others drag sideways, on a contact without friction, and the friction instead.
 
-    def __init__(self, file: SceneFile, imus: dict[str, Mount], seed: int) -> None:
-        mujoco = import_mujoco(file.name)
-        self._model: Any = mujoco.MjModel.from_xml_string(scene_xml(file, imus))
-        self._data: Any = mujoco.MjData(self._model)
-        self._mj_step, self._mj_multi_ray = mujoco.mj_step, mujoco.mj_multiRay
-        self._wheels = {file.body.left.motor: LEFT, file.body.right.motor: RIGHT}
-        self._imus = {name: 6 * index for index, name in enumerate(imus)}
+    MuJoCo's own friction cone lifts what slips off the floor: such a base hops, and turns at half its
+    speed."""
+
+    def __init__(self, body: WheeledBody, name: str, geom: int, dofs: list[int]) -> None:
+        wheel = body.wheels[name]
+        self.x, self.y, self.geom, self.dofs = wheel.x, wheel.y, geom, dofs
+        self.radius = body.wheel.radius * (1.0 + wheel.radius_error)
+        self._c, self._s = math.cos(wheel.yaw), math.sin(wheel.yaw)
+
+    def friction(
+        self, twist: tuple[float, float, float], spin: float, most: float
+    ) -> tuple[float, float, float]:
+        """Return the force [N] on the base, forward and to the left, and that along the wheel's own
+        direction, at the base's speed (m/s, rad/s, m/s to the left) and the wheel's [rad/s]: against the
+        slip, `most` at most."""
+        ahead, left = twist[0] - twist[1] * self.y, twist[2] + twist[1] * self.x
+        along, across = (
+            self._c * ahead + self._s * left - self.radius * spin,
+            self._c * left - self._s * ahead,
+        )
+        share = -most / max(math.hypot(along, across), HELD)
+        along, across = share * along, share * across
+        return self._c * along - self._s * across, self._s * along + self._c * across, along
+
+
+class Rover(Scene):
+    """A base on wheels. `imus`: where each inertial sensor is mounted."""
+
+    def __init__(self, file: SceneFile, plant: WheeledFile, imus: dict[str, Mount], seed: int) -> None:
+        body = plant.body
+        xml = mjcf.scene_xml(file, mjcf.wheeled(body, imus, file.friction), imus)
+        model: Any = import_mujoco(file.name).MjModel.from_xml_string(xml)
+        super().__init__(file, model, imus)
+        joints = {name: model.joint(name) for name in _joints(body)}
+        at = {name: (int(one.qposadr[0]), int(one.dofadr[0])) for name, one in joints.items()}
+        steered = {one.steer.motor: f"{name}_steer" for name, one in body.wheels.items() if one.steer}
+        moved = (mjcf.first(body) | steered).items()
+        self._shafts = {motor: (index, *at[joint]) for index, (motor, joint) in enumerate(moved)}
+        """Index of each motor in ctrl, and of its shaft in qpos and qvel."""
+        self._rollers = [place for name, (place, _) in at.items() if name.endswith("_roller")]
+        radius = body.wheel.radius
+        streams = np.random.SeedSequence(seed).spawn(len(body.wheels))
         self._tyres = [
-            Tyre(file.body.wheel_radius, file.body.slip, np.random.Generator(np.random.PCG64(stream)))
-            for stream in np.random.SeedSequence(seed).spawn(2)
+            (at[name][0], Tyre(radius, body.slip, np.random.Generator(np.random.PCG64(stream))))
+            for name, stream in zip(body.wheels, streams, strict=True)
+            if mjcf.has_creep(body, name)
         ]
-        self._touching: frozenset[int] = frozenset()
-        self.touches = 0
-        """How often walls and boxes were newly touched, each counted separately."""
-        self._settle(file.start)
+        """With the index of the shaft in qpos; in the order of the constraints that hold them."""
+        self._dragged = [
+            Dragged(body, name, int(model.geom(name).id), [at[joint][1] for joint in axle])
+            for name in mjcf.dragged(body)
+            for axle in [[name, f"{name}_creep"] if mjcf.has_creep(body, name) else [name]]
+        ]
+        self.settle()
+        for position, _ in at.values():
+            self.data.qpos[position] = 0.0
 
-    def _settle(self, start: Start) -> None:
-        """Settle into the contacts with the wheels still, at the start pose."""
-        data = self._data
-        data.qpos[0:2] = start.x, start.y
-        data.qpos[3:7] = math.cos(start.yaw / 2.0), 0.0, 0.0, math.sin(start.yaw / 2.0)
-        self._mj_step(self._model, data, SETTLING)
-        data.qpos[0:2] = start.x, start.y
-        data.qpos[7:11] = 0.0
-        data.qvel[:] = 0.0
-        data.time = 0.0
+    @property
+    def motors(self) -> tuple[str, ...]:
+        """The motors that turn or steer a wheel."""
+        return tuple(self._shafts)
 
     def step(self, torques: Mapping[str, float]) -> None:
-        """Advance by one time step under torques [N·m] at the wheels' shafts."""
-        data = self._data
-        for motor, (wheel, position, _) in self._wheels.items():
-            tyre = self._tyres[wheel]
+        """Advance by one time step under torques [N·m] at the shafts."""
+        data = self.data
+        for motor, (index, _, _) in self._shafts.items():
+            data.ctrl[index] = torques.get(motor, 0.0)
+        for index, (position, tyre) in enumerate(self._tyres):
             tyre.turn(data.qpos[position])
-            data.ctrl[wheel] = torques.get(motor, 0.0)
-            self._model.eq_data[wheel, 0] = -tyre.crept
-        self._mj_step(self._model, data)
-        if data.ncon:
-            self._count_touches(data.contact.geom.tolist())
+            self.model.eq_data[index, 0] = -tyre.crept
+        if self._dragged:
+            self._drag()
+        self.advance()
+        if self._rollers:
+            data.qpos[self._rollers] = 0.0
 
-    def _count_touches(self, pairs: list[list[int]]) -> None:
-        """Count what is touched now and was not touched before the step; `pairs` of geoms are in contact."""
-        solid = [pair for pair in pairs if FLOOR not in pair]
-        if not solid and not self._touching:
-            return
-        # Solids come before the robot's geoms in the model, so the smaller number is the solid's.
-        now = frozenset(min(pair) for pair in solid)
-        self.touches += len(now - self._touching)
-        self._touching = now
+    def _drag(self) -> None:
+        """Apply the friction of tyres that cannot all roll. The base is taken as level, as it is on a
+        floor."""
+        data = self.data
+        speeds, forces = data.qvel.tolist(), data.efc_force.tolist()
+        contacts = zip(data.contact.geom.tolist(), data.contact.efc_address.tolist(), strict=True)
+        loads = {wheel: forces[row] for (floor, wheel), row in contacts if floor == FLOOR}
+        applied = [0.0] * len(speeds)
+        vx, vy, _, _, _, turn = speeds[:6]
+        yaw = self.pose().yaw
+        c, s = math.cos(yaw), math.sin(yaw)
+        twist = c * vx + s * vy, turn, c * vy - s * vx
+        for tyre in self._dragged:
+            spin = sum(speeds[dof] for dof in tyre.dofs)
+            ahead, left, along = tyre.friction(twist, spin, self.file.friction * loads.get(tyre.geom, 0.0))
+            applied[0] += c * ahead - s * left
+            applied[1] += s * ahead + c * left
+            applied[5] += tyre.x * left - tyre.y * ahead
+            for dof in tyre.dofs:
+                applied[dof] = -tyre.radius * along
+        data.qfrc_applied[:] = applied
 
     def shaft(self, motor: str) -> tuple[float, float]:
         """Return position [rad] and velocity [rad/s] of the output shaft, inside the creeping tyre."""
-        _, position, velocity = self._wheels[motor]
-        return float(self._data.qpos[position]), float(self._data.qvel[velocity])
+        _, position, velocity = self._shafts[motor]
+        return float(self.data.qpos[position]), float(self.data.qvel[velocity])
 
-    def pose(self) -> Pose:
-        """Return the true pose, now."""
-        x, y, _, w, i, j, k = self._data.qpos[0:7].tolist()
-        return Pose(x, y, math.atan2(2.0 * (w * k + i * j), 1.0 - 2.0 * (j * j + k * k)))
 
-    def inertial(self, imu: str) -> tuple[Floats, Floats]:
-        """Return rad/s and m/s² (gravity included) in the sensor's frame, at the beginning of the last
-        step."""
-        start = self._imus[imu]
-        data: Floats = self._data.sensordata
-        return data[start : start + 3].copy(), data[start + 3 : start + 6].copy()
-
-    def rays(self, mount: Mount, directions: Floats, farthest: float) -> Floats:
-        """Return the lengths [m] of beams from a mount, at the beginning of the last step.
-
-        `directions`: n × 3 unit vectors in the sensor's frame. `farthest` where they hit nothing."""
-        data, count = self._data, len(directions)
-        base = data.xmat[1].reshape(3, 3)
-        origin = data.xpos[1] + base @ np.array([mount.x, mount.y, mount.z])
-        turned = directions @ (base @ np.array(mount.rotation())).T
-        geoms, found = np.empty(count, dtype=np.int32), np.empty(count)
-        self._mj_multi_ray(
-            self._model, data, origin, turned.ravel(), SOLIDS, True, -1, geoms, found, None, count, farthest
-        )
-        hit: Floats = np.where((found < 0.0) | (found > farthest), farthest, found)
-        return hit
+def _joints(body: WheeledBody) -> list[str]:
+    """Return the names of all joints of the wheels."""
+    names: list[str] = []
+    for name, wheel in body.wheels.items():
+        names += [name]
+        names += [f"{name}_creep"] if mjcf.has_creep(body, name) else []
+        names += [f"{name}_roller"] if wheel.roller is not None else []
+        names += [f"{name}_steer"] if wheel.steer else []
+    return names

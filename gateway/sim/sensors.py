@@ -8,13 +8,42 @@ time since the beginning of the sensor's period; it returns what is complete the
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import Protocol, TypeAlias
 
 import numpy as np
 
 from brain.perception.mount import Mount
-from gateway.sim.files import STEP, InertialUnit, Lidar
-from gateway.sim.rover import Floats, Rover
-from protocols.messages import SECOND, Imu, LaserScan, Nanos
+from gateway.sim.camera import CameraSensor
+from gateway.sim.files import STEP
+from gateway.sim.plant_files import InertialUnit, Lidar, PlantFile
+from gateway.sim.scene import Floats, Scene
+from protocols.messages import SECOND, Imu, LaserScan, Marker, Nanos
+
+Reading: TypeAlias = Imu | LaserScan | Marker
+
+
+class WorldSensor(Protocol):
+    """A sensor of any kind."""
+
+    name: str
+    period: Nanos
+
+    def measure(self, t: Nanos, phase: Nanos, scene: Scene) -> Reading | None:
+        """Return what is complete at time t, `phase` after the beginning of the period."""
+
+
+def sensors(file: PlantFile, mounts: Mapping[str, Mount], seed: int) -> list[WorldSensor]:
+    """Return the sensors on these mounts, each by its table in the plant file."""
+    return [_sensor(name, file, mount, seed) for name, mount in mounts.items()]
+
+
+def _sensor(name: str, file: PlantFile, mount: Mount, seed: int) -> WorldSensor:
+    if name in file.lidars:
+        return LidarSensor(name, file.lidars[name], mount, seed)
+    if name in file.cameras:
+        return CameraSensor(name, file.cameras[name], mount, stream(seed, name))
+    return ImuSensor(name, file.imus[name], seed)
 
 
 def stream(seed: int, name: str) -> np.random.Generator:
@@ -34,7 +63,7 @@ class LidarSensor:
         self._directions: Floats = np.stack([np.cos(angles), np.sin(angles), np.zeros(file.beams)], axis=1)
         self._true: Floats = np.zeros(file.beams)
 
-    def measure(self, t: Nanos, phase: Nanos, rover: Rover) -> LaserScan | None:
+    def measure(self, t: Nanos, phase: Nanos, scene: Scene) -> LaserScan | None:
         """Measure the beams of this time step; return the scan with the last of them."""
         beams, period = self.file.beams, self.period
         first, end = 0, beams if phase == 0 else 0
@@ -42,7 +71,7 @@ class LidarSensor:
             first, end = (-(-at * beams // period) for at in (phase, phase + STEP))
         if first < end:
             directions = self._directions[first:end]
-            self._true[first:end] = rover.rays(self.mount, directions, self.file.range_max)
+            self._true[first:end] = scene.rays(self.mount, directions, self.file.range_max)
         if not first < end == beams:
             return None
         duration = (beams - 1) * period // beams if self.file.sweep else 0
@@ -72,11 +101,11 @@ class ImuSensor:
         self._accel_bias: Floats = np.array(file.accel_bias)
         self._walk = file.gyro_walk / math.sqrt(file.rate_hz)
 
-    def measure(self, t: Nanos, phase: Nanos, rover: Rover) -> Imu | None:
+    def measure(self, t: Nanos, phase: Nanos, scene: Scene) -> Imu | None:
         """Return angular rates and accelerations at the beginning of a period; it has no orientation."""
         if phase:
             return None
-        gyro, accel = rover.inertial(self.name)
+        gyro, accel = scene.inertial(self.name)
         noise = self._rng.standard_normal((3, 3))
         self._gyro_bias += self._walk * noise[0]
         gyro += self._gyro_bias + self.file.gyro_noise * noise[1]

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from gateway.sim.files import STEP, BenchFile, SceneFile, ShaftFile
+from gateway.sim.files import STEP, BenchFile, ShaftFile
+from gateway.sim.plant_files import PlantFile
 from protocols.messages import seconds
 
 DT = seconds(STEP)
@@ -52,7 +53,7 @@ class Shaft:
 class Shafts:
     """Independent shafts, one for each of these motors."""
 
-    def __init__(self, file: BenchFile | SceneFile, motors: Iterable[str]) -> None:
+    def __init__(self, file: BenchFile | PlantFile, motors: Iterable[str]) -> None:
         self._shafts = {name: Shaft(file.shafts.get(name, file.shaft)) for name in motors}
 
     def __contains__(self, motor: str) -> bool:

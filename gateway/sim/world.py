@@ -1,53 +1,59 @@
 """The world behind the twins: the motion of shafts under torques, sensor readings, and the ground truth.
 
-Rules. Virtual time only: one `step` is one time step of 1 ms. Same file, robot, seed and torques: same world,
-bit for bit, on one version of MuJoCo and one processor. Nothing here knows a protocol or a gear ratio: all is
-at the joints' output shafts. `truth` and `contacts` are for evaluation and pictures, never an input.
+Rules. Virtual time only: one `step` is one time step of 1 ms. Same files, robot, seed and torques: same
+world, bit for bit, on one version of MuJoCo and one processor. Nothing here knows a protocol or a gear ratio:
+all is at the joints' output shafts. `truth`, `contacts` and `people` are for evaluation and pictures, never
+an input.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 from brain.belief import Pose
 from brain.perception.mount import Mount
 from gateway.config.errors import unknown
-from gateway.sim.files import STEP, SceneFile, WorldFile
+from gateway.sim.files import STEP, BenchFile, SceneFile, WorldFile
+from gateway.sim.linked import Linked
+from gateway.sim.linked_file import LinkedFile
 from gateway.sim.load import WorldError
 from gateway.sim.mjcf import Polygon, outlines
+from gateway.sim.plant_files import PlantFile, WheeledFile
 from gateway.sim.rover import Rover
-from gateway.sim.sensors import ImuSensor, LidarSensor
+from gateway.sim.scene import Scene
+from gateway.sim.sensors import Reading, WorldSensor, sensors
 from gateway.sim.shafts import Shafts
-from protocols.messages import Imu, LaserScan, Nanos
+from protocols.messages import Nanos
 
 if TYPE_CHECKING:
     from gateway.core.robot import Robot
 
-Reading: TypeAlias = Imu | LaserScan
-
 
 class World:
-    """A world file with a robot in it, from a seed. Raises WorldError if they do not fit each other."""
+    """A world file with a robot in it, from a seed; `plant` is what the robot truly is, and not looked at on
+    a bench, where its motors are clamped. Raises WorldError if they do not fit each other."""
 
-    def __init__(self, file: WorldFile, robot: Robot, seed: int) -> None:
-        _check(file, robot)
+    def __init__(self, file: WorldFile, plant: PlantFile | None, robot: Robot, seed: int) -> None:
+        _check(file, plant, robot)
         self.file = file
         self.now: Nanos = 0
         """The world's time. It may be set before the first step."""
-        self._sensors: list[ImuSensor | LidarSensor] = []
+        self._sensors: list[WorldSensor] = []
         self._readings: list[Reading] = []
         self._steps = 0
-        self._rover: Rover | None = None
-        wheels: tuple[str, ...] = ()
-        if isinstance(file, SceneFile):
-            wheels = (file.body.left.motor, file.body.right.motor)
+        self.scene: Scene | None = None
+        """What is simulated in MuJoCo; None on a bench."""
+        self._carrier: BenchFile | PlantFile = file if isinstance(file, BenchFile) else BenchFile()
+        moved: tuple[str, ...] = ()
+        if isinstance(file, SceneFile) and plant is not None:
+            self._carrier, moved = plant, plant.motors
             mounts = {name: sensor.mount for name, sensor in robot.sensors.items()}
-            self._rover = Rover(file, {n: m for n, m in mounts.items() if n in file.imus}, seed)
-            self._sensors = [_sensor(name, file, mount, seed) for name, mount in mounts.items()]
-        self._shafts = Shafts(file, [name for name in robot.motors if name not in wheels])
-        """On a bench all, in a scene those that the base carries."""
+            self.scene = _scene(file, plant, {n: m for n, m in mounts.items() if n in plant.imus}, seed)
+            self._sensors = sensors(plant, mounts, seed)
+        self._shafts = Shafts(self._carrier, [name for name in robot.motors if name not in moved])
+        """On a bench all, in a scene those that the body carries."""
 
     def step(self, torques: Mapping[str, float]) -> None:
         """Advance by one time step under torques [N·m] at the OUTPUT shafts, by motor; 0 where none is given.
@@ -57,24 +63,24 @@ class World:
             if not math.isfinite(torque):
                 raise ValueError(f"the torque of {motor!r} is {torque}; expected a finite number")
         self._shafts.step(torques)
-        if self._rover is not None:
-            self._rover.step(torques)
-            self._measure(self._rover)
+        if self.scene is not None:
+            self.scene.step(torques)
+            self._measure(self.scene)
         self.now += STEP
         self._steps += 1
 
-    def _measure(self, rover: Rover) -> None:
+    def _measure(self, scene: Scene) -> None:
         """Measure the state at the beginning of the step, which is what MuJoCo has computed last."""
         for sensor in self._sensors:
-            reading = sensor.measure(self.now, self._steps * STEP % sensor.period, rover)
+            reading = sensor.measure(self.now, self._steps * STEP % sensor.period, scene)
             if reading is not None:
                 self._readings.append(reading)
 
     def shaft(self, motor: str) -> tuple[float, float]:
         """Return position [rad] and velocity [rad/s] of a motor's output shaft."""
-        if self._rover is None or motor in self._shafts:
+        if self.scene is None or motor in self._shafts:
             return self._shafts.shaft(motor)
-        return self._rover.shaft(motor)
+        return self.scene.shaft(motor)
 
     def readings(self) -> Sequence[Reading]:
         """Return the sensor readings since the last call, in the order of completion, with their noise."""
@@ -86,48 +92,76 @@ class World:
     @property
     def counts_per_turn(self) -> int:
         """Resolution of the encoders, which sit on the devices' own shafts."""
-        return self.file.encoder.counts_per_turn
+        return self._carrier.encoder.counts_per_turn
 
     def truth(self) -> Pose:
         """Return the true pose in the world's frame (the origin, on a bench)."""
-        return Pose(0.0, 0.0, 0.0) if self._rover is None else self._rover.pose()
+        return Pose(0.0, 0.0, 0.0) if self.scene is None else self.scene.pose()
 
     def contacts(self) -> int:
         """Return how often walls and boxes (on a bench: hard stops) were touched so far."""
-        return self._shafts.touches if self._rover is None else self._rover.touches
+        return self._shafts.touches if self.scene is None else self.scene.touches
+
+    def touches_by_people(self) -> int:
+        """Return how often somebody was touched so far while the robot moved."""
+        return 0 if self.scene is None else self.scene.touches_by_people
+
+    def people(self) -> list[tuple[float, float, float]]:
+        """Return x, y and radius [m] of everybody, in the world's frame."""
+        return [] if self.scene is None else self.scene.people()
+
+    def movable(self) -> dict[str, tuple[float, float, float]]:
+        """Return where the middle of each box is that can be pushed [m], in the world's frame."""
+        if self.scene is None or not isinstance(self.file, SceneFile):
+            return {}
+        return {name: self.scene.box(name) for name, box in self.file.boxes.items() if box.mass is not None}
 
     @property
     def tour(self) -> tuple[tuple[float, float], ...]:
         """Goals [m] for a demo, relative to where the robot starts."""
         return self.file.tour if isinstance(self.file, SceneFile) else ()
 
+    @property
+    def mission(self) -> str:
+        """A mission for a demo, by name or path; "" if there is none."""
+        return self.file.mission if isinstance(self.file, SceneFile) else ""
+
     def outlines(self) -> list[Polygon]:
         """Return walls and boxes seen from above, as polygons [m] in the world's frame."""
         return outlines(self.file) if isinstance(self.file, SceneFile) else []
 
 
-def _sensor(name: str, file: SceneFile, mount: Mount, seed: int) -> ImuSensor | LidarSensor:
-    if name in file.lidars:
-        return LidarSensor(name, file.lidars[name], mount, seed)
-    return ImuSensor(name, file.imus[name], seed)
+def _scene(file: SceneFile, plant: PlantFile, imus: dict[str, Mount], seed: int) -> Scene:
+    """Return the scene with the robot in it, by the plant's kind."""
+    if isinstance(plant, WheeledFile):
+        return Rover(file, plant, imus, seed)
+    if isinstance(plant, LinkedFile):
+        return Linked(file, plant, imus)
+    raise AssertionError(f"no scene for {type(plant).__name__}")
 
 
-def _check(file: WorldFile, robot: Robot) -> None:
-    """Check that the world has every sensor of the robot, and the robot a motor for every wheel and shaft."""
-    sensors: tuple[str, ...] = ()
-    wheels: tuple[str, ...] = ()
+def _check(file: WorldFile, plant: PlantFile | None, robot: Robot) -> None:
+    """Check that there is a plant for a scene, with every sensor of the robot, and that the robot has a motor
+    for every part of it, and a part of it for every motor that it drives with."""
+    wrong: list[str] = []
+    have: tuple[str, ...] = ()
+    moved: tuple[str, ...] = ()
+    shafts = file.shafts if isinstance(file, BenchFile) else plant.shafts if plant else {}
     if isinstance(file, SceneFile):
-        wheels = (file.body.left.motor, file.body.right.motor)
-        sensors = (*file.lidars, *file.imus)
-    wrong = [
-        unknown("motor", name, robot.motors) + " in the robot"
-        for name in (*wheels, *file.shafts)
-        if name not in robot.motors
-    ]
-    driven = robot.brain.differential
-    if wheels and driven is not None:
-        required = (driven.left, driven.right)
-        wrong += [unknown("wheel", name, wheels) + " to turn" for name in required if name not in wheels]
-    wrong += [unknown("sensor", name, sensors) + " in it" for name in robot.sensors if name not in sensors]
+        if plant is None:
+            wrong = [f"the robot file has no key 'plant': what {robot.name!r} truly is in this world"]
+        else:
+            have, moved = (*plant.lidars, *plant.imus, *plant.cameras), plant.motors
+    if not wrong:
+        wrong = [
+            unknown("motor", name, robot.motors) + " in the robot"
+            for name in (*moved, *shafts)
+            if name not in robot.motors
+        ]
+        if moved and not robot.brain.body.bare:
+            parts = [name for name in robot.brain.body.joints if name not in moved]
+            wrong += [unknown("motor", name, moved) + " in the plant" for name in parts]
+        wrong += [unknown("sensor", name, have) + " in it" for name in robot.sensors if name not in have]
     if wrong:
-        raise WorldError.about(f"world {file.name!r} with robot {robot.name!r}", wrong)
+        of = f" with plant {plant.name!r}" if plant and isinstance(file, SceneFile) else ""
+        raise WorldError.about(f"world {file.name!r}{of} with robot {robot.name!r}", wrong)

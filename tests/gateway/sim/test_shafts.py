@@ -59,7 +59,7 @@ def test_hard_stops_take_the_motion_and_are_counted_once() -> None:
 def test_the_bench_is_a_world_without_mujoco(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mujoco", None)
     file = parse_world('kind = "bench"\nname = "b"\n[shafts.right]\nstops = [-0.1, 0.1]\n')
-    bench = World(file, robot(sensors=False), 1)
+    bench = World(file, None, robot(sensors=False), 1)
     for _ in range(500):
         bench.step({"left": 0.3, "right": -0.3})
     assert bench.shaft("left")[0] > 1.0
@@ -76,7 +76,7 @@ def test_the_bench_is_a_world_without_mujoco(monkeypatch: pytest.MonkeyPatch) ->
 def test_a_bench_reports_what_it_lacks() -> None:
     file = parse_world('kind = "bench"\nname = "b"\n[shafts.middle]\n')
     with pytest.raises(WorldError) as caught:
-        World(file, robot(), 1)
+        World(file, None, robot(), 1)
     assert len(caught.value.mistakes) == 3
     assert "no motor 'middle'" in str(caught.value)
     assert "no sensor 'lidar': there is none" in str(caught.value)

@@ -13,18 +13,12 @@ import pytest
 
 from brain.perception.mount import Mount
 from gateway.config import parse_robot
-from gateway.sim import SceneFile, World, WorldError, load_world
+from gateway.sim import SceneFile, World, WorldError, load_plant, load_world
 from protocols.messages import MILLISECOND
-from tests.gateway.world_helpers import BASE, ROOM, WALLS, Driver, robot, scene, turned, world
+from tests.gateway.world_helpers import BASE, PLANT, ROOM, WALLS, Driver, plant, robot, scene, turned, world
 
-OFFICE = load_world("office")
-OUTDOORS = """
-kind = "scene"
-name = "outdoors"
-[body]
-left = { motor = "left" }
-right = { motor = "right" }
-"""
+OFFICE, DIFFBOT = load_world("office"), load_plant("diffbot")
+BLIND = PLANT[: PLANT.index("[lidars")]
 
 
 # -- motion ------------------------------------------------------------------------------------------
@@ -65,7 +59,7 @@ def test_backwards_and_to_the_right() -> None:
 
 
 def test_start_pose() -> None:
-    file = scene(ROOM.replace("[body]", "[start]\nx = 1.0\ny = -2.0\nyaw = 1.5\n[body]"))
+    file = scene(ROOM + "[start]\nx = 1.0\ny = -2.0\nyaw = 1.5\n")
     here = Driver(world(file))
     assert here.truths[0] == pytest.approx((1.0, -2.0, 1.5), abs=1e-6)
     there = here.run(1000, 8.0, 8.0).world.truth()
@@ -105,7 +99,7 @@ def _by_gyro(driver: Driver, still: float) -> list[tuple[float, float, float]]:
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_office_wheels_distort_odometry_and_a_gyro_corrects_the_heading_but_not_the_scale(seed: int) -> None:
     assert isinstance(OFFICE, SceneFile)
-    driver = Driver(world(replace(OFFICE, walls={}, boxes={}), seed)).run(1000, 0.0, 0.0)
+    driver = Driver(world(replace(OFFICE, walls={}, boxes={}), seed, made=DIFFBOT)).run(1000, 0.0, 0.0)
     for left, right in ((8.0, 8.0), (8.0, 9.0), (9.0, 8.0), (8.0, 8.0)):
         driver.run(5000, left, right)
     path = driver.path()
@@ -117,9 +111,9 @@ def test_office_wheels_distort_odometry_and_a_gyro_corrects_the_heading_but_not_
 
 
 def test_slip_differs_by_seed_and_is_absent_at_rest() -> None:
-    one, other = (Driver(world(OFFICE, seed)).run(1500, 8.0, 8.0).truths[-1] for seed in (1, 2))
+    one, other = (Driver(world(OFFICE, seed, made=DIFFBOT)).run(1500, 8.0, 8.0).truths[-1] for seed in (1, 2))
     assert one != other
-    still = Driver(world(OFFICE)).run(2000, 0.0, 0.0)
+    still = Driver(world(OFFICE, made=DIFFBOT)).run(2000, 0.0, 0.0)
     assert still.off([still.truths[0]] * len(still.truths)) < 1e-4
 
 
@@ -166,7 +160,7 @@ def _expected(x: float, y: float, angle: float) -> float:
 
 @pytest.mark.parametrize("yaw", [0.0, 0.7])
 def test_lidar_sees_walls_where_they_are(yaw: float) -> None:
-    built = World(scene(ROOM + WALLS), robot(lidar=f"x = 0.12, y = 0.03, z = 0.12, yaw = {yaw}"), 1)
+    built = World(scene(ROOM + WALLS), plant(), robot(lidar=f"x = 0.12, y = 0.03, z = 0.12, yaw = {yaw}"), 1)
     scan = Driver(built).run(100, 0.0, 0.0).scans()[0]
     assert len(scan.ranges) == 360
     assert scan.angle_min == -math.pi
@@ -180,15 +174,15 @@ def test_lidar_sees_walls_where_they_are(yaw: float) -> None:
 
 
 def test_lidar_upside_down_turns_the_other_way() -> None:
-    built = World(scene(ROOM + WALLS), robot(lidar="z = 0.12, roll = 3.141592653589793"), 1)
+    built = World(scene(ROOM + WALLS), plant(), robot(lidar="z = 0.12, roll = 3.141592653589793"), 1)
     scan = Driver(built).run(100, 0.0, 0.0).scans()[0]
     assert scan.ranges[180 - 90] == pytest.approx(1.5, abs=2e-3), "its right is the robot's left"
     assert scan.ranges[180 + 90] == 10.0
 
 
 def test_lidar_noise_dropouts_and_limits() -> None:
-    text = ROOM.replace("[lidars.lidar]", "[lidars.lidar]\nnoise = 0.01\nresolution = 0.001\ndropout = 0.1")
-    driver = Driver(world(scene(text + WALLS), lidar="z = 0.12")).run(5000, 0.0, 0.0)
+    text = PLANT.replace("[lidars.lidar]", "[lidars.lidar]\nnoise = 0.01\nresolution = 0.001\ndropout = 0.1")
+    driver = Driver(world(scene(ROOM + WALLS), lidar="z = 0.12", made=plant(text))).run(5000, 0.0, 0.0)
     scans = np.array([scan.ranges for scan in driver.scans()])
     assert scans.shape == (50, 360)
     ahead = scans[:, 180]
@@ -202,8 +196,10 @@ def test_lidar_noise_dropouts_and_limits() -> None:
 
 
 def test_lidar_gives_no_reading_below_its_range() -> None:
-    text = ROOM.replace("[lidars.lidar]", "[lidars.lidar]\nrange_min = 1.2") + WALLS
-    scan = Driver(world(scene(text), lidar="z = 0.12")).run(100, 0.0, 0.0).scans()[0]
+    text = PLANT.replace("[lidars.lidar]", "[lidars.lidar]\nrange_min = 1.2")
+    scan = (
+        Driver(world(scene(ROOM + WALLS), lidar="z = 0.12", made=plant(text))).run(100, 0.0, 0.0).scans()[0]
+    )
     assert scan.ranges[0] == 0.0
     assert scan.ranges[180] == pytest.approx(2.0, abs=2e-3)
 
@@ -227,11 +223,11 @@ def test_a_sweep_measures_each_beam_from_where_the_lidar_is_then() -> None:
 
 
 def test_two_lidars_measure_each_by_its_own_figures() -> None:
-    text = ROOM + "[lidars.rear]\nbeams = 180\nrate_hz = 20\nsweep = false\n" + WALLS
+    made = plant(PLANT + "[lidars.rear]\nbeams = 180\nrate_hz = 20\nsweep = false\n")
     sensors = robot(lidar="z = 0.12").sensors
     rear = replace(sensors["lidar"], mount=Mount(z=0.12, yaw=math.pi))
     two = replace(robot(), sensors={**sensors, "rear": rear})
-    scans = Driver(World(scene(text), two, 1)).run(100, 0.0, 0.0).scans()
+    scans = Driver(World(scene(ROOM + WALLS), made, two, 1)).run(100, 0.0, 0.0).scans()
     assert [(scan.sensor, len(scan.ranges), scan.t) for scan in scans] == [
         ("rear", 180, 0),
         ("rear", 180, 50 * MILLISECOND),
@@ -277,9 +273,8 @@ def test_imu_mounted_turned_to_the_left() -> None:
 
 
 def test_imu_bias_and_noise_are_those_of_the_world_file() -> None:
-    assert isinstance(OFFICE, SceneFile)
-    figures = OFFICE.imus["imu"]
-    imus = Driver(world(OFFICE)).run(4000, 0.0, 0.0).imus()
+    figures = DIFFBOT.imus["imu"]
+    imus = Driver(world(OFFICE, made=DIFFBOT)).run(4000, 0.0, 0.0).imus()
     gyro = np.array([i.angular_velocity for i in imus])
     accel = np.array([i.linear_acceleration for i in imus])
     assert gyro.mean(axis=0) == pytest.approx(figures.gyro_bias, abs=6e-4)
@@ -293,10 +288,12 @@ def test_imu_bias_and_noise_are_those_of_the_world_file() -> None:
 
 
 def test_one_sensors_noise_does_not_depend_on_another() -> None:
-    assert isinstance(OFFICE, SceneFile)
     alone = {name: sensor for name, sensor in robot().sensors.items() if name == "lidar"}
-    few = World(OFFICE, replace(robot(), sensors=alone), 1)
-    assert Driver(few).run(200, 0.0, 0.0).scans() == Driver(world(OFFICE)).run(200, 0.0, 0.0).scans()
+    few = World(OFFICE, DIFFBOT, replace(robot(), sensors=alone), 1)
+    assert (
+        Driver(few).run(200, 0.0, 0.0).scans()
+        == Driver(world(OFFICE, made=DIFFBOT)).run(200, 0.0, 0.0).scans()
+    )
 
 
 # -- what it needs -----------------------------------------------------------------------------------
@@ -316,10 +313,10 @@ def test_without_mujoco_a_sentence_names_the_extra(monkeypatch: pytest.MonkeyPat
 def test_mujoco_comes_late_and_no_graphics_at_all() -> None:
     code = (
         "import sys, gateway.buses.virtual.bus\n"
-        "from gateway.sim import load_world, World\n"
+        "from gateway.sim import load_plant, load_world, World\n"
         "from tests.gateway.world_helpers import robot\n"
         "assert 'mujoco' not in sys.modules\n"
-        "world = World(load_world('office'), robot(), 1)\n"
+        "world = World(load_world('office'), load_plant('diffbot'), robot(), 1)\n"
         "world.step({})\n"
         "assert 'mujoco' in sys.modules\n"
         "print([name for name in ('OpenGL.GL', 'OpenGL.EGL', 'mujoco.egl') if name in sys.modules])\n"
@@ -334,8 +331,8 @@ def test_mujoco_comes_late_and_no_graphics_at_all() -> None:
 def test_a_motor_that_turns_no_wheel_turns_a_shaft_that_the_base_carries() -> None:
     text = BASE.format(world="").replace("[brain]\n", "[motors.mast]\naddress = 3\n\n[brain]\n")
     free = "[shafts.mast]\ninertia = 0.01\ndamping = 0.0\nfriction = 0.0\n"
-    carrying = World(scene(OUTDOORS + free), parse_robot(text), 1)
-    bare = World(scene(OUTDOORS), parse_robot(BASE.format(world="")), 1)
+    carrying = World(scene(), plant(BLIND + free), parse_robot(text), 1)
+    bare = World(scene(), plant(BLIND), parse_robot(BASE.format(world="")), 1)
     for _ in range(500):
         carrying.step({"left": 0.2, "right": 0.2, "mast": 0.1})
         bare.step({"left": 0.2, "right": 0.2})
@@ -344,10 +341,10 @@ def test_a_motor_that_turns_no_wheel_turns_a_shaft_that_the_base_carries() -> No
 
 
 def test_all_reasons_why_a_robot_does_not_fit_are_reported_at_once() -> None:
-    text = ROOM.replace('motor = "left"', 'motor = "port"').replace("[imus.imu]", "[imus.imo]")
+    text = PLANT.replace('motor = "left"', 'motor = "port"').replace("[imus.imu]", "[imus.imo]")
     with pytest.raises(WorldError) as caught:
-        world(scene(text))
+        world(made=plant(text))
     reported = str(caught.value)
     assert len(caught.value.mistakes) == 3
-    for part in ("no motor 'port'", "no wheel 'left'", "no sensor 'imu'", "did you mean 'imo'?"):
+    for part in ("no motor 'port'", "no motor 'left'", "no sensor 'imu'", "did you mean 'imo'?"):
         assert part in reported

@@ -1,0 +1,193 @@
+"""A place in MuJoCo with one robot in it: time, people, touches, beams, inertial quantities, the true pose.
+
+Rules. Exact: noise is added by `gateway.sim.sensors`. No graphics: no display and no GL is needed. MuJoCo
+gives the same bits for the same steps on one version and processor; elsewhere compare within a tolerance. A
+robot's kind is a subclass (`rover.Rover`): it makes the model, in which the robot's base is the body "base"
+and the robot's geoms are of group 1, and turns torques into `data.ctrl`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from brain.belief import Pose
+from brain.perception.mount import Mount
+from gateway.sim.files import SceneFile
+from gateway.sim.load import WorldError
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
+Floats = npt.NDArray[np.float64]
+
+FLOOR = 0
+"""MuJoCo's id of the floor's geom: the first one of the model."""
+SOLIDS = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
+"""Geom groups that beams hit: group 0, all but the robot."""
+SETTLING = 300
+"""Steps in which a robot settles into its contacts before time begins."""
+STANDING = 0.05
+"""m/s: a robot that moves no faster touches nobody; people touch it."""
+
+
+def import_mujoco(world: str) -> ModuleType:
+    """Import the library. Raises WorldError with the command that installs it."""
+    try:
+        import mujoco  # 0.3 s, and an extra: only where a scene is simulated
+    except ImportError as error:
+        hint = f"it needs MuJoCo ({error}): pip install 'motor-gateway[sim]'"
+        raise WorldError.about(f"world {world!r}", [hint]) from error
+    module: ModuleType = mujoco
+    return module
+
+
+class Scene:
+    """A scene with a robot. `imus`: the names of its inertial sensors, in the order of the model's."""
+
+    def __init__(self, file: SceneFile, model: Any, imus: Iterable[str]) -> None:  # noqa: ANN401
+        mujoco = import_mujoco(file.name)
+        self.file = file
+        self.model: Any = model
+        self.data: Any = mujoco.MjData(model)
+        self._mj_step, self._mj_multi_ray = mujoco.mj_step, mujoco.mj_multiRay
+        self._base = int(model.body("base").id)
+        joint = int(model.body_jntadr[self._base])
+        free = joint >= 0 and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
+        self._free: int | None = int(model.jnt_qposadr[joint]) if free else None
+        """Index in qpos of the base's free joint; None: it is fixed."""
+        self._imus = {name: int(model.sensor_adr[2 * index]) for index, name in enumerate(imus)}
+        self._people = [
+            (one, int(model.body(f"person_{name}").mocapid[0])) for name, one in file.people.items()
+        ]
+        self._somebody = frozenset(int(model.geom(f"person_{name}").id) for name in file.people)
+        own = (model.geom_group == 1).tolist()
+        fixed = [geom for geom in range(model.ngeom) if not own[geom] and model.geom_bodyid[geom] == 0]
+        self._hard = frozenset(fixed) - {FLOOR} | self._somebody
+        """Geoms that a robot should not touch,"""
+        self._own = frozenset(geom for geom in range(model.ngeom) if own[geom])
+        """and the robot's."""
+        self._touching: frozenset[int] = frozenset()
+        self.touches = 0
+        """How often walls and fixed boxes were newly touched, each counted separately."""
+        self.touches_by_people = 0
+        """How often somebody was newly touched while the robot moved."""
+        self._move_people()
+
+    # -- what a kind of robot provides -----------------------------------------------------------
+
+    @property
+    def motors(self) -> Iterable[str]:
+        """The motors that move it."""
+        raise NotImplementedError
+
+    def step(self, torques: Mapping[str, float]) -> None:
+        """Advance by one time step under torques [N·m] at its motors' output shafts."""
+        raise NotImplementedError
+
+    def shaft(self, motor: str) -> tuple[float, float]:
+        """Return position [rad] and velocity [rad/s] of a motor's output shaft."""
+        raise NotImplementedError
+
+    # -- what is the same for all ----------------------------------------------------------------
+
+    def settle(self) -> None:
+        """Settle into the contacts at the start pose, then begin time with the base at rest there."""
+        data, start = self.data, self.file.start
+        base = self._free
+        if base is not None:
+            data.qpos[base : base + 2] = start.x, start.y
+            data.qpos[base + 3 : base + 7] = math.cos(start.yaw / 2.0), 0.0, 0.0, math.sin(start.yaw / 2.0)
+        self._mj_step(self.model, data, SETTLING)
+        if base is not None:
+            data.qpos[base : base + 2] = start.x, start.y
+        data.qvel[:] = 0.0
+        data.time = 0.0
+
+    def advance(self) -> None:
+        """Advance by one time step under `data.ctrl`."""
+        data = self.data
+        if self._people:
+            self._move_people()
+        self._mj_step(self.model, data)
+        if data.ncon:
+            self._count_touches(data.contact.geom.tolist())
+
+    def _move_people(self) -> None:
+        for one, index in self._people:
+            self.data.mocap_pos[index] = (*one.place(self.data.time), 0.0)
+
+    def _count_touches(self, pairs: list[list[int]]) -> None:
+        """Count what is touched now and was not touched before the step; `pairs` of geoms are in contact."""
+        off_floor = [pair for pair in pairs if FLOOR not in pair]
+        if not off_floor and not self._touching:
+            return
+        hard, own = self._hard, self._own
+        both = [(a, b) if a in hard else (b, a) for a, b in off_floor]
+        now = frozenset(solid for solid, part in both if solid in hard and part in own)
+        new = now - self._touching
+        somebody = len(new & self._somebody)
+        self.touches += len(new) - somebody
+        if somebody and self.speed() > STANDING:
+            self.touches_by_people += somebody
+        self._touching = now
+
+    def speed(self) -> float:
+        """Return the speed [m/s] of the base in the plane; 0 of one that is fixed."""
+        if self._free is None:
+            return 0.0
+        start = int(self.model.jnt_dofadr[int(self.model.body_jntadr[self._base])])
+        vx, vy = self.data.qvel[start : start + 2].tolist()
+        return math.hypot(vx, vy)
+
+    def pose(self) -> Pose:
+        """Return the true pose, now."""
+        data, base = self.data, self._free
+        if base is None:
+            (x, y, _), (w, i, j, k) = data.xpos[self._base].tolist(), data.xquat[self._base].tolist()
+        else:
+            x, y, _, w, i, j, k = data.qpos[base : base + 7].tolist()
+        return Pose(x, y, math.atan2(2.0 * (w * k + i * j), 1.0 - 2.0 * (j * j + k * k)))
+
+    def people(self) -> list[tuple[float, float, float]]:
+        """Return x, y and radius [m] of everybody, now."""
+        t = self.data.time
+        return [(*one.place(t), one.radius) for one, _ in self._people]
+
+    def box(self, name: str) -> tuple[float, float, float]:
+        """Return where the middle of a box is that can be moved [m], now."""
+        joint = self.model.body(f"box_{name}").jntadr[0]
+        start = int(self.model.jnt_qposadr[joint])
+        x, y, z = self.data.qpos[start : start + 3].tolist()
+        return x, y, z
+
+    def inertial(self, imu: str) -> tuple[Floats, Floats]:
+        """Return rad/s and m/s² (gravity included) in the sensor's frame, at the beginning of the last
+        step."""
+        start = self._imus[imu]
+        data: Floats = self.data.sensordata
+        return data[start : start + 3].copy(), data[start + 3 : start + 6].copy()
+
+    def frame(self, mount: Mount) -> tuple[Floats, Floats]:
+        """Return where a sensor is [m], and its axes as columns, at the beginning of the last step."""
+        base = self.data.xmat[self._base].reshape(3, 3)
+        place: Floats = self.data.xpos[self._base] + base @ np.array([mount.x, mount.y, mount.z])
+        return place, base @ np.array(mount.rotation())
+
+    def rays(self, mount: Mount, directions: Floats, farthest: float) -> Floats:
+        """Return the lengths [m] of beams from a mount, at the beginning of the last step.
+
+        `directions`: n × 3 unit vectors in the sensor's frame. `farthest` where they hit nothing."""
+        data, count = self.data, len(directions)
+        origin, axes = self.frame(mount)
+        turned = directions @ axes.T
+        geoms, found = np.empty(count, dtype=np.int32), np.empty(count)
+        self._mj_multi_ray(
+            self.model, data, origin, turned.ravel(), SOLIDS, True, -1, geoms, found, None, count, farthest
+        )
+        hit: Floats = np.where((found < 0.0) | (found > farthest), farthest, found)
+        return hit
