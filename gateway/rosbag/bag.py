@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from brain.belief import Pose
-from brain.bodies.differential import Differential
+from brain.bodies.body import Base
+from brain.bodies.plane import Twist
 from gateway.core.robot import BagTopics
 from gateway.errors import BagError
 from gateway.rosbag.convert import TYPES, OdometryReading, Reading, converted
 from gateway.rosbag.file import open_bag
-from protocols.messages import Event, Feedback, Fix, Imu, Nanos, seconds
+from gateway.rosbag.images import BagImages
+from protocols.messages import Event, Feedback, Fix, Imu, Marker, Nanos, seconds
 from protocols.suggest import did_you_mean
 
 if TYPE_CHECKING:
@@ -33,6 +35,10 @@ class Topic:
     unused: dict[str, int] = field(default_factory=dict)
     """Messages that were not used, by reason."""
 
+    def leave_out(self, reason: str) -> None:
+        """Count a message that is not used."""
+        self.unused[reason] = self.unused.get(reason, 0) + 1
+
     @property
     def used(self) -> int:
         """Messages that were used."""
@@ -45,7 +51,7 @@ class Bag:
 
     path: Path
     events: tuple[Event, ...]
-    """Feedback of both wheels and Imu, in order."""
+    """Feedback of the joints and Imu, in order."""
     odometry: tuple[tuple[Nanos, Pose], ...]
     """The poses of the bag's own odometry, for comparison."""
     truth: tuple[Fix, ...]
@@ -54,7 +60,7 @@ class Bag:
     """All topics of the bag, sorted by name."""
 
 
-def read(path: Path, topics: BagTopics | None, body: Differential) -> Bag:
+def read(path: Path, topics: BagTopics | None, body: Base) -> Bag:
     """Read a bag. Raises BagError: what cannot be read, or which topics are missing."""
     with open_bag(path) as reader:
         found = _topics(reader)
@@ -62,15 +68,24 @@ def read(path: Path, topics: BagTopics | None, body: Differential) -> Bag:
         for name, role in topics.parts() if topics else ():
             found[name].role = role
         wanted = [one for one in reader.connections if found[one.topic].role]
-        messages = [(c.topic, reader.deserialize(data, c.msgtype)) for c, _, data in reader.messages(wanted)]
+        images, markers = BagImages(topics.cameras if topics else {}), list[Marker]()
+        messages: list[tuple[str, object]] = []
+        for connection, _, data in reader.messages(wanted):
+            name, message = connection.topic, reader.deserialize(data, connection.msgtype)
+            if not found[name].role.startswith("cameras."):
+                messages.append((name, message))
+            elif isinstance(seen := images.look(found[name].role, message), str):
+                found[name].leave_out(seen)
+            else:
+                markers += seen
     wheels = _Wheels(body)
     poses: list[tuple[Nanos, Pose]] = []
     events: list[Event] = []
     truth: list[Fix] = []
-    for reading in _in_order(messages, found):
+    for reading in _in_order(messages, markers, found):
         if isinstance(reading, Fix):
             truth.append(reading)
-        elif isinstance(reading, Imu):
+        elif isinstance(reading, Imu | Marker):
             events.append(reading)
         else:
             events += wheels.feedback(reading)
@@ -78,14 +93,16 @@ def read(path: Path, topics: BagTopics | None, body: Differential) -> Bag:
     return Bag(path, tuple(events), tuple(poses), tuple(truth), tuple(found[n] for n in sorted(found)))
 
 
-def _in_order(messages: Sequence[tuple[str, object]], found: Mapping[str, Topic]) -> list[Reading]:
-    """Return the messages as readings, in the order of their stamps; count unused ones in their topic."""
-    readings: list[Reading] = []
+def _in_order(
+    messages: Sequence[tuple[str, object]], markers: Sequence[Marker], found: Mapping[str, Topic]
+) -> list[Reading]:
+    """Return messages and markers as readings, by their stamps; count unused messages in their topic."""
+    readings: list[Reading] = [*markers]
     for name, message in messages:
         topic = found[name]
         reading = converted(topic.role, message)
         if isinstance(reading, str):
-            topic.unused[reading] = topic.unused.get(reading, 0) + 1
+            topic.leave_out(reading)
         else:
             readings.append(reading)
     return sorted(readings, key=lambda reading: reading.t)
@@ -108,7 +125,8 @@ def _check(path: Path, topics: BagTopics | None, found: Mapping[str, Topic]) -> 
         raise BagError(f"{path}: the robot file has no table [bag] that maps its topics; there is\n{there}")
     wrong: list[str] = []
     for name, role in topics.parts():
-        topic, wanted = found.get(name), TYPES[role.split(".")[0]]
+        kind, _, part = role.partition(".")
+        topic, wanted = found.get(name), TYPES[part.rpartition(".")[2] if kind == "cameras" else kind]
         if topic is None:
             wrong.append(f"{role}: no topic {name!r}{did_you_mean(name, found)}")
         elif topic.type != wanted:
@@ -120,25 +138,27 @@ def _check(path: Path, topics: BagTopics | None, found: Mapping[str, Topic]) -> 
 
 
 class _Wheels:
-    """Wheel angles from the twists of the base, by the trapezoidal rule."""
+    """Joint angles from the twists of the base: of wheels by the trapezoidal rule, of what steers as set."""
 
-    def __init__(self, body: Differential) -> None:
+    def __init__(self, body: Base) -> None:
         self._body = body
-        self._left = self._right = 0.0
+        self._angles = [0.0] * len(body.joints)
         """rad"""
-        self._last: tuple[Nanos, float, float] | None = None
-        """Time of the last reading, and the wheels' speeds then [rad/s]."""
+        self._last: tuple[Nanos, list[float]] | None = None
+        """Time of the last reading, and the joints' speeds then [rad/s]."""
 
     def feedback(self, reading: OdometryReading) -> list[Feedback]:
-        """Return the feedback of the left and right wheel; to be called once per reading, in order."""
-        left, right = self._body.inverse(reading.linear, reading.angular)
+        """Return the feedback of every joint; to be called once per reading, in order."""
+        setpoints = self._body.inverse(Twist(reading.linear, reading.angular), self._angles)
+        speeds = [one.velocity or 0.0 for one in setpoints]
         if self._last is not None:
-            t, left_before, right_before = self._last
-            dt = seconds(reading.t - t)
-            self._left += dt * (left_before + left) / 2.0
-            self._right += dt * (right_before + right) / 2.0
-        self._last = (reading.t, left, right)
-        return [
-            Feedback(self._body.left, reading.t, self._left, left),
-            Feedback(self._body.right, reading.t, self._right, right),
-        ]
+            t, before = self._last
+            half = seconds(reading.t - t) / 2.0
+            for i, (old, new) in enumerate(zip(before, speeds, strict=True)):
+                self._angles[i] += half * (old + new)
+        for i, one in enumerate(setpoints):
+            if one.position is not None:
+                self._angles[i] = one.position
+        self._last = (reading.t, speeds)
+        moving = zip(self._body.joints, self._angles, speeds, strict=True)
+        return [Feedback(name, reading.t, angle, speed) for name, angle, speed in moving]

@@ -10,12 +10,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias, cast
 
 from brain.belief import Pose
-from protocols.messages import SECOND, Fix, Imu, Nanos
+from protocols.messages import SECOND, Fix, Imu, Marker, Nanos
 
 if TYPE_CHECKING:
     from rosbags.typesys.stores.ros2_jazzy import geometry_msgs__msg__Quaternion as RosQuaternion
     from rosbags.typesys.stores.ros2_jazzy import geometry_msgs__msg__Vector3 as RosVector
     from rosbags.typesys.stores.ros2_jazzy import nav_msgs__msg__Odometry as RosOdometry
+    from rosbags.typesys.stores.ros2_jazzy import sensor_msgs__msg__Image as RosImage
     from rosbags.typesys.stores.ros2_jazzy import sensor_msgs__msg__Imu as RosImu
     from rosbags.typesys.stores.ros2_jazzy import sensor_msgs__msg__NavSatFix as RosFix
 
@@ -23,8 +24,10 @@ TYPES = {
     "odometry": "nav_msgs/msg/Odometry",
     "sensors": "sensor_msgs/msg/Imu",
     "truth": "sensor_msgs/msg/NavSatFix",
+    "image": "sensor_msgs/msg/Image",
+    "info": "sensor_msgs/msg/CameraInfo",
 }
-"""Message type of each role."""
+"""Message type of each role: by its first word, or of a camera by its last."""
 
 UNUSED = 1e6
 """A variance from here on marks an axis that is not measured, by convention of base drivers."""
@@ -44,7 +47,7 @@ class OdometryReading:
     pose: Pose
 
 
-Reading: TypeAlias = OdometryReading | Imu | Fix
+Reading: TypeAlias = OdometryReading | Imu | Fix | Marker
 
 
 def converted(role: str, message: object) -> Reading | str:
@@ -59,7 +62,8 @@ def converted(role: str, message: object) -> Reading | str:
     return reading if isinstance(reading, str) or reading.t > 0 else "no stamp"
 
 
-def _stamp(message: RosOdometry | RosImu | RosFix) -> Nanos:
+def stamp(message: RosOdometry | RosImu | RosFix | RosImage) -> Nanos:
+    """Return the time of a message's header."""
     stamp = message.header.stamp
     return int(stamp.sec) * SECOND + int(stamp.nanosec)
 
@@ -73,7 +77,7 @@ def _odometry(message: RosOdometry) -> OdometryReading | str:
     numbers = (twist.twist.linear.x, twist.twist.angular.z, place.position.x, place.position.y, yaw)
     if not all(math.isfinite(number) for number in numbers):
         return "not finite"
-    return OdometryReading(_stamp(message), *numbers[:2], Pose(*numbers[2:]))
+    return OdometryReading(stamp(message), *numbers[:2], Pose(*numbers[2:]))
 
 
 def _imu(sensor: str, message: RosImu) -> Imu | str:
@@ -86,7 +90,7 @@ def _imu(sensor: str, message: RosImu) -> Imu | str:
     orientation = (q.x, q.y, q.z, q.w)
     measured = float(message.orientation_covariance[0]) != NOT_MEASURED and any(orientation)
     known = measured and all(map(math.isfinite, orientation))
-    return Imu(sensor, _stamp(message), rate, acceleration, orientation if known else None)
+    return Imu(sensor, stamp(message), rate, acceleration, orientation if known else None)
 
 
 def _fix(message: RosFix) -> Fix | str:
@@ -98,7 +102,7 @@ def _fix(message: RosFix) -> Fix | str:
     known = message.position_covariance_type != 0 and math.isfinite(variance)
     altitude = message.altitude if math.isfinite(message.altitude) else None
     place = message.latitude, message.longitude, altitude
-    return Fix(message.header.frame_id, _stamp(message), *place, variance if known else None)
+    return Fix(message.header.frame_id, stamp(message), *place, variance if known else None)
 
 
 def _vector(vector: RosVector) -> tuple[float, float, float]:

@@ -18,7 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from brain.belief import Estimate, Floats, Pose
-from brain.bodies.differential import Differential, arc
+from brain.bodies.body import Base
+from brain.bodies.plane import arc
 from brain.perception.filter_inputs import Nis
 from brain.perception.perception import Perception
 from gateway.core.robot import Robot
@@ -210,8 +211,8 @@ def _error_of(poses: Sequence[Pose], truth: Floats) -> PathError | None:
     return path_error(np.array([(pose.x, pose.y) for pose in poses]).reshape(-1, 2), truth)
 
 
-def _body(robot: Robot) -> Differential:
-    body = robot.brain.differential
-    if robot.brain.body != "differential" or body is None:
-        raise BagError(f"{robot.name}: a body of bare {robot.brain.body} has no path to evaluate")
+def _body(robot: Robot) -> Base:
+    body = robot.brain.body
+    if not isinstance(body, Base):
+        raise BagError(f"{robot.name}: a body of kind {body.kind!r} has no path to evaluate")
     return body

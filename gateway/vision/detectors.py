@@ -1,0 +1,36 @@
+"""The detectors of one camera, by a table of a file: each is optional, and a further one is one more key."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from gateway.vision.camera import Detector, Image, Intrinsics, Sighting
+from gateway.vision.tags import Tags
+from gateway.vision.targets import Target
+
+MOST = 16
+"""Targets of one camera"""
+
+
+@dataclass(frozen=True, slots=True)
+class Detectors:
+    """What a camera looks for. It is a detector itself."""
+
+    tags: Tags | None = None
+    targets: tuple[Target, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.parts:
+            raise ValueError("tags or targets must say what to look for")
+        numbers = [target.marker for target in self.targets]
+        if len(set(numbers)) < len(numbers) or len(numbers) > MOST:
+            raise ValueError(f"targets must be at most {MOST}, each with a number of its own")
+
+    @property
+    def parts(self) -> tuple[Detector, ...]:
+        """One after the other."""
+        return (*([self.tags] if self.tags else []), *self.targets)
+
+    def detect(self, image: Image, intrinsics: Intrinsics) -> list[Sighting]:
+        """Return what all of them find."""
+        return [sighting for part in self.parts for sighting in part.detect(image, intrinsics)]
