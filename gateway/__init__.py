@@ -12,6 +12,11 @@ To run a robot::
                 print(f"{tick.seconds:.3f} {note.source}: {note.text}")
         print(session.pose, session.joints["left"].feedback.position)
 
+a mission, from a file or as data::
+
+    session.submit(gw.load_mission("rounds"))
+    session.submit(gw.Mission("fetch", (gw.Goal(2.0, 1.0), gw.Turn(0.5), gw.Move(0.2, distance=1.0))))
+
 and for a program that has a loop of its own::
 
     core = gw.Gateway(robot)
@@ -32,7 +37,9 @@ if TYPE_CHECKING:
     from brain.belief import Belief as Belief
     from brain.belief import Pose as Pose
     from gateway.config import describe as describe
+    from gateway.config import load_mission as load_mission
     from gateway.config import load_robot as load_robot
+    from gateway.config import parse_mission as parse_mission
     from gateway.config import parse_robot as parse_robot
     from gateway.config import with_interfaces as with_interfaces
     from gateway.core.joint import Joint as Joint
@@ -61,25 +68,45 @@ if TYPE_CHECKING:
     from protocols.frames import CanFrame as CanFrame
     from protocols.frames import Packet as Packet
     from protocols.messages import ClearFault as ClearFault
+    from protocols.messages import Dock as Dock
     from protocols.messages import Drive as Drive
+    from protocols.messages import Drop as Drop
     from protocols.messages import Fault as Fault
     from protocols.messages import Feedback as Feedback
+    from protocols.messages import Follow as Follow
     from protocols.messages import Goal as Goal
     from protocols.messages import Hold as Hold
     from protocols.messages import Idle as Idle
     from protocols.messages import Impedance as Impedance
+    from protocols.messages import Mission as Mission
     from protocols.messages import Mode as Mode
+    from protocols.messages import Move as Move
+    from protocols.messages import MoveTool as MoveTool
+    from protocols.messages import Pause as Pause
     from protocols.messages import Position as Position
+    from protocols.messages import Reach as Reach
     from protocols.messages import Release as Release
+    from protocols.messages import Repeat as Repeat
+    from protocols.messages import Resume as Resume
     from protocols.messages import Stop as Stop
     from protocols.messages import Torque as Torque
+    from protocols.messages import Try as Try
+    from protocols.messages import Turn as Turn
     from protocols.messages import Velocity as Velocity
+    from protocols.messages import Wait as Wait
 
     __version__: str
 
 _MODULES = {
     "brain.belief": ("Belief", "Pose"),
-    "gateway.config": ("describe", "load_robot", "parse_robot", "with_interfaces"),
+    "gateway.config": (
+        "describe",
+        "load_mission",
+        "load_robot",
+        "parse_mission",
+        "parse_robot",
+        "with_interfaces",
+    ),
     "gateway.core.joint": ("Joint",),
     "gateway.core.robot": ("Robot",),
     "gateway.core.step": ("Gateway",),
@@ -101,19 +128,32 @@ _MODULES = {
     "protocols.frames": ("BusState", "CanFrame", "Packet"),
     "protocols.messages": (
         "ClearFault",
+        "Dock",
         "Drive",
+        "Drop",
         "Fault",
         "Feedback",
+        "Follow",
         "Goal",
         "Hold",
         "Idle",
         "Impedance",
+        "Mission",
         "Mode",
+        "Move",
+        "MoveTool",
+        "Pause",
         "Position",
+        "Reach",
         "Release",
+        "Repeat",
+        "Resume",
         "Stop",
         "Torque",
+        "Try",
+        "Turn",
         "Velocity",
+        "Wait",
     ),
 }
 _OF = {name: module for module, names in _MODULES.items() for name in names}

@@ -1,4 +1,5 @@
-"""`gateway demo`: a tour through a simulated world; its figures, its recording, and a picture of it."""
+"""`gateway demo`: a tour or a mission in a simulated world; its figures, its recording, and a picture of
+it."""
 
 from __future__ import annotations
 
@@ -6,6 +7,7 @@ import resource
 import sys
 from argparse import ArgumentParser, Namespace
 from contextlib import closing
+from functools import partial
 from math import degrees
 from pathlib import Path
 
@@ -15,13 +17,16 @@ from gateway.cli.picture import draw
 from gateway.cli.run import print_recording
 from gateway.cli.tour import Tour
 from gateway.config import load_robot
+from gateway.config.mission import load_mission
 from gateway.core.clock import stopwatch
 from gateway.errors import UserError
 from gateway.runtime.session import Session, open_session
-from protocols.messages import SECOND, Goal, Nanos
+from protocols.messages import SECOND, Goal, Mission, Nanos
 
 GOAL_TIMEOUT: Nanos = 240 * SECOND
 """How long the demo waits for one goal, in the robot's time."""
+MISSION_TIMEOUT: Nanos = 1200 * SECOND
+"""And for a mission."""
 PROGRESS_PERIOD: Nanos = SECOND
 """Between two lines of progress, in wall time."""
 
@@ -39,10 +44,12 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--robot", default="diffbot", metavar="ROBOT", help="another robot file")
     arguments.add_seed(parser)
     arguments.add_goal(parser, "drive here, instead of the world's tour")
+    parser.add_argument("--mission", metavar="FILE", help="do this mission, instead of the world's tour")
 
 
 def run(options: Namespace) -> int:
-    """Return 1 unless the true pose was near every goal, and every motor is disarmed."""
+    """Return 1 unless the true pose was near every goal, or the mission is done, and every motor is disarmed
+    or holds."""
     robot = load_robot(options.robot)
     try:
         options.out.mkdir(parents=True, exist_ok=True)
@@ -51,22 +58,55 @@ def run(options: Namespace) -> int:
     recording, picture = options.out / "demo.mcap", options.out / "demo.png"
     recording.unlink(missing_ok=True)
     with open_session(robot, simulated=options.fast, record=recording, seed=options.seed) as session:
-        goals = [Goal(*goal) for goal in options.goal] or session.tour()
-        if not goals:
-            raise UserError(f"the world of {robot.name!r} has no tour: name goals with --goal X,Y")
+        mission, goals = _choice(options, session)
         tour = Tour(session, goals)
         began = stopwatch()
-        _drive(session, tour)
+        (_follow if mission is None else partial(_do, mission))(session, tour)
         took = stopwatch() - began
     print("\n".join(tour.figures()))
     _print_costs(session, tour.seconds * SECOND, took)
     draw(tour, picture)
     print_recording(session)
     print(f"picture: {picture}\nreplay it: gateway replay {recording}")
-    return 0 if tour.near == len(goals) and not session.gateway.still_armed() else 1
+    done = tour.done if mission else tour.near == len(goals)
+    return 0 if done and not session.gateway.still_armed() else 1
 
 
-def _drive(session: Session, tour: Tour) -> None:
+def _choice(options: Namespace, session: Session) -> tuple[Mission | None, list[Goal]]:
+    """Return the mission, or the goals: those asked for, else the world's own."""
+    assert session.twins is not None
+    world = session.twins.world
+    goals = [Goal(*goal) for goal in options.goal]
+    if options.mission or (world.mission and not goals):
+        return load_mission(options.mission or world.mission, session.robot), []
+    if not goals and not world.tour:
+        raise UserError(f"the world of {session.robot.name!r} has no tour: name goals with --goal X,Y")
+    return None, goals or session.tour()
+
+
+def _do(mission: Mission, session: Session, tour: Tour) -> None:
+    """Do a mission, until it ends."""
+    session.submit(mission)
+    printed = stopwatch()
+    with closing(session.run()) as ticks:
+        for tick in ticks:
+            tour.on_tick(tick)
+            view = tour.belief.mission
+            if view is not None and view.phase not in ("running", "paused"):
+                print(f"mission {view.name} {view.phase}{view.reason and ': '}{view.reason}")
+                break
+            if stopwatch() - printed > PROGRESS_PERIOD:
+                printed = stopwatch()
+                doing = f"step {view.step} of {view.steps}: {view.text}" if view else ""
+                print(f"{_progress(tour.belief, tick.now)}  {doing}", flush=True)
+            stopped = session.gateway.why_stopped()
+            if stopped or tick.now > MISSION_TIMEOUT:
+                why = stopped or f"not done after {MISSION_TIMEOUT / SECOND:.0f} s"
+                print(f"mission {mission.name} abandoned: {why}", file=sys.stderr)
+                break
+
+
+def _follow(session: Session, tour: Tour) -> None:
     """Send one goal after the other, the next when the brain reports the last as reached."""
     goals, arrivals = tour.goals, tour.arrivals
     sent: Nanos = session.clock.now()
@@ -83,7 +123,8 @@ def _drive(session: Session, tour: Tour) -> None:
                 sent = tick.now
             if stopwatch() - printed > PROGRESS_PERIOD:
                 printed = stopwatch()
-                print(_progress(tour.belief, tick.now, len(goals)), flush=True)
+                where = _progress(tour.belief, tick.now)
+                print(f"{where}  goals {tour.belief.reached}/{len(goals)}", flush=True)
             stopped = session.gateway.why_stopped()
             if stopped or tick.now - sent > GOAL_TIMEOUT:
                 why = stopped or f"not reached after {GOAL_TIMEOUT / SECOND:.0f} s"
@@ -99,12 +140,12 @@ def _print_costs(session: Session, simulated: float, took: Nanos) -> None:
     print(f"memory: at most {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
 
 
-def _progress(belief: Belief, now: Nanos, goals: int) -> str:
-    """Return one line on how far the tour is."""
+def _progress(belief: Belief, now: Nanos) -> str:
+    """Return where it is and how it goes, in one line."""
     estimate = belief.estimate
-    where = "no pose yet"
+    where = ""
     if estimate is not None:
         x, y, yaw = estimate.pose.x, estimate.pose.y, degrees(estimate.pose.yaw)
         where = f"at {x:6.2f}, {y:6.2f} m, {yaw:4.0f}°, {estimate.linear:5.2f} m/s"
     why = f" ({belief.reason})" if belief.reason else ""
-    return f"{now / SECOND:6.1f} s  {belief.state:<12} {where}  goals {belief.reached}/{goals}{why}"
+    return f"{now / SECOND:6.1f} s  {belief.state:<12} {where}{why}"

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 
-from brain.bodies.joints import Joints
+from brain.bodies import bare
 from gateway.cli import arguments
 from gateway.cli.terminal.keys import HeldKey, Key, parse, press, raw_mode, read_keys, speed_share
 from gateway.cli.terminal.screen import Line
@@ -87,11 +87,11 @@ def single_motor(robot: Robot, motor: str, speed: float | None = None) -> Robot:
     joint = replace(settings.joint, limits=replace(limits, velocity=speed))
     return replace(
         robot,
-        world=robot.world if robot.brain.body == "joints" else None,
+        world=robot.world if robot.brain.body.bare else None,
         buses={settings.bus: robot.buses[settings.bus]},
         motors={motor: replace(settings, joint=joint)},
         sensors={},
-        brain=replace(robot.brain, body="joints", differential=None, joints=Joints((motor,))),
+        brain=replace(robot.brain, body=bare([motor])),
     )
 
 

@@ -1,15 +1,20 @@
-"""The picture of a tour: believed, planned and true path; bus load and age of feedback over time.
+"""The picture of a tour: believed, planned and true path, the robot's outline, people; speed, bus load and
+age of feedback over time. Of a robot that stays where it is: its joints over time.
 
 Matplotlib is imported here only, and only when a picture is drawn.
 """
 
 from __future__ import annotations
 
+from math import hypot
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from brain.belief import Pose
+from brain.bodies.plane import moved
+from gateway.cli.side_view import draw_linkage
 from gateway.cli.tour import Tour
 from protocols.messages import SECOND
 
@@ -18,26 +23,38 @@ if TYPE_CHECKING:
 
     from brain.belief import Floats, MapView
 
-TRUE, BELIEVED, PLANNED, RAW = "#1b9e77", "#1f4fa8", "#d95f02", "#999999"
+TRUE, BELIEVED, PLANNED, RAW, PERSON = "#1b9e77", "#1f4fa8", "#d95f02", "#999999", "#c2185b"
 SIGMAS = 3.0
 ENLARGED = 5.0
 """Magnification of the ellipses: one of a few centimetres would be hidden under the line."""
+APART = 0.8
+"""m of path between two outlines of the robot."""
+MOMENTS = 60
+"""Samples between two places of a person: 3 s."""
 WINDOW = 4
 """Number of samples over which the bus load is averaged: two scans of the lidar."""
 
 
 def draw(tour: Tour, file: Path) -> None:
-    """Write a PNG: the map with the paths above, bus load and age of feedback below."""
+    """Write a PNG: the map with the paths, or the joints, above; speed, bus load and age of feedback
+    below."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11, 11), layout="constrained")
     FigureCanvasAgg(figure)
-    grid = figure.add_gridspec(3, 1, height_ratios=(5, 1, 1))
-    _map(figure.add_subplot(grid[0]), tour)
-    seconds = np.array([sample.t for sample in tour.samples]) / SECOND
-    _load(figure.add_subplot(grid[1]), tour, seconds)
-    _age(figure.add_subplot(grid[2]), tour, seconds)
+    if tour.samples:
+        grid = figure.add_gridspec(4, 1, height_ratios=(6, 1, 1, 1))
+        _map(figure.add_subplot(grid[0]), tour)
+        seconds = np.array([sample.t for sample in tour.samples]) / SECOND
+        _speed(figure.add_subplot(grid[1]), tour, seconds)
+        _load(figure.add_subplot(grid[2]), tour, seconds)
+        _age(figure.add_subplot(grid[3]), tour, seconds)
+    else:
+        body, grid = tour.linkage, figure.add_gridspec(2, 1, height_ratios=(2, 1))
+        if body is not None:
+            draw_linkage(figure.add_subplot(grid[0]), body, tour)
+        _joints(figure.add_subplot(grid[0:] if body is None else grid[1]), tour)
     figure.savefig(file, dpi=110, metadata={"Software": None})
 
 
@@ -59,6 +76,8 @@ def _map(axes: Axes, tour: Tour) -> None:
     ):
         axes.plot([p.x for p in poses], [p.y for p in poses], style, color=colour, lw=1.4, label=label)
     _ellipses(axes, tour)
+    _outlines(axes, tour)
+    _people(axes, tour)
     for i, arrival in enumerate(tour.arrivals, 1):
         goal = arrival.goal
         axes.plot(goal.x, goal.y, "*", color=PLANNED, ms=14, mec="black")
@@ -66,7 +85,7 @@ def _map(axes: Axes, tour: Tour) -> None:
     error = 100 * tour.error(believed) / max(tour.length, 1e-9)
     axes.set_title(
         f"{tour.length:.1f} m driven; believed path within {error:.2f} % of that from the true one; "
-        f"{tour.near} of {len(tour.goals)} goals, {tour.contacts} contacts"
+        f"{tour.outcome}, {tour.contacts} contacts, {tour.touched_people} with people"
     )
     axes.set_aspect("equal")
     axes.set_xlabel("x [m]")
@@ -103,6 +122,48 @@ def _ellipses(axes: Axes, tour: Tour) -> None:
         width, height = 2 * SIGMAS * ENLARGED * np.sqrt(np.maximum(values, 0.0))
         angle = float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])))
         axes.add_patch(Ellipse((x, y), width, height, angle=angle, fill=False, color=BELIEVED, lw=0.8))
+
+
+def _outlines(axes: Axes, tour: Tour) -> None:
+    """Draw the robot to scale along its true path, with a mark that points forward."""
+    driven, ahead = APART, max(x for x, _ in tour.footprint(Pose(0.0, 0.0, 0.0)))
+    mark = [Pose(share * ahead, side * ahead, 0.0) for share, side in ((1.0, 0.0), (0.5, 0.25), (0.5, -0.25))]
+    for before, sample in zip([tour.samples[0], *tour.samples], tour.samples, strict=False):
+        driven += hypot(sample.true.x - before.true.x, sample.true.y - before.true.y)
+        if driven < APART and sample is not tour.samples[-1]:
+            continue
+        driven = 0.0
+        corners, tip = tour.footprint(sample.true), [moved(sample.true, corner) for corner in mark]
+        axes.fill([x for x, _ in corners], [y for _, y in corners], fill=False, ec=TRUE, lw=0.6, alpha=0.8)
+        axes.fill([place.x for place in tip], [place.y for place in tip], color=TRUE, lw=0.0, alpha=0.8)
+
+
+def _people(axes: Axes, tour: Tour) -> None:
+    """Draw where people were, the later the darker."""
+    from matplotlib.patches import Circle
+
+    seen = tour.samples[::MOMENTS]
+    for i, sample in enumerate(seen):
+        for x, y, radius in sample.people:
+            shade = 0.1 + 0.5 * i / len(seen)
+            axes.add_patch(Circle((x, y), radius, color=PERSON, alpha=shade, lw=0.0))
+
+
+def _speed(axes: Axes, tour: Tour, seconds: Floats) -> None:
+    speeds = np.array(tour.speeds()).reshape(-1, 3)
+    for column, name in enumerate(("forward [m/s]", "turn [rad/s]", "left [m/s]")):
+        axes.plot(seconds[1:], speeds[:, column], lw=0.8, label=name)
+    axes.set_ylabel("true speed")
+    axes.legend(loc="upper right", ncols=3)
+
+
+def _joints(axes: Axes, tour: Tour) -> None:
+    seconds = np.array(tour.times) / SECOND
+    for name, angles in zip(tour.motors, np.array(tour.shafts).T, strict=True):
+        axes.plot(seconds, angles, lw=1.2, label=name)
+    axes.set_ylabel("true position [rad]")
+    axes.set_xlabel("time [s]")
+    axes.legend(loc="upper right", ncols=3)
 
 
 def _load(axes: Axes, tour: Tour, seconds: Floats) -> None:

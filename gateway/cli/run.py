@@ -10,13 +10,14 @@ from pathlib import Path
 
 from brain.belief import BrainState
 from gateway.cli import arguments
-from gateway.config import load_robot, with_interfaces
+from gateway.config import load_mission, load_robot, with_interfaces
 from gateway.core.step import LEFT_ARMED
+from gateway.errors import UserError
 from gateway.operator import Operator
 from gateway.operator.status import status_text
 from gateway.runtime.process import request_realtime
 from gateway.runtime.session import Session, open_session
-from protocols.messages import MILLISECOND, Goal, Instruction
+from protocols.messages import MILLISECOND, Goal, Instruction, Mission
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -26,6 +27,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         parser, "put a bus on another interface: can0=socketcan:vcan0, sensors=serial:/dev/ttyUSB0, can0=twin"
     )
     arguments.add_goal(parser, "where to drive")
+    parser.add_argument("--mission", metavar="FILE", help="a mission file, or the name of one that ships")
     parser.add_argument(
         "--record", type=Path, metavar="FILE", help="write a recording (MCAP); FILE must not exist yet"
     )
@@ -39,24 +41,27 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def run(options: Namespace) -> int:
-    """Return 1 if a motor was left in fault or armed, or a goal was not reached."""
+    """Return 1 if a motor was left in fault or armed, or a goal or the mission was not done."""
     robot = with_interfaces(load_robot(options.robot), dict(options.bus))
+    if options.mission and options.goal:
+        raise UserError("--mission and --goal exclude each other: put the goals into the mission")
+    mission = load_mission(options.mission, robot) if options.mission else None
     if options.realtime is not None and (refused := request_realtime(options.realtime)):
         print(refused, file=sys.stderr)
     with (
         open_session(robot, simulated=options.fast, record=options.record, seed=options.seed) as session,
         Operator(robot) as operator,
     ):
-        status = _drive(session, operator, options)
+        status = _drive(session, operator, options, mission)
     print_recording(session)
     return status
 
 
-def _drive(session: Session, operator: Operator, options: Namespace) -> int:
+def _drive(session: Session, operator: Operator, options: Namespace, mission: Mission | None) -> int:
     """Carry the operator's instructions to the robot, and its notes to the operator."""
     name = operator.path.stem
     print(f"{session.robot.name} is running; type help here, or: gateway ask {name} help", flush=True)
-    session.submit(*(Goal(*goal) for goal in options.goal))
+    session.submit(*(Goal(*goal) for goal in options.goal), *([mission] if mission else []))
 
     def poll() -> Sequence[Instruction]:
         instructions = operator.poll(lambda: status_text(session))
@@ -71,7 +76,11 @@ def _drive(session: Session, operator: Operator, options: Namespace) -> int:
                 for note in tick.outputs.notes:
                     operator.report(f"{note.source}: {note.text}")
                 faults = session.gateway.in_fault()
-                if options.fast and options.seconds is None and _all_done(session, len(options.goal)):
+                if (
+                    options.fast
+                    and options.seconds is None
+                    and _all_done(session, len(options.goal), mission)
+                ):
                     break
     finally:
         left = session.gateway.still_armed()
@@ -84,12 +93,16 @@ def _drive(session: Session, operator: Operator, options: Namespace) -> int:
     )
     if faults:
         print(f"left in fault: {faults}", file=sys.stderr)
-    return 1 if faults or left or session.belief.reached < len(options.goal) else 0
+    view = session.belief.mission
+    undone = session.belief.reached < len(options.goal) or (mission and (not view or view.phase != "done"))
+    return 1 if faults or left or undone else 0
 
 
-def _all_done(session: Session, goals: int) -> bool:
+def _all_done(session: Session, goals: int, mission: Mission | None) -> bool:
     """True if nothing is left to do: in simulated time, a run without a time limit ends then."""
     belief = session.belief
+    if mission is not None and belief.mission is not None:
+        return belief.mission.phase != "running"
     stopped = bool(session.gateway.why_stopped()) or belief.state is BrainState.STOPPED
     return stopped or belief.reached >= goals
 

@@ -1,4 +1,4 @@
-"""A tour through a simulated world as it is judged: samples, arrivals, figures.
+"""A tour or a mission in a simulated world as it is judged: samples, arrivals, legs, figures.
 
 Rules. The world's true pose is read here to judge the brain, and never given to it: what the gateway takes in
 is in the recording, and holds frames and serial bytes only. A goal counts if the *true* pose is near it.
@@ -9,11 +9,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import cos, hypot, sin
+from math import cos, dist, hypot, sin, sqrt
 
 import numpy as np
 
 from brain.belief import Belief, BrainState, Floats, Pose
+from brain.bodies.body import Base, Linkage
+from brain.bodies.plane import motion, moved
+from brain.planning.polyline import Polyline
 from gateway.core.tick import Tick
 from gateway.runtime.session import Session
 from protocols.messages import MILLISECOND, SECOND, Goal, Nanos
@@ -38,6 +41,10 @@ class Sample:
     """Share of each bus's capacity since the sample before."""
     age: float
     """ms: the oldest feedback that a command since the sample before was computed from."""
+    off: float | None
+    """m, of the true pose from the path that is followed, sideways; None without one"""
+    people: tuple[tuple[float, float, float], ...] = ()
+    """x, y, radius [m]"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +55,31 @@ class Arrival:
     t: Nanos
     distance: float
     """m, from the goal to the true position."""
+
+
+@dataclass(slots=True)
+class Leg:
+    """The way to one goal."""
+
+    began: Nanos
+    """When its first path was planned,"""
+    planned: float = 0.0
+    """and how long [m] that was; with what was driven before, of the first path that ended at the goal, or of
+    the last one where there is none."""
+    whole: bool = False
+    """Whether that one did."""
+    goal: Goal | None = None
+    """The last one: on the way past some points there are several"""
+    driven: float = 0.0
+    """m, by the true pose since then"""
+    ended: Nanos | None = None
+
+    def least(self, body: Base) -> float:
+        """Return the time [s] in which the planned path could be driven straight, from rest to rest."""
+        ramp = body.max_linear / body.max_linear_acceleration
+        if self.planned < ramp * body.max_linear:
+            return 2.0 * sqrt(self.planned / body.max_linear_acceleration)
+        return self.planned / body.max_linear + ramp
 
 
 class Tour:
@@ -64,13 +96,25 @@ class Tour:
         self.arrivals: list[Arrival] = []
         self.paths: list[tuple[tuple[float, float], ...]] = []
         """The last path planned on the way to each goal."""
+        self.legs: list[Leg] = []
+        """Those that have a path; a leg is the way to one goal, of a tour or a mission."""
+        self.shafts: list[tuple[float, ...]] = []
+        """rad, true positions of all joints, in the order of the robot file, by sample"""
+        self.boxes: list[dict[str, tuple[float, float, float]]] = []
+        """m, where the boxes are that can be moved, by sample"""
+        self.times: list[Nanos] = []
+        """Of `shafts`."""
+        self._line: tuple[int, Polyline] | None = None
+        """The path that is followed, with its version."""
         self.belief: Belief = session.belief
         self.outlines = [
             [(corner.x, corner.y) for corner in (self._in_odom(Pose(x, y, 0.0)) for x, y in outline)]
             for outline in self._world.outlines()
         ]
         """The true walls and boxes, as polygons [m] in the frame "odom"."""
-        self.contacts = 0
+        self.contacts = self.touched_people = 0
+        self._leg = 0
+        """Number of goals that are reached once the present leg is."""
         self._busy: dict[str, Nanos] = {}
         self._ages: list[Nanos] = []
         self._next: Nanos = 0
@@ -82,9 +126,12 @@ class Tour:
         self._ages += [age for joint in joints if (age := joint.feedback_age(tick.now)) is not None]
         if tick.now >= self._next:
             self._next = tick.now + SAMPLE_PERIOD
-            self.contacts = self._world.contacts()
+            self.contacts, self.touched_people = self._world.contacts(), self._world.touches_by_people()
+            self.shafts.append(tuple(self._world.shaft(motor)[0] for motor in self._session.robot.motors))
+            self.boxes.append(self._world.movable())
+            self.times.append(tick.now)
             self._sample(tick.now)
-        if self.belief.reached > len(self.arrivals):
+        if len(self.goals) > len(self.arrivals) < self.belief.reached:
             goal, true = self.goals[len(self.arrivals)], self._in_odom(self._world.truth())
             self.arrivals.append(Arrival(goal, tick.now, hypot(true.x - goal.x, true.y - goal.y)))
 
@@ -95,11 +142,39 @@ class Tour:
         busy = dict(self._session.stats.busy)
         load = {bus: (busy[bus] - self._busy.get(bus, 0)) / SAMPLE_PERIOD for bus in busy}
         true, age = self._in_odom(self._world.truth()), max(self._ages, default=0) / MILLISECOND
-        raw = belief.raw or estimate.pose
-        self.samples.append(Sample(now, true, estimate.pose, raw, estimate.covariance, load, age))
+        raw, off = belief.raw or estimate.pose, self._follow(now, true)
+        somebody = tuple(
+            (p.x, p.y, r) for x, y, r in self._world.people() for p in [self._in_odom(Pose(x, y, 0.0))]
+        )
+        if self.samples and self.legs and self.legs[-1].ended is None:
+            before = self.samples[-1].true
+            self.legs[-1].driven += hypot(true.x - before.x, true.y - before.y)
+        self.samples.append(
+            Sample(now, true, estimate.pose, raw, estimate.covariance, load, age, off, somebody)
+        )
         self._busy, self._ages = busy, []
-        if belief.path and belief.state is BrainState.RUNNING:
-            self.paths[belief.reached :] = [belief.path]
+
+    def _follow(self, now: Nanos, true: Pose) -> float | None:
+        """Note legs and paths; return how far the true pose is off the path, sideways."""
+        belief = self.belief
+        running = belief.state is BrainState.RUNNING and len(belief.path) > 1
+        if self.legs and self.legs[-1].ended is None and (belief.reached >= self._leg or not belief.path):
+            self.legs[-1].ended = now
+        if not running:
+            return None
+        if self._line is None or self._line[0] != belief.path_version:
+            self._line = (belief.path_version, Polyline(belief.path))
+        if not self.legs or self.legs[-1].ended is not None:
+            self._leg = belief.reached + 1
+            self.legs.append(Leg(now))
+        leg, goal = self.legs[-1], belief.goal
+        if not leg.whole or goal != leg.goal:
+            leg.goal = goal
+            leg.planned = leg.driven + self._line[1].length
+            leg.whole = goal is not None and dist(belief.path[-1], (goal.x, goal.y)) < TOLERANCE
+        self.paths[len(self.legs) - 1 :] = [belief.path]
+        along, off = self._line[1].project((true.x, true.y))
+        return off if 0.0 < along < self._line[1].length else None
 
     def _in_odom(self, pose: Pose) -> Pose:
         """Return a pose of the world in the frame "odom", whose origin is the robot's pose at the start."""
@@ -111,14 +186,47 @@ class Tour:
     # -- figures ------------------------------------------------------------------------------
 
     @property
+    def motors(self) -> tuple[str, ...]:
+        """The names of the joints of `shafts`."""
+        return tuple(self._session.robot.motors)
+
+    @property
+    def linkage(self) -> Linkage | None:
+        """The body, if it is one of links that stands on one place."""
+        body = self._session.robot.brain.body
+        return body if isinstance(body, Linkage) else None
+
+    def footprint(self, pose: Pose) -> list[tuple[float, float]]:
+        """Return the robot's outline at a pose, drawn to scale; empty for a body without one."""
+        body = self._session.robot.brain.body
+        corners = body.outline if isinstance(body, Base) else ()
+        places = [moved(pose, Pose(x, y, 0.0)) for x, y in corners]
+        return [(place.x, place.y) for place in places]
+
+    @property
     def near(self) -> int:
         """The number of goals that the true pose was near."""
         return sum(arrival.distance <= TOLERANCE for arrival in self.arrivals)
 
     @property
+    def done(self) -> bool:
+        """Whether the mission is done."""
+        return self.belief.mission is not None and self.belief.mission.phase == "done"
+
+    @property
+    def outcome(self) -> str:
+        """How many goals were reached, or what became of the mission."""
+        view = self.belief.mission
+        return (
+            f"{self.near} of {len(self.goals)} goals"
+            if view is None
+            else f"mission {view.name}: {view.phase}"
+        )
+
+    @property
     def seconds(self) -> float:
-        """The simulated time of the last sample."""
-        return self.samples[-1].t / SECOND if self.samples else 0.0
+        """The time of the last sample."""
+        return self.times[-1] / SECOND if self.times else 0.0
 
     @property
     def length(self) -> float:
@@ -138,9 +246,22 @@ class Tour:
             for i, a in enumerate(self.arrivals, 1)
         ]
         goals = f"{self.near} of {len(self.goals)}"
-        rows.append(f"goals reached within {TOLERANCE:.2f} m by the true pose: {goals}")
-        rows.append(f"walls and boxes touched: {self.contacts}")
-        rows.append(f"path driven: {self.length:.2f} m in {self.seconds:.1f} s")
+        if self.goals:
+            rows.append(f"goals reached within {TOLERANCE:.2f} m by the true pose: {goals}")
+        rows.append(f"walls and boxes touched: {self.contacts}; people: {self.touched_people}")
+        if not self.samples:
+            return [*rows, f"joints moved for {self.seconds:.1f} s"]
+        rows += [*self._legs(), f"path driven: {self.length:.2f} m in {self.seconds:.1f} s"]
+        if beside := [(sample.off, sample.t) for sample in self.samples if sample.off is not None]:
+            rms = 100.0 * sqrt(sum(off * off for off, _ in beside) / len(beside))
+            farthest, t = max(beside)
+            rows.append(
+                f"off the path that is followed: RMS {rms:.1f} cm, "
+                f"at most {100.0 * farthest:.1f} cm, at {t / SECOND:.1f} s"
+            )
+        most, when = self.jerk()
+        span = f"over {SAMPLE_PERIOD / SECOND:g} s"
+        rows.append(f"jerk of the true motion {span}: at most {most:.1f} m/s³, at {when:.1f} s")
         length = max(self.length, 1e-9)
         for name, path in (
             ("believed path", [sample.believed for sample in self.samples]),
@@ -153,12 +274,45 @@ class Tour:
         rows.append(
             f"age of the feedback behind commands: median {np.median(ages):.1f}, worst {max(ages):.1f} ms"
         )
-        buses = self.samples[-1].load if self.samples else {}
+        buses = self.samples[-1].load
         loads = [
             f"{bus} {100 * np.mean([sample.load.get(bus, 0.0) for sample in self.samples]):.1f} %"
             for bus in buses
         ]
         return [*rows, f"bus load at most: {', '.join(loads)}"]
+
+    def _legs(self) -> list[str]:
+        """Return how each leg compares with its first plan, and with the shortest time for that."""
+        body = self._session.robot.brain.body
+        if not isinstance(body, Base):
+            return []
+        rows = []
+        for i, leg in enumerate(self.legs, 1):
+            took = ((leg.ended or self.samples[-1].t) - leg.began) / SECOND
+            least = leg.least(body)
+            rows.append(
+                f"leg {i}: {leg.driven:.2f} m driven, {leg.planned:.2f} m planned "
+                f"({leg.driven / max(leg.planned, 1e-9):.2f}); "
+                f"{took:.1f} s, at best {least:.1f} s straight on ({took / max(least, 1e-9):.2f})"
+            )
+        return rows
+
+    def speeds(self) -> list[tuple[float, float, float]]:
+        """Return the true speed between samples: m/s forward, rad/s, m/s to the left."""
+        dt = SAMPLE_PERIOD / SECOND
+        moves = [motion(a.true, b.true) for a, b in pairwise(self.samples)]
+        return [(distance / dt, turn / dt, sideways / dt) for distance, turn, sideways in moves]
+
+    def jerk(self) -> tuple[float, float]:
+        """Return the largest jerk [m/s³] of the true motion along and across, and when [s] it was."""
+        dt = SAMPLE_PERIOD / SECOND
+        speeds = [(forward, left) for forward, _, left in self.speeds()]
+        largest, at = 0.0, 0.0
+        for i, ((ax, ay), (bx, by), (cx, cy)) in enumerate(zip(speeds, speeds[1:], speeds[2:], strict=False)):
+            found = hypot(cx - 2.0 * bx + ax, cy - 2.0 * by + ay) / dt**2
+            if found > largest:
+                largest, at = found, self.samples[i + 1].t / SECOND
+        return largest, at
 
 
 def _length(path: Sequence[Pose]) -> float:

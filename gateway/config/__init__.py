@@ -1,4 +1,4 @@
-"""The robot file (TOML) → a `Robot`: every mistake in it at once, before anything moves.
+"""The robot file (TOML) → a `Robot`; a mission file → a `Mission`: all mistakes at once, before any motion.
 
 Knows the settings of protocols, joints and brain only by their own dataclasses. Must not import buses,
 recordings, simulation or the runtime.
@@ -7,7 +7,16 @@ recordings, simulation or the runtime.
 from __future__ import annotations
 
 from gateway.config.describe import describe
+from gateway.config.mission import load_mission, parse_mission
 from gateway.config.robot_file import load_robot, parse_robot, with_interfaces
 from gateway.config.validate import cautions
 
-__all__ = ["cautions", "describe", "load_robot", "parse_robot", "with_interfaces"]
+__all__ = [
+    "cautions",
+    "describe",
+    "load_mission",
+    "load_robot",
+    "parse_mission",
+    "parse_robot",
+    "with_interfaces",
+]

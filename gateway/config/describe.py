@@ -145,13 +145,16 @@ def _open(number: int, mask: int) -> int:
 
 
 def _brain(robot: Robot) -> str:
-    body = robot.brain.differential if robot.brain.body == "differential" else robot.brain.joints
-    lines = [f"body: {robot.brain.body}"]
-    for field in fields(body) if body else ():
+    body = robot.brain.body
+    lines = [f"body: {body.kind}"]
+    for field in fields(body):
         value = getattr(body, field.name)
-        if value is not None:
+        if isinstance(value, dict):
+            lines += [f"  {field.name}.{key} = {one}" for key, one in value.items() if one != key]
+        elif value is not None:
             text = ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
-            lines.append(f"  {field.name} = {text}")
+            own = "\n" in text  # a text of its own: a URDF
+            lines.append(f"  {field.name} = {f'{len(text.splitlines())} lines' if own else text}")
     return "\n".join(lines)
 
 

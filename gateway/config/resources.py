@@ -1,4 +1,4 @@
-"""Example robots and worlds that ship with the package, by name; or any file, by its path."""
+"""Example robots, worlds and plants that ship with the package, by name; or any file, by its path."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from gateway.errors import UserError
 from protocols.suggest import did_you_mean
 
 
-def find(kind: Literal["robots", "worlds"], name: str) -> Path:
+def find(kind: Literal["robots", "worlds", "plants", "missions"], name: str) -> Path:
     """Return the file of that path, or the shipped one of that name. Raises UserError with what there is."""
     path = Path(name)
     if path.suffix == ".toml" or "/" in name:
@@ -22,6 +22,11 @@ def find(kind: Literal["robots", "worlds"], name: str) -> Path:
         return shipped[name]
     known = f"one of the shipped {kind}: {', '.join(shipped)}"
     raise UserError(f"{name!r} is neither a .toml file nor {known}{did_you_mean(name, shipped)}")
+
+
+def shipped(kind: str) -> Path:
+    """Return the folder of the files of a kind that ship with the package."""
+    return Path(str(files("gateway.fixtures") / kind))
 
 
 def read(path: Path, most: int) -> str:

@@ -5,14 +5,17 @@ gives a `Robot`, which is values only. Nothing can be switched off: limits, time
 positive finite numbers. The settings of a protocol, a joint or the brain are typed by their own
 dataclasses, so this file knows none of them by name. Files are TOML (toml.io, version 1.0.0).
 
-    name, rate_hz, world, seed          the robot; `world` is the simulated world behind the twins
+    name, rate_hz, world, plant, seed   the robot; `world` is the simulated world behind the twins, `plant`
+                                        what the robot truly is in it
     [buses.NAME]                        kind, interface, bitrate and data_bitrate, or baudrate,
                                         receive_filter, shared_bus
     [motors.NAME]                       protocol, bus, address, and a joint's settings (gateway.core.joint)
-    [motors.NAME.limits]                velocity, acceleration, torque, position
+    [motors.NAME.limits]                velocity, acceleration, torque, position, jerk
+    [motors.NAME.loop]                  brain.control.pid.LoopSettings: its motions are reached by torque
     [motors.NAME.options]               what the driver should do: the protocol's own
     [motors.NAME.settings]              what is configured on the device: the protocol's own, for its twin
     [sensors.NAME]                      protocol, bus, address, mount, timeout_ms, options, settings
+    urdf                                links and joints (gateway.config.urdf); [files] has its text
     [defaults.motors] …                 defaults for every motor (bus, sensor)
     [brain]                             brain.settings.BrainSettings
     [bag]                               gateway.core.robot.BagTopics: the topics of a foreign bag
@@ -21,17 +24,20 @@ dataclasses, so this file knows none of them by name. Files are TOML (toml.io, v
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
+from brain.bodies import bare
+from brain.bodies.body import Body
 from brain.settings import BrainSettings
-from gateway.config import resources, validate
+from gateway.config import bodies, resources, validate
 from gateway.config.errors import Mistakes, shown, unknown
 from gateway.config.schema import MAX_SIZE, build, read_toml
 from gateway.config.sections import Find, Table, check_interface, own_ids, read_bus, read_motor, read_sensor
+from gateway.config.urdf import Description, with_files
 from gateway.core.bounds import Bounds
 from gateway.core.robot import BagTopics, BusDevice, Robot
 from gateway.errors import UserError
@@ -39,9 +45,11 @@ from protocols import plugin
 from protocols.messages import SECOND
 
 GROUPS = ("buses", "motors", "sensors")
-SECTIONS = (*GROUPS, "defaults", "brain", "bag")
+SECTIONS = (*GROUPS, "defaults", "brain", "bag", "files")
 MAX_NAMED = 64
 """Buses, motors or sensors of a robot."""
+_FILES: tuple[tuple[str, Literal["worlds", "plants"]], ...] = (("world", "worlds"), ("plant", "plants"))
+"""Keys that name another file, and its kind."""
 RESERVED = ("all", "brain", "operator", "scan")
 """Names with another meaning in an operator's commands or as the source of a note."""
 
@@ -51,6 +59,8 @@ class _Top:
     name: str
     rate_hz: Annotated[float, "steps per second", Bounds(10.0, 1000.0)] = 200.0
     world: str | None = None
+    plant: str | None = None
+    urdf: str | None = None
     seed: Annotated[int, Bounds(0, 2**32 - 1)] = 0
 
 
@@ -69,12 +79,14 @@ def load_robot(robot: str | Path, find: Find = plugin.load) -> Robot:
         UserError: neither a file nor a shipped name.
     """
     path = resources.find("robots", robot) if isinstance(robot, str) else robot
+    mistakes = Mistakes(str(path), "")
     try:
         text = resources.read(path, MAX_SIZE)
     except (OSError, UnicodeDecodeError) as error:
-        mistakes = Mistakes(str(path), "")
         mistakes.add((), f"cannot be read: {error}")
         raise mistakes.error() from error
+    text = with_files(text, path, mistakes)
+    mistakes.check()
     return parse_robot(text, str(path), find, with_world=True)
 
 
@@ -87,7 +99,7 @@ def parse_robot(
         text: TOML.
         name: the file's name in mistakes.
         find: returns a protocol plugin by its name.
-        with_world: whether its world must exist; a replay needs none.
+        with_world: whether its world and plant must exist; a replay needs none.
 
     Returns:
         Robot: everything that the text describes.
@@ -100,15 +112,21 @@ def parse_robot(
     table = read_toml(text, mistakes)
     defaults = _section(table, "defaults", mistakes, GROUPS)
     groups = {group: _group(table, group, defaults.get(group, {}), mistakes) for group in GROUPS}
+    described = Description(table, mistakes)
+    if described.broken:
+        raise mistakes.error()  # what it lacks would be told of every motor
+    moved = described.motors(groups["motors"])
+    described.sensors(groups["sensors"])
     top = build(_Top, table, (), mistakes, also=SECTIONS)
-    robot_name, world = table.get("name"), table.get("world")
+    robot_name = table.get("name")
     if isinstance(robot_name, str) and not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", robot_name):
         mistakes.add(("name",), f"found {shown(robot_name)}, expected letters, digits, _ and -")
-    if with_world and isinstance(world, str):
+    for key, kind in _FILES if with_world else ():
         try:
-            resources.find("worlds", world)
+            if isinstance(other := table.get(key), str):
+                resources.find(kind, other)
         except UserError as error:
-            mistakes.add(("world",), str(error))
+            mistakes.add((key,), str(error))
 
     known = {n: read_bus(n, t, mistakes) for n, t in groups["buses"].items()}
     buses = {n: bus for n, bus in known.items() if bus}
@@ -120,18 +138,19 @@ def parse_robot(
             buses[n] = replace(bus, receive_filter=own_ids([one.spec for one in devices if one.bus == n]))
     if "brain" not in table:
         mistakes.add(("brain",), "missing; expected a table [brain] that names the body")
-    brain = build(BrainSettings, table.get("brain", {}), ("brain",), mistakes)
+    motor_names, sensor_names = tuple(groups["motors"]), tuple(groups["sensors"])
+    complete = partial(described.body, joints=moved)
+    brain = _brain(table.get("brain", {}), motor_names, sensor_names, complete, mistakes)
     bag = build(BagTopics, table["bag"], ("bag",), mistakes) if "bag" in table else None
 
     period = round(SECOND / top.rate_hz) if top else 0
     validate.check_devices(buses, motors, sensors, period, mistakes)
-    validate.check_brain(table.get("brain"), tuple(groups["motors"]), tuple(groups["sensors"]), mistakes)
     if bag is not None and brain is not None:
-        validate.check_bag(bag, brain.body, tuple(groups["sensors"]), mistakes)
+        validate.check_bag(bag, brain.body, sensor_names, mistakes)
     mistakes.check()
     if top is None or brain is None:
         raise AssertionError("a section is missing, and no mistake was added")
-    return Robot(top.name, text, period, top.world, top.seed, buses, motors, sensors, brain, bag)
+    return Robot(top.name, text, period, top.world, top.seed, buses, motors, sensors, brain, bag, top.plant)
 
 
 def with_interfaces(robot: Robot, interfaces: Mapping[str, str]) -> Robot:
@@ -160,6 +179,41 @@ def with_interfaces(robot: Robot, interfaces: Mapping[str, str]) -> Robot:
 
 
 # -- sections ----------------------------------------------------------------------------------
+
+
+def _brain(
+    table: object,
+    motors: tuple[str, ...],
+    sensors: tuple[str, ...],
+    complete: Callable[[type[Body], object], object],
+    mistakes: Mistakes,
+) -> BrainSettings | None:
+    """Read the table [brain]: the body's name, the body's own table of that name, and the settings.
+
+    `complete` returns a body's table with what a URDF says."""
+    if not isinstance(table, dict):
+        mistakes.add(("brain",), f"found {shown(table)}, expected a table")
+        return None
+    name = table.get("body")
+    body: Body | None = None
+    if not isinstance(name, str):
+        found = f"found {shown(name)}" if "body" in table else "missing"
+        mistakes.add(("brain", "body"), f"{found}; expected the name of a body: {', '.join(bodies.names())}")
+    else:
+        try:
+            kind = bodies.load_body(name)
+        except UserError as error:
+            mistakes.add(("brain", "body"), str(error))
+        else:
+            if name not in table:
+                mistakes.add(("brain", name), f"missing; the body {name!r} expects this table")
+            else:
+                body = build(kind, complete(kind, table[name]), ("brain", name), mistakes)
+                validate.check_body(kind, table[name], motors, sensors, mistakes)
+    also = ("body", *([name] if body else [str(name), *bodies.names()]))  # its table may be right
+    given = {"body": body or bare(["x"])}
+    settings = build(BrainSettings, table, ("brain",), mistakes, also, given)
+    return settings if body else None
 
 
 def _section(table: Table, name: str, mistakes: Mistakes, known: tuple[str, ...] = ()) -> dict[str, Table]:

@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, Field, fields, is_dataclass
 from enum import Enum
 from math import isfinite
-from types import NoneType, UnionType
+from types import MappingProxyType, NoneType, UnionType
 from typing import Annotated, Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 from gateway.config.errors import Key, Mistakes, is_int64, shown, unknown
@@ -41,6 +41,7 @@ MAX_NAMED = 500
 _PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+"""
 _DEEP_KEY = re.compile(rf"(?<![\w-])(?:{_PART}){{{_MAX_DEPTH}}}")
 """A dotted key that makes so many tables: the parser's time grows with the square of their number."""
+NOTHING: Mapping[str, object] = MappingProxyType({})
 _INVALID = object()
 """Instead of a value that does not fit its hint."""
 _STAND_INS: dict[object, object] = {float: 1.0, int: 1, str: "x", bool: False}
@@ -79,16 +80,24 @@ def _items(value: object) -> list[object]:
     return value if isinstance(value, list) else []
 
 
-def build(kind: type[T], table: object, at: Key, mistakes: Mistakes, also: Sequence[str] = ()) -> T | None:
+def build(
+    kind: type[T],
+    table: object,
+    at: Key,
+    mistakes: Mistakes,
+    also: Sequence[str] = (),
+    given: Mapping[str, object] = NOTHING,
+) -> T | None:
     """Build the dataclass `kind` from a table of the file; None if mistakes were added.
 
-    `also` are further keys of this table, which belong to another dataclass.
+    `also` are further keys of this table, which belong to another dataclass. `given` are values of fields
+    that are not in the file.
     """
     if not isinstance(table, dict):
         mistakes.add(at, f"found {shown(table)}, expected a table")
         return None
     try:
-        return cast(T | None, _build(kind, table, at, mistakes, also))
+        return cast(T | None, _build(kind, table, at, mistakes, also, given))
     except (TypeError, NameError) as error:
         mistakes.add(at, f"{kind.__module__}.{kind.__qualname__} cannot be filled from a file: {error}")
         return None
@@ -108,10 +117,16 @@ def _is_required(field: Field[Any]) -> bool:
 
 
 def _build(
-    kind: type[Any], table: dict[str, Any], at: Key, mistakes: Mistakes, also: Sequence[str]
+    kind: type[Any],
+    table: dict[str, Any],
+    at: Key,
+    mistakes: Mistakes,
+    also: Sequence[str] = (),
+    given: Mapping[str, object] = NOTHING,
 ) -> object:
-    own, hints = keys(kind), get_type_hints(kind, include_extras=True)
-    values: dict[str, object] = {}
+    own = {key: field for key, field in keys(kind).items() if field.name not in given}
+    hints = get_type_hints(kind, include_extras=True)
+    values: dict[str, object] = dict(given)
     for key, field in own.items():
         hint = hints[field.name]
         if _is_time(field):
@@ -170,7 +185,7 @@ def _field_value(hint: object, value: object, at: Key, mistakes: Mistakes) -> ob
     """Return the value that a field gets, or _INVALID with its mistakes added."""
     bare = _bare(hint)
     if isinstance(bare, type) and is_dataclass(bare) and isinstance(value, dict):
-        made = _build(bare, value, at, mistakes, ())
+        made = _build(bare, value, at, mistakes)
         return _INVALID if made is None else made
     if get_origin(bare) is dict and isinstance(value, dict):
         if len(value) > MAX_NAMED:

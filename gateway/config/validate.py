@@ -16,9 +16,8 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import combinations, permutations
 from math import inf
-from typing import Literal
 
-from brain.settings import BrainSettings
+from brain.bodies.body import Base, Body
 from gateway.config.errors import Key, Mistakes, shown, unknown
 from gateway.core.robot import BagTopics, BusDevice, BusSettings, Motor, Robot, Sensor, by_protocol
 from protocols.frames import IdMask, id_matches, overlap
@@ -85,9 +84,11 @@ def _check_drivers(bus: str, devices: Sequence[BusDevice], mistakes: Mistakes) -
 
 def _check_motor(at: Key, motor: Motor, period: Nanos, mistakes: Mistakes) -> None:
     joint, spec = motor.joint, motor.spec
-    if joint.stop_action == "hold" and not spec.holds_unattended:  # at exit, nothing feeds Hold any more
+    lets_go = not spec.holds_unattended and joint.unattended == "held"
+    if joint.stop_action == "hold" and lets_go:  # at exit, nothing feeds Hold any more
         why = "without commands from its host, the device lets go of its load (its watchdog)"
-        mistakes.add((*at, "stop_action"), f'found "hold", expected "idle": {why}')
+        known = 'or unattended = "released" if that is known, and safe'
+        mistakes.add((*at, "stop_action"), f'found "hold", expected "idle": {why}; {known}')
     if joint.stop_action == "brake" and Velocity not in spec.commands:
         why = "the device takes no velocity to brake by"
         mistakes.add((*at, "stop_action"), f'found "brake", expected "idle": {why}')
@@ -103,41 +104,38 @@ def _check_motor(at: Key, motor: Motor, period: Nanos, mistakes: Mistakes) -> No
             )
 
 
-_MOTORS = {"differential": ("left", "right"), "joints": ("motors",)}
-"""Keys of a body's table that name motors."""
-
-
-def check_brain(brain: object, motors: Sequence[str], sensors: Sequence[str], mistakes: Mistakes) -> None:
-    """Check that the body's own table and the motors that it names exist. `brain` is as in the file."""
-    if not isinstance(brain, Mapping):
-        return
-    body = brain.get("body", BrainSettings().body)
-    if not isinstance(body, str) or body not in _MOTORS:
-        return
-    table = brain.get(body)
-    if table is None:
-        mistakes.add(("brain", body), f"missing; the body {body!r} expects this table")
+def check_body(
+    kind: type[Body], table: object, motors: Sequence[str], sensors: Sequence[str], mistakes: Mistakes
+) -> None:
+    """Check that the motors exist that a body's table names. `table` is as in the file."""
     if not isinstance(table, Mapping):
         return
-    for key in _MOTORS[body]:
-        found = table.get(key, [])
-        for name in found if isinstance(found, list) else [found]:
-            if isinstance(name, str) and name not in motors:
+    for key in kind.motor_keys():
+        for name in _strings(table.get(key)):
+            if name not in motors:
                 sensor = f"{name!r} is a sensor; there is {', '.join(motors)}"
                 text = sensor if name in sensors else unknown("motor", name, motors)
-                mistakes.add(("brain", body, key), text)
+                mistakes.add(("brain", kind.kind, key), text)
 
 
-def check_bag(
-    bag: BagTopics, body: Literal["differential", "joints"], sensors: Collection[str], mistakes: Mistakes
-) -> None:
+def _strings(value: object) -> list[str]:
+    """Return the names in a value of the file: itself, those of a list, or the keys of a table."""
+    if isinstance(value, dict):
+        return list(value)
+    if isinstance(value, list):
+        return [text for one in value for text in _strings(one)]
+    return [value] if isinstance(value, str) else []
+
+
+def check_bag(bag: BagTopics, body: Body, sensors: Collection[str], mistakes: Mistakes) -> None:
     """Check the table [bag] against the rest of the robot file."""
-    if body != "differential":
-        text = f"a bag moves a base on wheels, and the body is {body!r}; expected no such table"
+    if not isinstance(body, Base):
+        text = f"a bag moves a base, and the body is {body.kind!r}; expected no such table"
         mistakes.add(("bag",), text)
-    for sensor in bag.sensors:
-        if sensor not in sensors:
-            mistakes.add(("bag", "sensors", sensor), unknown("sensor", sensor, sensors))
+    for group, named in (("sensors", bag.sensors), ("cameras", bag.cameras)):
+        for sensor in named:
+            if sensor not in sensors:
+                mistakes.add(("bag", group, sensor), unknown("sensor", sensor, sensors))
     used: dict[str, str] = {}
     for topic, name in bag.parts():
         key = ("bag", *name.split("."))
@@ -164,23 +162,23 @@ def cautions(robot: Robot) -> list[str]:
 
 
 def _slow_joints(robot: Robot) -> list[str]:
-    """Wheels whose joint limits are below what the body's own limits need."""
-    body = robot.brain.differential
-    if robot.brain.body != "differential" or body is None:
+    """Joints of a base whose limits are below what the body's own limits need."""
+    body = robot.brain.body
+    if not isinstance(body, Base):
         return []
-    limits = {name: robot.motors[name].joint.limits.velocity for name in (body.left, body.right)}
+    needed = zip(body.joints, body.top_speeds, strict=True)
     return [
-        f"{name}: its limit of {limit:g} rad/s is below the {body.wheel_speed:.3g} rad/s that "
+        f"{name}: its limit of {limit:g} rad/s is below the {speed:.3g} rad/s that "
         "max_linear and max_angular together need; the base will turn wide"
-        for name, limit in limits.items()
-        if limit < body.wheel_speed
+        for name, speed in needed
+        if (limit := robot.motors[name].joint.limits.velocity) < speed < inf
     ]
 
 
 def _feedback_always_late(robot: Robot) -> list[str]:
     """Motors whose feedback period is longer than the age at which the brain takes feedback for too old."""
-    body, health = robot.brain.differential, robot.brain.health
-    wheels = (body.left, body.right) if robot.brain.body == "differential" and body is not None else ()
+    body, health = robot.brain.body, robot.brain.health
+    wheels = body.joints if isinstance(body, Base) else ()
     notes: list[str] = []
     for motor in robot.motors.values():
         what, share = "its target is dropped", health.stand_age
@@ -198,7 +196,7 @@ def _feedback_always_late(robot: Robot) -> list[str]:
 def _unused_sensors(robot: Robot) -> list[str]:
     """Sensors whose measurements and timeouts are not used."""
     text = "bare joints use no sensor; it is recorded, and a loss of its measurements goes unnoticed"
-    return [f"{name}: {text}" for name in robot.sensors] if robot.brain.body == "joints" else []
+    return [] if isinstance(robot.brain.body, Base) else [f"{name}: {text}" for name in robot.sensors]
 
 
 def _out_of_range(motor: Motor) -> list[str]:

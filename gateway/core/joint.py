@@ -15,6 +15,7 @@ from dataclasses import dataclass, fields, replace
 from operator import attrgetter
 from typing import Annotated, Any, Literal, TypeAlias
 
+from brain.control.pid import Loop, LoopSettings
 from gateway.core import following
 from gateway.core.bounds import Bounds
 from gateway.core.following import Following
@@ -102,11 +103,15 @@ class JointSettings:
     """Turns of the device's shaft per turn of the joint."""
     sign: Literal[1, -1] = 1
     on_command_timeout: Literal["idle", "hold"] = "idle"
-    """What the joint does when the brain's command is older than `command_timeout`."""
+    """What the joint does when the brain's command is older than `command_timeout`. "hold": with the torque
+    of the last command, if that was to a position, so that the load stays where it is."""
     stop_action: Literal["idle", "hold", "brake"] = "idle"
     """The stop command: what is sent on stop, fault and exit. "brake": slow down within the limit of
     acceleration, then Idle; Idle at once if the joint itself is in fault or its feedback is lost, or if the
     loop has failed."""
+    unattended: Literal["held", "released"] = "held"
+    """What becomes of the load when the gateway ends. "released": it is known that the device lets go of it
+    (its watchdog), and it may hold until then (stop_action); the last command is Idle."""
     on_fault: Literal["stop", "continue"] = "stop"
     """Whether a fault or lost feedback of this joint stops the whole robot, or only this joint."""
     command_timeout: TimeoutNanos = 100 * MILLISECOND
@@ -116,6 +121,8 @@ class JointSettings:
     """For how long what is measured may be out of its bounds about the set-points (`following`)."""
     following_share: Annotated[float, Bounds(0.05, 0.5)] = 0.3
     """Share of a set-point of velocity by which it need not be followed."""
+    loop: LoopSettings | None = None
+    """Positions and velocities are reached by torque, at every step; None: by the device's own loops."""
 
 
 class Joint:
@@ -125,8 +132,15 @@ class Joint:
         self.name = name
         self.settings = settings
         self._file = settings.limits
-        """The robot file's limits, which no change exceeds."""
+        """The robot file's limits, which no change exceeds,"""
+        self._stopping = replace(settings.limits, jerk=None)
+        """and those of a stop: as hard as the acceleration allows."""
         self._supported = spec.commands
+        self._loop: Loop | None = None
+        """In place of the device's own."""
+        if settings.loop is not None and msg.Torque in spec.commands:
+            self._loop, self._supported = Loop(), self._supported | {msg.Position, msg.Velocity}
+        self._holds_loads = "Hold.torque" in spec.ranges
         self._replies_only = spec.feedback is FeedbackKind.REPLY
         self._ratio = settings.gear * settings.sign
         self._following = Following(
@@ -306,8 +320,26 @@ class Joint:
             self._idle_until = now if self.armed else None
             if not isinstance(self._out, msg.Idle):
                 self._idle_at = now
-        self._out, self._out_at = out, now
-        return self._at_device(out)
+        dt, self._out, self._out_at = (now - self._out_at) / SECOND, out, now
+        return self._at_device(out if self._loop is None else self._by_torque(out, dt, self._loop))
+
+    def _by_torque(self, out: Command, dt: float, loop: Loop) -> Command:
+        """Return the torque with which a set-point is reached; any other command as it is."""
+        measured, limits, settings = self.feedback, self.settings.limits, self.settings.loop
+        if not isinstance(out, msg.Position | msg.Velocity) or settings is None:
+            loop.reset()
+            return out
+        ahead = 0.0
+        if isinstance(out, msg.Position):
+            ahead = out.position - (measured.position or 0.0)
+        dt = min(dt, self.settings.command_timeout / SECOND)
+        torque = loop.step(
+            ahead, out.velocity, measured.velocity or 0.0, out.torque, dt, limits.torque, settings
+        )
+        if self.mode is not Mode.ARMED:
+            loop.reset()
+            torque = 0.0
+        return msg.Torque(self.name, limits.torque_now(torque, measured))
 
     def _forget_lost_position(self) -> None:
         known, newest = self._position_at, self._received_at
@@ -345,10 +377,18 @@ class Joint:
         if any(code in _NOT_OBEYING for code, _ in self.faults):
             return msg.Idle(self.name)
         if self.settings.stop_action == "hold" and self.armed:  # Hold would arm another
-            return msg.Hold(self.name)
+            released = last and self.settings.unattended == "released"
+            return msg.Idle(self.name) if released else self._hold()
         if self.settings.stop_action == "brake" and not last and self._may_brake(now):
             return msg.Velocity(self.name, 0.0)
         return msg.Idle(self.name)
+
+    def _hold(self) -> msg.Hold:
+        """Return the command to hold, with the torque that has carried the load so far."""
+        out = self._out
+        if self._holds_loads and isinstance(out, msg.Position | msg.Impedance | msg.Hold):
+            return msg.Hold(self.name, out.torque)
+        return msg.Hold(self.name)
 
     def _may_brake(self, now: Nanos) -> bool:
         if self.faults or self.feedback_lost(now):
@@ -389,7 +429,7 @@ class Joint:
             return self._stop_command(now, last)
         self._braking = None
         if self._command is None or now - self._command_at > self.settings.command_timeout:
-            return msg.Hold(self.name) if self.settings.on_command_timeout == "hold" else msg.Idle(self.name)
+            return self._hold() if self.settings.on_command_timeout == "hold" else msg.Idle(self.name)
         return self._command
 
     def _limited(self, now: Nanos, wanted: Command, stopped: bool) -> Command:
@@ -401,7 +441,7 @@ class Joint:
         if self.mode is not Mode.ARMED:
             self._profile.forget()  # it starts at the position that the shaft has when the device is armed
         dt = max(0, min(now - self._out_at, self.settings.command_timeout)) / SECOND
-        limits = self._file if stopped or self.faults else self.settings.limits
+        limits = self._stopping if stopped or self.faults else self.settings.limits
         return self._profile.limited(wanted, dt, self.feedback, limits)
 
     def _at_rest(self, *kinds: type[msg.Torque | msg.Velocity]) -> Command:
@@ -418,6 +458,8 @@ class Joint:
                 return msg.Position(motor, position * ratio, velocity * ratio, torque / ratio)
             case msg.Torque(motor, torque):
                 return msg.Torque(motor, torque / ratio)
+            case msg.Hold(motor, torque) if torque:
+                return msg.Hold(motor, torque / ratio)
             case msg.Impedance(motor, position, velocity, torque, stiffness, damping):
                 square = ratio * ratio
                 return msg.Impedance(
@@ -446,7 +488,7 @@ class Joint:
 def _finite(command: Command) -> bool:
     """True if every number in a command is finite."""
     kind = type(command)
-    if kind is msg.Idle or kind is msg.Hold:
+    if kind is msg.Idle:
         return True
     # Infinities and NaN less themselves are NaN. (A generator would take twice as long.)
     return all([value - value == 0.0 for value in _NUMBERS[kind](command)])  # noqa: C419
@@ -456,4 +498,4 @@ _NUMBERS: dict[type[Command], Callable[[Any], tuple[float, ...]]] = {
     kind: attrgetter(*(field.name for field in fields(kind) if field.name != "motor"))
     for kind in (msg.Position, msg.Velocity, msg.Impedance)
 }
-_NUMBERS[msg.Torque] = lambda torque: (torque.torque,)
+_NUMBERS[msg.Torque] = _NUMBERS[msg.Hold] = lambda torque: (torque.torque,)

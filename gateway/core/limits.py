@@ -1,8 +1,8 @@
 """Limits of a joint, and the set-points that keep them. At the output shaft, in SI.
 
-Rules. A set-point never jumps: it starts at the measured position, and moves within the limits of velocity
-and acceleration. The end of travel takes precedence over the limit of acceleration. Where the position of the
-shaft must be known and is not, nothing moves.
+Rules. A set-point never jumps: it starts at the measured position, and moves within the limits of velocity,
+acceleration and, if there is one, jerk. The end of travel takes precedence over acceleration and jerk. Where
+the position of the shaft must be known and is not, nothing moves.
 """
 
 from __future__ import annotations
@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from math import copysign, sqrt
 from typing import Annotated
 
+from brain.control.joint_profile import JointLimits, JointState, fastest, velocity_step
+from brain.control.joint_profile import Profile as JointProfile
 from gateway.core.bounds import Bounds
 from protocols.messages import Command, Feedback, Hold, Idle, Impedance, Position, Torque, Velocity
 
@@ -33,6 +35,8 @@ class Limits:
     """N·m"""
     position: tuple[float, float] | None = None
     """rad, lowest and highest; None for a wheel"""
+    jerk: Annotated[float, Bounds(0.1, 1e7)] | None = None
+    """rad/s³; None: not limited"""
 
     def __post_init__(self) -> None:
         if self.position is None:
@@ -62,6 +66,10 @@ class Limits:
                 return 0.0
         return torque
 
+    def profile(self) -> JointLimits:
+        """Return the limits of a motion; without one of jerk it is as good as none."""
+        return JointLimits(self.velocity, self.acceleration, self.jerk or 1e7)
+
     def velocity_before_end(self, velocity: float, position: float) -> float:
         """Return a velocity from which the distance to the end of travel is enough to stop."""
         if self.position is None:
@@ -78,15 +86,22 @@ class Profile:
     def __init__(self) -> None:
         self._position: float | None = None
         self._velocity: float | None = None
+        self._acceleration = 0.0
+        """rad/s², where the jerk is limited"""
+        self._plan: tuple[JointProfile, JointLimits, float] | None = None
+        """The motion to a position with limited jerk, its limits, and how far it is [s]."""
 
     def forget(self) -> None:
         """Start the next set-point at the measured position and velocity."""
-        self._position = self._velocity = None
+        self._position = self._velocity = self._plan = None
+        self._acceleration = 0.0
 
     def limited(self, wanted: Command, dt: float, measured: Feedback, limits: Limits) -> Command:
         """Return the command that is within the limits, `dt` seconds after the previous one."""
         if isinstance(wanted, Idle | Hold):
             self.forget()
+            if isinstance(wanted, Hold) and wanted.torque:
+                return Hold(wanted.motor, limits.torque_now(wanted.torque, measured))
             return wanted
         blind = isinstance(wanted, Position | Impedance) or limits.position is not None
         if measured.position is None and blind:
@@ -109,20 +124,50 @@ class Profile:
         if before is None:
             before = clamp(measured.velocity or 0.0, limits.velocity)
         goal = clamp(wanted.velocity, limits.velocity)
-        if limits.position is None:
+        if limits.jerk is not None:
+            velocity = self._smooth(before, goal, dt, measured, limits)
+        elif limits.position is None:
             velocity = toward(before, goal, limits.acceleration * dt)
         else:
             here = measured.position or 0.0
             velocity = toward(before, limits.velocity_before_end(goal, here), limits.acceleration * dt)
             velocity = limits.velocity_before_end(velocity, here)
-        self._position, self._velocity = None, velocity
+        self._position, self._velocity, self._plan = None, velocity, None
         return Velocity(wanted.motor, velocity, limits.torque_now(wanted.torque, measured))
 
+    def _smooth(self, before: float, goal: float, dt: float, measured: Feedback, limits: Limits) -> float:
+        """Return the next velocity within the limit of jerk; before an end of travel it brakes earlier."""
+        here = measured.position or 0.0
+        jerk = limits.jerk or 1e7
+        if limits.position is not None:
+            # braking takes acceleration / jerk longer than without a limit of jerk
+            ahead = here + before * limits.acceleration / jerk
+            goal = limits.velocity_before_end(goal, ahead)
+        state = velocity_step(JointState(0.0, before, self._acceleration), goal, dt, limits.profile())
+        velocity = limits.velocity_before_end(state.velocity, here)
+        self._acceleration = state.acceleration if velocity == state.velocity else 0.0
+        return velocity
+
+    def _follow_plan(self, goal: float, dt: float, limits: Limits) -> None:
+        """Move on along the jerk-limited motion to the goal; begin another if goal or limits are others."""
+        own = limits.profile()
+        plan = self._plan
+        if plan is None or plan[0].goal != goal or plan[1] != own:
+            start = JointState(self._position or 0.0, self._velocity or 0.0, self._acceleration)
+            plan = fastest(start, goal, own), own, 0.0
+        motion, _, t = plan
+        self._plan = motion, own, t + dt
+        self._position, self._velocity, self._acceleration = motion.at(t + dt)
+
     def _position_command(self, wanted: Position, dt: float, measured: Feedback, limits: Limits) -> Position:
-        """Follow a trapezoidal profile from the measured position."""
+        """Follow a trapezoidal profile from the measured position; one of seven parts if jerk is limited."""
         if self._position is None or self._velocity is None:
             self._position = measured.position or 0.0
             self._velocity = clamp(measured.velocity or 0.0, limits.velocity)
+        if limits.jerk is not None:
+            self._follow_plan(limits.inside(wanted.position), dt, limits)
+            torque = limits.torque_now(wanted.torque, measured)
+            return Position(wanted.motor, limits.inside(self._position), self._velocity, torque)
         rest = limits.inside(wanted.position) - self._position
         # the highest speed from which the remaining distance, less this step's, is enough to stop
         reach = 0.5 * limits.acceleration * dt

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from gateway.core.joint import JointSettings
+from gateway.vision.detectors import Detectors
 from protocols.frames import IdMask
 from protocols.messages import Nanos
 from protocols.plugin import Device, Plugin, Spec
@@ -79,6 +80,17 @@ def by_protocol(devices: Iterable[BusDevice]) -> list[tuple[Plugin, list[BusDevi
 
 
 @dataclass(frozen=True, slots=True)
+class BagCamera:
+    """The topics of a camera, and what is looked for in its images."""
+
+    image: str
+    """sensor_msgs/Image"""
+    info: str
+    """sensor_msgs/CameraInfo"""
+    detectors: Detectors
+
+
+@dataclass(frozen=True, slots=True)
 class BagTopics:
     """The table [bag]: what the topics of a recording made elsewhere (a ROS bag) are on this robot."""
 
@@ -88,11 +100,16 @@ class BagTopics:
     """Topic by sensor of this robot: sensor_msgs/Imu."""
     truth: str = ""
     """sensor_msgs/NavSatFix: the reference for the estimated path; never an input. "" if there is none."""
+    cameras: dict[str, BagCamera] = field(default_factory=dict)
+    """By sensor of this robot."""
 
     def parts(self) -> Iterator[tuple[str, str]]:
-        """Yield each topic with the key that names it: "odometry", "sensors.imu", "truth"."""
+        """Yield each topic with the key that names it: "odometry", "sensors.imu", "cameras.eye.image" …"""
         yield self.odometry, "odometry"
         yield from ((topic, f"sensors.{sensor}") for sensor, topic in self.sensors.items())
+        for sensor, camera in self.cameras.items():
+            yield camera.image, f"cameras.{sensor}.image"
+            yield camera.info, f"cameras.{sensor}.info"
         if self.truth:
             yield self.truth, "truth"
 
@@ -116,6 +133,8 @@ class Robot:
     brain: BrainSettings
     bag: BagTopics | None = None
     """Topics of a foreign bag; None if the file has no table [bag]."""
+    plant: str | None = None
+    """What the robot truly is in a simulated scene: a shipped plant's name or a file's path."""
 
     def devices(self) -> list[BusDevice]:
         """Return all devices, in the order of the file: motors first, then sensors."""

@@ -15,7 +15,7 @@ from functools import partial
 from math import isfinite
 from typing import TYPE_CHECKING, Literal, TypeAlias, TypeVar
 
-from brain.belief import Belief
+from brain.belief import Belief, BrainTask
 from brain.brain import Brain
 from gateway.core.guard import Blocked, Guard
 from gateway.core.joint import Joint
@@ -78,6 +78,8 @@ class Gateway:
         )
         self.stopped = ""
         """Why an operator has stopped the robot; "" if no stop is in force."""
+        self._brain_failed = ""
+        """Why the brain is not asked any more."""
         self._at_once = False
         """Whether the run is left without time to brake."""
         self._drivers: list[_BusDriver] = []
@@ -115,13 +117,31 @@ class Gateway:
         events = self._receive(now, inputs.packets)
         tasks = self._on_instructions(now, inputs.instructions)
         stopped = self.why_stopped()
-        wanted = {command.motor: command for command in self.brain.step(now, events, tasks, stopped)}
+        wanted = {command.motor: command for command in self._think(now, events, tasks, stopped)}
         commands = {
             name: joint.command(now, wanted.get(name), bool(stopped), last=self._at_once)
             for name, joint in self.joints.items()
         }
         packets = self._send(now, commands)
         return Outputs(tuple(packets), tuple(events), self._take_notes())
+
+    def _think(
+        self, now: Nanos, events: Sequence[Event], tasks: Sequence[BrainTask], stopped: str
+    ) -> Sequence[Command]:
+        """Return the brain's commands. One that fails ends the run, unless a joint holds a load by its stop
+        action: then it is not asked again, and the robot is stopped until the run is ended."""
+        if self._brain_failed:
+            return ()
+        try:
+            return self.brain.step(now, events, tasks, stopped)
+        except Exception as error:
+            if not any(one.owned and one.settings.stop_action == "hold" for one in self.joints.values()):
+                raise
+            self._brain_failed = f"the brain has failed: {type(error).__name__}: {error}"
+            self._note(
+                "error", "brain", f"{self._brain_failed}; the loads are held: support them, then end the run"
+            )
+            return ()
 
     def leave(self, now: Nanos, inputs: Inputs | None = None) -> tuple[Packet, ...]:
         """Return the frames of every commanded motor's stop action, without the brain: after an error.
@@ -162,12 +182,14 @@ class Gateway:
         return [
             name
             for name, joint in self.joints.items()
-            if joint.owned and joint.armed and joint.settings.stop_action != "hold"
+            if joint.owned
+            and joint.armed
+            and not (joint.settings.stop_action == "hold" and joint.settings.unattended == "held")
         ]
 
     def why_stopped(self) -> str:
         """Return why the whole robot must not move; "" if it may."""
-        return self.stopped or self.in_fault()
+        return self.stopped or self._brain_failed or self.in_fault()
 
     def in_fault(self) -> str:
         """Return the first fault that stops the whole robot, with its joint; "" if there is none."""

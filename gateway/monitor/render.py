@@ -22,6 +22,7 @@ from protocols.messages import (
     Feedback,
     Imu,
     LaserScan,
+    Marker,
     Measurement,
     Nanos,
     PoseReading,
@@ -145,6 +146,11 @@ def measurement_text(event: Measurement) -> str:
         valid = [r for r in event.ranges if event.range_min <= r < event.range_max]
         nearest = f", the nearest at {min(valid):.3f} m" if valid else ""
         return f"{len(event.ranges)} beams, {len(valid)} with an echo{nearest}"
+    if isinstance(event, Marker):
+        if event.marker is None or event.position is None:
+            return "no marker"
+        x, y, z = event.position
+        return f"marker {event.marker} at {x:.3f} m, {y:.3f} m, {z:.3f} m"
     error = "" if event.variance is None else f", ±{sqrt(event.variance):.2f} m"
     if isinstance(event, PoseReading):
         yaw = "" if event.yaw is None else f", {event.yaw:.3f} rad"
@@ -216,7 +222,7 @@ def _meaning(decoded: DecodedPacket) -> str:
 
 def _event(event: Event) -> str:
     match event:
-        case Imu() | LaserScan() | PoseReading():
+        case Imu() | LaserScan() | PoseReading() | Marker():
             return f"{event.sensor}: {measurement_text(event)}"
         case Fault():
             return f"{event.motor}: FAULT {fault_text(event)}"

@@ -3,7 +3,8 @@
 Rules. Pure: a line and the robot in, a value out. The first word is the command, the rest are numbers and
 names of this robot; a number that is not finite is rejected. Lengths are m, speeds m/s and rad/s, torques
 N·m, at the joint's output shaft. `goal`'s yaw is in degrees and `position` in rad; either may be written with
-its unit (`90deg`, `1.57rad`). A rejected line gets a sentence and the nearest valid name.
+its unit (`90deg`, `1.57rad`), as may times and lengths (`3s`, `3 s`, `2 m`). What a base does as measured is
+a mission of one step. A rejected line gets a sentence and the nearest valid name.
 """
 
 from __future__ import annotations
@@ -14,8 +15,12 @@ from functools import partial
 from math import isfinite, radians
 from typing import Literal, TypeAlias
 
+from brain.bodies.body import Base
+from brain.planning.mission_steps import text
 from gateway.config.errors import unknown
+from gateway.config.mission import cannot, load_mission
 from gateway.core.robot import Robot
+from gateway.errors import ConfigError, UserError
 from protocols import messages as msg
 
 ALL = "all"
@@ -79,11 +84,15 @@ class _Command:
     """Whether the rest of the line is its one argument, which may be empty."""
     of_base: bool = False
     """Whether it needs a base that drives."""
+    of_words: Callable[[list[str], Robot], msg.Instruction] | None = None
+    """What makes the instruction of all words, in place of `make` and `arguments`."""
 
     def parse(self, texts: list[str], robot: Robot) -> msg.Instruction | Query:
         """Convert the arguments and make the instruction; raises _InvalidError."""
-        if self.of_base and robot.brain.body != "differential":
-            raise _InvalidError(f"{robot.name!r} is bare joints: use position, velocity or torque")
+        if self.of_base and not isinstance(robot.brain.body, Base):
+            raise _InvalidError(f"{robot.name!r} has no base: use position, velocity or torque")
+        if self.of_words is not None:
+            return self.of_words(texts, robot)
         if self.free_text:
             return self.make(" ".join(texts))
         if len(texts) < len(self.arguments) - self.optional:
@@ -152,13 +161,15 @@ def _motor_or_all(text: str, robot: Robot) -> str:
 
 def _joint(text: str, robot: Robot) -> str:
     """Take a motor that is no wheel of a base."""
-    base = robot.brain.differential if robot.brain.body == "differential" else None
-    wheels = () if base is None else (base.left, base.right)
+    body = robot.brain.body
+    wheels = body.joints if isinstance(body, Base) else ()
     joints = [name for name in robot.motors if name not in wheels]
     if not joints:
-        raise _InvalidError(f"the motors of {robot.name!r} are the wheels of its base: use goal or drive")
+        raise _InvalidError(f"the motors of {robot.name!r} are those of its base: use goal or drive")
     if text in wheels:
-        raise _InvalidError(f"{text!r} is a wheel: use goal or drive; bare joints are {', '.join(joints)}")
+        raise _InvalidError(
+            f"{text!r} is part of the base: use goal or drive; bare joints are {', '.join(joints)}"
+        )
     return _name("bare joint", text, joints)
 
 
@@ -174,7 +185,119 @@ def _bus(text: str, robot: Robot) -> str:
     return _name("bus", text, robot.buses)
 
 
+# -- missions ----------------------------------------------------------------------------------
+
+
+def _quantity(text: str, robot: Robot, units: tuple[str, ...]) -> float:
+    """Take a number with one of these units, or without."""
+    unit = next((unit for unit in units if text.endswith(unit)), "")
+    return _number(text.removesuffix(unit), robot)
+
+
+def _joined(texts: list[str]) -> list[str]:
+    """Return the words with each unit joined to its number: "3 s" → "3s"."""
+    words: list[str] = []
+    for word in texts:
+        if words and word in ("m", "s", "m/s", "deg", "rad"):
+            words[-1] += word
+        else:
+            words.append(word)
+    return words
+
+
+def _of_one_step(step: msg.Step, robot: Robot) -> msg.Mission:
+    """Return a mission of one step, named by what it does."""
+    mission = msg.Mission(text(step), (step,))
+    if wrong := cannot(mission, robot):
+        raise _InvalidError(wrong.removeprefix("step 1: "))
+    return mission
+
+
+def _turn(texts: list[str], robot: Robot) -> msg.Instruction:
+    words = _joined(texts)
+    side = {"left": 1.0, "right": -1.0}.get(words[0], 0.0) if words else 0.0
+    words = words[1:] if side else words
+    if len(words) != 1:
+        raise _InvalidError("one angle is needed")
+    angle = _angle("deg")(words[0], robot)
+    assert isinstance(angle, float)
+    return _of_one_step(msg.Turn((side or 1.0) * angle), robot)
+
+
+def _move(texts: list[str], robot: Robot) -> msg.Instruction:
+    words = [word for word in _joined(texts) if word not in ("for", "at")]
+    sides = [word for word in words if word in ("left", "right")]
+    words = [word for word in words if word not in sides]
+    given: dict[str, float] = {}
+    for word in words:
+        kind = "speed" if word.endswith("m/s") else "seconds" if word.endswith("s") else "distance"
+        if not word.endswith(("m/s", "s", "m")):
+            kind = "speed" if "speed" not in given and len(words) > 1 else kind
+        if kind in given:
+            raise _InvalidError(f"there are two of what {word!r} is")
+        given[kind] = _quantity(word, robot, ("m/s", "m", "s"))
+    distance, span = given.get("distance"), given.get("seconds")
+    body = robot.brain.body
+    most = body.max_linear if isinstance(body, Base) else 0.0
+    speed = given.get("speed", min(DEFAULT_SPEED, most))
+    if distance is not None and distance < 0.0:
+        speed, distance = -speed, -distance
+    side = {"left": 1.0, "right": -1.0}[sides[0]] if sides else 0.0
+    linear, lateral = (0.0, side * speed) if side else (speed, 0.0)
+    return _of_one_step(msg.Move(linear, lateral, 0.0, span, distance), robot)
+
+
+def _follow(texts: list[str], robot: Robot) -> msg.Instruction:
+    numbers = [_number(text, robot) for text in texts]
+    if not numbers or len(numbers) % 2:
+        raise _InvalidError("points have two numbers each")
+    return _of_one_step(msg.Follow(tuple(zip(numbers[::2], numbers[1::2], strict=True))), robot)
+
+
+def _wait(texts: list[str], robot: Robot) -> msg.Instruction:
+    words = _joined(texts)
+    if len(words) != 1:
+        raise _InvalidError("one time is needed")
+    return _of_one_step(msg.Wait(_quantity(words[0], robot, ("s",))), robot)
+
+
+def _dock(texts: list[str], robot: Robot) -> msg.Instruction:
+    if not 1 <= len(texts) <= 2:
+        raise _InvalidError("a marker is needed")
+    marker = _integer(10)(texts[0], robot)
+    assert isinstance(marker, int)
+    distance = _quantity(texts[1], robot, ("m",)) if len(texts) > 1 else 0.5
+    return _of_one_step(msg.Dock(marker, distance), robot)
+
+
+def _tool(texts: list[str], robot: Robot) -> msg.Instruction:
+    numbers = [_number(text, robot) for text in texts]
+    if len(numbers) not in (3, 6):
+        raise _InvalidError("a place has three numbers, and an attitude three more")
+    roll, pitch, yaw = map(radians, numbers[3:] or (0.0, 0.0, 0.0))
+    attitude = (roll, pitch, yaw) if numbers[3:] else None
+    return _of_one_step(msg.MoveTool(numbers[0], numbers[1], numbers[2], attitude), robot)
+
+
+def _mission(texts: list[str], robot: Robot) -> msg.Instruction:
+    if len(texts) != 1:
+        raise _InvalidError("one file is needed")
+    try:
+        return load_mission(texts[0], robot)
+    except (ConfigError, UserError) as error:
+        raise _InvalidError(str(error)) from error
+
+
+DEFAULT_SPEED = 0.2
+"""m/s, of a motion whose speed is not given"""
+
+
 # -- the commands ------------------------------------------------------------------------------
+
+
+def _no() -> Query:
+    """Stand for a command that is made of all its words."""
+    return Query("help")
 
 
 def _clear(motor: str = ALL) -> msg.ClearFault:
@@ -185,8 +308,24 @@ def _clear(motor: str = ALL) -> msg.ClearFault:
 COMMANDS: dict[str, _Command] = {
     "goal": _Command("X Y [YAW]", "drive to a place on the map [m, m, degrees]",
                      msg.Goal, (_number, _number, _angle("deg")), optional=1, of_base=True),
-    "drive": _Command("LINEAR ANGULAR", "drive by hand [m/s, rad/s]; repeat it before it times out",
-                      msg.Drive, (_number, _number), of_base=True),
+    "drive": _Command("LINEAR ANGULAR [LATERAL]",
+                      "drive by hand [m/s, rad/s, m/s to the left]; repeat it before it times out",
+                      msg.Drive, (_number, _number, _number), optional=1, of_base=True),
+    "mission": _Command("FILE", "do the steps of a mission file, or of one that ships", _no,
+                        of_words=_mission),
+    "turn": _Command("[left|right] ANGLE", "turn on the spot [degrees]", _no, of_words=_turn, of_base=True),
+    "move": _Command("[left|right] [SPEED] [for SECONDS s | METRES m]",
+                     "drive straight: move 2 m, move 0.3 for 2 m, move -0.2 for 3 s", _no, of_words=_move,
+                     of_base=True),
+    "follow": _Command("X,Y X,Y …", "drive along points on the map [m]", _no, of_words=_follow, of_base=True),
+    "wait": _Command("SECONDS", "stand still", _no, of_words=_wait),
+    "dock": _Command("MARKER [DISTANCE]", "stand before a marker, facing it [m]", _no, of_words=_dock,
+                     of_base=True),
+    "tool": _Command("X Y Z [ROLL PITCH YAW]", "arms: bring the tip to a place [m, degrees]", _no,
+                     of_words=_tool),
+    "pause": _Command("", "stand, and keep the mission", msg.Pause),
+    "resume": _Command("", "go on with a mission that was paused", msg.Resume),
+    "drop": _Command("", "give up the mission, and every goal", msg.Drop),
     "stop": _Command("[REASON]", "stop at once, and stay stopped until release", msg.Stop, free_text=True),
     "release": _Command("", "release stop", msg.Release),
     "clear": _Command("[MOTOR]", "clear the faults of a motor, or of all",

@@ -27,6 +27,14 @@ def status_text(session: Session) -> str:
         lines.append(f"pose: {pose.x:.3f} m, {pose.y:.3f} m, {degrees(pose.yaw):.1f} degrees")
     if belief.goal is not None:
         lines.append(f"goal: {belief.goal.x:g}, {belief.goal.y:g} m ({belief.reached} reached so far)")
+    if (mission := belief.mission) is not None:
+        at = f", step {mission.step} of {mission.steps}: {mission.text}" if mission.step else ""
+        why = f" ({mission.reason})" if mission.reason else ""
+        lines.append(f"mission: {mission.name}: {mission.phase}{why}{at}")
+    lines += [
+        f"{system.name}: {system.state}{f' ({system.reason})' if system.reason else ''}"
+        for system in belief.systems
+    ]
     for joint in gateway.joints.values():
         lines += _joint(joint, now)
     lines += _counters(gateway)

@@ -323,6 +323,12 @@ class Views:
     def _brain_status(self, belief: Belief) -> Message:
         values = {f"rejected {name}": str(count) for name, count in sorted(belief.rejected.items())}
         values["goals reached"] = str(belief.reached)
+        if (mission := belief.mission) is not None:
+            values["mission"] = (
+                f"{mission.name}: {mission.phase}, step {mission.step or '-'} of {mission.steps}"
+            )
+        for system in belief.systems:
+            values[system.name] = f"{system.state}: {system.reason}" if system.reason else system.state
         message = f"{belief.state.value}: {belief.reason}" if belief.reason else belief.state.value
         return ros_messages.diagnostic_status(
             self._types, _BRAIN_LEVELS[belief.state], "/gateway/brain", message, values

@@ -18,7 +18,7 @@ from math import isclose, isfinite
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from brain.bodies.joints import Joints
+from brain.bodies import bare
 from gateway.config.errors import unknown
 from gateway.core.clock import date
 from gateway.core.robot import Motor, Robot
@@ -89,8 +89,8 @@ class Interrupted(UserError):
 def motors_only(robot: Robot) -> Robot:
     """Return the robot without sensors and without a base: nothing commands its motors."""
     buses = {motor.bus: robot.buses[motor.bus] for motor in robot.motors.values()}
-    brain = replace(robot.brain, body="joints", differential=None, joints=Joints(tuple(robot.motors)))
-    world = robot.world if robot.brain.body == "joints" else None
+    brain = replace(robot.brain, body=bare(robot.motors))
+    world = robot.world if robot.brain.body.bare else None
     return replace(robot, world=world, buses=buses, sensors={}, brain=brain)
 
 

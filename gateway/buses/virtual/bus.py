@@ -22,8 +22,8 @@ import numpy as np
 from gateway.buses.virtual.medium import Medium, Transmission
 from gateway.buses.virtual.tamper import Tamper
 from gateway.core.robot import TWIN, BusSettings, Motor, Robot, Sensor
-from gateway.sim.files import STEP, BenchFile, ShaftFile
-from gateway.sim.load import load_world
+from gateway.sim.files import STEP, BenchFile, SceneFile, ShaftFile
+from gateway.sim.load import load_plant, load_world
 from gateway.sim.shafts import Shaft
 from gateway.sim.world import World
 from protocols.frames import BusState, Frame, Packet
@@ -39,7 +39,8 @@ def open_world(robot: Robot, seed: int) -> TwinWorld:
 
     Raises WorldError with every mistake at once."""
     file = BenchFile() if robot.world is None else load_world(robot.world)
-    return TwinWorld(robot, World(file, robot, seed), seed)
+    plant = load_plant(robot.plant) if robot.plant and isinstance(file, SceneFile) else None
+    return TwinWorld(robot, World(file, plant, robot, seed), seed)
 
 
 @dataclass(slots=True)

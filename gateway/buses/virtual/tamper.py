@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from gateway.buses.virtual.medium import Transmission
-from gateway.sim.world import Reading
+from gateway.sim.sensors import Reading
 from protocols.messages import Feedback
 
 
