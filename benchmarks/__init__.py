@@ -45,6 +45,8 @@ def bench(options: Namespace) -> int:
 
 def parts() -> dict[str, Callable[[Effort], list[Row]]]:
     """What is measured, in order. Processes first, while this one is still small."""
+    from benchmarks.arms import arms
+    from benchmarks.cars import cars
     from benchmarks.codec import codec
     from benchmarks.drive import driving
     from benchmarks.paths import paths
@@ -58,6 +60,8 @@ def parts() -> dict[str, Callable[[Effort], list[Row]]]:
         "codec": codec,
         "filter and map": perceive,
         "paths": paths,
+        "a car": cars,
+        "arms": arms,
         "a drive": driving,
     }
 

@@ -18,6 +18,7 @@ from benchmarks.measure import Call, Effort, in_turn, rival
 from benchmarks.rows import Row, against
 from brain.planning.astar import CellPath, Search
 from brain.planning.costmap import TILE, Costmap, PlannerSettings, Tile
+from brain.planning.footprint import Shape
 from brain.planning.snapshot import Snapshot
 from protocols.messages import Nanos
 
@@ -27,6 +28,7 @@ ROOMS = 8
 """Along each side."""
 SIZES = (200, 1000)
 Mask = npt.NDArray[np.bool_]
+POINT = Shape.circle(0.0)
 EVERYTHING: Nanos = 1 << 40
 """More expansions than any of these maps has cells."""
 
@@ -75,11 +77,12 @@ def rooms(size: int) -> Mask:
 
 
 class Picture:
-    """A map that does not change: cells of 1 m, blocked or free."""
+    """A map that does not change: cells blocked or free."""
 
-    version, resolution = 1, 1.0
+    version = 1
 
-    def __init__(self, blocked: Mask) -> None:
+    def __init__(self, blocked: Mask, resolution: float) -> None:
+        self.resolution = resolution
         tiles = -(-len(blocked) // TILE)
         padded = np.pad(np.where(blocked, 1, -1), (0, tiles * TILE - len(blocked)), constant_values=1)
         self._tiles = padded.astype(np.int8).reshape(tiles, TILE, tiles, TILE).swapaxes(1, 2)
@@ -98,10 +101,11 @@ class Picture:
         return 0, 0, len(self._tiles) * TILE, len(self._tiles) * TILE
 
 
-def ground_of(blocked: Mask) -> Snapshot:
+def ground_of(blocked: Mask, resolution: float = 1.0, shape: Shape = POINT) -> Snapshot:
     """All that is not a wall is free, and costs the same everywhere."""
-    house, corner = Picture(blocked), (0.5, 0.5)
-    costmap = Costmap(1.0, 0.0, PlannerSettings(margin=0.0, comfort=0.0))
+    house, corner = Picture(blocked, resolution), (0.5, 0.5)
+    settings = PlannerSettings(margin=0.0, comfort=0.0, dislike=0.0)
+    costmap = Costmap(resolution, shape.inner, settings, shape.outer)
     costmap.update(house, corner, 0)
     ground = Snapshot(costmap, house, corner, corner, ())
     ground.assemble(costmap, house, EVERYTHING)

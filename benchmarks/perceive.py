@@ -18,6 +18,7 @@ from benchmarks.rivals import BareFilterpy, BresenhamLoop, PlainNumpy
 from benchmarks.rows import Beside, Row, against
 from brain.belief import Pose
 from brain.bodies.differential import Differential
+from brain.bodies.plane import Twist
 from brain.perception import engine
 from brain.perception.body_scan import BodyScan, to_body, to_world
 from brain.perception.engine import SIZE, Move
@@ -35,7 +36,17 @@ EKF, GRID = (
 PERIOD: Nanos = 5 * MILLISECOND
 SPEED, TURN = 0.5, 0.4
 NOISE = np.array([[1e-9]])
-BODY = Differential("left", "right", 0.05, 0.22, 0.24, 0.6, 2.0, 0.8, 4.0)
+BODY = Differential(
+    left="left",
+    right="right",
+    wheel_radius=0.05,
+    wheel_separation=0.22,
+    radius=0.24,
+    max_linear=0.6,
+    max_angular=2.0,
+    max_linear_acceleration=0.8,
+    max_angular_acceleration=4.0,
+)
 BEAMS = 360
 SURE = np.diag([1e-6, 1e-6, 1e-8])
 """Covariance of the poses"""
@@ -91,7 +102,7 @@ class OurFilter:
     def step(self) -> None:
         """A period later, the next measurements."""
         self._t += PERIOD
-        left, right = (speed * seconds(self._t) for speed in BODY.inverse(SPEED, TURN))
+        left, right = ((one.velocity or 0.0) * seconds(self._t) for one in BODY.inverse(Twist(SPEED, TURN)))
         wheels = WheelAngle("left", self._t, left), WheelAngle("right", self._t, right)
         self.belief.observe((GyroRate("imu", self._t, TURN, 0.003), *wheels))
 

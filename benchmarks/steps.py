@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 
 from benchmarks.measure import Effort, Figures, figures
 from benchmarks.rows import Row, Target, span
-from brain.bodies.joints import Joints
+from brain.bodies import bare
 from gateway import config
 from gateway.buses.virtual.bus import open_world
 from gateway.core.clock import SimulatedClock, stopwatch
@@ -92,7 +92,7 @@ def first(robot: Robot, motors: int) -> Robot:
     kept = dict(islice(robot.motors.items(), motors))
     used = {motor.bus for motor in kept.values()}
     buses = {name: bus for name, bus in robot.buses.items() if name in used}
-    return replace(robot, motors=kept, buses=buses, brain=replace(robot.brain, joints=Joints(tuple(kept))))
+    return replace(robot, motors=kept, buses=buses, brain=replace(robot.brain, body=bare(kept)))
 
 
 def drive(robot: Robot, target: Callable[[str], Instruction], seconds: int) -> Drive:

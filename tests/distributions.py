@@ -25,13 +25,20 @@ class Site:
         monkeypatch.syspath_prepend(str(path))
 
     def install(
-        self, distribution: str, entry: str, source: str | None = None, module: str = "", more: str = ""
+        self,
+        distribution: str,
+        entry: str,
+        source: str | None = None,
+        module: str = "",
+        more: str = "",
+        group: str = GROUP,
     ) -> None:
-        """A distribution with one entry point, and a module if it has a source; `more` is metadata."""
+        """A distribution with one entry point, by default a protocol, and a module if it has a source; `more`
+        is metadata."""
         info = self.path / f"{distribution.replace('-', '_')}-1.0.dist-info"
         info.mkdir()
         (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {distribution}\nVersion: 1.0\n{more}")
-        (info / "entry_points.txt").write_text(f"[{GROUP}]\n{entry}\n")
+        (info / "entry_points.txt").write_text(f"[{group}]\n{entry}\n")
         module = module or entry.partition("=")[2].strip().partition(":")[0]
         self._forget(module)
         if source is not None:

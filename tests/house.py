@@ -16,6 +16,7 @@ ONLY: dict[str, tuple[str, ...]] = {
     "asyncio": (),
     "can": ("gateway.buses",),
     "concurrent": (),
+    "cv2": ("gateway.vision.camera",),
     "filterpy": ("brain.perception.engine", "benchmarks"),
     "matplotlib": ("gateway.cli.picture",),
     "lz4": RECORDINGS,

@@ -256,6 +256,24 @@ def test_no_vendor_is_named_outside_its_folder() -> None:
     assert not named, "\n".join(named)
 
 
+def test_no_body_is_named_outside_its_file() -> None:
+    bodies = PROJECT["project"]["entry-points"]["motor_gateway.bodies"]
+    kinds = [name for name in bodies if name != "joints"]  # which are also any motors
+    assert "differential" in kinds
+    classes = [value.partition(":")[2] for value in bodies.values()]
+    pattern = re.compile(
+        "|".join([*(rf"[\"']{name}\b" for name in kinds), *(rf"\b{name}\b" for name in classes)])
+    )
+    named = [
+        f"{path.relative_to(ROOT)}:{number}: {line.strip()}"
+        for path in SOURCES
+        if not path.is_relative_to(ROOT / "brain/bodies")
+        for number, line in enumerate(path.read_text().splitlines(), 1)
+        if pattern.search(line) and not line.lstrip().startswith(("#", '"""'))
+    ]
+    assert not named, "\n".join(named)
+
+
 # -- dependencies -------------------------------------------------------------------------------
 
 
@@ -274,7 +292,7 @@ def test_what_is_imported_is_declared_and_the_other_way_round() -> None:
     # A distribution may bring its module through another one (mujoco through mujoco-core).
     providers = {top: {top, *(name.lower() for name in distributions[top])} for top in outside}
     optional = PROJECT["project"]["optional-dependencies"]
-    declared = requirement_names([*PROJECT["project"]["dependencies"], *optional["sim"]])
+    declared = requirement_names([*PROJECT["project"]["dependencies"], *optional["sim"], *optional["camera"]])
     assert not {top for top, names in providers.items() if not names & declared}, "imported, not declared"
     assert not declared - set().union(*providers.values()), "declared, not imported"
     assert set().union(*OUTSIDE.values()) <= outside

@@ -26,6 +26,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("protocols", "brain", "gateway")
 CARRIED = {".py", ".toml", ".json", ".md", ".eds", ".typed"}
+KINDS = ("__init__.py", "robots/*.*", "worlds/*.toml", "plants/*.toml", "missions/*.toml", "vectors/*.json")
 LEFT_OUT = shutil.ignore_patterns("__pycache__", "*.egg-info")
 PROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
@@ -99,7 +100,7 @@ def test_it_carries_what_a_user_needs_and_nothing_else(wheel: Path) -> None:
     }
     data = {
         f"gateway/fixtures/{path.relative_to(ROOT / 'fixtures').as_posix()}"
-        for pattern in ("__init__.py", "robots/*.toml", "worlds/*.toml", "vectors/*.json")
+        for pattern in KINDS
         for path in (ROOT / "fixtures").glob(pattern)
     }
     assert names == code | data

@@ -17,7 +17,7 @@ import pytest
 import scipy.sparse
 import scipy.sparse.csgraph
 
-from benchmarks import codec, drive, measure, paths, perceive, process, rivals, rows, steps
+from benchmarks import arms, cars, codec, drive, measure, paths, perceive, process, rivals, rows, steps
 from benchmarks.__main__ import main
 from benchmarks.measure import Effort, Figures, NotMeasured, Rival
 from benchmarks.rows import Beside, Row, Target
@@ -26,6 +26,7 @@ from brain.perception import engine
 from brain.perception.body_scan import to_body
 from brain.perception.map import Map, MapSettings
 from brain.perception.mount import Mount
+from brain.planning.footprint import Footprint
 from gateway import config
 from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, SECOND, Feedback, Velocity
@@ -88,6 +89,8 @@ def test_every_row_is_there_once_and_in_order(run: Run) -> None:
         "1024 × 1024 cells of 0.05 m, beams of up to 12 m",
         "200 × 200 cells",
         "1000 × 1000 cells",
+        cars.WHAT,
+        *arms.WHAT,
         *drive.KINDS,
         *drive.REPLAYS,
         *drive.PARTS,
@@ -388,6 +391,17 @@ def test_our_way_is_as_long_as_that_over_the_graph(size: int) -> None:
         paths.length(scipy.sparse.csgraph, paths.graph(scipy.sparse, blocked)), abs=1e-9
     )
     assert ours > (size - 1) * math.sqrt(2.0)
+
+
+def test_a_car_may_be_where_its_footprint_fits() -> None:
+    ground = paths.ground_of(cars.pillars(), cars.CELL, cars.CAR)
+    free, footprint = cars.Free(ground), Footprint(cars.CAR, cars.CELL)
+    x, y, yaw = np.random.default_rng(5).uniform((0, 0, -4), (cars.LONG, cars.WIDE, 4), (3000, 3)).T
+    hit = footprint.collides(ground, x, y, yaw)
+    assert 0.02 < hit.mean() < 0.5
+    assert [free.at(*pose) for pose in zip(x, y, yaw, strict=True)] == (~hit).tolist()
+    assert not free.at(-0.1, 5.0, 0.0)
+    assert not free.at(5.0, cars.WIDE, 0.0)
 
 
 # -- steps, drives, processes ---------------------------------------------------------------------

@@ -10,8 +10,9 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra as scipy_dijkstra
 
-from brain.belief import Belief, Pose
-from brain.bodies.differential import Differential, arc
+from brain.belief import Belief, BrainTask, Pose
+from brain.bodies.differential import Differential
+from brain.bodies.plane import arc
 from brain.brain import Brain, BrainSettings
 from brain.perception.map import MapSettings
 from brain.perception.mount import Mount
@@ -20,6 +21,7 @@ from brain.planning.costmap import UNKNOWN
 from brain.planning.snapshot import Snapshot
 from protocols import messages as msg
 from protocols.messages import MILLISECOND, SECOND, Command, Event, Nanos, seconds
+from tests.brain.bodies.kinematics import rolled
 from tests.brain.perception.office import box, scan_at
 
 
@@ -46,7 +48,17 @@ def dijkstra(ground: Snapshot, start: int, goal: int, through_unknown: float = i
 
 # -- a kinematic office ------------------------------------------------------------------------
 
-BODY = Differential("left", "right", 0.05, 0.22, 0.25, 0.6, 2.0, 0.8, 4.0)
+BODY = Differential(
+    left="left",
+    right="right",
+    wheel_radius=0.05,
+    wheel_separation=0.22,
+    radius=0.25,
+    max_linear=0.6,
+    max_angular=2.0,
+    max_linear_acceleration=0.8,
+    max_angular_acceleration=4.0,
+)
 MOUNTS = {"lidar": Mount(x=0.12, z=0.12), "imu": Mount(z=0.05)}
 TIMEOUTS: dict[str, Nanos] = {
     "left": 100 * MILLISECOND,
@@ -125,11 +137,11 @@ class Office:
         turned = {name: (before[name] + rate) / 2.0 * dt for name, rate in self._rate.items()}
         for name, angle in turned.items():
             self._angle[name] += angle
-        distance, turn = self.body.forward(turned[self.body.left], turned[self.body.right])
+        distance, turn = rolled(self.body, turned[self.body.left], turned[self.body.right])
         distance *= 1.0 - self.noise.slip
         self.pose = arc(self.pose, distance, turn)
         self.speed = distance / dt
-        self._turn_rate = self.body.forward(self._rate[self.body.left], self._rate[self.body.right])[1]
+        self._turn_rate = rolled(self.body, self._rate[self.body.left], self._rate[self.body.right])[1]
         self.touched += self.touches()
         return self._events()
 
@@ -180,7 +192,7 @@ class Trip:
     ) -> None:
         self.office = office
         self.brain = Brain(
-            settings or BrainSettings("differential", office.body, perception=SMALL),
+            settings or BrainSettings(office.body, perception=SMALL),
             [office.body.left, office.body.right],
             MOUNTS,
             timeouts,
@@ -192,7 +204,7 @@ class Trip:
         self.log: list[Sequence[Command]] = []
         self.track: list[Pose] = []
 
-    def tick(self, tasks: Sequence[msg.Goal | msg.Drive | Command] = (), stopped: str = "") -> Belief:
+    def tick(self, tasks: Sequence[BrainTask] = (), stopped: str = "") -> Belief:
         """Step the office, then the brain."""
         events = self.office.step(self.commands)
         self.commands = self.brain.step(self.office.now, events, tasks, stopped)

@@ -15,12 +15,13 @@ import pytest
 
 from brain.base_brain import BaseBrain
 from brain.belief import BrainState, BrainTask, Pose
-from brain.bodies.differential import arc, wrap
 from brain.bodies.joints import Joints
+from brain.bodies.plane import arc, wrap
 from brain.brain import Brain, BrainSettings
+from brain.planning.costmap import PlannerSettings
 from protocols import messages as msg
-from protocols.messages import MILLISECOND, Command, Mode, Nanos
-from tests.brain.helpers import BODY, MOUNTS, ROOMS, TICK, TIMEOUTS, Noise, Office, Trip
+from protocols.messages import MILLISECOND, SECOND, Command, Mode, Nanos
+from tests.brain.helpers import BODY, MOUNTS, ROOMS, SMALL, TICK, TIMEOUTS, Noise, Office, Trip
 
 NEXT_ROOM = msg.Goal(4.5, -1.0)
 ACROSS = msg.Goal(-1.0, 3.0)
@@ -95,7 +96,7 @@ def test_every_motor_has_one_finite_command_at_every_step_within_the_limits() ->
         for command in commands:
             velocity = command.velocity if isinstance(command, msg.Velocity) else 0.0
             assert isfinite(velocity)
-            assert abs(velocity) <= BODY.wheel_speed + 1e-9
+            assert abs(velocity) <= BODY.top_speeds[0] + 1e-9
             per_step = max(per_step, abs(velocity - before[command.motor]))
             before[command.motor] = velocity
     # One control period at both largest accelerations.
@@ -131,7 +132,7 @@ def test_demand_high_speed() -> None:
         (14.0, -2.1, 14.1, 2.1),
     )
     office = Office((*long_hall, (6.0, -2.0, 6.5, 0.6)), body=fast)
-    trip = Trip(office, BrainSettings("differential", fast))
+    trip = Trip(office, BrainSettings(fast))
     belief = trip.go(msg.Goal(12.0, -1.0), span=30.0)
     assert belief.reached == 1
     assert from_goal(trip, msg.Goal(12.0, -1.0)) < 0.20
@@ -248,10 +249,13 @@ def test_a_lost_source_stops_the_base_and_nothing_resumes_by_itself() -> None:
     assert trip.go(ACROSS).reached == 1
 
 
+IMPATIENT = BrainSettings(BODY, perception=SMALL, planner=PlannerSettings(patience=8 * SECOND))
+
+
 def test_demand_stop_when_no_path_arrives() -> None:
     """A closed room: it searches for a path, stops, gives the reason, and disarms the motors."""
     closed = (*ROOMS, (2.0, 1.4, 2.1, 2.6))
-    trip = Trip(Office(closed))
+    trip = Trip(Office(closed), IMPATIENT)
     trip.tick([NEXT_ROOM])
     belief = trip.run(40.0, lambda b: b.state is BrainState.STOPPED)
     assert belief.state is BrainState.STOPPED
@@ -265,7 +269,7 @@ def test_demand_stop_when_no_path_arrives() -> None:
 
 
 def test_a_doorway_that_is_closed_on_the_way_stops_the_robot_in_front_of_it() -> None:
-    trip = Trip(Office())
+    trip = Trip(Office(), IMPATIENT)
     trip.tick([NEXT_ROOM])
     trip.run(40.0, lambda b: trip.office.pose.x > 1.2 and bool(b.path) and b.path[-1][0] > 2.5)
     trip.office.boxes.append((2.0, 1.4, 2.1, 2.6))
@@ -299,6 +303,21 @@ def test_initialising_until_every_source_reports_and_goals_wait_for_it() -> None
     belief = trip.run(1.0)
     assert belief.state is BrainState.RUNNING
     assert belief.goal == ACROSS
+
+
+def test_a_stop_before_the_first_motion_drops_what_waits_for_it() -> None:
+    office = Office()
+    office.silent = {"lidar"}
+    trip = Trip(office)
+    trip.tick([ACROSS])
+    trip.tick([ACROSS], stopped="stopped by hand")
+    trip.tick([msg.Mission("m", (ACROSS,))], stopped="stopped by hand")
+    refused = [text for _, text in trip.notes if text.endswith("refused: stopped by hand")]
+    assert [text.split()[0] for text in refused] == ["Goal", "Mission"]
+    office.silent = set()
+    belief = trip.run(1.0)
+    assert (belief.state, belief.goal, belief.mission) == (BrainState.READY, None, None)
+    assert all(map(all_idle, trip.log))
 
 
 def test_stop_disarms_at_once_and_release_does_not_resume() -> None:
@@ -356,7 +375,7 @@ def test_a_command_to_a_wheel_is_refused() -> None:
 
 def carrier() -> Brain:
     """A base with a mast."""
-    settings = BrainSettings(body="differential", differential=BODY)
+    settings = BrainSettings(BODY)
     return Brain(settings, ("left", "mast", "right"), MOUNTS, {**TIMEOUTS, "mast": 100 * MILLISECOND})
 
 
@@ -476,7 +495,7 @@ class TwoJoints:
 
     def __init__(self) -> None:
         timeouts = {"a": 100 * MILLISECOND, "b": 200 * MILLISECOND}
-        self.brain = Brain(BrainSettings("joints", joints=Joints(("a", "b"))), ["a", "b"], {}, timeouts)
+        self.brain = Brain(BrainSettings(Joints(motors=("a", "b"))), ["a", "b"], {}, timeouts)
         self.now, self.silent = 0, set[str]()
 
     def tick(

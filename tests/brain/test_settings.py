@@ -7,6 +7,7 @@ from math import inf, nan
 
 import pytest
 
+from brain.bodies.body import Base
 from brain.bodies.joints import Joints
 from brain.brain import Brain, BrainSettings
 from brain.control.pursuit import PursuitSettings
@@ -21,7 +22,7 @@ from brain.settings import changed, keys
 from protocols.messages import MILLISECOND, Goal, Nanos
 from tests.brain.helpers import BODY, MOUNTS, TIMEOUTS, Office, Trip
 
-SETTINGS = BrainSettings("differential", BODY)
+SETTINGS = BrainSettings(BODY)
 
 
 def test_every_key_takes_its_own_value_or_is_fixed_at_the_start() -> None:
@@ -45,7 +46,8 @@ def test_a_change_changes_that_and_nothing_else() -> None:
 
 def test_a_limit_is_lowered_and_raised_again_up_to_the_robot_file() -> None:
     slow, why = changed(SETTINGS, "differential.max_linear", 0.2, SETTINGS)
-    assert (slow.differential and slow.differential.max_linear, why) == (0.2, "")
+    assert isinstance(slow.body, Base)
+    assert (slow.body.max_linear, why) == (0.2, "")
     assert changed(slow, "differential.max_linear", 0.6, SETTINGS) == (SETTINGS, "")
 
 
@@ -58,7 +60,7 @@ def test_times_are_in_milliseconds_as_in_the_robot_file() -> None:
     ("key", "value", "message"),
     [
         ("pursuit.lookahed_time", 1.0, "did you mean 'pursuit.lookahead_time'"),
-        ("nothing like it", 1.0, "there are differential.wheel_radius"),
+        ("nothing like it", 1.0, "there are differential.radius"),
         ("pursuit", 1.0, "there is no setting 'pursuit'"),
         ("pursuit.lookahead_time", -1.0, "lookahead_time must be from 0.01 to 10 s, not -1"),
         ("pursuit.lookahead_min", 3.0, "lookahead_max must not be less than lookahead_min, 3"),
@@ -96,9 +98,9 @@ def test_a_change_is_obeyed_while_it_drives() -> None:
     assert 0.05 < max(rest) < 0.11
 
 
-def test_a_body_without_its_table_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"needs its table, brain\.differential"):
-        Brain(BrainSettings("differential"), ["left", "right"], MOUNTS, TIMEOUTS)
+def test_a_body_whose_joints_are_no_motors_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"brain\.differential names joints that are no motors: right"):
+        Brain(SETTINGS, ["left"], MOUNTS, {name: t for name, t in TIMEOUTS.items() if name != "right"})
 
 
 @pytest.mark.parametrize(
@@ -113,7 +115,7 @@ def test_a_body_without_its_table_is_refused() -> None:
 )
 def test_sources_and_timeouts_match_one_to_one(change: dict[str, Nanos | None], message: str) -> None:
     timeouts = {name: t for name, t in {**TIMEOUTS, **change}.items() if t is not None}
-    for settings in (SETTINGS, BrainSettings("joints", joints=Joints(("left", "right")))):
+    for settings in (SETTINGS, BrainSettings(Joints(motors=("left", "right")))):
         with pytest.raises(ValueError, match=message) as error:
             Brain(settings, ["left", "right"], MOUNTS, timeouts)
         assert str(error.value) == message
@@ -121,7 +123,7 @@ def test_sources_and_timeouts_match_one_to_one(change: dict[str, Nanos | None], 
 
 def test_a_wheel_that_is_no_motor_is_refused() -> None:
     timeouts = {name: t for name, t in TIMEOUTS.items() if name != "right"}
-    with pytest.raises(ValueError, match="wheels that are no motors: right"):
+    with pytest.raises(ValueError, match="joints that are no motors: right"):
         Brain(SETTINGS, ["left"], MOUNTS, timeouts)
 
 
@@ -143,10 +145,11 @@ def test_a_motor_and_a_sensor_of_one_name_are_refused() -> None:
         (
             BrainSettings,
             {
+                "body": BODY,
                 "perception": PerceptionSettings(map=MapSettings(0.01, 4.0, 4.0)),
                 "planner": PlannerSettings(margin=1.0, comfort=2.0),
             },
-            "planner: the footprint's radius, margin and comfort are 3 m, 300 cells of the map",
+            "planner: the footprint's radius, margin and comfort are 3.25 m, 325 cells of the map",
         ),
     ],
 )

@@ -14,10 +14,22 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from brain.belief import Pose
-from brain.bodies.differential import Differential, sinc, wrap
+from brain.bodies.differential import Differential
+from brain.bodies.plane import sinc, wrap
 from protocols.messages import MILLISECOND, SECOND, Event, Feedback, LaserScan, Nanos
+from tests.brain.bodies.kinematics import speeds
 
-BODY = Differential("left", "right", 0.1, 0.4, 0.3, 20.0, 50.0, 2.0, 6.0)
+BODY = Differential(
+    left="left",
+    right="right",
+    wheel_radius=0.1,
+    wheel_separation=0.4,
+    radius=0.3,
+    max_linear=20.0,
+    max_angular=50.0,
+    max_linear_acceleration=2.0,
+    max_angular_acceleration=6.0,
+)
 """Stands for both robots: only its kinematics are used, forth and back, so that its figures cancel."""
 MOST_RANGE = 40.0
 """m; a longer reading is none"""
@@ -40,7 +52,7 @@ def events(path: Path) -> Iterator[Event]:
         at = 1 if fields[0] == "ODOM" else 2 + int(fields[1]) + 3
         pose = Pose(*map(float, fields[at : at + 3]))
         if before is not None:
-            turned = BODY.inverse(*arc_between(before, pose))
+            turned = speeds(BODY, *arc_between(before, pose))
             left, right = left + turned[0], right + turned[1]
         before = pose
         if t > last:

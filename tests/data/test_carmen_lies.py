@@ -14,6 +14,7 @@ from brain.perception.body_scan import to_body
 from brain.perception.motion_check import MotionCheck
 from brain.perception.mount import Mount
 from protocols.messages import Feedback, LaserScan, Nanos
+from tests.brain.perception.rolling import shown
 from tests.data.carmen import BODY, events
 
 
@@ -34,7 +35,7 @@ def test_hardly_anything_contradicts(
             if event.motor == "right":
                 t, left, right = last
                 last = event.t, wheels["left"], wheels["right"]
-                check.on_wheels(t, event.t, last[1] - left, last[2] - right)
+                check.on_wheels(t, event.t, *shown(BODY, (left, right), last[1:]))
         elif isinstance(event, LaserScan):
             check.on_scan("lidar", event.t, to_body(event, Mount(x=ahead), 20.0))
             confirmed = [one.reason for one in check.contradictions() if one.confirmed]

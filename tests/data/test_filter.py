@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
+from brain.bodies.body import Base
 from brain.bodies.differential import Differential
 from brain.perception.filter import Filter
 from brain.perception.filter_inputs import GyroRate, Input, PoseFix, WheelAngle
@@ -19,12 +20,23 @@ from gateway import config
 from gateway.rosbag import read
 from gateway.rosbag.trajectory_error import east_north, path_error
 from protocols.messages import SECOND, Feedback, Fix, Imu
+from tests.brain.bodies.kinematics import speeds
 
 SKID = FilterSettings(
     resolution=1e-3, jitter=1e-3, turn_slip=1.0, slip_bound=1.0, bias_sigma=1e-3, bias_walk=1e-6
 )
 """Of a base that turns by slipping the wheels tell the distance, and the gyro the turn."""
-MOWER = Differential("left", "right", 0.2, 1.0, 0.5, 3.0, 3.0, 2.0, 4.0)
+MOWER = Differential(
+    left="left",
+    right="right",
+    wheel_radius=0.2,
+    wheel_separation=1.0,
+    radius=0.5,
+    max_linear=3.0,
+    max_angular=3.0,
+    max_linear_acceleration=2.0,
+    max_angular_acceleration=4.0,
+)
 
 
 @pytest.mark.parametrize("engine", ["structured", "filterpy"])
@@ -33,8 +45,8 @@ def test_husky_by_wheels_and_gyro(
 ) -> None:
     """At most 3.1 m from its receiver: the best that others make of these sensors is 2.9 to 3.1."""
     robot = config.load_robot("husky")
-    body = robot.brain.differential
-    assert body is not None
+    body = robot.brain.body
+    assert isinstance(body, Base)
     bag = read(recording("husky/husky.bag"), robot.bag, body)
     up = robot.sensors["imu"].mount.rotation()[2]
     belief, path, fixes = Filter(body, replace(SKID, engine=engine)), [], []
@@ -64,7 +76,7 @@ def test_a_mower_for_half_an_hour(recording: Callable[[str], Path]) -> None:
     for k in range(len(rolled) + 1):
         t = int((truth[k, 0] - truth[0, 0]) * SECOND)
         if k:
-            angles = angles + MOWER.inverse(*rolled[k - 1, 1:3])
+            angles = angles + speeds(MOWER, *rolled[k - 1, 1:3])
         inputs: list[Input] = [
             WheelAngle(m, t, float(a)) for m, a in zip(("left", "right"), angles, strict=True)
         ]

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from brain.bodies.body import Base
 from brain.perception.mount import Mount
 from gateway import config
 from gateway.cli.main import main
@@ -30,8 +31,8 @@ def husky() -> Robot:
 
 @pytest.fixture(scope="module")
 def bag(recording: Callable[[str], Path], husky: Robot) -> Bag:
-    body = husky.brain.differential
-    assert body is not None
+    body = husky.brain.body
+    assert isinstance(body, Base)
     return read(recording(BAG), husky.bag, body)
 
 

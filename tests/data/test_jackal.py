@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+from brain.bodies.body import Base
 from gateway import config
 from gateway.cli.main import main
 from gateway.rosbag import read
@@ -26,8 +27,8 @@ BAG = "jackal/jackal.bag"
 
 def test_it_ends_where_another_filter_does(recording: Callable[[str], Path]) -> None:
     robot = config.load_robot("jackal")
-    body = robot.brain.differential
-    assert body is not None
+    body = robot.brain.body
+    assert isinstance(body, Base)
     bag = read(recording(BAG), robot.bag, body)
     assert [(t.role, t.count, t.used) for t in bag.topics] == [
         ("sensors.imu", 3061, 3061),

@@ -11,12 +11,13 @@ from pathlib import Path
 
 import pytest
 
+from brain.bodies.body import Base
 from gateway.cli.main import main
 from gateway.core.robot import BagTopics
 from gateway.errors import BagError
 from gateway.rosbag import is_bag, read
 from gateway.rosbag.evaluate import evaluate
-from tests.gateway.bag_helpers import ROBOT, rover
+from tests.gateway.bag_helpers import ROBOT, body_of, rover
 
 DAMAGED = "odd/laser_scan_matcher_demo.bag"
 TILTED = "odd/tilt_laser.bag"
@@ -24,8 +25,7 @@ SIMULATED = "turtlebot3/turtlebot3.bag"
 TELEMETRY = "f110/vesc.bag"
 
 ROVER = rover()
-BODY = ROVER.brain.differential
-assert BODY is not None
+BODY = body_of(ROVER)
 
 
 @pytest.mark.parametrize("option", [[], ["-O"]], ids=["python", "python -O"])
@@ -49,7 +49,6 @@ def test_a_damaged_bag_is_a_sentence(recording: Callable[[str], Path], option: l
 
 def test_a_bag_without_odometry_is_told_what_there_is(recording: Callable[[str], Path]) -> None:
     """Types that are in no store (they stand in the bag) hinder nothing."""
-    assert BODY is not None
     path = recording(TILTED)
     assert is_bag(path)
     with pytest.raises(BagError) as reported:
@@ -82,8 +81,8 @@ def test_a_simulated_drive(recording: Callable[[str], Path]) -> None:
     text = ROBOT.replace('truth = "/fix"\n', "").replace('"/imu/data"', '"/imu"')
     text = text.replace("wheel_radius = 0.1", "wheel_radius = 0.033").replace("= 0.5\n", "= 0.287\n")
     robot = rover(text)
-    body = robot.brain.differential
-    assert body is not None
+    body = robot.brain.body
+    assert isinstance(body, Base)
     bag = read(recording(SIMULATED), robot.bag, body)
     assert {t.name: t.used for t in bag.topics if t.role} == {"/imu": 2253, "/odom": 2741}
     evaluation = evaluate(bag, robot)

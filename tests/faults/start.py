@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
+from brain.bodies.body import Base
 from gateway import config
 from gateway.buses.virtual.bus import TwinBus, TwinWorld, open_world
 from gateway.core.clock import SimulatedClock
@@ -143,8 +144,8 @@ class UnderWay:
 
     def wheels(self) -> tuple[str, ...]:
         """Return the names of a base's wheels; () of none."""
-        body = self.robot.brain.differential
-        return (body.left, body.right) if body else ()
+        body = self.robot.brain.body
+        return body.joints if isinstance(body, Base) else ()
 
 
 class Warm:

@@ -17,7 +17,8 @@ from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_typestore
 
 from brain.belief import Pose
-from brain.bodies.differential import Differential, arc
+from brain.bodies.differential import Differential
+from brain.bodies.plane import arc
 from gateway.config import parse_robot
 from gateway.core.robot import Robot
 from protocols.messages import MILLISECOND, SECOND, Nanos
@@ -248,6 +249,6 @@ def rover(text: str = ROBOT) -> Robot:
 
 
 def body_of(robot: Robot) -> Differential:
-    body = robot.brain.differential
-    assert body is not None
+    body = robot.brain.body
+    assert isinstance(body, Differential)
     return body

@@ -10,7 +10,7 @@ import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Union, get_args, get_origin, get_type_hints
+from typing import Any, Union, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
 from hypothesis import strategies as st
@@ -154,10 +154,14 @@ def _of(hint: object) -> st.SearchStrategy[Any]:
     }
     if hint in plain:
         return plain[hint]
+    if hint in (msg.Repeat, msg.Try):  # they hold steps, too
+        return st.builds(msg.Try, st.just((msg.Wait(1.0),)))
+    if hint in CODES.values():
+        return messages([cast("type[Message]", hint)])
     arguments = get_args(hint)
     if get_origin(hint) is tuple:
         if arguments[-1] is Ellipsis:
-            return st.lists(_of(arguments[0]), max_size=5).map(tuple)
+            return st.lists(_of(arguments[0]), max_size=3).map(tuple)
         return st.tuples(*(_of(a) for a in arguments))
     assert get_origin(hint) is Union or type(hint).__name__ == "UnionType", hint
     return st.one_of(*(_of(a) for a in arguments))

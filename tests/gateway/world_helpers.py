@@ -9,7 +9,8 @@ from functools import cache
 
 from gateway.config import parse_robot
 from gateway.core.robot import Robot
-from gateway.sim import SceneFile, World, WorldFile, parse_world
+from gateway.sim import PlantFile, SceneFile, World, WorldFile, parse_plant, parse_world
+from gateway.sim.sensors import Reading
 from protocols.messages import Imu, LaserScan
 
 RADIUS, SEPARATION = 0.05, 0.22
@@ -78,9 +79,16 @@ timeout_ms = 500
 ROOM = """
 kind = "scene"
 name = "room"
-[body]
-left = { motor = "left" }
-right = { motor = "right" }
+"""
+PLANT = """
+kind = "wheels"
+name = "rover"
+[body.wheels]
+left = { motor = "left", y = 0.11 }
+right = { motor = "right", y = -0.11 }
+[body.casters]
+front = { x = 0.16 }
+rear = { x = -0.16 }
 [lidars.lidar]
 [imus.imu]
 """
@@ -104,7 +112,7 @@ size = [0.4, 1.0, 0.5]
 @cache
 def robot(world: str = "", lidar: str = "x = 0.0", imu: str = "x = 0.0", sensors: bool = True) -> Robot:
     """Two plain motors (gear 8, the right one mounted the other way round), with lidar and IMU."""
-    text = BASE.format(world=f'world = "{world}"' if world else "")
+    text = BASE.format(world=f'world = "{world}"\nplant = "diffbot"' if world else "")
     return parse_robot(text + SENSORS.format(lidar=lidar, imu=imu) if sensors else text)
 
 
@@ -115,11 +123,20 @@ def scene(text: str = ROOM) -> SceneFile:
     return file
 
 
+def plant(text: str = PLANT) -> PlantFile:
+    """A plant from its text."""
+    return parse_plant(text)
+
+
 def world(
-    file: WorldFile | None = None, seed: int = 1, lidar: str = "x = 0.0", imu: str = "x = 0.0"
+    file: WorldFile | None = None,
+    seed: int = 1,
+    lidar: str = "x = 0.0",
+    imu: str = "x = 0.0",
+    made: PlantFile | None = None,
 ) -> World:
     """A world with the robot in it."""
-    return World(file or scene(), robot(lidar=lidar, imu=imu), seed)
+    return World(file or scene(), made or plant(), robot(lidar=lidar, imu=imu), seed)
 
 
 @dataclass
@@ -128,7 +145,7 @@ class Driver:
 
     world: World
     gathered: dict[str, float] = field(default_factory=lambda: {"left": 0.0, "right": 0.0})
-    readings: list[Imu | LaserScan] = field(default_factory=list)
+    readings: list[Reading] = field(default_factory=list)
     encoders: list[tuple[float, float]] = field(default_factory=lambda: [(0.0, 0.0)])
     """rad, left and right, every 10 ms"""
     truths: list[tuple[float, float, float]] = field(default_factory=list)

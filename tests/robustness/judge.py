@@ -19,19 +19,18 @@ import numpy as np
 
 from brain.base_brain import BaseBrain
 from brain.belief import BrainState, Pose
+from brain.bodies.differential import Differential
 from brain.brain import Brain
 from gateway.config import load_robot
 from gateway.core.robot import Robot
 from protocols.messages import MILLISECOND, SECOND, Command, Drive, Goal, Nanos, seconds
-from tests.robustness.plant import TICK, Base, Figures, Scene, scene
+from tests.robustness.plant import OWN, TICK, Base, Figures, Scene, scene
 
 NEAR = 0.1
 """m, of a goal that is truly reached, and of a pose that is found again; with `NEAR_YAW`"""
 NEAR_YAW = math.radians(5.0)
 STANDING = 0.01
 """m/s, below which the base stands"""
-OWN = 0.05
-"""m/s, from which on a contact is by own motion"""
 MOST_NEES = 10.0
 NOTICED = 10.0
 """s, within which a note must have the case's word"""
@@ -179,8 +178,8 @@ class _Trial:
 
     def __init__(self, case: Case, seed: int) -> None:
         around, robot = scene(case.world), diffbot()
-        body, mount = robot.brain.differential, robot.sensors["lidar"].mount
-        assert body is not None
+        body, mount = robot.brain.body, robot.sensors["lidar"].mount
+        assert isinstance(body, Differential)
         if case.start is not None:
             around = Scene(around.solids, case.start, around.tour)
         lidar = (mount.x, mount.y, mount.yaw)

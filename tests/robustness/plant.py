@@ -16,7 +16,8 @@ from functools import cache
 import numpy as np
 
 from brain.belief import Floats, Pose
-from brain.bodies.differential import Differential, arc
+from brain.bodies.differential import Differential
+from brain.bodies.plane import arc, moved
 from gateway.sim import SceneFile, load_world
 from gateway.sim.mjcf import Polygon, outlines
 from protocols import messages as msg
@@ -25,6 +26,8 @@ from protocols.messages import MILLISECOND, SECOND, Command, Event, Nanos, secon
 STEP: Nanos = 5 * MILLISECOND
 """Time between two poses; beams see the poses between them."""
 TICK: Nanos = 10 * MILLISECOND
+OWN = 0.05
+"""m/s, from which on a contact is by own motion"""
 HALF_LENGTH, HALF_WIDTH = 0.2, 0.12
 """m, half the outline of the base with its wheels"""
 STRETCHES = 20
@@ -106,6 +109,8 @@ class Person:
     vx: float
     vy: float
     radius: float = 0.2
+    left: float = math.inf
+    """s until it is gone"""
 
 
 @dataclass(slots=True)
@@ -230,6 +235,26 @@ class Base:
         """Stop the events of a motor or sensor for a time [s]."""
         self.silent[source] = self.now + (round(span * SECOND) if math.isfinite(span) else 2**62)
 
+    def meet(self, name: str, ahead: float, side: float, bearing: float, speed: float) -> None:
+        """A person comes to a place this far ahead and to the left, and walks straight on there, whatever is
+        in the way, from wall to wall: from the bearing nearest to the one asked for at which it begins at
+        least 2.5 m from the base."""
+        at = moved(self.pose, Pose(ahead, side, bearing))
+        self.walk(name, at, speed)
+
+    def walk(self, name: str, at: Pose, speed: float) -> None:
+        """The same, by the place and the bearing in the world."""
+        for turn in sorted(np.linspace(-math.pi, math.pi, 25).tolist(), key=abs):
+            yaw = at.yaw + turn
+            both = np.array([yaw + math.pi, yaw])
+            back, on = (cast(self._all, (), np.array([[at.x, at.y]] * 2), both, 4.0) - 0.3).tolist()
+            c, s = math.cos(yaw), math.sin(yaw)
+            x, y = at.x - back * c, at.y - back * s
+            if back > 0.5 and math.dist((x, y), (self.pose.x, self.pose.y)) > 2.5:
+                way = back + max(on, 0.0)
+                self.people[name] = Person(x, y, speed * c, speed * s, 0.25, way / speed)
+                return
+
     def cross(self, ahead: float, side: float, speed: float) -> None:
         """A person sets out this far ahead and to the left, and walks across to the right."""
         c, s = math.cos(self.pose.yaw), math.sin(self.pose.yaw)
@@ -278,6 +303,8 @@ class Base:
         for person in self.people.values():
             person.x += person.vx * dt
             person.y += person.vy * dt
+            person.left -= dt
+        self.people = {name: person for name, person in self.people.items() if person.left > 0.0}
 
     def at(self, t: Nanos) -> Pose:
         """Return the true pose at a time within the last 2 s."""

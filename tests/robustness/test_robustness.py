@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 
 from brain.belief import Pose
+from brain.bodies.differential import Differential
 from tests.robustness.judge import Case, diffbot, run
 from tests.robustness.plant import HALF_LENGTH, HALF_WIDTH, Base, Figures, Person, cast, rectangle, scene
-from tests.robustness.variations import MORE, TABLE, office
+from tests.robustness.variations import MORE, TABLE, office, people
 
 
 def base() -> Base:
     """A base in the office, alone with one box."""
-    body = diffbot().brain.differential
-    assert body is not None
+    body = diffbot().brain.body
+    assert isinstance(body, Differential)
     built = Base(scene("office"), body, (0.1, 0.0, 0.0), Figures(), 1)
     for name in list(built.solids):
         built.remove(name)
@@ -66,3 +67,9 @@ def test_the_first_seconds_of_a_case_of_the_table_are_good(name: str) -> None:
     case: Case = next(each for each in (*TABLE, *MORE) if each.name == name)
     row = run(replace(case, limit=8.0), 1)
     assert row.good, row.line()
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_person_who_walks_on_is_not_touched_in_motion(seed: int) -> None:
+    """The first of three; 100 runs with all of them: `./go prove -k people`."""
+    assert run(replace(people(seed), limit=7.0), seed).contacts == []

@@ -12,13 +12,13 @@ import pytest
 
 from gateway.buses.virtual.bus import TwinWorld, open_world
 from gateway.core.robot import Motor, Robot, Sensor
-from gateway.sim import World, WorldError, WorldFile, load_world, parse_world
+from gateway.sim import World, WorldError, WorldFile, load_plant, load_world, parse_world
 from protocols import messages as msg
 from protocols.conformance.bench import TwinWrapper
 from protocols.frames import BusState, Frame, Packet
 from protocols.messages import MILLISECOND, Command, Event, Mode, Nanos
 from protocols.plugin import Device, Driver, Plugin, Twin
-from tests.gateway.world_helpers import ROOM, WALLS, robot, scene
+from tests.gateway.world_helpers import ROOM, WALLS, plant, robot, scene
 
 PERIOD = 5 * MILLISECOND
 BENCH = 'kind = "bench"\nname = "bench"\n'
@@ -65,7 +65,9 @@ class Rig:
 
 def rig(file: WorldFile | None = None, made: Robot | None = None, seed: int = 1, now: Nanos = 0) -> Rig:
     made = made or robot(sensors=file is None or file.kind == "scene")
-    twins = TwinWorld(made, World(file or scene(), made, seed), seed)
+    twins = TwinWorld(
+        made, World(file or scene(), load_plant(made.plant) if made.plant else plant(), made, seed), seed
+    )
     devices: list[Motor | Sensor] = [*made.motors.values(), *made.sensors.values()]
     drivers = {}
     for bus in twins.buses:

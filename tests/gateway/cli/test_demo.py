@@ -11,7 +11,9 @@ from typing import NamedTuple
 
 import pytest
 
+from brain.bodies.body import Base
 from gateway import config
+from gateway.cli.tour import Leg
 from gateway.recording import read_recording
 from protocols.messages import Feedback, Imu, LaserScan, State
 
@@ -127,3 +129,40 @@ def test_one_changed_limit_is_found_and_named_and_the_exit_status_is_1(drive: Dr
     compared = re.search(r"(\d+) packets with", done.stdout)
     assert compared
     assert int(compared[1]) > 100
+
+
+# -- other bodies, and missions -----------------------------------------------------------------------
+
+SIDEWAYS = """
+[[steps]]
+drive = 0.0
+left = 0.3
+distance = 0.15
+
+[[steps]]
+wait = 0.1
+"""
+
+
+def test_a_mission_of_another_body(tmp_path: Path) -> None:
+    mission = tmp_path / "sideways.toml"
+    mission.write_text(SIDEWAYS)
+    out = tmp_path / "out"
+    done = gateway("demo", "--fast", "--robot", "mecanum", "--mission", str(mission), "--out", str(out))
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "mission sideways done" in done.stdout
+    driven = re.search(r"path driven: ([\d.]+) m", done.stdout)
+    assert driven
+    assert 0.12 < float(driven[1]) < 0.2
+    assert (out / "demo.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("planned", "seconds"),
+    [(0.2, 1.0), (0.45, 1.5), (4.5, 8.25)],  # by hand: s = a t² / 4 up to v² / a, then s / v + v / a
+)
+def test_the_least_time_of_a_leg(planned: float, seconds: float) -> None:
+    body = config.load_robot("diffbot").brain.body
+    assert isinstance(body, Base)
+    assert (body.max_linear, body.max_linear_acceleration) == (0.6, 0.8)
+    assert Leg(0, planned).least(body) == pytest.approx(seconds)

@@ -192,8 +192,7 @@ def test_the_robot_is_reduced_to_one_slow_motor() -> None:
         whole.motors["right"].joint.limits, velocity=DEFAULT_SHARE * 20.0
     )
     assert robot.sensors == {}
-    assert robot.brain.joints is not None
-    assert robot.brain.joints.motors == ("right",)
+    assert robot.brain.body.joints == ("right",)
     assert single_motor(whole, "left", 20.0).motors["left"].joint == whole.motors["left"].joint
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, is_dataclass
+from pathlib import Path
 from types import NoneType
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
@@ -11,6 +13,7 @@ import pytest
 
 from brain.bodies.differential import Differential
 from brain.settings import AT_RUN_TIME, BrainSettings, changed, keys
+from gateway.config.bodies import load_body, names
 from gateway.config.errors import Mistakes
 from gateway.config.robot_file import _Top
 from gateway.config.schema import build
@@ -18,15 +21,39 @@ from gateway.config.schema import keys as keys_in_file
 from gateway.config.sections import _Bus, _Connection, _Mounting
 from gateway.core.joint import JointSettings
 from gateway.sim.files import BenchFile, SceneFile
+from gateway.sim.load import PLANTS
 from protocols.plugin import load_all
 
+ROBOTS = Path(__file__).resolve().parents[3] / "fixtures/robots"
 PLUGINS = load_all()[0]
 ROOTS = (
-    *(BrainSettings, _Top, _Bus, _Connection, _Mounting, JointSettings, BenchFile, SceneFile),
+    *(
+        BrainSettings,
+        _Top,
+        _Bus,
+        _Connection,
+        _Mounting,
+        JointSettings,
+        BenchFile,
+        SceneFile,
+        *PLANTS.values(),
+    ),
     *(kind for plugin in PLUGINS for kind in (plugin.options, plugin.settings)),
+    *map(load_body, names()),
 )
 UNBOUNDED = {"protocols.plain.twin.Settings.serial"}
 """What 64 bits hold: an identifier."""
+
+
+def _examples() -> dict[str, dict[str, Any]]:
+    """Return a table of each dataclass that is checked only if complete: bodies by robot files."""
+    brains = [tomllib.loads(path.read_text())["brain"] for path in sorted(ROBOTS.glob("*.toml"))]
+    zone = {"corners": [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], "kind": "slow", "speed": 1.0}
+    bodies = {load_body(brain["body"]).__name__: brain[brain["body"]] for brain in brains}
+    return {**bodies, "Zone": zone}
+
+
+EXAMPLES = _examples()
 
 
 def dataclasses_in(hint: Any) -> Iterator[type]:
@@ -62,7 +89,7 @@ def unbounded(kind: type) -> list[str]:
         for huge in (1e300, -1e300):
             for value in numbers_in(hints[field.name], huge):
                 mistakes = Mistakes("f", "")
-                build(kind, {key: value}, (), mistakes)
+                build(kind, {**EXAMPLES.get(kind.__name__, {}), key: value}, (), mistakes)
                 if not any(one.key == key for one in mistakes.error().mistakes):
                     found.append(f"{kind.__module__}.{kind.__qualname__}.{field.name}")
     return found
@@ -89,8 +116,20 @@ def test_a_number_without_bounds_is_found() -> None:
     assert unbounded(Careless) == [f"{__name__}.Careless.gain"] * 2
 
 
-BASE = Differential("left", "right", 0.05, 0.22, 0.25, 0.6, 2.0, 0.8, 4.0, max_wheel_speed=20.0)
-SETTINGS = BrainSettings("differential", BASE)
+BASE = Differential(
+    left="left",
+    right="right",
+    wheel_radius=0.05,
+    wheel_separation=0.22,
+    radius=0.25,
+    max_linear=0.6,
+    max_angular=2.0,
+    max_linear_acceleration=0.8,
+    max_angular_acceleration=4.0,
+    max_wheel_speed=20.0,
+    max_lateral=0.5,
+)
+SETTINGS = BrainSettings(BASE)
 KEYS = dict(keys(SETTINGS))
 
 
@@ -101,7 +140,11 @@ def test_set_keeps_the_bounds(value: float) -> None:
 
 
 def test_set_never_widens_what_the_file_allows_and_may_go_back() -> None:
-    directions = {key: direction for direction, _, names in AT_RUN_TIME for key in names.split()}
+    directions = {
+        key.replace("body.", f"{BASE.kind}."): direction
+        for direction, _, names in AT_RUN_TIME
+        for key in names.split()
+    }
     assert directions.keys() <= KEYS.keys()
     for key, in_file in KEYS.items():
         direction = directions.get(key)

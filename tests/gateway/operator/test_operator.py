@@ -18,7 +18,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.config import load_robot
+from gateway.config import load_mission, load_robot
 from gateway.core.robot import Robot
 from gateway.errors import OperatorError
 from gateway.operator import Operator, ask, socket_path
@@ -27,9 +27,14 @@ from gateway.operator.server import MAX_CLIENTS, MAX_LINE, MAX_LINES, socket_fol
 from protocols import messages as msg
 
 DIFFBOT = load_robot("diffbot")
-BENCH = load_robot("bench")
+BENCH, ARM = load_robot("bench"), load_robot("arm")
 MIXED = load_robot("diffbot_mixed")
 """A base that carries a mast."""
+
+
+def one(name: str, step: msg.Step) -> msg.Mission:
+    return msg.Mission(name, (step,))
+
 
 # -- the commands ------------------------------------------------------------------------------
 
@@ -39,6 +44,21 @@ LINES: list[tuple[Robot, str, msg.Instruction | Query | None]] = [
     (DIFFBOT, "GOAL 2 1.5 -90deg", msg.Goal(2.0, 1.5, -math.pi / 2)),
     (DIFFBOT, "goal 2 1.5 1.25rad", msg.Goal(2.0, 1.5, 1.25)),
     (DIFFBOT, "drive 0.2 -1e-1", msg.Drive(0.2, -0.1)),
+    (DIFFBOT, "drive 0.2 0 0.1", msg.Drive(0.2, 0.0, 0.1)),
+    (DIFFBOT, "turn 30deg", one("turn 30° to the left", msg.Turn(math.pi / 6))),
+    (DIFFBOT, "turn right 30", one("turn 30° to the right", msg.Turn(-math.pi / 6))),
+    (DIFFBOT, "move 0.5 for 3 s", one("drive 0.5 m/s for 3 s", msg.Move(0.5, seconds=3.0))),
+    (DIFFBOT, "move 2 m", one("drive 0.2 m/s for 2 m", msg.Move(0.2, distance=2.0))),
+    (DIFFBOT, "move -1m", one("drive -0.2 m/s for 1 m", msg.Move(-0.2, distance=1.0))),
+    (DIFFBOT, "follow 1,2 3,4", one("follow 2 points to (3, 4)", msg.Follow(((1.0, 2.0), (3.0, 4.0))))),
+    (DIFFBOT, "wait 5 s", one("wait 5 s", msg.Wait(5.0))),
+    (ARM, "tool 0.3 0 0.2", one("bring the tool to (0.3, 0, 0.2)", msg.MoveTool(0.3, 0.0, 0.2))),
+    (BENCH, "wait 5", one("wait 5 s", msg.Wait(5.0))),
+    (DIFFBOT, "dock 3 0.4m", one("dock 0.4 m before marker 3", msg.Dock(3, 0.4))),
+    (DIFFBOT, "mission rounds", load_mission("rounds")),
+    (DIFFBOT, "pause", msg.Pause()),
+    (DIFFBOT, "resume", msg.Resume()),
+    (DIFFBOT, "drop", msg.Drop()),
     (DIFFBOT, "stop", msg.Stop()),
     (DIFFBOT, "stop a cat is in the way", msg.Stop("a cat is in the way")),
     (DIFFBOT, "  release  ", msg.Release()),
@@ -87,11 +107,20 @@ def test_every_command_is_tested_and_in_the_help() -> None:
 
 WRONG: list[tuple[Robot, str, str]] = [
     (DIFFBOT, "gaol 1 2", "did you mean 'goal'?"),
-    (DIFFBOT, "jump", "no command 'jump': there is goal, drive, stop"),
+    (DIFFBOT, "jump", "no command 'jump': there is goal, drive, mission"),
     (DIFFBOT, "goal", "an argument is missing; expected: goal X Y [YAW]"),
     (DIFFBOT, "goal 1", "an argument is missing; expected: goal X Y [YAW]"),
     (DIFFBOT, "goal 1 2 3 4", "'4' is one argument too many; expected: goal X Y [YAW]"),
     (DIFFBOT, "goal 1 x", "'x' is not a number"),
+    (DIFFBOT, "move left 1 m", "this base does not move sideways"),
+    (DIFFBOT, "move 9 m/s for 1 s", "its linear speed, 9, is beyond this base's 0.6"),
+    (DIFFBOT, "move", "a motion needs a time or a distance"),
+    (DIFFBOT, "turn", "one angle is needed; expected: turn [left|right] ANGLE"),
+    (DIFFBOT, "follow 1 2 3", "points have two numbers each"),
+    (DIFFBOT, "wait -3", "its time must be from 0"),
+    (DIFFBOT, "mission round", "did you mean 'rounds'?"),
+    (BENCH, "mission rounds", "'bench' cannot do this: step 1: goto: there is no base to drive"),
+    (BENCH, "turn 30", "'bench' has no base"),
     (DIFFBOT, "goal nan 1", "'nan' is not a finite number"),
     (DIFFBOT, "goal 1 inf", "'inf' is not a finite number"),
     (DIFFBOT, "goal 1 1e999", "'1e999' is not a finite number"),
@@ -113,12 +142,12 @@ WRONG: list[tuple[Robot, str, str]] = [
     (DIFFBOT, "setid can0 xyz 1", "'xyz' is not a hexadecimal integer"),
     (DIFFBOT, "setid can0 12 1.5", "'1.5' is not an integer"),
     (DIFFBOT, "setid can0 12 -1", "'-1' is negative"),
-    (DIFFBOT, "velocity left 1", "the motors of 'diffbot' are the wheels of its base: use goal or drive"),
-    (DIFFBOT, "idle left", "are the wheels of its base"),
-    (MIXED, "position left 1", "'left' is a wheel: use goal or drive; bare joints are mast"),
+    (DIFFBOT, "velocity left 1", "the motors of 'diffbot' are those of its base: use goal or drive"),
+    (DIFFBOT, "idle left", "are those of its base"),
+    (MIXED, "position left 1", "'left' is part of the base: use goal or drive; bare joints are mast"),
     (MIXED, "torque mats 1", "no bare joint 'mats': there is mast; did you mean 'mast'?"),
-    (BENCH, "goal 1 2", "'bench' is bare joints: use position, velocity or torque"),
-    (BENCH, "drive 1 2", "'bench' is bare joints"),
+    (BENCH, "goal 1 2", "'bench' has no base: use position, velocity or torque"),
+    (BENCH, "drive 1 2", "'bench' has no base"),
     (BENCH, "torque left nan", "'nan' is not a finite number"),
     (BENCH, "position left 1deg2", "'1deg2' is not a number"),
 ]

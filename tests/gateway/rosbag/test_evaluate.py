@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from brain.belief import Estimate, Pose
+from brain.bodies import bare
 from gateway.cli.main import main
 from gateway.core.robot import Robot
 from gateway.errors import BagError
@@ -165,7 +166,7 @@ def test_an_estimate_is_extrapolated_up_to_a_limit() -> None:
 
 def test_bare_joints_have_no_path() -> None:
     robot = rover()
-    bench = replace(robot, brain=replace(robot.brain, body="joints"))
+    bench = replace(robot, brain=replace(robot.brain, body=bare(robot.motors)))
     with pytest.raises(BagError, match="has no path to evaluate"):
         evaluate(Bag(Path("x"), (Feedback("left", 1),), (), (), ()), bench)
 
