@@ -1,14 +1,16 @@
-"""Lengths, durations and arbitration priority of CAN, CAN FD and serial frames. Pure functions.
+"""Lengths, durations and arbitration priority of CAN, CAN FD and serial frames: exact, bit by bit.
 
-Sources: ISO 11898-1:2015, frame formats and data length code; worst-case bit stuffing as in Davis, Burns,
-Bril and Lukkien, "Controller Area Network (CAN) schedulability analysis: refuted, revisited and revised",
-2007, eq. 1.
+Source: ISO 11898-1:2015: frame formats, data length code, cyclic redundancy check (polynomial 0x4599 in
+classic CAN), bit stuffing. A CAN FD frame's CRC has its stuff bits at fixed places, so its value is not
+needed.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Iterable
 from dataclasses import replace
+from functools import lru_cache
 
 from protocols.frames import CanFrame, Frame
 from protocols.messages import SECOND, Nanos
@@ -17,6 +19,10 @@ LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 """Data bytes by CAN FD's data length code; classic CAN has the first nine."""
 SERIAL_BITS = 10
 """Bits per byte at 8N1: start, eight data, stop."""
+INTERFRAME_BITS = 3
+"""The bits of the interframe space, during which no frame begins."""
+_TRAILER_BITS = 1 + 1 + 1 + 7 + INTERFRAME_BITS
+"""CRC delimiter, acknowledgement, its delimiter, end of frame, interframe space: none is stuffed."""
 
 
 def padded(frame: CanFrame) -> CanFrame:
@@ -28,7 +34,7 @@ def padded(frame: CanFrame) -> CanFrame:
 
 
 def frame_time(frame: Frame, bitrate: int, data_bitrate: int = 0) -> Nanos:
-    """Return the duration from the first bit to the end of the interframe space, with worst-case stuffing.
+    """Return the duration from the first bit to the end of the interframe space.
 
     `bitrate` is that of the arbitration phase, or the baud rate; `data_bitrate` that of the data phase of a
     CAN FD frame with bit-rate switch, 0 if the bus has none. Raises ValueError for a rate that is not
@@ -43,19 +49,74 @@ def frame_time(frame: Frame, bitrate: int, data_bitrate: int = 0) -> Nanos:
 
 
 def frame_bits(frame: CanFrame) -> tuple[int, int]:
-    """Return the bits sent at the arbitration bit rate, and those at the data bit rate (0 in classic CAN)."""
-    if not frame.fd:
-        stuffed = (54 if frame.extended else 34) + 8 * len(frame.data)
-        return stuffed + 13 + (stuffed - 1) // 4, 0
-    # Arbitration phase: start to BRS with stuff bits; CRC delimiter, ACK, end of frame and interframe space.
-    # Data phase: ESI, DLC and data with stuff bits; then stuff count and CRC, with a fixed stuff bit in front
+    """Return the bits sent at the arbitration bit rate, and those at the data bit rate (0 in classic CAN).
+
+    The rate changes within BRS, which counts as slow, and within the bit before the CRC delimiter, which
+    counts as fast."""
+    data = padded(frame).data
+    code = bisect_left(LENGTHS, len(data))
+    bits, width = frame.id, 12  # with the start bit
+    if frame.extended:  # base id; substitute remote and extension bit, both recessive; extension
+        bits, width = frame.id >> 18 << 20 | 0b11 << 18 | frame.id & 0x3FFFF, 32
+    if not frame.fd:  # RTR; IDE and r0, or r1 and r0; length code
+        bits, width = (bits << 1 | frame.remote) << 6 | code, width + 7
+        checksum = _checksum(bits.to_bytes(5, "big") + data)
+        parts = ((bits, width), *((byte, 8) for byte in data), (checksum >> 8, 7), (checksum & 0xFF, 8))
+        return _stuffed(parts, _START)[0] + _TRAILER_BITS, 0
+    # RRS; IDE of a standard frame; FDF, res, BRS | ESI (dominant: error active), length code, data
+    rest = 4 if frame.extended else 5
+    slow, run = _stuffed(((bits << rest | 0b100 | frame.brs, width + rest),), _START)
+    fast, run = _stuffed(((code, 5), *((byte, 8) for byte in data)), run)
+    # Stuff count with parity, and CRC: a fixed stuff bit before them, in place of one due behind the data,
     # and after every fourth bit.
-    head = 36 if frame.extended else 17
-    length = len(padded(frame).data)
-    crc = 21 if length > 16 else 17
-    data = 5 + 8 * length
-    checked = 4 + crc
-    return head + (head - 1) // 4 + 13, data + data // 4 + checked + 1 + checked // 4
+    checked = 4 + (21 if len(data) > 16 else 17)
+    return slow + _TRAILER_BITS, fast - (run & _JUST_STUFFED) + 1 + checked + checked // 4
+
+
+def _stuffed(parts: Iterable[tuple[int, int]], run: int) -> tuple[int, int]:
+    """Return the length of these bits (value, width) with their stuff bits, and the run after them."""
+    count = 0
+    for value, width in parts:
+        added, run = _stuff(value, width, run)
+        count += width + added
+    return count, run
+
+
+_JUST_STUFFED = 1
+_START = 0
+"""A run: the number of equal bits sent last, their value, and whether the last was a stuff bit."""
+
+
+@lru_cache(maxsize=1 << 14)
+def _stuff(bits: int, width: int, run: int) -> tuple[int, int]:
+    """Return how many stuff bits are put among and behind these bits, and the run after them."""
+    length, last, stuffed = run >> 2, run >> 1 & 1, run & _JUST_STUFFED
+    added = 0
+    for at in reversed(range(width)):
+        bit = bits >> at & 1
+        length, last, stuffed = length + 1 if length and bit == last else 1, bit, 0
+        if length == 5:
+            added += 1
+            length, last, stuffed = 1, 1 - bit, _JUST_STUFFED
+    return added, length << 2 | last << 1 | stuffed
+
+
+def _checksum(message: bytes) -> int:
+    """Return classic CAN's CRC-15 of a frame from its start bit on; zeros in front do not change it."""
+    checksum = 0
+    for byte in message:
+        checksum = (checksum << 8 ^ _CHECKSUMS[checksum >> 7 ^ byte]) & 0x7FFF
+    return checksum
+
+
+def _byte_checksum(byte: int) -> int:
+    checksum = byte << 7
+    for _ in range(8):
+        checksum = checksum << 1 ^ (0x4599 if checksum & 0x4000 else 0)
+    return checksum & 0x7FFF
+
+
+_CHECKSUMS = tuple(map(_byte_checksum, range(256)))
 
 
 def priority(frame: Frame) -> tuple[int, ...]:

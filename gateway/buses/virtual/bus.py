@@ -19,7 +19,7 @@ from heapq import heappop, heappush
 
 import numpy as np
 
-from gateway.buses.virtual.medium import Medium, Transmission
+from gateway.buses.virtual.medium import BUS_OFF, ERROR_PASSIVE, Medium, Transmission
 from gateway.buses.virtual.tamper import Tamper
 from gateway.core.robot import TWIN, BusSettings, Motor, Robot, Sensor
 from gateway.sim.files import STEP, BenchFile, SceneFile, ShaftFile
@@ -86,6 +86,9 @@ class TwinBus:
         """What `Tamper.transmission` lets arrive, by time; with a number, since frames have no order."""
         self._delayed = 0
         self._full = self._gone = False
+        self._level = BusState.UP
+        """Up, error-passive or off, by the transmit error counter of the host's controller."""
+        self._from_host.destroyed = self._destroyed
 
     def read(self, now: Nanos) -> tuple[Sequence[BusState], Sequence[Packet]]:
         """Advance the world and all its twins to `now`; return what the host received."""
@@ -107,7 +110,7 @@ class TwinBus:
     def close(self) -> None:
         """Release the bus: what waits is not sent."""
         self._gone = True
-        self._from_host.clear()
+        self._from_host.drop(HOST)
 
     def deliver(self, until: Nanos) -> None:
         """Deliver what arrives up to a time."""
@@ -122,6 +125,22 @@ class TwinBus:
         if self._full and not self._from_host.waiting(HOST):
             self._full = False
             self._states.append(BusState.UP)
+        if self._from_host.errors:
+            self._count_errors()
+
+    def _destroyed(self, one: Transmission) -> int:
+        return 0 if (error := self._world.tamper.error) is None else error(self.name, one)
+
+    def _count_errors(self) -> None:
+        """Report what the host's controller does: error-passive, bus-off, or up again."""
+        count = self._from_host.errors.get(HOST, 0)
+        level = (
+            BusState.OFF if count >= BUS_OFF else BusState.PASSIVE if count >= ERROR_PASSIVE else BusState.UP
+        )
+        if level is not self._level and not self._gone:
+            self._level = level
+            self._states.append(level)
+            self._gone = level is BusState.OFF
 
     def _arrive(self, transmission: Transmission) -> None:
         tamper = self._world.tamper.transmission
@@ -151,13 +170,15 @@ class TwinBus:
     def lose(self, state: BusState = BusState.GONE) -> None:
         """The host's interface vanishes or, with OFF, goes bus-off: nothing is sent or received."""
         self._gone = True
-        self._from_host.clear()
+        self._from_host.drop(HOST)
         self._packets.clear()
         self._states.append(state)
 
     def restore(self) -> None:
         """The host's interface is back."""
+        self._from_host.drop(HOST)
         self._gone = self._full = False
+        self._level = BusState.UP
         self._states.append(BusState.BACK)
 
 

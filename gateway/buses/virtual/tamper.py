@@ -30,6 +30,9 @@ class Tamper:
     """From the torques [N·m] that the motors give at their output shafts, by name: what the world gets."""
     reading: Callable[[Reading], Reading | None] | None = None
     """From what a sensor measures: what its firmware gets; None: nothing."""
+    error: Callable[[str, Transmission], int] | None = None
+    """From a bus's name and a CAN frame that is being sent: after how many bits an error destroys it, so that
+    it is sent again; 0: none does."""
     transmission: Callable[[str, Transmission], Iterable[Transmission]] | None = None
     """From a bus's name and a frame that has arrived: what arrives instead, at each one's own `t`, which may
     be later."""
