@@ -231,6 +231,11 @@ class Driver(Protocol):
         """Return when `send` must next be called without a message (polling, keep-alive, a timeout)."""
         ...
 
+    def awaits(self) -> bool:
+        """True while an answer is awaited to which `send` has something to add at once, as in a set-up of many
+        questions: then the loop steps when bytes come, and not only once per period."""
+        ...
+
 
 class CommandDecoder(Protocol):
     """What the devices would obey. Keeps what earlier frames have set up (mode, mapping), nothing else."""

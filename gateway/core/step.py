@@ -173,6 +173,10 @@ class Gateway:
         times = [self._call(one, one.driver.due, None) for one in self._drivers]
         return min((due for due in times if due is not None), default=None)
 
+    def awaiting(self) -> bool:
+        """True while a driver awaits an answer to which it has something to add at once."""
+        return any(self._call(one, one.driver.awaits, False) for one in self._drivers)
+
     def belief(self) -> Belief:
         """Return the brain's state estimate."""
         return self.brain.belief()

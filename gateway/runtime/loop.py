@@ -2,7 +2,8 @@
 
 Rules. The loop owns what the step must not: buses, clock, recorder, operator. It is a generator of ticks, so
 that a caller can watch and stop it; wrap it in `contextlib.closing`, since closing it takes the way out.
-Deadlines are absolute; one that was missed is counted and reported, never caught up.
+Deadlines are absolute; one that was missed is counted and reported, never caught up. Between them there is a
+step when a driver is due, or when an answer comes that it awaits.
 
 The way out (`_leave`) is the same whatever the reason: a signal, a caller that is done or raises, an
 exception in the step, a bus, the recorder or the operator. First the stop action, for the joints' braking
@@ -88,7 +89,7 @@ def live(
     time, also by a signal: the first takes the way out, the second ends the time to brake."""
     run = _Run(gateway, buses, clock, record, stats if stats is not None else LoopStats(), dry_run)
     try:
-        for now in moments(clock, gateway.robot.period, gateway.due, run.stats):
+        for now in moments(clock, gateway.robot.period, gateway.due, run.stats, run.answered):
             if reasons or (until is not None and now >= until):
                 break
             made = run.tick(now, poll())
@@ -115,6 +116,21 @@ class _Run:
     """Whether the last step has raised: nothing of it can be trusted but joints and drivers."""
     errors: dict[str, Exception] = field(default_factory=dict)
     """The first exception of each bus."""
+    states: list[tuple[str, BusState]] = field(default_factory=list)
+    packets: list[Packet] = field(default_factory=list)
+    """Read since the last step."""
+
+    def answered(self) -> bool | None:
+        """Read the buses; True if something has come while an answer is awaited, None if none is."""
+        if not self.gateway.awaiting():
+            return None
+        self._read(self.clock.now())
+        return bool(self.packets)
+
+    def _read(self, now: Nanos) -> None:
+        states, packets = read(self.buses, now, self.errors)
+        self.states += states
+        self.packets += packets
 
     def tick(self, now: Nanos, instructions: Sequence[Instruction]) -> Tick:
         """Read, step, write, record. What a bus raises is kept in `errors`."""
@@ -138,8 +154,10 @@ class _Run:
         self._write(now, self.gateway.leave(now, self._inputs(now)))
 
     def _inputs(self, now: Nanos, instructions: Sequence[Instruction] = ()) -> Inputs:
-        states, packets = read(self.buses, now, self.errors)
-        return Inputs(tuple(states), tuple(packets), tuple(instructions))
+        self._read(now)
+        inputs = Inputs(tuple(self.states), tuple(self.packets), tuple(instructions))
+        self.states, self.packets = [], []
+        return inputs
 
     def _write(self, now: Nanos, packets: Sequence[Packet]) -> None:
         if not self.dry_run:
@@ -195,9 +213,14 @@ def _tick_of_leaving(run: _Run, instructions: Sequence[Instruction]) -> None:
 
 
 def moments(
-    clock: Clock, period: Nanos, due: Callable[[], Nanos | None], stats: LoopStats
+    clock: Clock,
+    period: Nanos,
+    due: Callable[[], Nanos | None],
+    stats: LoopStats,
+    answered: Callable[[], bool | None] = lambda: None,
 ) -> Iterator[Nanos]:
-    """Yield the moments to step at: absolute deadlines, and a driver's own moments between them."""
+    """Yield the moments to step at: absolute deadlines, and between them a driver's own moments, and when
+    an answer that is awaited may have come (`answered`; None: none is awaited)."""
     deadline = last = clock.now()
     while True:
         now = clock.now()
@@ -209,7 +232,13 @@ def moments(
         yield now
         own = due()
         between = deadline if own is None else max(own, last + MIN_STEP)
-        clock.wait(min(deadline, between) if between + MIN_STEP <= deadline else deadline)
+        until = min(deadline, between) if between + MIN_STEP <= deadline else deadline
+        while clock.now() + 2 * MIN_STEP <= until and answered() is not None:
+            clock.wait(clock.now() + MIN_STEP)
+            if answered():
+                break
+        else:
+            clock.wait(until)
 
 
 def read(

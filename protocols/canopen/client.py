@@ -50,6 +50,10 @@ class Purpose(IntEnum):
     """Feedback."""
 
 
+_SEQUENCES = (Purpose.URGENT, Purpose.SETUP, Purpose.REQUEST, Purpose.STARTUP)
+"""Purposes of transfers of which one waits for the other."""
+
+
 @dataclass(frozen=True, slots=True)
 class Job:
     """An upload of an object (`data` None), or a download."""
@@ -264,6 +268,10 @@ class SdoClient:
             self._next, self._sent = sdo.Download(index, sub, data), len(data)
         else:
             self._next = sdo.DownloadStart(index, sub, len(data))
+
+    def awaits(self) -> bool:
+        """True while a response is awaited on which others wait: in a set-up or a request, not in polling."""
+        return self.job is not None and self._next is None and self.job.purpose in _SEQUENCES
 
     def due(self) -> Nanos:
         """Return when `poll` next has something to do."""

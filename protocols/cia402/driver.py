@@ -208,6 +208,9 @@ class Cia402Adapter(Adapter[Drive]):
     def poll_due(self, host: DriveHost) -> Nanos:
         return host.own.due()
 
+    def awaits(self, host: DriveHost) -> bool:
+        return host.own.client.awaits()
+
     def poll_bus(self, now: Nanos) -> Sequence[Frame]:
         needed = any(drive.synced for drive in self.drives)
         frames = self.master.sync(now, needed=needed, commanded=self._commanded_at == now)

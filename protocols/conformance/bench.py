@@ -253,6 +253,10 @@ class DriverWrapper:
         """Forward the call."""
         return self.driver.due()
 
+    def awaits(self) -> bool:
+        """Forward the call."""
+        return self.driver.awaits()
+
 
 @dataclass(slots=True)
 class TwinWrapper:

@@ -106,6 +106,10 @@ class Adapter(Generic[Own]):
         """Return when `poll` next has something to do that cannot wait for a step."""
         return NEVER
 
+    def awaits(self, host: Host[Own]) -> bool:
+        """True while an answer is awaited to which there is something to add at once."""
+        return False
+
     def poll_bus(self, now: Nanos) -> Sequence[Frame]:
         """Return the read-only frames that are due to all devices."""
         return ()
@@ -396,3 +400,7 @@ class MotorDriver(Generic[Own]):
         times.append(self.adapter.poll_bus_due())
         first = min(times)
         return first if first < NEVER else None
+
+    def awaits(self) -> bool:
+        """True while an answer is awaited to which there is something to add at once."""
+        return any(self.adapter.awaits(host) for host in self.hosts.values())

@@ -343,6 +343,9 @@ class ZlacAdapter(Adapter[Motor]):
     def poll_due(self, host: Host[Motor]) -> Nanos:
         return host.own[0].due()
 
+    def awaits(self, host: Host[Motor]) -> bool:
+        return host.own[0].client.awaits()
+
     # -- requests ---------------------------------------------------------------------------------------
 
     def begin(

@@ -5,18 +5,20 @@ from __future__ import annotations
 import signal
 import time
 from collections.abc import Callable, Iterable
+from contextlib import closing
 from itertools import chain, pairwise, repeat
 from pathlib import Path
 
 import pytest
 
-from gateway.config import parse_robot
+from gateway.buses.virtual import open_world
+from gateway.config import load_robot, parse_robot
 from gateway.core.clock import SimulatedClock, WallClock
 from gateway.core.step import Gateway
 from gateway.core.tick import Inputs, Outputs
 from gateway.recording import read_recording
 from gateway.runtime import loop
-from protocols.messages import MILLISECOND, SECOND, Idle, Mode, Nanos, Velocity
+from protocols.messages import MILLISECOND, SECOND, Goal, Idle, Mode, Nanos, Velocity
 from tests.gateway.processes import Process
 from tests.gateway.rig import BENCH, Rig, sent_commands
 
@@ -53,6 +55,31 @@ def test_a_driver_that_is_due_between_two_periods_gets_a_step_of_its_own() -> No
 def test_a_driver_that_is_always_due_does_not_keep_the_loop_busy() -> None:
     moments, _ = stepped(21, lambda: 0)
     assert min(b - a for a, b in pairwise(moments)) >= loop.MIN_STEP
+
+
+def test_an_answer_that_is_awaited_gets_a_step_of_its_own() -> None:
+    clock, moments = SimulatedClock(), []
+    for now in loop.moments(clock, 10 * MS, lambda: None, loop.LoopStats(), lambda: clock.now() >= 3 * MS):
+        moments.append(now)
+        if len(moments) == 4:
+            break
+    assert moments == [0, 3 * MS, 4 * MS, 5 * MS]
+
+
+@pytest.mark.parametrize("name", ["diffbot_cia402", "diffbot_zlac8015d"])
+def test_drives_of_many_questions_are_armed_within_half_a_second(name: str) -> None:
+    """At one question a period, of 5 ms, it takes longer."""
+    robot = load_robot(name)
+    gateway, world = Gateway(robot), open_world(robot, 1)
+    instructions = iter([(Goal(0.5, 0.0),)])
+    run = loop.live(
+        gateway, world.buses, SimulatedClock(), poll=lambda: next(instructions, ()), until=SECOND // 2
+    )
+    with closing(run):
+        for _ in run:
+            if all(joint.armed for joint in gateway.joints.values()):
+                return
+    pytest.fail(f"after half a second: { {name: joint.mode for name, joint in gateway.joints.items()} }")
 
 
 def test_the_wall_clock_moves_forward_and_waits() -> None:
