@@ -232,8 +232,8 @@ class Driver(Protocol):
         ...
 
     def awaits(self) -> bool:
-        """True while an answer is awaited to which `send` has something to add at once, as in a set-up of many
-        questions: then the loop steps when bytes come, and not only once per period."""
+        """True while an answer is awaited to which `send` has something to add at once, as in a long set-up:
+        then the loop steps when bytes come, and not only once per period."""
         ...
 
 
