@@ -15,6 +15,7 @@ judgement anew (lost feedback has a fault of its own). State is plain data.
     velocity (all)       20 % of the limit, beyond the limit; 60 %, where    60 ms            RUNS_AWAY
                            a torque is commanded (old reports: it overshoots)
     torque (Torque)      10 % of the limit, and half of the set-point        following_time   NO_TORQUE
+                           (it may be less where it drives a shaft at its limit of velocity)
     position less the    as of position, and 50 ms of the velocity           40 ms            INCONSISTENT
       velocity's integral  (with a memory of 1 s)
 
@@ -48,6 +49,8 @@ FAST, FAST_FREE = 0.2, 0.6
 HOLDING = 0.25
 """Share of the limit of acceleration with which a shaft comes to hold."""
 TORQUE_FLOOR, TORQUE_SHARE = 0.1, 0.5
+AT_LIMIT = 0.9
+"""Share of the limit of velocity from which on a device may give less than a torque that drives it on."""
 LAG = 0.1
 """s, of a device and its reports behind the set-points."""
 SLACK = 0.3
@@ -220,6 +223,8 @@ class Following:
         if actual is not None:
             band.follow(setpoint, share)
             beyond = band.distance(actual) > floor + part * max(-band.low, band.high)
+            if isinstance(sent, Torque) and speed * setpoint > 0.0:
+                beyond = beyond and abs(speed) < AT_LIMIT * limit
             still = self._moved_at is not None and self._moved_at - self._changed_at > self._time // 3
             if self._lasts(code, beyond, dt, self._time // 2 if still else self._time):
                 found = found or (code, f"{setpoint:.3g} commanded, {actual:.3g} measured")

@@ -90,6 +90,21 @@ class TwinBus:
         """Up, error-passive or off, by the transmit error counter of the host's controller."""
         self._from_host.destroyed = self._destroyed
 
+    @property
+    def busy(self) -> Nanos:
+        """Time during which the wire was not idle; of a serial line, its busier direction."""
+        return max(self._from_host.busy, self.from_devices.busy)
+
+    @property
+    def waiting(self) -> int:
+        """Frames of the host that have not ended."""
+        return self._from_host.waiting(HOST)
+
+    @property
+    def full(self) -> bool:
+        """True while frames of the host are dropped."""
+        return self._full
+
     def read(self, now: Nanos) -> tuple[Sequence[BusState], Sequence[Packet]]:
         """Advance the world and all its twins to `now`; return what the host received."""
         self._world.advance(now)
