@@ -1,4 +1,4 @@
-"""`gateway check`: what a robot file means, or every mistake in it."""
+"""`gateway check`: what a robot file means, with the load of its buses, or every mistake in it."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from argparse import ArgumentParser, Namespace
 
 from gateway.cli import arguments
 from gateway.config import describe, load_robot
+from gateway.runtime.schedule import refuse_overload, table
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -15,5 +16,8 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(options: Namespace) -> int:
     """Print the description of the robot."""
-    print(describe(load_robot(options.robot)))
+    robot = load_robot(options.robot)
+    print(describe(robot))
+    print()
+    print(table(refuse_overload(robot)))
     return 0

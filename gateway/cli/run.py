@@ -11,11 +11,13 @@ from pathlib import Path
 from brain.belief import BrainState
 from gateway.cli import arguments
 from gateway.config import load_mission, load_robot, with_interfaces
+from gateway.core.robot import TWIN
 from gateway.core.step import LEFT_ARMED
 from gateway.errors import UserError
 from gateway.operator import Operator
 from gateway.operator.status import status_text
 from gateway.runtime.process import request_realtime
+from gateway.runtime.schedule import refuse_overload
 from gateway.runtime.session import Session, open_session
 from protocols.messages import MILLISECOND, Goal, Instruction, Mission
 
@@ -45,6 +47,8 @@ def run(options: Namespace) -> int:
     robot = with_interfaces(load_robot(options.robot), dict(options.bus))
     if options.mission and options.goal:
         raise UserError("--mission and --goal exclude each other: put the goals into the mission")
+    if any(bus.interface != TWIN for bus in robot.buses.values()):  # simulated ones show it by themselves
+        refuse_overload(robot)
     mission = load_mission(options.mission, robot) if options.mission else None
     if options.realtime is not None and (refused := request_realtime(options.realtime)):
         print(refused, file=sys.stderr)

@@ -46,6 +46,8 @@ from protocols.messages import SECOND
 
 GROUPS = ("buses", "motors", "sensors")
 SECTIONS = (*GROUPS, "defaults", "brain", "bag", "files")
+LOWEST_RATE, HIGHEST_RATE = 10.0, 1000.0
+"""Steps per second."""
 MAX_NAMED = 64
 """Buses, motors or sensors of a robot."""
 _FILES: tuple[tuple[str, Literal["worlds", "plants"]], ...] = (("world", "worlds"), ("plant", "plants"))
@@ -57,7 +59,7 @@ RESERVED = ("all", "brain", "operator", "scan")
 @dataclass(frozen=True, slots=True)
 class _Top:
     name: str
-    rate_hz: Annotated[float, "steps per second", Bounds(10.0, 1000.0)] = 200.0
+    rate_hz: Annotated[float, "steps per second", Bounds(LOWEST_RATE, HIGHEST_RATE)] = 200.0
     world: str | None = None
     plant: str | None = None
     urdf: str | None = None

@@ -1,0 +1,213 @@
+"""How much of its buses a robot takes: counted on its simulated devices, bit by bit.
+
+Rules. What driver and device exchange decides, not a table: the robot runs in virtual time, every motor
+commanded and at rest, on buses with true bit times. Twins answer at the world's steps, so an age or a latency
+may be a step longer than on the wire. A robot fits if no frame of the host still waits when the next step
+begins, none was dropped, and every motor reports in time.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from math import floor
+
+from brain.bodies.body import Base
+from gateway import config
+from gateway.buses.virtual import open_world
+from gateway.buses.virtual.bus import HOST
+from gateway.buses.virtual.medium import Transmission
+from gateway.config.robot_file import HIGHEST_RATE, LOWEST_RATE
+from gateway.core.clock import SimulatedClock
+from gateway.core.robot import TWIN, Motor, Robot
+from gateway.core.step import Gateway
+from gateway.core.tick import Inputs, Outputs
+from gateway.errors import UserError
+from gateway.runtime.loop import LoopStats, moments, read, write
+from protocols.frames import CanFrame
+from protocols.messages import SECOND, Drive, Feedback, Hold, Instruction, Nanos
+
+SETTLING: Nanos = 3 * SECOND // 2
+"""Time to find the devices, set them up and arm them."""
+WINDOW: Nanos = SECOND
+"""Time that is counted, after settling."""
+HALVINGS = 7
+"""Of the logarithm of a rate."""
+
+
+@dataclass(slots=True)
+class BusSchedule:
+    """What was counted on one bus."""
+
+    bus: str
+    load: float = 0.0
+    """The share of the time in which the wire is not idle."""
+    latency: Nanos = 0
+    """The longest time from a step to the end of a frame that it sends."""
+    waiting: int = 0
+    """Frames of the host that waited, at most, when a step began."""
+    dropped: bool = False
+    """Whether frames of the host were dropped."""
+    frames: Counter[str] = field(default_factory=Counter)
+    """Frames per second by identifier (hexadecimal; "→" and "←" of serial bytes, from and to the host)."""
+    ages: dict[str, Nanos] = field(default_factory=dict)
+    """The longest age of each motor's feedback at a step."""
+    late: dict[str, Nanos] = field(default_factory=dict)
+    """Motors that reported too late, with the age that is allowed; 0: that did not report."""
+
+    @property
+    def fits(self) -> bool:
+        """True if the bus carries the robot at its rate."""
+        return not (self.waiting or self.dropped or self.late)
+
+
+@dataclass(slots=True)
+class _Count:
+    """What a run counts."""
+
+    buses: dict[str, BusSchedule]
+    began: Nanos
+    sent: dict[str, deque[Nanos]] = field(default_factory=dict)
+    """By bus: when the frames were given that have not ended."""
+    last: dict[str, Nanos] = field(default_factory=dict)
+    """By motor: time of the newest feedback."""
+
+    def transmission(self, bus: str, one: Transmission) -> Iterable[Transmission]:
+        """Count a frame that has ended."""
+        count = self.buses[bus]
+        given = self.sent[bus].popleft() if one.sender == HOST and self.sent.get(bus) else None
+        if one.t >= self.began:
+            arrow = "→" if one.sender == HOST else "←"
+            frame = one.frame
+            count.frames[str(frame).partition("#")[0] if isinstance(frame, CanFrame) else arrow] += 1
+            count.latency = max(count.latency, 0 if given is None else one.t - given)
+        return (one,)
+
+    def step(self, now: Nanos, outputs: Outputs, motors: Mapping[str, Motor]) -> None:
+        """Count a step."""
+        for packet in outputs.packets:
+            self.sent.setdefault(packet.bus, deque()).append(now)
+        for event in outputs.events:
+            if isinstance(event, Feedback):
+                self.last[event.motor] = max(event.t, self.last.get(event.motor, 0))
+        if now < self.began:
+            return
+        for name, motor in motors.items():
+            ages = self.buses[motor.bus].ages
+            ages[name] = max(ages.get(name, 0), now - self.last.get(name, 0))
+
+
+def count_buses(robot: Robot, rate: float | None = None) -> list[BusSchedule]:
+    """Run a robot in virtual time, and count what is on its buses.
+
+    Args:
+        robot: its interfaces do not matter.
+        rate: steps per second; None: as in the robot file.
+
+    Returns:
+        list[BusSchedule]: of every bus, in the order of the robot file.
+    """
+    robot = config.with_interfaces(robot, dict.fromkeys(robot.buses, TWIN))
+    if rate is not None:
+        robot = replace(robot, period=round(SECOND / rate))
+    gateway, world = Gateway(robot), open_world(robot, robot.seed)
+    count = _Count({name: BusSchedule(name) for name in robot.buses}, SETTLING)
+    world.tamper.transmission = count.transmission
+    clock, commands, busy = SimulatedClock(), _commands(robot), dict[str, Nanos]()
+    for now in moments(clock, robot.period, gateway.due, LoopStats()):
+        if now >= SETTLING + WINDOW:
+            break
+        states, packets = read(world.buses, now)
+        for name, bus in world.buses.items():
+            one = count.buses[name]
+            if now >= SETTLING:
+                one.load = (bus.busy - busy.setdefault(name, bus.busy)) / WINDOW
+                one.waiting, one.dropped = max(one.waiting, bus.waiting), one.dropped or bus.full
+        outputs = gateway.step(now, Inputs(tuple(states), tuple(packets), tuple(commands)))
+        count.step(now, outputs, robot.motors)
+        write(world.buses, now, outputs.packets)
+    for name, motor in robot.motors.items():
+        one = count.buses[motor.bus]
+        allowed, age = motor.joint.feedback_timeout, one.ages.get(name)
+        if name not in count.last or age is None:
+            one.late[name] = 0
+        elif age > allowed:
+            one.late[name] = allowed
+    return list(count.buses.values())
+
+
+def highest_rate(robot: Robot, counted: Sequence[BusSchedule]) -> float:
+    """Return the highest rate [Hz] at which the robot fits its buses; 0.0 if it does not at any.
+
+    What a step sends, and is answered with, grows with the rate; the rest does not: a second count gives a
+    first guess, which is confirmed, or else halved in on."""
+    rate = SECOND / robot.period
+    busier = count_buses(robot, min(2.0 * rate, HIGHEST_RATE))
+    guess = HIGHEST_RATE
+    for one, more in zip(counted, busier, strict=True):
+        if not more.fits:
+            per_hertz = max((more.load - one.load) / rate, 1e-6)
+            guess = min(guess, rate + (1.0 - one.load) / per_hertz if one.fits else rate)
+    low, high = LOWEST_RATE, guess
+    if _fits(robot, high):
+        return float(floor(high))
+    if not _fits(robot, low):
+        return 0.0
+    for _ in range(HALVINGS):
+        middle = (low * high) ** 0.5
+        low, high = (middle, high) if _fits(robot, middle) else (low, middle)
+    return float(floor(low))
+
+
+def _fits(robot: Robot, rate: float) -> bool:
+    return all(one.fits for one in count_buses(robot, rate))
+
+
+def refuse_overload(robot: Robot) -> list[BusSchedule]:
+    """Return what was counted. Raises UserError if a bus does not carry the robot, with what would fit."""
+    counted = count_buses(robot)
+    full = [one for one in counted if not one.fits]
+    if not full:
+        return counted
+    rate, fits = SECOND / robot.period, highest_rate(robot, counted)
+    text = [f"{robot.name} does not fit its buses at {rate:g} steps per second:"]
+    text += [f"  {one.bus}: {reason(one)}" for one in full]
+    crowded = [one.bus for one in full if len(robot.devices_on(one.bus)) > 1]
+    lower = f"rate_hz = {fits:g}, the highest that fits" if fits else "no rate_hz fits"
+    split = f"; or split {', '.join(crowded)}: devices on a bus of their own" if crowded else ""
+    raise UserError("\n".join([*text, f"lower the rate ({lower}){split}; or raise the bit rate"]))
+
+
+def reason(one: BusSchedule) -> str:
+    """Return why a bus does not carry the robot."""
+    reasons = []
+    if one.dropped:
+        reasons.append("frames are dropped, since more are sent than it carries")
+    elif one.waiting:
+        reasons.append(f"{one.waiting} frames of a step still wait when the next begins")
+    for name, allowed in one.late.items():
+        age = f"is up to {one.ages[name] / 1e6:.1f} ms old; feedback_timeout allows {allowed / 1e6:g} ms"
+        reasons.append(f"the feedback of {name} {age if allowed else 'does not come'}")
+    return f"{min(one.load, 1.0):.0%} busy; " + "; ".join(reasons)
+
+
+def table(counted: Sequence[BusSchedule]) -> str:
+    """Return what was counted as text, a line for each bus."""
+    lines = [f"{'bus':12} {'busy':>6} {'frames/s':>9} {'a command ends':>15}   feedback is at most"]
+    for one in counted:
+        ages = ", ".join(f"{name} {age / 1e6:.1f}" for name, age in one.ages.items())
+        ends = f"{one.latency / 1e6:.2f} ms" if one.latency else "-"
+        frames = one.frames.total() * SECOND // WINDOW
+        lines.append(
+            f"{one.bus:12} {one.load:6.1%} {frames:9} {ends:>15}   {ages + ' ms old' if ages else '-'}"
+        )
+    return "\n".join(lines)
+
+
+def _commands(robot: Robot) -> Sequence[Instruction]:
+    """Return what keeps every motor commanded, at rest."""
+    body = robot.brain.body
+    wheels = body.joints if isinstance(body, Base) else ()
+    joints = [Hold(name) for name in robot.motors if name not in wheels]
+    return (Drive(0.0, 0.0), *joints) if wheels else joints
