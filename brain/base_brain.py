@@ -98,8 +98,8 @@ class BaseBrain:
             if self.missions.moves(task.motor):
                 self._halt(now, f"an operator moves {motor}")
             self._joints.request(now, task, stopped)
-        for reason in self._joints.drop_lost(now, stopped):
-            if self.missions.moves(reason.replace(":", " ").split()[0]):
+        for lost, reason in self._joints.drop_lost(now, stopped).items():
+            if self.missions.moves(lost):
                 self._halt(now, reason)
         wheels = self._step_base(now, events, base_tasks, stopped)
         joints = {command.motor: command for command in self._joints.commands(now)}
@@ -184,7 +184,7 @@ class BaseBrain:
                 case msg.Mission() | msg.Pause() | msg.Resume() | msg.Drop():
                     reason = self._on_mission(now, task, lost)
                 case _:
-                    reason = f"{task.motor} is a wheel of a base: use a goal, or drive"
+                    reason = f"{task.motor} moves the base: give the base a goal, or drive it"
             if reason:
                 self._status.add_note("warning", f"{type(task).__name__} refused: {reason}")
 
