@@ -121,6 +121,10 @@ class RegisterAdapter(Adapter[Motor]):
         """Return the registers that are written before the device is armed."""
         return {}
 
+    def wanted(self, host: Host[Motor]) -> Mapping[str, float]:
+        """Return what these must hold now, where that depends on more than the options."""
+        return self.written(host.options)
+
     def polled(self, options: Any) -> Sequence[str]:  # noqa: ANN401
         """Return the registers that are read with every question and command."""
         return (self.turns,) if self.turns else ()
@@ -179,7 +183,7 @@ class RegisterAdapter(Adapter[Motor]):
         return self.expected(options).keys() | self.written(options).keys() <= known
 
     def arm(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
-        wanted = self.written(host.options)
+        wanted = self.wanted(host)
         if stale := host.own.stale(now, wanted):
             asked = [name for name in stale if host.own.may_ask(now, name)]
             return host.own.sent(now, self._read(now, host, asked))
