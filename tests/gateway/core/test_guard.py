@@ -379,6 +379,7 @@ ROBOTS = (
     "diffbot_cia402",
     "diffbot_moteus",
     "diffbot_damiao",
+    "diffbot_robstride",
     "diffbot_zlac8015d",
     "bench05",
     "twelve",

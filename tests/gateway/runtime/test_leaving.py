@@ -180,7 +180,14 @@ def test_motors_that_do_not_obey_are_noted_in_a_bounded_time(
     assert modes(turning) == {"left": Mode.READY, "right": Mode.ARMED}
 
 
-DRIVEN = ["diffbot", "diffbot_cia402", "diffbot_damiao", "diffbot_moteus", "diffbot_zlac8015d"]
+DRIVEN = [
+    "diffbot",
+    "diffbot_cia402",
+    "diffbot_damiao",
+    "diffbot_moteus",
+    "diffbot_robstride",
+    "diffbot_zlac8015d",
+]
 
 
 @pytest.mark.parametrize("robot", DRIVEN)

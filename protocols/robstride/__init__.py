@@ -1,0 +1,100 @@
+"""RobStride joint motors and the Xiaomi CyberGear over CAN (README.md). Exports `plugin`."""
+
+from __future__ import annotations
+
+from protocols import messages as msg
+from protocols.frames import EXTENDED_BIT, IdMask
+from protocols.messages import MILLISECOND, Command
+from protocols.plugin import DRIVER_WRITES, Device, FeedbackKind, Plugin, Range, Setting, Spec, Watchdog
+from protocols.robstride import table as rs
+from protocols.robstride.driver import RobStrideAdapter
+from protocols.robstride.options import REGISTERS as STORED
+from protocols.robstride.options import Options, Settings
+from protocols.robstride.twin import RobStrideTwin, memory_of
+from protocols.toolkit.assembly import can_motor, decoder_of, driver_of
+from protocols.toolkit.options import configuration
+from protocols.toolkit.table import BINARY32
+
+__all__ = ["plugin"]
+
+COMMANDS: dict[str, frozenset[type[Command]]] = {
+    "mit": frozenset({msg.Idle, msg.Hold, msg.Position, msg.Velocity, msg.Torque, msg.Impedance}),
+    "speed": frozenset({msg.Idle, msg.Velocity}),
+    "position": frozenset({msg.Idle, msg.Hold, msg.Position}),
+}
+REQUESTS = frozenset({msg.ClearFault, msg.Zero, msg.ReadParameter, msg.WriteParameter, msg.Scan})
+TURNS = Range(-1e4, 1e4, 1e-6, BINARY32)
+"""Position in a register, which counts turns."""
+ANYBODY: IdMask = (EXTENDED_BIT | rs.HOST << 8, EXTENDED_BIT | 0x1FFFFF00)
+"""Ids of a scan: who is at an address."""
+
+
+def ranges(options: Options) -> dict[str, Range]:
+    """Return what commands and measurements can carry."""
+    table = options.table
+    measured = {name: table.range("status", name, inside=2) for name in ("velocity", "torque")}
+    measured |= {"temperature": table.range("status", "temperature"), "position": TURNS}
+    commanded = options.gains.ranges()
+    if options.mode != "mit":
+        end = table.row("control").field("velocity").high
+        speed = {"Velocity.velocity": Range(-end, end, 1e-12, BINARY32)}
+        commanded = speed if options.mode == "speed" else {"Position.position": TURNS}
+    return commanded | {f"Feedback.{name}": value for name, value in measured.items()}
+
+
+def configured(device: Device) -> dict[str, Setting]:
+    """Return the registers that are configuration."""
+    options: Options = device.options
+    ends, has = rs.MODELS[options.model], rs.registers_of(options.model)
+    found = configuration(device.settings, {name: name for name in STORED if name in has})
+    limits = ("limit_torque", ends.torque), ("limit_cur", ends.current), ("limit_spd", ends.velocity)
+    for name, end in limits:  # 0 of the settings is the model's largest
+        found[name] = Setting(getattr(device.settings, name) or None, 0.0, end)
+    found["limit_torque"] = Setting(found["limit_torque"].expected, 0.0, ends.torque, limit="torque")
+    written = RobStrideAdapter().written(options).keys() & {*has} - {*rs.SET_POINTS}
+    return found | {name: Setting(protected=DRIVER_WRITES) for name in written}
+
+
+def spec(device: Device) -> Spec:
+    """Return the contract of one motor. Raises ValueError if its address cannot be one."""
+    options: Options = device.options
+    off = "it has no watchdog (timeout_ms = 0): without a host it goes on with its last command"
+    return can_motor(
+        device,
+        options.table,
+        rs.ADDRESSES,
+        sends=(*options.table.ids("to_device", device.address), ANYBODY),
+        commands=COMMANDS[options.mode],
+        requests=REQUESTS,
+        ranges=ranges(options),
+        watchdog=Watchdog(
+            round(options.timeout_ms * MILLISECOND),
+            options.timeout_ms > 0,
+            "" if options.timeout_ms else off,
+            "any frame",
+        ),
+        feedback=FeedbackKind.REPLY,
+        holds_unattended=not options.timeout_ms,
+        faults=rs.faults_of(options.model),
+        parameters=rs.registers_of(options.model),
+        configuration=configured(device),
+        save="" if options.model == rs.CYBERGEAR else rs.SAVE,
+        receives_also=((EXTENDED_BIT | 0xFE, EXTENDED_BIT | 0x1F0000FF),),
+        canonical=options.gains.canonical,
+    )
+
+
+plugin = Plugin(
+    name="robstride",
+    title="RobStride RS00 to RS06, EL05 and Xiaomi CyberGear joint motors over CAN",
+    trust="bytes of every message both ways, and the twin driven: robstride-dynamics 0.0.1, robstride 0.1.0, "
+    "pycybergear 1.0.0, motorbridge 0.5.6. No hardware yet",
+    options=Options,
+    settings=Settings,
+    spec=spec,
+    driver=driver_of(RobStrideAdapter, spec),
+    decoder=decoder_of(lambda options: options.table, memory_of, spec),
+    twin=RobStrideTwin,
+    messages=rs.ANY.names,
+    vectors=("gateway.fixtures", "vectors/robstride.json"),
+)
