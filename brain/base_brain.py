@@ -355,14 +355,14 @@ class BaseBrain:
             return self.motion.commands
         self._follow_new_path()
         pose, navigator = self._pose(now), self.navigator
-        drive, costmap = navigator.drive, navigator.costmap
+        drive = navigator.drive
         hand = Twist(drive.linear, drive.angular, drive.lateral) if drive is not None else navigator.motion
         wish = Wish(
             pose,
             share,
             navigator.busy or self.missions.phase is Phase.RUNNING,
             hand,
-            costmap.clearance(pose.x, pose.y) if costmap else 0.0,
+            navigator.clearance(pose, self._settings.pursuit.obstacle_distance),
         )
         commands = self.motion.step(now, wish, self._zone)
         trusted = share > 0.0 and self.perception.verdict.trust < Trust.DOUBTFUL

@@ -16,6 +16,7 @@ from collections.abc import Iterable, Sequence
 from math import cos, dist, hypot, inf, sin
 from typing import Protocol
 
+from brain.belief import Pose
 from brain.bodies.body import Base
 from brain.bodies.plane import Twist
 from brain.planning.astar import Searching
@@ -253,6 +254,11 @@ class Navigator:
         self._note("info", f"the path is dropped: {reason}")
         self._drop_path()
         self._query, self._check_at = None, now
+
+    def clearance(self, pose: Pose, most: float) -> float:
+        """Return the distance [m] from the footprint to the nearest obstacle of the map; more than `most`
+        may be `most`."""
+        return 0.0 if self.costmap is None else self._footprint.clearance(self.costmap, pose, most)
 
     # -- private ------------------------------------------------------------------------------
 
