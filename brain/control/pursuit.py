@@ -23,6 +23,7 @@ from brain.belief import Pose
 from brain.bodies.body import Base
 from brain.bodies.plane import REST, Twist, arc, wrap
 from brain.checks import ordered, within
+from brain.control.profile import JERK
 from brain.control.track import Place, Run, runs
 from brain.planning.polyline import Point
 from protocols.messages import MILLISECOND, SECOND, Nanos, seconds
@@ -293,8 +294,10 @@ class Pursuit:
     @staticmethod
     def _rate(error: float, share: float, body: Base, s: PursuitSettings) -> float:
         # With little jerk it must brake more gently, and correct more slowly.
-        gentle = min(body.max_angular_acceleration, 0.4 * sqrt(body.max_angular_jerk * body.max_angular))
-        gain = min(s.turn_gain, 1.3 * cbrt(0.8 * body.max_angular_jerk))
+        gentle = min(
+            body.max_angular_acceleration, 0.45 * sqrt(JERK * body.max_angular_jerk * body.max_angular)
+        )
+        gain = min(s.turn_gain, 1.3 * cbrt(JERK * body.max_angular_jerk))
         braking = sqrt(2.0 * s.braking * gentle * abs(error))
         rate = min(gain * abs(error), braking, share * body.max_angular)
         return rate if error > 0.0 else -rate
