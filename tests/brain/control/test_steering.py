@@ -1,4 +1,4 @@
-"""A base whose wheels steer: its motion keeps acceleration and jerk while they do."""
+"""A base begins to move when its motors are armed, and keeps acceleration and jerk while its wheels steer."""
 
 from __future__ import annotations
 
@@ -60,3 +60,19 @@ def test_a_base_moves_within_acceleration_and_jerk_while_its_wheels_steer(
     places, dt = np.array(track[::SAMPLED]).T, SAMPLED * PERIOD
     assert np.hypot(*np.diff(places, 2)).max() / dt**2 <= 1.3 * body.max_linear_acceleration
     assert np.hypot(*np.diff(places, 3)).max() / dt**3 <= 1.5 * body.max_linear_jerk
+
+
+def test_a_base_begins_to_move_when_its_motors_are_armed() -> None:
+    """What has grown meanwhile would be driven at once by the first motor that is armed."""
+    body = load_robot("ackermann").brain.body
+    assert isinstance(body, Base)
+    motion, last = Motion(PursuitSettings(), body, body.joints), body.joints[-1]
+    wish = Wish(Pose(0.0, 0.0, 0.0), 1.0, True, Twist(0.5), inf)
+    for number in range(100):
+        now = number * 20 * MILLISECOND
+        mode = msg.Mode.ARMED if number >= 50 else msg.Mode.READY
+        motion.observe([msg.State(joint, now, msg.Mode.ARMED) for joint in body.joints[:-1]])
+        motion.observe([msg.State(last, now, mode)])
+        assert not any(isinstance(command, msg.Idle) for command in motion.step(now, wish, Free()))
+        assert motion.twist.linear <= 0.01 or number >= 50
+    assert motion.twist.linear == pytest.approx(0.5)
