@@ -19,6 +19,7 @@ ROBOTS = {
     "diffbot_cia402": {"cia402"},
     "diffbot_damiao": {"damiao"},
     "diffbot_robstride": {"robstride"},
+    "diffbot_vesc": {"vesc"},
     "diffbot_zlac8015d": {"zlac8015d"},
     "diffbot_moteus": {"moteus"},
     "diffbot_mixed": {"cia402", "moteus", "odrive_can"},

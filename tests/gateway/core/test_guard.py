@@ -380,6 +380,7 @@ ROBOTS = (
     "diffbot_moteus",
     "diffbot_damiao",
     "diffbot_robstride",
+    "diffbot_vesc",
     "diffbot_zlac8015d",
     "bench05",
     "twelve",

@@ -186,6 +186,7 @@ DRIVEN = [
     "diffbot_damiao",
     "diffbot_moteus",
     "diffbot_robstride",
+    "diffbot_vesc",
     "diffbot_zlac8015d",
 ]
 
