@@ -4,9 +4,9 @@ Rules. People walk straight on, from wall to wall; they neither stop nor give wa
 base would be at that moment without them, up to `ASIDE`: one through the doorway, or along the wall beside it
 on the far side, hidden until late; the other anywhere, across or towards the base. They set out at a wall, at
 least `FAR` from the base or hidden from it, as soon as the base is as far on its way as it was so long before
-in a run without people. Who walks into a base that stands steps aside and is gone; who touches one of which
-the middle, or the place touched, is faster than `STANDS` is struck. The base and its sensors are those of
-`tests.robustness`.
+in a run without people. Who walks into a base that stands, or into another, steps aside and is gone; who
+touches a base of which the middle, or the place touched, is faster than `STANDS` is struck. The base and its
+sensors are those of `tests.robustness`.
 """
 
 from __future__ import annotations
@@ -100,8 +100,11 @@ class Trial:
         goes = before < BEGIN <= self.elapsed
         tasks = [Goal(self._goal.x, self._goal.y)] if goes else []
         self._commands = tuple(self.brain.step(self.base.now, events, tasks, ""))
-        for name in list(self.base.people):
+        people = self.base.people
+        for name in list(people):
             self._meet(name)
+        if len(people) == 2 and _apart(*people.values()) < 2.0 * RADIUS:
+            del people[self.result.walks[-1]]
         for _, text in self.brain.take_notes():
             if text.startswith("goal ") and " reached" in text:
                 self.result.span = self.elapsed
@@ -136,6 +139,10 @@ class Trial:
                 result.struck.append((name, self.elapsed, speed))
             else:
                 result.stepped_aside += 1
+
+
+def _apart(one: Person, other: Person) -> float:
+    return math.dist((one.x, one.y), (other.x, other.y))
 
 
 @cache
