@@ -102,7 +102,7 @@ class _Track:
     entered: float = 0.0
     """Share of its points where nothing stood, a mean over some scans"""
     comes: bool = False
-    """From behind something"""
+    unseen: bool = False
     moving: bool = False
 
     def predict(self, t: Nanos) -> None:
@@ -123,7 +123,7 @@ class _Track:
         self.pp, self.pv = self.pp * (1.0 - gain), self.pv * (1.0 - gain)
         self.radius += (0.5 if cluster.radius > self.radius else 0.1) * (cluster.radius - self.radius)
         self.entered += 0.5 * (cluster.entered - self.entered)
-        self.comes = cluster.comes
+        self.comes, self.unseen = cluster.comes, cluster.unseen
         self.count, self.seen = self.count + 1, self.t
         speed, far = math.hypot(self.vx, self.vy), math.dist((self.x, self.y), (self.from_x, self.from_y))
         if self.moving:
@@ -140,7 +140,9 @@ class _Cluster(NamedTuple):
     radius: float
     entered: float
     comes: bool
-    """From behind something, into what was free"""
+    """From behind something, into what was free,"""
+    unseen: bool
+    """or into what nothing had looked at"""
     share: float
     """Of the scan's duration, after which it was seen"""
 
@@ -167,7 +169,8 @@ class Movers:
         turn = there.yaw - here.yaw
         c, s = math.cos(turn), math.sin(turn)
         for one in self._tracks:
-            if one.moving or (doubts and (one.comes or one.entered > DOUBT)):
+            new = one.comes or one.entered > DOUBT or (one.unseen and one.count < KNOWN)
+            if one.moving or (doubts and new):
                 dt = max(seconds(t - one.t), 0.0)
                 x, y = one.x + dt * one.vx - here.x, one.y + dt * one.vy - here.y
                 at = there.x + c * x - s * y, there.y + s * x + c * y
@@ -216,7 +219,7 @@ class Movers:
         for i, new in enumerate(clusters):
             if i not in known and len(self._tracks) < MAX_TRACKS:
                 track = _Track(new.x, new.y, new.radius, t, t, new.x, new.y)
-                track.entered, track.comes = new.entered, new.comes
+                track.entered, track.comes, track.unseen = new.entered, new.comes, new.unseen
                 self._tracks.append(track)
 
 
@@ -251,20 +254,21 @@ def _clusters(scan: BodyScan, here: Pose, past: list[_Past]) -> list[_Cluster]:
     firsts = np.concatenate(([0], lasts[:-1] + 1))
     beside = np.arange(1, STEPS + 1)
     lengths = np.where(scan.ranges > 0.0, scan.ranges, math.inf)
-    entered = _entered(to_world(ends, here), past)
+    entered, unseen = _entered(to_world(ends, here), past)
     found: list[tuple[int, int]] = []
     for first, last in zip(firsts.tolist(), lasts.tolist(), strict=True):
         if last - first + 1 < LEAST_HITS:
             continue
         a, b = int(order[first]), int(order[last])
-        new = entered[order[first : last + 1]]
+        part = order[first : last + 1]
+        new = entered[part]
         if math.dist(ends[a], ends[b]) <= WIDEST:
             if not around and not STEPS <= at[a] <= at[b] < count - STEPS:
                 continue  # it may go on where nothing looks
             before = lengths[(int(at[a]) - beside) % count].min() - ranges[a]
             behind = lengths[(int(at[b]) + beside) % count].min() - ranges[b]
             nearer, farther = sorted((before, behind))
-            steps_out = nearer < -APART and new.sum() >= LEAST_HITS
+            steps_out = nearer < -APART and (new.sum() >= LEAST_HITS or bool(unseen[part].all()))
             if (farther > 0.0 and (nearer > 0.0 or steps_out)) or new.mean() > PARTLY:
                 found.append((first, last))
                 continue
@@ -277,7 +281,10 @@ def _clusters(scan: BodyScan, here: Pose, past: list[_Past]) -> list[_Cluster]:
         sides = lengths[(at[part[0]] - beside) % count], lengths[(at[part[-1]] + beside) % count]
         hidden = [side.min() < ranges[end] - APART for side, end in zip(sides, part[[0, -1]], strict=True)]
         partly = hidden[0] != hidden[1]
-        disc = _disc(ends[part], scan, here, entered[part], at[part].mean() / count, partly=partly)
+        x, y, radius = _disc(ends[part], scan, here, partly=partly)
+        new, share = entered[part], float(at[part].mean() / count)
+        comes = partly and bool(new.sum() >= LEAST_HITS), partly and bool(unseen[part].all())
+        disc = _Cluster(x, y, radius, float(new.mean()), *comes, share)
         clusters.append((float(ranges[part].min()), disc))
     clusters.sort(key=lambda one: one[0])
     return [cluster for _, cluster in clusters[:MAX_CLUSTERS]]
@@ -309,11 +316,9 @@ def _joined_legs(found: list[tuple[int, int]], ends: Floats) -> list[tuple[int, 
     return joined
 
 
-def _disc(
-    ends: Floats, scan: BodyScan, here: Pose, entered: Bools, share: float, *, partly: bool
-) -> _Cluster:
-    """Return the disc behind ends: as wide as they are, behind the nearest, at their middle bearing. If
-    something nearer hides the rest (`partly`), it is as wide as somebody, through the first and the last."""
+def _disc(ends: Floats, scan: BodyScan, here: Pose, *, partly: bool) -> tuple[float, float, float]:
+    """Return place and radius of the disc behind ends: as wide as they are, behind the nearest, at their
+    middle bearing; if something nearer hides the rest (`partly`), as wide as somebody, through both ends."""
     x, y = (ends - scan.origin).T
     chord = math.dist(ends[0], ends[-1])
     if partly and 0.0 < chord < 2.0 * SOMEBODY:
@@ -326,13 +331,14 @@ def _disc(
         far = float(np.hypot(x, y).min()) + radius
         place = scan.origin[0] + far * math.cos(bearing), scan.origin[1] + far * math.sin(bearing)
     world = moved(here, Pose(*place, 0.0))
-    comes = partly and bool(entered.sum() >= LEAST_HITS)
-    return _Cluster(world.x, world.y, radius, float(entered.mean()), comes, share)
+    return world.x, world.y, radius
 
 
-def _entered(points: Floats, past: list[_Past]) -> Bools:
-    """Return which points are where beams of a scan of a while ago passed, and its neighbours."""
+def _entered(points: Floats, past: list[_Past]) -> tuple[Bools, Bools]:
+    """Return which points are where beams of a scan of a while ago passed, and its neighbours; and which are
+    where none of them came."""
     found = np.zeros(len(points), dtype=np.bool_)
+    unseen = np.full(len(points), bool(past))
     for one in past:
         c, s = math.cos(one.at.yaw), math.sin(one.at.yaw)
         dx, dy = points[:, 0] - one.at.x, points[:, 1] - one.at.y
@@ -344,4 +350,5 @@ def _entered(points: Floats, past: list[_Past]) -> Bools:
         near = np.stack([one.scan.ranges[(beam + k) % count] for k in (-2, -1, 0, 1)])
         length = np.hypot(x, y)
         found |= seen & (near.min(axis=0) > length * (1.0 + FREE_SHARE) + FREE)
-    return found
+        unseen &= seen & (near.max(axis=0) < length - APART)
+    return found, unseen
