@@ -62,8 +62,9 @@ def gains(rows: tuple[Row, ...], unknowns: int = 3) -> tuple[Row, ...]:
 
 def normal_inverse(rows: Sequence[Row], unknowns: int = 3) -> tuple[Row, Row, Row]:
     """Return the inverse of the normal equations, by Cramer's rule; symmetric. Raises ValueError."""
-    a, b, c = (sum(row[0] * row[i] for row in rows) for i in range(3))
-    d, e, f = (sum(row[i] * row[j] for row in rows) for i, j in ((1, 1), (1, 2), (2, 2)))
+    a = b = c = d = e = f = 0.0
+    for x, y, z in rows:
+        a, b, c, d, e, f = a + x * x, b + x * y, c + x * z, d + y * y, e + y * z, f + z * z
     if unknowns == 2:
         c, e, f = 0.0, 0.0, 1.0
     one, two, three = d * f - e * e, c * e - b * f, b * e - c * d
@@ -89,8 +90,11 @@ def scaled(vector: Row, factor: float) -> Row:
 
 def weighted(columns: Sequence[Row], weights: Sequence[float]) -> Row:
     """Return the sum of columns times weights."""
-    pairs = list(zip(columns, weights, strict=True))
-    first, second, third = (sum(column[i] * weight for column, weight in pairs) for i in range(3))
+    first = second = third = 0.0
+    for column, weight in zip(columns, weights, strict=True):
+        first += column[0] * weight
+        second += column[1] * weight
+        third += column[2] * weight
     return first, second, third
 
 
