@@ -23,7 +23,7 @@ COMMANDS: dict[str, frozenset[type[Command]]] = {
     "position": frozenset({msg.Idle, msg.Hold, msg.Position}),
 }
 REQUESTS = frozenset({msg.ClearFault, msg.Zero, msg.ReadParameter, msg.WriteParameter, msg.Scan})
-TURNS = Range(-1e4, 1e4, 1e-6, BINARY32)
+TURNS = Range(-1e5, 1e5, 1e-6, BINARY32)
 """Position in a register, which counts turns."""
 ANYBODY: IdMask = (EXTENDED_BIT | rs.HOST << 8, EXTENDED_BIT | 0x1FFFFF00)
 """Ids of a scan: who is at an address."""
@@ -45,20 +45,21 @@ def ranges(options: Options) -> dict[str, Range]:
 def configured(device: Device) -> dict[str, Setting]:
     """Return the registers that are configuration."""
     options: Options = device.options
-    ends, has = rs.MODELS[options.model], rs.registers_of(options.model)
+    ends, has = rs.MODELS[options.model], rs.parameters_of(options.model)
     found = configuration(device.settings, {name: name for name in STORED if name in has})
     limits = ("limit_torque", ends.torque), ("limit_cur", ends.current), ("limit_spd", ends.velocity)
     for name, end in limits:  # 0 of the settings is the model's largest
-        found[name] = Setting(getattr(device.settings, name) or None, 0.0, end)
-    found["limit_torque"] = Setting(found["limit_torque"].expected, 0.0, ends.torque, limit="torque")
-    written = RobStrideAdapter().written(options).keys() & {*has} - {*rs.SET_POINTS}
+        expected = getattr(device.settings, name) or None
+        found[name] = Setting(expected, 0.0, end, limit="torque" if name == "limit_torque" else "")
+    written = RobStrideAdapter().written(options).keys() - {*rs.SET_POINT.values()}
     return found | {name: Setting(protected=DRIVER_WRITES) for name in written}
 
 
 def spec(device: Device) -> Spec:
     """Return the contract of one motor. Raises ValueError if its address cannot be one."""
     options: Options = device.options
-    off = "it has no watchdog (timeout_ms = 0): without a host it goes on with its last command"
+    timeout, has = round(options.timeout_ms * MILLISECOND), rs.parameters_of(options.model)
+    note = "" if timeout else "it has no watchdog (timeout_ms = 0): without a host its last command goes on"
     return can_motor(
         device,
         options.table,
@@ -67,18 +68,13 @@ def spec(device: Device) -> Spec:
         commands=COMMANDS[options.mode],
         requests=REQUESTS,
         ranges=ranges(options),
-        watchdog=Watchdog(
-            round(options.timeout_ms * MILLISECOND),
-            options.timeout_ms > 0,
-            "" if options.timeout_ms else off,
-            "any frame",
-        ),
+        watchdog=Watchdog(timeout, timeout > 0, note, "any frame"),
         feedback=FeedbackKind.REPLY,
-        holds_unattended=not options.timeout_ms,
+        holds_unattended=not timeout,
         faults=rs.faults_of(options.model),
-        parameters=rs.registers_of(options.model),
+        parameters=tuple(name for name in has if name != rs.SAVE),
         configuration=configured(device),
-        save="" if options.model == rs.CYBERGEAR else rs.SAVE,
+        save=rs.SAVE if rs.SAVE in has else "",
         receives_also=((EXTENDED_BIT | 0xFE, EXTENDED_BIT | 0x1F0000FF),),
         canonical=options.gains.canonical,
     )

@@ -8,59 +8,24 @@ the run mode, the watchdog and the set-point that it will obey at once are writt
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Any
 
 from protocols import messages as msg
 from protocols.frames import CanFrame, Frame
-from protocols.messages import MILLISECOND, Command, Feedback, Mode, Nanos, Request
-from protocols.plugin import Device
+from protocols.messages import Command, Feedback, Mode, Nanos, Request
 from protocols.robstride import table as rs
 from protocols.robstride.options import Options
 from protocols.toolkit.duplicates import IDENTIFY_PERIOD
 from protocols.toolkit.host import Host, Report
 from protocols.toolkit.mit import NUMBERS
 from protocols.toolkit.motor_driver import MotorDriver, Pending, Rx
-from protocols.toolkit.register_motor import ANSWER, Motor, RegisterAdapter
-from protocols.toolkit.table import Table, Values
+from protocols.toolkit.register_motor import Motor, RegisterAdapter
+from protocols.toolkit.table import Values
 
 MODES = {0: (Mode.READY, "reset"), 1: (Mode.INITIALISING, "calibration"), 2: (Mode.ARMED, "running")}
-SCAN_SLICE, SCAN_PERIOD = 8, 10 * MILLISECOND
-"""Questions of a scan that are sent at once (a queue of ten holds them), and how often."""
 NEAR = 0.02
 """rad between the shaft and the set-point that a motor is enabled with"""
-
-
-@dataclass(slots=True)
-class Own(Motor):
-    """What is known of one motor beyond its phase."""
-
-    in_status: frozenset[int] = frozenset()
-    """Codes of the faults in its last status,"""
-    in_message: frozenset[int] = frozenset()
-    """and in its fault messages since ClearFault: a status has fewer."""
-    identify_at: Nanos = 0
-
-    def faults(self, status: frozenset[int] | None = None, message: frozenset[int] = frozenset()) -> set[int]:
-        """Record faults; return all that are active."""
-        self.in_status = self.in_status if status is None else status
-        self.in_message |= message
-        return {*self.in_status, *self.in_message}
-
-    def forget(self) -> None:
-        """Forget everything."""
-        Motor.forget(self)
-        self.in_status, self.identify_at = frozenset(), 0
-        self.clear()
-
-    def clear(self) -> None:
-        """Forget the faults of messages: none says that they are gone."""
-        self.in_message = frozenset()
-
-    def identify(self, now: Nanos) -> bool:
-        """True if it must be asked now who it is."""
-        due = now >= self.identify_at
-        self.identify_at = now + IDENTIFY_PERIOD if due else self.identify_at
-        return due
 
 
 class RobStrideAdapter(RegisterAdapter):
@@ -72,26 +37,13 @@ class RobStrideAdapter(RegisterAdapter):
     registers, addresses, actions, save = rs.REGISTERS, rs.ADDRESSES, rs.REQUESTS, rs.SAVE
     turns, blind = "mechPos", True
 
-    def own(self, device: Device) -> Own:
-        return Own()
-
-    @staticmethod
-    def _own(host: Host[Motor]) -> Own:
-        assert isinstance(host.own, Own)
-        return host.own
-
     def written(self, options: Options) -> Mapping[str, float]:
-        wanted: dict[str, float] = {"run_mode": rs.run_modes_of(options.model)[options.mode]}
+        wanted: dict[str, float] = {"run_mode": options.run_mode}
         if options.timeout_ms:
-            wanted[rs.timeout_of(options.model)] = round(options.timeout_ms / rs.TIMEOUT_UNIT_MS)
-        match options.mode:
-            case "speed":
-                wanted |= {"spd_ref": 0.0}
-            case "position":
-                wanted |= {"loc_ref": 0.0, "limit_spd": options.max_velocity}
-        if options.max_current and options.mode != "mit":
-            wanted["limit_cur"] = options.max_current
-        return wanted
+            wanted[rs.MODELS[options.model].timeout] = round(options.timeout_ms * rs.PER_MS)
+        if options.run_mode:
+            wanted[rs.SET_POINT[options.run_mode]] = 0.0
+        return wanted | ({"limit_spd": options.max_velocity} if options.mode == "position" else {})
 
     def wanted(self, host: Host[Motor]) -> Mapping[str, float]:
         wanted = self.written(host.options)
@@ -129,7 +81,7 @@ class RobStrideAdapter(RegisterAdapter):
             case "fault":
                 found = rs.faults_in_message(host.options.model, values["faults"])
                 mode = Mode.FAULT if found else None
-                return (Report(host, address, mode, "fault", self._own(host).faults(message=found)),)
+                return (Report(host, address, mode, "fault", host.active | found),)
             case "register" | "version":
                 return (Report(host, address),)
         return (Rx.MALFORMED,)
@@ -140,7 +92,9 @@ class RobStrideAdapter(RegisterAdapter):
             return None
         host.own.reported(t)
         mode, detail = MODES[id_["mode"]]
-        faults = self._own(host).faults(rs.faults_in_status(host.options.model, id_["faults"]))
+        # A status has fewer faults than a fault message, and does not take those back.
+        details = {code for code in host.active if code >= rs.DETAIL}
+        faults = details | rs.faults_in_status(host.options.model, id_["faults"])
         mode = Mode.FAULT if faults else mode
         # Its position loops at ±4π, or ends there: mechPos has it.
         velocity, torque, temperature = (values[name] for name in ("velocity", "torque", "temperature"))
@@ -152,6 +106,9 @@ class RobStrideAdapter(RegisterAdapter):
     def message(self, name: str, address: int) -> Frame:
         return rs.ANY.encode(name, address)
 
+    def who(self, address: int) -> Sequence[Frame]:
+        return (self.message("get_id", address),)
+
     def about(self, operation: str, address: int, name: str, value: float = 0.0) -> Sequence[Frame]:
         if operation == "save":
             return (self.message("save", address),)
@@ -159,52 +116,36 @@ class RobStrideAdapter(RegisterAdapter):
         read = rs.ANY.encode("read", address, number=number, value=0)
         if operation == "read":
             return (read,)
-        if name in rs.SET_POINTS:
-            return rs.ANY.encode(name, address, value=value), read
         return rs.ANY.encode("write", address, number=number, value=rs.REGISTERS.raw(name, value)), read
 
-    def arm(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
-        known = self.wanted(host).keys() <= host.own.known.keys()  # else `poll` asks
-        return super().arm(now, host, command) if known else ()
-
     def set_point(self, host: Host[Motor], command: Command) -> Frame:
-        if host.options.mode == "mit":
-            goal = host.options.gains.impedance(command, host.held)
-            table: Table = host.options.table
-            return table.encode("control", host.address, **{name: getattr(goal, name) for name in NUMBERS})
-        name, value = "loc_ref", host.held or 0.0  # of Hold: `ready` sees to it that it is known
-        match command:
-            case msg.Position(position=position):
-                value = position
-            case msg.Velocity(velocity=velocity):
-                name, value = "spd_ref", velocity
+        options: Options = host.options
+        if options.mode == "mit":
+            goal = options.gains.impedance(command, host.held)
+            return options.table.encode(
+                "control", host.address, **{name: getattr(goal, name) for name in NUMBERS}
+            )
+        held = host.position if host.held is None else host.held
+        value: Any = getattr(command, "velocity" if options.mode == "speed" else "position", held)
+        name = rs.SET_POINT[options.run_mode]
         host.own.put(host.own.sent_at, name, value)  # what it is enabled with, unless it is written before
-        return rs.ANY.encode(name, host.address, value=value)
+        return self.about("write", host.address, name, value)[0]
 
     def poll(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
         frames = [*super().poll(now, host)]
-        return [*frames, self.message("get_id", host.address)] if self._own(host).identify(now) else frames
+        if now - host.own.asked.get("id", -IDENTIFY_PERIOD) >= IDENTIFY_PERIOD:
+            host.own.ask(now, "id")
+            frames += self.who(host.address)
+        return frames
 
     # -- requests -------------------------------------------------------------------------------------
 
     def begin(
         self, now: Nanos, request: Request, host: Host[Motor] | None, driver: MotorDriver[Motor]
     ) -> Pending[Motor] | str:
-        if isinstance(request, msg.Scan):
-            asks = tuple(self.message("get_id", at) for _ in range(2) for at in self.addresses)
-            end = now + SCAN_PERIOD * (1 + len(asks) // SCAN_SLICE) + ANSWER
-            return Pending(request, request.bus, now, end, now, None, asks, SCAN_PERIOD)
-        name = getattr(request, "name", "")
-        if host is not None and name in (*rs.REGISTERS.by_name, self.save):
-            model = host.options.model
-            has = rs.registers_of(model) if model == rs.CYBERGEAR else (*rs.registers_of(model), self.save)
-            if name not in has:
-                return f"a {model} has no {name}"
+        name, known = getattr(request, "parameter", ""), (*rs.REGISTERS.by_name, self.save)
+        if host is not None and name in known and name not in rs.parameters_of(host.options.model):
+            return f"a {host.options.model} has no {name}"
         if host is not None and isinstance(request, msg.ClearFault):
-            self._own(host).clear()
+            host.report_again()  # what a fault message had: no other says that it is gone
         return super().begin(now, request, host, driver)
-
-    def frames(self, now: Nanos, pending: Pending[Motor]) -> Sequence[Frame]:
-        if isinstance(pending.request, msg.Scan):
-            return pending.frames[pending.sent : pending.sent + SCAN_SLICE]
-        return super().frames(now, pending)

@@ -15,31 +15,30 @@ from typing import NamedTuple
 from protocols.messages import ClearFault, Request, Zero
 from protocols.plugin import FaultInfo
 from protocols.toolkit.registers import Register, Registers, Type
-from protocols.toolkit.table import Field, Row, Table, const, f32, span, uint, unused
+from protocols.toolkit.table import Field, Row, Table, const, span, uint, unused
 
 ADDRESSES = range(1, 0x80)
 HOST = 0xFD
 """Our address, that of the manual's examples. Motors answer any, and are never told it before they run."""
 CYBERGEAR = "cybergear"
-MIT = 0
-"""The run_mode of set-points of five numbers."""
-TIMEOUT_UNIT_MS = 0.05
+PER_MS = 20
+"""Counts of the watchdog's register."""
 REQUESTS: Mapping[type[Request], str] = {ClearFault: "clear", Zero: "zero"}
 
 
 class Model(NamedTuple):
-    """The ends of the ranges of a model."""
+    """The ends of the ranges of a model: rad/s, N·m, A, N·m/rad, N·m·s/rad, rad."""
 
     velocity: float
-    """rad/s"""
     torque: float
-    """N·m"""
     current: float
-    """A"""
     stiffness: float = 500.0
     damping: float = 5.0
     position: float = 12.57
-    """rad"""
+    timeout: str = "canTimeout"
+    """Register of the watchdog."""
+    goto: int = 5
+    """run_mode of positions"""
 
 
 MODELS: Mapping[str, Model] = {
@@ -51,7 +50,7 @@ MODELS: Mapping[str, Model] = {
     "RS05": Model(50.0, 5.5, 11.0),
     "RS06": Model(50.0, 36.0, 57.0, 5000.0, 100.0),
     "EL05": Model(50.0, 6.0, 11.0),
-    CYBERGEAR: Model(30.0, 12.0, 23.0, position=12.5),
+    CYBERGEAR: Model(30.0, 12.0, 23.0, 500.0, 5.0, 12.5, "CAN_TIMEOUT", 1),
 }
 
 
@@ -64,38 +63,26 @@ def _registers(kind: Type, names: str, *, writable: bool = True) -> list[Registe
 
 
 REGISTERS = Registers(
-    *_registers("u8", "7005:run_mode 7029:zero_sta 702A:damper"),
+    *_registers("u8", "7005:run_mode 7029:zero_sta"),
     *_registers("u16", "7026:EPScan_time"),
     *_registers("u32", "7028:canTimeout 200C:CAN_TIMEOUT"),
     *_registers("f32", "7006:iq_ref 700A:spd_ref 7016:loc_ref 700B:limit_torque 7017:limit_spd"),
     *_registers("f32", "7018:limit_cur 7010:cur_kp 7011:cur_ki 7014:cur_filt_gain 701E:loc_kp 701F:spd_kp"),
     *_registers("f32", "7020:spd_ki 7021:spd_filt_gain 7022:acc_rad 7024:vel_max 7025:acc_set"),
-    *_registers("f32", "702B:add_offset"),
     *_registers("f32", "7019:mechPos 701A:iqf 701B:mechVel 701C:VBUS", writable=False),
 )
-_ONLY_CYBERGEAR = {"CAN_TIMEOUT"}
-_NOT_CYBERGEAR = {name for name, each in REGISTERS.by_name.items() if each.number > 0x7020}
-SET_POINTS = ("iq_ref", "spd_ref", "loc_ref")
-"""Registers that are set-points of a run_mode."""
+SET_POINT = {1: "loc_ref", 2: "spd_ref", 3: "iq_ref", 5: "loc_ref"}
+"""The register that a run_mode obeys; 0 obeys set-points of five numbers."""
 SAVE = "save_parameters"
 """A parameter: written with 1, the motor saves its configuration. To a CyberGear the same message is a new
 bit rate."""
+_NOT_CYBERGEAR = {SAVE, *(name for name, each in REGISTERS.by_name.items() if each.number > 0x7020)}
 
 
-def registers_of(model: str) -> tuple[str, ...]:
-    """Return the names of the registers that a model has."""
-    missing = _NOT_CYBERGEAR if model == CYBERGEAR else _ONLY_CYBERGEAR
-    return tuple(name for name in REGISTERS.by_name if name not in missing)
-
-
-def timeout_of(model: str) -> str:
-    """Return the register of the watchdog."""
-    return "CAN_TIMEOUT" if model == CYBERGEAR else "canTimeout"
-
-
-def run_modes_of(model: str) -> Mapping[str, int]:
-    """Return the values of run_mode that we use."""
-    return {"mit": MIT, "speed": 2, "position": 1 if model == CYBERGEAR else 5}
+def parameters_of(model: str) -> tuple[str, ...]:
+    """Return the names of the registers that a model has, and SAVE if it can."""
+    missing = _NOT_CYBERGEAR if model == CYBERGEAR else {"CAN_TIMEOUT"}
+    return tuple(name for name in (*REGISTERS.by_name, SAVE) if name not in missing)
 
 
 # -- faults --------------------------------------------------------------------------------------------
@@ -135,23 +122,20 @@ _DETAILS: Mapping[int, FaultInfo] = {
 """By bit of the fault message."""
 NOT_ENABLED, DUPLICATE = 0x200, 0x201
 """Faults that the driver finds."""
-_UNSET = "it answers, but does not run, or has no register that must be set before (old firmware: {})"
+_UNSET = "it answers, but does not run, or has no register for its watchdog (old firmware)"
 ALL_FAULTS: Mapping[int, FaultInfo] = {
     **_STATUS,
     HALL: FaultInfo("HALL encoder", *_REPLACE),
     **{DETAIL + bit: info for bit, info in _DETAILS.items()},
-    NOT_ENABLED: FaultInfo(
-        "did not enable", _UNSET.format("canTimeout, CAN_TIMEOUT"), "check supply and firmware, clear"
-    ),
+    NOT_ENABLED: FaultInfo("did not enable", _UNSET, "check supply and firmware, clear"),
     DUPLICATE: FaultInfo("duplicate address", "two motors answer at one address", "change one of them"),
 }
 
 
 def faults_of(model: str) -> Mapping[int, FaultInfo]:
     """Return the faults that a model reports, by code."""
-    own = {0x10} if model == CYBERGEAR else {HALL}
-    own |= {DETAIL + 8, DETAIL + 9} if model == CYBERGEAR else set()
-    return {code: info for code, info in ALL_FAULTS.items() if code < NOT_ENABLED and code not in own}
+    others = {0x10, DETAIL + 8, DETAIL + 9} if model == CYBERGEAR else {HALL}
+    return {code: info for code, info in ALL_FAULTS.items() if code < NOT_ENABLED and code not in others}
 
 
 def faults_in_status(model: str, bits: int) -> frozenset[int]:
@@ -178,28 +162,23 @@ def _to(kind: int) -> tuple[Field, ...]:
 
 def _from(kind: int, *carried: Field, to: Field | None = None) -> tuple[Field, ...]:
     """Return the id of a message of a motor, which carries 8 bits of data; `to`: whom it is for."""
-    return const(kind, 5), *carried, uint("address"), to or unused(8)
+    return const(kind, 5), *carried, uint("address"), to or uint("host")
 
 
 @cache
 def table_of(model: str, position: float = 0.0, velocity: float = 0.0, torque: float = 0.0) -> Table:
     """Return the messages of a model; ends that are not 0 are in the place of the model's."""
     ends = MODELS[model]
-    most = {
-        "position": position or ends.position,
-        "velocity": velocity or ends.velocity,
-        "torque": torque or ends.torque,
-    }
-    pos, vel, force = (span(name, 16, -end, end) for name, end in most.items())
+    most = position or ends.position, velocity or ends.velocity, torque or ends.torque
+    numbers = [
+        (name, 16, -end, end) for name, end in zip(("position", "velocity", "torque"), most, strict=True)
+    ]
+    pos, vel, force = (span(*each) for each in numbers)
     gains = span("stiffness", 16, 0.0, ends.stiffness), span("damping", 16, 0.0, ends.damping)
-    measured = [span(name, 16, -end, end, measured=True) for name, end in most.items()]
+    measured = [span(*each, measured=True) for each in numbers]
     state, status = (uint("mode", 2), uint("faults", 6)), (*measured, uint("temperature", 16, 0.1))
     register = uint("number", 16), unused(16), uint("value", 32)
     version = const(0), const(0xC4), const(0x56), uint("version", 32), unused(8)
-
-    def set_point(name: str) -> Row:
-        number = REGISTERS.by_name[name].number
-        return Row(name, _to(18), (const(number, 16), unused(16), f32("value")))
 
     rows = (
         Row("get_id", _to(0), (unused(64),), read_only=True),
@@ -209,7 +188,6 @@ def table_of(model: str, position: float = 0.0, velocity: float = 0.0, torque: f
         Row("disable", _to(4), (unused(64),)),
         Row("zero", _to(6), (const(1), unused(56))),
         Row("read", _to(17), register, read_only=True),
-        *map(set_point, SET_POINTS),
         Row("write", _to(18), register),
         Row("id", _from(0, unused(8), to=const(0xFE)), (uint("serial", 64),), "from_device"),
         Row("version", _from(2, *state), version, "from_device", "big"),

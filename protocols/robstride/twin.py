@@ -7,12 +7,13 @@ gives their gains, not their form.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from protocols import messages as msg
-from protocols.frames import Frame
-from protocols.messages import MILLISECOND, Command, Mode, Nanos, Obeyed
+from protocols.frames import CanFrame, Frame
+from protocols.messages import Command, Mode, Nanos, Obeyed
 from protocols.plugin import Device
 from protocols.robstride import table as rs
 from protocols.robstride.options import REGISTERS as STORED
@@ -42,64 +43,55 @@ class Memory:
         if decoded.address != self.address:
             return ()
         match name:
-            case "enable":
-                self.enabled = True
-                return msg.Arm(motor), self._goal() or msg.Torque(motor, 0.0)
-            case "disable":
-                self.enabled = False
-                return (msg.Idle(motor),)
-            case "clear":
-                self.enabled = False
-                return msg.Idle(motor), msg.ClearFault(motor)
+            case "enable" | "disable" | "clear":
+                self.enabled = name == "enable"
+                if self.enabled:
+                    return msg.Arm(motor), self._goal()
+                return msg.Idle(motor), *((msg.ClearFault(motor),) if name == "clear" else ())
             case "zero":
                 return (msg.Zero(motor),)
             case "save":
                 return (msg.WriteParameter(motor, rs.SAVE, 1.0),)
-            case "control" if self.enabled and self.registers["run_mode"] == rs.MIT:
+            case "control" if self.enabled and not self.registers["run_mode"]:
                 return (msg.Impedance(motor, *(values[number] for number in NUMBERS)),)
             case "write":
-                name, value = rs.REGISTERS.value(values["number"], values["value"])
-                return self._write(name, value)
-            case _ if name in rs.SET_POINTS:
-                return self._write(name, values["value"])
+                return self._write(*rs.REGISTERS.value(values["number"], values["value"]))
         return ()
 
     def _write(self, name: str, value: float | None) -> Sequence[Obeyed]:
         if value is None or name not in self.registers or not rs.REGISTERS.by_name[name].writable:
             return ()
         self.registers[name] = value
-        goal = self._goal() if self.enabled and (name in rs.SET_POINTS or name == "run_mode") else None
-        return (msg.WriteParameter(self.name, name, value), *((goal,) if goal else ()))
+        moves = self.enabled and name in ("run_mode", rs.SET_POINT.get(int(self.registers["run_mode"])))
+        return (msg.WriteParameter(self.name, name, value), *((self._goal(),) if moves else ()))
 
-    def _goal(self) -> Command | None:
-        """Return what the set-points in its registers make it do."""
-        registers, motor, ends = self.registers, self.name, rs.MODELS[self.model]
-        match registers["run_mode"]:
-            case 2:
-                return msg.Velocity(motor, registers["spd_ref"])
-            case 3:
-                return msg.Torque(motor, registers["iq_ref"] * ends.torque / ends.current)
+    def _goal(self) -> Command:
+        """Return what the set-point in its registers makes it do."""
+        mode, ends = int(self.registers["run_mode"]), rs.MODELS[self.model]
+        value = self.registers[rs.SET_POINT[mode]] if mode in rs.SET_POINT else 0.0
+        match mode:
             case 1 | 5:
-                return msg.Position(motor, registers["loc_ref"])
-        return None
+                return msg.Position(self.name, value)
+            case 2:
+                return msg.Velocity(self.name, value)
+        return msg.Torque(self.name, value * ends.torque / ends.current)
 
     @property
     def fastest(self) -> float:
         """Velocity on the way to a position [rad/s]."""
-        mode = self.registers["run_mode"]
-        name = "vel_max" if mode == 1 and "vel_max" in self.registers else "limit_spd"
-        return self.registers[name] if mode in (1, 5) else math.inf
+        pp = self.registers["run_mode"] == 1 and self.model != rs.CYBERGEAR
+        return self.registers["vel_max" if pp else "limit_spd"]
 
 
 def memory_of(device: Device) -> Memory:
     """Return that of a motor as it is when switched on."""
     settings: Settings = device.settings
     model, ends = device.options.model, rs.MODELS[device.options.model]
-    registers = dict.fromkeys(rs.registers_of(model), 0.0) | {"VBUS": 48.0, "run_mode": settings.run_mode}
+    registers = dict.fromkeys(rs.parameters_of(model), 0.0) | {"VBUS": 48.0, "run_mode": settings.run_mode}
     stored = {name: float(getattr(settings, name)) for name in STORED if name in registers}
     stored["limit_torque"] = settings.limit_torque or ends.torque
     stored["limit_cur"] = settings.limit_cur or ends.current
-    stored[rs.timeout_of(model)] = round(settings.timeout_ms / rs.TIMEOUT_UNIT_MS)
+    stored[ends.timeout] = round(settings.timeout_ms * rs.PER_MS)
     return Memory(device.name, device.address, model, registers | stored)
 
 
@@ -110,37 +102,27 @@ class RobStrideTwin(ServoFirmware):
         self.model: str = device.options.model
         super().__init__(device, seed, Gains(torque_limit=rs.MODELS[self.model].torque))
         self.memory = memory_of(device)
+        self.host = 0
+        """Who sent a message last: whom answers are for. A set-point does not say who sent it."""
         self.table: Table = device.options.table
         self.faults = rs.faults_of(self.model)
 
     def timeout(self) -> Nanos:
-        timeout = milliseconds(self.memory.registers[rs.timeout_of(self.model)] * rs.TIMEOUT_UNIT_MS)
+        timeout = milliseconds(self.memory.registers[rs.MODELS[self.model].timeout] / rs.PER_MS)
         return timeout if self.mode is Mode.ARMED else 0
 
-    def trip(self, code: int) -> None:
-        super().trip(code)
-        self._send_fault()
+    def _frame(self, name: str, **values: Any) -> Frame:  # noqa: ANN401 -- numbers
+        return self.table.encode(name, self.memory.address, host=self.host, **values)
 
-    def _send_fault(self) -> None:
-        if self.fault >= rs.DETAIL and self.now is not None:
-            frame = rs.ANY.encode(
-                "fault", self.memory.address, faults=1 << self.fault - rs.DETAIL, warnings=0
-            )
-            self.reply(self.now, frame)
-
-    def cyclic(self) -> Mapping[str, Nanos]:
-        every = (10 + 5 * (self.memory.registers.get("EPScan_time", 1) - 1)) * MILLISECOND
-        return {"report": round(every)} if self.settings.active_report else {}
-
-    def report(self, name: str) -> Frame | None:
-        code, mode = self.fault, {Mode.ARMED: 2}.get(self.mode, 0)
-        bits = IN_STATUS.get(code - rs.DETAIL, 0) if code >= rs.DETAIL else code
+    def _status(self) -> Frame:
+        mode = 2 if self.mode is Mode.ARMED else 0
+        bits = IN_STATUS.get(self.fault - rs.DETAIL, 0) if self.fault >= rs.DETAIL else self.fault
         end = self.table.row("status").field("position").high
-        looped = math.remainder(self.encoder.position, 2.0 * end)
-        measured = {"velocity": self.encoder.velocity, "torque": self.torque, "position": looped}
-        state = {"mode": mode, "faults": 0x10 if bits == rs.HALL else bits}
-        return self.table.encode(
-            name, self.memory.address, **state, **measured, temperature=self.settings.temperature
+        position = math.remainder(self.encoder.position, 2.0 * end)
+        state = {"mode": mode, "faults": 0x10 if bits == rs.HALL else bits, "position": position}
+        heat = self.settings.temperature
+        return self._frame(
+            "status", **state, velocity=self.encoder.velocity, torque=self.torque, temperature=heat
         )
 
     def on_frame(self, t: Nanos, frame: Frame) -> None:
@@ -149,25 +131,25 @@ class RobStrideTwin(ServoFirmware):
             return
         for obeyed in memory.obey(decoded):
             self.obey(t, obeyed)
+        if isinstance(frame, CanFrame) and decoded.name != "control":
+            self.host = frame.id >> 8 & 0xFF
         self.fastest, self.strongest = memory.fastest, memory.registers["limit_torque"]
         self.feed(t)
         match decoded.name:
             case "get_id":
-                serial = self.settings.serial or 0x5253_0000_0000_0000 + memory.address
+                serial = 0x5253_0000_0000_0000 | (self.settings.serial or memory.address)
                 self.reply(t, self.table.encode("id", memory.address, serial=serial))
                 return
             case "read":
                 self.reply(t, self._register(decoded.values["number"]))
                 return
-            case "enable" if self.mode is Mode.FAULT:
-                self._send_fault()
-        status = self.report("status")
-        self.reply(t, *(() if status is None else (status,)))
+        if self.fault >= rs.DETAIL:
+            self.reply(t, self._frame("fault", faults=1 << self.fault - rs.DETAIL, warnings=0))
+        self.reply(t, self._status())
 
     def _register(self, number: int) -> Frame:
-        register, registers = rs.REGISTERS.by_number.get(number), self.memory.registers
-        if register is None or register.name not in registers:
-            return rs.ANY.encode("register", self.memory.address, failed=1, number=number, value=0)
-        measured = {"mechPos": self.encoder.position, "mechVel": self.encoder.velocity}
-        raw = rs.REGISTERS.raw(register.name, measured.get(register.name, registers[register.name]))
-        return rs.ANY.encode("register", self.memory.address, failed=0, number=number, value=raw)
+        register, values = rs.REGISTERS.by_number.get(number), self.memory.registers
+        values = values | {"mechPos": self.encoder.position, "mechVel": self.encoder.velocity}
+        known = register is not None and register.name in self.memory.registers
+        raw = rs.REGISTERS.raw(register.name, values[register.name]) if register is not None and known else 0
+        return self._frame("register", failed=not known, number=number, value=raw)

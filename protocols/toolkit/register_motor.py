@@ -25,6 +25,8 @@ ANSWER, RETRY = 200 * MILLISECOND, 50 * MILLISECOND
 
 FRESH = 500 * MILLISECOND
 """Age of what a register is known to hold, up to which a device is armed upon it."""
+SLICE, SLICE_PERIOD = 8, 10 * MILLISECOND
+"""Questions of a scan that are sent at once (a usual queue holds ten), and how often."""
 SILENT = 3
 """Periods of feedback without one, after which a commanded device is asked beside its set-points."""
 
@@ -134,6 +136,10 @@ class RegisterAdapter(Adapter[Motor]):
         written, it is read back), or saves all ("save")."""
         raise NotImplementedError
 
+    def who(self, address: int) -> Sequence[Frame]:
+        """Return the read-only frames that are answered by who is at an address; () if there are none."""
+        return self.about("read", address, self.serial) if self.serial else ()
+
     def ask(self, host: Host[Motor]) -> Sequence[Frame]:
         """Return the read-only frames that the device answers with its feedback."""
         return ()
@@ -184,6 +190,8 @@ class RegisterAdapter(Adapter[Motor]):
 
     def arm(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
         wanted = self.wanted(host)
+        if not wanted.keys() <= host.own.known.keys():
+            return ()  # `poll` asks
         if stale := host.own.stale(now, wanted):
             asked = [name for name in stale if host.own.may_ask(now, name)]
             return host.own.sent(now, self._read(now, host, asked))
@@ -228,11 +236,13 @@ class RegisterAdapter(Adapter[Motor]):
     def begin(
         self, now: Nanos, request: Request, host: Host[Motor] | None, driver: MotorDriver[Motor]
     ) -> Pending[Motor] | str:
-        if isinstance(request, msg.Scan) and self.serial:
+        if isinstance(request, msg.Scan):
             for each in driver.hosts.values():
                 each.own.ask(now, self.serial)
-            questions = tuple(f for at in self.addresses for f in self.about("read", at, self.serial))
-            return Pending(request, request.bus, now, now + ANSWER, now, None, questions)
+            once = [frame for at in self.addresses for frame in self.who(at)]
+            end = now + SLICE_PERIOD * (1 + 2 * len(once) // SLICE) + ANSWER
+            twice = (*once, *once)  # a question may be lost
+            return Pending(request, request.bus, now, end, now, None, twice, SLICE_PERIOD)
         wrong = "the device cannot do that on this bus"
         match request:
             case msg.ReadParameter(_, name):
@@ -250,7 +260,7 @@ class RegisterAdapter(Adapter[Motor]):
     def frames(self, now: Nanos, pending: Pending[Motor]) -> Sequence[Frame]:
         host = pending.host
         if host is None:
-            return pending.frames
+            return pending.frames[pending.sent : pending.sent + SLICE]
         frames: Sequence[Frame]
         match pending.request:
             case msg.ReadParameter(_, name):
