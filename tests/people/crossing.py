@@ -63,12 +63,17 @@ class Crossing:
     span: float = math.inf
     """s until the goal was reached"""
 
-    def line(self, alone: float) -> str:
-        """Return the run in words; `alone` [s]: what it took without people."""
+    @property
+    def delay(self) -> float:
+        """Return how much longer it took than the same way without people [s]."""
+        return min(self.span, LIMIT) - alone(self.seed % 2)[0].span
+
+    def line(self) -> str:
+        """Return the run in words."""
         struck = [f"{who} STRUCK at {t:.1f} s, {speed:.2f} m/s" for who, t, speed in self.struck]
         return (
             f"seed {self.seed}: {', '.join(self.walks)}; clearance {self.clearance:.2f} m; "
-            f"{self.span:.1f} s, {self.span - alone:+.1f} s; {', '.join(struck) or 'nobody struck'}"
+            f"{self.span:.1f} s, {self.delay:+.1f} s; {', '.join(struck) or 'nobody struck'}"
         )
 
 
@@ -146,9 +151,9 @@ def _apart(one: Person, other: Person) -> float:
 
 
 @cache
-def alone(seed: int, way: int) -> tuple[Crossing, Floats]:
+def alone(way: int) -> tuple[Crossing, Floats]:
     """Return a run without people, and the base's true pose at each tick."""
-    trial, track = Trial(seed, way, [], np.empty((0, 3))), []
+    trial, track = Trial(0, way, [], np.empty((0, 3))), []
     while trial.tick():
         here = trial.base.pose
         track.append((here.x, here.y, here.yaw))
@@ -157,7 +162,7 @@ def alone(seed: int, way: int) -> tuple[Crossing, Floats]:
 
 def run(seed: int, *, to_the_goal: bool = True) -> Crossing:
     """Run one seed to the goal, or until both have come and gone."""
-    trial = Trial(seed, seed % 2, drawn(seed), alone(0, seed % 2)[1])
+    trial = Trial(seed, seed % 2, drawn(seed), alone(seed % 2)[1])
     while trial.tick() and (to_the_goal or trial.walks or trial.base.people):
         pass
     return trial.result
@@ -166,7 +171,7 @@ def run(seed: int, *, to_the_goal: bool = True) -> Crossing:
 def drawn(seed: int) -> list[Walk]:
     """Draw two people."""
     random = np.random.Generator(np.random.PCG64([5, seed]))
-    track = alone(0, seed % 2)[1]
+    track = alone(seed % 2)[1]
     on = 1.0 if seed % 2 == 0 else -1.0
     ticks = np.arange(round(BEGIN * 100) + 100, len(track) - 50)
     past = on * (track[ticks, 0] - DOOR)
