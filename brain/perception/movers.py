@@ -42,7 +42,7 @@ GATE = 0.4
 """m between a cluster and where one that is followed should be, at most; and 3 standard deviations"""
 NOISE, SHAKE = 0.04, 0.25
 """m, of a cluster's place; m²/s³, of its acceleration"""
-FIRST_SPEED = 1.0
+FIRST_SPEED = 1.2
 """m/s: standard deviation of the velocity of what has just appeared"""
 KNOWN, KEPT = 3, 600 * MILLISECOND
 """Scans that show it before it may count; time for which it is followed without being seen"""
@@ -101,8 +101,8 @@ class _Track:
     count: int = 1
     entered: float = 0.0
     """Share of its points where nothing stood, a mean over some scans"""
-    comes: bool = False
-    unseen: bool = False
+    fresh: float = 0.0
+    """The same of `_Cluster.fresh`, in the first scans also of what is unseen"""
     moving: bool = False
 
     def predict(self, t: Nanos) -> None:
@@ -123,7 +123,8 @@ class _Track:
         self.pp, self.pv = self.pp * (1.0 - gain), self.pv * (1.0 - gain)
         self.radius += (0.5 if cluster.radius > self.radius else 0.1) * (cluster.radius - self.radius)
         self.entered += 0.5 * (cluster.entered - self.entered)
-        self.comes, self.unseen = cluster.comes, cluster.unseen
+        fresh = 1.0 if cluster.unseen and self.count < KNOWN else cluster.fresh
+        self.fresh += 0.5 * (fresh - self.fresh)
         self.count, self.seen = self.count + 1, self.t
         speed, far = math.hypot(self.vx, self.vy), math.dist((self.x, self.y), (self.from_x, self.from_y))
         if self.moving:
@@ -139,10 +140,10 @@ class _Cluster(NamedTuple):
     y: float
     radius: float
     entered: float
-    comes: bool
-    """From behind something, into what was free,"""
+    fresh: float
+    """The same, all of it if enough has come from behind something"""
     unseen: bool
-    """or into what nothing had looked at"""
+    """It has come from behind something to where nothing was seen"""
     share: float
     """Of the scan's duration, after which it was seen"""
 
@@ -169,8 +170,7 @@ class Movers:
         turn = there.yaw - here.yaw
         c, s = math.cos(turn), math.sin(turn)
         for one in self._tracks:
-            new = one.comes or one.entered > DOUBT or (one.unseen and one.count < KNOWN)
-            if one.moving or (doubts and new):
+            if one.moving or (doubts and one.fresh > DOUBT):
                 dt = max(seconds(t - one.t), 0.0)
                 x, y = one.x + dt * one.vx - here.x, one.y + dt * one.vy - here.y
                 at = there.x + c * x - s * y, there.y + s * x + c * y
@@ -219,7 +219,7 @@ class Movers:
         for i, new in enumerate(clusters):
             if i not in known and len(self._tracks) < MAX_TRACKS:
                 track = _Track(new.x, new.y, new.radius, t, t, new.x, new.y)
-                track.entered, track.comes, track.unseen = new.entered, new.comes, new.unseen
+                track.entered, track.fresh = new.entered, 1.0 if new.unseen else new.fresh
                 self._tracks.append(track)
 
 
@@ -268,7 +268,7 @@ def _clusters(scan: BodyScan, here: Pose, past: list[_Past]) -> list[_Cluster]:
             before = lengths[(int(at[a]) - beside) % count].min() - ranges[a]
             behind = lengths[(int(at[b]) + beside) % count].min() - ranges[b]
             nearer, farther = sorted((before, behind))
-            steps_out = nearer < -APART and (new.sum() >= LEAST_HITS or bool(unseen[part].all()))
+            steps_out = nearer < -APART and (new.sum() >= LEAST_HITS or unseen[part].mean() > PARTLY)
             if (farther > 0.0 and (nearer > 0.0 or steps_out)) or new.mean() > PARTLY:
                 found.append((first, last))
                 continue
@@ -283,8 +283,10 @@ def _clusters(scan: BodyScan, here: Pose, past: list[_Past]) -> list[_Cluster]:
         partly = hidden[0] != hidden[1]
         x, y, radius = _disc(ends[part], scan, here, partly=partly)
         new, share = entered[part], float(at[part].mean() / count)
-        comes = partly and bool(new.sum() >= LEAST_HITS), partly and bool(unseen[part].all())
-        disc = _Cluster(x, y, radius, float(new.mean()), *comes, share)
+        mean = float(new.mean())
+        fresh = 1.0 if partly and new.sum() >= LEAST_HITS else mean
+        unknown = partly and bool(unseen[part].mean() > PARTLY)
+        disc = _Cluster(x, y, radius, mean, fresh, unknown, share)
         clusters.append((float(ranges[part].min()), disc))
     clusters.sort(key=lambda one: one[0])
     return [cluster for _, cluster in clusters[:MAX_CLUSTERS]]
@@ -336,7 +338,7 @@ def _disc(ends: Floats, scan: BodyScan, here: Pose, *, partly: bool) -> tuple[fl
 
 def _entered(points: Floats, past: list[_Past]) -> tuple[Bools, Bools]:
     """Return which points are where beams of a scan of a while ago passed, and its neighbours; and which are
-    where none of them came."""
+    where none of them ended."""
     found = np.zeros(len(points), dtype=np.bool_)
     unseen = np.full(len(points), bool(past))
     for one in past:
@@ -350,5 +352,5 @@ def _entered(points: Floats, past: list[_Past]) -> tuple[Bools, Bools]:
         near = np.stack([one.scan.ranges[(beam + k) % count] for k in (-2, -1, 0, 1)])
         length = np.hypot(x, y)
         found |= seen & (near.min(axis=0) > length * (1.0 + FREE_SHARE) + FREE)
-        unseen &= seen & (near.max(axis=0) < length - APART)
+        unseen &= seen & (np.abs(near - length) > APART).all(axis=0)
     return found, unseen
