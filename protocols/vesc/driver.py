@@ -36,6 +36,8 @@ class Controller:
 
     timeout: Nanos
     """After which it cannot be fed by us any more"""
+    idle_current: float
+    """A"""
     answers: AnswerCount = field(default_factory=AnswerCount)
     asked_at: Nanos = -(1 << 62)
     since: Nanos | None = None
@@ -65,10 +67,27 @@ class Controller:
         self.timed_out, self.code, self.kill = True, 0, False
         self.seen.clear()
 
-    def see(self, t: Nanos, name: str) -> None:
-        """Record that a message came."""
+    def see(self, t: Nanos, name: str, values: Values) -> None:
+        """Record a message."""
         self.since = t if self.since is None else self.since
         self.seen[name] = t
+        match name:
+            case "STATUS_1":
+                self.current = abs(values["current"]) > self.idle_current
+            case "fault":
+                code = values["value"]
+                self.code = code if code in vt.FAULTS or not code else vt.UNKNOWN
+            case "state":
+                self.timed_out, self.kill = bool(values["value"] & 1), bool(values["value"] & 2)
+                self.proven, self.passed = self.proven or self.timed_out, self.passed or self.timed_out
+
+    def mode(self, before: Mode | None) -> tuple[Mode, str]:
+        """Return its mode, and a name for it; `before`: that which was reported last."""
+        if self.faults:
+            return Mode.FAULT, vt.FAULTS[min(self.faults)].name
+        if not self.timed_out and (self.driven or self.current or self.passed):
+            return Mode.ARMED, "driven"
+        return Mode.READY, "timeout" if self.timed_out and before is Mode.ARMED else "released"
 
     def missing(self, t: Nanos) -> list[str]:
         """Return the messages that are needed and do not come, while others do."""
@@ -104,7 +123,8 @@ class VescAdapter(Adapter[Controller]):
     faults, not_armed, latch = vt.ALL_FAULTS, vt.NOT_ARMED, True
 
     def own(self, device: Device) -> Controller:
-        return Controller(round(1.1 * device.options.timeout_ms * MILLISECOND) + 50 * MILLISECOND)
+        options: Options = device.options
+        return Controller((11 * options.timeout_ms // 10 + 50) * MILLISECOND, options.idle_current)
 
     def timing(self, options: Options) -> Timing:
         return Timing(options.offline_ms * MILLISECOND, confirmations=4)
@@ -121,34 +141,29 @@ class VescAdapter(Adapter[Controller]):
         if decoded is None:
             return (Rx.IGNORED,)
         name, address, values = decoded
-        host, ours = driver.at.get(address), {each.options.host_id for each in driver.hosts.values()}
-        if "host" in values and values["host"] not in ours:
+        host = driver.at.get(address)
+        if "host" in values and values["host"] not in {
+            each.options.host_id for each in driver.hosts.values()
+        }:
             return (Rx.IGNORED,)
-        if host is None:
-            if name != "PONG":
-                return (Rx.IGNORED,)
-            note = f"hardware type {values['hardware']}"
-            return (Report(None, address, note=note) if driver.scanning() else Rx.EXPECTED,)
-        if not name:
-            return (Rx.MALFORMED,)
-        own, report = host.own, Report(host, address)
-        own.see(t, name)
-        match name:
-            case "PONG":
-                report.note = f"hardware type {values['hardware']}"
-            case "fault" | "state":
-                self._on_answer(t, host, name, values["value"], report)
-            case _:
-                report.feedback = self._measured(t, host, name, values)
-                if own.current and not own.timed_out and not own.driven:
-                    report.mode, report.detail = Mode.ARMED, "driven"
-        return (report,)
+        note = f"hardware type {values['hardware']}" if name == "PONG" else ""
+        if note and (host is not None or driver.scanning()):
+            return (Report(host, address, note=note),)
+        if host is None or not name:
+            return (Rx.EXPECTED if note else Rx.IGNORED if host is None else Rx.MALFORMED,)
+        own = host.own
+        own.see(t, name, values)
+        mode, detail = own.mode(host.mode)
+        if name in ("fault", "state"):
+            known = mode if own.faults or name == "state" else None
+            return (Report(host, address, known, detail, own.faults, duplicate=own.answers.add(t)),)
+        late = mode if own.current and not own.driven and mode is Mode.ARMED else None
+        return (Report(host, address, late, detail, feedback=self._measured(t, host, name, values)),)
 
     def _measured(self, t: Nanos, host: Host[Controller], name: str, values: Values) -> Feedback | None:
         motor, options = host.name, host.options
         match name:
             case "STATUS_1":
-                host.own.current = abs(values["current"]) > options.idle_current
                 # The sign of the current is that of the power that it takes from the supply.
                 sign = values["duty"] or values["velocity"]
                 current = (-values["current"] if sign < 0 else values["current"]) + 0.0
@@ -161,34 +176,14 @@ class VescAdapter(Adapter[Controller]):
                 return Feedback(motor, t, temperature=max(values["fet"], values["motor"]))
         return None
 
-    def _on_answer(
-        self, t: Nanos, host: Host[Controller], name: str, value: int, report: Report[Controller]
-    ) -> None:
-        own = host.own
-        report.duplicate = own.answers.add(t)
-        if name == "fault":
-            own.code = value if value in vt.FAULTS or not value else vt.UNKNOWN
-        else:
-            own.timed_out, own.kill = bool(value & 1), bool(value & 2)
-            own.proven, own.passed = own.proven or own.timed_out, own.passed or own.timed_out
-        report.faults = own.faults
-        if own.faults:
-            report.mode, report.detail = Mode.FAULT, vt.FAULTS[min(own.faults)].name
-        elif name == "state":
-            driven = not own.timed_out and (own.driven or own.current or own.passed)
-            report.mode = Mode.ARMED if driven else Mode.READY
-            report.detail = "driven" if driven else "timeout" if own.timed_out else "released"
-
     def notice(self, now: Nanos, host: Host[Controller]) -> Sequence[Event]:
         own = host.own
         if host.offline or host.tripped or host.received_at is None:
             return ()
         if missing := own.missing(host.received_at):
-            code = vt.NO_ANSWER if "state" in missing else vt.NO_STATUS
-            cause = vt.ALL_FAULTS[code].cause
-            return host.trip(
-                now, code, cause if code == vt.NO_ANSWER else f"{' and '.join(missing)}: {cause}"
-            )
+            deaf = "state" in missing
+            code, names = (vt.NO_ANSWER, "") if deaf else (vt.NO_STATUS, f"{' and '.join(missing)}: ")
+            return host.trip(now, code, names + vt.ALL_FAULTS[code].cause)
         return host.trip(now, vt.NO_TIMEOUT) if own.without_timeout() else ()
 
     # -- sent -----------------------------------------------------------------------------------------
