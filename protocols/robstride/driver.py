@@ -64,8 +64,7 @@ class RobStrideAdapter(RegisterAdapter):
             return (Rx.IGNORED,)
         values, address = decoded.values, decoded.address
         if decoded.name == "id" and (host is not None or driver.scanning()):
-            note = f"identifier {values['serial']:016X}"
-            return (Report(host, address, serial=values["serial"], note=note),)
+            return (Report(host, address, serial=values["serial"]),)
         if host is None:
             return (Rx.IGNORED,)
         match decoded.name:
