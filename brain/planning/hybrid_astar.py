@@ -33,6 +33,8 @@ AFTER = 10
 """or after so many more batches."""
 BATCH, BATCH_WORK = 16, 4000
 """Nodes expanded at once, at most; what that costs beside the poses, in expansions of A*"""
+EVERY = 4
+"""Batches from one try of the goal to the next, near it; more when farther away"""
 BINS, COARSE = 72, 24
 """Headings of the lattice: of what moves on arcs, and of what turns on the spot"""
 FREE_YAWS, NEAR = 8, 8.0
@@ -142,7 +144,7 @@ class HybridSearch:
         if taken:
             here = self._nodes[taken[0]].pose
             away = hypot(self.goal[0] - here.x, self.goal[1] - here.y)
-            if self._batches % (1 + int(away / max(NEAR * self.ways.radius, 2.0))) == 0:
+            if self._batches % (EVERY * (1 + int(away / max(NEAR * self.ways.radius, 2.0)))) == 0:
                 self._try(taken[0])
             self._batches += 1
             self._since += self._found is not None
