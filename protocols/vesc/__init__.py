@@ -58,7 +58,7 @@ def spec(device: Device) -> Spec:
 plugin = Plugin(
     name="vesc",
     title="VESC motor controllers over CAN (velocity, torque by current)",
-    trust="bytes both ways: vedderb/bldc@b9d287b3, its sample and its buffer code compiled. No hardware yet",
+    trust="bytes both ways: vedderb/bldc@b9d287b3, compiled; pybldc 1.1.0 drove the twin. No hardware yet",
     options=Options,
     settings=Settings,
     spec=spec,
