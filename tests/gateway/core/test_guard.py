@@ -392,9 +392,11 @@ class LimitlessJoint(Joint):
 
     wild: Command | None = None
 
-    def command(self, now: Nanos, new: Command | None, stopped: bool, last: bool = False) -> Command:
+    def command(
+        self, now: Nanos, new: Command | None, stopped: bool, last: bool = False, leaving: bool = False
+    ) -> Command:
         """Return what was not asked for."""
-        usual = super().command(now, new, stopped, last)
+        usual = super().command(now, new, stopped, last, leaving)
         if self.wild is None:
             return usual
         self.owned = True
