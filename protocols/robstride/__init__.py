@@ -34,11 +34,10 @@ def ranges(options: Options) -> dict[str, Range]:
     table = options.table
     measured = {name: table.range("status", name, inside=2) for name in ("velocity", "torque")}
     measured |= {"temperature": table.range("status", "temperature"), "position": TURNS}
-    commanded = options.gains.ranges()
-    if options.mode != "mit":
-        end = table.row("control").field("velocity").high
-        speed = {"Velocity.velocity": Range(-end, end, 1e-12, BINARY32)}
-        commanded = speed if options.mode == "speed" else {"Position.position": TURNS}
+    end = table.row("control").field("velocity").high
+    speed = {"Velocity.velocity": Range(-end, end, 1e-12, BINARY32)}
+    own = {"speed": speed, "position": {"Position.position": TURNS}}
+    commanded = own.get(options.mode) or options.gains.ranges()
     return commanded | {f"Feedback.{name}": value for name, value in measured.items()}
 
 

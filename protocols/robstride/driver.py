@@ -58,9 +58,9 @@ class RobStrideAdapter(RegisterAdapter):
     # -- received -------------------------------------------------------------------------------------
 
     def receive(self, t: Nanos, frame: Frame, driver: MotorDriver[Motor]) -> Sequence[Report[Motor] | Rx]:
-        decoded = rs.ANY.decode(frame, "from_device")
-        host = driver.at.get(decoded.address) if decoded is not None else None
-        if decoded is None or not isinstance(frame, CanFrame):
+        host = driver.at.get(frame.id >> 8 & 0xFF) if isinstance(frame, CanFrame) else None
+        decoded = (rs.ANY if host is None else host.options.table).decode(frame, "from_device")
+        if decoded is None:
             return (Rx.IGNORED,)
         values, address = decoded.values, decoded.address
         if decoded.name == "id" and (host is not None or driver.scanning()):
@@ -68,8 +68,8 @@ class RobStrideAdapter(RegisterAdapter):
         if host is None:
             return (Rx.IGNORED,)
         match decoded.name:
-            case "status" | "report":
-                return (self._state(t, frame, host, values) or Rx.MALFORMED,)
+            case "status" | "report" if values["mode"] in MODES:
+                return (self._state(t, host, values),)
             case "register" if not values["failed"]:
                 name, value = rs.REGISTERS.value(values["number"], values["value"])
                 if value is None:
@@ -85,15 +85,12 @@ class RobStrideAdapter(RegisterAdapter):
                 return (Report(host, address),)
         return (Rx.MALFORMED,)
 
-    def _state(self, t: Nanos, frame: CanFrame, host: Host[Motor], id_: Values) -> Report[Motor] | None:
-        values = host.options.table.read("status", frame.data)
-        if values is None or id_["mode"] not in MODES:
-            return None
+    def _state(self, t: Nanos, host: Host[Motor], values: Values) -> Report[Motor]:
         host.own.reported(t)
-        mode, detail = MODES[id_["mode"]]
+        mode, detail = MODES[values["mode"]]
         # A status has fewer faults than a fault message, and does not take those back.
         details = {code for code in host.active if code >= rs.DETAIL}
-        faults = details | rs.faults_in_status(host.options.model, id_["faults"])
+        faults = details | rs.faults_in_status(host.options.model, values["faults"])
         mode = Mode.FAULT if faults else mode
         # Its position loops at ±4π, or ends there: mechPos has it.
         velocity, torque, temperature = (values[name] for name in ("velocity", "torque", "temperature"))

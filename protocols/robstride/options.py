@@ -65,13 +65,10 @@ class Options:
 class Settings:
     """Configuration of the motor; its model is that of the options."""
 
-    run_mode: int = bounded(0, 0, 5)
     timeout_ms: float = bounded(0.0, 0.0, 100_000.0)
     """canTimeout as saved; 0: no watchdog"""
     serial: int = bounded(0, 0, 0xFFFF_FFFF)
     """Lower half of its unique identifier; 0: the address"""
-    temperature: float = bounded(30.0, 0.0, 200.0)
-    """°C"""
     # Registers of the same name: A, N·m, rad/s, rad/s² … 0.0 of the limits: the model's largest.
     limit_torque: float = bounded(0.0, 0.0, 200.0)
     limit_cur: float = bounded(0.0, 0.0, 100.0)
@@ -93,5 +90,5 @@ class Settings:
         check_bounds(self)
 
 
-REGISTERS = tuple(name for name in Settings.__slots__ if name in rs.REGISTERS.by_name and name != "run_mode")
+REGISTERS = tuple(name for name in Settings.__slots__ if name in rs.REGISTERS.by_name)
 """The settings that are registers of the same name."""

@@ -76,18 +76,12 @@ class Memory:
                 return msg.Velocity(self.name, value)
         return msg.Torque(self.name, value * ends.torque / ends.current)
 
-    @property
-    def fastest(self) -> float:
-        """Velocity on the way to a position [rad/s]."""
-        pp = self.registers["run_mode"] == 1 and self.model != rs.CYBERGEAR
-        return self.registers["vel_max" if pp else "limit_spd"]
-
 
 def memory_of(device: Device) -> Memory:
     """Return that of a motor as it is when switched on."""
     settings: Settings = device.settings
     model, ends = device.options.model, rs.MODELS[device.options.model]
-    registers = dict.fromkeys(rs.parameters_of(model), 0.0) | {"VBUS": 48.0, "run_mode": settings.run_mode}
+    registers = dict.fromkeys(rs.parameters_of(model), 0.0) | {"VBUS": 48.0}
     stored = {name: float(getattr(settings, name)) for name in STORED if name in registers}
     stored["limit_torque"] = settings.limit_torque or ends.torque
     stored["limit_cur"] = settings.limit_cur or ends.current
@@ -119,11 +113,9 @@ class RobStrideTwin(ServoFirmware):
         bits = IN_STATUS.get(self.fault - rs.DETAIL, 0) if self.fault >= rs.DETAIL else self.fault
         end = self.table.row("status").field("position").high
         position = math.remainder(self.encoder.position, 2.0 * end)
-        state = {"mode": mode, "faults": 0x10 if bits == rs.HALL else bits, "position": position}
-        heat = self.settings.temperature
-        return self._frame(
-            "status", **state, velocity=self.encoder.velocity, torque=self.torque, temperature=heat
-        )
+        measured = {"position": position, "velocity": self.encoder.velocity, "torque": self.torque}
+        state = {"mode": mode, "faults": 0x10 if bits == rs.HALL else bits, "temperature": 30.0}
+        return self._frame("status", **state, **measured)
 
     def on_frame(self, t: Nanos, frame: Frame) -> None:
         decoded, memory = self.table.decode(frame, "to_device"), self.memory
@@ -133,7 +125,7 @@ class RobStrideTwin(ServoFirmware):
             self.obey(t, obeyed)
         if isinstance(frame, CanFrame) and decoded.name != "control":
             self.host = frame.id >> 8 & 0xFF
-        self.fastest, self.strongest = memory.fastest, memory.registers["limit_torque"]
+        self.fastest, self.strongest = memory.registers["limit_spd"], memory.registers["limit_torque"]
         self.feed(t)
         match decoded.name:
             case "get_id":
