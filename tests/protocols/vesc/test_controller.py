@@ -7,7 +7,7 @@ import pytest
 
 from gateway import config
 from gateway.errors import ConfigError
-from protocols.messages import ClearFault, Mode, Release, Stop, Velocity
+from protocols.messages import ClearFault, Mode, Position, Release, Stop, Velocity
 from tests.gateway.rig import BENCH, Rig, notes_in
 
 VESC = (
@@ -34,6 +34,15 @@ def test_it_turns_as_commanded() -> None:
     assert bench.velocity("left") == pytest.approx(5.0, abs=0.1)
     assert joint.feedback.velocity == pytest.approx(5.0, abs=0.1)
     assert joint.mode is Mode.ARMED
+
+
+def test_a_position_is_reached_by_the_loop_of_the_joint() -> None:
+    """To a step of the tachometer, 0.07 rad."""
+    loop = "{ velocity_gain = 0.05, integral_gain = 0.3, integral_most = 0.3, position_gain = 10.0 }"
+    bench = rig(options=f"{{ pole_pairs = 15, feedback_ms = 5 }}\nloop = {loop}")
+    bench.run(0.4)
+    bench.run(2.0, Position("left", 2.0))
+    assert bench.gateway.joints["left"].feedback.position == pytest.approx(2.0, abs=0.07)
 
 
 def test_one_as_delivered_sends_no_status_messages_and_is_not_commanded() -> None:
