@@ -34,15 +34,14 @@ class RobStrideAdapter(RegisterAdapter):
     name = "robstride"
     faults, latch = rs.ALL_FAULTS, True
     not_armed, duplicate = rs.NOT_ENABLED, rs.DUPLICATE
-    registers, addresses, actions, save = rs.REGISTERS, rs.ADDRESSES, rs.REQUESTS, rs.SAVE
-    turns, blind = "mechPos", True
+    registers, addresses, save = rs.REGISTERS, rs.ADDRESSES, rs.SAVE
+    turns, blind, actions = "mechPos", True, {msg.ClearFault: "clear", msg.Zero: "zero"}
 
     def written(self, options: Options) -> Mapping[str, float]:
         wanted: dict[str, float] = {"run_mode": options.run_mode}
-        if options.timeout_ms:
-            wanted[rs.MODELS[options.model].timeout] = round(options.timeout_ms * rs.PER_MS)
-        if options.run_mode:
-            wanted[rs.SET_POINT[options.run_mode]] = 0.0
+        timeout = {rs.MODELS[options.model].timeout: round(options.timeout_ms * rs.PER_MS)}
+        wanted |= timeout if options.timeout_ms else {}
+        wanted |= {rs.SET_POINT[options.run_mode]: 0.0} if options.run_mode else {}
         return wanted | ({"limit_spd": options.max_velocity} if options.mode == "position" else {})
 
     def wanted(self, host: Host[Motor]) -> Mapping[str, float]:
@@ -139,6 +138,8 @@ class RobStrideAdapter(RegisterAdapter):
     def begin(
         self, now: Nanos, request: Request, host: Host[Motor] | None, driver: MotorDriver[Motor]
     ) -> Pending[Motor] | str:
+        if isinstance(request, msg.Scan) and not all(each.options.scan for each in driver.hosts.values()):
+            return "switched off (scan = false): others on this bus would obey its questions"
         name, known = getattr(request, "parameter", ""), (*rs.REGISTERS.by_name, self.save)
         if host is not None and name in known and name not in rs.parameters_of(host.options.model):
             return f"a {host.options.model} has no {name}"

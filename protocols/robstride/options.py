@@ -33,6 +33,9 @@ class Options:
     """rad/s; 0: the model's, from its manual. Uncertain: the vendor's Python package has others (README)."""
     torque_end: float = bounded(0.0, 0.0, 200.0)
     """N·m; 0: the model's. Uncertain likewise."""
+    scan: bool = True
+    """A scan may ask all addresses, in 29-bit ids that motors of other makes obey. Set it to false for all
+    RobStride motors on a bus that they share with such."""
     timeout_ms: float = bounded(100.0, 0.0, 5000.0)
     """Of the motor's watchdog, written before it is enabled; 0: not written, and it counts as having none."""
     feedback_ms: int = bounded(10, 1, 1000)

@@ -12,7 +12,6 @@ from dataclasses import replace
 from functools import cache
 from typing import NamedTuple
 
-from protocols.messages import ClearFault, Request, Zero
 from protocols.plugin import FaultInfo
 from protocols.toolkit.registers import Register, Registers, Type
 from protocols.toolkit.table import Field, Row, Table, const, span, uint, unused
@@ -23,7 +22,6 @@ HOST = 0xFD
 CYBERGEAR = "cybergear"
 PER_MS = 20
 """Counts of the watchdog's register."""
-REQUESTS: Mapping[type[Request], str] = {ClearFault: "clear", Zero: "zero"}
 
 
 class Model(NamedTuple):
@@ -122,12 +120,13 @@ _DETAILS: Mapping[int, FaultInfo] = {
 """By bit of the fault message."""
 NOT_ENABLED, DUPLICATE = 0x200, 0x201
 """Faults that the driver finds."""
-_UNSET = "it answers, but does not run, or has no register for its watchdog (old firmware)"
 ALL_FAULTS: Mapping[int, FaultInfo] = {
     **_STATUS,
     HALL: FaultInfo("HALL encoder", *_REPLACE),
     **{DETAIL + bit: info for bit, info in _DETAILS.items()},
-    NOT_ENABLED: FaultInfo("did not enable", _UNSET, "check supply and firmware, clear"),
+    NOT_ENABLED: FaultInfo(
+        "did not enable", "its supply, or firmware without a watchdog", "check both, clear"
+    ),
     DUPLICATE: FaultInfo("duplicate address", "two motors answer at one address", "change one of them"),
 }
 
