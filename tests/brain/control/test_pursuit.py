@@ -59,7 +59,7 @@ def test_a_path_is_held_in_little_more_than_the_least_time(points: Points, bound
     assert acceleration(speeds) <= BODY.max_linear_acceleration * 1.001
     turns = [twist.angular for twist in ride.commanded]
     assert acceleration(turns) <= BODY.max_angular_acceleration * 1.001
-    assert jerk(turns) <= BODY.max_angular_jerk * 1.7  # what the arc needs, and what corrects it
+    assert jerk(turns) <= BODY.max_angular_jerk * 1.45  # what the arc needs, and what corrects it
     assert max(map(abs, turns)) <= BODY.max_angular + 1e-9
     assert max(speeds) <= BODY.max_linear + 1e-9
 
