@@ -62,7 +62,7 @@ def spec(device: Device) -> Spec:
     return can_motor(
         device,
         options.table,
-        rs.ADDRESSES,
+        RobStrideAdapter.addresses,
         sends=(*options.table.ids("to_device", device.address), *((ANYBODY,) if options.scan else ())),
         commands=COMMANDS[options.mode],
         requests=REQUESTS if options.scan else REQUESTS - {msg.Scan},

@@ -34,7 +34,7 @@ class RobStrideAdapter(RegisterAdapter):
     name = "robstride"
     faults, latch = rs.ALL_FAULTS, True
     not_armed, duplicate = rs.NOT_ENABLED, rs.DUPLICATE
-    registers, addresses, save = rs.REGISTERS, rs.ADDRESSES, rs.SAVE
+    registers, addresses, save = rs.REGISTERS, range(1, 0x80), rs.SAVE
     turns, blind, actions = "mechPos", True, {msg.ClearFault: "clear", msg.Zero: "zero"}
 
     def written(self, options: Options) -> Mapping[str, float]:

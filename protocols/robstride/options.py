@@ -46,7 +46,8 @@ class Options:
     def __post_init__(self) -> None:
         most = rs.MODELS[self.model]
         given = (("stiffness", self.stiffness, most.stiffness), ("damping", self.damping, most.damping))
-        check_bounds(self, [f"{n} is {x:g}: a {self.model} takes {end:g}" for n, x, end in given if x > end])
+        text = "{} is {:g}: at most {:g} for " + self.model
+        check_bounds(self, [text.format(*each) for each in given if each[1] > each[2]])
 
     @property
     def run_mode(self) -> int:

@@ -16,7 +16,6 @@ from protocols.plugin import FaultInfo
 from protocols.toolkit.registers import Register, Registers, Type
 from protocols.toolkit.table import Field, Row, Table, const, span, uint, unused
 
-ADDRESSES = range(1, 0x80)
 HOST = 0xFD
 """Our address, that of the manual's examples. Motors answer any, and are never told it before they run."""
 CYBERGEAR = "cybergear"

@@ -148,3 +148,9 @@ def test_where_the_vendor_s_package_has_other_ends_than_the_manuals() -> None:
             assert gains == (ours.stiffness, ours.damping)
             assert ends.MODEL_MIT_POSITION_TABLE[key] == pytest.approx(ours.position, rel=1e-3)
     assert differing == {"RS00", "RS03", "RS05", "RS06"}  # README.md: `velocity_end`, `torque_end`
+
+
+def test_gains_are_bounded_by_the_model() -> None:
+    with pytest.raises(ValueError, match=r"stiffness is 600: at most 500 for RS02; damping is 6: at most 5"):
+        Options(stiffness=600.0, damping=6.0)
+    assert Options(model="RS03", stiffness=600.0, damping=6.0).gains.stiffness == 600.0
