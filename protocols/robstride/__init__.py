@@ -8,8 +8,7 @@ from protocols.messages import MILLISECOND, Command
 from protocols.plugin import DRIVER_WRITES, Device, FeedbackKind, Plugin, Range, Setting, Spec, Watchdog
 from protocols.robstride import table as rs
 from protocols.robstride.driver import RobStrideAdapter
-from protocols.robstride.options import REGISTERS as STORED
-from protocols.robstride.options import Options, Settings
+from protocols.robstride.options import STORED, Options, Settings
 from protocols.robstride.twin import RobStrideTwin, memory_of
 from protocols.toolkit.assembly import can_motor, decoder_of, driver_of
 from protocols.toolkit.options import configuration

@@ -94,5 +94,5 @@ class Settings:
         check_bounds(self)
 
 
-REGISTERS = tuple(name for name in Settings.__slots__ if name in rs.REGISTERS.by_name)
+STORED = tuple(name for name in Settings.__slots__ if name in rs.REGISTERS.by_name)
 """The settings that are registers of the same name."""

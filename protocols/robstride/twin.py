@@ -16,8 +16,7 @@ from protocols.frames import CanFrame, Frame
 from protocols.messages import Command, Mode, Nanos, Obeyed
 from protocols.plugin import Device
 from protocols.robstride import table as rs
-from protocols.robstride.options import REGISTERS as STORED
-from protocols.robstride.options import Settings
+from protocols.robstride.options import STORED, Settings
 from protocols.toolkit.firmware import ServoFirmware, milliseconds
 from protocols.toolkit.mit import NUMBERS
 from protocols.toolkit.servo import Gains
