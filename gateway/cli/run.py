@@ -104,6 +104,8 @@ def _drive(session: Session, operator: Operator, options: Namespace, mission: Mi
     if faults:
         print(f"left in fault: {faults}", file=sys.stderr)
     view = session.belief.mission
+    if view is not None:
+        print(f"mission {view.name}: {view.phase}{f': {view.reason}' * bool(view.reason)}")
     undone = session.belief.reached < len(options.goal) or (mission and (not view or view.phase != "done"))
     return 1 if faults or left or undone else 0
 

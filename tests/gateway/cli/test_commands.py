@@ -171,6 +171,13 @@ def test_a_dry_run_does_everything_but_write_to_the_buses(
     assert "firmware unknown" in capsys.readouterr().err  # no device has received the driver's query
 
 
+def test_what_became_of_a_mission_is_printed(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    file = tmp_path / "twice.toml"
+    file.write_text("[[steps]]\nrepeat = 2\nsteps = [{wait = 0.1}]")
+    assert main(["run", "bench", "--bus", "can0=twin", "--fast", "--mission", str(file)]) == 0
+    assert capsys.readouterr().out.endswith("\nmission twice: done\n")
+
+
 def test_lines_on_the_terminal_and_by_ask_drive_the_bench(tmp_path: Path) -> None:
     """On the wall clock, in processes of their own: a terminal and a socket are theirs."""
     recording = tmp_path / "run.mcap"
