@@ -104,7 +104,7 @@ class RegisterAdapter(Adapter[Motor]):
     """Parameter that saves the configuration when 1 is written."""
     turns: str = ""
     """Register that holds the position beyond the range of the feedback."""
-    addresses: range
+    addresses: range = range(0)
     """Of all devices, for a scan."""
     enable: str = "enable"
     """Name of the message that arms."""
@@ -236,10 +236,9 @@ class RegisterAdapter(Adapter[Motor]):
     def begin(
         self, now: Nanos, request: Request, host: Host[Motor] | None, driver: MotorDriver[Motor]
     ) -> Pending[Motor] | str:
-        if isinstance(request, msg.Scan):
+        if isinstance(request, msg.Scan) and (once := self._who_is_there()):
             for each in driver.hosts.values():
                 each.own.ask(now, self.serial)
-            once = [frame for at in self.addresses for frame in self.who(at)]
             end = now + SLICE_PERIOD * (1 + 2 * len(once) // SLICE) + ANSWER
             twice = (*once, *once)  # a question may be lost
             return Pending(request, request.bus, now, end, now, None, twice, SLICE_PERIOD)
@@ -256,6 +255,9 @@ class RegisterAdapter(Adapter[Motor]):
         if wrong or host is None:
             return wrong
         return Pending(request, host.name, now, now + ANSWER, now, host, (), RETRY)
+
+    def _who_is_there(self) -> list[Frame]:
+        return [frame for at in self.addresses for frame in self.who(at)]
 
     def frames(self, now: Nanos, pending: Pending[Motor]) -> Sequence[Frame]:
         host = pending.host
