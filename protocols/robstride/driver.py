@@ -24,6 +24,8 @@ from protocols.toolkit.register_motor import Motor, RegisterAdapter
 from protocols.toolkit.table import Values
 
 MODES = {0: (Mode.READY, "reset"), 1: (Mode.INITIALISING, "calibration"), 2: (Mode.ARMED, "running")}
+MISSING = "missing"
+"""Under what is known: the number of a register that it must have, and has not."""
 NEAR = 0.02
 """rad between the shaft and the set-point that a motor is enabled with"""
 
@@ -50,6 +52,10 @@ class RobStrideAdapter(RegisterAdapter):
             return wanted
         known = host.own.known.get("loc_ref", 0.0)
         return {**wanted, "loc_ref": known if abs(known - host.position) < NEAR else host.position}
+
+    def refuse(self, host: Host[Motor], command: Command) -> str:
+        number = int(host.own.known.get(MISSING, 0))
+        return f"its firmware has no {rs.REGISTERS.by_number[number].name}" if number else ""
 
     def ready(self, host: Host[Motor]) -> bool:
         return host.position is not None
@@ -81,6 +87,9 @@ class RobStrideAdapter(RegisterAdapter):
                 mode = Mode.FAULT if found else None
                 return (Report(host, address, mode, "fault", host.active | found),)
             case "register" | "version":
+                name, _ = rs.REGISTERS.value(values.get("number", 0), 0)
+                if name in (self.turns, *self.wanted(host)):
+                    host.own.put(t, MISSING, values["number"])
                 return (Report(host, address),)
         return (Rx.MALFORMED,)
 

@@ -87,7 +87,6 @@ class Settings:
     acc_rad: float = bounded(20.0, 0.0, 10_000.0)
     vel_max: float = bounded(10.0, 0.0, 100.0)
     acc_set: float = bounded(10.0, 0.0, 10_000.0)
-    EPScan_time: int = bounded(1, 1, 0xFFFF)
     zero_sta: int = bounded(0, 0, 1)
 
     def __post_init__(self) -> None:

@@ -61,7 +61,6 @@ def _registers(kind: Type, names: str, *, writable: bool = True) -> list[Registe
 
 REGISTERS = Registers(
     *_registers("u8", "7005:run_mode 7029:zero_sta"),
-    *_registers("u16", "7026:EPScan_time"),
     *_registers("u32", "7028:canTimeout 200C:CAN_TIMEOUT"),
     *_registers("f32", "7006:iq_ref 700A:spd_ref 7016:loc_ref 700B:limit_torque 7017:limit_spd"),
     *_registers("f32", "7018:limit_cur 7010:cur_kp 7011:cur_ki 7014:cur_filt_gain 701E:loc_kp 701F:spd_kp"),
@@ -123,9 +122,7 @@ ALL_FAULTS: Mapping[int, FaultInfo] = {
     **_STATUS,
     HALL: FaultInfo("HALL encoder", *_REPLACE),
     **{DETAIL + bit: info for bit, info in _DETAILS.items()},
-    NOT_ENABLED: FaultInfo(
-        "did not enable", "its supply, or firmware without a watchdog", "check both, clear"
-    ),
+    NOT_ENABLED: FaultInfo("did not enable", "it answers, but does not run", "check its supply, then clear"),
     DUPLICATE: FaultInfo("duplicate address", "two motors answer at one address", "change one of them"),
 }
 

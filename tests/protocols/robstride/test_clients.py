@@ -119,7 +119,7 @@ def test_every_register_that_it_writes_is_read_back(vendor: RobstrideBus) -> Non
             vendor.write("left", parameter, value)
             assert vendor.read("left", parameter) == value
             written += 1
-    assert written == 20
+    assert written == 19
 
 
 def test_its_watchdog(vendor: RobstrideBus) -> None:
