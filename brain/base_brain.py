@@ -98,8 +98,8 @@ class BaseBrain:
             if self.missions.moves(task.motor):
                 self._halt(now, f"an operator moves {motor}")
             self._joints.request(now, task, stopped)
-        for reason in self._joints.drop_lost(now, stopped):
-            if self.missions.moves(reason.replace(":", " ").split()[0]):
+        for lost, reason in self._joints.drop_lost(now, stopped).items():
+            if self.missions.moves(lost):
                 self._halt(now, reason)
         wheels = self._step_base(now, events, base_tasks, stopped)
         joints = {command.motor: command for command in self._joints.commands(now)}
@@ -184,7 +184,7 @@ class BaseBrain:
                 case msg.Mission() | msg.Pause() | msg.Resume() | msg.Drop():
                     reason = self._on_mission(now, task, lost)
                 case _:
-                    reason = f"{task.motor} is a wheel of a base: use a goal, or drive"
+                    reason = f"{task.motor} moves the base: give the base a goal, or drive it"
             if reason:
                 self._status.add_note("warning", f"{type(task).__name__} refused: {reason}")
 
@@ -355,14 +355,14 @@ class BaseBrain:
             return self.motion.commands
         self._follow_new_path()
         pose, navigator = self._pose(now), self.navigator
-        drive, costmap = navigator.drive, navigator.costmap
+        drive = navigator.drive
         hand = Twist(drive.linear, drive.angular, drive.lateral) if drive is not None else navigator.motion
         wish = Wish(
             pose,
             share,
             navigator.busy or self.missions.phase is Phase.RUNNING,
             hand,
-            costmap.clearance(pose.x, pose.y) if costmap else 0.0,
+            navigator.clearance(pose, self._settings.pursuit.obstacle_distance),
         )
         commands = self.motion.step(now, wish, self._zone)
         trusted = share > 0.0 and self.perception.verdict.trust < Trust.DOUBTFUL

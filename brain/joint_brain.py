@@ -55,7 +55,7 @@ class JointBrain:
                 self._status.add_note("warning", f"{type(task).__name__} refused: {reason}")
         lost = joints.drop_lost(now, stopped)
         waiting = bool(missing) and self._status.state is BrainState.INITIALISING
-        if reason := stopped or ("" if waiting else "; ".join(lost)):
+        if reason := stopped or ("" if waiting else "; ".join(lost.values())):
             missions.halt(reason)
         seen = Seen(now, joints=joints.feedback, ended=joints.ended, why=joints.why)
         want = STAND if waiting else missions.advance(seen)
@@ -78,14 +78,15 @@ class JointBrain:
         told, self._missions.notes = self._missions.notes, []
         return told + self._status.take_notes()
 
-    def _update_state(self, stopped: str, missing: str, lost: Sequence[str]) -> None:
+    def _update_state(self, stopped: str, missing: str, lost: Mapping[str, str]) -> None:
         if stopped:
             self._status.enter(BrainState.STOPPED, stopped, "warning")
         elif missing and self._status.state is BrainState.INITIALISING:
             self._status.enter(BrainState.INITIALISING, f"waiting for {missing}")
         elif lost:
             all_lost = len(lost) == len(self._joints.motors)
-            self._status.enter(BrainState.STOPPED if all_lost else BrainState.DEGRADED, "; ".join(lost))
+            state = BrainState.STOPPED if all_lost else BrainState.DEGRADED
+            self._status.enter(state, "; ".join(lost.values()))
         elif self._missions.phase is Phase.FAILED:
             self._status.enter(BrainState.STOPPED, self._missions.reason)
         elif self._joints.busy or self._missions.phase is Phase.RUNNING:

@@ -116,22 +116,22 @@ class JointTargets:
         lost = health.level >= HealthLevel.HALT and not isinstance(task, Idle)
         return health.reason if lost else ""
 
-    def drop_lost(self, now: Nanos, stopped: str) -> tuple[str, ...]:
-        """Drop every target if stopped, else those of lost motors; return why each motor is lost."""
+    def drop_lost(self, now: Nanos, stopped: str) -> dict[str, str]:
+        """Drop every target if stopped, else those of lost motors; return why, by lost motor."""
         if stopped:
             self._targets = {motor: Idle(motor) for motor in self.motors}
             self._motions.clear()
-        reasons = []
+        reasons = {}
         for motor in self.motors:
             health = self.health.source(now, motor)
             if health.level < HealthLevel.HALT:
                 continue
-            reasons.append(health.reason)
+            reasons[motor] = health.reason
             if not isinstance(self._targets[motor], Idle):
                 self._targets[motor] = Idle(motor)
                 self._motions.pop(motor, None)
                 self._status.add_note("error", f"the target of {motor} is dropped: {health.reason}")
-        return tuple(reasons)
+        return reasons
 
     @property
     def busy(self) -> bool:

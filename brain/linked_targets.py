@@ -131,8 +131,8 @@ class LinkedTargets(JointTargets):
             if isinstance(target, Position | Velocity):
                 self._targets[motor] = Hold(motor)
 
-    def drop_lost(self, now: Nanos, stopped: str) -> tuple[str, ...]:
-        """Drop the targets of lost motors, and if stopped every target; return why each motor is lost.
+    def drop_lost(self, now: Nanos, stopped: str) -> dict[str, str]:
+        """Drop the targets of lost motors, and if stopped every target; return why, by lost motor.
 
         What is still armed when the stop is released holds from then on."""
         if not stopped:

@@ -24,8 +24,6 @@ LEAST_PIVOT = 1e-9
 """Of the normal equations: below, the wheels do not determine the twist."""
 STANDING = 1e-4
 """m/s: a wheel that shall roll more slowly is not steered."""
-CATCHING_UP = 8.0
-"""1/s: rate at which what is driven approaches the twist, once the wheels are ready"""
 
 
 def rolling_row(x: float, y: float, direction: float) -> Row:
@@ -64,8 +62,9 @@ def gains(rows: tuple[Row, ...], unknowns: int = 3) -> tuple[Row, ...]:
 
 def normal_inverse(rows: Sequence[Row], unknowns: int = 3) -> tuple[Row, Row, Row]:
     """Return the inverse of the normal equations, by Cramer's rule; symmetric. Raises ValueError."""
-    a, b, c = (sum(row[0] * row[i] for row in rows) for i in range(3))
-    d, e, f = (sum(row[i] * row[j] for row in rows) for i, j in ((1, 1), (1, 2), (2, 2)))
+    a = b = c = d = e = f = 0.0
+    for x, y, z in rows:
+        a, b, c, d, e, f = a + x * x, b + x * y, c + x * z, d + y * y, e + y * z, f + z * z
     if unknowns == 2:
         c, e, f = 0.0, 0.0, 1.0
     one, two, three = d * f - e * e, c * e - b * f, b * e - c * d
@@ -91,8 +90,11 @@ def scaled(vector: Row, factor: float) -> Row:
 
 def weighted(columns: Sequence[Row], weights: Sequence[float]) -> Row:
     """Return the sum of columns times weights."""
-    pairs = list(zip(columns, weights, strict=True))
-    first, second, third = (sum(column[i] * weight for column, weight in pairs) for i in range(3))
+    first = second = third = 0.0
+    for column, weight in zip(columns, weights, strict=True):
+        first += column[0] * weight
+        second += column[1] * weight
+        third += column[2] * weight
     return first, second, third
 
 
@@ -177,18 +179,21 @@ class Contact(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SteeredWheels(WheeledBase):
-    """A base with wheels that steer, 0 being forward: it waits, or goes slowly, until they point the right
-    way; at rest they stay as they are."""
+    """A base with wheels that steer, 0 being forward: it goes slowly until they point the right way, each
+    wheel driven by what of its velocity lies in its direction; at rest they stay as they are."""
 
     max_steering: float | None = None
     """rad, to either side; None: endless"""
     steering_error: float
-    """rad: with a wheel this far from its direction the base does not drive; from half of it on, its speed is
-    scaled by a cosine"""
+    """rad: with its fastest wheel this far from its direction the base does not drive; from half of it on,
+    its speed is scaled by a cosine"""
+    steering_lag: float = 0.06
+    """s from the command of a steering angle to the wheel being there: it is commanded as much earlier"""
 
     def __post_init__(self) -> None:
         half = math.pi / 2.0
         within(self, max_steering=(0.05, 1e4, "rad"), steering_error=(0.02, half, "rad"))
+        within(self, steering_lag=(0.0, 1.0, "s"))
         WheeledBase.__post_init__(self)
 
     @property
@@ -215,35 +220,23 @@ class SteeredWheels(WheeledBase):
         return tuple(self.wheel_radius if i in driven else 0.0 for i in range(len(self.joints)))
 
     def inverse(self, twist: Twist, positions: Sequence[float | None]) -> tuple[Setpoint, ...]:
-        """Return the joints' set-points for a twist, driven as far as the wheels are ready for it."""
-        return self._steer(twist, positions, self.readiness(twist, positions))
+        """Return the joints' set-points for a twist."""
+        return self._steer(twist, twist, positions)
 
     def actuate(
         self, twist: Twist, positions: Sequence[float | None], dt: float, memory: Any
     ) -> tuple[tuple[Command, ...], Any]:
-        """Return one command per joint. What is driven grows within the accelerations and jerks, whenever the
-        wheels become ready. The memory: the time that it takes to brake what is driven, its growth per
-        second, and the time to brake the whole twist."""
-        whole = self.to_rest(twist)
-        driven, growth, whole_before = memory or (0.0, 0.0, 0.0)
-        wanted = whole * self.readiness(twist, positions)
-        own = max(whole - whole_before, 0.0) / dt
-        growth = min(1.0, growth + dt * self._stiffness, own + CATCHING_UP * max(wanted - driven, 0.0))
-        before, driven = driven, min(wanted, driven + growth * dt)
-        share = driven / whole if whole > 0.0 else 0.0
-        remembered = driven, max(driven - before, 0.0) / dt, whole
-        return self.commands(self._steer(twist, positions, share)), remembered
-
-    @property
-    def _stiffness(self) -> float:
-        """Return by how much per second the acceleration may grow, as a share of the largest."""
-        linear = self.max_linear_jerk / self.max_linear_acceleration
-        return min(linear, self.max_angular_jerk / self.max_angular_acceleration)
+        """Return one command per joint: steered for the twist when the wheels will be there, if it goes on
+        changing as since the last command. The memory: the twist before."""
+        ahead = self.steering_lag / dt
+        soon = Twist(*(now + ahead * (now - was) for now, was in zip(twist, memory or twist, strict=True)))
+        return self.commands(self._steer(twist, soon, positions)), twist
 
     def readiness(self, twist: Twist, positions: Sequence[float | None]) -> float:
         """Return the share of a twist, from 0 to 1, that may be driven with the wheels' present directions.
 
-        The slower a wheel is to roll, the less its direction matters."""
+        The slower a wheel is to roll, the less its direction matters: what it slips, and what the base is
+        pushed aside by it, both are in proportion to its speed."""
         share, fastest = 1.0, max(math.hypot(*self._at(one, twist)) for one in self.contacts)
         for contact in self.contacts:
             present = None if contact.steering is None else positions[contact.steering]
@@ -253,7 +246,7 @@ class SteeredWheels(WheeledBase):
                 continue
             error = nearest(math.atan2(left, forward), present, self.max_steering)[0] - present
             turned = min(max(2.0 * abs(error) / self.steering_error - 1.0, 0.0), 1.0)
-            share = min(share, 1.0 - speed / fastest * (1.0 - math.cos(turned * math.pi / 2.0)))
+            share = min(share, 1.0 - (speed / fastest) ** 2 * (1.0 - math.cos(turned * math.pi / 2.0)))
         return max(share, 0.0)
 
     def _at(self, contact: Contact, twist: Twist) -> tuple[float, float]:
@@ -261,21 +254,20 @@ class SteeredWheels(WheeledBase):
         lateral = twist.lateral if self.moves_sideways else 0.0
         return twist.linear - twist.angular * contact.y, lateral + twist.angular * contact.x
 
-    def _steer(self, twist: Twist, positions: Sequence[float | None], share: float) -> tuple[Setpoint, ...]:
-        """Return the set-points: steered for the twist, driven at a share of it."""
+    def _steer(self, twist: Twist, soon: Twist, positions: Sequence[float | None]) -> tuple[Setpoint, ...]:
+        """Return the set-points: steered for the twist soon, driven by this one as the wheels point now."""
         setpoints = [Setpoint()] * len(self.joints)
         for contact in self.contacts:
             forward, left = self._at(contact, twist)
-            rolled = forward
             if contact.steering is not None:
-                rolled = math.hypot(forward, left)
-                if rolled >= STANDING:
-                    direction, present = math.atan2(left, forward), positions[contact.steering]
-                    angle, backward = nearest(direction, present, self.max_steering)
+                present, (ahead, aside) = positions[contact.steering], self._at(contact, soon)
+                if math.hypot(ahead, aside) >= STANDING:
+                    angle, _ = nearest(math.atan2(aside, ahead), present, self.max_steering)
                     setpoints[contact.steering] = Setpoint(position=angle)
-                    rolled = -rolled if backward else rolled
+                    present = angle if present is None else present
+                forward = forward * math.cos(present or 0.0) + left * math.sin(present or 0.0)
             if contact.drive is not None:
-                setpoints[contact.drive] = Setpoint(share * rolled / self.wheel_radius)
+                setpoints[contact.drive] = Setpoint(forward / self.wheel_radius)
         return tuple(setpoints)
 
     def travel(self, before: Sequence[float], after: Sequence[float]) -> Travel:

@@ -24,7 +24,7 @@ from protocols.messages import MILLISECOND, Command, Event, Nanos, seconds
 MAX_CONTROL_STEP: Nanos = 100 * MILLISECOND
 """A longer time between two commands counts as this: after a pause the speed must not jump."""
 LEAST_READY = 0.02
-"""Share of the wanted twist that is commanded while wheels are still steered: it tells them where to"""
+"""Share of the wanted twist that is commanded while motors arm and wheels steer: it tells them where to"""
 
 
 class Zone(Protocol):
@@ -146,7 +146,8 @@ class Motion:
         before = self.commanded
         wanted = self.body.limit(self._wanted(wish))
         desired = approach(before, wanted, since, self.body)
-        ready = self.body.readiness(desired.twist, self._places())
+        armed = all(self._armed.get(joint, True) for joint in self.body.joints)
+        ready = self.body.readiness(desired.twist, self._places()) if armed else 0.0
         if ready < 1.0:
             slower = wanted.scaled(max(ready, LEAST_READY))
             desired = approach(before, slower, since, self.body)

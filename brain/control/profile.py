@@ -17,7 +17,7 @@ from brain.control.joint_profile import JointLimits, JointState, velocity_step
 
 LATE = 0.1
 """s of angular acceleration by which a base may be off its curvature until it no longer speeds up"""
-JERK = 0.8
+JERK = 0.7
 """Share of the jerks that is commanded: the motors' loops add to it"""
 SLOW = 1e-3
 """m/s below which a motion has no curvature"""

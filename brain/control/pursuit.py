@@ -23,6 +23,7 @@ from brain.belief import Pose
 from brain.bodies.body import Base
 from brain.bodies.plane import REST, Twist, arc, wrap
 from brain.checks import ordered, within
+from brain.control.profile import JERK, clamp
 from brain.control.track import Place, Run, runs
 from brain.planning.polyline import Point
 from protocols.messages import MILLISECOND, SECOND, Nanos, seconds
@@ -102,7 +103,7 @@ APPROACH = 6.0
 ASIDE = 2.0
 """1/s: speed to the side per error, of what moves sideways"""
 TURNS_AHEAD = 1.0
-"""m before its end from which on a base that moves sideways takes the yaw of the goal"""
+"""m before its end, and its radius for each rad: there what moves sideways begins to take the goal's yaw"""
 MISSED_YAW = 3.0
 """Times the tolerance that a base that cannot turn on the spot may be off at the end"""
 
@@ -207,7 +208,7 @@ class Pursuit:
         allowed = max(share * ahead.speed, min(s.creep, share * body.max_linear))
         speed = min(allowed, max(APPROACH * left, s.creep))
         if body.moves_sideways:
-            return self._sideways(run, place, ahead, pose, speed, left, share, body, s)
+            return self._sideways(run, place, ahead, pose, speed, left, previous, share, body, s)
         travelling = pose.yaw if run.gear > 0 else wrap(pose.yaw + pi)
         lookahead = min(max(previous.speed * s.lookahead_time, s.lookahead_min), s.lookahead_max)
         heading = wrap(travelling - place.heading)
@@ -237,22 +238,25 @@ class Pursuit:
         pose: Pose,
         speed: float,
         left: float,
+        previous: Twist,
         share: float,
         body: Base,
         s: PursuitSettings,
     ) -> Twist:
-        """Return the twist of a base that keeps to its path in any heading."""
+        """Return the twist of a base that keeps to its path in any heading.
+
+        It turns about no place within its radius: wheels there that steer would turn round at once."""
         c, si = cos(ahead.heading), sin(ahead.heading)
         back = min(max(-ASIDE * self.error, -0.5 * body.max_linear), 0.5 * body.max_linear)
         vx, vy = speed * c - back * si, speed * si + back * c
         if place.facing is not None:
             wanted = place.facing
-        elif self.yaw is not None and left < TURNS_AHEAD:
+        elif self.yaw is not None and left < TURNS_AHEAD + body.radius * abs(wrap(self.yaw - pose.yaw)):
             wanted = self.yaw
         else:
             along = place.heading if run.gear > 0 else place.heading + pi
             wanted = along if left > s.lookahead_min else pose.yaw
-        rate = self._rate(wrap(wanted - pose.yaw), share, body, s)
+        rate = clamp(self._rate(wrap(wanted - pose.yaw), share, body, s), previous.speed / body.radius)
         cy, sy = cos(pose.yaw), sin(pose.yaw)
         return Twist(cy * vx + sy * vy, rate, cy * vy - sy * vx)
 
@@ -293,8 +297,10 @@ class Pursuit:
     @staticmethod
     def _rate(error: float, share: float, body: Base, s: PursuitSettings) -> float:
         # With little jerk it must brake more gently, and correct more slowly.
-        gentle = min(body.max_angular_acceleration, 0.4 * sqrt(body.max_angular_jerk * body.max_angular))
-        gain = min(s.turn_gain, 1.3 * cbrt(0.8 * body.max_angular_jerk))
+        gentle = min(
+            body.max_angular_acceleration, 0.45 * sqrt(JERK * body.max_angular_jerk * body.max_angular)
+        )
+        gain = min(s.turn_gain, 1.3 * cbrt(JERK * body.max_angular_jerk))
         braking = sqrt(2.0 * s.braking * gentle * abs(error))
         rate = min(gain * abs(error), braking, share * body.max_angular)
         return rate if error > 0.0 else -rate

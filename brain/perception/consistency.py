@@ -74,7 +74,7 @@ CROSSED, DENIED = 0.15, 0.7
 """Shares of hits, from which on the pose is doubtful;"""
 FEW_CROSSED, LITTLE_FIT = 0.05, 0.6
 """and from where on and below which together"""
-MOST_FIT, RECOGNISED_SCANS = 0.85, 3
+MOST_FIT, RECOGNISED_SCANS = 0.85, 5
 """Least share that fits of a scan that shows where the robot is, and how many in a row end being lost"""
 LOST_AFTER: Nanos = 300 * MILLISECOND
 LEAST_SCANS = 3
@@ -120,7 +120,7 @@ class Consistency:
 
     def recognised(self, one: Agreement) -> bool:
         """Return whether a scan, matched near the believed pose, ends being lost."""
-        fits = self.lost and one.seen.fit > MOST_FIT and one.seen.crossed < FEW_CROSSED
+        fits = self.lost and one.seen.fit > MOST_FIT and one.seen.crossed < CROSSED
         self._recognised = self._recognised + 1 if fits else 0
         return self._recognised >= RECOGNISED_SCANS
 

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left, bisect_right
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import sub
@@ -170,7 +171,7 @@ class Filter:
     def __init__(self, body: Base, settings: FilterSettings) -> None:
         self.body = body
         self.settings = settings
-        self.nis: dict[str, Nis] = {}
+        self.nis: defaultdict[str, Nis] = defaultdict(Nis)
         """By source."""
         self._engine: Engine = ENGINES[settings.engine]()
         start = settings.start_x, settings.start_y, settings.start_yaw
@@ -309,7 +310,8 @@ class Filter:
                 self._judged.append(Judged(_source(item), item.t, GateResult.LATE))
             else:
                 key = _key(item)
-                place = bisect_left(self._keys, key)
+                behind = not self._keys or self._keys[-1] < key
+                place = len(self._keys) if behind else bisect_left(self._keys, key)
                 if place == len(self._keys) or self._keys[place] != key:  # else it is the same input again
                     self._keys.insert(place, key)
                     self._items.insert(place, item)
@@ -358,7 +360,7 @@ class Filter:
         self._judged.append(Judged(source, t, result, distance, freedom))
         if freedom:
             quantile = CHI_SQUARE[0.95][freedom - 1]
-            self.nis.setdefault(source, Nis()).add(distance, quantile, freedom)
+            self.nis[source].add(distance, quantile, freedom)
 
     # -- wheels --------------------------------------------------------------------------------------------
 

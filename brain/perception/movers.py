@@ -6,7 +6,9 @@ legs are one). A wall's end or a corner is not: it is wide, or it goes on behind
 are followed by a Kalman filter of constant velocity each, nearest neighbour within a gate (Bar-Shalom, Li,
 Kirubarajan 2001, section 6.3). What is followed moves once its speed is certain and enough of it stands where
 beams of half a second or a second ago passed: a side of a box that comes into view has been behind its front,
-and never does. What stands there beside a wall, or as a part of anything wide, is a cluster of its own.
+and never does. What stands there beside a wall, or as a part of anything wide, is a cluster of its own. Who
+steps out from behind something is taken to be as wide as somebody: the middle of the part that is seen moves
+otherwise than he does.
 
 Who has just come into what was free may go anywhere until the velocity is known: `moving` returns that, too,
 if asked for doubts, with the velocity so far and its standard deviation.
@@ -33,14 +35,14 @@ LEAST_HITS, WIDEST, LEG = 3, 0.8, 0.35
 APART, STEPS = 0.1, 3
 """m, with 1.5 times the beams' spacing added: neighbouring ends farther apart are of two clusters; beams
 without a reading that may lie between"""
-SMALLEST, LARGEST = 0.08, 0.4
-"""m, radius"""
+SMALLEST, SOMEBODY, LARGEST = 0.08, 0.25, 0.4
+"""m, radius: the least, that of who is seen in part, the most"""
 MAX_CLUSTERS, MAX_TRACKS = 48, 32
 GATE = 0.4
 """m between a cluster and where one that is followed should be, at most; and 3 standard deviations"""
 NOISE, SHAKE = 0.04, 0.25
 """m, of a cluster's place; m²/s³, of its acceleration"""
-FIRST_SPEED = 1.0
+FIRST_SPEED = 1.2
 """m/s: standard deviation of the velocity of what has just appeared"""
 KNOWN, KEPT = 3, 600 * MILLISECOND
 """Scans that show it before it may count; time for which it is followed without being seen"""
@@ -99,6 +101,8 @@ class _Track:
     count: int = 1
     entered: float = 0.0
     """Share of its points where nothing stood, a mean over some scans"""
+    fresh: float = 0.0
+    """The same of `_Cluster.fresh`, in the first scans also of what is unseen"""
     moving: bool = False
 
     def predict(self, t: Nanos) -> None:
@@ -119,6 +123,8 @@ class _Track:
         self.pp, self.pv = self.pp * (1.0 - gain), self.pv * (1.0 - gain)
         self.radius += (0.5 if cluster.radius > self.radius else 0.1) * (cluster.radius - self.radius)
         self.entered += 0.5 * (cluster.entered - self.entered)
+        fresh = 1.0 if cluster.unseen and self.count < KNOWN else cluster.fresh
+        self.fresh += 0.5 * (fresh - self.fresh)
         self.count, self.seen = self.count + 1, self.t
         speed, far = math.hypot(self.vx, self.vy), math.dist((self.x, self.y), (self.from_x, self.from_y))
         if self.moving:
@@ -134,6 +140,10 @@ class _Cluster(NamedTuple):
     y: float
     radius: float
     entered: float
+    fresh: float
+    """The same, all of it if enough has come from behind something"""
+    unseen: bool
+    """It has come from behind something to where nothing was seen"""
     share: float
     """Of the scan's duration, after which it was seen"""
 
@@ -160,7 +170,7 @@ class Movers:
         turn = there.yaw - here.yaw
         c, s = math.cos(turn), math.sin(turn)
         for one in self._tracks:
-            if one.moving or (doubts and one.entered > DOUBT):
+            if one.moving or (doubts and one.fresh > DOUBT):
                 dt = max(seconds(t - one.t), 0.0)
                 x, y = one.x + dt * one.vx - here.x, one.y + dt * one.vy - here.y
                 at = there.x + c * x - s * y, there.y + s * x + c * y
@@ -208,7 +218,8 @@ class Movers:
         self._tracks = [one for one in self._tracks if t - one.seen < KEPT]
         for i, new in enumerate(clusters):
             if i not in known and len(self._tracks) < MAX_TRACKS:
-                track = _Track(new.x, new.y, new.radius, t, t, new.x, new.y, entered=new.entered)
+                track = _Track(new.x, new.y, new.radius, t, t, new.x, new.y)
+                track.entered, track.fresh = new.entered, 1.0 if new.unseen else new.fresh
                 self._tracks.append(track)
 
 
@@ -243,32 +254,40 @@ def _clusters(scan: BodyScan, here: Pose, past: list[_Past]) -> list[_Cluster]:
     firsts = np.concatenate(([0], lasts[:-1] + 1))
     beside = np.arange(1, STEPS + 1)
     lengths = np.where(scan.ranges > 0.0, scan.ranges, math.inf)
-    entered = _entered(to_world(ends, here), past)
+    entered, unseen = _entered(to_world(ends, here), past)
     found: list[tuple[int, int]] = []
     for first, last in zip(firsts.tolist(), lasts.tolist(), strict=True):
         if last - first + 1 < LEAST_HITS:
             continue
         a, b = int(order[first]), int(order[last])
+        part = order[first : last + 1]
+        new = entered[part]
         if math.dist(ends[a], ends[b]) <= WIDEST:
             if not around and not STEPS <= at[a] <= at[b] < count - STEPS:
                 continue  # it may go on where nothing looks
-            before = lengths[(int(at[a]) - beside) % count].min()
-            behind = lengths[(int(at[b]) + beside) % count].min()
-            open_sides = before > ranges[a] and behind > ranges[b]
-            if open_sides or entered[order[first : last + 1]].mean() > PARTLY:
+            before = lengths[(int(at[a]) - beside) % count].min() - ranges[a]
+            behind = lengths[(int(at[b]) + beside) % count].min() - ranges[b]
+            nearer, farther = sorted((before, behind))
+            steps_out = nearer < -APART and (new.sum() >= LEAST_HITS or unseen[part].mean() > PARTLY)
+            if (farther > 0.0 and (nearer > 0.0 or steps_out)) or new.mean() > PARTLY:
                 found.append((first, last))
                 continue
-        new = entered[order[first : last + 1]]
         if new.sum() >= LEAST_HITS:
             found += [(first + i, first + j) for i, j in _runs(new) if j - i + 1 >= LEAST_HITS]
     clusters = []
     for first, last in _joined_legs(found, ends[order]):
         part = order[first : last + 1]
         part = part[ranges[part] < ranges[part].min() + WIDEST]  # not what is seen between two legs
-        share = float(entered[part].mean())
-        clusters.append(
-            (float(ranges[part].min()), _disc(ends[part], scan, here, share, at[part].mean() / count))
-        )
+        sides = lengths[(at[part[0]] - beside) % count], lengths[(at[part[-1]] + beside) % count]
+        hidden = [side.min() < ranges[end] - APART for side, end in zip(sides, part[[0, -1]], strict=True)]
+        partly = hidden[0] != hidden[1]
+        x, y, radius = _disc(ends[part], scan, here, partly=partly)
+        new, share = entered[part], float(at[part].mean() / count)
+        mean = float(new.mean())
+        fresh = 1.0 if partly and new.sum() >= LEAST_HITS else mean
+        unknown = partly and bool(unseen[part].mean() > PARTLY)
+        disc = _Cluster(x, y, radius, mean, fresh, unknown, share)
+        clusters.append((float(ranges[part].min()), disc))
     clusters.sort(key=lambda one: one[0])
     return [cluster for _, cluster in clusters[:MAX_CLUSTERS]]
 
@@ -299,20 +318,29 @@ def _joined_legs(found: list[tuple[int, int]], ends: Floats) -> list[tuple[int, 
     return joined
 
 
-def _disc(ends: Floats, scan: BodyScan, here: Pose, entered: float, share: float) -> _Cluster:
-    """Return the disc behind ends: as wide as they are, behind the nearest, at their middle bearing."""
+def _disc(ends: Floats, scan: BodyScan, here: Pose, *, partly: bool) -> tuple[float, float, float]:
+    """Return place and radius of the disc behind ends: as wide as they are, behind the nearest, at their
+    middle bearing; if something nearer hides the rest (`partly`), as wide as somebody, through both ends."""
     x, y = (ends - scan.origin).T
-    radius = min(max(0.5 * math.dist(ends[0], ends[-1]), SMALLEST), LARGEST)
-    bearing = math.atan2(y[0] + y[-1], x[0] + x[-1])
-    far = float(np.hypot(x, y).min()) + radius
-    place = scan.origin[0] + far * math.cos(bearing), scan.origin[1] + far * math.sin(bearing)
+    chord = math.dist(ends[0], ends[-1])
+    if partly and 0.0 < chord < 2.0 * SOMEBODY:
+        radius, behind = SOMEBODY, math.sqrt(SOMEBODY**2 - 0.25 * chord**2) / chord
+        middle, along = 0.5 * (ends[0] + ends[-1]), ends[-1] - ends[0]
+        place = float(middle[0] + behind * along[1]), float(middle[1] - behind * along[0])
+    else:
+        radius = min(max(0.5 * chord, SMALLEST), LARGEST)
+        bearing = math.atan2(y[0] + y[-1], x[0] + x[-1])
+        far = float(np.hypot(x, y).min()) + radius
+        place = scan.origin[0] + far * math.cos(bearing), scan.origin[1] + far * math.sin(bearing)
     world = moved(here, Pose(*place, 0.0))
-    return _Cluster(world.x, world.y, radius, entered, share)
+    return world.x, world.y, radius
 
 
-def _entered(points: Floats, past: list[_Past]) -> Bools:
-    """Return which points are where beams of a scan of a while ago passed, and its neighbours."""
+def _entered(points: Floats, past: list[_Past]) -> tuple[Bools, Bools]:
+    """Return which points are where beams of a scan of a while ago passed, and its neighbours; and which are
+    where none of them ended."""
     found = np.zeros(len(points), dtype=np.bool_)
+    unseen = np.full(len(points), bool(past))
     for one in past:
         c, s = math.cos(one.at.yaw), math.sin(one.at.yaw)
         dx, dy = points[:, 0] - one.at.x, points[:, 1] - one.at.y
@@ -324,4 +352,5 @@ def _entered(points: Floats, past: list[_Past]) -> Bools:
         near = np.stack([one.scan.ranges[(beam + k) % count] for k in (-2, -1, 0, 1)])
         length = np.hypot(x, y)
         found |= seen & (near.min(axis=0) > length * (1.0 + FREE_SHARE) + FREE)
-    return found
+        unseen &= seen & (np.abs(near - length) > APART).all(axis=0)
+    return found, unseen

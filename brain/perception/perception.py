@@ -413,7 +413,9 @@ class Perception:
             results = self._apply([PoseFix(name, t, value, self._louder(name) * found.noise, found.shared)])
             return agreement, results.get(name) is not GateResult.REJECTED
         if self._consistency.recognised(agreement):
-            self._relocate(t, found.pose, found.noise + found.shared)
+            # as unsure as it was wrong: a match may leave a direction open
+            wrong = np.diag([offset * offset, offset * offset, turn * turn])
+            self._relocate(t, found.pose, covariance + wrong)
         return agreement, True
 
     def _draw(self, part: _Part) -> None:

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import atan2, ceil, dist, hypot
+from math import atan2, ceil, cos, dist, floor, hypot, sin
 
 import numpy as np
 
-from brain.belief import Floats
+from brain.belief import Floats, Pose
 from brain.bodies.body import Base
-from brain.planning.costmap import NEAR, OCCUPIED, UNKNOWN, Mask
+from brain.planning.costmap import NEAR, OCCUPIED, UNKNOWN, Costmap, Mask
 from brain.planning.polyline import Point
 from brain.planning.snapshot import Ground
 
@@ -106,6 +106,23 @@ class Footprint:
         within = (outside < self._offsets[:, None]).all(axis=0)
         met: Mask = np.bincount(pose, within, len(x)) > 0.0
         return met
+
+    def clearance(self, costmap: Costmap, pose: Pose, most: float) -> float:
+        """Return the distance [m] from the outline to the nearest occupied cell, as far as the levels of the
+        map resolve it; where not every heading fits, from the outline itself, from 0 to `most`."""
+        rough = costmap.clearance(pose.x, pose.y)
+        if not 0.0 < rough <= costmap.resolution or self.shape.corners is None:
+            return rough
+        reach = ceil((self.shape.outer + most) / costmap.resolution) + 1
+        rows, columns = (each.reshape(-1) for each in np.indices((2 * reach + 1, 2 * reach + 1)) - reach)
+        rows += floor(pose.y / costmap.resolution)
+        columns += floor(pose.x / costmap.resolution)
+        occupied = np.flatnonzero(costmap.levels(rows, columns) == OCCUPIED)
+        dx = (columns[occupied] + 0.5) * costmap.resolution - pose.x
+        dy = (rows[occupied] + 0.5) * costmap.resolution - pose.y
+        c, s = cos(pose.yaw), sin(pose.yaw)
+        beyond = self._normals @ np.stack([c * dx + s * dy, c * dy - s * dx]) - self._offsets[:, None]
+        return max(0.0, float(beyond.max(axis=0).min(initial=most)))
 
     def turn_fits(self, ground: Ground, at: Point, before: float, after: float) -> bool:
         """Return whether it can turn on the spot from one heading to another [rad], the shorter way."""

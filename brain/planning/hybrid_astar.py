@@ -6,9 +6,10 @@ autonomous driving", and 2010, IJRR 29(5).
 Rules. A node is a pose; of all in one cell of the lattice (x, y, heading) the cheapest counts. What cannot
 turn on the spot moves on arcs and straight lines, forward and backward; what can moves straight and turns.
 The heuristic is the larger of the shortest way without obstacles (near the goal) and the cost to go of a
-point on the grid, which exceeds the true one by at most 8.3 % (the octile metric). From promising nodes the
-goal is tried in one go (analytic expansion). The search ends when no node can lead to a path that is cheaper
-by `GOOD_ENOUGH`, or soon after the first path was found; that is then made shorter by more such ways.
+point on the grid, in cells twice as large, which exceeds the true one by at most 8.3 % (the octile metric).
+From promising nodes the goal is tried in one go (analytic expansion). The search ends when no node can lead
+to a path that is cheaper by `GOOD_ENOUGH`, or soon after the first path was found; that is then made shorter
+by more such ways.
 Equal queries have equal results; the state is plain data.
 """
 
@@ -23,7 +24,8 @@ import numpy as np
 from brain.belief import Floats, Pose
 from brain.planning.astar import Search, Searching, Unreachable
 from brain.planning.reeds_shepp import Part, lengths, poses
-from brain.planning.ways import TURN_PRICE, Shortcuts, Way, Ways, coordinates
+from brain.planning.snapshot import Halved
+from brain.planning.ways import TURN_PRICE, Shortcuts, Track, Way, Ways, coordinates
 
 GOOD_ENOUGH = 1.05
 """A path is taken if no other can be cheaper than by this factor,"""
@@ -31,6 +33,8 @@ AFTER = 10
 """or after so many more batches."""
 BATCH, BATCH_WORK = 16, 4000
 """Nodes expanded at once, at most; what that costs beside the poses, in expansions of A*"""
+EVERY = 4
+"""Batches from one try of the goal to the next, near it; more when farther away"""
 BINS, COARSE = 72, 24
 """Headings of the lattice: of what moves on arcs, and of what turns on the spot"""
 FREE_YAWS, NEAR = 8, 8.0
@@ -58,10 +62,9 @@ class HybridSearch:
         self._pitch = max(2.0 * ways.ground.resolution, ways.radius / 8.0)
         self._bins = BINS if ways.radius else COARSE
         self._moves = _Moves(ways, self._pitch, 2.0 * pi / self._bins)
-        here, there = ways.ground.index(start.x, start.y), ways.ground.index(goal[0], goal[1])
-        assert here is not None
-        assert there is not None
-        self._field: Search | None = Search(ways.ground, there, here, spread=True)
+        self._ground = Halved(ways.ground)
+        """For the cost to go"""
+        self._field: Search | None = None
         self._ahead: Floats = np.zeros(0)
         """m, cost to go of each cell"""
         self._nodes: list[_Node] = []
@@ -70,6 +73,8 @@ class HybridSearch:
         """m, the least cost of each cell of the lattice"""
         self._found: tuple[float, int, Way] | None = None
         """Cost of the best path, its last node, and the way from there."""
+        self._tries: list[tuple[int, Track]] = []
+        """Nodes, and ways from there to the goal that are not priced yet, the cheapest last"""
         self._batches = self._since = 0
         """In all, and since the first path was found."""
         self._short: Shortcuts | None = None
@@ -84,8 +89,8 @@ class HybridSearch:
         """Continue for about this much work. Once finished, the result does not change."""
         end = self.work + work
         while self.work < end and self._result is None:
-            if self._field is not None:
-                self._spread(self._field, end - self.work)
+            if not self._nodes:
+                self._spread(end - self.work)
             elif self._short is None:
                 self._step()
             elif self._short.finished:
@@ -96,22 +101,33 @@ class HybridSearch:
 
     # -- private ------------------------------------------------------------------------------
 
-    def _spread(self, field: Search, work: int) -> None:
+    def _spread(self, work: int) -> None:
         """Find the cost to go of each cell."""
-        before = field.work
+        ground = self._ground
+        if not ground.complete:
+            self._field_work += work - ground.halve(work)
+            return
+        if self._field is None:
+            here, there = ground.index(self.start.x, self.start.y), ground.index(*self.goal[:2])
+            assert here is not None
+            assert there is not None
+            self._field = Search(ground, there, here, spread=True)
+        field, before = self._field, self._field.work
         outcome = field.advance(work)
         self._field_work += field.work - before + 1
         if isinstance(outcome, Unreachable):
             self._result = outcome
         elif not isinstance(outcome, Searching):
             most = min(field.most, float(field.cost.max()))
-            self._ahead = np.where(field.cost > 0.0, field.cost, most) * self.ways.ground.resolution
-            self._field = None
+            self._ahead = np.where(field.cost > 0.0, field.cost, most) * ground.resolution
             self._best[self._key(self.start)] = 0.0
             self._push([_Node(self.start, 0.0, -1, 0, -1)])
 
     def _step(self) -> None:
-        """Expand a batch, and try the goal from the best of it."""
+        """Price one way to the goal; or expand a batch, and find ways to the goal from the best of it."""
+        if self._tries:
+            self._price(*self._tries.pop())
+            return
         cheapest = self._open[0][0] if self._open else inf
         if self._found and (cheapest * GOOD_ENOUGH >= self._found[0] or self._since >= AFTER):
             self._short = Shortcuts(self.start, self._traced(self._found[1], self._found[2]))
@@ -128,29 +144,31 @@ class HybridSearch:
         if taken:
             here = self._nodes[taken[0]].pose
             away = hypot(self.goal[0] - here.x, self.goal[1] - here.y)
-            if self._batches % (1 + int(away / max(NEAR * self.ways.radius, 2.0))) == 0:
+            if self._batches % (EVERY * (1 + int(away / max(NEAR * self.ways.radius, 2.0)))) == 0:
                 self._try(taken[0])
             self._batches += 1
             self._since += self._found is not None
             self._push(self._expanded(taken))
 
     def _try(self, number: int) -> None:
-        """Try the goal from a node in one go."""
+        """Find ways to the goal from a node in one go."""
         node, (x, y, yaw) = self._nodes[number], self.goal
-        for end in [Pose(x, y, yaw)] if yaw is not None else self._free_ends(node.pose):
-            way = self.ways.connect(node.pose, end, node.gear)
-            if way is not None and node.cost + way.cost < (self._found[0] if self._found else inf):
-                self._found = node.cost + way.cost, number, way
+        if yaw is not None:
+            ends = [Pose(x, y, yaw)]
+        elif self.ways.radius:
+            ends = [Pose(x, y, 2.0 * pi * i / FREE_YAWS) for i in range(FREE_YAWS)]
+        else:
+            ends = [Pose(x, y, atan2(y - node.pose.y, x - node.pose.x))]
+        tracks = self.ways.tracks(node.pose, ends, node.gear)
+        self._tries = [(number, track) for track in reversed(tracks)]
 
-    def _free_ends(self, here: Pose) -> list[Pose]:
-        """Return the goal with the headings that are reached soonest."""
-        x, y, _ = self.goal
-        if not self.ways.radius:
-            return [Pose(x, y, atan2(y - here.y, x - here.x))]
-        yaws: Floats = np.linspace(0.0, 2.0 * pi, FREE_YAWS, endpoint=False)
-        far = self._lengths(coordinates([here] * FREE_YAWS).T, yaws)
-        soonest = yaws[np.argsort(far, kind="stable")[:2]]
-        return [Pose(x, y, remainder(float(yaw), 2.0 * pi)) for yaw in soonest]
+    def _price(self, number: int, track: Track) -> None:
+        """Take a way to the goal, if the path is cheaper with it than the best so far."""
+        node, best = self._nodes[number], self._found[0] if self._found else inf
+        if node.cost + track.price < best:
+            way = self.ways.priced(track, node.gear)
+            if node.cost + way.cost < best:
+                self._found = node.cost + way.cost, number, way
 
     def _lengths(self, at: Floats, to: Floats) -> Floats:
         """Return the length of the shortest way from each pose to the goal with a heading [m]."""
@@ -189,7 +207,7 @@ class HybridSearch:
         """Open these nodes."""
         if not nodes:
             return
-        at, ground = coordinates(node.pose for node in nodes).T, self.ways.ground
+        at, ground = coordinates(node.pose for node in nodes).T, self._ground
         columns, rows = np.floor(at[:2] / ground.resolution).astype(np.int64)
         ahead = self._ahead[(rows - ground.corner[0]) * ground.stride + columns - ground.corner[1]]
         near = np.flatnonzero(ahead < NEAR * self.ways.radius)

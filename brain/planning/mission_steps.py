@@ -484,7 +484,7 @@ class _Reaching:
             held = ", ".join(f"{t.motor} at {_position(joints, t.motor)}" for t in reach.targets)
             return Done(f"{'held up: ' if reach.contact else ''}{held}")
         if spent < round(reach.seconds * SECOND) + UNTIL_REACHED:
-            return Want(keep=True)
+            return STAND
         if reach.contact:
             return Failed(f"{open_[0].motor} met nothing: it is at {_position(joints, open_[0].motor)}")
         where = _position(joints, open_[0].motor)
@@ -519,7 +519,7 @@ class _Placing:
             self.before = seen.ended
             return Want(place=self.place)
         if seen.ended == self.before:
-            return Want(keep=True)
+            return STAND
         return Failed(seen.why) if seen.why else Done("")
 
     def halt(self) -> None:

@@ -16,6 +16,7 @@ from collections.abc import Iterable, Sequence
 from math import cos, dist, hypot, inf, sin
 from typing import Protocol
 
+from brain.belief import Pose
 from brain.bodies.body import Base
 from brain.bodies.plane import Twist
 from brain.planning.astar import Searching
@@ -112,6 +113,8 @@ class Navigator:
         self._explore_at: Nanos = 0
         self._frontier_since: Nanos | None = None
         """Since when the robot stands at the frontier that it went to."""
+        self._looked_twice = False
+        """Whether a search has ended at a frontier before the base moved: the next may know more"""
         self._excluded: tuple[Point, ...] = ()
         """Frontiers that stayed unknown."""
         self._passing = False
@@ -254,11 +257,16 @@ class Navigator:
         self._drop_path()
         self._query, self._check_at = None, now
 
+    def clearance(self, pose: Pose, most: float) -> float:
+        """Return the distance [m] from the footprint to the nearest obstacle of the map; more than `most`
+        may be `most`."""
+        return 0.0 if self.costmap is None else self._footprint.clearance(self.costmap, pose, most)
+
     # -- private ------------------------------------------------------------------------------
 
     def _begin_goal(self, now: Nanos) -> None:
         """Start with the first goal of the queue."""
-        self._misses = 0
+        self._misses, self._looked_twice = 0, False
         self._drop_path()
         self._query, self._excluded, self.no_path_reason, self._blocked = None, (), "", ""
         self._check_at = now
@@ -319,6 +327,8 @@ class Navigator:
                 self._note("warning", f"no path: {result.reason}")
             self.no_path_reason = result.reason
             self._drop_path()
+        elif isinstance(result, FrontierPath) and self.path is None and not self._looked_twice:
+            self._looked_twice = True
         elif isinstance(result, Path) or not self._keeps_frontier(now, here, result):
             self._use(result)
 

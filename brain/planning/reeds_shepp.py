@@ -8,7 +8,7 @@ computed for many poses at once. Within a computation the radius is 1 and the st
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import cos, pi, sin
 from typing import NamedTuple, TypeAlias
 
@@ -33,34 +33,35 @@ class Part(NamedTuple):
 
 def lengths(x: Floats, y: Floats, yaw: Floats, radius: float) -> Floats:
     """Return the length [m] of the shortest path from the origin to each pose [m, m, rad]."""
-    best = np.full(x.shape, np.inf)
-    for _, _, solved in _solutions(x / radius, y / radius, yaw):
-        total = sum(map(np.abs, solved))
-        best = np.minimum(best, np.nan_to_num(total, nan=np.inf).min(axis=0))
-    shortest: Floats = best * radius
-    return shortest
+    return _shortest(_solutions(x / radius, y / radius, yaw), len(x)) * radius
 
 
 def words(start: Pose, end: Pose, radius: float) -> list[tuple[Part, ...]]:
     """Return every path that a word gives from one pose to another, the shortest first."""
+    return words_to(start, (end,), radius, 1)[0]
+
+
+def words_to(start: Pose, ends: Sequence[Pose], radius: float, most: int) -> list[list[tuple[Part, ...]]]:
+    """Return the same to each of the ends that are reached soonest, at most so many of them."""
     c, s = cos(start.yaw), sin(start.yaw)
-    dx, dy = (end.x - start.x) / radius, (end.y - start.y) / radius
-    x, y, yaw = np.array(((c * dx + s * dy,), (c * dy - s * dx,), (end.yaw - start.yaw,)))
-    found: list[tuple[float, int, tuple[Part, ...]]] = []
-    for letters, order, solved in _solutions(x, y, yaw):
-        for variant, angles in enumerate(np.stack(solved, axis=-1)[:, 0, :].tolist()):
-            if angles[0] != angles[0]:  # not a number: no solution
-                continue
+    dx, dy, yaw = np.array([(end.x - start.x, end.y - start.y, end.yaw - start.yaw) for end in ends]).T
+    solutions = _solutions((c * dx + s * dy) / radius, (c * dy - s * dx) / radius, yaw)
+    soonest = np.argsort(_shortest(solutions, len(ends)), kind="stable")[:most]
+    found: list[list[tuple[float, int, tuple[Part, ...]]]] = [[] for _ in soonest]
+    for letters, order, solved in solutions:
+        for variant, each in enumerate(np.stack(solved, axis=-1)[:, soonest].tolist()):
             flipped, mirrored = variant & 1, variant & 2
             sign, turn = (-radius if flipped else radius), (-1.0 if mirrored else 1.0)
-            parts = tuple(
-                Part(turn * CURVATURE[letter] / radius, sign * angle)
-                for letter, angle in zip(letters, angles, strict=True)
-                if abs(angle) > TINY
-            )
-            found.append((sum(abs(part.distance) for part in parts), len(found), parts[::order]))
-    found.sort(key=lambda one: one[:2])
-    return [parts for _, _, parts in found]
+            for ways, angles in zip(found, each, strict=True):
+                if angles[0] != angles[0]:  # not a number: no solution
+                    continue
+                parts = tuple(
+                    Part(turn * CURVATURE[letter] / radius, sign * angle)
+                    for letter, angle in zip(letters, angles, strict=True)
+                    if abs(angle) > TINY
+                )
+                ways.append((sum(abs(part.distance) for part in parts), len(ways), parts[::order]))
+    return [[parts for _, _, parts in sorted(ways, key=lambda one: one[:2])] for ways in found]
 
 
 def poses(start: Pose, parts: tuple[Part, ...], spacing: float) -> tuple[Floats, list[int]]:
@@ -83,6 +84,14 @@ def poses(start: Pose, parts: tuple[Part, ...], spacing: float) -> tuple[Floats,
 
 
 CURVATURE = {"L": 1.0, "S": 0.0, "R": -1.0}
+
+
+def _shortest(solutions: Sequence[tuple[str, int, Angles]], count: int) -> Floats:
+    """Return the length of the shortest word to each pose [radii]."""
+    best = np.full(count, np.inf)
+    for _, _, solved in solutions:
+        best = np.fmin(best, np.fmin.reduce(sum(map(np.abs, solved)), axis=0))
+    return best
 
 
 def _solutions(x: Floats, y: Floats, yaw: Floats) -> list[tuple[str, int, Angles]]:

@@ -32,6 +32,8 @@ LINE_WORK = 140
 """A straight line, in expansions of A*,"""
 CELLS_PER_WORK = 10
 """and its cells."""
+HALVED_PER_WORK = 60
+"""Cells that are made part of larger ones"""
 MAX_LINES = 500
 """Straight lines that one search of the nearest place, or one shortening of a path, compares."""
 
@@ -207,6 +209,35 @@ class Snapshot:
         first = window[0].start * self.stride + window[1].start
         cells: list[int] = (first + row[nearest] * self.stride + column[nearest]).tolist()
         return cells
+
+
+class Halved(Snapshot):
+    """A complete snapshot in cells twice as large, each as good as the best of the four in it: for estimates
+    of what a way costs at least."""
+
+    def __init__(self, ground: Snapshot) -> None:
+        self.resolution, self.radius, self.wide = 2.0 * ground.resolution, ground.radius, ground.wide
+        self.multiplier, self.outside = ground.multiplier, ground.outside
+        self.corner = (ground.corner[0] // 2 - 1, ground.corner[1] // 2 - 1)
+        self.height, self.stride = ground.height // 2 + 2, ground.stride // 2 + 2
+        self.level = np.zeros(self.height * self.stride, np.uint8)
+        self.complete, self._filled, self._of = False, 0, ground
+        self._by_price = np.argsort(ground.multiplier, kind="stable").astype(np.uint8)
+        """Levels, the best first"""
+
+    def halve(self, work: int) -> int:
+        """Add rows for about this much work; return the rest of it."""
+        rank = np.argsort(self._by_price).astype(np.uint8)
+        while work > 0 and not self.complete:
+            rows = slice(2 * self._filled, 2 * self._filled + TILE)
+            four = rank[self._of._plane()[rows]]  # noqa: SLF001 -- its own kind
+            two = np.minimum(four[::2], four[1::2])
+            best = self._by_price[np.minimum(two[:, ::2], two[:, 1::2])]
+            self._plane()[1 + self._filled :][: len(best), 1:-1] = best
+            self._filled += len(best)
+            work -= self._of.stride * TILE // HALVED_PER_WORK
+            self.complete = 2 * self._filled == self._of.height
+        return work
 
 
 def crossing(resolution: float, start: Point, end: Point) -> tuple[Cells, Cells, Floats]:

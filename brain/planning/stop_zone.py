@@ -11,7 +11,7 @@ that it is on, which was found free, until the wanted one is slow enough. A base
 may turn on the spot, slowly and up to `turn_gap`, so that it can leave.
 
 What moves, or may (`moving`: discs with velocities), counts along its predicted way, too, until the base
-stands: the share is such that the disc does not come within the gap while the base is faster than `STANDS`.
+stands: the share is such that the disc does not come within the gap while a corner is faster than `STANDS`.
 The disc grows by `doubt` standard deviations of the velocity, at most by `walk`. Where an edge hides who
 might step out ahead, at `walk`, the same holds down to `hidden_speed`: it makes the base slower, never stand.
 
@@ -100,7 +100,7 @@ BEGIN = 0.03
 TOUCHING = 1e-3
 """m: less nearer is no nearer"""
 STANDS = 0.05
-"""m/s, below which a person that walks into the base is not the base's contact"""
+"""m/s of a corner, below which a person that walks into the base is not the base's contact"""
 MAX_MOVING, MOMENTS, LONGEST = 8, 10, 3.0
 """Moving obstacles that count, the nearest; moments looked at until the base stands; s of them"""
 HIDES = 0.8
@@ -308,7 +308,7 @@ class StopZone:
             reaction, braking = seconds(self.settings.latency), self._to_rest(twist)
             share = min((sqrt(reaction**2 + 2.0 * braking * time) - reaction) / braking, 1.0)
             away = grown + twist.speed * time
-        if self._moving.size and twist.speed > STANDS:
+        if self._moving.size and self._fast(twist) > STANDS:
             before_moving, near = self._before_moving(twist, gap, self._moving)
             if before_moving < share:
                 share, away = before_moving, near
@@ -345,8 +345,9 @@ class StopZone:
         away = np.hypot(x - self._here.x, y - self._here.y)
         grows = np.minimum(self.settings.doubt * sigma, self.settings.walk)
         reaction, whole = seconds(self.settings.latency), self._to_rest(twist)
-        # from a share of the speed the base is slower than STANDS after this time
-        until = reaction + whole * np.maximum(SHARES - STANDS / twist.speed, 0.0)
+        # from a share of the twist no corner is faster than STANDS after this time
+        fast = self._fast(twist)
+        until = reaction + whole * np.maximum(SHARES - STANDS / fast, 0.0)
         t = np.minimum(until, LONGEST)[:, None] * np.linspace(0.0, 1.0, MOMENTS)
         late = np.maximum(t - reaction, 0.0)
         gone = SHARES[:, None] * t - np.minimum(late * late / (2.0 * max(whole, 1e-9)), SHARES[:, None] * t)
@@ -363,7 +364,7 @@ class StopZone:
         off -= grows[:, None, None] * t
         # what is within the gap already may stay there, if it comes no nearer; what touches may not
         least = np.clip(off[:, :, :1], 0.0, gap) - TOUCHING
-        met = ((off < least).any(axis=2)).any(axis=0) & (SHARES * twist.speed > STANDS)
+        met = ((off < least).any(axis=2)).any(axis=0) & (SHARES * fast > STANDS)
         free = np.flatnonzero(~met)
         return float(SHARES[free[0]]), float(away.min() - self._outline.radius)
 

@@ -7,28 +7,29 @@ again. A metre costs the multiplier of the cell, times `reverse` backward; each 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import atan2, hypot, inf, pi, remainder
+from typing import NamedTuple
 
 import numpy as np
 
 from brain.belief import Floats, Pose
 from brain.planning.footprint import TURN_STEP, Footprint
-from brain.planning.reeds_shepp import Part, poses, words
+from brain.planning.reeds_shepp import Part, poses, words_to
 from brain.planning.snapshot import Snapshot
 
 AUTHORITY = 1.1
 """Turning radius that is planned with, over the body's: a follower must be able to turn more tightly."""
-TRIED = 2
-"""Words that are tried of each way, the cheapest first"""
+TRIED, ENDS = 2, 2
+"""Words that are tried of each way, the cheapest first; ends, the soonest first"""
 TURN_PRICE = 0.5
 SAME = 1e-9
 """m, rad"""
-POSE_WORK, WORDS_WORK = 14, 10_000
+POSE_WORK, WORDS_WORK = 14, 4500
 """A pose that is checked; all words between two: in expansions of A*."""
-CHECKED, TINY = 100, 1e-12
+CHECKED, TINY = 50, 1e-12
 """Poses of a way that are checked together, the rest not if one is blocked; m of a step, at least"""
 SHORTCUTS = 150
 """Ways that are tried to shorten a path"""
@@ -62,6 +63,16 @@ class Way:
         return sum(self.costs)
 
 
+class Track(NamedTuple):
+    """A way before it is known what it costs here."""
+
+    price: float
+    """m, on open ground: at least"""
+    poses: Floats
+    """As those of `Way`, with the first"""
+    gears: list[int]
+
+
 class Ways:
     """What it costs to be and to move somewhere, of one query. State: the work done, in expansions of A*."""
 
@@ -85,18 +96,21 @@ class Ways:
     def connect(self, start: Pose, end: Pose, gear: int) -> Way | None:
         """Return the cheapest way from a pose to another, of those that are cheapest on open ground; None
         if all of them are blocked. `gear` is the one before."""
-        step, best = 1.5 * self.ground.resolution, None
-        if self.radius:
-            self.work += WORDS_WORK
-            found = sorted(words(start, end, self.radius), key=lambda parts: self._price(parts, gear))
-            tracks = [poses(start, parts, step) for parts in found[:TRIED]]
-        else:
-            tracks = [_turn_go_turn(start, end, step)]
-        for track, gears in tracks:
-            way = self._priced(track, gears, gear)
-            if way.cost < (best.cost if best else inf):
-                best = way
-        return best
+        ways = [self.priced(track, gear) for track in self.tracks(start, (end,), gear)]
+        best = min(ways, key=lambda way: way.cost)
+        return best if best.cost < inf else None
+
+    def tracks(self, start: Pose, ends: Sequence[Pose], gear: int) -> list[Track]:
+        """Return ways that are cheapest on open ground, to each of the ends that are reached soonest."""
+        step = 1.5 * self.ground.resolution
+        if not self.radius:
+            return [Track(0.0, *_turn_go_turn(start, end, step)) for end in ends[:ENDS]]
+        self.work += WORDS_WORK
+        tried = []
+        for found in words_to(start, ends, self.radius, ENDS):
+            cheapest = sorted((self._price(parts, gear), i) for i, parts in enumerate(found))[:TRIED]
+            tried += [Track(price, *poses(start, found[i], step)) for price, i in cheapest]
+        return tried
 
     def _price(self, parts: tuple[Part, ...], gear: int) -> float:
         """Return what a path costs on open ground [m], after a gear."""
@@ -106,8 +120,9 @@ class Ways:
         gears = (gear, *(1 if part.distance > 0.0 else -1 for part in parts))
         return moves + self.prices.switch * sum(a * b < 0 for a, b in pairwise(gears))
 
-    def _priced(self, track: Floats, gears: list[int], gear: int) -> Way:
-        x, y, yaw = track.T
+    def priced(self, track: Track, gear: int) -> Way:
+        """Return a way with what it costs here, infinite if it is blocked. `gear` is the one before."""
+        (x, y, yaw), gears = track.poses.T, track.gears
         steps = np.hypot(np.diff(x), np.diff(y))
         turned = np.abs(np.diff(np.unwrap(yaw))) * self.footprint.shape.outer * TURN_PRICE
         kind = np.array(gears)
@@ -122,7 +137,7 @@ class Ways:
         for i, (before, after) in enumerate(pairwise((gear, *gears))):
             if before * after < 0:
                 costs[i] += self.prices.switch
-        return Way(track[1:], tuple(gears), tuple(costs))
+        return Way(track.poses[1:], tuple(gears), tuple(costs))
 
 
 def coordinates(track: Iterable[Pose]) -> Floats:

@@ -40,7 +40,7 @@ class Zone:
     def __post_init__(self) -> None:
         within(self, speed=(0.01, 20.0, "m/s"))
         if not 3 <= len(self.corners) <= MOST_CORNERS:
-            raise ValueError(f"corners: there must be from 3 to {MOST_CORNERS}, not {len(self.corners)}")
+            raise ValueError(f"a zone has from 3 to {MOST_CORNERS} corners, not {len(self.corners)}")
         if not all(abs(value) <= FARTHEST for corner in self.corners for value in corner):
             raise ValueError(f"corners must be within {FARTHEST:g} m")
         if (self.kind == "slow") != (self.speed is not None):

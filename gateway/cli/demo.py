@@ -14,7 +14,7 @@ from pathlib import Path
 from brain.belief import Belief
 from gateway.cli import arguments
 from gateway.cli.picture import draw
-from gateway.cli.run import print_recording
+from gateway.cli.run import goals_of, print_recording
 from gateway.cli.tour import Tour
 from gateway.config import load_robot
 from gateway.config.mission import load_mission
@@ -55,10 +55,11 @@ def run(options: Namespace) -> int:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(f"--out {options.out}: {error.strerror}") from error
+    asked = goals_of(options, robot)
     recording, picture = options.out / "demo.mcap", options.out / "demo.png"
     recording.unlink(missing_ok=True)
     with open_session(robot, simulated=options.fast, record=recording, seed=options.seed) as session:
-        mission, goals = _choice(options, session)
+        mission, goals = _choice(options, session, asked)
         tour = Tour(session, goals)
         began = stopwatch()
         (_follow if mission is None else partial(_do, mission))(session, tour)
@@ -72,11 +73,10 @@ def run(options: Namespace) -> int:
     return 0 if done and not session.gateway.still_armed() else 1
 
 
-def _choice(options: Namespace, session: Session) -> tuple[Mission | None, list[Goal]]:
+def _choice(options: Namespace, session: Session, goals: list[Goal]) -> tuple[Mission | None, list[Goal]]:
     """Return the mission, or the goals: those asked for, else the world's own."""
     assert session.twins is not None
     world = session.twins.world
-    goals = [Goal(*goal) for goal in options.goal]
     if options.mission or (world.mission and not goals):
         return load_mission(options.mission or world.mission, session.robot), []
     if not goals and not world.tour:

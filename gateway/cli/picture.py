@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from brain.belief import Floats, MapView
 
 TRUE, BELIEVED, PLANNED, RAW, PERSON = "#1b9e77", "#1f4fa8", "#d95f02", "#999999", "#c2185b"
+TAG = "#7b5ea7"
 SIGMAS = 3.0
 ENLARGED = 5.0
 """Magnification of the ellipses: one of a few centimetres would be hidden under the line."""
@@ -47,9 +48,11 @@ def draw(tour: Tour, file: Path) -> None:
         grid = figure.add_gridspec(4, 1, height_ratios=(6, 1, 1, 1))
         _map(figure.add_subplot(grid[0]), tour)
         seconds = np.array([sample.t for sample in tour.samples]) / SECOND
-        _speed(figure.add_subplot(grid[1]), tour, seconds)
-        _load(figure.add_subplot(grid[2]), tour, seconds)
-        _age(figure.add_subplot(grid[3]), tour, seconds)
+        over_time = figure.add_subplot(grid[1])
+        _speed(over_time, tour, seconds)
+        _load(figure.add_subplot(grid[2], sharex=over_time), tour, seconds)
+        _age(figure.add_subplot(grid[3], sharex=over_time), tour, seconds)
+        over_time.set_xlim(0.0, seconds[-1])
     else:
         body, grid = tour.linkage, figure.add_gridspec(2, 1, height_ratios=(2, 1))
         if body is not None:
@@ -64,6 +67,10 @@ def _map(axes: Axes, tour: Tour) -> None:
     for outline in tour.outlines:
         closed = [*outline, outline[0]]
         axes.plot([x for x, _ in closed], [y for _, y in closed], color="#c0392b", lw=0.8)
+    for number, tag in tour.tags:
+        axes.plot(tag.x, tag.y, "s", color=TAG, ms=6)
+        before = moved(tag, Pose(0.2, 0.0, 0.0))
+        axes.text(before.x, before.y, f"tag {number}", color=TAG, ha="center", va="center", fontsize=8)
     for i, path in enumerate(tour.paths):
         label = "planned" if i == 0 else None
         axes.plot([x for x, _ in path], [y for _, y in path], color=PLANNED, lw=2.5, alpha=0.5, label=label)
@@ -85,17 +92,33 @@ def _map(axes: Axes, tour: Tour) -> None:
     error = 100 * tour.error(believed) / max(tour.length, 1e-9)
     axes.set_title(
         f"{tour.length:.1f} m driven; believed path within {error:.2f} % of that from the true one; "
-        f"{tour.outcome}, {tour.contacts} contacts, {tour.touched_people} with people"
+        f"{tour.outcome}, {tour.contacts} contacts, {tour.touched_people} with people",
+        pad=24.0,
     )
     axes.set_aspect("equal")
+    axes.set_facecolor("0.5")  # as what the map does not know
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
-    axes.legend(loc="upper right")
+    _legend_above(axes)
     points = [point for outline in tour.outlines for point in outline]
     points = points or [(sample.true.x, sample.true.y) for sample in tour.samples] or [(0.0, 0.0)]
     xs, ys = zip(*points, strict=True)
     axes.set_xlim(min(xs) - 0.3, max(xs) + 0.3)
     axes.set_ylim(min(ys) - 0.3, max(ys) + 0.3)
+
+
+def _legend_above(axes: Axes) -> None:
+    """Add the legend above the axes, in one row of up to seven, where it hides nothing."""
+    if labels := axes.get_legend_handles_labels()[1]:
+        columns = min(len(labels), 7)
+        axes.legend(
+            loc="lower left",
+            bbox_to_anchor=(0.0, 1.0),
+            ncols=columns,
+            frameon=False,
+            borderaxespad=0.0,
+            columnspacing=1.5,
+        )
 
 
 def _grid(axes: Axes, view: MapView) -> None:
@@ -154,7 +177,7 @@ def _speed(axes: Axes, tour: Tour, seconds: Floats) -> None:
     for column, name in enumerate(("forward [m/s]", "turn [rad/s]", "left [m/s]")):
         axes.plot(seconds[1:], speeds[:, column], lw=0.8, label=name)
     axes.set_ylabel("true speed")
-    axes.legend(loc="upper right", ncols=3)
+    _legend_above(axes)
 
 
 def _joints(axes: Axes, tour: Tour) -> None:
@@ -163,7 +186,8 @@ def _joints(axes: Axes, tour: Tour) -> None:
         axes.plot(seconds, angles, lw=1.2, label=name)
     axes.set_ylabel("true position [rad]")
     axes.set_xlabel("time [s]")
-    axes.legend(loc="upper right", ncols=3)
+    axes.set_xlim(0.0, seconds[-1])
+    _legend_above(axes)
 
 
 def _load(axes: Axes, tour: Tour, seconds: Floats) -> None:
@@ -173,8 +197,7 @@ def _load(axes: Axes, tour: Tour, seconds: Floats) -> None:
         axes.plot(seconds, mean, lw=0.8, label=name)
     axes.set_ylabel("bus load [%]")
     axes.set_ylim(bottom=0.0)
-    if tour.samples:
-        axes.legend(loc="upper right", ncols=3)
+    _legend_above(axes)
 
 
 def _age(axes: Axes, tour: Tour, seconds: Floats) -> None:

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from brain.belief import BrainState
 from gateway.cli import arguments
-from gateway.config import load_mission, load_robot, with_interfaces
-from gateway.core.robot import TWIN
+from gateway.config import cannot, load_mission, load_robot, with_interfaces
+from gateway.core.robot import TWIN, Robot
 from gateway.core.step import LEFT_ARMED
 from gateway.errors import UserError
 from gateway.operator import Operator
@@ -47,6 +47,7 @@ def run(options: Namespace) -> int:
     robot = with_interfaces(load_robot(options.robot), dict(options.bus))
     if options.mission and options.goal:
         raise UserError("--mission and --goal exclude each other: put the goals into the mission")
+    goals = goals_of(options, robot)
     if any(bus.interface != TWIN for bus in robot.buses.values()):  # simulated ones show it by themselves
         refuse_overload(robot)
     mission = load_mission(options.mission, robot) if options.mission else None
@@ -56,16 +57,24 @@ def run(options: Namespace) -> int:
         open_session(robot, simulated=options.fast, record=options.record, seed=options.seed) as session,
         Operator(robot) as operator,
     ):
+        session.submit(*goals, *([mission] if mission else []))
         status = _drive(session, operator, options, mission)
     print_recording(session)
     return status
+
+
+def goals_of(options: Namespace, robot: Robot) -> list[Goal]:
+    """Return the goals of --goal. Raises UserError if the robot takes none."""
+    goals = [Goal(*goal) for goal in options.goal]
+    if goals and (wrong := cannot(goals[0], robot)):
+        raise UserError(f"--goal: {wrong}")
+    return goals
 
 
 def _drive(session: Session, operator: Operator, options: Namespace, mission: Mission | None) -> int:
     """Carry the operator's instructions to the robot, and its notes to the operator."""
     name = operator.path.stem
     print(f"{session.robot.name} is running; type help here, or: gateway ask {name} help", flush=True)
-    session.submit(*(Goal(*goal) for goal in options.goal), *([mission] if mission else []))
 
     def poll() -> Sequence[Instruction]:
         instructions = operator.poll(lambda: status_text(session))
@@ -98,6 +107,8 @@ def _drive(session: Session, operator: Operator, options: Namespace, mission: Mi
     if faults:
         print(f"left in fault: {faults}", file=sys.stderr)
     view = session.belief.mission
+    if view is not None:
+        print(f"mission {view.name}: {view.phase}{f': {view.reason}' * bool(view.reason)}")
     undone = session.belief.reached < len(options.goal) or (mission and (not view or view.phase != "done"))
     return 1 if faults or left or undone else 0
 

@@ -112,6 +112,8 @@ class Tour:
             for outline in self._world.outlines()
         ]
         """The true walls and boxes, as polygons [m] in the frame "odom"."""
+        self.tags = [(number, self._in_odom(Pose(x, y, yaw))) for number, x, y, yaw in self._world.tags()]
+        """Number and pose of each tag in the frame "odom"."""
         self.contacts = self.touched_people = 0
         self._leg = 0
         """Number of goals that are reached once the present leg is."""
@@ -158,7 +160,7 @@ class Tour:
         """Note legs and paths; return how far the true pose is off the path, sideways."""
         belief = self.belief
         running = belief.state is BrainState.RUNNING and len(belief.path) > 1
-        if self.legs and self.legs[-1].ended is None and (belief.reached >= self._leg or not belief.path):
+        if self.legs and self.legs[-1].ended is None and (belief.reached >= self._leg or belief.goal is None):
             self.legs[-1].ended = now
         if not running:
             return None

@@ -7,11 +7,12 @@ recordings, simulation or the runtime.
 from __future__ import annotations
 
 from gateway.config.describe import describe
-from gateway.config.mission import load_mission, parse_mission
+from gateway.config.mission import cannot, load_mission, parse_mission
 from gateway.config.robot_file import load_robot, parse_robot, with_interfaces
 from gateway.config.validate import cautions
 
 __all__ = [
+    "cannot",
     "cautions",
     "describe",
     "load_mission",

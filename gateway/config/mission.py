@@ -25,14 +25,14 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from brain.bodies.body import Base
+from brain.bodies.body import Base, Linkage
 from brain.planning.missions import why_not
 from gateway.config import resources
 from gateway.config.errors import Mistakes, shown, unknown
 from gateway.core.robot import Robot
 from gateway.errors import UserError
 from protocols import messages as msg
-from protocols.messages import Command, Mission, Step
+from protocols.messages import Command, Instruction, Mission, Step
 
 MAX_CHARACTERS = 200_000
 MAX_DEPTH = 8
@@ -65,12 +65,40 @@ def load_mission(name: str | Path, robot: Robot | None = None) -> Mission:
     return mission
 
 
-def cannot(mission: Mission, robot: Robot) -> str:
-    """Return why a robot cannot do a mission; "" if it can, as far as its file tells."""
+def cannot(asked: Instruction, robot: Robot) -> str:
+    """Return why a robot cannot do what is asked; "" if it can, as far as its file tells."""
     body = robot.brain.body
-    if isinstance(body, Base):
-        return why_not(mission, body, [motor for motor in robot.motors if motor not in body.joints])
-    return why_not(mission, None, list(robot.motors))
+    base = body if isinstance(body, Base) else None
+    joints = [motor for motor in robot.motors if base is None or motor not in base.joints]
+    match asked:
+        case Mission(_, steps):
+            armless = not isinstance(body, Linkage) and _moves_tool(steps)
+            return why_not(asked, base, joints) or "there is no arm to bring the tool there" * armless
+        case msg.Goal() | msg.Drive() if base is None:
+            return f"{robot.name!r} has no base to drive; its joints take targets: {', '.join(joints)}"
+        case msg.Drive(lateral=lateral) if lateral and base is not None and not base.moves_sideways:
+            return f"the base of {robot.name!r} does not move sideways"
+    motor = getattr(asked, "motor", None)
+    if isinstance(asked, msg.Position) and isinstance(body, Linkage) and motor in body.joints:
+        low, high = body.ranges[body.joints.index(motor)]
+        within = low <= asked.position <= high
+        return "" if within else f"{motor} goes from {low:g} to {high:g}, not to {asked.position:g}"
+    if isinstance(asked, Command) and motor not in joints:
+        if motor in robot.motors:
+            bare = f"; bare joints are {', '.join(joints)}" * bool(joints)
+            return f"{motor!r} moves the base: use goal or drive{bare}"
+        return unknown("bare joint" if joints and base else "motor", str(motor), joints or robot.motors)
+    return ""
+
+
+def _moves_tool(steps: Sequence[Step]) -> bool:
+    """True if one of these steps, or of those within them, brings the tip of an arm to a place."""
+    return any(
+        isinstance(step, msg.MoveTool)
+        or (isinstance(step, msg.Repeat | msg.Try) and _moves_tool(step.steps))
+        or (isinstance(step, msg.Try) and _moves_tool(step.otherwise))
+        for step in steps
+    )
 
 
 def parse_mission(text: str, file: str = "mission.toml") -> Mission:

@@ -88,6 +88,10 @@ AT_REST = 0.02
 """Fraction of the velocity limit below which a braking joint is at rest,"""
 REST_TIME: Nanos = 100 * MILLISECOND
 """if for this long: a wheel that slips stands for a moment, and is turned again by its base."""
+FADING: Nanos = SECOND
+"""In this time the torque that carries a load fades, when the load is lowered at the end of a run;"""
+LOWERING, LOWERED = 2500 * MILLISECOND, 0.05
+"""after this time at most the joint is let go, or when it has come to rest: slower than that, in rad/s."""
 LEAST_SHARE = 0.05
 """Of a limit in the robot file: the least that it may be set to while it runs."""
 
@@ -111,7 +115,8 @@ class JointSettings:
     loop has failed."""
     unattended: Literal["held", "released"] = "held"
     """What becomes of the load when the gateway ends. "released": it is known that the device lets go of it
-    (its watchdog), and it may hold until then (stop_action); the last command is Idle."""
+    (its watchdog), and it may hold until then (stop_action). It is lowered first, against the damping of its
+    springs, where it was commanded by such (Impedance); the last command is Idle."""
     on_fault: Literal["stop", "continue"] = "stop"
     """Whether a fault or lost feedback of this joint stops the whole robot, or only this joint."""
     command_timeout: TimeoutNanos = 100 * MILLISECOND
@@ -183,6 +188,10 @@ class Joint:
         """When the stop command began to brake."""
         self._moved_at: Nanos = 0
         """When it was last not at rest, while braking."""
+        self._damping = 0.0
+        """N·m·s/rad, of the last spring that was commanded"""
+        self._carried = 0.0
+        """N·m, when its load began to be lowered"""
         self._profile = Profile()
 
     # -- from the device ----------------------------------------------------------------------
@@ -296,12 +305,14 @@ class Joint:
 
     # -- from the brain -----------------------------------------------------------------------
 
-    def command(self, now: Nanos, new: Command | None, stopped: bool, last: bool = False) -> Command:
+    def command(
+        self, now: Nanos, new: Command | None, stopped: bool, last: bool = False, leaving: bool = False
+    ) -> Command:
         """Return the one command of this step, at the device's shaft.
 
-        `new` is the brain's command of this step, None if it gave none. `last`: nothing will follow, so
-        there is no time to brake. If feedback is lost while the device was armed, a fault latches, since
-        a motor that comes back must not start by itself."""
+        `new` is the brain's command of this step, None if it gave none. `leaving`: the run ends; `last`:
+        nothing will follow, so there is no time to brake, or to lower a load. If feedback is lost while the
+        device was armed, a fault latches, since a motor that comes back must not start by itself."""
         if new is not None:
             self._accept(now, new)
         if self._received_at is not None:  # a stamp from the future must not keep the joint from going blind
@@ -312,7 +323,9 @@ class Joint:
         self._forget_lost_position()
         self._judge(now, stopped)
         self._check_idle(now)
-        out = self._limited(now, self._wanted(now, stopped, last), stopped)
+        out = self._limited(now, self._wanted(now, stopped, last, leaving), stopped)
+        if isinstance(out, msg.Impedance) and not stopped:
+            self._damping = out.damping
         if not isinstance(out, msg.Idle):
             self.owned = True
             self._disarmed = False
@@ -367,16 +380,28 @@ class Joint:
 
     @property
     def braking_time(self) -> Nanos:
-        """Longest time that the stop command may brake: twice what the limits need, within a bound."""
+        """Longest time that the stop command may brake: twice what the limits need, within a bound; or lower
+        a load."""
+        if self._lowers:
+            return LOWERING
         if self.settings.stop_action != "brake":
             return 0
         needed = 2.0 * self._file.velocity / self._file.acceleration
         return round(min(needed * SECOND, BRAKING_MOST))
 
-    def _stop_command(self, now: Nanos, last: bool) -> Command:
+    @property
+    def _lowers(self) -> bool:
+        """Whether its load is lowered when the run ends."""
+        settings = self.settings
+        released = settings.stop_action == "hold" and settings.unattended == "released"
+        return released and self.owned and self.armed and self._damping > 0.0
+
+    def _stop_command(self, now: Nanos, last: bool, leaving: bool) -> Command:
         if any(code in _NOT_OBEYING for code, _ in self.faults):
             return msg.Idle(self.name)
         if self.settings.stop_action == "hold" and self.armed:  # Hold would arm another
+            if leaving and not last and self._lowers:
+                return self._lower(now)
             released = last and self.settings.unattended == "released"
             return msg.Idle(self.name) if released else self._hold()
         if self.settings.stop_action == "brake" and not last and self._may_brake(now):
@@ -389,6 +414,20 @@ class Joint:
         if self._holds_loads and isinstance(out, msg.Position | msg.Impedance | msg.Hold):
             return msg.Hold(self.name, out.torque)
         return msg.Hold(self.name)
+
+    def _lower(self, now: Nanos) -> Command:
+        """Return the next command of letting a load down: less and less torque, and damping; then Idle."""
+        if self._braking is None:
+            self._braking, self._carried = now, self._hold().torque
+            self._moved_at = now + FADING
+        since, position = now - self._braking, self.feedback.position
+        if abs(self.feedback.velocity or 0.0) > LOWERED:
+            self._moved_at = max(self._moved_at, now)
+        down = since >= LOWERING or now - self._moved_at >= REST_TIME
+        if down or position is None or self.feedback_lost(now):
+            return msg.Idle(self.name)
+        torque = self._carried * max(0.0, 1.0 - since / FADING)
+        return msg.Impedance(self.name, position, 0.0, torque, 0.0, self._damping)
 
     def _may_brake(self, now: Nanos) -> bool:
         if self.faults or self.feedback_lost(now):
@@ -424,9 +463,9 @@ class Joint:
             return f"stiffness and damping of {new} must not be negative"
         return ""
 
-    def _wanted(self, now: Nanos, stopped: bool, last: bool) -> Command:
+    def _wanted(self, now: Nanos, stopped: bool, last: bool, leaving: bool) -> Command:
         if stopped or self.faults:
-            return self._stop_command(now, last)
+            return self._stop_command(now, last, leaving)
         self._braking = None
         if self._command is None or now - self._command_at > self.settings.command_timeout:
             return self._hold() if self.settings.on_command_timeout == "hold" else msg.Idle(self.name)

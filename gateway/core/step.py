@@ -80,8 +80,8 @@ class Gateway:
         """Why an operator has stopped the robot; "" if no stop is in force."""
         self._brain_failed = ""
         """Why the brain is not asked any more."""
-        self._at_once = False
-        """Whether the run is left without time to brake."""
+        self._leaving = self._at_once = False
+        """Whether the run ends, and whether without time to brake."""
         self._drivers: list[_BusDriver] = []
         """In the order of the robot file."""
         for bus in robot.buses:
@@ -119,7 +119,7 @@ class Gateway:
         stopped = self.why_stopped()
         wanted = {command.motor: command for command in self._think(now, events, tasks, stopped)}
         commands = {
-            name: joint.command(now, wanted.get(name), bool(stopped), last=self._at_once)
+            name: joint.command(now, wanted.get(name), bool(stopped), self._at_once, self._leaving)
             for name, joint in self.joints.items()
         }
         packets = self._send(now, commands)
@@ -286,13 +286,13 @@ class Gateway:
                     self._requests.append(one)
                 case msg.Leave(reason, at_once, last):
                     self.stopped = self.stopped or reason
-                    self._at_once = at_once
+                    self._leaving, self._at_once = True, at_once
                     self._note("info", "operator", f"leaving{' at once' * at_once}: {reason}")
                     for name in self.still_armed() if last else ():
                         self._note("error", name, LEFT_ARMED)
                 case msg.Release():
                     text = "released" if self.stopped else "nothing to release: no stop is in force"
-                    self.stopped, self._at_once = "", False
+                    self.stopped, self._leaving, self._at_once = "", False, False
                     self._note("info", "operator", text)
                 case msg.Set(key, value):
                     self._set(key, value)

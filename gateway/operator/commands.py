@@ -50,6 +50,8 @@ def parse(line: str, robot: Robot) -> msg.Instruction | Query | RejectedLine | N
     command = COMMANDS.get(name)
     if command is None:
         return RejectedLine(f"{unknown('command', words[0], COMMANDS)}. Type help for what they do")
+    if command.of_base and (wrong := cannot(msg.Drive(0.0, 0.0), robot)):
+        return RejectedLine(wrong)
     try:
         return command.parse(texts, robot)
     except _InvalidError as error:
@@ -88,9 +90,14 @@ class _Command:
     """What makes the instruction of all words, in place of `make` and `arguments`."""
 
     def parse(self, texts: list[str], robot: Robot) -> msg.Instruction | Query:
-        """Convert the arguments and make the instruction; raises _InvalidError."""
-        if self.of_base and not isinstance(robot.brain.body, Base):
-            raise _InvalidError(f"{robot.name!r} has no base: use position, velocity or torque")
+        """Make the instruction; raises _InvalidError, also if the robot cannot do it."""
+        asked = self._make(texts, robot)
+        if not isinstance(asked, Query) and (wrong := cannot(asked, robot)):
+            raise _InvalidError(wrong.removeprefix("step 1: "))
+        return asked
+
+    def _make(self, texts: list[str], robot: Robot) -> msg.Instruction | Query:
+        """Convert the arguments; raises _InvalidError."""
         if self.of_words is not None:
             return self.of_words(texts, robot)
         if self.free_text:
@@ -159,20 +166,6 @@ def _motor_or_all(text: str, robot: Robot) -> str:
     return _name("motor", text, (*robot.motors, ALL))
 
 
-def _joint(text: str, robot: Robot) -> str:
-    """Take a motor that is no wheel of a base."""
-    body = robot.brain.body
-    wheels = body.joints if isinstance(body, Base) else ()
-    joints = [name for name in robot.motors if name not in wheels]
-    if not joints:
-        raise _InvalidError(f"the motors of {robot.name!r} are those of its base: use goal or drive")
-    if text in wheels:
-        raise _InvalidError(
-            f"{text!r} is part of the base: use goal or drive; bare joints are {', '.join(joints)}"
-        )
-    return _name("bare joint", text, joints)
-
-
 def _setting(text: str, robot: Robot) -> str:
     owner, dot, _ = text.partition(".")
     _name("owner of settings", owner, ("brain", *robot.motors))
@@ -205,12 +198,9 @@ def _joined(texts: list[str]) -> list[str]:
     return words
 
 
-def _of_one_step(step: msg.Step, robot: Robot) -> msg.Mission:
+def _of_one_step(step: msg.Step) -> msg.Mission:
     """Return a mission of one step, named by what it does."""
-    mission = msg.Mission(text(step), (step,))
-    if wrong := cannot(mission, robot):
-        raise _InvalidError(wrong.removeprefix("step 1: "))
-    return mission
+    return msg.Mission(text(step), (step,))
 
 
 def _turn(texts: list[str], robot: Robot) -> msg.Instruction:
@@ -221,7 +211,7 @@ def _turn(texts: list[str], robot: Robot) -> msg.Instruction:
         raise _InvalidError("one angle is needed")
     angle = _angle("deg")(words[0], robot)
     assert isinstance(angle, float)
-    return _of_one_step(msg.Turn((side or 1.0) * angle), robot)
+    return _of_one_step(msg.Turn((side or 1.0) * angle))
 
 
 def _move(texts: list[str], robot: Robot) -> msg.Instruction:
@@ -238,27 +228,28 @@ def _move(texts: list[str], robot: Robot) -> msg.Instruction:
         given[kind] = _quantity(word, robot, ("m/s", "m", "s"))
     distance, span = given.get("distance"), given.get("seconds")
     body = robot.brain.body
-    most = body.max_linear if isinstance(body, Base) else 0.0
+    assert isinstance(body, Base)
+    most = (sides and body.max_lateral) or body.max_linear
     speed = given.get("speed", min(DEFAULT_SPEED, most))
     if distance is not None and distance < 0.0:
         speed, distance = -speed, -distance
     side = {"left": 1.0, "right": -1.0}[sides[0]] if sides else 0.0
     linear, lateral = (0.0, side * speed) if side else (speed, 0.0)
-    return _of_one_step(msg.Move(linear, lateral, 0.0, span, distance), robot)
+    return _of_one_step(msg.Move(linear, lateral, 0.0, span, distance))
 
 
 def _follow(texts: list[str], robot: Robot) -> msg.Instruction:
     numbers = [_number(text, robot) for text in texts]
     if not numbers or len(numbers) % 2:
         raise _InvalidError("points have two numbers each")
-    return _of_one_step(msg.Follow(tuple(zip(numbers[::2], numbers[1::2], strict=True))), robot)
+    return _of_one_step(msg.Follow(tuple(zip(numbers[::2], numbers[1::2], strict=True))))
 
 
 def _wait(texts: list[str], robot: Robot) -> msg.Instruction:
     words = _joined(texts)
     if len(words) != 1:
         raise _InvalidError("one time is needed")
-    return _of_one_step(msg.Wait(_quantity(words[0], robot, ("s",))), robot)
+    return _of_one_step(msg.Wait(_quantity(words[0], robot, ("s",))))
 
 
 def _dock(texts: list[str], robot: Robot) -> msg.Instruction:
@@ -267,7 +258,7 @@ def _dock(texts: list[str], robot: Robot) -> msg.Instruction:
     marker = _integer(10)(texts[0], robot)
     assert isinstance(marker, int)
     distance = _quantity(texts[1], robot, ("m",)) if len(texts) > 1 else 0.5
-    return _of_one_step(msg.Dock(marker, distance), robot)
+    return _of_one_step(msg.Dock(marker, distance))
 
 
 def _tool(texts: list[str], robot: Robot) -> msg.Instruction:
@@ -276,7 +267,7 @@ def _tool(texts: list[str], robot: Robot) -> msg.Instruction:
         raise _InvalidError("a place has three numbers, and an attitude three more")
     roll, pitch, yaw = map(radians, numbers[3:] or (0.0, 0.0, 0.0))
     attitude = (roll, pitch, yaw) if numbers[3:] else None
-    return _of_one_step(msg.MoveTool(numbers[0], numbers[1], numbers[2], attitude), robot)
+    return _of_one_step(msg.MoveTool(numbers[0], numbers[1], numbers[2], attitude))
 
 
 def _mission(texts: list[str], robot: Robot) -> msg.Instruction:
@@ -333,12 +324,12 @@ COMMANDS: dict[str, _Command] = {
     "estop": _Command("MOTOR|all", "the device's own emergency stop; clear releases it",
                       msg.Estop, (_motor_or_all,)),
     "position": _Command("MOTOR VALUE", "bare joints: move to a position [rad]",
-                         msg.Position, (_joint, _angle("rad"))),
+                         msg.Position, (_text, _angle("rad"))),
     "velocity": _Command("MOTOR VALUE", "bare joints: turn at a velocity [rad/s]",
-                         msg.Velocity, (_joint, _number)),
-    "torque": _Command("MOTOR VALUE", "bare joints: apply a torque [N·m]", msg.Torque, (_joint, _number)),
-    "idle": _Command("MOTOR", "bare joints: no torque", msg.Idle, (_joint,)),
-    "hold": _Command("MOTOR", "bare joints: hold the present position", msg.Hold, (_joint,)),
+                         msg.Velocity, (_text, _number)),
+    "torque": _Command("MOTOR VALUE", "bare joints: apply a torque [N·m]", msg.Torque, (_text, _number)),
+    "idle": _Command("MOTOR", "bare joints: no torque", msg.Idle, (_text,)),
+    "hold": _Command("MOTOR", "bare joints: hold the present position", msg.Hold, (_text,)),
     "set": _Command("KEY VALUE", "a limit or gain, as brain.pursuit.… or MOTOR.limits.velocity",
                     msg.Set, (_setting, _number)),
     "zero": _Command("MOTOR", "make the present position zero", msg.Zero, (_motor,)),

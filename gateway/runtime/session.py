@@ -63,7 +63,13 @@ class Session:
         Args:
             instructions: tasks (`Goal`, `Drive`), requests (`Stop`, `ClearFault`, …) or, for bare joints,
                 commands (`Velocity("left", 2.0)`). They are part of the tick, hence recorded and replayed.
+
+        Raises:
+            UserError: the robot cannot do one of them, whatever happens; none is submitted.
         """
+        for one in instructions:
+            if wrong := config.cannot(one, self.robot):
+                raise UserError(f"{type(one).__name__}: {wrong}")
         self._submitted += instructions
 
     def leave(self, reason: str) -> None:

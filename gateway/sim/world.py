@@ -126,6 +126,11 @@ class World:
         """A mission for a demo, by name or path; "" if there is none."""
         return self.file.mission if isinstance(self.file, SceneFile) else ""
 
+    def tags(self) -> list[tuple[int, float, float, float]]:
+        """Return number, x, y [m] and the direction of the face [rad] of each tag, in the world's frame."""
+        tags = self.file.tags.values() if isinstance(self.file, SceneFile) else ()
+        return [(tag.marker, tag.x, tag.y, tag.yaw) for tag in tags]
+
     def outlines(self) -> list[Polygon]:
         """Return walls and boxes seen from above, as polygons [m] in the world's frame."""
         return outlines(self.file) if isinstance(self.file, SceneFile) else []

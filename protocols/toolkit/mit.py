@@ -40,7 +40,8 @@ class ImpedanceGains:
             case msg.Impedance():
                 return command
         torque = getattr(command, "torque", 0.0)  # of Hold
-        if held is None:  # where it is, is not known: a spring would pull it to zero
+        low, high = self.row.field("position").ends()
+        if held is None or not low <= held <= high:  # a spring would pull it to zero, or to an end
             return msg.Impedance(motor, 0.0, 0.0, torque, 0.0, self.damping)
         return msg.Impedance(motor, held, 0.0, torque, self.stiffness, self.damping)
 

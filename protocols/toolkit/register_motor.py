@@ -25,6 +25,8 @@ ANSWER, RETRY = 200 * MILLISECOND, 50 * MILLISECOND
 
 FRESH = 500 * MILLISECOND
 """Age of what a register is known to hold, up to which a device is armed upon it."""
+SLICE, SLICE_PERIOD = 8, 10 * MILLISECOND
+"""Questions of a scan that are sent at once (a usual queue holds ten), and how often."""
 SILENT = 3
 """Periods of feedback without one, after which a commanded device is asked beside its set-points."""
 
@@ -102,7 +104,7 @@ class RegisterAdapter(Adapter[Motor]):
     """Parameter that saves the configuration when 1 is written."""
     turns: str = ""
     """Register that holds the position beyond the range of the feedback."""
-    addresses: range
+    addresses: range = range(0)
     """Of all devices, for a scan."""
     enable: str = "enable"
     """Name of the message that arms."""
@@ -121,6 +123,10 @@ class RegisterAdapter(Adapter[Motor]):
         """Return the registers that are written before the device is armed."""
         return {}
 
+    def wanted(self, host: Host[Motor]) -> Mapping[str, float]:
+        """Return what these must hold now, where that depends on more than the options."""
+        return self.written(host.options)
+
     def polled(self, options: Any) -> Sequence[str]:  # noqa: ANN401
         """Return the registers that are read with every question and command."""
         return (self.turns,) if self.turns else ()
@@ -129,6 +135,10 @@ class RegisterAdapter(Adapter[Motor]):
         """Return what reads or writes a register ("read", "write"; where a device does not answer what was
         written, it is read back), or saves all ("save")."""
         raise NotImplementedError
+
+    def who(self, address: int) -> Sequence[Frame]:
+        """Return the read-only frames that are answered by who is at an address; () if there are none."""
+        return self.about("read", address, self.serial) if self.serial else ()
 
     def ask(self, host: Host[Motor]) -> Sequence[Frame]:
         """Return the read-only frames that the device answers with its feedback."""
@@ -179,7 +189,9 @@ class RegisterAdapter(Adapter[Motor]):
         return self.expected(options).keys() | self.written(options).keys() <= known
 
     def arm(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
-        wanted = self.written(host.options)
+        wanted = self.wanted(host)
+        if not wanted.keys() <= host.own.known.keys():
+            return ()  # `poll` asks
         if stale := host.own.stale(now, wanted):
             asked = [name for name in stale if host.own.may_ask(now, name)]
             return host.own.sent(now, self._read(now, host, asked))
@@ -224,11 +236,12 @@ class RegisterAdapter(Adapter[Motor]):
     def begin(
         self, now: Nanos, request: Request, host: Host[Motor] | None, driver: MotorDriver[Motor]
     ) -> Pending[Motor] | str:
-        if isinstance(request, msg.Scan) and self.serial:
+        if isinstance(request, msg.Scan) and (once := self._who_is_there()):
             for each in driver.hosts.values():
                 each.own.ask(now, self.serial)
-            questions = tuple(f for at in self.addresses for f in self.about("read", at, self.serial))
-            return Pending(request, request.bus, now, now + ANSWER, now, None, questions)
+            end = now + SLICE_PERIOD * (1 + 2 * len(once) // SLICE) + ANSWER
+            twice = (*once, *once)  # a question may be lost
+            return Pending(request, request.bus, now, end, now, None, twice, SLICE_PERIOD)
         wrong = "the device cannot do that on this bus"
         match request:
             case msg.ReadParameter(_, name):
@@ -243,10 +256,13 @@ class RegisterAdapter(Adapter[Motor]):
             return wrong
         return Pending(request, host.name, now, now + ANSWER, now, host, (), RETRY)
 
+    def _who_is_there(self) -> list[Frame]:
+        return [frame for at in self.addresses for frame in self.who(at)]
+
     def frames(self, now: Nanos, pending: Pending[Motor]) -> Sequence[Frame]:
         host = pending.host
         if host is None:
-            return pending.frames
+            return pending.frames[pending.sent : pending.sent + SLICE]
         frames: Sequence[Frame]
         match pending.request:
             case msg.ReadParameter(_, name):

@@ -108,9 +108,9 @@ def const(value: int, bits: int = 8) -> Field:
     return Field("", "const", bits, low=value)
 
 
-def unused(bits: int = 8) -> Field:
-    """Bits that are sent as 0 and not looked at."""
-    return Field("", "uint", bits)
+def unused(bits: int = 8, value: int = 0) -> Field:
+    """Bits that are sent as this value and not looked at."""
+    return Field("", "uint", bits, low=value)
 
 
 # -- rows --------------------------------------------------------------------------------------------------
@@ -305,6 +305,8 @@ def _compiled(row: Row) -> tuple[_Encode, _Decode]:
             names.append(field.name)
             number.append(f"({_raw(field)}) << {at}")
             values.append(f"{field.name!r}: {_value(field, part)}")
+        elif field.kind == "uint":
+            number.append(str(int(field.low) << at))
 
     shortest = size if row.fewest < 0 else row.fewest
     longest = max(8, row.sent) if row.fewest >= 0 or row.sent > size else size

@@ -368,7 +368,7 @@ def test_a_command_to_a_wheel_is_refused() -> None:
     trip.tick([msg.Velocity("left", 3.0)])
     assert trip.notes[-1] == (
         "warning",
-        "Velocity refused: left is a wheel of a base: use a goal, or drive",
+        "Velocity refused: left moves the base: give the base a goal, or drive it",
     )
     assert all_idle(trip.commands)
 

@@ -132,3 +132,18 @@ def test_joints_that_a_base_carries_move_together_while_it_stands() -> None:
     rates = [(b - a) / (TICK / SECOND) for a, b in pairwise(log)]
     assert abs(mast - 0.5) < 1e-3
     assert max(rates) < 1.05 * 1.875 * 0.5  # of the motion of least jerk: 15/8 of the mean
+
+
+def test_a_lost_joint_that_a_step_moves_pauses_the_mission_whatever_its_name() -> None:
+    office, mast = Office(), "mast: upper part"
+    timeouts = {**TIMEOUTS, mast: 100 * MILLISECOND}
+    brain = Brain(BrainSettings(BODY, perception=SMALL), ("left", mast, "right"), MOUNTS, timeouts)
+    mission = Mission("m", (msg.Reach((msg.Position(mast, 0.5),), 9.0),))
+    commands: Sequence[Command] = ()
+    for tick in range(150):
+        events = [*office.step([command for command in commands if command.motor != mast])]
+        events += [msg.Feedback(mast, office.now, 0.0, 0.0)] if tick < 100 else []
+        commands = brain.step(office.now, events, [mission] if tick == 50 else [], "")
+    view = brain.belief().mission
+    assert view is not None
+    assert (view.phase, view.reason) == ("paused", f"{mast}: no feedback for more than 90 ms")

@@ -44,6 +44,8 @@ ROBOTS = {
     "cia402": "diffbot_cia402",
     "moteus": "diffbot_moteus",
     "damiao": "diffbot_damiao",
+    "robstride": "diffbot_robstride",
+    "vesc": "diffbot_vesc",
     "zlac8015d": "diffbot_zlac8015d",
 }
 NUMBERS = (0.0, -0.0, 5e-324, 1e-40, 1e-19, -1.0, 6.5e4, 3.4e38, 1e300, float("inf"), float("nan"))

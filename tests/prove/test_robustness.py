@@ -7,14 +7,14 @@ PROVE_SEED=7 ./go prove -k "robustness and moves"     one campaign, with this se
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import Any
 
 import pytest
 
 from tests.prove.campaign import Campaign
 from tests.robustness.judge import Case, Row, mean_nees, mean_nis, run, table
-from tests.robustness.variations import TABLE, WORLDS, carried, drawn, people, world
+from tests.robustness.variations import TABLE, WORLDS, carried, drawn, world
 
 pytestmark = pytest.mark.prove
 
@@ -55,13 +55,3 @@ def test_a_sweep_is_nearly_as_good_as_an_instant() -> None:
     swept = rows("sweep", 10, lambda _seed, _number: world("office"))
     instant = rows("instant", 10, lambda _seed, _number: world("office", sweep=False))
     assert sum(row.error for row in swept) <= 1.3 * sum(row.error for row in instant)
-
-
-def test_people_who_walk_on_are_not_touched_in_motion() -> None:
-    """100 runs with three people each; the delay is against the same runs without them."""
-    met = rows("people", 100, lambda seed, number: people(seed % 1_000_000 + number))
-    alone = rows("alone", 100, lambda seed, number: replace(people(seed % 1_000_000 + number), then=()))
-    late = [one.span - other.span for one, other in zip(met, alone, strict=True)]
-    print(f"mean delay {sum(late) / len(late):.1f} s")
-    assert not [row for row in met if row.false]
-    assert sum(not row.contacts for row in met) >= 60  # all should: docs/robustness.md, "What is left"

@@ -40,6 +40,8 @@ ROBOTS = [
     Robot("diffbot", CLASSIC, 4),
     Robot("diffbot_cia402", CLASSIC, 4),
     Robot("diffbot_moteus", FD, 2),
+    Robot("diffbot_robstride", CLASSIC, 4),
+    Robot("diffbot_vesc", CLASSIC, 4),
     Robot("diffbot_zlac8015d", CLASSIC, 3),
     Robot("diffbot_mixed", CLASSIC | FD, 6, then=(("velocity mast 1", "mast: armed"),)),
     pytest.param(Robot("rover", CLASSIC, 4, 500_000), marks=pytest.mark.controllers),

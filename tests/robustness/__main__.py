@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from tests.robustness.judge import HEADER, Case, Row, mean_nees, mean_nis, run
-from tests.robustness.variations import MORE, TABLE, WORLDS, carried, drawn, people, screen, world
+from tests.robustness.variations import MORE, TABLE, WORLDS, carried, drawn, screen, world
 
-DRAWN = {"screens": screen, "moves": carried, "drawn": drawn, "people": people}
+DRAWN = {"screens": screen, "moves": carried, "drawn": drawn}
 
 
 def cases(asked: argparse.Namespace) -> Iterator[tuple[Case, int]]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from brain.belief import Floats, Pose
 from brain.bodies.differential import Differential
-from brain.bodies.plane import arc, moved
+from brain.bodies.plane import arc
 from gateway.sim import SceneFile, load_world
 from gateway.sim.mjcf import Polygon, outlines
 from protocols import messages as msg
@@ -234,26 +234,6 @@ class Base:
     def silence(self, source: str, span: float = math.inf) -> None:
         """Stop the events of a motor or sensor for a time [s]."""
         self.silent[source] = self.now + (round(span * SECOND) if math.isfinite(span) else 2**62)
-
-    def meet(self, name: str, ahead: float, side: float, bearing: float, speed: float) -> None:
-        """A person comes to a place this far ahead and to the left, and walks straight on there, whatever is
-        in the way, from wall to wall: from the bearing nearest to the one asked for at which it begins at
-        least 2.5 m from the base."""
-        at = moved(self.pose, Pose(ahead, side, bearing))
-        self.walk(name, at, speed)
-
-    def walk(self, name: str, at: Pose, speed: float) -> None:
-        """The same, by the place and the bearing in the world."""
-        for turn in sorted(np.linspace(-math.pi, math.pi, 25).tolist(), key=abs):
-            yaw = at.yaw + turn
-            both = np.array([yaw + math.pi, yaw])
-            back, on = (cast(self._all, (), np.array([[at.x, at.y]] * 2), both, 4.0) - 0.3).tolist()
-            c, s = math.cos(yaw), math.sin(yaw)
-            x, y = at.x - back * c, at.y - back * s
-            if back > 0.5 and math.dist((x, y), (self.pose.x, self.pose.y)) > 2.5:
-                way = back + max(on, 0.0)
-                self.people[name] = Person(x, y, speed * c, speed * s, 0.25, way / speed)
-                return
 
     def cross(self, ahead: float, side: float, speed: float) -> None:
         """A person sets out this far ahead and to the left, and walks across to the right."""

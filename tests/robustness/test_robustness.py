@@ -12,7 +12,7 @@ from brain.belief import Pose
 from brain.bodies.differential import Differential
 from tests.robustness.judge import Case, diffbot, run
 from tests.robustness.plant import HALF_LENGTH, HALF_WIDTH, Base, Figures, Person, cast, rectangle, scene
-from tests.robustness.variations import MORE, TABLE, office, people
+from tests.robustness.variations import MORE, TABLE, office
 
 
 def base() -> Base:
@@ -67,9 +67,3 @@ def test_the_first_seconds_of_a_case_of_the_table_are_good(name: str) -> None:
     case: Case = next(each for each in (*TABLE, *MORE) if each.name == name)
     row = run(replace(case, limit=8.0), 1)
     assert row.good, row.line()
-
-
-@pytest.mark.parametrize("seed", [1, 2])
-def test_a_person_who_walks_on_is_not_touched_in_motion(seed: int) -> None:
-    """The first of three; 100 runs with all of them: `./go prove -k people`."""
-    assert run(replace(people(seed), limit=7.0), seed).contacts == []

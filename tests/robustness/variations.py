@@ -212,26 +212,6 @@ def carried(seed: int) -> Case:
     return office(name, then=then, expect=FOUND, limit=30.0)
 
 
-def people(seed: int) -> Case:
-    """Draw three people who walk straight on at 0.3 to 1.2 m/s: across the way, towards the base, or through
-    the doorway."""
-    random = np.random.Generator(np.random.PCG64([4, seed]))
-
-    def person(name: str) -> Callable[[Base], None]:
-        kind, speed = random.integers(3), float(random.uniform(0.3, 1.2))
-        side, aside = float(random.choice([-1.0, 1.0])), float(random.uniform(-0.5, 0.5))
-        ahead = float(random.uniform(0.5, 2.0))
-        if kind == 2:
-            yaw = (1.0 - side) * math.pi / 2.0
-            return lambda base: base.walk(name, Pose(2.6, 1.05 + 0.4 * aside, yaw + 0.4 * aside), speed)
-        bearing = -side * math.pi / 2.0 + aside if kind == 0 else math.pi + aside
-        return lambda base: base.meet(name, ahead, 0.4 * aside, bearing, speed)
-
-    names = [f"person {number}" for number in range(3)]
-    then = tuple(Then(float(t), person(name), 0.15) for t, name in zip((2.0, 9.0, 16.0), names, strict=True))
-    return office(f"people {seed}", then=then)
-
-
 def drawn(seed: int) -> Case:
     """Draw figures, boxes, and at times a screen, over the quantities of the table."""
     random = np.random.Generator(np.random.PCG64([3, seed]))

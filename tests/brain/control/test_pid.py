@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -83,8 +85,8 @@ def test_a_joint_of_a_twin_that_is_sent_torques_only_reaches_positions_and_veloc
         joint = session.joints["left"]
         command = joint.command
 
-        def seen(now: int, new: msg.Command | None, stopped: bool, last: bool = False) -> msg.Command:
-            out = command(now, new, stopped, last)
+        def seen(*step: Any) -> msg.Command:
+            out = command(*step)
             sent.add(type(out))
             return out
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
+from brain.belief import Pose
 from brain.bodies.differential import Differential
 from brain.perception.mount import Mount
 from brain.perception.movers import Moving
@@ -89,6 +90,24 @@ def test_who_comes_along_a_wall_is_noticed_at_once(x: float, y: float, vx: float
     walk.doubts = False
     walk.drive(0.4, 0.0, 0.3)
     assert min(math.dist((one.x, one.y), (person.x, person.y)) for one in walk.seen[-1][1]) < 0.3
+
+
+@pytest.mark.parametrize(("x", "y", "vy"), [(3.0, -1.67, 0.82), (3.05, 4.33, -1.1)])
+def test_who_steps_out_from_behind_a_frame_is_known_by_the_part_that_is_seen(
+    x: float, y: float, vy: float
+) -> None:
+    """The base drives towards the doorway; from 0.25 s after he is first seen on."""
+    walk = Walk(doubts=True)
+    walk.base.pose = Pose(1.3, 1.0, 0.0)
+    walk.base.people["person"] = Person(x, y, 0.0, vy, 0.25)
+    walk.drive(2.6, 0.5, 0.0)
+    seen = [(t, one) for t, moving in walk.seen for one in moving][:60]
+    off = [
+        (math.dist((one.x, one.y), (x, y + (t + 0.01) * vy)), math.dist((one.vx, one.vy), (0.0, vy)))
+        for t, one in seen
+    ]
+    assert max(place for place, _ in off[25:]) < 0.12
+    assert max(speed for _, speed in off[25:]) < 0.4
 
 
 def test_a_person_leaves_no_trace_in_the_map() -> None:

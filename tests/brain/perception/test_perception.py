@@ -32,6 +32,7 @@ from tests.brain.perception.office import (
     TOUR,
     Drive,
     Rover,
+    box,
     classes,
     clearance,
     drive,
@@ -372,6 +373,17 @@ def test_a_robot_carried_elsewhere_is_lost_draws_nothing_and_is_found() -> None:
     assert belief.verdict.trust is Trust.CONSISTENT
     assert belief.anomalies[""] == {"relocalised": 1}
     assert apart(belief, rover.truth) < 0.03
+
+
+def test_pushed_aside_in_a_corridor_it_knows_no_less_of_its_length_than_before() -> None:
+    """The walls show where it is across; along them it is as unsure as it was, and as it was wrong."""
+    rover, belief = Rover(3, walls=np.array(box(-14.0, -1.0, 14.0, 1.0))), new()
+    run(rover, belief, 600, 0.3)
+    rover.truth = Pose(rover.truth.x, rover.truth.y + 0.3, rover.truth.yaw + 0.15)
+    run(rover, belief, 400)
+    assert belief.anomalies[""] == {"relocalised": 1}
+    assert pose(belief).y == pytest.approx(rover.truth.y, abs=0.01)
+    assert 0.1 < math.sqrt(covariance(belief)[0, 0]) < 0.5
 
 
 def test_what_hides_walls_is_no_doubt_and_is_in_the_map_after_two_scans() -> None:

@@ -14,11 +14,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from brain.belief import Floats, Pose
-from brain.planning.costmap import Mask
+from brain.planning.costmap import Costmap, Mask, PlannerSettings
 from brain.planning.footprint import Footprint, Shape
 from brain.planning.planner import NoPath, Path
 from brain.planning.polyline import Point, Polyline
-from tests.brain.planning.maps import DIFFBOT, ask, touches
+from tests.brain.planning.maps import DIFFBOT, EVERYTHING, PlainMap, ask, touches
 
 
 def along(points: tuple[Point, ...]) -> list[tuple[float, float, float]]:
@@ -200,3 +200,28 @@ def test_a_goal_in_a_box_is_approached_from_the_side_that_can_be_reached() -> No
     assert isinstance(found, Path)
     assert found.points[-1][0] < 2.0 + 1.0
     assert 0.5 < found.short_of < 1.2
+
+
+def test_the_clearance_is_that_of_the_outline_where_not_every_heading_fits() -> None:
+    """A long car beside a wall: against each occupied cell in turn, in the frame of the car. Before a corner
+    of the outline it may be less, by as much as the corner is nearer than the lines of its sides."""
+    car = Shape(0.1, hypot(0.4, 0.2), ((0.4, -0.1), (0.4, 0.1), (-0.1, 0.1), (-0.1, -0.1)), 0.5)
+    occupied = np.zeros((80, 80), bool)
+    occupied[[0, -1], :] = occupied[:, [0, -1]] = occupied[40, 40:45] = True
+    grid = PlainMap(occupied, low=(0, 0), resolution=0.05)
+    costmap = Costmap(0.05, car.inner, PlannerSettings(), car.outer)
+    costmap.update(grid, (2.0, 2.0), EVERYTHING)
+    footprint, rng, seen = Footprint(car, 0.05), np.random.default_rng(3), 0
+    rows, columns = np.nonzero(occupied)
+    for x, y, yaw in rng.uniform((1.0, 1.0, -pi), (3.0, 3.0, pi), (400, 3)):
+        dx, dy = (columns + 0.5) * 0.05 - x, (rows + 0.5) * 0.05 - y
+        ahead, left = cos(yaw) * dx + sin(yaw) * dy, cos(yaw) * dy - sin(yaw) * dx
+        beyond = np.maximum(np.maximum(ahead - 0.4, -0.1 - ahead), 0.0), np.maximum(np.abs(left) - 0.1, 0.0)
+        nearest = float(np.hypot(*beyond).min()) - 0.025
+        found = footprint.clearance(costmap, Pose(x, y, yaw), 0.15)
+        if 0.0 < costmap.clearance(x, y) <= 0.05:
+            seen += nearest < 0.15
+            assert min(nearest / 2**0.5 - 0.01, 0.15) <= found <= min(max(nearest, 0.0), 0.15) + 1e-9
+        else:
+            assert found == costmap.clearance(x, y)
+    assert seen > 10

@@ -15,6 +15,7 @@ from brain.planning.costmap import Mask, PlannerSettings
 from brain.planning.footprint import Footprint
 from brain.planning.hybrid_astar import BATCH, HybridSearch
 from brain.planning.planner import FrontierPath, NoPath, Path
+from brain.planning.snapshot import Halved
 from brain.planning.ways import WORDS_WORK, Prices, Way, Ways
 from tests.brain.planning.maps import CAR, ask, touches
 
@@ -64,17 +65,20 @@ def test_a_car_gets_there_without_touching_and_without_turning_too_tightly(
         assert gear * ((bx - ax) * cos(a) + (by - ay) * sin(a)) > 0.0
 
 
-def test_an_about_turn_needs_both_gears_and_backs_less_if_that_is_dear() -> None:
+def test_an_about_turn_needs_both_gears_and_what_is_behind_is_reached_forward_if_backing_is_dear() -> None:
     occupied = np.zeros((160, 160), bool)
-    counts = []
-    for reverse, switch in ((1.0, 0.0), (50.0, 20.0)):
+    gears = []
+    for goal, reverse, switch in (
+        ((4.0, 4.0, pi), 2.0, 0.5),
+        ((2.0, 4.0, 0.0), 1.0, 0.0),
+        ((2.0, 4.0, 0.0), 50.0, 20.0),
+    ):
         settings = PlannerSettings(reverse=reverse, switch=switch)
-        found, _ = ask(occupied, CAR, Pose(4.0, 4.0, 0.0), (4.0, 4.0, pi), settings)
+        found, _ = ask(occupied, CAR, Pose(4.0, 4.0, 0.0), goal, settings)
         assert isinstance(found, Path)
         assert found.gears is not None
-        counts.append(found.gears.count(-1))
-    assert counts[0] > 0
-    assert counts[1] < counts[0]
+        gears.append(set(found.gears))
+    assert gears == [{1, -1}, {-1}, {1}]
 
 
 def test_a_long_way_is_hardly_longer_than_the_shortest() -> None:
@@ -139,6 +143,23 @@ def test_it_is_sliced_and_a_deep_copy_continues_alike() -> None:
         assert isinstance(found, Way)
         assert found.gears == outcome.gears
         assert np.array_equal(found.poses, outcome.poses)
+
+
+def test_larger_cells_are_as_good_as_the_best_of_their_four() -> None:
+    _, ground = ask(rooms(), CAR, Pose(0.6, 0.6, 0.0), (0.7, 0.6, None))
+    halved = Halved(ground)
+    while not halved.complete:
+        halved.halve(1)
+    inside = 0
+    for x, y in np.random.default_rng(2).uniform((-0.2, -0.2), (6.2, 4.2), (500, 2)):
+        cell, large = ground.index(x, y), halved.index(x, y)
+        assert (cell is None) == (large is None)
+        if cell is not None and large is not None:
+            (row, column), inside = divmod(cell, ground.stride), inside + 1
+            four = [(r, c) for r in (row & ~1, row | 1) for c in (column & ~1, column | 1)]
+            prices = [ground.multiplier[ground.level[r * ground.stride + c]] for r, c in four]
+            assert halved.multiplier[halved.level[large]] == min(prices)
+    assert inside > 300
 
 
 def test_no_way_for_a_point_is_no_way() -> None:

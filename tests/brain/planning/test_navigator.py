@@ -301,6 +301,19 @@ def test_exploring_reaches_a_goal_behind_what_is_not_known_yet() -> None:
     assert run.navigator.reached == 1
 
 
+def test_what_becomes_known_before_the_base_moves_is_not_explored() -> None:
+    grid = PlainMap(two_rooms(), np.ones((40, 60), bool))
+    grid.unknown[5:15, 15:35] = False
+    run = Run(grid)
+    run.tick(Goal(2.0, 0.0))
+    run.run(0.1)
+    grid.unknown[:] = False
+    grid.version += 1
+    run.run(0.2)
+    assert isinstance(run.path(), Path)
+    assert "exploring" not in run.texts()
+
+
 def test_a_frontier_that_stays_unknown_is_excluded_and_exploring_ends() -> None:
     """A pane of glass, a blind spot: exploring must not wait there for ever."""
     unknown = np.zeros((40, 60), bool)

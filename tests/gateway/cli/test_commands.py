@@ -62,6 +62,8 @@ SEEDS = ("-1", "x", str(2**63), "1.5")
         ("run bench --bus can0=socketcan", "INTERFACE:CHANNEL"),
         ("run bench --bus can0=sockettcan:can0", "sockettcan"),
         ("run bench --bus can0=virtual:x --fast", "needs a simulated world: can0 is on a real interface"),
+        ("run bench --goal 1,2", "--goal: 'bench' has no base to drive; its joints take"),
+        ("run bench --mission rounds", "'bench' cannot do this: step 1: goto: there is no base to drive"),
         ("twin difbot", "did you mean 'diffbot'"),
         ("twin bench --bus cann0=socketcan:vcan0", "no bus 'cann0': there is can0; did you mean 'can0'"),
         ("twin bench --bus can0=socketcan:no-such-bus", "no-such-bus"),
@@ -74,6 +76,7 @@ SEEDS = ("-1", "x", str(2**63), "1.5")
         *((f"replay no.mcap --at-most={m}", f"'{m}' is not a number of metres") for m in METRES),
         ("replay pyproject.toml", "not a recording of this gateway"),
         ("demo --robot bench --out {tmp}", "has no tour"),
+        ("demo --robot bench --out {tmp} --goal 1,2", "--goal: 'bench' has no base to drive"),
         ("demo --out /proc/no", "--out /proc/no"),
         ("protocols chek plain", "invalid choice: 'chek'"),
         ("protocols check plane", "did you mean 'plain'?"),
@@ -166,6 +169,13 @@ def test_a_dry_run_does_everything_but_write_to_the_buses(
     assert received  # the twins report by themselves
     assert all(event.velocity in (None, 0.0) for event in received)
     assert "firmware unknown" in capsys.readouterr().err  # no device has received the driver's query
+
+
+def test_what_became_of_a_mission_is_printed(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    file = tmp_path / "twice.toml"
+    file.write_text("[[steps]]\nrepeat = 2\nsteps = [{wait = 0.1}]")
+    assert main(["run", "bench", "--bus", "can0=twin", "--fast", "--mission", str(file)]) == 0
+    assert capsys.readouterr().out.endswith("\nmission twice: done\n")
 
 
 def test_lines_on_the_terminal_and_by_ask_drive_the_bench(tmp_path: Path) -> None:

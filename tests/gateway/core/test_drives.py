@@ -18,6 +18,8 @@ from tests.gateway.rig import Rig
 ROBOTS = {
     "diffbot_cia402": {"cia402"},
     "diffbot_damiao": {"damiao"},
+    "diffbot_robstride": {"robstride"},
+    "diffbot_vesc": {"vesc"},
     "diffbot_zlac8015d": {"zlac8015d"},
     "diffbot_moteus": {"moteus"},
     "diffbot_mixed": {"cia402", "moteus", "odrive_can"},

@@ -379,6 +379,8 @@ ROBOTS = (
     "diffbot_cia402",
     "diffbot_moteus",
     "diffbot_damiao",
+    "diffbot_robstride",
+    "diffbot_vesc",
     "diffbot_zlac8015d",
     "bench05",
     "twelve",
@@ -390,9 +392,11 @@ class LimitlessJoint(Joint):
 
     wild: Command | None = None
 
-    def command(self, now: Nanos, new: Command | None, stopped: bool, last: bool = False) -> Command:
+    def command(
+        self, now: Nanos, new: Command | None, stopped: bool, last: bool = False, leaving: bool = False
+    ) -> Command:
         """Return what was not asked for."""
-        usual = super().command(now, new, stopped, last)
+        usual = super().command(now, new, stopped, last, leaving)
         if self.wild is None:
             return usual
         self.owned = True

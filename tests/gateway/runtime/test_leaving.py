@@ -180,7 +180,15 @@ def test_motors_that_do_not_obey_are_noted_in_a_bounded_time(
     assert modes(turning) == {"left": Mode.READY, "right": Mode.ARMED}
 
 
-DRIVEN = ["diffbot", "diffbot_cia402", "diffbot_damiao", "diffbot_moteus", "diffbot_zlac8015d"]
+DRIVEN = [
+    "diffbot",
+    "diffbot_cia402",
+    "diffbot_damiao",
+    "diffbot_moteus",
+    "diffbot_robstride",
+    "diffbot_vesc",
+    "diffbot_zlac8015d",
+]
 
 
 @pytest.mark.parametrize("robot", DRIVEN)
@@ -195,8 +203,9 @@ def test_a_motor_that_is_about_to_arm_when_the_run_is_left_does_not_stay_armed(r
                 list(islice(ticks, count))
                 for bus in session.buses.values():
                     lose_writes(bus, 1)
-            assert modes(session) == {"left": Mode.READY}, f"left after {count} ticks"
-        assert session.joints["left"].owned
+            left = session.joints["left"]  # one that only replies has no mode before it is commanded
+            assert left.mode is Mode.READY or not left.owned, f"left after {count} ticks"
+        assert left.owned
 
 
 # -- a session ---------------------------------------------------------------------------------------------

@@ -114,3 +114,18 @@ def test_what_cannot_be_opened_is_an_error_in_words(tmp_path: Path) -> None:
     ):
         with pytest.raises(gw.UserError, match=text), gw.open_session(**options):
             pass
+
+
+def test_what_a_robot_can_never_do_is_refused_when_it_is_submitted() -> None:
+    wrong = (
+        ("bench", gw.Goal(1.0, 2.0), "Goal: 'bench' has no base to drive"),
+        ("bench", gw.Velocity("lefd", 1.0), "Velocity: no motor 'lefd': .* did you mean 'left'"),
+        ("bench", gw.Mission("m", (gw.Turn(1.0),)), "Mission: step 1: turn: there is no base to drive"),
+        ("diffbot", gw.Velocity("left", 1.0), "Velocity: 'left' moves the base: use goal or drive"),
+        ("diffbot", gw.Drive(0.0, 0.0, 0.1), "Drive: the base of 'diffbot' does not move sideways"),
+    )
+    for name, asked, text in wrong:
+        with gw.open_session(name, simulated=True) as session:
+            with pytest.raises(gw.UserError, match=text):
+                session.submit(gw.ClearFault("left"), asked)
+            assert not session._submitted

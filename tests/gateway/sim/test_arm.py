@@ -74,6 +74,38 @@ def test_it_is_held_in_a_stop_after_its_release_and_when_the_brain_fails_until_t
     assert not session.gateway.still_armed()
 
 
+class Heights:
+    """In place of a recorder: the height of the tip at each tick."""
+
+    def __init__(self, session: Session) -> None:
+        self.session, self.z = session, list[float]()
+
+    def record(self, *_: object, **__: object) -> None:
+        self.z.append(float(tip(self.session)[2]))
+
+
+def left(reasons: Sequence[str]) -> list[float]:
+    """Return the heights of the tip, after these reasons to end the run with an arm that is stretched out."""
+    with arm() as (session, ticks):
+        raised(session, ticks)
+        session.submit(Mission("out", (MoveTool(0.376, 0.0, 0.2, (0.0, np.pi, 0.0)),)))
+        run(ticks, 1.5)
+        heights = session.recorder = Heights(session)  # type: ignore[assignment]
+        for reason in reasons:
+            session.leave(reason)
+        assert not list(ticks)
+        for joint in session.joints.values():
+            assert (joint.mode, joint.faults) == (msg.Mode.READY, {})
+    return heights.z
+
+
+def test_at_the_end_of_a_run_it_is_lowered_and_a_second_reason_lets_go_of_it_at_once() -> None:
+    lowered = left(["it is to end"])
+    assert lowered[0] - lowered[-1] > 0.1
+    assert np.diff(lowered).min() > -0.6 * 0.005, "m/s; it falls with 1.4"
+    assert len(left(["it is to end", "at once"])) < 60 < len(lowered)
+
+
 def test_a_place_out_of_reach_fails_the_mission_with_the_reason() -> None:
     with arm() as (session, ticks):
         run(ticks, 0.06)

@@ -86,7 +86,7 @@ class Session(Generic[TwinKind]):
         return await answer if isinstance(answer, Awaitable) else answer
 
     def error(self) -> str:
-        """What the client says of the last heartbeat; one from before an error may still be under way to it."""
+        """What the client says of the last heartbeat, which may be one from before an error."""
         try:
             self.client.check_errors()
         except DriveError as error:

@@ -1,0 +1,146 @@
+"""The device's end: what a motor obeys, and its firmware.
+
+Rules. Each frame to it is answered, and feeds its watchdog. What the loops inside do is ours: the manual
+gives their gains, not their form.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from protocols import messages as msg
+from protocols.frames import CanFrame, Frame
+from protocols.messages import Command, Mode, Nanos, Obeyed
+from protocols.plugin import Device
+from protocols.robstride import table as rs
+from protocols.robstride.options import STORED, Settings
+from protocols.toolkit.firmware import ServoFirmware, milliseconds
+from protocols.toolkit.mit import NUMBERS
+from protocols.toolkit.servo import Gains
+from protocols.toolkit.table import Decoded, Table
+
+IN_STATUS = {0: 0x04, 2: 0x01, 4: 0x02, 5: 0x02, 7: 0x20, 14: 0x10, 16: 0x02}
+"""Bit of the status by bit of the fault message."""
+
+
+@dataclass(slots=True)
+class Memory:
+    """What a motor keeps of the frames that it received."""
+
+    name: str
+    address: int
+    model: str
+    registers: dict[str, float]
+    enabled: bool = False
+
+    def obey(self, decoded: Decoded) -> Sequence[Obeyed]:
+        """Apply a message; return what the motor then does."""
+        name, values, motor = decoded.name, decoded.values, self.name
+        if decoded.address != self.address:
+            return ()
+        match name:
+            case "enable" | "disable" | "clear":
+                self.enabled = name == "enable"
+                if self.enabled:
+                    return msg.Arm(motor), self._goal()
+                return msg.Idle(motor), *((msg.ClearFault(motor),) if name == "clear" else ())
+            case "zero":
+                return (msg.Zero(motor),)
+            case "save":
+                return (msg.WriteParameter(motor, rs.SAVE, 1.0),)
+            case "control" if self.enabled and not self.registers["run_mode"]:
+                return (msg.Impedance(motor, *(values[number] for number in NUMBERS)),)
+            case "write":
+                return self._write(*rs.REGISTERS.value(values["number"], values["value"]))
+        return ()
+
+    def _write(self, name: str, value: float | None) -> Sequence[Obeyed]:
+        if value is None or name not in self.registers or not rs.REGISTERS.by_name[name].writable:
+            return ()
+        self.registers[name] = value
+        moves = self.enabled and name in ("run_mode", rs.SET_POINT.get(int(self.registers["run_mode"])))
+        return (msg.WriteParameter(self.name, name, value), *((self._goal(),) if moves else ()))
+
+    def _goal(self) -> Command:
+        """Return what the set-point in its registers makes it do."""
+        mode, ends = int(self.registers["run_mode"]), rs.MODELS[self.model]
+        value = self.registers[rs.SET_POINT[mode]] if mode in rs.SET_POINT else 0.0
+        match mode:
+            case 1 | 5:
+                return msg.Position(self.name, value)
+            case 2:
+                return msg.Velocity(self.name, value)
+        return msg.Torque(self.name, value * ends.torque / ends.current)
+
+
+def memory_of(device: Device) -> Memory:
+    """Return that of a motor as it is when switched on."""
+    settings: Settings = device.settings
+    model, ends = device.options.model, rs.MODELS[device.options.model]
+    registers = dict.fromkeys(rs.parameters_of(model), 0.0) | {"VBUS": 48.0}
+    stored = {name: float(getattr(settings, name)) for name in STORED if name in registers}
+    stored["limit_torque"] = settings.limit_torque or ends.torque
+    stored["limit_cur"] = settings.limit_cur or ends.current
+    stored[ends.timeout] = round(settings.timeout_ms * rs.PER_MS)
+    return Memory(device.name, device.address, model, registers | stored)
+
+
+class RobStrideTwin(ServoFirmware):
+    """One motor."""
+
+    def __init__(self, device: Device, seed: int) -> None:
+        self.model: str = device.options.model
+        super().__init__(device, seed, Gains(torque_limit=rs.MODELS[self.model].torque))
+        self.memory = memory_of(device)
+        self.host = 0
+        """Who sent a message last: whom answers are for. A set-point does not say who sent it."""
+        self.table: Table = device.options.table
+        self.faults = rs.faults_of(self.model)
+
+    def timeout(self) -> Nanos:
+        timeout = milliseconds(self.memory.registers[rs.MODELS[self.model].timeout] / rs.PER_MS)
+        return timeout if self.mode is Mode.ARMED else 0
+
+    def _frame(self, name: str, **values: Any) -> Frame:  # noqa: ANN401 -- numbers
+        return self.table.encode(name, self.memory.address, host=self.host, **values)
+
+    def _status(self) -> Frame:
+        mode = 2 if self.mode is Mode.ARMED else 0
+        bits = IN_STATUS.get(self.fault - rs.DETAIL, 0) if self.fault >= rs.DETAIL else self.fault
+        end = self.table.row("status").field("position").high
+        position = math.remainder(self.encoder.position, 2.0 * end)
+        measured = {"position": position, "velocity": self.encoder.velocity, "torque": self.torque}
+        state = {"mode": mode, "faults": 0x10 if bits == rs.HALL else bits, "temperature": 30.0}
+        return self._frame("status", **state, **measured)
+
+    def on_frame(self, t: Nanos, frame: Frame) -> None:
+        decoded, memory = self.table.decode(frame, "to_device"), self.memory
+        if decoded is None or not decoded.name or decoded.address != memory.address:
+            return
+        for obeyed in memory.obey(decoded):
+            self.obey(t, obeyed)
+        if isinstance(frame, CanFrame) and decoded.name != "control":
+            self.host = frame.id >> 8 & 0xFF
+        self.fastest, self.strongest = memory.registers["limit_spd"], memory.registers["limit_torque"]
+        self.feed(t)
+        match decoded.name:
+            case "get_id":
+                serial = 0x5253_0000_0000_0000 | (self.settings.serial or memory.address)
+                self.reply(t, self.table.encode("id", memory.address, serial=serial))
+                return
+            case "read":
+                self.reply(t, self._register(decoded.values["number"]))
+                return
+        if self.fault >= rs.DETAIL:
+            self.reply(t, self._frame("fault", faults=1 << self.fault - rs.DETAIL, warnings=0))
+        self.reply(t, self._status())
+
+    def _register(self, number: int) -> Frame:
+        register, values = rs.REGISTERS.by_number.get(number), self.memory.registers
+        values = values | {"mechPos": self.encoder.position, "mechVel": self.encoder.velocity}
+        known = register is not None and register.name in self.memory.registers
+        raw = rs.REGISTERS.raw(register.name, values[register.name]) if register is not None and known else 0
+        return self._frame("register", failed=not known, number=number, value=raw)

@@ -1,0 +1,71 @@
+"""`Options` of the driver, and `Settings` of the controller as it is in simulation."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from protocols.toolkit.options import bounded, check_bounds
+from protocols.vesc.table import STATUS, STEPS
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Configuration of the driver. What a controller does not tell must be as it is configured there."""
+
+    pole_pairs: int = bounded(7, 1, 100)
+    """Electrical revolutions in one of the shaft: the number of magnets, halved."""
+    torque_constant: float = bounded(0.05, 1e-4, 100.0)
+    """N·m/A: 1.5 · pole pairs · flux linkage"""
+    max_current: float = bounded(20.0, 0.1, 1000.0)
+    """A: Motor Current Max"""
+    max_erpm: float = bounded(100_000.0, 100.0, 1e6)
+    """ERPM: Max ERPM"""
+    idle_current: float = bounded(0.15, 0.0, 10.0)
+    """A: what is measured beyond it drives the motor"""
+    timeout_ms: int = bounded(300, 20, 3000)
+    """Timeout of the controller (as delivered 1000, or 500 by the vendor's page): a longer one is a fault."""
+    host_id: int = bounded(254, 0, 254)
+    """Address to which controllers reply; no controller may have it."""
+    feedback_ms: int = bounded(20, 1, 1000)
+    """Period of STATUS_1, 4 and 5: 1000 / CAN Status Messages Rate 1."""
+    poll_ms: int = bounded(50, 5, 200)
+    """Period in which fault and timeout are asked for."""
+    offline_ms: int = bounded(200, 20, 10_000)
+    """Time without a frame after which the controller is offline."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+    @property
+    def erpm(self) -> float:
+        """rad/s of one ERPM"""
+        return math.pi / 30.0 / self.pole_pairs
+
+    @property
+    def step(self) -> float:
+        """rad of one step of the tachometer"""
+        return 2.0 * math.pi / (STEPS * self.pole_pairs)
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """Configuration of the controller in simulation, where it is not that of the options."""
+
+    status_messages: int = bounded(0b011001, 0, (1 << len(STATUS)) - 1)
+    """A bit for each of STATUS_1, 2 …; as delivered 0: none is sent"""
+    idle_current: float = bounded(0.15, 0.0, 10.0)
+    """A: what is measured beyond it drives the motor"""
+    timeout_ms: int = bounded(0, 0, 1_000_000)
+    """0: that of the options"""
+    min_erpm: float = bounded(0.0, 0.0, 1e6)
+    """Minimum ERPM: it coasts, or brakes, at slower set-points. As delivered 900."""
+    supply: float = bounded(24.0, 5.0, 1000.0)
+    """V"""
+    resistance: float = bounded(0.1, 1e-3, 100.0)
+    """Ω of the motor"""
+    temperature: float = bounded(30.0, -40.0, 120.0)
+    """°C"""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)

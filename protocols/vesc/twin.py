@@ -1,0 +1,149 @@
+"""The device's end: what a VESC obeys, and its firmware.
+
+Rules. Every message that commands feeds the timeout, a current of 0 too; questions do not. A fault ends the
+motion, and passes half a second later by itself. What the loops inside do is ours. Other than the vendor's it
+has not just been fed when it is switched on, drives with less than its least current, and reports no average.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from protocols import messages as msg
+from protocols.frames import Frame
+from protocols.messages import MILLISECOND, Nanos, Obeyed
+from protocols.plugin import Device
+from protocols.toolkit.firmware import ServoFirmware, milliseconds
+from protocols.toolkit.servo import Gains, clamp
+from protocols.toolkit.table import Decoded
+from protocols.vesc import table as vt
+from protocols.vesc.options import Options, Settings
+
+FAULT_STOP: Nanos = 500 * MILLISECOND
+
+
+@dataclass(slots=True)
+class Motor:
+    """What a controller makes of a message; it keeps nothing of earlier ones."""
+
+    name: str
+    address: int
+    options: Options
+    settings: Settings
+
+    def obey(self, decoded: Decoded) -> Sequence[Obeyed]:
+        """Return what the controller does on this message."""
+        if decoded.address not in (self.address, vt.EVERY) or "value" not in decoded.values:
+            return ()
+        name, value, options = self.name, decoded.values["value"], self.options
+        torque = value * options.torque_constant
+        match decoded.name.removeprefix("COMM_"):
+            case "SET_RPM":
+                velocity = msg.Velocity(name, value * options.erpm)
+                return (velocity,) if abs(value) < self.settings.min_erpm else (msg.Arm(name), velocity)
+            case "SET_POS":
+                return msg.Arm(name), msg.Position(name, math.radians(value))
+            case "SET_DUTY":  # what a motor without load does at that voltage
+                unloaded = value * self.settings.supply / options.torque_constant
+                return msg.Arm(name), msg.Velocity(name, unloaded)
+            case _ if not value:
+                return (msg.Idle(name),)
+            case "SET_CURRENT" | "SET_CURRENT delayed":
+                return msg.Arm(name), msg.Torque(name, torque)
+            case "SET_CURRENT_REL":
+                return msg.Arm(name), msg.Torque(name, torque * options.max_current)
+            case "SET_CURRENT_BRAKE" | "SET_CURRENT_BRAKE_REL":
+                return msg.Arm(name), msg.Velocity(name, 0.0)
+        return msg.Arm(name), msg.Hold(name)  # the handbrake
+
+
+def motor_of(device: Device) -> Motor:
+    """Return a controller as it is when switched on."""
+    return Motor(device.name, device.address, device.options, device.settings)
+
+
+class VescTwin(ServoFirmware):
+    """One controller with its motor."""
+
+    faults = vt.FAULTS
+
+    def __init__(self, device: Device, seed: int) -> None:
+        most = device.options.max_current * device.options.torque_constant
+        super().__init__(device, seed, Gains(torque_limit=most))
+        self.memory = motor_of(device)
+        self.timed_out = True
+        self.tripped_at: Nanos = 0
+
+    # -- timeout and faults ---------------------------------------------------------------------------
+
+    def timeout(self) -> Nanos:
+        timeout = self.settings.timeout_ms or self.device.options.timeout_ms
+        return 0 if self.timed_out else milliseconds(timeout)
+
+    def feed(self, t: Nanos) -> None:
+        super().feed(t)
+        self.timed_out = False
+
+    def on_timeout(self) -> None:
+        self.timed_out = True
+        self.disarm()
+
+    def trip(self, code: int) -> None:
+        super().trip(code)
+        self.tripped_at = self.now or 0
+
+    def cycle(self, now: Nanos, dt: float, position: float, velocity: float) -> float:
+        if now - self.tripped_at >= FAULT_STOP:
+            self.clear()
+        return super().cycle(now, dt, position, velocity)
+
+    # -- messages -------------------------------------------------------------------------------------
+
+    def on_frame(self, t: Nanos, frame: Frame) -> None:
+        decoded, address = vt.TABLE.decode(frame, "to_device"), self.memory.address
+        if decoded is None or decoded.address not in (address, vt.EVERY):
+            return
+        kill, to = self.fault == vt.KILL, decoded.values.get("host", 0)
+        match decoded.name:
+            case "":
+                pass
+            case "PING":
+                self.reply(t, vt.TABLE.encode("PONG", address, host=to, hardware=0))
+            case "get fault":
+                self.reply(t, vt.TABLE.encode("fault", address, host=to, value=0 if kill else self.fault))
+            case "get state":
+                self.reply(t, vt.TABLE.encode("state", address, host=to, value=self.timed_out | kill << 1))
+            case _:
+                for obeyed in self.memory.obey(decoded):
+                    self.obey(t, obeyed)
+                self.feed(t)
+
+    def obey(self, t: Nanos, obeyed: Obeyed) -> None:
+        slowest = self.settings.min_erpm * self.device.options.erpm
+        if isinstance(obeyed, msg.Velocity) and abs(obeyed.velocity) < slowest:
+            obeyed = msg.Velocity(obeyed.motor, 0.0)
+        super().obey(t, obeyed)
+
+    def cyclic(self) -> Mapping[str, Nanos]:
+        period, on = milliseconds(self.device.options.feedback_ms), self.settings.status_messages
+        return {name: period for bit, name in enumerate(vt.STATUS) if on >> bit & 1}
+
+    def report(self, name: str) -> Frame:
+        options, settings, encoder = self.device.options, self.settings, self.encoder
+        current = self.torque / options.torque_constant
+        needed = encoder.velocity * options.torque_constant + current * settings.resistance
+        duty = clamp(needed / settings.supply, 0.95)
+        values = dict.fromkeys((f.name for f in vt.STATUS[name][1] if f.name), 0.0)
+        measured = {
+            "velocity": round(encoder.velocity / options.erpm),
+            "current": math.copysign(1.0, duty) * current,
+            "duty": duty,
+            "position": round(encoder.position / options.step),
+            "voltage": settings.supply,
+            "fet": settings.temperature,
+            "motor": settings.temperature,
+        }
+        values |= {key: value for key, value in measured.items() if key in values}
+        return vt.TABLE.encode(name, self.memory.address, **values)

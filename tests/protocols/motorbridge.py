@@ -1,0 +1,113 @@
+"""motorbridge 0.5.6 as a client of twins, over a pseudo-terminal: as if they were behind a microcontroller
+that it reaches by its `mcu-serial`. (Its other ways are SocketCAN, USB, and one for Damiao motors only.)
+
+A frame is A5, length, id (bit 31: 29 bits), data, CRC-8 of these three, 5A, both ways.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import threading
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from select import select
+
+import motorbridge
+
+from protocols.frames import EXTENDED_BIT, CanFrame
+from protocols.messages import MILLISECOND, Feedback
+from protocols.plugin import Twin
+from protocols.toolkit.serial import crc
+
+CRC8 = crc(8, 0x07, reflected=False)
+INERTIA = 0.01
+"""kg·m² of the shaft"""
+
+
+class Bench:
+    """One twin and its shaft. Time is that of its frames: two milliseconds each."""
+
+    def __init__(self, twin: Twin, name: str) -> None:
+        self.twin, self.name, self.now = twin, name, 0
+        self.position = self.velocity = self.torque = 0.0
+        self.received: list[CanFrame] = []
+        self.step()
+
+    def exchange(self, frame: CanFrame) -> list[CanFrame]:
+        """Return what the twin answers."""
+        self.received.append(frame)
+        self.twin.receive(self.now, frame)
+        return self.step() + self.step()
+
+    def step(self) -> list[CanFrame]:
+        """Let a millisecond pass."""
+        self.now += MILLISECOND
+        truth = Feedback(self.name, self.now, self.position, self.velocity)
+        (torque,), frames = self.twin.step(self.now, [truth])
+        self.torque = torque.torque
+        self.velocity += self.torque / INERTIA * 1e-3
+        self.position += self.velocity * 1e-3
+        return [frame for frame in frames if isinstance(frame, CanFrame)]
+
+
+def _packed(frame: CanFrame) -> bytes:
+    body = struct.pack("<BI", len(frame.data), frame.id | EXTENDED_BIT * frame.extended) + frame.data
+    return b"\xa5" + body + bytes((CRC8(body), 0x5A))
+
+
+def _serve(line: int, bench: Bench, stop: threading.Event) -> None:
+    held = b""
+    while not stop.is_set():
+        if not select([line], [], [], 0.01)[0]:
+            continue
+        held += os.read(line, 4096)
+        while len(held) > 1 and len(held) >= 8 + held[1]:
+            size, number = struct.unpack("<xBI", held[:6])
+            frame = CanFrame(number & ~EXTENDED_BIT, held[6 : 6 + size], bool(number & EXTENDED_BIT))
+            assert held.startswith(_packed(frame)), held.hex(" ")
+            held = held[8 + size :]
+            os.write(line, b"".join(map(_packed, bench.exchange(frame))))
+
+
+@contextmanager
+def connected(bench: Bench) -> Iterator[motorbridge.Controller]:
+    """Connect motorbridge to a twin; what it sends is answered as long as this lasts."""
+    ours, theirs = os.openpty()
+    tty.setraw(theirs)
+    stop = threading.Event()
+    server = threading.Thread(target=_serve, args=(ours, bench, stop))
+    server.start()
+    controller = motorbridge.Controller.from_mcu_serial(os.ttyname(theirs))
+    try:
+        yield controller
+    finally:
+        controller.close()
+        stop.set()
+        server.join()
+        os.close(theirs)
+        os.close(ours)
+
+
+def received(bench: Bench, count: int, act: Callable[[], None]) -> list[CanFrame]:
+    """Do something, and return the frames that arrive for it: as many as this, or fewer after a while."""
+    before = len(bench.received)
+    act()
+    waiting = threading.Event()
+    for _ in range(20_000):
+        if len(bench.received) - before >= count:
+            break
+        waiting.wait(0.0005)
+    return bench.received[before:]
+
+
+def drive(bench: Bench, act: Callable[[], None], count: int = 500) -> None:
+    """Do something as often, ten times between waits: more would not fit into the line."""
+
+    def ten_times() -> None:
+        for _ in range(10):
+            act()
+
+    for _ in range(count // 10):
+        received(bench, 10, ten_times)
