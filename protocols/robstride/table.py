@@ -173,7 +173,7 @@ def table_of(model: str, position: float = 0.0, velocity: float = 0.0, torque: f
     measured = [span(*each, measured=True) for each in numbers]
     state, status = (uint("mode", 2), uint("faults", 6)), (*measured, uint("temperature", 16, 0.1))
     register = uint("number", 16), unused(16), uint("value", 32)
-    version = const(0), const(0xC4), const(0x56), uint("version", 32), unused(8)
+    version = const(0x00C4, 16), const(0x56), uint("version", 32), unused(8)
 
     rows = (
         Row("get_id", _to(0), (unused(64),), read_only=True),
