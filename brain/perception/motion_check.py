@@ -6,10 +6,11 @@ between their times. Wheels and gyro are compared with each other as well. A ref
 have agreed on a motion, and kept while they differ, so that a difference stays visible: a lidar that is
 knocked out of its mount agrees with itself again one scan later. After `FORGET` it is renewed anyway. One
 comparison that differs may be a glitch, `CONFIRM` of them in a row are not. A scan too bare to show a motion
-is not compared, nor is one hidden by what has appeared: most of its rays end before the reference's lines. Of
-three sources that turn, the one without which the other two agree best is named. What differs slowly is
-summed: the gyro's rate against the scans' (its bias is learnt here, independently of the filter), and the
-direction of the scans' motion against that of the base (the lidar's mounting).
+is not compared, nor is one hidden by what has appeared: most of its rays end before the reference's lines;
+`CONFIRM` of those in a row renew the reference. Of three sources that turn, the one without which the other
+two agree best is named. What differs slowly is summed: the gyro's rate against the scans' (its bias is learnt
+here, independently of the filter), and the direction of the scans' motion against that of the base (the
+lidar's mounting).
 Source: Censi 2008 (PLICP).
 """
 
@@ -98,6 +99,9 @@ class MotionCheck:
         self._differ: dict[str, tuple[int, Nanos, str]] = {}
         """By lidar ("": wheels and gyro): comparisons in a row that differed, since when, and how."""
 
+        self._hidden: dict[str, int] = {}
+        """By lidar: scans in a row of which most was hidden by what has appeared."""
+
     def contradictions(self) -> list[Contradiction]:
         """Return what differs now."""
         three_first = sorted(self._differ, key=lambda name: not name)
@@ -150,7 +154,11 @@ class MotionCheck:
                 shown = _shown(reference, scan, wheels, gyro)
                 if shown is None and self._confirmed(name):
                     return 0.0
-        if shown is None or wheels is None or shown.fit < FIT < shown.fit + shown.hidden:
+        hidden = shown is not None and shown.fit < FIT < shown.fit + shown.hidden
+        self._hidden[name] = self._hidden.get(name, 0) + 1 if hidden else 0
+        if hidden and self._hidden[name] < CONFIRM:
+            return 0.0  # one that is wrong may look like this; the next are not to be compared with it
+        if shown is None or wheels is None or hidden:
             self._differ.pop(name, None)
             self._past[name] = deque()
             self._references[name] = Reference(t, scan)

@@ -2,8 +2,8 @@
 
 Rules. What driver and device exchange decides, not a table: the robot runs in virtual time, every motor
 commanded and at rest, on buses with true bit times. Twins answer at the world's steps, so an age or a latency
-may be a step longer than on the wire. A robot fits if no frame of the host still waits when the next step
-begins, none was dropped, and every motor reports in time.
+may be a step longer than on the wire. A robot fits if no wire is full, no frame was dropped, every frame ends
+within the `command_timeout` of the bus's motors, and every motor reports within its `feedback_timeout`.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from protocols.messages import SECOND, Drive, Feedback, Hold, Instruction, Nanos
 
 SETTLING: Nanos = 3 * SECOND // 2
 """Time to find the devices, set them up and arm them."""
+FULL = 0.98
+"""Share of the time from which on a wire is full."""
 WINDOW: Nanos = SECOND
 """Time that is counted, after settling."""
-HALVINGS = 7
-"""Of the logarithm of a rate."""
 
 
 @dataclass(slots=True)
@@ -45,8 +45,8 @@ class BusSchedule:
     """The share of the time in which the wire is not idle."""
     latency: Nanos = 0
     """The longest time from a step to the end of a frame that it sends."""
-    waiting: int = 0
-    """Frames of the host that waited, at most, when a step began."""
+    patience: Nanos = SECOND
+    """The shortest `command_timeout` of its motors: the latency that is allowed."""
     dropped: bool = False
     """Whether frames of the host were dropped."""
     frames: Counter[str] = field(default_factory=Counter)
@@ -59,7 +59,7 @@ class BusSchedule:
     @property
     def fits(self) -> bool:
         """True if the bus carries the robot at its rate."""
-        return not (self.waiting or self.dropped or self.late)
+        return not (self.load >= FULL or self.latency > self.patience or self.dropped or self.late)
 
 
 @dataclass(slots=True)
@@ -123,12 +123,13 @@ def count_buses(robot: Robot, rate: float | None = None) -> list[BusSchedule]:
             one = count.buses[name]
             if now >= SETTLING:
                 one.load = (bus.busy - busy.setdefault(name, bus.busy)) / WINDOW
-                one.waiting, one.dropped = max(one.waiting, bus.waiting), one.dropped or bus.full
+                one.dropped = one.dropped or bus.full
         outputs = gateway.step(now, Inputs(tuple(states), tuple(packets), tuple(commands)))
         count.step(now, outputs, robot.motors)
         write(world.buses, now, outputs.packets)
     for name, motor in robot.motors.items():
         one = count.buses[motor.bus]
+        one.patience = min(one.patience, motor.joint.command_timeout)
         allowed, age = motor.joint.feedback_timeout, one.ages.get(name)
         if name not in count.last or age is None:
             one.late[name] = 0
@@ -149,15 +150,15 @@ def highest_rate(robot: Robot, counted: Sequence[BusSchedule]) -> float:
         if not more.fits:
             per_hertz = max((more.load - one.load) / rate, 1e-6)
             guess = min(guess, rate + (1.0 - one.load) / per_hertz if one.fits else rate)
-    low, high = LOWEST_RATE, guess
+    low, high = LOWEST_RATE, float(floor(guess))
     if _fits(robot, high):
-        return float(floor(high))
+        return high
     if not _fits(robot, low):
         return 0.0
-    for _ in range(HALVINGS):
-        middle = (low * high) ** 0.5
+    while high - low > max(1.0, low / 100.0):
+        middle = float(floor((low + high) / 2.0))
         low, high = (middle, high) if _fits(robot, middle) else (low, middle)
-    return float(floor(low))
+    return low
 
 
 def _fits(robot: Robot, rate: float) -> bool:
@@ -184,8 +185,11 @@ def reason(one: BusSchedule) -> str:
     reasons = []
     if one.dropped:
         reasons.append("frames are dropped, since more are sent than it carries")
-    elif one.waiting:
-        reasons.append(f"{one.waiting} frames of a step still wait when the next begins")
+    elif one.load >= FULL:
+        reasons.append("the wire is full")
+    if one.latency > one.patience:
+        allowed = f"command_timeout allows {one.patience / 1e6:g} ms"
+        reasons.append(f"a frame takes up to {one.latency / 1e6:.1f} ms; {allowed}")
     for name, allowed in one.late.items():
         age = f"is up to {one.ages[name] / 1e6:.1f} ms old; feedback_timeout allows {allowed / 1e6:g} ms"
         reasons.append(f"the feedback of {name} {age if allowed else 'does not come'}")

@@ -96,11 +96,6 @@ class TwinBus:
         return max(self._from_host.busy, self.from_devices.busy)
 
     @property
-    def waiting(self) -> int:
-        """Frames of the host that have not ended."""
-        return self._from_host.waiting(HOST)
-
-    @property
     def full(self) -> bool:
         """True while frames of the host are dropped."""
         return self._full

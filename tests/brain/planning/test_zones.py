@@ -89,7 +89,7 @@ def test_a_zone_need_not_be_convex() -> None:
 @pytest.mark.parametrize(
     ("corners", "kind", "speed", "text"),
     [
-        (SQUARE[:2], "keep_out", None, "corners: there must be from 3 to 50, not 2"),
+        (SQUARE[:2], "keep_out", None, "from 3 to 50 corners, not 2"),
         (((0.0, 0.0), (1.0, 0.0), (inf, 1.0)), "keep_out", None, "corners must be within 10000 m"),
         (SQUARE, "slow", None, "speed belongs to a slow zone"),
         (SQUARE, "keep_out", 0.5, "speed belongs to a slow zone"),
