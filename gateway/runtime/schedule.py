@@ -3,7 +3,8 @@
 Rules. What driver and device exchange decides, not a table: the robot runs in virtual time, every motor
 commanded and at rest, on buses with true bit times. Twins answer at the world's steps, so an age or a latency
 may be a step longer than on the wire. A robot fits if no wire is full, no frame was dropped, every frame ends
-within the `command_timeout` of the bus's motors, and every motor reports within its `feedback_timeout`.
+within the `command_timeout` of the bus's motors, and every motor is armed and reports within its
+`feedback_timeout`.
 """
 
 from __future__ import annotations
@@ -53,13 +54,17 @@ class BusSchedule:
     """Frames per second by identifier (hexadecimal; "→" and "←" of serial bytes, from and to the host)."""
     ages: dict[str, Nanos] = field(default_factory=dict)
     """The longest age of each motor's feedback at a step."""
+    unarmed: list[str] = field(default_factory=list)
+    """Motors that are not armed at the end, though they are commanded."""
     late: dict[str, Nanos] = field(default_factory=dict)
     """Motors that reported too late, with the age that is allowed; 0: that did not report."""
 
     @property
     def fits(self) -> bool:
         """True if the bus carries the robot at its rate."""
-        return not (self.load >= FULL or self.latency > self.patience or self.dropped or self.late)
+        return not (
+            self.load >= FULL or self.latency > self.patience or self.dropped or self.late or self.unarmed
+        )
 
 
 @dataclass(slots=True)
@@ -129,6 +134,7 @@ def count_buses(robot: Robot, rate: float | None = None) -> list[BusSchedule]:
         write(world.buses, now, outputs.packets)
     for name, motor in robot.motors.items():
         one = count.buses[motor.bus]
+        one.unarmed += [] if gateway.joints[name].armed else [name]
         one.patience = min(one.patience, motor.joint.command_timeout)
         allowed, age = motor.joint.feedback_timeout, one.ages.get(name)
         if name not in count.last or age is None:
@@ -190,6 +196,8 @@ def reason(one: BusSchedule) -> str:
     if one.latency > one.patience:
         allowed = f"command_timeout allows {one.patience / 1e6:g} ms"
         reasons.append(f"a frame takes up to {one.latency / 1e6:.1f} ms; {allowed}")
+    if one.unarmed:
+        reasons.append(f"not armed, though commanded: {', '.join(one.unarmed)}")
     for name, allowed in one.late.items():
         age = f"is up to {one.ages[name] / 1e6:.1f} ms old; feedback_timeout allows {allowed / 1e6:g} ms"
         reasons.append(f"the feedback of {name} {age if allowed else 'does not come'}")
