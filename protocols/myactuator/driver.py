@@ -1,0 +1,257 @@
+"""The host's end: what a motor is sent in each phase, and what its answers report.
+
+Rules. A motor that is not commanded is only read. Any set-point starts it, and no report says whether it
+runs: the answer to a set-point says that it does, that to a shutdown that it does not, and a current that
+flows although it was shut down that somebody else drives it. Before its first set-point its watchdog must
+have been confirmed, and its brake be released. A running time that goes backwards is a restart.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from protocols import messages as msg
+from protocols.frames import Frame
+from protocols.messages import MILLISECOND, SECOND, Command, Feedback, Mode, Nanos, Request
+from protocols.myactuator import table as rmd
+from protocols.myactuator.options import Options
+from protocols.plugin import Device
+from protocols.toolkit.duplicates import AnswerCount
+from protocols.toolkit.host import Host, Phase, Report, Timing
+from protocols.toolkit.mit import NUMBERS
+from protocols.toolkit.motor_driver import Adapter, MotorDriver, Pending, Rx
+from protocols.toolkit.table import Values
+
+CHECK: Nanos = 50 * MILLISECOND
+"""Period of questions for faults and running time, and of what is written until it is confirmed."""
+EARLIER = 500
+"""ms by which the running time must go back to be that of a restart, not a late frame."""
+SLICE, SLICE_PERIOD = 8, 10 * MILLISECOND
+
+
+@dataclass(slots=True)
+class Motor:
+    """What is known of one motor beyond its phase. Plain data."""
+
+    idle_current: float
+    """A"""
+    answers: AnswerCount = field(default_factory=AnswerCount)
+    sent_at: Nanos = -(1 << 62)
+    checked_at: Nanos = -(1 << 62)
+    wrote_at: Nanos = -(1 << 62)
+    errors: int | None = None
+    """Its error state; None: not known yet"""
+    driven: bool | None = None
+    """It runs; None: not known since it was forgotten"""
+    timeout: int | None = None
+    """ms of its watchdog, as it confirmed it"""
+    released: bool = False
+    """Its brake is"""
+    runtime: int = 0
+    """ms"""
+
+    def forget(self) -> None:
+        """Forget what it reported: it may have restarted, or been replaced."""
+        self.errors = self.driven = self.timeout = None
+        self.released, self.runtime = False, 0
+
+    def restarted(self, ms: int) -> bool:
+        """Record its running time. True if it must have restarted since the last one."""
+        back = (self.runtime - ms) % (1 << 32)
+        if EARLIER < back < 1 << 31:
+            self.forget()
+            self.driven = False
+        self.runtime = ms if not 0 < back <= EARLIER else self.runtime
+        return EARLIER < back < 1 << 31
+
+    def see(self, name: str, values: Values) -> None:
+        """Record an answer."""
+        match name:
+            case "status 1":
+                self.errors, self.released = values["errors"], bool(values["released"])
+            case "status 2":
+                self.driven = True if abs(values["current"]) > self.idle_current else self.driven
+            case "shutdown reply":
+                self.driven = False
+            case "set timeout reply":
+                self.timeout = values["value"]
+            case "motion reply" | "stop reply":
+                self.driven = True
+            case _ if name.removesuffix(" reply") in rmd.SET_POINTS:
+                self.driven = True
+
+    def mode(self) -> Mode | None:
+        """Return its mode; None: it is not known."""
+        if self.errors:
+            return Mode.FAULT
+        if self.errors is None or self.driven is None:
+            return None
+        return Mode.ARMED if self.driven else Mode.READY
+
+    def sent(self, now: Nanos, frames: Sequence[Frame]) -> Sequence[Frame]:
+        """Record frames, each of which is answered; return them."""
+        self.sent_at = now if frames else self.sent_at
+        self.answers.ask(len(frames))
+        return frames
+
+
+def _radians(degrees: float, most: float) -> float | None:
+    """Return an angle or velocity in radians; None at the end of its range, where it may be beyond."""
+    return math.radians(degrees) if abs(degrees) <= most else None
+
+
+NAMES = {Mode.FAULT: "error", Mode.ARMED: "driven", Mode.READY: "shut down"}
+
+
+class RmdAdapter(Adapter[Motor]):
+    """What motors are sent, and what they report."""
+
+    name = "myactuator"
+    faults, latch, blind = rmd.ALL_FAULTS, True, True
+    not_armed, duplicate = rmd.NOT_ARMED, rmd.DUPLICATE
+
+    def own(self, device: Device) -> Motor:
+        return Motor(device.options.idle_current)
+
+    def timing(self, options: Options) -> Timing:
+        return Timing(options.offline_ms * MILLISECOND)
+
+    def forget(self, now: Nanos, host: Host[Motor]) -> None:
+        host.own.forget()
+
+    # -- received -------------------------------------------------------------------------------------
+
+    def receive(self, t: Nanos, frame: Frame, driver: MotorDriver[Motor]) -> Sequence[Report[Motor] | Rx]:
+        decoded = rmd.ANY.decode(frame, "from_device")
+        host = None if decoded is None else driver.at.get(decoded.address)
+        if decoded is None or (host is None and not (decoded.name == "version" and driver.scanning())):
+            return (Rx.IGNORED,)
+        if decoded.name == "motion reply" and host is not None:
+            decoded = host.options.table.decode(frame, "from_device") or decoded
+        name, address, values = decoded
+        if not name or values.get("motor", address) != address:
+            return (Rx.MALFORMED,)
+        note = f"firmware of {values['date']}" if name == "version" else ""
+        if host is None:
+            return (Report(host, address, note=note),)
+        own, many = host.own, host.own.answers.add(t)
+        if name == "runtime" and own.restarted(values["ms"]):
+            return (Report(host, address, Mode.READY, "restarted", duplicate=many),)
+        own.see(name, values)
+        mode = own.mode()
+        if name == "angle":
+            feedback = Feedback(host.name, t, _radians(values["position"], rmd.TURNS))
+            return (Report(host, address, feedback=feedback, duplicate=many),)
+        told = mode if name not in ("runtime", "version", "set timeout reply") else None
+        faults = rmd.faults_in(own.errors or 0) if name == "status 1" else None
+        detail = NAMES[mode] if mode else ""
+        if host.tripped and mode is None:  # it is back, and it is not known whether it runs
+            told, detail = Mode.FAULT, "not cleared yet"
+        if host.phase is Phase.RELEASING and own.driven is not False and told is not Mode.ARMED:
+            told = None  # an error may pass, and the motor go on: only a shutdown ends that
+        measured = self._measured(t, host, name, values)
+        return (Report(host, address, told, detail, faults, measured, duplicate=many, note=note),)
+
+    def _measured(self, t: Nanos, host: Host[Motor], name: str, values: Values) -> Feedback | None:
+        options, motor = host.options, host.name
+        if name == "motion reply":
+            return Feedback(motor, t, None, values["velocity"], values["torque"])
+        if name == "status 1":
+            return Feedback(motor, t, voltage=values["voltage"], temperature=float(values["temperature"]))
+        if "current" not in values or options.mode == "motion":
+            return None
+        velocity, temperature = _radians(values["velocity"], rmd.FASTEST), float(values["temperature"])
+        current = values["current"] if abs(values["current"]) <= rmd.STRONGEST else None
+        torque = None if current is None else current * options.torque_constant
+        return Feedback(motor, t, None, velocity, torque, current, temperature=temperature)
+
+    # -- sent -----------------------------------------------------------------------------------------
+
+    def ready(self, host: Host[Motor]) -> bool:
+        return host.position is not None and host.own.errors is not None
+
+    def arm(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
+        own, options, address = host.own, host.options, host.address
+        frames = []
+        if options.timeout_ms and own.timeout != options.timeout_ms:
+            frames.append(rmd.ANY.encode("set timeout", address, value=options.timeout_ms))
+        if options.brake and not own.released:
+            frames += [rmd.ANY.encode(name, address) for name in ("release brake", "read status 1")]
+        if not frames:
+            return own.sent(now, (self._at_rest(host, command),))
+        if now - own.wrote_at < CHECK:
+            return ()
+        own.wrote_at = now
+        return own.sent(now, frames)
+
+    def _at_rest(self, host: Host[Motor], command: Command) -> Frame:
+        """Return the set-point that starts a motor where it stands."""
+        motor = host.name
+        return self._set_point(
+            host, msg.Torque(motor, 0.0) if isinstance(command, msg.Torque) else msg.Velocity(motor, 0.0)
+        )
+
+    def command(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
+        read = rmd.ANY.encode("read angle", host.address)
+        return host.own.sent(now, (self._set_point(host, command), read))
+
+    def _set_point(self, host: Host[Motor], command: Command) -> Frame:
+        options: Options = host.options
+        address = host.address
+        if options.mode == "motion":
+            goal = options.gains.impedance(command, host.held)
+            return options.table.encode("motion", address, **{name: getattr(goal, name) for name in NUMBERS})
+        match command:
+            case msg.Torque(_, torque):
+                return rmd.ANY.encode("torque", address, value=torque / options.torque_constant)
+            case msg.Velocity(_, velocity):
+                return rmd.ANY.encode("speed", address, value=math.degrees(velocity))
+        held = host.position if host.held is None else host.held
+        position: Any = getattr(command, "position", held)
+        fastest = max(1, round(math.degrees(options.max_velocity)))  # 0 would be no limit
+        return rmd.ANY.encode("position", address, fastest=fastest, position=math.degrees(position))
+
+    def release(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
+        names = ("shutdown", "lock brake") if host.options.brake else ("shutdown",)
+        return host.own.sent(now, [rmd.ANY.encode(name, host.address) for name in names])
+
+    def poll(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
+        own, names = host.own, list[str]()
+        if now - own.sent_at >= host.options.feedback_ms * MILLISECOND:
+            names += ["read angle", "read status 2"]
+        if now - own.checked_at >= CHECK:
+            own.checked_at = now
+            names += ["read status 1", "read runtime"]
+        return own.sent(now, [rmd.ANY.encode(name, host.address) for name in names])
+
+    def poll_due(self, host: Host[Motor]) -> Nanos:
+        asked: Nanos = host.own.sent_at + host.options.feedback_ms * MILLISECOND
+        return min(asked, host.own.checked_at + CHECK)
+
+    # -- requests -------------------------------------------------------------------------------------
+
+    def begin(
+        self, now: Nanos, request: Request, host: Host[Motor] | None, driver: MotorDriver[Motor]
+    ) -> Pending[Motor] | str:
+        if isinstance(request, msg.ClearFault) and host is not None:
+            return Pending(request, host.name, now, now + 2 * SECOND, now, host)
+        if not isinstance(request, msg.Scan):
+            return "the device cannot do that on this bus"
+        if not all(each.options.scan for each in driver.hosts.values()):
+            return "switched off (scan = false): others on this bus would obey its questions"
+        asked = 2 * tuple(rmd.ANY.encode("read version", at) for at in rmd.ADDRESSES)  # one may be lost
+        end = now + len(asked) // SLICE * SLICE_PERIOD + SECOND // 5
+        return Pending(request, request.bus, now, end, now, None, asked, SLICE_PERIOD)
+
+    def frames(self, now: Nanos, pending: Pending[Motor]) -> Sequence[Frame]:
+        host = pending.host
+        if host is None:
+            return pending.frames[pending.sent : pending.sent + SLICE]
+        if not pending.sent and host.active - rmd.PASSING.keys():
+            return (rmd.ANY.encode("reset", host.address),)
+        frames = [rmd.ANY.encode(name, host.address) for name in ("shutdown", "read status 1")]
+        host.own.answers.ask(len(frames))
+        return frames

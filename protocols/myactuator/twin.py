@@ -1,0 +1,161 @@
+"""The device's end: what a motor obeys, and its firmware.
+
+Rules. Each frame to it is answered (but for a reset), and feeds its watchdog. A set-point starts it, there
+is no word that enables it. What the loops inside do, how long a restart takes and when faults pass is ours.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from protocols import messages as msg
+from protocols.frames import Frame
+from protocols.messages import MILLISECOND, Nanos, Obeyed
+from protocols.myactuator import table as rmd
+from protocols.myactuator.options import Options, Settings
+from protocols.plugin import Device
+from protocols.toolkit.firmware import ServoFirmware, milliseconds
+from protocols.toolkit.mit import NUMBERS
+from protocols.toolkit.servo import Gains
+from protocols.toolkit.table import Decoded, Table, Values
+
+BOOT, PASSES = 300 * MILLISECOND, 500 * MILLISECOND
+"""How long a restart takes, and after which time a fault of level 2 passes."""
+
+
+@dataclass(slots=True)
+class Memory:
+    """What a motor keeps of the frames that it received: whether its brake is open."""
+
+    name: str
+    address: int
+    options: Options
+    released: bool
+
+    def obey(self, decoded: Decoded) -> Sequence[Obeyed]:
+        """Return what the motor does on this message."""
+        name, values = self.name, decoded.values
+        if decoded.address != self.address:
+            return ()
+        match decoded.name:
+            case "shutdown":
+                return (msg.Idle(name),)
+            case "reset":
+                self.released = not self.options.brake
+                return msg.Idle(name), msg.ClearFault(name)
+            case "release brake":
+                self.released = True
+                return ()
+            case "lock brake" if self.options.brake:
+                self.released = False
+                return (msg.Idle(name),)
+            case "torque" if not self.released:  # alone of all set-points it does not open the brake
+                return ()
+        self.released = self.released or decoded.name in ("motion", *rmd.SET_POINTS)
+        match decoded.name:
+            case "stop":
+                return msg.Arm(name), msg.Hold(name)
+            case "torque":
+                return msg.Arm(name), msg.Torque(name, values["value"] * self.options.torque_constant)
+            case "speed":
+                return msg.Arm(name), msg.Velocity(name, math.radians(values["value"]))
+            case "position" | "single turn" | "increment":  # the last from where it stands
+                return msg.Arm(name), msg.Position(name, math.radians(values["position"]))
+            case "motion":
+                return msg.Arm(name), msg.Impedance(name, *(values[number] for number in NUMBERS))
+        return ()
+
+
+def memory_of(device: Device) -> Memory:
+    """Return that of a motor."""
+    return Memory(device.name, device.address, device.options, not device.options.brake)
+
+
+class RmdTwin(ServoFirmware):
+    """One motor."""
+
+    faults = rmd.FAULTS
+
+    def __init__(self, device: Device, seed: int) -> None:
+        settings: Settings = device.settings
+        super().__init__(device, seed, Gains(torque_limit=settings.torque_limit))
+        self.memory = memory_of(device)
+        self.table: Table = device.options.table
+        self.watchdog = settings.timeout_ms
+        self.booted: Nanos | None = None
+        self.tripped_at: Nanos = 0
+
+    # -- watchdog, faults and brake -------------------------------------------------------------------
+
+    def timeout(self) -> Nanos:
+        return milliseconds(self.watchdog) if self.mode is msg.Mode.ARMED else 0
+
+    def on_timeout(self) -> None:
+        self.disarm()
+        self.memory.released = not self.memory.options.brake
+
+    def trip(self, code: int) -> None:
+        super().trip(code)
+        self.tripped_at = self.now or 0
+
+    def cycle(self, now: Nanos, dt: float, position: float, velocity: float) -> float:
+        self.booted = now if self.booted is None else self.booted
+        if self.fault in rmd.PASSING and now - self.tripped_at >= PASSES:
+            self.clear()
+        return super().cycle(now, dt, position, velocity)
+
+    # -- messages -------------------------------------------------------------------------------------
+
+    def on_frame(self, t: Nanos, frame: Frame) -> None:
+        decoded, memory = self.table.decode(frame, "to_device"), self.memory
+        if decoded is None or not decoded.name or decoded.address != memory.address:
+            return
+        name, values = decoded.name, decoded.values
+        here, does = self.encoder.position, memory.obey(decoded)
+        if name == "reset":
+            self.restart(t, BOOT)
+            self.booted = None
+            return
+        for obeyed in does:
+            if name == "increment" and isinstance(obeyed, msg.Position):
+                obeyed = msg.Position(memory.name, here + obeyed.position)
+            self.obey(t, obeyed)
+        self.fastest = math.radians(values.get("fastest", 0)) or math.inf
+        self.feed(t)
+        if name == "set timeout":
+            self.watchdog = values["value"]
+        self.reply(t, self._answer(t, name, values))
+
+    def _answer(self, t: Nanos, name: str, values: Values) -> Frame:
+        settings, encoder, address = self.settings, self.encoder, self.memory.address
+        turned, speed = math.degrees(encoder.position), math.degrees(encoder.velocity)
+        errors = 0x0400 if self.fault == rmd.UNKNOWN else self.fault
+        measured: dict[str, Any] = {
+            "temperature": round(settings.temperature),
+            "current": self.torque / self.memory.options.torque_constant,
+            "velocity": round(speed),
+            "angle": round(turned),
+        }
+        match name:
+            case "motion":
+                moved = dict(zip(NUMBERS, (encoder.position, encoder.velocity, self.torque), strict=False))
+                return self.table.encode("motion reply", address, motor=address, **moved)
+            case "set timeout":
+                return self.table.encode("set timeout reply", address, value=values["value"])
+            case "read angle":
+                return self.table.encode("angle", address, position=turned)
+            case "read status 1":
+                state = {"released": int(self.memory.released), "voltage": settings.supply, "errors": errors}
+                return self.table.encode("status 1", address, temperature=measured["temperature"], **state)
+            case "read runtime":
+                ran = t - (t if self.booted is None else self.booted)
+                return self.table.encode("runtime", address, ms=ran // MILLISECOND & 0xFFFFFFFF)
+            case "read version":
+                return self.table.encode("version", address, date=settings.version)
+            case "read status 2":
+                return self.table.encode("status 2", address, **measured)
+        numbers = measured if name in rmd.SET_POINTS else {}
+        return self.table.encode(f"{name} reply", address, **numbers)
