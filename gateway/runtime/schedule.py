@@ -194,8 +194,8 @@ def reason(one: BusSchedule) -> str:
     elif one.load >= FULL:
         reasons.append("the wire is full")
     if one.latency > one.patience:
-        allowed = f"command_timeout allows {one.patience / 1e6:g} ms"
-        reasons.append(f"a frame takes up to {one.latency / 1e6:.1f} ms; {allowed}")
+        patience = f"command_timeout allows {one.patience / 1e6:g} ms"
+        reasons.append(f"a frame takes up to {one.latency / 1e6:.1f} ms; {patience}")
     if one.unarmed:
         reasons.append(f"not armed, though commanded: {', '.join(one.unarmed)}")
     for name, allowed in one.late.items():
