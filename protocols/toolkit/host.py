@@ -91,6 +91,8 @@ class Timing:
     """Reports that it is disarmed which end the release: the first may be from before."""
     arming: Nanos = 1000 * MILLISECOND
     """Time after which a device that does not arm is a fault."""
+    only_replies: bool = False
+    """It reports nothing before it is commanded: until then its silence means nothing."""
 
 
 @dataclass(slots=True)
@@ -250,7 +252,7 @@ class Host(Generic[Own]):
         """Record a command other than Idle. Returns the phase: what is to be done about it."""
         if self.offline or self.tripped or self.phase is Phase.FAULT or self.mode is Mode.FAULT:
             return self.phase
-        self.owned = self.once_commanded = True
+        self.own_unasked()
         self._fire(now, Trigger.COMMAND)
         if self.mode is Mode.ARMED:  # also one that ran before us
             self._fire(now, Trigger.ARMED)
@@ -262,6 +264,8 @@ class Host(Generic[Own]):
 
     def own_unasked(self) -> None:
         """Own it without a command: an operator's stop also disarms what another host armed."""
+        if self._unasked():
+            self.received_at = None  # its silence counts from now on
         self.owned = self.once_commanded = True
 
     def release_due(self, now: Nanos) -> bool:
@@ -316,6 +320,8 @@ class Host(Generic[Own]):
 
     def check_silence(self, now: Nanos) -> list[Event]:
         """Report once that it is offline."""
+        if self._unasked():
+            return []
         if self.received_at is None:
             self.received_at = now  # when we began to listen
         if self.offline or now - self.received_at < self.timing.offline:
@@ -327,9 +333,13 @@ class Host(Generic[Own]):
             State(self.name, now, Mode.OFFLINE, f"no message for {self.timing.offline // MILLISECOND} ms")
         ]
 
+    def _unasked(self) -> bool:
+        """True if nothing can be expected of it yet."""
+        return self.timing.only_replies and not self.once_commanded
+
     def due(self) -> list[Nanos]:
         """Return when it is released next, or offline."""
         times = [self.release_at] if self.phase is Phase.RELEASING else []
-        if not self.offline:
+        if not self.offline and not self._unasked():
             times.append(0 if self.received_at is None else self.received_at + self.timing.offline)
         return times

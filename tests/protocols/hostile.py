@@ -43,6 +43,7 @@ ROBOTS = {
     "odrive_can": "bench",
     "cia402": "diffbot_cia402",
     "moteus": "diffbot_moteus",
+    "cubemars": "diffbot_cubemars",
     "damiao": "diffbot_damiao",
     "robstride": "diffbot_robstride",
     "vesc": "diffbot_vesc",

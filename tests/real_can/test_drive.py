@@ -39,6 +39,7 @@ CLASSIC, FD = frozenset({False}), frozenset({True})
 ROBOTS = [
     Robot("diffbot", CLASSIC, 4),
     Robot("diffbot_cia402", CLASSIC, 4),
+    Robot("diffbot_cubemars", CLASSIC, 4),
     Robot("diffbot_moteus", FD, 2),
     Robot("diffbot_robstride", CLASSIC, 4),
     Robot("diffbot_vesc", CLASSIC, 4),

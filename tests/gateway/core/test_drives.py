@@ -17,6 +17,7 @@ from tests.gateway.rig import Rig
 
 ROBOTS = {
     "diffbot_cia402": {"cia402"},
+    "diffbot_cubemars": {"cubemars"},
     "diffbot_damiao": {"damiao"},
     "diffbot_robstride": {"robstride"},
     "diffbot_vesc": {"vesc"},

@@ -183,6 +183,7 @@ def test_motors_that_do_not_obey_are_noted_in_a_bounded_time(
 DRIVEN = [
     "diffbot",
     "diffbot_cia402",
+    "diffbot_cubemars",
     "diffbot_damiao",
     "diffbot_moteus",
     "diffbot_robstride",

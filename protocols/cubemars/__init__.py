@@ -1,0 +1,88 @@
+"""CubeMars (T-Motor) AK actuators over CAN, in servo mode and in MIT mode (README.md). Exports `plugin`."""
+
+from __future__ import annotations
+
+from protocols import messages as msg
+from protocols.cubemars import table as cm
+from protocols.cubemars.driver import CubeMarsAdapter
+from protocols.cubemars.options import Options, Settings
+from protocols.cubemars.twin import CubeMarsTwin, memory_of
+from protocols.frames import exact
+from protocols.messages import Command
+from protocols.plugin import Device, FeedbackKind, Plugin, Range, Spec, Watchdog, unchanged
+from protocols.toolkit.assembly import can_motor, decoder_of, driver_of
+
+__all__ = ["plugin"]
+
+COMMANDS: dict[str, frozenset[type[Command]]] = {
+    "servo": frozenset({msg.Idle, msg.Hold, msg.Position, msg.Velocity, msg.Torque}),
+    "mit": frozenset({msg.Idle, msg.Hold, msg.Position, msg.Velocity, msg.Torque, msg.Impedance}),
+}
+WHEEL: frozenset[type[Command]] = frozenset({msg.Idle, msg.Velocity, msg.Torque})
+NOTE = (
+    "no timeout of its own is known: without its host the motor goes on with the last set-point. Write"
+    ' watchdog = "acknowledged" under options'
+)
+
+
+def ranges(options: Options) -> dict[str, Range]:
+    """Return what commands and measurements can carry; of wheels the position is counted on, not measured."""
+    if options.mode == "mit":
+        table = options.table
+        measured = {n: table.range("reply", n, inside=2) for n in ("position", "velocity", "torque")}
+        measured["temperature"] = table.range("reply", "temperature")
+        commanded = options.gains.ranges()
+    else:
+        table, unit, end = cm.SERVO, options.torque_constant, options.end
+        most, fastest = options.max_current * unit, cm.MAX_ERPM * options.erpm
+        measured = {
+            "position": Range(-end + 2 * cm.DEGREE, end - 2 * cm.DEGREE, 0.051 * cm.DEGREE),
+            "velocity": table.range("status", "velocity", options.erpm, inside=2),
+            "torque": table.range("status", "current", unit),
+            "current": table.range("status", "current"),
+            "temperature": table.range("status", "temperature"),
+        }
+        commanded = {
+            "Position.position": Range(-end + 2 * cm.DEGREE, end - 2 * cm.DEGREE, 0.501e-4 * cm.DEGREE),
+            "Velocity.velocity": Range(-fastest, fastest, 0.501 * options.erpm),
+            "Torque.torque": Range(-most, most, 1.501e-3 * unit),
+        }
+    if options.turns:
+        del measured["position"]
+        commanded = {n: each for n, each in commanded.items() if n.startswith(("Velocity", "Torque"))}
+    return commanded | {f"Feedback.{name}": value for name, value in measured.items()}
+
+
+def spec(device: Device) -> Spec:
+    """Return the contract of one motor. Raises ValueError if its address cannot be one."""
+    options: Options = device.options
+    mit = options.mode == "mit"
+    status = exact(cm.STATUS | device.address, extended=True)
+    return can_motor(
+        device,
+        options.table,
+        cm.ADDRESSES,
+        expects=(exact(options.reply_id) if mit else status,),
+        feedback=FeedbackKind.REPLY if mit else FeedbackKind.CYCLIC,
+        commands=WHEEL if options.turns else COMMANDS[options.mode],
+        requests=frozenset({msg.ClearFault, msg.Zero}),
+        ranges=ranges(options),
+        watchdog=Watchdog(None, enabled=False, note="" if options.watchdog == "acknowledged" else NOTE),
+        faults=cm.FAULTS,
+        canonical=options.gains.canonical if mit else unchanged,
+    )
+
+
+plugin = Plugin(
+    name="cubemars",
+    title="CubeMars (T-Motor) AK actuators over CAN (servo mode, MIT mode)",
+    trust="bytes both ways: TMotorCANControl 1.2.6, which drove the twin too. No hardware yet",
+    options=Options,
+    settings=Settings,
+    spec=spec,
+    driver=driver_of(CubeMarsAdapter, spec),
+    decoder=decoder_of(lambda options: options.table, memory_of, spec),
+    twin=CubeMarsTwin,
+    messages=cm.names,
+    vectors=("gateway.fixtures", "vectors/cubemars.json"),
+)

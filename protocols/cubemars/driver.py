@@ -1,0 +1,253 @@
+"""The host's end: what a motor is sent in each phase, and what it reports.
+
+Rules. No report says whether a motor is driven, and none is known to stop by itself when its host is gone. So
+a motor that has been commanded, and is not, is released again every `feedback_ms`: by a current of 0, or by
+the frame that leaves MIT mode, which is answered. In MIT mode every frame is answered, and nothing else is
+sent: an answer belongs to the oldest frame that still waits for one; one that was not asked for is to another
+host, or to a late frame. Servo mode reports by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from protocols import messages as msg
+from protocols.cubemars import table as cm
+from protocols.cubemars.options import Options
+from protocols.frames import CanFrame, Frame
+from protocols.messages import MILLISECOND, SECOND, Command, Feedback, Mode, Nanos, Request, seconds
+from protocols.plugin import Device
+from protocols.toolkit.duplicates import ShaftCheck
+from protocols.toolkit.host import Host, Phase, Report, Timing
+from protocols.toolkit.mit import NUMBERS
+from protocols.toolkit.motor_driver import Adapter, MotorDriver, Pending, Rx
+from protocols.toolkit.table import Values
+
+ANSWER: Nanos = 50 * MILLISECOND
+"""Time within which a frame is answered, if it is."""
+ZEROED: Nanos = 3 * SECOND
+"""Time for a new zero: the motor may be silent for half of it."""
+ARMED = ("enter", "control")
+
+
+@dataclass(slots=True)
+class Turns:
+    """A position that goes on beyond the range in which it is reported. Plain data."""
+
+    position: float | None = None
+    reported: float | None = None
+    offset: float = 0.0
+    velocity: float = 0.0
+    at: Nanos = 0
+
+    def add(self, t: Nanos, reported: float | None, velocity: float | None, end: float) -> float | None:
+        """Return the position; `reported` is None beyond ±end [rad]."""
+        self.velocity = self.velocity if velocity is None else velocity
+        expected = reported
+        if self.position is not None:
+            expected = self.position + self.velocity * seconds(min(t - self.at, ANSWER))
+        there = None not in (reported, self.reported)
+        if reported is not None and there and abs(reported - (self.reported or 0.0)) < end:
+            expected = reported + self.offset
+        elif reported is not None and expected is not None:
+            self.offset = expected - reported
+        self.position, self.reported, self.at = expected, reported, t
+        return expected
+
+
+@dataclass(slots=True)
+class Motor:
+    """What is known of one motor beyond its phase. Plain data."""
+
+    sent_at: Nanos = -(1 << 62)
+    driven: bool = False
+    """Servo: what we sent last is a set-point, or prepares one."""
+    awaited: list[tuple[Nanos, str, bytes]] = field(default_factory=list)
+    """MIT: frames that are not answered yet."""
+    turns: Turns = field(default_factory=Turns)
+    shaft: ShaftCheck = field(default_factory=lambda: ShaftCheck(0.05))
+
+    def sent(self, now: Nanos, *frames: CanFrame) -> Sequence[Frame]:
+        """Record frames; return them."""
+        waits = [each for each in self.awaited if now - each[0] < ANSWER]
+        self.awaited = [*waits, *((now, (*cm.names(f), "")[0], f.data) for f in frames)][-64:]
+        self.sent_at = now
+        return frames
+
+    def drive(self, *, driven: bool) -> None:
+        """Record whether we drive it."""
+        self.driven = driven
+
+    def answered(self, t: Nanos) -> str:
+        """Return to which message an answer is, "" if to none of ours."""
+        self.awaited = [each for each in self.awaited if t - each[0] < ANSWER]
+        name, self.awaited = self.awaited[0][1] if self.awaited else "", self.awaited[1:]
+        return name
+
+    def forget(self) -> None:
+        """Forget what was sent: it may have restarted."""
+        self.driven = False
+        self.awaited = []
+
+
+class CubeMarsAdapter(Adapter[Motor]):
+    """What motors are sent, and what they report."""
+
+    name = "cubemars"
+    faults, duplicate, latch, blind = cm.ALL_FAULTS, cm.DUPLICATE, True, True
+
+    def own(self, device: Device) -> Motor:
+        return Motor()
+
+    def timing(self, options: Options) -> Timing:
+        offline = options.offline_ms * MILLISECOND
+        return Timing(offline, confirmations=4, only_replies=options.mode == "mit")
+
+    def forget(self, now: Nanos, host: Host[Motor]) -> None:
+        host.own.forget()
+
+    # -- received -------------------------------------------------------------------------------------
+
+    def receive(self, t: Nanos, frame: Frame, driver: MotorDriver[Motor]) -> Sequence[Report[Motor] | Rx]:
+        if not isinstance(frame, CanFrame) or frame.fd or frame.remote:
+            return (Rx.IGNORED,)
+        if not frame.extended:
+            return (self._reply(t, frame, driver.at.get(frame.data[0]) if frame.data else None),)
+        host = driver.at.get(frame.id & 0xFF)
+        if frame.id & ~0xFF != cm.STATUS or host is None or host.options.mode != "servo":
+            return (Rx.IGNORED,)
+        values = cm.SERVO.read("status", frame.data)
+        return (Rx.MALFORMED if values is None else self._status(t, host, values),)
+
+    def _status(self, t: Nanos, host: Host[Motor], values: Values) -> Report[Motor]:
+        own, options, current = host.own, host.options, values["current"]
+        driven = own.driven or abs(current) > options.idle_current
+        mode, detail = (Mode.ARMED, "driven") if driven else (Mode.READY, "released")
+        position = values["position"] * cm.DEGREE
+        reported = position if abs(position) < options.end - cm.DEGREE else None
+        velocity = values["velocity"] * options.erpm if abs(values["velocity"]) < cm.LAST_ERPM else None
+        measured = velocity, current * options.torque_constant, current
+        return self._report(t, host, mode, detail, values, reported, measured)
+
+    def _reply(self, t: Nanos, frame: CanFrame, host: Host[Motor] | None) -> Report[Motor] | Rx:
+        if host is None or host.options.mode != "mit" or frame.id != host.options.reply_id:
+            return Rx.IGNORED
+        own = host.own
+        if any(frame.data == data for _, _, data in own.awaited):
+            return Rx.IGNORED  # our own, which the bus returns, where it replies with its address
+        values = host.options.table.read("reply", frame.data)
+        if values is None:
+            return Rx.MALFORMED
+        name, mode, detail = own.answered(t), None, ""
+        if name in ARMED and host.phase is not Phase.RELEASING:
+            mode, detail = Mode.ARMED, "motor mode"
+        elif name == "exit":
+            mode, detail = Mode.READY, "rest mode"
+        elif not name and host.phase is not Phase.ARMING:
+            mode, detail = Mode.ARMED, "it answers what was not sent"
+        if len(frame.data) < cm.REPLY_LENGTH:
+            values["temperature"] = None
+        measured = values["velocity"], values["torque"], None
+        return self._report(t, host, mode, detail, values, values["position"], measured)
+
+    def _report(
+        self,
+        t: Nanos,
+        host: Host[Motor],
+        mode: Mode | None,
+        detail: str,
+        values: Values,
+        position: float | None,
+        measured: tuple[float | None, float | None, float | None],
+    ) -> Report[Motor]:
+        own, code, velocity = host.own, values["error"], measured[0]
+        faults = [code if code in cm.FAULTS else cm.UNKNOWN] if code else []
+        if faults:
+            mode, detail = Mode.FAULT, cm.FAULTS[faults[0]].name
+        two = position is not None and own.shaft.add(t, position, velocity or 0.0)
+        if host.options.turns:
+            position = own.turns.add(t, position, velocity, host.options.end)
+        heat = values["temperature"]
+        feedback = Feedback(host.name, t, position, *measured, None, None if heat is None else float(heat))
+        cause = "its position jumps there and back" if two else ""
+        return Report(host, host.address, mode, detail, faults, feedback, duplicate=cause)
+
+    # -- sent -----------------------------------------------------------------------------------------
+
+    def ready(self, host: Host[Motor]) -> bool:
+        known = host.mode is not None and (host.position is not None or host.options.turns)
+        return known or host.options.mode == "mit"
+
+    def arm(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
+        at, options, own = host.address, host.options, host.own
+        if options.mode == "servo":
+            own.drive(driven=True)
+            return own.sent(now, cm.SERVO.encode("SET_CURRENT", at, value=0.0))
+        # The set-point of an earlier host may still be in it.
+        zero = options.table.encode("control", at, **dict.fromkeys(NUMBERS, 0.0))
+        return own.sent(now, cm.MIT.encode("enter", at), zero)
+
+    def release(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
+        host.own.drive(driven=False)
+        return host.own.sent(now, self._released(host))
+
+    def _released(self, host: Host[Motor]) -> CanFrame:
+        if host.options.mode == "mit":
+            return cm.MIT.encode("exit", host.address)
+        return cm.SERVO.encode("SET_CURRENT", host.address, value=0.0)
+
+    def command(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
+        options, at = host.options, host.address
+        if options.mode == "mit":
+            goal = options.gains.impedance(command, host.held)
+            numbers = {name: getattr(goal, name) for name in NUMBERS}
+            frame = options.table.encoder("control")(at, **numbers)
+            if frame.data in cm.SPECIAL_DATA:  # one step of position beside enter, exit …
+                frame = CanFrame(frame.id, b"\xff\xfe" + frame.data[2:])
+            return host.own.sent(now, frame)
+        host.own.drive(driven=True)
+        match command:
+            case msg.Velocity(_, velocity):
+                frame = cm.SERVO.encode("SET_RPM", at, value=round(velocity / options.erpm))
+            case msg.Torque(_, torque):
+                # A current of 0 would release it: 1 mA drives nothing either.
+                current = round(torque / options.torque_constant, 3) or 1e-3
+                frame = cm.SERVO.encode("SET_CURRENT", at, value=current)
+            case _:
+                goal = getattr(command, "position", host.held if host.held is not None else host.position)
+                fastest, ramp = options.max_velocity / options.erpm, options.max_acceleration / options.erpm
+                frame = cm.SERVO.encode(
+                    "SET_POS_SPD", at, value=(goal or 0.0) / cm.DEGREE, fastest=fastest, ramp=ramp
+                )
+        return host.own.sent(now, frame)
+
+    def poll(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
+        return () if now < self.poll_due(host) else self.release(now, host)
+
+    def poll_due(self, host: Host[Motor]) -> Nanos:
+        if not host.once_commanded or host.phase in (Phase.ARMED, Phase.ARMING):
+            return super().poll_due(host)
+        at: Nanos = host.own.sent_at + host.options.feedback_ms * MILLISECOND
+        return at
+
+    # -- requests -------------------------------------------------------------------------------------
+
+    def begin(
+        self, now: Nanos, request: Request, host: Host[Motor] | None, driver: MotorDriver[Motor]
+    ) -> Pending[Motor] | str:
+        if isinstance(request, msg.ClearFault) and host is not None:  # its faults pass by themselves
+            return Pending(request, host.name, now, now + SECOND, now, host)
+        if isinstance(request, msg.Zero) and host is not None:
+            return Pending(request, host.name, now, now + ZEROED, now, host, period=ZEROED)
+        return "the device cannot do that on this bus"
+
+    def frames(self, now: Nanos, pending: Pending[Motor]) -> Sequence[Frame]:
+        host = pending.host
+        if host is None:  # nothing is asked of all
+            return ()
+        if isinstance(pending.request, msg.ClearFault):
+            return self.release(now, host)
+        servo = host.options.mode == "servo"
+        zero = cm.SERVO.encode("SET_ORIGIN_HERE", host.address, value=0)
+        return host.own.sent(now, zero if servo else cm.MIT.encode("set zero", host.address))
