@@ -43,6 +43,7 @@ ROBOTS = {
     "odrive_can": "bench",
     "cia402": "diffbot_cia402",
     "moteus": "diffbot_moteus",
+    "myactuator": "diffbot_myactuator",
     "cubemars": "diffbot_cubemars",
     "damiao": "diffbot_damiao",
     "robstride": "diffbot_robstride",

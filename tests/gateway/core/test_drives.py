@@ -23,6 +23,7 @@ ROBOTS = {
     "diffbot_vesc": {"vesc"},
     "diffbot_zlac8015d": {"zlac8015d"},
     "diffbot_moteus": {"moteus"},
+    "diffbot_myactuator": {"myactuator"},
     "diffbot_mixed": {"cia402", "moteus", "odrive_can"},
 }
 """The protocols on the bus of the motors, by robot file."""

@@ -378,6 +378,7 @@ ROBOTS = (
     "diffbot",
     "diffbot_cia402",
     "diffbot_moteus",
+    "diffbot_myactuator",
     "diffbot_cubemars",
     "diffbot_damiao",
     "diffbot_robstride",

@@ -186,6 +186,7 @@ DRIVEN = [
     "diffbot_cubemars",
     "diffbot_damiao",
     "diffbot_moteus",
+    "diffbot_myactuator",
     "diffbot_robstride",
     "diffbot_vesc",
     "diffbot_zlac8015d",
