@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from brain.belief import Belief, BrainState, BrainTask
+from brain.belief import Belief, BrainState, BrainTask, SystemState
 from brain.bodies.body import Linkage
 from brain.joint_targets import JointTargets
 from brain.linked_targets import LinkedTargets
@@ -16,7 +16,7 @@ from brain.planning.mission_steps import STAND, Seen
 from brain.planning.missions import Missions, Phase
 from brain.settings import BrainSettings
 from brain.status import Note, StatusReporter
-from protocols.messages import SECOND, Command, Drive, Drop, Event, Goal, Mission, Nanos, Pause, Resume
+from protocols.messages import SECOND, Command, Drive, Drop, Event, Goal, Idle, Mission, Nanos, Pause, Resume
 
 
 class JointBrain:
@@ -27,6 +27,7 @@ class JointBrain:
         body, given = settings.body, (motors, timeouts, settings.health, self._status)
         self._joints = LinkedTargets(body, *given) if isinstance(body, Linkage) else JointTargets(*given)
         self._missions = Missions()
+        self._systems: tuple[SystemState, ...] = ()
 
     def adopt(self, settings: BrainSettings) -> None:
         """Continue with other settings."""
@@ -66,17 +67,35 @@ class JointBrain:
         if before is Phase.RUNNING and missions.phase in (Phase.PAUSED, Phase.DROPPED, Phase.FAILED):
             joints.stand(now)
         self._update_state(stopped, missing, lost)
-        return joints.commands(now)
+        commands = joints.commands(now)
+        self._systems = self._describe(missing, lost, commands)
+        return commands
 
     def belief(self) -> Belief:
         """Return the state and its reason; a bare joint has no estimate, map or path."""
         state, reason, mission = self._status.state, self._status.reason, self._missions.view()
-        return Belief(state, reason, None, None, (), 0, None, {}, 0, mission=mission)
+        return Belief(state, reason, None, None, (), 0, None, {}, 0, mission=mission, systems=self._systems)
 
     def take_notes(self) -> list[Note]:
         """Return the notes for the operator since the last call."""
         told, self._missions.notes = self._missions.notes, []
         return told + self._status.take_notes()
+
+    def _describe(
+        self, missing: str, lost: Mapping[str, str], commands: Sequence[Command]
+    ) -> tuple[SystemState, ...]:
+        """Return what perception, planning and control do, and why."""
+        perception = ("degraded", "; ".join(lost.values())) if lost else ("measured", "")
+        if missing:
+            perception = "waiting", f"for {missing}"
+        mission = self._missions.view()
+        moving = any(getattr(command, "velocity", 0.0) for command in commands)
+        disarmed = all(isinstance(command, Idle) for command in commands)
+        return (
+            SystemState("perception", *perception),
+            SystemState("planning", mission.phase if mission else "idle", mission.reason if mission else ""),
+            SystemState("control", "disarmed" if disarmed else "moving" if moving else "holding", ""),
+        )
 
     def _update_state(self, stopped: str, missing: str, lost: Mapping[str, str]) -> None:
         if stopped:

@@ -499,11 +499,14 @@ class TwoJoints:
         self.now, self.silent = 0, set[str]()
 
     def tick(
-        self, *tasks: Command | msg.Goal, stopped: str = "", state: msg.State | None = None
+        self, *tasks: Command | msg.Goal | msg.Mission, stopped: str = "", state: msg.State | None = None
     ) -> Sequence[Command]:
         self.now += 10 * MILLISECOND
         events = [msg.Feedback(motor, self.now, 0.0, 0.0) for motor in ("a", "b") if motor not in self.silent]
         return self.brain.step(self.now, [*events, *([state] if state else [])], tasks, stopped)
+
+    def systems(self) -> dict[str, tuple[str, str]]:
+        return {one.name: (one.state, one.reason) for one in self.brain.belief().systems}
 
     def state(self) -> tuple[str, str]:
         belief = self.brain.belief()
@@ -524,6 +527,26 @@ def test_joints_keep_their_targets() -> None:
     )
     belief = joints.brain.belief()
     assert (belief.estimate, belief.map, belief.path, belief.goal) == (None, None, (), None)
+
+
+def test_the_systems_of_joints_say_what_they_do_and_why() -> None:
+    joints = TwoJoints()
+    joints.silent = {"b"}
+    joints.tick()
+    assert joints.systems() == {
+        "perception": ("waiting", "for feedback of b"),
+        "planning": ("idle", ""),
+        "control": ("disarmed", ""),
+    }
+    joints.silent = set()
+    joints.tick(msg.Velocity("a", 2.0))
+    assert joints.systems()["control"] == ("moving", "")
+    joints.tick(msg.Hold("a"))
+    assert joints.systems()["control"] == ("holding", "")
+    joints.tick(msg.Mission("away", (msg.Wait(1.0),)))
+    assert joints.systems()["planning"] == ("running", "")
+    joints.tick(stopped="stop")
+    assert joints.systems()["planning"] == ("paused", "stop")
 
 
 def test_joints_initialise_until_every_motor_reports() -> None:
