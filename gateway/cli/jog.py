@@ -78,7 +78,7 @@ def single_motor(robot: Robot, motor: str, speed: float | None = None) -> Robot:
     if motor not in robot.motors:
         raise UserError(unknown("motor", motor, robot.motors))
     settings = robot.motors[motor]
-    if Velocity not in settings.spec.commands:
+    if Velocity not in settings.joint.commands(settings.spec):
         raise UserError(f"{motor} takes no velocity ({settings.plugin.name}): it cannot be jogged")
     limits = settings.joint.limits
     speed = DEFAULT_SHARE * limits.velocity if speed is None else speed

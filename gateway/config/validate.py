@@ -89,7 +89,7 @@ def _check_motor(at: Key, motor: Motor, period: Nanos, mistakes: Mistakes) -> No
         why = "without commands from its host, the device lets go of its load (its watchdog)"
         known = 'or unattended = "released" if that is known, and safe'
         mistakes.add((*at, "stop_action"), f'found "hold", expected "idle": {why}; {known}')
-    if joint.stop_action == "brake" and Velocity not in spec.commands:
+    if joint.stop_action == "brake" and Velocity not in joint.commands(spec):
         why = "the device takes no velocity to brake by"
         mistakes.add((*at, "stop_action"), f'found "brake", expected "idle": {why}')
     timeouts = [("command_timeout_ms", joint.command_timeout, "the robot steps", period)]

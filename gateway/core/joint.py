@@ -129,6 +129,11 @@ class JointSettings:
     loop: LoopSettings | None = None
     """Positions and velocities are reached by torque, at every step; None: by the device's own loops."""
 
+    def commands(self, spec: Spec) -> frozenset[type[Command]]:
+        """Return the commands that the joint takes of the brain: more than its device, with a loop."""
+        by_torque = self.loop is not None and msg.Torque in spec.commands
+        return spec.commands | {msg.Position, msg.Velocity} if by_torque else spec.commands
+
 
 class Joint:
     """The joint of one motor. Its state is plain data."""
@@ -140,11 +145,9 @@ class Joint:
         """The robot file's limits, which no change exceeds,"""
         self._stopping = replace(settings.limits, jerk=None)
         """and those of a stop: as hard as the acceleration allows."""
-        self._supported = spec.commands
-        self._loop: Loop | None = None
+        self._supported = settings.commands(spec)
+        self._loop = Loop() if settings.loop is not None and msg.Torque in spec.commands else None
         """In place of the device's own."""
-        if settings.loop is not None and msg.Torque in spec.commands:
-            self._loop, self._supported = Loop(), self._supported | {msg.Position, msg.Velocity}
         self._holds_loads = "Hold.torque" in spec.ranges
         self._replies_only = spec.feedback is FeedbackKind.REPLY
         self._ratio = settings.gear * settings.sign

@@ -46,6 +46,7 @@ ROBOTS = {
     "myactuator": "diffbot_myactuator",
     "cubemars": "diffbot_cubemars",
     "damiao": "diffbot_damiao",
+    "robomaster": "diffbot_robomaster",
     "robstride": "diffbot_robstride",
     "vesc": "diffbot_vesc",
     "zlac8015d": "diffbot_zlac8015d",

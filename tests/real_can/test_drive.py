@@ -42,6 +42,7 @@ ROBOTS = [
     Robot("diffbot_cubemars", CLASSIC, 4),
     Robot("diffbot_moteus", FD, 2),
     Robot("diffbot_myactuator", CLASSIC, 4),
+    Robot("diffbot_robomaster", CLASSIC, 1),
     Robot("diffbot_robstride", CLASSIC, 4),
     Robot("diffbot_vesc", CLASSIC, 4),
     Robot("diffbot_zlac8015d", CLASSIC, 3),

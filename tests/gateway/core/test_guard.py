@@ -381,6 +381,7 @@ ROBOTS = (
     "diffbot_myactuator",
     "diffbot_cubemars",
     "diffbot_damiao",
+    "diffbot_robomaster",
     "diffbot_robstride",
     "diffbot_vesc",
     "diffbot_zlac8015d",
@@ -441,6 +442,8 @@ def test_a_joint_without_limits_moves_nothing_beyond_them(name: str, wild: str) 
         assert isinstance(joint, LimitlessJoint)
         own = robot.motors[name].joint
         joint.wild = msg.Velocity(name, speed * own.gear * own.limits.velocity)
+        if msg.Velocity not in robot.motors[name].spec.commands:
+            joint.wild = msg.Torque(name, speed * own.limits.torque / own.gear)
     ticks = rig.run(1.5)
     frames = [(packet.bus, packet.frame, tick.now) for tick in ticks for packet in tick.outputs.packets]
     decoders = {bus: decoder_of(robot, bus) for bus in robot.buses}
@@ -451,6 +454,9 @@ def test_a_joint_without_limits_moves_nothing_beyond_them(name: str, wild: str) 
             elif isinstance(one, msg.Velocity):
                 motor = robot.motors[one.motor].joint
                 assert abs(one.velocity / motor.gear) <= motor.limits.velocity * 1.0001
+            elif isinstance(one, msg.Torque):
+                motor = robot.motors[one.motor].joint
+                assert abs(one.torque * motor.gear) <= motor.limits.torque * 1.001
     assert all(
         abs(rig.velocity(motor)) < 1.2 * robot.motors[motor].joint.limits.velocity for motor in robot.motors
     )

@@ -97,7 +97,7 @@ def test_each_shipped_robot_is_read_without_a_frame_that_does_anything(name: str
     }
     assert configuration.against_robot(robot, readings)[0] == []
     harmless, obeyed = sent(robot, tmp_path / "r.mcap")
-    assert harmless
+    assert harmless or not any(each.values for each in readings.values())
     assert all(harmless)
     assert obeyed == []
 

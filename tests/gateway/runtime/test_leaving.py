@@ -187,6 +187,7 @@ DRIVEN = [
     "diffbot_damiao",
     "diffbot_moteus",
     "diffbot_myactuator",
+    "diffbot_robomaster",
     "diffbot_robstride",
     "diffbot_vesc",
     "diffbot_zlac8015d",
