@@ -63,6 +63,7 @@ def spec(device: Device) -> Spec:
         options.table,
         cm.ADDRESSES,
         expects=(exact(options.reply_id) if mit else status,),
+        read_only=cm.asks if mit and options.sole_host else options.table.read_only,
         feedback=FeedbackKind.REPLY if mit else FeedbackKind.CYCLIC,
         commands=WHEEL if options.turns else COMMANDS[options.mode],
         requests=frozenset({msg.ClearFault, msg.Zero}),

@@ -43,10 +43,11 @@ class Turns:
 
     def add(self, t: Nanos, reported: float | None, velocity: float | None, end: float) -> float | None:
         """Return the position; `reported` is None beyond ±end [rad]."""
-        self.velocity = self.velocity if velocity is None else velocity
+        before = self.velocity
+        self.velocity = before if velocity is None else velocity
         expected = reported
         if self.position is not None:
-            expected = self.position + self.velocity * seconds(min(t - self.at, ANSWER))
+            expected = self.position + 0.5 * (before + self.velocity) * seconds(min(t - self.at, ANSWER))
         there = None not in (reported, self.reported)
         if reported is not None and there and abs(reported - (self.reported or 0.0)) < end:
             expected = reported + self.offset
@@ -102,7 +103,8 @@ class CubeMarsAdapter(Adapter[Motor]):
 
     def timing(self, options: Options) -> Timing:
         offline = options.offline_ms * MILLISECOND
-        return Timing(offline, confirmations=4, only_replies=options.mode == "mit")
+        silent = options.mode == "mit" and not options.sole_host
+        return Timing(offline, confirmations=4, only_replies=silent)
 
     def forget(self, now: Nanos, host: Host[Motor]) -> None:
         host.own.forget()
@@ -226,7 +228,8 @@ class CubeMarsAdapter(Adapter[Motor]):
         return () if now < self.poll_due(host) else self.release(now, host)
 
     def poll_due(self, host: Host[Motor]) -> Nanos:
-        if not host.once_commanded or host.phase in (Phase.ARMED, Phase.ARMING):
+        asked = host.once_commanded or (host.options.mode == "mit" and host.options.sole_host)
+        if not asked or host.phase in (Phase.ARMED, Phase.ARMING):
             return super().poll_due(host)
         at: Nanos = host.own.sent_at + host.options.feedback_ms * MILLISECOND
         return at

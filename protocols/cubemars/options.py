@@ -58,6 +58,9 @@ class Options:
     """N·m; 0: the model's"""
     reply_id: int = bounded(0, 0, 0x7FF)
     """Id of all replies. Uncertain: 0 in the published firmware, the motor's own in the vendor's manual."""
+    sole_host: bool = False
+    """A motor is asked where it is before its first command, too: by the frame that leaves motor mode, since
+    there is no other. It would let go of what another host holds. Needed where a brain awaits feedback."""
     # -- both
     watchdog: Literal["unknown", "acknowledged"] = "unknown"
     """"acknowledged": the author of the robot file knows that none is known of the motor."""

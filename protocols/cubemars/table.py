@@ -101,6 +101,11 @@ def names(frame: Frame) -> tuple[str, ...]:
     return (SERVO if isinstance(frame, CanFrame) and frame.extended else MIT).names(frame)
 
 
+def asks(frame: Frame) -> bool:
+    """Return whether a frame changes nothing, for a host that is the only one."""
+    return names(frame) == ("exit",)
+
+
 def _info(name: str, cause: str, remedy: str) -> FaultInfo:
     return FaultInfo(name, cause, remedy, latching=False)
 

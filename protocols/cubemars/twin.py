@@ -47,8 +47,8 @@ class Memory:
                 self.entered = True
                 return msg.Arm(motor), msg.Torque(motor, 0.0)
             case "exit":
-                self.entered = False
-                return (msg.Idle(motor),)
+                was, self.entered = self.entered, False
+                return (msg.Idle(motor),) if was else ()
             case "set zero" | "SET_ORIGIN_HERE":
                 return (msg.Zero(motor),)
             case "control":

@@ -1,0 +1,117 @@
+"""A motor below a gateway, in both modes: what moves, and what a person reads. Wheels. Ids that collide."""
+
+from __future__ import annotations
+
+import pytest
+
+from gateway import config
+from gateway.errors import ConfigError
+from protocols.cubemars import plugin
+from protocols.cubemars.driver import Turns
+from protocols.cubemars.options import Options
+from protocols.cubemars.table import MIT, SERVO
+from protocols.messages import MILLISECOND, Feedback, Mode, Position, Stop, Torque, Velocity
+from protocols.plugin import Device
+from tests.gateway.rig import BENCH, Rig
+
+CUBEMARS = BENCH.replace('"odrive_can"', '"cubemars"').replace("gear = 8.0", "gear = 1.0")
+OPTIONS = '{ watchdog = "acknowledged" }'
+
+
+def rig(options: str) -> Rig:
+    return Rig(CUBEMARS.replace(OPTIONS, f'{{ watchdog = "acknowledged", {options} }}'))
+
+
+def mode_of(bench: Rig) -> Mode:
+    return bench.gateway.joints["left"].mode
+
+
+@pytest.mark.parametrize("mode", ["servo", "mit"])
+def test_it_turns_and_goes_where_it_is_sent(mode: str) -> None:
+    bench = rig(f'mode = "{mode}", damping = 5.0, sole_host = true')
+    bench.run(0.3)
+    bench.run(1.0, Velocity("left", 3.0))
+    joint = bench.gateway.joints["left"]
+    assert mode_of(bench) is Mode.ARMED
+    assert bench.velocity("left") == pytest.approx(3.0, abs=0.2)
+    assert joint.feedback.velocity == pytest.approx(3.0, abs=0.2)
+    goal = (joint.feedback.position or 0.0) + 0.5
+    bench.run(2.0, Position("left", goal))
+    assert joint.feedback.position == pytest.approx(goal, abs=0.05)
+    bench.run(0.5, Stop("a test"))
+    assert mode_of(bench) is Mode.READY
+
+
+def test_what_has_no_watchdog_is_said_until_it_is_acknowledged() -> None:
+    spec = plugin.spec(Device("m", 1, Options(), plugin.settings()))
+    assert "goes on with the last set-point" in spec.watchdog.note
+    assert not plugin.spec(Device("m", 1, Options(watchdog="acknowledged"), plugin.settings())).watchdog.note
+
+
+def test_a_wheel_turns_on_beyond_what_is_reported() -> None:
+    """Servo mode, at 10 rad/s: reports end at 3200° (55.9 rad)."""
+    device = Device("m", 1, Options(turns=True), plugin.settings())
+    driver, twin = plugin.driver([device]), plugin.twin(device, 0)
+    position = 0.0
+    reported = list[float]()
+    for ms in range(10_000):
+        now, speed = ms * MILLISECOND, max(-10.0, 10.0 - 0.02 * max(ms - 8000, 0))
+        position += speed * 1e-3
+        for frame in twin.step(now, [Feedback("m", now, position, speed)])[1]:
+            events = [e for e in driver.receive(now, frame) if isinstance(e, Feedback)]
+            reported += [each.position for each in events if each.position is not None]
+            assert events[0].position == pytest.approx(position, abs=0.05)
+    assert max(reported) == pytest.approx(82.5, abs=0.2)
+
+
+def test_a_position_that_wraps_goes_on() -> None:
+    turns, end = Turns(), 10.0
+    places = []
+    for step in range(100):
+        wrapped = (0.5 * step + end) % (2.0 * end) - end
+        places.append(turns.add(step * MILLISECOND, wrapped, 500.0, end))
+    assert places == pytest.approx([0.5 * step for step in range(100)])
+
+
+def test_messages_of_the_other_mode_do_nothing() -> None:
+    for mode, frame in (("servo", MIT.encode("enter", 1)), ("mit", SERVO.encode("SET_RPM", 1, value=900))):
+        device = Device("m", 1, plugin.options(mode=mode), plugin.settings())
+        twin = plugin.twin(device, 0)
+        twin.step(0, [])
+        twin.receive(1, frame)
+        assert twin.step(MILLISECOND, [])[0] == [Torque("m", 0.0)]
+        assert not plugin.decoder([device]).decode(0, frame)
+
+
+def test_a_reply_with_the_motors_own_id_is_told_from_a_returned_command() -> None:
+    """Address 1 at −12.4 rad: the first byte of the command is that of a reply of this motor."""
+    device = Device("m", 1, Options(mode="mit", reply_id=1), plugin.settings())
+    driver, twin = plugin.driver([device]), plugin.twin(device, 0)
+    place = -12.5 + 25.0 * 0x0101 / 0xFFFF
+    truth = [Feedback("m", 0, place, 0.0)]
+    twin.step(0, truth)
+    seen = []
+    for ms in range(1, 10):
+        frames = driver.send(ms * MILLISECOND, [Position("m", place)])[1]
+        for frame in frames:
+            twin.receive(ms * MILLISECOND, frame)
+            assert not driver.receive(ms * MILLISECOND, frame)
+        replies = twin.step(ms * MILLISECOND, truth)[1]
+        seen += [e for frame in replies for e in driver.receive(ms * MILLISECOND, frame)]
+    measured = [each.position for each in seen if isinstance(each, Feedback)]
+    assert measured
+    assert measured == pytest.approx([place] * len(measured), abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong"),
+    [
+        ("address = 1\n", "'left' has address 1 on bus 'can0' too"),
+        ('address = 1\nprotocol = "vesc"\n', "each would obey what the other is sent"),
+        ("address = 0\n", "it must be 1 to 255"),
+    ],
+)
+def test_ids_that_collide_are_refused_at_start(right: str, wrong: str) -> None:
+    text = CUBEMARS.replace(f"options = {OPTIONS}\n", "").replace("address = 2\n", right)
+    with pytest.raises(ConfigError, match=wrong):
+        config.parse_robot(text)
