@@ -2,8 +2,9 @@
 
 Rules. A motor that is not commanded is only read. Any set-point starts it, and no report says whether it
 runs: the answer to a set-point says that it does, that to a shutdown that it does not, and a current that
-flows although it was shut down that somebody else drives it. Before its first set-point its watchdog must
-have been confirmed, and its brake be released. A running time that goes backwards is a restart.
+flows although it was shut down that somebody else drives it. So a motor that has been commanded, and is not,
+is shut down again every 50 ms. Before its first set-point its watchdog must have been confirmed, and its
+brake be released. A running time that goes backwards is a restart.
 """
 
 from __future__ import annotations
@@ -40,8 +41,8 @@ class Motor:
     """A"""
     answers: AnswerCount = field(default_factory=AnswerCount)
     sent_at: Nanos = -(1 << 62)
-    checked_at: Nanos = -(1 << 62)
-    wrote_at: Nanos = -(1 << 62)
+    last: dict[str, Nanos] = field(default_factory=dict)
+    """When it was last written and checked"""
     errors: int | None = None
     """Its error state; None: not known yet"""
     driven: bool | None = None
@@ -90,6 +91,12 @@ class Motor:
         if self.errors is None or self.driven is None:
             return None
         return Mode.ARMED if self.driven else Mode.READY
+
+    def is_due(self, now: Nanos, what: str) -> bool:
+        """True if it was not done for a time: it is done now."""
+        due = now - self.last.get(what, -CHECK) >= CHECK
+        self.last |= {what: now} if due else {}
+        return due
 
     def sent(self, now: Nanos, frames: Sequence[Frame]) -> Sequence[Frame]:
         """Record frames, each of which is answered; return them."""
@@ -182,10 +189,7 @@ class RmdAdapter(Adapter[Motor]):
             frames += [rmd.ANY.encode(name, address) for name in ("release brake", "read status 1")]
         if not frames:
             return own.sent(now, (self._at_rest(host, command),))
-        if now - own.wrote_at < CHECK:
-            return ()
-        own.wrote_at = now
-        return own.sent(now, frames)
+        return own.sent(now, frames) if own.is_due(now, "write") else ()
 
     def _at_rest(self, host: Host[Motor], command: Command) -> Frame:
         """Return the set-point that starts a motor where it stands."""
@@ -222,14 +226,14 @@ class RmdAdapter(Adapter[Motor]):
         own, names = host.own, list[str]()
         if now - own.sent_at >= host.options.feedback_ms * MILLISECOND:
             names += ["read angle", "read status 2"]
-        if now - own.checked_at >= CHECK:
-            own.checked_at = now
+        if own.is_due(now, "check"):
             names += ["read status 1", "read runtime"]
+            names += ["shutdown"] if host.once_commanded and host.phase is Phase.FREE else []
         return own.sent(now, [rmd.ANY.encode(name, host.address) for name in names])
 
     def poll_due(self, host: Host[Motor]) -> Nanos:
         asked: Nanos = host.own.sent_at + host.options.feedback_ms * MILLISECOND
-        return min(asked, host.own.checked_at + CHECK)
+        return min(asked, host.own.last.get("check", -CHECK) + CHECK)
 
     # -- requests -------------------------------------------------------------------------------------
 

@@ -44,13 +44,13 @@ class Memory:
             case "shutdown":
                 return (msg.Idle(name),)
             case "reset":
-                self.released = not self.options.brake
+                self.lock()
                 return msg.Idle(name), msg.ClearFault(name)
             case "release brake":
                 self.released = True
                 return ()
             case "lock brake" if self.options.brake:
-                self.released = False
+                self.lock()
                 return (msg.Idle(name),)
             case "torque" if not self.released:  # alone of all set-points it does not open the brake
                 return ()
@@ -67,6 +67,10 @@ class Memory:
             case "motion":
                 return msg.Arm(name), msg.Impedance(name, *(values[number] for number in NUMBERS))
         return ()
+
+    def lock(self) -> None:
+        """Lock the brake, if it has one."""
+        self.released = not self.options.brake
 
 
 def memory_of(device: Device) -> Memory:
@@ -95,7 +99,7 @@ class RmdTwin(ServoFirmware):
 
     def on_timeout(self) -> None:
         self.disarm()
-        self.memory.released = not self.memory.options.brake
+        self.memory.lock()
 
     def trip(self, code: int) -> None:
         super().trip(code)
