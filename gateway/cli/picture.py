@@ -201,7 +201,8 @@ def _load(axes: Axes, tour: Tour, seconds: Floats) -> None:
 
 
 def _age(axes: Axes, tour: Tour, seconds: Floats) -> None:
-    axes.plot(seconds, [sample.age for sample in tour.samples], lw=0.8, color=BELIEVED)
+    ages = [sample.age for sample in tour.samples]
+    axes.plot(seconds, ages, lw=0.8, color=BELIEVED)
     axes.set_ylabel("age of\nfeedback [ms]")
-    axes.set_ylim(bottom=0.0)
+    axes.set_ylim(0.0, 1.2 * max([1.0, *ages]))
     axes.set_xlabel("time [s]")
