@@ -150,7 +150,9 @@ def _block(plugin: Plugin) -> list[str]:
 
 def _row(label: str, text: str) -> list[str]:
     first = f"  {label:<{LABEL_WIDTH - 2}}"
-    return wrap(text, WIDTH, initial_indent=first, subsequent_indent=" " * LABEL_WIDTH) or [first.rstrip()]
+    indent = " " * LABEL_WIDTH
+    lines = wrap(text, WIDTH, initial_indent=first, subsequent_indent=indent, break_on_hyphens=False)
+    return lines or [first.rstrip()]
 
 
 def _distinct(texts: Iterable[str]) -> str:
