@@ -14,11 +14,9 @@ from protocols.toolkit.assembly import can_motor, decoder_of, driver_of
 
 __all__ = ["plugin"]
 
-COMMANDS: dict[str, frozenset[type[Command]]] = {
-    "servo": frozenset({msg.Idle, msg.Hold, msg.Position, msg.Velocity, msg.Torque}),
-    "mit": frozenset({msg.Idle, msg.Hold, msg.Position, msg.Velocity, msg.Torque, msg.Impedance}),
-}
 WHEEL: frozenset[type[Command]] = frozenset({msg.Idle, msg.Velocity, msg.Torque})
+SERVO = WHEEL | {msg.Hold, msg.Position}
+MIT = SERVO | {msg.Impedance}
 NOTE = (
     "no timeout of its own is known: without its host the motor goes on with the last set-point. Write"
     ' watchdog = "acknowledged" under options'
@@ -65,7 +63,7 @@ def spec(device: Device) -> Spec:
         expects=(exact(options.reply_id) if mit else status,),
         read_only=cm.asks if mit and options.sole_host else options.table.read_only,
         feedback=FeedbackKind.REPLY if mit else FeedbackKind.CYCLIC,
-        commands=WHEEL if options.turns else COMMANDS[options.mode],
+        commands=WHEEL if options.turns else MIT if mit else SERVO,
         requests=frozenset({msg.ClearFault, msg.Zero}),
         ranges=ranges(options),
         watchdog=Watchdog(None, enabled=False, note="" if options.watchdog == "acknowledged" else NOTE),

@@ -11,50 +11,30 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
 from protocols import messages as msg
 from protocols.cubemars import table as cm
 from protocols.cubemars.options import Options
 from protocols.frames import CanFrame, Frame
-from protocols.messages import MILLISECOND, SECOND, Command, Feedback, Mode, Nanos, Request, seconds
+from protocols.messages import MILLISECOND, SECOND, Command, Feedback, Mode, Nanos, Request
 from protocols.plugin import Device
 from protocols.toolkit.duplicates import ShaftCheck
 from protocols.toolkit.host import Host, Phase, Report, Timing
 from protocols.toolkit.mit import NUMBERS
 from protocols.toolkit.motor_driver import Adapter, MotorDriver, Pending, Rx
 from protocols.toolkit.table import Values
+from protocols.toolkit.turns import Turns
 
 ANSWER: Nanos = 50 * MILLISECOND
 """Time within which a frame is answered, if it is."""
 ZEROED: Nanos = 3 * SECOND
 """Time for a new zero: the motor may be silent for half of it."""
 ARMED = ("enter", "control")
-
-
-@dataclass(slots=True)
-class Turns:
-    """A position that goes on beyond the range in which it is reported. Plain data."""
-
-    position: float | None = None
-    reported: float | None = None
-    offset: float = 0.0
-    velocity: float = 0.0
-    at: Nanos = 0
-
-    def add(self, t: Nanos, reported: float | None, velocity: float | None, end: float) -> float | None:
-        """Return the position; `reported` is None beyond ±end [rad]."""
-        before = self.velocity
-        self.velocity = before if velocity is None else velocity
-        expected = reported
-        if self.position is not None:
-            expected = self.position + 0.5 * (before + self.velocity) * seconds(min(t - self.at, ANSWER))
-        there = None not in (reported, self.reported)
-        if reported is not None and there and abs(reported - (self.reported or 0.0)) < end:
-            expected = reported + self.offset
-        elif reported is not None and expected is not None:
-            self.offset = expected - reported
-        self.position, self.reported, self.at = expected, reported, t
-        return expected
+State: TypeAlias = tuple[Mode | None, str]
+UNKNOWN: State = None, ""
+Motion: TypeAlias = tuple[float | None, float | None, float | None]
+"""Velocity, torque and current."""
 
 
 @dataclass(slots=True)
@@ -125,12 +105,12 @@ class CubeMarsAdapter(Adapter[Motor]):
     def _status(self, t: Nanos, host: Host[Motor], values: Values) -> Report[Motor]:
         own, options, current = host.own, host.options, values["current"]
         driven = own.driven or abs(current) > options.idle_current
-        mode, detail = (Mode.ARMED, "driven") if driven else (Mode.READY, "released")
+        state = (Mode.ARMED, "driven") if driven else (Mode.READY, "released")
         position = values["position"] * cm.DEGREE
         reported = position if abs(position) < options.end - cm.DEGREE else None
         velocity = values["velocity"] * options.erpm if abs(values["velocity"]) < cm.LAST_ERPM else None
-        measured = velocity, current * options.torque_constant, current
-        return self._report(t, host, mode, detail, values, reported, measured)
+        motion = velocity, current * options.torque_constant, current
+        return self._report(t, host, state, values, reported, motion)
 
     def _reply(self, t: Nanos, frame: CanFrame, host: Host[Motor] | None) -> Report[Motor] | Rx:
         if host is None or host.options.mode != "mit" or frame.id != host.options.reply_id:
@@ -141,37 +121,36 @@ class CubeMarsAdapter(Adapter[Motor]):
         values = host.options.table.read("reply", frame.data)
         if values is None:
             return Rx.MALFORMED
-        name, mode, detail = own.answered(t), None, ""
+        name, state = own.answered(t), UNKNOWN
         if name in ARMED and host.phase is not Phase.RELEASING:
-            mode, detail = Mode.ARMED, "motor mode"
+            state = Mode.ARMED, "motor mode"
         elif name == "exit":
-            mode, detail = Mode.READY, "rest mode"
+            state = Mode.READY, "rest mode"
         elif not name and host.phase is not Phase.ARMING:
-            mode, detail = Mode.ARMED, "it answers what was not sent"
+            state = Mode.ARMED, "it answers what was not sent"
         if len(frame.data) < cm.REPLY_LENGTH:
             values["temperature"] = None
-        measured = values["velocity"], values["torque"], None
-        return self._report(t, host, mode, detail, values, values["position"], measured)
+        motion = values["velocity"], values["torque"], None
+        return self._report(t, host, state, values, values["position"], motion)
 
     def _report(
         self,
         t: Nanos,
         host: Host[Motor],
-        mode: Mode | None,
-        detail: str,
+        state: State,
         values: Values,
         position: float | None,
-        measured: tuple[float | None, float | None, float | None],
+        motion: Motion,
     ) -> Report[Motor]:
-        own, code, velocity = host.own, values["error"], measured[0]
+        own, code, (mode, detail) = host.own, values["error"], state
         faults = [code if code in cm.FAULTS else cm.UNKNOWN] if code else []
         if faults:
             mode, detail = Mode.FAULT, cm.FAULTS[faults[0]].name
-        two = position is not None and own.shaft.add(t, position, velocity or 0.0)
+        two = position is not None and own.shaft.add(t, position, motion[0] or 0.0)
         if host.options.turns:
-            position = own.turns.add(t, position, velocity, host.options.end)
+            position = own.turns.add(t, position, motion[0], host.options.end)
         heat = values["temperature"]
-        feedback = Feedback(host.name, t, position, *measured, None, None if heat is None else float(heat))
+        feedback = Feedback(host.name, t, position, *motion, None, None if heat is None else float(heat))
         cause = "its position jumps there and back" if two else ""
         return Report(host, host.address, mode, detail, faults, feedback, duplicate=cause)
 
@@ -192,12 +171,9 @@ class CubeMarsAdapter(Adapter[Motor]):
 
     def release(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
         host.own.drive(driven=False)
-        return host.own.sent(now, self._released(host))
-
-    def _released(self, host: Host[Motor]) -> CanFrame:
         if host.options.mode == "mit":
-            return cm.MIT.encode("exit", host.address)
-        return cm.SERVO.encode("SET_CURRENT", host.address, value=0.0)
+            return host.own.sent(now, cm.MIT.encode("exit", host.address))
+        return host.own.sent(now, cm.SERVO.encode("SET_CURRENT", host.address, value=0.0))
 
     def command(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
         options, at = host.options, host.address

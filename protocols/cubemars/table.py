@@ -118,9 +118,7 @@ FAULTS: Mapping[int, FaultInfo] = {
     4: _info("under-voltage", "the supply sags or is off", "check supply and cables"),
     5: _info("encoder", "its magnet, cable or calibration", "calibrate it with the vendor's tool"),
     6: _info(
-        "phase unbalance, or MOSFET over temperature",
-        "older firmware: a damaged phase or stage; later: too much current for too long",
-        "let it cool; if it comes again, check the phases",
+        "phase unbalance", "a damaged phase; in later firmware a hot MOSFET", "let it cool, check the phases"
     ),
     7: _info("stall", "the shaft is blocked", "free it, lower the torque"),
     UNKNOWN: _info("unknown fault", "it is of later firmware", "read it with the vendor's tool"),

@@ -13,6 +13,7 @@ does, not how it is made.
     firmware        the device's side: arming, watchdog, reports, replies
     servo           encoder, control loops, power stage with supply and heat
     mit             five numbers in every command, as MIT-type actuators have them
+    turns           positions beyond the range in which they are reported
     options         options and settings with their bounds
 
 Imports the plugin interface (`protocols.messages`, `frames`, `plugin`) and no protocol.

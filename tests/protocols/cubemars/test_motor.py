@@ -7,7 +7,6 @@ import pytest
 from gateway import config
 from gateway.errors import ConfigError
 from protocols.cubemars import plugin
-from protocols.cubemars.driver import Turns
 from protocols.cubemars.options import Options
 from protocols.cubemars.table import MIT, SERVO
 from protocols.messages import MILLISECOND, Feedback, Mode, Position, Stop, Torque, Velocity
@@ -62,15 +61,6 @@ def test_a_wheel_turns_on_beyond_what_is_reported() -> None:
             reported += [each.position for each in events if each.position is not None]
             assert events[0].position == pytest.approx(position, abs=0.05)
     assert max(reported) == pytest.approx(82.5, abs=0.2)
-
-
-def test_a_position_that_wraps_goes_on() -> None:
-    turns, end = Turns(), 10.0
-    places = []
-    for step in range(100):
-        wrapped = (0.5 * step + end) % (2.0 * end) - end
-        places.append(turns.add(step * MILLISECOND, wrapped, 500.0, end))
-    assert places == pytest.approx([0.5 * step for step in range(100)])
 
 
 def test_messages_of_the_other_mode_do_nothing() -> None:
