@@ -3,8 +3,8 @@
 Rules. What driver and device exchange decides, not a table: the robot runs in virtual time, every motor
 commanded and at rest, on buses with true bit times. Twins answer at the world's steps, so an age or a latency
 may be a step longer than on the wire. A robot fits if no wire is full, no frame was dropped, every frame ends
-within the `command_timeout` of the bus's motors, and every motor is armed and reports within its
-`feedback_timeout`.
+within the `command_timeout` of the bus's motors, every motor reports within its `feedback_timeout`, and all
+are armed.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from gateway.core.tick import Inputs, Outputs
 from gateway.errors import UserError
 from gateway.runtime.loop import LoopStats, moments, read, write
 from protocols.frames import CanFrame
-from protocols.messages import SECOND, Drive, Feedback, Hold, Instruction, Nanos
+from protocols.messages import SECOND, Drive, Feedback, Hold, Instruction, Nanos, Velocity
 
 SETTLING: Nanos = 3 * SECOND // 2
 """Time to find the devices, set them up and arm them."""
@@ -55,16 +55,19 @@ class BusSchedule:
     ages: dict[str, Nanos] = field(default_factory=dict)
     """The longest age of each motor's feedback at a step."""
     unarmed: list[str] = field(default_factory=list)
-    """Motors that are not armed at the end, though they are commanded."""
+    """Motors that are commanded and not armed at the end, as those are that were not heard in time."""
     late: dict[str, Nanos] = field(default_factory=dict)
     """Motors that reported too late, with the age that is allowed; 0: that did not report."""
 
     @property
+    def crowded(self) -> bool:
+        """True if the wire is full, or frames come too late."""
+        return self.load >= FULL or self.latency > self.patience or self.dropped or bool(self.late)
+
+    @property
     def fits(self) -> bool:
         """True if the bus carries the robot at its rate."""
-        return not (
-            self.load >= FULL or self.latency > self.patience or self.dropped or self.late or self.unarmed
-        )
+        return not (self.crowded or self.unarmed)
 
 
 @dataclass(slots=True)
@@ -178,6 +181,8 @@ def refuse_overload(robot: Robot) -> list[BusSchedule]:
     if not full:
         return counted
     rate, fits = SECOND / robot.period, highest_rate(robot, counted)
+    if not fits and not any(one.crowded for one in full):
+        return counted  # what is not armed at any rate has another reason than the wire
     text = [f"{robot.name} does not fit its buses at {rate:g} steps per second:"]
     text += [f"  {one.bus}: {reason(one)}" for one in full]
     crowded = [one.bus for one in full if len(robot.devices_on(one.bus)) > 1]
@@ -221,5 +226,9 @@ def _commands(robot: Robot) -> Sequence[Instruction]:
     """Return what keeps every motor commanded, at rest."""
     body = robot.brain.body
     wheels = body.joints if isinstance(body, Base) else ()
-    joints = [Hold(name) for name in robot.motors if name not in wheels]
+    joints = [
+        Hold(name) if Hold in motor.spec.commands else Velocity(name, 0.0)
+        for name, motor in robot.motors.items()
+        if name not in wheels
+    ]
     return (Drive(0.0, 0.0), *joints) if wheels else joints
