@@ -42,7 +42,7 @@ ROBOTS = [
     Robot("diffbot_cia402", CLASSIC, 4),
     pytest.param(Robot("diffbot_cubemars", CLASSIC, 4), marks=pytest.mark.prove),
     Robot("diffbot_moteus", FD, 2),
-    pytest.param(Robot("diffbot_myactuator", CLASSIC, 4), marks=pytest.mark.prove),
+    pytest.param(Robot("diffbot_myactuator", CLASSIC, 2), marks=pytest.mark.prove),
     pytest.param(Robot("diffbot_robomaster", CLASSIC, 1), marks=pytest.mark.prove),
     pytest.param(Robot("diffbot_robstride", CLASSIC, 4), marks=pytest.mark.prove),
     pytest.param(Robot("diffbot_vesc", CLASSIC, 4), marks=pytest.mark.prove),
