@@ -286,9 +286,10 @@ class MotionCheck:
     def _count(self, name: str, t: Nanos, reason: str) -> None:
         """Count a comparison. What is confirmed stays until the reference is renewed."""
         if reason:
-            count, since, _ = self._differ.get(name, (0, t, ""))
+            count, since, first = self._differ.get(name, (0, t, ""))
             early = count + 1 == CONFIRM and t - since < CONFIRM_FOR
-            self._differ[name] = count + (not early), since, reason
+            # Against one reference wheels may slip the longer, the more: the first reason names the culprit best.
+            self._differ[name] = count + (not early), since, first or reason
         elif not self._confirmed(name):
             self._differ.pop(name, None)
 

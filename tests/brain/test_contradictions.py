@@ -172,7 +172,7 @@ WRONG_ON_THE_WAY: dict[str, tuple[Fault, float, str]] = {
     "too far": (scans(lambda ranges: tuple(length + 0.5 for length in ranges)), 0.4, "lidar"),
     "lidar frozen": (frozen(msg.LaserScan), 0.6, AS_BEFORE),
     "lidar turned by 180°": (remounted(TURNED), 0.4, "lidar: "),
-    "lidar turned by 5°": (remounted(yawed(5.0)), 0.4, "lidar"),
+    "lidar turned by 5°": (remounted(yawed(5.0)), 0.4, "lidar: turned"),
     "lidar shifted": (remounted(replace(MOUNTS["lidar"], x=0.62)), 0.4, "wheels or lidar: moved"),
     "bias": (rates(lambda rate: rate + 0.3), 1.0, "imu"),
     "small bias": (rates(lambda rate: rate + 0.1), 4.0, "imu"),
