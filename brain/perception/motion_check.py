@@ -288,7 +288,7 @@ class MotionCheck:
         if reason:
             count, since, first = self._differ.get(name, (0, t, ""))
             early = count + 1 == CONFIRM and t - since < CONFIRM_FOR
-            # Against one reference wheels may slip the longer, the more: the first reason names the culprit best.
+            # The longer it lasts, the more wheels may have slipped: the first reason names the culprit best.
             self._differ[name] = count + (not early), since, first or reason
         elif not self._confirmed(name):
             self._differ.pop(name, None)
