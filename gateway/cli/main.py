@@ -1,7 +1,8 @@
 """The command line: its parser, its log, its exit status.
 
 Exit status: 0 the command did what was asked; 1 it ran, and the answer is no (a goal missed, a replay that
-differs); 2 it could not begin (a wrong argument, a wrong robot file, a bus that is not there).
+differs); 2 it could not begin (a wrong argument, a wrong robot file, a bus that is not there); 130 it was
+interrupted while nothing was open.
 
 Rules. A command is a module of this package and a line in `COMMANDS`. Only the module of the command that is
 given is imported, so that `gateway --help` is quick.
@@ -24,6 +25,8 @@ from gateway.cli.terminal.screen import Escaping, is_writable
 from gateway.core.message_text import escaped
 from gateway.errors import GatewayError
 
+INTERRUPTED = 130
+"""The status that a shell has for SIGINT."""
 DESCRIPTION = "One brain, any body, over real buses."
 COMMANDS = {
     "demo": "drive a robot through an office; everything is simulated except the bytes on its buses",
@@ -47,7 +50,11 @@ def main(arguments: list[str] | None = None) -> int:
     with Path(os.devnull).open("w") as nothing:  # for a stream that was closed before we began
         out, err = (cast("TextIO", Escaping(stream or nothing)) for stream in (sys.stdout, sys.stderr))
         with redirect_stdout(out), redirect_stderr(err):
-            return _main(sys.argv[1:] if arguments is None else arguments)
+            try:
+                return _main(sys.argv[1:] if arguments is None else arguments)
+            except KeyboardInterrupt:  # outside of a session, where nothing is open
+                print("gateway: interrupted", file=sys.stderr)
+                return INTERRUPTED
 
 
 def _main(arguments: list[str]) -> int:
