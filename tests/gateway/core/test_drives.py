@@ -48,7 +48,7 @@ def test_the_goal_is_reached_and_the_recording_replays_to_the_same_bytes(name: s
     assert "the same, byte for byte" in judged.stdout
     compared = re.search(r"(\d+) packets", judged.stdout)
     assert compared
-    assert int(compared[1]) > 900
+    assert int(compared[1]) > (900 if "robomaster" in ROBOTS[name] else 1000)  # one frame has two set-points
 
 
 def test_three_protocols_move_at_once_on_one_bus() -> None:
