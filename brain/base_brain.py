@@ -160,8 +160,8 @@ class BaseBrain:
         """Return the notes for the operator since the last call."""
         planned, self.navigator.notes = self.navigator.notes, []
         seen: list[Note] = [("warning", text) for text in self._zone.take_notes()]
-        told, self.missions.notes = self.missions.notes, []
-        return told + planned + seen + self._status.take_notes()
+        steps, self.missions.notes = self.missions.notes, []
+        return steps + planned + seen + self._status.take_notes()
 
     # -- may it move? -------------------------------------------------------------------------
 

@@ -78,8 +78,8 @@ class JointBrain:
 
     def take_notes(self) -> list[Note]:
         """Return the notes for the operator since the last call."""
-        told, self._missions.notes = self._missions.notes, []
-        return told + self._status.take_notes()
+        steps, self._missions.notes = self._missions.notes, []
+        return steps + self._status.take_notes()
 
     def _describe(
         self, missing: str, lost: Mapping[str, str], commands: Sequence[Command]

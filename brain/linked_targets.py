@@ -4,7 +4,7 @@ Rules. The first target arms every joint: those without one hold where they are,
 limp only if an operator says Idle to it, if it is lost, or if the stop action disarmed it; nothing is armed
 by the release of a stop. Positions are reached at one time, within the body's limits of velocity,
 acceleration and jerk; every command has the torque that the motion takes. A joint that is given a torque
-pushes with it, and goes on to when it is told to hold: what is gripped stays gripped.
+pushes with it, and goes on to when it is commanded to hold: what is gripped stays gripped.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class LinkedTargets(JointTargets):
         self._goals: dict[str, float] = {}
         """Where the present motion ends, by joint that is held."""
         self._holding: dict[str, float] = {}
-        """Where each joint holds that was told to hold."""
+        """Where each joint holds that was commanded to hold."""
         self._grips: dict[str, float] = {}
         """Torque with which a joint goes on to push while it holds."""
         self._profiles = Profiles(())

@@ -2,7 +2,7 @@
 
 Rules. Damped least squares within the joints' ranges, from where the joints are, and then from places spread
 evenly over their ranges: the work is bounded, and a call does a counted part of it. Deterministic; state is
-plain data. Where nothing is found the reason is said, with how near it came.
+plain data. Where nothing is found the reason is given, with how near it came.
 
 Sources: Sugihara 2011, "Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt method" (the
 damping is the error itself, and a constant); Halton 1960 (even spreading).

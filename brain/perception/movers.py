@@ -7,7 +7,7 @@ are followed by a Kalman filter of constant velocity each, nearest neighbour wit
 Kirubarajan 2001, section 6.3). What is followed moves once its speed is certain and enough of it stands where
 beams of half a second or a second ago passed: a side of a box that comes into view has been behind its front,
 and never does. What stands there beside a wall, or as a part of anything wide, is a cluster of its own. Who
-steps out from behind something is taken to be as wide as somebody: the middle of the part that is seen moves
+steps out from behind something is taken to be as wide as a person: the middle of the part that is seen moves
 otherwise than he does.
 
 Who has just come into what was free may go anywhere until the velocity is known: `moving` returns that, too,
@@ -320,7 +320,7 @@ def _joined_legs(found: list[tuple[int, int]], ends: Floats) -> list[tuple[int, 
 
 def _disc(ends: Floats, scan: BodyScan, here: Pose, *, partly: bool) -> tuple[float, float, float]:
     """Return place and radius of the disc behind ends: as wide as they are, behind the nearest, at their
-    middle bearing; if something nearer hides the rest (`partly`), as wide as somebody, through both ends."""
+    middle bearing; if something nearer hides the rest (`partly`), as wide as a person, through both ends."""
     x, y = (ends - scan.origin).T
     chord = math.dist(ends[0], ends[-1])
     if partly and 0.0 < chord < 2.0 * SOMEBODY:

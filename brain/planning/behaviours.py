@@ -91,7 +91,7 @@ class Fact(StrEnum):
     NO_PATH = "the path is obstructed"
     NO_WAY = "no way"
     CROSSING = "someone crosses the path"
-    CLEAR = "nobody crosses any more"
+    CLEAR = "the crossing is clear"
     STUCK = "stuck before an obstacle"
     STUCK_HERE = "stuck, with no room to back off"
     TIME_TO_LOOK = "time to look"

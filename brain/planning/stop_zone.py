@@ -61,7 +61,7 @@ class StopSettings:
     doubt: float = 1.0
     """and by how many standard deviations of its velocity what moves is taken to be nearer"""
     hidden_speed: float = 20.0
-    """m/s, down to which an edge ahead that may hide somebody slows the base; by default none does"""
+    """m/s, down to which an edge ahead that may hide a person slows the base; by default none does"""
     self_seen: float = 0.0
     """m about the footprint, within which a beam ends at the robot's own body and is ignored"""
 

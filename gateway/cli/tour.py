@@ -145,14 +145,14 @@ class Tour:
         load = {bus: (busy[bus] - self._busy.get(bus, 0)) / SAMPLE_PERIOD for bus in busy}
         true, age = self._in_odom(self._world.truth()), max(self._ages, default=0) / MILLISECOND
         raw, off = belief.raw or estimate.pose, self._follow(now, true)
-        somebody = tuple(
+        people = tuple(
             (p.x, p.y, r) for x, y, r in self._world.people() for p in [self._in_odom(Pose(x, y, 0.0))]
         )
         if self.samples and self.legs and self.legs[-1].ended is None:
             before = self.samples[-1].true
             self.legs[-1].driven += hypot(true.x - before.x, true.y - before.y)
         self.samples.append(
-            Sample(now, true, estimate.pose, raw, estimate.covariance, load, age, off, somebody)
+            Sample(now, true, estimate.pose, raw, estimate.covariance, load, age, off, people)
         )
         self._busy, self._ages = busy, []
 

@@ -116,7 +116,7 @@ def parse_robot(
     groups = {group: _group(table, group, defaults.get(group, {}), mistakes) for group in GROUPS}
     described = Description(table, mistakes)
     if described.broken:
-        raise mistakes.error()  # what it lacks would be told of every motor
+        raise mistakes.error()  # what it lacks would be reported for every motor
     moved = described.motors(groups["motors"])
     described.sensors(groups["sensors"])
     top = build(_Top, table, (), mistakes, also=SECTIONS)

@@ -32,7 +32,7 @@ def with_files(text: str, path: Path, mistakes: Mistakes) -> str:
     try:
         table = tomllib.loads(text)
     except (ValueError, RecursionError):
-        return text  # what is wrong is said when it is parsed
+        return text  # what is wrong is reported when it is parsed
     name = table.get("urdf")
     if not isinstance(name, str) or "files" in table:
         return text

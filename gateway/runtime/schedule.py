@@ -55,7 +55,7 @@ class BusSchedule:
     ages: dict[str, Nanos] = field(default_factory=dict)
     """The longest age of each motor's feedback at a step."""
     unarmed: list[str] = field(default_factory=list)
-    """Motors that are commanded and not armed at the end, as those are that were not heard in time."""
+    """Motors that are commanded and not armed at the end, as those are whose reports come too late."""
     late: dict[str, Nanos] = field(default_factory=dict)
     """Motors that reported too late, with the age that is allowed; 0: that did not report."""
 

@@ -105,7 +105,7 @@ def _movable(name: str, box: Box) -> str:
 
 
 def _person(name: str, radius: float, height: float) -> str:
-    """Return somebody who is moved from outside. A contact has a force only as deep as the margin, which is
+    """Return a person, moved from outside. A contact has a force only as deep as the margin, which is
     none; with the gap it is found all the same."""
     size = f'size="{radius} {height / 2.0}" pos="0 0 {height / 2.0}"'
     return (

@@ -32,7 +32,7 @@ SOLIDS = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
 SETTLING = 300
 """Steps in which a robot settles into its contacts before time begins."""
 STANDING = 0.05
-"""m/s: a robot that moves no faster touches nobody; people touch it."""
+"""m/s: a robot that moves no faster touches no person; people touch it."""
 
 
 def import_mujoco(world: str) -> ModuleType:
@@ -64,10 +64,10 @@ class Scene:
         self._people = [
             (one, int(model.body(f"person_{name}").mocapid[0])) for name, one in file.people.items()
         ]
-        self._somebody = frozenset(int(model.geom(f"person_{name}").id) for name in file.people)
+        self._people_geoms = frozenset(int(model.geom(f"person_{name}").id) for name in file.people)
         own = (model.geom_group == 1).tolist()
         fixed = [geom for geom in range(model.ngeom) if not own[geom] and model.geom_bodyid[geom] == 0]
-        self._hard = frozenset(fixed) - {FLOOR} | self._somebody
+        self._hard = frozenset(fixed) - {FLOOR} | self._people_geoms
         """Geoms that a robot should not touch,"""
         self._own = frozenset(geom for geom in range(model.ngeom) if own[geom])
         """and the robot's."""
@@ -75,7 +75,7 @@ class Scene:
         self.touches = 0
         """How often walls and fixed boxes were newly touched, each counted separately."""
         self.touches_by_people = 0
-        """How often somebody was newly touched while the robot moved."""
+        """How often a person was newly touched while the robot moved."""
         self._move_people()
 
     # -- what a kind of robot provides -----------------------------------------------------------
@@ -130,10 +130,10 @@ class Scene:
         both = [(a, b) if a in hard else (b, a) for a, b in off_floor]
         now = frozenset(solid for solid, part in both if solid in hard and part in own)
         new = now - self._touching
-        somebody = len(new & self._somebody)
-        self.touches += len(new) - somebody
-        if somebody and self.speed() > STANDING:
-            self.touches_by_people += somebody
+        people = len(new & self._people_geoms)
+        self.touches += len(new) - people
+        if people and self.speed() > STANDING:
+            self.touches_by_people += people
         self._touching = now
 
     def speed(self) -> float:

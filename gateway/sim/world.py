@@ -103,7 +103,7 @@ class World:
         return self._shafts.touches if self.scene is None else self.scene.touches
 
     def touches_by_people(self) -> int:
-        """Return how often somebody was touched so far while the robot moved."""
+        """Return how often a person was touched so far while the robot moved."""
         return 0 if self.scene is None else self.scene.touches_by_people
 
     def people(self) -> list[tuple[float, float, float]]:

@@ -283,7 +283,7 @@ class Cia402Adapter(Adapter[Drive]):
             pending.host.own.reset(now)
         return pending.frames
 
-    def heard(self, pending: DrivePending, driver: Cia402Driver) -> Sequence[DriveReport]:
+    def collected(self, pending: DrivePending, driver: Cia402Driver) -> Sequence[DriveReport]:
         scan: Scan = pending.notes["scan"]
         reports: list[DriveReport] = []
         for host in driver.hosts.values():

@@ -2,7 +2,7 @@
 
 Rules. A motor that is not commanded is only read. Any set-point starts it, and no report says whether it
 runs: the answer to a set-point says that it does, that to a shutdown that it does not, and a current that
-flows although it was shut down that somebody else drives it. So a motor that has been commanded, and is not,
+flows although it was shut down that another host drives it. So a motor that has been commanded, and is not,
 is shut down again every 50 ms. Before its first set-point its watchdog must have been confirmed, and its
 brake be released. A running time that goes backwards is a restart.
 """
@@ -152,15 +152,15 @@ class RmdAdapter(Adapter[Motor]):
         if name == "angle":
             feedback = Feedback(host.name, t, _radians(values["position"], rmd.TURNS))
             return (Report(host, address, feedback=feedback, duplicate=many),)
-        told = mode if name not in ("runtime", "version", "set timeout reply") else None
+        reported = mode if name not in ("runtime", "version", "set timeout reply") else None
         faults = rmd.faults_in(own.errors or 0) if name == "status 1" else None
         detail = NAMES[mode] if mode else ""
         if host.tripped and mode is None:  # it is back, and it is not known whether it runs
-            told, detail = Mode.FAULT, "not cleared yet"
-        if host.phase is Phase.RELEASING and own.driven is not False and told is not Mode.ARMED:
-            told = None  # an error may pass, and the motor go on: only a shutdown ends that
+            reported, detail = Mode.FAULT, "not cleared yet"
+        if host.phase is Phase.RELEASING and own.driven is not False and reported is not Mode.ARMED:
+            reported = None  # an error may pass, and the motor go on: only a shutdown ends that
         measured = self._measured(t, host, name, values)
-        return (Report(host, address, told, detail, faults, measured, duplicate=many, note=note),)
+        return (Report(host, address, reported, detail, faults, measured, duplicate=many, note=note),)
 
     def _measured(self, t: Nanos, host: Host[Motor], name: str, values: Values) -> Feedback | None:
         options, motor = host.options, host.name

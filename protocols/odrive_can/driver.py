@@ -174,7 +174,7 @@ class OdriveAdapter(Adapter[Axis]):
                     pending.notes.update({str(frame.id): report})
         return Rx.IGNORED
 
-    def heard(self, pending: OdrivePending, driver: OdriveDriver) -> Sequence[OdriveReport]:
+    def collected(self, pending: OdrivePending, driver: OdriveDriver) -> Sequence[OdriveReport]:
         online = [host for host in driver.hosts.values() if host.received_at is not None and not host.offline]
         known = [Report(host, host.address, note=host.own.identity.found()) for host in online]
         return [*known, *pending.notes.values()]

@@ -17,7 +17,7 @@ __all__ = ["plugin"]
 
 def ranges(options: Options) -> dict[str, Range]:
     """Return what commands and measurements can carry. The position has no range: within a turn it is the
-    rotor's, and turns are counted from where it was first heard."""
+    rotor's, and turns are counted from where it was first reported."""
     strongest = options.of_model.full * options.torque
     return {
         "Torque.torque": Range(-strongest, strongest, 1.501 * options.torque),

@@ -43,7 +43,7 @@ class Controller:
     shaft: ShaftCheck = field(default_factory=lambda: ShaftCheck(APART))
     heard_at: Nanos | None = None
     position: float = 0.0
-    """rad of the rotor, with its turns since it was first heard"""
+    """rad of the rotor, with its turns since it was first reported"""
     velocity: float = 0.0
     """rad/s"""
     current: float = 0.0

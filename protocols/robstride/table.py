@@ -17,7 +17,7 @@ from protocols.toolkit.registers import Register, Registers, Type
 from protocols.toolkit.table import Field, Row, Table, const, span, uint, unused
 
 HOST = 0xFD
-"""Our address, that of the manual's examples. Motors answer any, and are never told it before they run."""
+"""Our address, that of the manual's examples. Motors answer any, and never need it before they run."""
 CYBERGEAR = "cybergear"
 PER_MS = 20
 """Counts of the watchdog's register."""

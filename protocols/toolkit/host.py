@@ -24,7 +24,7 @@ class Phase(StrEnum):
     """Where a device stands, for the host."""
 
     FREE = "not commanded"
-    """It hears nothing but read-only frames."""
+    """It is sent nothing but read-only frames."""
     ARMING = "arming"
     ARMED = "armed"
     RELEASING = "releasing"

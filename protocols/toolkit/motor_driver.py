@@ -133,7 +133,7 @@ class Adapter(Generic[Own]):
         """True if a device is, or may be, armed."""
         return host.running
 
-    def heard(self, pending: Pending[Own], driver: MotorDriver[Own]) -> Sequence[Report[Own]]:
+    def collected(self, pending: Pending[Own], driver: MotorDriver[Own]) -> Sequence[Report[Own]]:
         """Return, at the end of a scan, the devices that did not answer it, each with a note."""
         return ()
 
@@ -379,7 +379,7 @@ class MotorDriver(Generic[Own]):
     def _send_requests(self, now: Nanos, events: list[Event], frames: list[Frame]) -> None:
         for pending in self.queue.expired(now):
             if isinstance(pending.request, msg.Scan):
-                for report in self.adapter.heard(pending, self):
+                for report in self.adapter.collected(pending, self):
                     events += self._on_found(now, pending, report)
                 count = len(pending.found)
                 events.append(pending.done(now, f"{count} device{'' if count == 1 else 's'}"))

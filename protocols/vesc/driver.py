@@ -41,7 +41,7 @@ class Controller:
     answers: AnswerCount = field(default_factory=AnswerCount)
     asked_at: Nanos = -(1 << 62)
     since: Nanos | None = None
-    """When it was first heard,"""
+    """When it first reported,"""
     seen: dict[str, Nanos] = field(default_factory=dict)
     """and when each message last was."""
     proven: bool = False
