@@ -12,6 +12,7 @@ in closed form (`plane.arc`), never by Euler steps.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol, TypeAlias
@@ -73,7 +74,7 @@ class Search(Protocol):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Body:
+class Body(ABC):
     """Any body."""
 
     kind: ClassVar[str] = ""
@@ -82,14 +83,14 @@ class Body:
     """Whether it is independent motors, without any geometry."""
 
     @property
+    @abstractmethod
     def joints(self) -> tuple[str, ...]:
         """The names of the motors that are parts of it."""
-        raise NotImplementedError
 
     @classmethod
+    @abstractmethod
     def motor_keys(cls) -> tuple[str, ...]:
         """Return the keys of its table whose values are names of motors, or lists of them."""
-        raise NotImplementedError
 
     @classmethod
     def from_urdf(cls, text: str, joints: Mapping[str, str], table: Mapping[str, Any]) -> dict[str, Any]:
@@ -114,41 +115,41 @@ class Linkage(Body):
     Positions are rad (m of a joint that slides), torques N·m (N), in the order of `joints`."""
 
     @property
+    @abstractmethod
     def ranges(self) -> tuple[tuple[float, float], ...]:
         """Lowest and highest position of each joint; infinite where it turns on."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def of_tip(self) -> tuple[str, ...]:
         """The joints that move its tip."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def limits(self) -> tuple[tuple[float, float, float], ...]:
         """Velocity, acceleration and jerk of each joint, at most: rad/s, rad/s², rad/s³."""
-        raise NotImplementedError
 
+    @abstractmethod
     def points(self, positions: Sequence[float]) -> tuple[tuple[float, float, float], ...]:
         """Return where its base, its joints and, last, its tip are [m]."""
-        raise NotImplementedError
 
+    @abstractmethod
     def torques(
         self, positions: Sequence[float], velocities: Sequence[float], accelerations: Sequence[float]
     ) -> tuple[float, ...]:
         """Return the torques of a motion; at rest those that hold it against gravity."""
-        raise NotImplementedError
 
+    @abstractmethod
     def command(self, motor: str, position: float, velocity: float, torque: float) -> Command:
         """Return the command that moves a joint through a state, with the torque that this takes."""
-        raise NotImplementedError
 
+    @abstractmethod
     def push(self, motor: str, position: float, torque: float) -> Command:
         """Return the command that pushes with a torque, slowly while nothing resists. `position`: now."""
-        raise NotImplementedError
 
+    @abstractmethod
     def search(self, positions: Sequence[float], place: Placement) -> Search:
         """Return a search for positions of the joints at which its tip is at a place."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -219,23 +220,23 @@ class Base(Body):
         return 0.0
 
     @property
+    @abstractmethod
     def top_speeds(self) -> tuple[float, ...]:
         """Largest speed of each joint [rad/s]; inf where only the joint's own limit counts."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def rolling(self) -> tuple[float, ...]:
         """How far a wheel rolls on the floor per rad of each joint [m/rad], at least 0; 0: it does not."""
-        raise NotImplementedError
 
+    @abstractmethod
     def inverse(self, twist: Twist, positions: Sequence[float | None]) -> tuple[Setpoint, ...]:
         """Return the joints' set-points for a twist. `positions`: the newest measured, None if unknown; what
         has several solutions (a wheel that steers by ± 180°) takes the nearest."""
-        raise NotImplementedError
 
+    @abstractmethod
     def travel(self, before: Sequence[float], after: Sequence[float]) -> Travel:
         """Return the motion between two sets of joint positions [rad], with its derivatives."""
-        raise NotImplementedError
 
     # -- what follows ----------------------------------------------------------------------------
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -32,9 +33,9 @@ class TwoSides(FixedWheels):
         return "left", "right"
 
     @property
+    @abstractmethod
     def sides(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """The motors on the left and on the right."""
-        raise NotImplementedError
 
     @property
     def joints(self) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ so for travelled angles: a constant twist turns each wheel at a constant speed.
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -132,9 +133,9 @@ class FixedWheels(WheeledBase):
         gains(self.rows, self.unknowns)
 
     @property
+    @abstractmethod
     def rows(self) -> tuple[Row, ...]:
         """The row of each wheel, in the order of `joints`."""
-        raise NotImplementedError
 
     @property
     def unknowns(self) -> int:
@@ -197,9 +198,9 @@ class SteeredWheels(WheeledBase):
         WheeledBase.__post_init__(self)
 
     @property
+    @abstractmethod
     def contacts(self) -> tuple[Contact, ...]:
         """Every wheel that drives or steers."""
-        raise NotImplementedError
 
     @property
     def top_speeds(self) -> tuple[float, ...]:

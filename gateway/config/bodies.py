@@ -28,6 +28,8 @@ def load_body(name: str) -> type[Body]:
         raise UserError(f"body {name!r} is broken: {type(error).__name__}: {error}") from error
     if not (isinstance(found, type) and issubclass(found, Body)):
         raise UserError(f"body {name!r} is broken: {points[name].value} is not a brain.bodies.body.Body")
+    if lacking := sorted(getattr(found, "__abstractmethods__", ())):
+        raise UserError(f"body {name!r} is broken: {points[name].value} lacks {', '.join(lacking)}")
     if found.kind != name:
         raise UserError(f"body {name!r} is broken: it calls itself {found.kind!r}")
     return found

@@ -104,6 +104,7 @@ def test_an_unseen_body_drives_by_robot_file_alone(site: Site, tmp_path: Path) -
         ("Cart = 3", "is not a brain.bodies.body.Body"),
         (UNSEEN.replace('"cart"', '"boat"'), "it calls itself 'boat'"),
         ("import nothing_such", "is broken: ModuleNotFoundError"),
+        (UNSEEN.replace("def travel", "def walk"), "my_cart:Cart lacks travel"),
     ],
 )
 def test_a_broken_body_is_named(site: Site, source: str, message: str) -> None:
