@@ -6,7 +6,8 @@ from argparse import ArgumentParser, Namespace
 
 from gateway.cli import arguments
 from gateway.config import describe, load_robot
-from gateway.runtime.schedule import refuse_overload, table
+from gateway.runtime.schedule import NOT_COUNTED, refuse_overload, table
+from gateway.sim import WorldError
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -19,5 +20,8 @@ def run(options: Namespace) -> int:
     robot = load_robot(options.robot)
     print(describe(robot))
     print()
-    print(table(refuse_overload(robot)))
+    try:
+        print(table(refuse_overload(robot)))
+    except WorldError as error:
+        print(f"{NOT_COUNTED}: {error}")
     return 0

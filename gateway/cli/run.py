@@ -17,8 +17,9 @@ from gateway.errors import UserError
 from gateway.operator import Operator
 from gateway.operator.status import status_text
 from gateway.runtime.process import request_realtime
-from gateway.runtime.schedule import refuse_overload
+from gateway.runtime.schedule import NOT_COUNTED, refuse_overload
 from gateway.runtime.session import Session, open_session
+from gateway.sim import WorldError
 from protocols.messages import MILLISECOND, Goal, Instruction, Mission
 
 
@@ -49,7 +50,10 @@ def run(options: Namespace) -> int:
         raise UserError("--mission and --goal exclude each other: put the goals into the mission")
     goals = goals_of(options, robot)
     if any(bus.interface != TWIN for bus in robot.buses.values()):  # simulated ones show it by themselves
-        refuse_overload(robot)
+        try:
+            refuse_overload(robot)
+        except WorldError as error:
+            print(f"{NOT_COUNTED}: {error}", file=sys.stderr)
     mission = load_mission(options.mission, robot) if options.mission else None
     if options.realtime is not None and (refused := request_realtime(options.realtime)):
         print(refused, file=sys.stderr)

@@ -31,6 +31,8 @@ from protocols.messages import SECOND, Drive, Feedback, Hold, Instruction, Nanos
 
 SETTLING: Nanos = 3 * SECOND // 2
 """Time to find the devices, set them up and arm them."""
+NOT_COUNTED = "the load of the buses was not counted"
+"""With the reason, where there is no world to count in, which a robot on its own buses does not need."""
 FULL = 0.98
 """Share of the time from which on a wire is full."""
 WINDOW: Nanos = SECOND

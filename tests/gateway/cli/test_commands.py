@@ -215,3 +215,11 @@ def test_an_interrupt_where_nothing_is_open_is_a_sentence(
     monkeypatch.setattr("gateway.runtime.schedule.count_buses", interrupted)
     assert main(["schedule", "bench"]) == 130
     assert capsys.readouterr().err == "gateway: interrupted\n"
+
+
+def test_a_robot_is_checked_without_the_library_that_its_world_needs(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    assert main(["check", "diffbot"]) == 0
+    assert "the load of the buses was not counted: world 'office': it needs MuJoCo" in capsys.readouterr().out
