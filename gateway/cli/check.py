@@ -6,8 +6,7 @@ from argparse import ArgumentParser, Namespace
 
 from gateway.cli import arguments
 from gateway.config import describe, load_robot
-from gateway.runtime.schedule import NOT_COUNTED, refuse_overload, table
-from gateway.sim import WorldError
+from gateway.runtime.schedule import NotCounted, refuse_overload, table
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -22,6 +21,6 @@ def run(options: Namespace) -> int:
     print()
     try:
         print(table(refuse_overload(robot)))
-    except WorldError as error:
-        print(f"{NOT_COUNTED}: {error}")
+    except NotCounted as error:
+        print(error)
     return 0

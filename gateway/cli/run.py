@@ -17,9 +17,8 @@ from gateway.errors import UserError
 from gateway.operator import Operator
 from gateway.operator.status import status_text
 from gateway.runtime.process import request_realtime
-from gateway.runtime.schedule import NOT_COUNTED, refuse_overload
+from gateway.runtime.schedule import NotCounted, refuse_overload
 from gateway.runtime.session import Session, open_session
-from gateway.sim import WorldError
 from protocols.messages import MILLISECOND, Goal, Instruction, Mission
 
 
@@ -52,8 +51,8 @@ def run(options: Namespace) -> int:
     if any(bus.interface != TWIN for bus in robot.buses.values()):  # simulated ones show it by themselves
         try:
             refuse_overload(robot)
-        except WorldError as error:
-            print(f"{NOT_COUNTED}: {error}", file=sys.stderr)
+        except NotCounted as error:
+            print(error, file=sys.stderr)
     mission = load_mission(options.mission, robot) if options.mission else None
     if options.realtime is not None and (refused := request_realtime(options.realtime)):
         print(refused, file=sys.stderr)

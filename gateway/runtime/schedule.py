@@ -26,17 +26,21 @@ from gateway.core.step import Gateway
 from gateway.core.tick import Inputs, Outputs
 from gateway.errors import UserError
 from gateway.runtime.loop import LoopStats, moments, read, write
+from gateway.sim import WorldError
 from protocols.frames import CanFrame
 from protocols.messages import SECOND, Drive, Feedback, Hold, Instruction, Nanos, Velocity
 
 SETTLING: Nanos = 3 * SECOND // 2
 """Time to find the devices, set them up and arm them."""
-NOT_COUNTED = "the load of the buses was not counted"
-"""With the reason, where there is no world to count in, which a robot on its own buses does not need."""
 FULL = 0.98
 """Share of the time from which on a wire is full."""
 WINDOW: Nanos = SECOND
 """Time that is counted, after settling."""
+
+
+class NotCounted(UserError):
+    """The load of the buses could not be counted, for want of a world or a twin that works: a robot on its own
+    buses does without."""
 
 
 @dataclass(slots=True)
@@ -177,8 +181,13 @@ def _fits(robot: Robot, rate: float) -> bool:
 
 
 def refuse_overload(robot: Robot) -> list[BusSchedule]:
-    """Return what was counted. Raises UserError if a bus does not carry the robot, with what would fit."""
-    counted = count_buses(robot)
+    """Return what was counted. Raises UserError if a bus does not carry the robot, with what would fit, and
+    NotCounted."""
+    try:
+        counted = count_buses(robot)
+    except Exception as error:
+        kind = "" if isinstance(error, WorldError) else f"{type(error).__name__}: "
+        raise NotCounted(f"the load of the buses was not counted: {kind}{error}") from error
     full = [one for one in counted if not one.fits]
     if not full:
         return counted
