@@ -39,8 +39,8 @@ WINDOW: Nanos = SECOND
 
 
 class NotCounted(UserError):
-    """The load of the buses could not be counted, for want of a world or a twin that works: a robot on its own
-    buses does without."""
+    """The load of the buses could not be counted, for want of a world or of a twin that works: a robot on its
+    own buses does without."""
 
 
 @dataclass(slots=True)
