@@ -10,8 +10,8 @@ are armed.
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Mapping, Sequence, Set
+from dataclasses import dataclass, field, fields, replace
 from math import floor
 
 from brain.bodies.body import Base
@@ -198,8 +198,35 @@ def refuse_overload(robot: Robot) -> list[BusSchedule]:
     text += [f"  {one.bus}: {reason(one)}" for one in full]
     crowded = [one.bus for one in full if len(robot.devices_on(one.bus)) > 1]
     lower = f"rate_hz = {fits:g}, the highest that fits" if fits else "no rate_hz fits"
+    slower = feedback_that_fits(robot, {one.bus for one in full})
+    ask = f"; or ask for feedback less often (feedback_ms = {slower} fits)" if slower else ""
     split = f"; or split {', '.join(crowded)}: devices on a bus of their own" if crowded else ""
-    raise UserError("\n".join([*text, f"lower the rate ({lower}){split}; or raise the bit rate"]))
+    raise UserError("\n".join([*text, f"lower the rate ({lower}){ask}{split}; or raise the bit rate"]))
+
+
+def feedback_that_fits(robot: Robot, buses: Set[str]) -> int:
+    """Return a period for the option `feedback_ms` of the motors on these buses with which the robot fits at
+    its rate: two, four or eight times the longest of them; 0 if none does, or no driver asks for feedback by itself."""
+    asked = {
+        name: motor
+        for name, motor in robot.motors.items()
+        if motor.bus in buses and "feedback_ms" in (one.name for one in fields(motor.device.options))
+    }
+    longest = max((motor.device.options.feedback_ms for motor in asked.values()), default=0)
+    for milliseconds in (2 * longest, 4 * longest, 8 * longest) if longest else ():
+        try:
+            changed = {name: _asked_every(motor, milliseconds) for name, motor in asked.items()}
+        except ValueError:  # more than a driver or a device can have
+            return 0
+        if all(one.fits for one in count_buses(replace(robot, motors=robot.motors | changed))):
+            return milliseconds
+    return 0
+
+
+def _asked_every(motor: Motor, milliseconds: int) -> Motor:
+    """Return a motor whose driver asks for feedback at this period. Raises ValueError."""
+    device = replace(motor.device, options=replace(motor.device.options, feedback_ms=milliseconds))
+    return replace(motor, device=device, spec=motor.plugin.spec(device))
 
 
 def reason(one: BusSchedule) -> str:

@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import pytest
 
-from gateway.config import load_robot
+from gateway.config import load_robot, parse_robot
 from gateway.core.robot import Robot
 from gateway.errors import UserError
 from gateway.runtime.schedule import BusSchedule, count_buses, highest_rate, refuse_overload
 
 
-def on_slow_bus(rate: float, bitrate: int = 125_000) -> Robot:
+def on_slow_bus(rate: float, bitrate: int = 125_000, robot: str | Robot = "bench") -> Robot:
     """Two motors on a bus with little room."""
-    robot = load_robot("bench")
-    buses = {name: replace(bus, bitrate=bitrate) for name, bus in robot.buses.items()}
+    robot = load_robot(robot) if isinstance(robot, str) else robot
+    buses = {name: replace(bus, bitrate=bus.bitrate and bitrate) for name, bus in robot.buses.items()}
     return replace(robot, buses=buses, period=round(1e9 / rate))
 
 
 def can0(robot: Robot) -> BusSchedule:
-    [one] = count_buses(robot)
-    return one
+    return count_buses(robot)[0]
 
 
 def test_set_points_grow_with_the_rate_and_cyclic_reports_do_not() -> None:
@@ -54,3 +54,13 @@ def test_a_robot_that_its_bus_does_not_carry_is_refused_with_a_rate_that_fits() 
 def test_a_bus_too_slow_for_the_reports_alone_has_no_rate() -> None:
     with pytest.raises(UserError, match="no rate_hz fits"):
         refuse_overload(on_slow_bus(100.0, 10_000))
+
+
+def test_a_robot_that_asks_for_feedback_too_often_is_told_how_often_fits() -> None:
+    with pytest.raises(UserError) as caught:
+        refuse_overload(on_slow_bus(200.0, robot="diffbot_vesc"))
+    period = int(str(caught.value).partition("feedback_ms = ")[2].partition(" ")[0])
+    vesc = load_robot("diffbot_vesc")
+    text, count = re.subn(r"feedback_ms = \d+", f"feedback_ms = {period}", vesc.text)
+    assert count
+    assert can0(on_slow_bus(200.0, robot=parse_robot(text))).fits
