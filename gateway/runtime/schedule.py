@@ -206,7 +206,7 @@ def refuse_overload(robot: Robot) -> list[BusSchedule]:
 
 def feedback_that_fits(robot: Robot, buses: Set[str]) -> int:
     """Return a period for the option `feedback_ms` of the motors on these buses with which the robot fits at
-    its rate: two, four or eight times the longest of them; 0 if none does, or no driver asks for feedback by itself."""
+    its rate: two, four or eight times the longest of them; 0 if none does, or none of them has the option."""
     asked = {
         name: motor
         for name, motor in robot.motors.items()
