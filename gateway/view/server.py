@@ -1,0 +1,366 @@
+"""One port for pages and WebSocket clients, polled by the loop: no thread, no asyncio, nothing that waits.
+
+Rules. Each poll has a bounded share: connections accepted, bytes and messages read. What is sent is either an
+event, which is never dropped, or a sample, of which only the newest waits while a client does not read. A
+client that stays slow, or leaves too much unread, is closed with the reason. Connections that do not get on
+with their handshake, or to which a page was sent, are closed after a while; if there are too many the oldest
+goes. The same is true of clients: of those, the one that has been silent longest.
+"""
+
+from __future__ import annotations
+
+import logging
+import socket
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import TypeAlias
+from urllib.parse import urlsplit
+
+from websockets.datastructures import Headers
+from websockets.frames import Frame, Opcode
+from websockets.http11 import Request, Response
+from websockets.protocol import State
+from websockets.server import ServerProtocol
+from websockets.typing import Subprotocol
+
+from gateway.errors import UserError
+from gateway.view.access import Access, Address
+from protocols.messages import SECOND, Nanos
+
+Message: TypeAlias = str | bytes
+
+MAX_ACCEPTED = 8
+"""Connections accepted in one poll."""
+MAX_READ = 1024
+"""Bytes read of one connection in one poll: up to 170 frames, each of which takes some µs."""
+MAX_BUSY = 3
+"""Connections that are read in one poll, of those that have something: the others have their turn next."""
+MAX_MESSAGES = 8
+"""Messages of one client handed out in one poll."""
+MAX_SIZE = 1 << 16
+"""Bytes of a message that a client may send."""
+MAX_PENDING = 32
+"""Connections that are no clients (yet)."""
+MAX_CLIENTS = 16
+MAX_UNSENT = 4 << 20
+"""Bytes of events that a client may leave unread."""
+SEND_BUFFER = 1 << 18
+"""Bytes in the kernel's send buffer: little, so that what arrives is new."""
+HANDSHAKE_TIMEOUT: Nanos = 5 * SECOND
+"""How long a connection may be no client."""
+PATIENCE: Nanos = 10 * SECOND
+"""How long a client may leave anything unread."""
+LINGER: Nanos = SECOND
+"""How long a closing handshake may take."""
+
+_log = logging.getLogger("gateway.view.wire")
+_log.setLevel(logging.CRITICAL)  # what clients do wrong is theirs
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """What is sent for a path."""
+
+    kind: str
+    """Its media type."""
+    body: bytes
+
+
+@dataclass(slots=True, eq=False)
+class Client:
+    """One WebSocket connection, or one that may become one."""
+
+    socket: socket.socket
+    protocol: ServerProtocol
+    since: Nanos
+    """When it was accepted."""
+    subprotocol: str = ""
+    open: bool = False
+    """Whether it has become a client."""
+    heard: Nanos = 0
+    """When it last sent a message."""
+    dropped: int = 0
+    """Samples that were replaced by newer ones before they were sent."""
+    inbox: deque[Message] = field(default_factory=deque)
+    parts: list[bytes] = field(default_factory=list)
+    """Of a message in fragments."""
+    text: bool = False
+    unsent: bytearray = field(default_factory=bytearray)
+    samples: dict[str, Callable[[], Message]] = field(default_factory=dict)
+    stuck_since: Nanos | None = None
+    ending: Nanos | None = None
+    """When it is closed at the latest."""
+
+    def send(self, message: Message) -> None:
+        """Send an event. It is not dropped; a client that leaves too many unread is."""
+        if self.open and self.protocol.state is State.OPEN:
+            if isinstance(message, str):
+                self.protocol.send_text(message.encode())
+            else:
+                self.protocol.send_binary(message)
+            self.collect()
+
+    def sample(self, key: str, message: Callable[[], Message]) -> None:
+        """Send a sample when there is room: until then a newer one of this key takes its place."""
+        if key in self.samples:
+            self.dropped += 1
+        self.samples[key] = message
+
+    def end(self, code: int, reason: str) -> None:
+        """Close the connection, and tell why."""
+        if self.protocol.state is State.OPEN:
+            self.protocol.send_close(code, reason[:120])
+        self.samples.clear()
+        self.collect()
+
+    @property
+    def idle(self) -> bool:
+        """Whether everything that was sent has left."""
+        return not self.unsent
+
+    def collect(self) -> None:
+        """Take over what the protocol has to send."""
+        for data in self.protocol.data_to_send():
+            self.unsent += data
+
+
+class Server:
+    """The port. Use it as a context manager, or close it.
+
+    Args:
+        address: where to listen.
+        access: who may connect.
+        pages: by path.
+        subprotocols: by path of WebSocket connections: those that are spoken there; "" for none.
+
+    Raises:
+        UserError: the address cannot be opened.
+    """
+
+    def __init__(
+        self,
+        address: Address,
+        access: Access,
+        pages: Mapping[str, Page],
+        subprotocols: Mapping[str, Sequence[str]],
+    ) -> None:
+        self._access, self._pages, self._subprotocols = access, pages, subprotocols
+        self._listener = _listen(address)
+        self.address = Address(address.host, self._listener.getsockname()[1])
+        self._connections: list[Client] = []
+        """The one that was read longest ago first."""
+
+    def __enter__(self) -> Server:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def clients(self) -> list[Client]:
+        """Those that have finished their handshake."""
+        return [one for one in self._connections if one.open]
+
+    def poll(self, now: Nanos) -> list[tuple[Client, Message]]:
+        """Return the messages since the last poll, those of the client read longest ago first. Never waits.
+
+        `now` only times out."""
+        messages: list[tuple[Client, Message]] = []
+        busy = 0
+        for client in list(self._connections):
+            if not client.inbox and busy < MAX_BUSY and self._read(now, client):
+                busy += 1
+                if client in self._connections:
+                    self._connections.remove(client)
+                    self._connections.append(client)
+            count = min(MAX_MESSAGES, len(client.inbox))
+            messages += [(client, client.inbox.popleft()) for _ in range(count)]
+        self._accept(now)
+        for client in list(self._connections):
+            self._time_out(now, client)
+        return messages
+
+    def flush(self, now: Nanos) -> None:
+        """Send what there is room for. Never waits."""
+        for client in list(self._connections):
+            if client.samples and client.idle:
+                samples, client.samples = client.samples, {}
+                for message in samples.values():
+                    client.send(message())
+            if client.unsent:
+                self._send(now, client)
+
+    def close(self) -> None:
+        """Tell every client that it ends, and close everything."""
+        for client in list(self._connections):
+            client.end(1001, "the gateway ends")
+            self._send(0, client)
+            self._drop(client)
+        self._listener.close()
+
+    # -- in -----------------------------------------------------------------------------------
+
+    def _accept(self, now: Nanos) -> None:
+        for _ in range(MAX_ACCEPTED):
+            try:
+                connection, _address = self._listener.accept()
+            except OSError:  # nobody waits, or it has gone again
+                return
+            connection.setblocking(False)
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+            pending = [one for one in self._connections if not one.open]
+            if len(pending) >= MAX_PENDING:
+                self._drop(min(pending, key=lambda one: one.since))
+            protocol = ServerProtocol(max_size=MAX_SIZE, logger=_log)
+            self._connections.append(Client(connection, protocol, now))
+
+    def _read(self, now: Nanos, client: Client) -> bool:
+        """Read once; return whether there was anything."""
+        try:
+            data = client.socket.recv(MAX_READ)
+        except BlockingIOError:
+            return False
+        except OSError:
+            data = b""
+        if not data:
+            self._drop(client)
+            return True
+        if client.ending is None:
+            client.protocol.receive_data(data)
+            for event in client.protocol.events_received():
+                if isinstance(event, Request):
+                    self._on_request(now, client, event)
+                elif isinstance(event, Frame):
+                    _on_frame(now, client, event)
+            client.collect()
+            if client.protocol.close_expected() or client.protocol.state is State.CLOSED:
+                client.ending = now + LINGER
+        return True
+
+    def _on_request(self, now: Nanos, client: Client, request: Request) -> None:
+        """Send a page, or become a client."""
+        headers = request.headers
+        origins, hosts = headers.get_all("Origin"), headers.get_all("Host")
+        page = self._pages.get(urlsplit(request.path).path)
+        if len(hosts) != 1 or len(origins) > 1:
+            response = client.protocol.reject(400, "one header Host and one Origin at most are expected\n")
+        elif "Upgrade" not in headers:
+            response = _page(page) if page else client.protocol.reject(404, "there is no such page\n")
+        else:
+            response = self._upgrade(now, client, request, hosts[0], origins[0] if origins else None)
+        client.protocol.send_response(response)
+        client.open = response.status_code == 101
+        client.heard = now
+
+    def _upgrade(
+        self, now: Nanos, client: Client, request: Request, host: str, origin: str | None
+    ) -> Response:
+        status, reason = self._access.refused(request.path, host, origin)
+        if status:
+            return client.protocol.reject(status, reason + "\n")
+        offered = self._subprotocols.get(urlsplit(request.path).path)
+        if offered is None:
+            return client.protocol.reject(404, "nothing is spoken at this path\n")
+        asked = [
+            name.strip()
+            for header in request.headers.get_all("Sec-WebSocket-Protocol")
+            for name in header.split(",")
+        ]
+        spoken = next((name for name in asked or [""] if name in offered), None)
+        if spoken is None:
+            known = ", ".join(filter(None, offered))
+            return client.protocol.reject(400, f"one of these subprotocols is expected: {known}\n")
+        client.protocol.available_subprotocols = [Subprotocol(spoken)] if spoken else None
+        clients = self.clients
+        if len(clients) >= MAX_CLIENTS:
+            silent = min(clients, key=lambda one: one.heard)
+            silent.end(1013, f"there are more than {MAX_CLIENTS} clients")
+            self._send(now, silent)
+            self._drop(silent)
+        client.subprotocol = spoken
+        return client.protocol.accept(request)
+
+    # -- out ----------------------------------------------------------------------------------
+
+    def _send(self, now: Nanos, client: Client) -> None:
+        try:
+            sent = client.socket.send(client.unsent)
+            del client.unsent[:sent]
+        except BlockingIOError:
+            sent = 0
+        except OSError:
+            self._drop(client)
+            return
+        if not client.unsent:
+            client.stuck_since = None
+        elif client.stuck_since is None or sent:
+            client.stuck_since = now
+
+    def _time_out(self, now: Nanos, client: Client) -> None:
+        """Close a connection that is too slow, or has ended."""
+        late = now - client.since > HANDSHAKE_TIMEOUT and not client.open
+        if client.ending is not None and (client.idle or now >= client.ending):
+            with suppress(OSError):
+                client.socket.shutdown(socket.SHUT_WR)
+            self._drop(client)
+        elif late:
+            self._drop(client)
+        elif client.ending is None and client.open:
+            stuck = client.stuck_since is not None and now - client.stuck_since > PATIENCE
+            if stuck or len(client.unsent) > MAX_UNSENT:
+                client.end(1008, "too slow: what was sent was not read")
+                client.ending = now + LINGER
+
+    def _drop(self, client: Client) -> None:
+        client.socket.close()
+        client.open = False
+        client.unsent.clear()
+        if client in self._connections:
+            self._connections.remove(client)
+
+
+def _on_frame(now: Nanos, client: Client, frame: Frame) -> None:
+    """Put messages together; pings were answered by the protocol."""
+    if frame.opcode in (Opcode.TEXT, Opcode.BINARY):
+        client.text = frame.opcode is Opcode.TEXT
+        client.parts = [bytes(frame.data)]
+    elif frame.opcode is Opcode.CONT:
+        client.parts.append(bytes(frame.data))
+    else:
+        return
+    if frame.fin:
+        data = b"".join(client.parts)
+        client.parts, client.heard = [], now
+        client.inbox.append(data.decode("utf-8", "replace") if client.text else data)
+
+
+def _page(page: Page) -> Response:
+    headers = Headers(
+        [
+            ("Content-Type", page.kind),
+            ("Content-Length", str(len(page.body))),
+            ("Connection", "close"),
+            ("Cache-Control", "no-store"),
+            ("Content-Security-Policy", "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'"),
+            ("X-Content-Type-Options", "nosniff"),
+            ("Referrer-Policy", "no-referrer"),
+        ]
+    )
+    return Response(200, "OK", headers, page.body)
+
+
+def _listen(address: Address) -> socket.socket:
+    family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind((address.host, address.port))
+        listener.listen(128)
+        listener.setblocking(False)
+    except OSError as error:
+        listener.close()
+        raise UserError(f"the view cannot listen on {address}: {error.strerror}") from error
+    return listener
