@@ -105,7 +105,8 @@ class StateCheck:
 
 @dataclass(slots=True)
 class AnswerCount:
-    """Half as many answers again as there were questions, over a second, are those of two devices."""
+    """Half as many answers again as there were questions, over a second, are those of two devices. Who asks
+    nothing only listens: then they answer another host."""
 
     since: Nanos | None = None
     asked: int = 0
@@ -118,7 +119,7 @@ class AnswerCount:
         self.answered += 1
         if t - self.since < SECOND:
             return ""
-        many = self.answered > 1.5 * max(self.asked, 4)
+        many = self.asked and self.answered > 1.5 * max(self.asked, 4)
         self.since, self.asked, self.answered = t, 0, 0
         return "more answers than questions" if many else ""
 
