@@ -11,6 +11,7 @@ from typing import Any
 import can
 from can.typechecking import CanFilter
 
+from gateway.buses.adapters.dm_serial_client import DmSerialInterface
 from gateway.buses.adapters.fdcanusb_client import FdcanusbInterface
 from gateway.buses.adapters.slcan_client import SlcanInterface
 from gateway.buses.netlink import Link
@@ -31,7 +32,7 @@ _OPENING_ERRORS = (can.CanError, OSError, ValueError, TypeError, RuntimeError, I
 """What python-can's back ends raise when they cannot be opened (NotImplementedError is a RuntimeError)."""
 
 
-INTERFACES = can.VALID_INTERFACES | {"fdcanusb"}
+INTERFACES = can.VALID_INTERFACES | {"dm-serial", "fdcanusb"}
 """The kinds of CAN interface: python-can's, and ours."""
 LISTEN_ONLY: dict[str, dict[str, Any]] = {
     "vector": {"listen_only": True},
@@ -62,6 +63,8 @@ def open_interface(settings: BusSettings, *, listen_only: bool = False) -> can.B
             bus = SlcanInterface(channel, settings.bitrate, settings.data_bitrate, listen_only=listen_only)
         elif kind == "fdcanusb":
             bus = FdcanusbInterface(channel, settings.bitrate, settings.data_bitrate)
+        elif kind == "dm-serial":
+            bus = DmSerialInterface(channel)
         else:
             bus = can.Bus(channel=channel, interface=kind, ignore_config=True, **options)
     except _OPENING_ERRORS as error:

@@ -17,7 +17,7 @@ from protocols.messages import MILLISECOND, SECOND
 
 log = logging.getLogger("gateway")
 
-ADAPTERS = ("slcan", "fdcanusb")
+ADAPTERS = ("slcan", "fdcanusb", "dm-serial")
 """Adapter protocols of a CAN bus's port (gateway.buses.adapters)."""
 
 

@@ -16,7 +16,7 @@ from gateway.config.schema import build, keys
 from gateway.core.bounds import Bounds
 from gateway.core.joint import JointSettings
 from gateway.core.limits import Limits
-from gateway.core.robot import TWIN, BusSettings, Motor, Sensor
+from gateway.core.robot import CLASSIC_ADAPTERS, TWIN, BusSettings, Motor, Sensor
 from protocols.frames import IdMask
 from protocols.messages import MILLISECOND, SECOND, Nanos
 from protocols.plugin import Device, Plugin, Spec, UnknownProtocol
@@ -109,6 +109,9 @@ def check_interface(interface: str, kind: str, at: Key, mistakes: Mistakes) -> N
         mistakes.add((*at, "interface"), f"found {shown(interface)}, {wanted}")
     elif kind == "serial" and driver != "serial":
         mistakes.add((*at, "interface"), f'found {shown(interface)}, expected "serial:PORT" on a serial bus')
+    elif kind == "canfd" and driver in CLASSIC_ADAPTERS:
+        text = f"found {shown(interface)}, which carries classic CAN only; expected a bus of kind 'can'"
+        mistakes.add((*at, "interface"), text)
 
 
 def read_motor(

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 TWIN = "twin"
 """The interface of a simulated bus: the world with the twins of its devices."""
+CLASSIC_ADAPTERS = ("dm-serial",)
+"""Interfaces that carry classic CAN only."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,5 @@
-"""motorbridge 0.5.6 as a client of twins, over a pseudo-terminal: as if they were behind a microcontroller
-that it reaches by its `mcu-serial`. (Its other ways are SocketCAN, USB, and one for Damiao motors only.)
-
-A frame is A5, length, id (bit 31: 29 bits), data, CRC-8 of these three, 5A, both ways.
+"""motorbridge 0.5.6 as a client of twins, over a pseudo-terminal: Damiao motors by its `dm-serial`, behind
+our emulated adapter; others, which it refuses there, as if behind a microcontroller, by its `mcu-serial`.
 """
 
 from __future__ import annotations
@@ -16,8 +14,9 @@ from select import select
 
 import motorbridge
 
+from gateway.buses.adapters.dm_serial import Adapter
 from protocols.frames import EXTENDED_BIT, CanFrame
-from protocols.messages import MILLISECOND, Feedback
+from protocols.messages import MILLISECOND, Feedback, Nanos
 from protocols.plugin import Twin
 from protocols.toolkit.serial import crc
 
@@ -52,34 +51,48 @@ class Bench:
         return [frame for frame in frames if isinstance(frame, CanFrame)]
 
 
-def _packed(frame: CanFrame) -> bytes:
-    body = struct.pack("<BI", len(frame.data), frame.id | EXTENDED_BIT * frame.extended) + frame.data
-    return b"\xa5" + body + bytes((CRC8(body), 0x5A))
+class Microcontroller:
+    """A frame is A5, length, id (bit 31: 29 bits), data, CRC-8 of these three, 5A, both ways."""
+
+    def __init__(self) -> None:
+        self._held = b""
+
+    def feed(self, data: bytes) -> tuple[list[CanFrame], bytes]:
+        frames = []
+        self._held += data
+        while len(self._held) > 1 and len(self._held) >= 8 + self._held[1]:
+            size, number = struct.unpack("<xBI", self._held[:6])
+            frame = CanFrame(number & ~EXTENDED_BIT, self._held[6 : 6 + size], bool(number & EXTENDED_BIT))
+            assert self._held.startswith(self.report(0, frame)), self._held.hex(" ")
+            self._held = self._held[8 + size :]
+            frames.append(frame)
+        return frames, b""
+
+    def report(self, t: Nanos, frame: CanFrame) -> bytes:
+        body = struct.pack("<BI", len(frame.data), frame.id | EXTENDED_BIT * frame.extended) + frame.data
+        return b"\xa5" + body + bytes((CRC8(body), 0x5A))
 
 
-def _serve(line: int, bench: Bench, stop: threading.Event) -> None:
-    held = b""
+def _serve(line: int, bench: Bench, adapter: Adapter | Microcontroller, stop: threading.Event) -> None:
     while not stop.is_set():
         if not select([line], [], [], 0.01)[0]:
             continue
-        held += os.read(line, 4096)
-        while len(held) > 1 and len(held) >= 8 + held[1]:
-            size, number = struct.unpack("<xBI", held[:6])
-            frame = CanFrame(number & ~EXTENDED_BIT, held[6 : 6 + size], bool(number & EXTENDED_BIT))
-            assert held.startswith(_packed(frame)), held.hex(" ")
-            held = held[8 + size :]
-            os.write(line, b"".join(map(_packed, bench.exchange(frame))))
+        frames, replies = adapter.feed(os.read(line, 4096))
+        answers = [answer for frame in frames for answer in bench.exchange(frame)]
+        os.write(line, replies + b"".join(adapter.report(bench.now, answer) for answer in answers))
 
 
 @contextmanager
-def connected(bench: Bench) -> Iterator[motorbridge.Controller]:
+def connected(bench: Bench, *, dm_serial: bool = False) -> Iterator[motorbridge.Controller]:
     """Connect motorbridge to a twin; what it sends is answered as long as this lasts."""
     ours, theirs = os.openpty()
     tty.setraw(theirs)
     stop = threading.Event()
-    server = threading.Thread(target=_serve, args=(ours, bench, stop))
+    adapter = Adapter(1_000_000) if dm_serial else Microcontroller()
+    server = threading.Thread(target=_serve, args=(ours, bench, adapter, stop))
     server.start()
-    controller = motorbridge.Controller.from_mcu_serial(os.ttyname(theirs))
+    connect = motorbridge.Controller.from_dm_serial if dm_serial else motorbridge.Controller.from_mcu_serial
+    controller = connect(os.ttyname(theirs))
     try:
         yield controller
     finally:

@@ -1,4 +1,4 @@
-"""A CAN bus offered as adapters on ptys: "slcan:/dev/pts/N" and "fdcanusb:/dev/pts/N" for any program.
+"""A CAN bus offered as adapters on ptys: "slcan:/dev/pts/N", "fdcanusb:/dev/pts/N" … for any program.
 
 Rules. Every port is one adapter, for one program at a time; what one port sends, the others and the devices
 receive. A program that hangs up leaves its adapter as after a loss of power: in its initial state, with all
@@ -12,14 +12,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TypeAlias
 
-from gateway.buses.adapters import fdcanusb, slcan
+from gateway.buses.adapters import dm_serial, fdcanusb, slcan
 from gateway.buses.adapters.pty import open_pty
-from gateway.core.robot import BusSettings
+from gateway.core.robot import CLASSIC_ADAPTERS, BusSettings
+from gateway.errors import BusError
 from protocols.frames import BusState, CanFrame, Frame, Packet
 from protocols.messages import Nanos
 
-Adapter: TypeAlias = slcan.Adapter | fdcanusb.Adapter
-KINDS: dict[str, type[Adapter]] = {"slcan": slcan.Adapter, "fdcanusb": fdcanusb.Adapter}
+Adapter: TypeAlias = slcan.Adapter | fdcanusb.Adapter | dm_serial.Adapter
+KINDS: dict[str, type[Adapter]] = {
+    "slcan": slcan.Adapter,
+    "fdcanusb": fdcanusb.Adapter,
+    "dm-serial": dm_serial.Adapter,
+}
 """By the interface that a program opens."""
 
 
@@ -56,7 +61,11 @@ class AdapterPty:
     """The devices' end of a CAN bus, offered to other programs."""
 
     def __init__(self, settings: BusSettings, kinds: Sequence[str] = ("slcan",)) -> None:
-        """`kinds`: of each port, one of KINDS. Raises BusError if no pty can be made."""
+        """`kinds`: of each port, one of KINDS. Raises BusError if no pty can be made, or for CAN FD on an
+        adapter of classic CAN."""
+        for kind in kinds:
+            if settings.kind == "canfd" and kind in CLASSIC_ADAPTERS:
+                raise BusError(f"bus {settings.name!r}: a {kind} adapter carries classic CAN only")
         self.name = settings.name
         self._ports = [_Port(settings, kind) for kind in kinds]
         self._state = BusState.GONE

@@ -1,11 +1,10 @@
-"""The host's end of an fdcanusb, as an interface of python-can, which has none for it. It never waits.
+"""The host's end of an fdcanusb, as an interface of python-can, which has none for it.
 
-Rules. Reading takes what is there, writing hands over what the port takes, and a line that is partly sent is
-finished before another one begins. Replies are not waited for: they come in order, and each kind of error is
-logged once. Checksums as the vendor's client has them (package moteus 1.1.1): off on an adapter known by its
-USB ids, on elsewhere (a UART, a pty); beyond that they follow the errors of the other end. A line with a
-wrong checksum is bad and changes nothing; so is one without, once the other end has used them. Bit rates are
-the adapter's own configuration: they are read where it can be asked, and a difference is logged.
+Rules. Replies are not waited for: they come in order, and each kind of error is logged once. Checksums as the
+vendor's client has them (package moteus 1.1.1): off on an adapter known by its USB ids, on elsewhere (a UART,
+a pty); beyond that they follow the errors of the other end. A line with a wrong checksum is bad and changes
+nothing; so is one without, once the other end has used them. Bit rates are the adapter's own configuration:
+they are read where it can be asked, and a difference is logged.
 """
 
 from __future__ import annotations
@@ -14,8 +13,6 @@ import logging
 from collections import deque
 from pathlib import Path
 
-import can
-import serial
 from serial.tools.list_ports import comports
 
 from gateway.buses.adapters.fdcanusb import (
@@ -27,8 +24,7 @@ from gateway.buses.adapters.fdcanusb import (
     with_checksum,
 )
 from gateway.buses.adapters.lines import LineSplitter
-from gateway.buses.adapters.port import AdapterPort
-from gateway.buses.python_can import frame_of, message_of
+from gateway.buses.adapters.port import AdapterInterface
 from protocols.frames import CanFrame
 
 log = logging.getLogger("gateway")
@@ -41,13 +37,12 @@ NOT_ON, NO_FLAG = "ERR not in BusOn state", "ERR unknown flag"
 """The adapter's replies to a command before `can on`, and to a checksum if it has none."""
 
 
-class FdcanusbInterface(can.BusABC):
-    """An open adapter. Raises as python-can does: CanTimeoutError if it takes no more for now."""
+class FdcanusbInterface(AdapterInterface):
+    """An open adapter."""
 
     def __init__(self, channel: str, bitrate: int, data_bitrate: int = 0) -> None:
         """Open the port exclusively. Raises OSError or ValueError."""
-        self._serial = serial.Serial(channel, BAUDRATE, timeout=0, write_timeout=0, exclusive=True)
-        self._port = AdapterPort()
+        super().__init__(channel, BAUDRATE)
         self._protected = not _is_known(channel)
         """Whether our lines have checksums."""
         self._checked = False
@@ -59,41 +54,20 @@ class FdcanusbInterface(can.BusABC):
         self._asked: deque[tuple[str, int]] = deque()
         """Configuration that was asked for: name, and the expected value."""
         self.channel_info = f"fdcanusb {channel}"
-        super().__init__(channel)
-        self._port.attach(self.fileno())
         if not self._protected:  # a device on a UART has no bit rates of its own
             rates = (("can.bitrate", bitrate), ("can.fd_bitrate", data_bitrate))
             self._asked.extend((key, rate) for key, rate in rates if rate)
             self._port.write(b"".join(b"conf get %s\n" % key.encode() for key, _ in self._asked))
 
-    def shutdown(self) -> None:
-        """Close the port."""
-        super().shutdown()
-        self._serial.close()
+    def _encode(self, frame: CanFrame) -> bytes:
+        return self._line(encode_send(frame))
 
-    def fileno(self) -> int:
-        """Return the port's file descriptor."""
-        return int(self._serial.fileno())
-
-    def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002 -- it never waits
-        """Send a frame, whole or not at all."""
-        self._port.write()
-        if self._port.waiting:
-            raise can.CanTimeoutError("the adapter takes no more")
-        self._send_line(encode_send(frame_of(msg)))
-
-    def _send_line(self, text: str) -> None:
+    def _line(self, text: str) -> bytes:
         line = text.encode()
-        self._port.write((with_checksum(line) if self._protected else line) + b"\n")
+        return (with_checksum(line) if self._protected else line) + b"\n"
 
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        """Return the next frame; None if there is none within the timeout. ValueError for a bad line."""
-        self._port.write()
-        frame = self._next_frame()
-        if frame is None and (data := self._port.read(timeout)):
-            self._lines.extend(self._splitter.feed(data))
-            frame = self._next_frame()
-        return (None if frame is None else message_of(frame)), False
+    def _feed(self, data: bytes) -> None:
+        self._lines.extend(self._splitter.feed(data))
 
     def _next_frame(self) -> CanFrame | None:
         """Handle lines until one is a frame."""
@@ -132,7 +106,7 @@ class FdcanusbInterface(can.BusABC):
         elif "checksum" in text.lower():
             self._protected = True
         elif text == NOT_ON:
-            self._send_line("can on")
+            self._port.write(self._line("can on"))
         elif text not in self._logged and len(self._logged) < 16:
             self._logged.add(text)
             log.warning("%s replies: %s", self.channel_info, text)

@@ -1,11 +1,16 @@
-"""An adapter's serial port, read and written without waiting."""
+"""An adapter's serial port, read and written without waiting; and a bus of python-can on such a port."""
 
 from __future__ import annotations
 
 import os
 import select
+from abc import abstractmethod
 
 import can
+import serial
+
+from gateway.buses.python_can import frame_of, message_of
+from protocols.frames import CanFrame
 
 MOST_READ = 65536
 """Bytes taken in at once."""
@@ -53,3 +58,54 @@ class AdapterPort:
         if not data:
             raise can.CanOperationError("the adapter is gone: the port has hung up")
         return data
+
+
+class AdapterInterface(can.BusABC):
+    """An adapter that python-can has no interface for. It never waits: reading takes what is there, writing
+    hands over what the port takes, and what is partly sent is finished before anything else begins.
+
+    Raises as python-can does: CanTimeoutError if it takes no more for now."""
+
+    def __init__(self, channel: str, baudrate: int) -> None:
+        """Open the port exclusively. Raises OSError or ValueError."""
+        self._serial = serial.Serial(channel, baudrate, timeout=0, write_timeout=0, exclusive=True)
+        self._port = AdapterPort()
+        super().__init__(channel)
+        self._port.attach(self.fileno())
+
+    @abstractmethod
+    def _encode(self, frame: CanFrame) -> bytes:
+        """Encode a frame to be sent."""
+
+    @abstractmethod
+    def _feed(self, data: bytes) -> None:
+        """Take what has come in. ValueError for what is malformed."""
+
+    @abstractmethod
+    def _next_frame(self) -> CanFrame | None:
+        """Return the next frame of what has come in. ValueError for what is malformed."""
+
+    def shutdown(self) -> None:
+        """Close the port."""
+        super().shutdown()
+        self._serial.close()
+
+    def fileno(self) -> int:
+        """Return the port's file descriptor."""
+        return int(self._serial.fileno())
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002 -- it never waits
+        """Send a frame, whole or not at all."""
+        self._port.write()
+        if self._port.waiting:
+            raise can.CanTimeoutError("the adapter takes no more")
+        self._port.write(self._encode(frame_of(msg)))
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        """Return the next frame; None if there is none within the timeout."""
+        self._port.write()
+        frame = self._next_frame()
+        if frame is None and (data := self._port.read(timeout)):
+            self._feed(data)
+            frame = self._next_frame()
+        return (None if frame is None else message_of(frame)), False

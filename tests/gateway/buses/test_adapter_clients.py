@@ -1,9 +1,10 @@
-"""The host's end of slcan and fdcanusb against the emulated adapter on a pty: one behaviour for both."""
+"""The host's end of each adapter against the emulated adapter on a pty: one behaviour for both."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,7 @@ from gateway.core.robot import BusSettings
 from gateway.errors import BusError
 from protocols.frames import BusState, CanFrame
 from protocols.messages import MILLISECOND, SECOND
-from tests.gateway.buses.adapter_helpers import DATA_RATE, FD, RATE
+from tests.gateway.buses.adapter_helpers import CLASSIC, FD
 
 FRAMES = [
     CanFrame(0x123, b"\x11\x22\x33"),
@@ -27,24 +28,36 @@ FRAMES = [
     CanFrame(0x8001, bytes(range(12)), True, False, True, True),
 ]
 EMPTY = CanFrame(0x7FF)
-"""Only slcan can send it."""
+"""An fdcanusb cannot send it."""
+CLASSIC_FRAMES = [frame for frame in FRAMES if not frame.fd]
 
-pytestmark = pytest.mark.parametrize("kind", ["slcan", "fdcanusb"])
+pytestmark = pytest.mark.parametrize("kind", ["slcan", "fdcanusb", "dm-serial"])
+
+
+def settings_of(kind: str) -> BusSettings:
+    return CLASSIC if kind == "dm-serial" else FD
 
 
 @pytest.fixture
 def adapters(kind: str) -> Iterator[AdapterPty]:
-    with closing(AdapterPty(FD, (kind, "slcan"))) as made:
+    with closing(AdapterPty(settings_of(kind), (kind, "slcan"))) as made:
         yield made
 
 
-def opened(kind: str, path: str) -> CanBus:
-    return open_can(BusSettings("can0", "canfd", f"{kind}:{path}", RATE, DATA_RATE), SimulatedClock())
+@pytest.fixture
+def frames(kind: str) -> list[CanFrame]:
+    """What such an adapter carries."""
+    return {"slcan": [*FRAMES, EMPTY], "fdcanusb": FRAMES, "dm-serial": [*CLASSIC_FRAMES, EMPTY]}[kind]
 
 
-def test_frames_of_every_kind_pass_in_both_directions(kind: str, adapters: AdapterPty) -> None:
-    frames = [*FRAMES, EMPTY] if kind == "slcan" else FRAMES
-    with closing(opened(kind, adapters.paths[0])) as host:
+def opened(kind: str, path: str, settings: BusSettings) -> CanBus:
+    return open_can(replace(settings, interface=f"{kind}:{path}"), SimulatedClock())
+
+
+def test_frames_of_every_kind_pass_in_both_directions(
+    kind: str, adapters: AdapterPty, frames: list[CanFrame]
+) -> None:
+    with closing(opened(kind, adapters.paths[0], settings_of(kind))) as host:
         adapters.read(0)
         host.write(1, frames)
         assert [packet.frame for packet in adapters.read(1)[1]] == frames
@@ -58,16 +71,16 @@ def test_frames_of_every_kind_pass_in_both_directions(kind: str, adapters: Adapt
 
 
 def test_programs_on_different_ports_receive_each_other_and_not_themselves(
-    kind: str, adapters: AdapterPty
+    kind: str, adapters: AdapterPty, frames: list[CanFrame]
 ) -> None:
-    first, second = adapters.paths
-    with closing(opened(kind, first)) as host, closing(opened("slcan", second)) as other:
+    (first, second), settings = adapters.paths, settings_of(kind)
+    with closing(opened(kind, first, settings)) as host, closing(opened("slcan", second, settings)) as other:
         adapters.read(0)
-        host.write(0, FRAMES)
-        other.write(0, FRAMES[::-1])
+        host.write(0, frames)
+        other.write(0, frames[::-1])
         adapters.read(0)
-        assert [packet.frame for packet in other.read(1)[1]] == FRAMES
-        assert [packet.frame for packet in host.read(1)[1]] == FRAMES[::-1]
+        assert [packet.frame for packet in other.read(1)[1]] == frames
+        assert [packet.frame for packet in host.read(1)[1]] == frames[::-1]
         host.close()
         assert adapters.read(2)[0] == []  # the other program is still on the bus
     assert adapters.read(3)[0] == [BusState.GONE]
@@ -76,7 +89,7 @@ def test_programs_on_different_ports_receive_each_other_and_not_themselves(
 def test_the_host_never_waits_for_an_adapter_that_does_not_read(kind: str, adapters: AdapterPty) -> None:
     received: list[CanFrame] = []
     states: list[BusState] = []
-    with closing(opened(kind, adapters.paths[0])) as host:
+    with closing(opened(kind, adapters.paths[0], settings_of(kind))) as host:
         adapters.read(0)
         for number in range(5000):
             host.write(number, [CanFrame(0x100 + number % 3, number.to_bytes(8, "big"))])
@@ -90,27 +103,30 @@ def test_the_host_never_waits_for_an_adapter_that_does_not_read(kind: str, adapt
     assert [int.from_bytes(frame.data, "big") for frame in received[-3:]] == [4997, 4998, 4999]
 
 
-def test_an_adapter_that_vanishes_is_reported_and_reopened(kind: str, tmp_path: Path) -> None:
+def test_an_adapter_that_vanishes_is_reported_and_reopened(
+    kind: str, frames: list[CanFrame], tmp_path: Path
+) -> None:
+    settings = settings_of(kind)
     with pytest.raises(BusError, match="No such file"):
-        opened(kind, "/dev/there-is-none")
+        opened(kind, "/dev/there-is-none", settings)
     link = tmp_path / "adapter"
-    first = AdapterPty(FD, (kind,))
+    first = AdapterPty(settings, (kind,))
     link.symlink_to(first.paths[0])
-    host = opened(kind, str(link))
+    host = opened(kind, str(link), settings)
     assert first.read(0)[0] == [BusState.BACK]
     with pytest.raises(BusError, match="can0"):
-        opened(kind, first.paths[0])
+        opened(kind, first.paths[0], settings)
     assert first.read(0) == ([], [])  # it was not disturbed
     first.close()
     assert host.read(1) == ([BusState.GONE], [])
     host.write(2, [CanFrame(1, b"\x01")])
     assert host.dropped == 1
-    with closing(AdapterPty(FD, (kind,))) as second:
+    with closing(AdapterPty(settings, (kind,))) as second:
         link.unlink()
         link.symlink_to(second.paths[0])
         assert host.read(SECOND // 2) == ([], [])
         assert host.read(2 * SECOND)[0] == [BusState.BACK]
         assert second.read(0)[0] == [BusState.BACK]
-        host.write(2 * SECOND, FRAMES)
-        assert [packet.frame for packet in second.read(1)[1]] == FRAMES
+        host.write(2 * SECOND, frames)
+        assert [packet.frame for packet in second.read(1)[1]] == frames
         host.close()

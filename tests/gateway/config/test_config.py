@@ -121,6 +121,9 @@ def test_interfaces_are_replaced_and_wrong_ones_reported() -> None:
     assert "no bus 'can1': there is can0, sensors; did you mean 'can0'?" in text
     assert 'found "can0", expected "twin" or INTERFACE:CHANNEL, such as "socketcan:can0"' in text
     assert 'found "socketcan:can0", expected "serial:PORT"' in text
+    assert with_interfaces(robot, {"can0": "dm-serial:/dev/ttyACM0"})
+    with pytest.raises(ConfigError, match="which carries classic CAN only; expected a bus of kind 'can'"):
+        with_interfaces(load_robot("diffbot_moteus"), {"can0": "dm-serial:/dev/ttyACM0"})
 
 
 # -- one mistake each --------------------------------------------------------------------------

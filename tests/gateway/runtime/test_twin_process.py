@@ -282,6 +282,7 @@ def patient(text: str) -> str:
     """Return a robot file with long timeouts, since this machine may do other things for a while."""
     text = re.sub(r"(feedback|command)_timeout_ms = \d+", r"\1_timeout_ms = 2000", text)
     text = re.sub(r"(?m)^timeout_ms = \d+", "timeout_ms = 3000", text)
+    text = text.replace('mode = "vel"', 'mode = "vel"\ntimeout_ms = 3000\noffline_ms = 5000')
     return text.replace('watchdog = "acknowledged"', 'watchdog = "acknowledged"\noffline_ms = 5000')
 
 
@@ -289,7 +290,7 @@ def patient(text: str) -> str:
 def folder(tmp_path: Path) -> Path:
     sockets = tmp_path / "run"
     sockets.mkdir(mode=0o700)
-    for name in ("diffbot", "bench"):
+    for name in ("diffbot", "diffbot_damiao", "bench"):
         (tmp_path / f"{name}.toml").write_text(patient(resources.find("robots", name).read_text()))
     return tmp_path
 
@@ -302,11 +303,13 @@ def invited(twin: Process, *more: str) -> list[str]:
 
 
 @pytest.mark.timeout(240)
+@pytest.mark.parametrize(("name", "adapter"), [("diffbot", "slcan"), ("diffbot_damiao", "dm-serial")])
 def test_two_processes_reach_a_goal_and_the_recording_replays(
-    folder: Path, capsys: pytest.CaptureFixture[str]
+    folder: Path, capsys: pytest.CaptureFixture[str], name: str, adapter: str
 ) -> None:
     recording = folder / "drive.mcap"
-    with Process(folder / "run", "twin", str(folder / "diffbot.toml"), "-v") as twin:
+    command = ("twin", str(folder / f"{name}.toml"), "--adapter", adapter, "-v")
+    with Process(folder / "run", *command) as twin:
         arguments = invited(twin, "--goal", "0.6,0", "--record", str(recording), "-v")
         with Process(folder / "run", *arguments) as robot:
             robot.until("goal 1 reached")
@@ -319,6 +322,7 @@ def test_two_processes_reach_a_goal_and_the_recording_replays(
         assert status == 0, reported
         assert re.search(r"\d{3,} packets received, \d{4,} sent", reported)
         assert "Traceback" not in reported
+        assert "fault" not in reported
         assert "stays armed" not in reported  # the stop command went out first
         assert re.findall(r"left: (\w+)", reported)[:2] == ["armed", "ready"]
     ticks = list(read_recording(recording).ticks)

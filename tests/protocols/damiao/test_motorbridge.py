@@ -1,4 +1,4 @@
-"""motorbridge 0.5.6 drives our twin, and its frames are those of our table."""
+"""motorbridge 0.5.6 drives our twin behind the vendor's serial adapter; its frames are those of our table."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def bench(twin: DamiaoTwin) -> Bench:
 
 
 def test_it_sets_up_and_moves_a_motor_in_three_modes(bench: Bench, twin: DamiaoTwin) -> None:
-    with connected(bench) as controller:
+    with connected(bench, dm_serial=True) as controller:
         motor = controller.add_damiao_motor(1, 0x11, "4310")
         assert motor.get_register_f32(21) == 12.5
         motor.ensure_mode(Mode.MIT)
@@ -56,7 +56,7 @@ def test_it_sets_up_and_moves_a_motor_in_three_modes(bench: Bench, twin: DamiaoT
 
 
 def test_clearing_zero_saving_and_the_watchdog_are_our_bytes(bench: Bench) -> None:
-    with connected(bench) as controller:
+    with connected(bench, dm_serial=True) as controller:
         motor = controller.add_damiao_motor(1, 0x11, "4310")
         assert ANY.encode("clear", 1) in received(bench, 1, motor.clear_error)
         assert ANY.encode("zero", 1) in received(bench, 1, motor.set_zero_position)
