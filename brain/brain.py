@@ -19,6 +19,7 @@ from brain.belief import Belief, BrainTask
 from brain.bodies.body import Base
 from brain.health import HealthSettings
 from brain.joint_brain import JointBrain
+from brain.perception.filter_inputs import Nis
 from brain.perception.mount import Mount
 from brain.settings import BrainSettings, changed
 from brain.status import Note
@@ -62,6 +63,11 @@ class Brain:
     def belief(self) -> Belief:
         """Return estimate, goal, path, map and state as a value."""
         return self._body.belief()
+
+    @property
+    def nis(self) -> Mapping[str, Nis]:
+        """Normalised innovations squared, by sensor: whether the estimate is consistent; {} without a base."""
+        return self._body.perception.nis if isinstance(self._body, BaseBrain) else {}
 
     def take_notes(self) -> list[Note]:
         """Return the notes for the operator since the last call, in order."""

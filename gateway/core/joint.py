@@ -297,6 +297,11 @@ class Joint:
         self._profile.forget()
         self._following.restart()
 
+    @property
+    def sent(self) -> Command:
+        """The last command sent, at the output shaft."""
+        return self._out
+
     def feedback_age(self, now: Nanos) -> Nanos | None:
         """Return the age of the newest motion; None if the device has never reported any."""
         return None if self._received_at is None else max(0, now - self._received_at)

@@ -38,6 +38,8 @@ from protocols.messages import Event, Nanos, Obeyed, seconds
 from protocols.plugin import CommandDecoder
 
 T = TypeVar("T")
+Observe: TypeAlias = Callable[[Tick, Belief], None]
+Watch: TypeAlias = Callable[[Gateway], Observe]
 Kind: TypeAlias = Literal["recording", "events", "packets", "notes", "views"]
 _KINDS: tuple[Kind, ...] = ("recording", "events", "packets", "notes", "views")
 _FRAME_VIEWS = (CAN_FRAME, FD_FRAME)
@@ -138,12 +140,16 @@ class Comparison:
         return "\n".join([*lines, *compared])
 
 
-def replay_recording(recording: Recording, robot: Robot | None = None) -> Comparison:
+def replay_recording(
+    recording: Recording, robot: Robot | None = None, watch: Watch | None = None
+) -> Comparison:
     """Run a recording's inputs through the code of today, and compare every output to the byte.
 
     Args:
         recording: what `read_recording` returned.
         robot: another robot than the recorded one.
+        watch: called with the gateway before the first step; what it returns is called with every tick, as it
+            is today, and with the belief after it.
 
     Returns:
         Comparison: `ok`, the first difference of each kind, and the likely causes; `text()` for a person.
@@ -162,6 +168,7 @@ def replay_recording(recording: Recording, robot: Robot | None = None) -> Compar
         facts=environment.facts(),
         mounts={name: sensor.mount for name, sensor in robot.sensors.items()},
         buses=robot.buses,
+        observe=watch(gateway) if watch else None,
     )
 
 
@@ -175,13 +182,15 @@ def compare(
     facts: Mapping[str, str] | None = None,
     mounts: Mapping[str, Mount] | None = None,
     buses: Collection[str] | None = None,
+    observe: Observe | None = None,
 ) -> Comparison:
     """Run the recorded inputs through `step` and compare all outputs.
 
-    `belief` is called after each step; `decoder` makes the command decoder of a bus; `mounts` are those of
-    the recorder. `robot_text` and `facts` are the present ones, to find the cause of a difference (None:
-    the recorded ones). Frames received on a bus that is not among `buses` (None: all are) are left over."""
-    comparer = _Comparer(recording, step, belief, decoder, Views(mounts), buses)
+    `belief` is called after each step, and `observe` with it and the tick as it is today; `decoder` makes the
+    command decoder of a bus; `mounts` are those of the recorder. `robot_text` and `facts` are the present
+    ones, to find the cause of a difference (None: the recorded ones). Frames received on a bus that is not
+    among `buses` (None: all are) are left over."""
+    comparer = _Comparer(recording, step, belief, decoder, Views(mounts), buses, observe)
     try:
         for recorded in recording.steps:
             comparer.take(recorded)
@@ -208,8 +217,9 @@ class _Comparer:
         decoder: Callable[[str], CommandDecoder],
         views: Views,
         buses: Collection[str] | None,
+        observe: Observe | None,
     ) -> None:
-        self._recording = recording
+        self._recording, self._observe = recording, observe
         self._step, self._belief, self._decoder = step, belief, decoder
         self._views, self._buses, self._texts = views, buses, recording.format != "1"
         self._start: Nanos = 0
@@ -255,7 +265,10 @@ class _Comparer:
         self._compare_events(tick.outputs.events, outputs.events)
         self._compare_packets(tick.outputs.packets, outputs.packets)
         self._compare_notes(tick.outputs.notes, outputs.notes)
-        views = self._views.messages(replace(tick, outputs=outputs), self._belief())
+        today, belief = replace(tick, outputs=outputs), self._belief()
+        views = self._views.messages(today, belief)
+        if self._observe is not None:
+            self._observe(today, belief)
         if recorded.whole:
             self._compare_views(recorded.views, views)
 
