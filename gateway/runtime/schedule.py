@@ -91,7 +91,7 @@ class _Count:
         """Count a frame that has ended."""
         count = self.buses[bus]
         given = self.sent[bus].popleft() if one.sender == HOST and self.sent.get(bus) else None
-        if one.t >= self.began:
+        if self.began <= one.t < self.began + WINDOW:
             arrow = "→" if one.sender == HOST else "←"
             frame = one.frame
             count.frames[str(frame).partition("#")[0] if isinstance(frame, CanFrame) else arrow] += 1
@@ -130,14 +130,14 @@ def count_buses(robot: Robot, rate: float | None = None) -> list[BusSchedule]:
     world.tamper.transmission = count.transmission
     clock, commands, busy = SimulatedClock(), _commands(robot), dict[str, Nanos]()
     for now in moments(clock, robot.period, gateway.due, LoopStats()):
-        if now >= SETTLING + WINDOW:
-            break
         states, packets = read(world.buses, now)
         for name, bus in world.buses.items():
             one = count.buses[name]
             if now >= SETTLING:
                 one.load = (bus.busy - busy.setdefault(name, bus.busy)) / WINDOW
                 one.dropped = one.dropped or bus.full
+        if now >= SETTLING + WINDOW:
+            break
         outputs = gateway.step(now, Inputs(tuple(states), tuple(packets), tuple(commands)))
         count.step(now, outputs, robot.motors)
         write(world.buses, now, outputs.packets)
