@@ -28,6 +28,7 @@ REMEMBERED = 4096
 """Ids of which a table remembers what they are."""
 
 Direction: TypeAlias = Literal["to_device", "from_device"]
+DIRECTIONS: tuple[Direction, Direction] = "to_device", "from_device"
 Order: TypeAlias = Literal["little", "big"]
 Values: TypeAlias = dict[str, Any]
 """Numbers of a message by field. A field that may be "not given" is None where it is not."""
@@ -144,6 +145,13 @@ class Row:
         """Return the field of this name, of the data or the id."""
         return next(field for field in (*self.fields, *self.id) if field.name == name)
 
+    def first_byte(self) -> int | None:
+        """Return the first byte of its data, if that is constant."""
+        if not self.fields or self.fields[0].kind != "const" or self.fields[0].bits < 8:
+            return None
+        value, bits = int(self.fields[0].low), self.fields[0].bits
+        return value & 0xFF if self.order == "little" else value >> bits - 8
+
     def id_parts(self) -> Iterator[tuple[Field, int, int]]:
         """Yield the fields of the id, with the place of the lowest bit and the mask of each."""
         at = sum(field.bits for field in self.id)
@@ -178,9 +186,13 @@ class Decoded(NamedTuple):
 
 _Encode: TypeAlias = Callable[..., CanFrame]
 _Decode: TypeAlias = Callable[[int, int, bytes], Decoded | None]
-_Candidate: TypeAlias = tuple[bool, _Decode, Decoded]
-"""Whether it is a remote frame, how to decode address, id and data, and what is decoded if the data do not
-fit."""
+_Candidates: TypeAlias = list[tuple[_Decode, int]]
+"""How to decode address, id and data, and the address in the id: row by row."""
+
+
+_Known: TypeAlias = tuple[_Candidates, dict[int, _Candidates], Decoded | None]
+"""What frames of an id can be: whatever their first byte is, with these first bytes, and what is decoded if
+the data fit none of them."""
 
 
 class Table:
@@ -193,9 +205,22 @@ class Table:
         self._decode: dict[str, _Decode] = {}
         for row in self.rows:
             self._encode[row.name], self._decode[row.name] = _compiled(row)
-        self._masks = [(row, *row.id_mask()) for row in self.rows]
-        self._masks.sort(key=lambda each: -each[2].bit_count())  # the most particular first
-        self._seen: dict[Direction, dict[int, Sequence[_Candidate]]] = {"to_device": {}, "from_device": {}}
+        self._particular = sorted(self.rows, key=lambda row: -row.id_mask()[1].bit_count())
+        self._seen: list[dict[Direction, tuple[int, dict[int, _Known]]]] = [
+            {direction: (self._significant(direction, extended), {}) for direction in DIRECTIONS}
+            for extended in (False, True)
+        ]
+        """By format and direction: the bits of ids that count, and by these (inverted for a remote frame)
+        what was looked up."""
+
+    def _significant(self, direction: Direction, extended: bool) -> int:
+        """Return the bits of the ids of a format that tell messages and devices apart: not those of data."""
+        bits = 0
+        for row in self.rows:
+            if (row.direction, row.extended) == (direction, extended):
+                bits |= row.id_mask()[1]
+                bits |= sum(mask for field, _, mask in row.id_parts() if field.name == "address")
+        return bits & ~EXTENDED_BIT
 
     def __deepcopy__(self, memo: object) -> Table:
         """A table is a constant: copies of a driver's state share it."""
@@ -218,31 +243,43 @@ class Table:
         """Return the message in a frame: the first row that fits; None if the id is none of the table's."""
         if not isinstance(frame, CanFrame) or frame.fd:
             return None
-        number = frame.id | EXTENDED_BIT if frame.extended else frame.id
-        candidates = self._seen[direction].get(number)
-        if candidates is None:
-            candidates = self._candidates(number, direction)
-        misfit: Decoded | None = None
-        for remote, decode, otherwise in candidates:
-            if remote is frame.remote:
-                decoded = decode(otherwise.address, number, frame.data)
-                if decoded is not None:
-                    return decoded
-                misfit = otherwise
+        significant, seen = self._seen[frame.extended][direction]
+        number, data = frame.id, frame.data
+        key = ~(number & significant) if frame.remote else number & significant
+        known = seen.get(key)
+        if known is None:
+            known = self._candidates(frame, direction)
+            if len(seen) < REMEMBERED:
+                seen[key] = known
+        rows, by_first, misfit = known
+        if by_first:
+            rows = by_first.get(data[0] if data else 0, rows)
+        for decode, address in rows:
+            decoded = decode(address, number, data)
+            if decoded is not None:
+                return decoded
         return misfit
 
-    def _candidates(self, number: int, direction: Direction) -> Sequence[_Candidate]:
-        """Return the rows that an id can be of: looked up once, for as many ids as there are room for."""
-        found = []
-        for row, constant, mask in self._masks:
-            if row.direction == direction and number & mask == constant:
-                places = [number >> at & bits >> at for f, at, bits in row.id_parts() if f.name == "address"]
-                in_data = any(field.name == "address" for field in row.fields)
-                address = places[0] if places else -in_data
-                found.append((row.remote, self._decode[row.name], Decoded("", address, {})))
-        if len(self._seen[direction]) < REMEMBERED:
-            self._seen[direction][number] = found
-        return found
+    def _candidates(self, frame: CanFrame, direction: Direction) -> _Known:
+        """Return the rows that frames of an id can be of: looked up once, for as many ids as there is room
+        for. The most particular come first."""
+        number = frame.id | EXTENDED_BIT if frame.extended else frame.id
+        found: list[tuple[int | None, tuple[_Decode, int]]] = []
+        misfit: Decoded | None = None
+        for row in self._particular:
+            constant, mask = row.id_mask()
+            if (row.direction, row.remote) != (direction, frame.remote) or number & mask != constant:
+                continue
+            places = [number >> at & bits >> at for f, at, bits in row.id_parts() if f.name == "address"]
+            address = places[0] if places else -any(field.name == "address" for field in row.fields)
+            found.append((row.first_byte(), (self._decode[row.name], address)))
+            misfit = Decoded("", address, {})
+        by_first = {
+            byte: [row for first, row in found if first in (None, byte)]
+            for byte, _ in found
+            if byte is not None
+        }
+        return [row for first, row in found if first is None], by_first, misfit
 
     def read(self, name: str, data: bytes) -> Values | None:
         """Return the numbers in the data of a message whose id has none; None if it is malformed."""
@@ -274,7 +311,7 @@ class Table:
 
 _CODES = {("uint", 8): "B", ("uint", 16): "H", ("uint", 32): "I", ("uint", 64): "Q", ("f32", 32): "f"}
 _CODES |= {("int", 8): "b", ("int", 16): "h", ("int", 32): "i", ("int", 64): "q"}
-"""How `struct` has a field. All other fields are taken from the data as one number."""
+"""How `struct` has a field that is a number of its own."""
 
 
 def _compiled(row: Row) -> tuple[_Encode, _Decode]:
@@ -289,16 +326,17 @@ def _compiled(row: Row) -> tuple[_Encode, _Decode]:
         "f32": _f32,
     }
     size = (sum(field.bits for field in row.fields) + 7) // 8
-    taken, packed = _data(row, size, scope)
+    taken, packed = _data(row, scope)
     packed += f" + {bytes(row.sent - size)!r}" if row.sent > size else ""
     packed = f"({packed})[:{row.sent}]" if 0 < row.sent < size else packed
+    raws = [f"r{at} = {_raw(field)}" for at, field in enumerate(row.fields) if field.name]
 
     names = [field.name for field in row.fields if field.name]
     number = [str(row.id_mask()[0] & ~EXTENDED_BIT)]
     values = [f"{f.name!r}: {_value(f, f'r{at}')}" for at, f in enumerate(row.fields) if f.name]
     address = next((f"r{at}" for at, field in enumerate(row.fields) if field.name == "address"), "address")
     for field, at, bits in row.id_parts():
-        part = f"(number >> {at} & {bits >> at})"
+        part = f"(number >> {at} & {bits >> at})" if at else f"(number & {bits})"
         if field.name == "address":
             number.append(f"address << {at}")
         elif field.name:
@@ -313,6 +351,7 @@ def _compiled(row: Row) -> tuple[_Encode, _Decode]:
     given = ", ".join(name for name in names if name != "address")
     source = f"""
 def encode(address{f", *, {given}" if given else ""}):
+    {"; ".join(raws) or "pass"}
     return CanFrame({" | ".join(number)}, {packed}, {row.extended}, {row.remote})
 
 def decode(address, number, data):
@@ -328,28 +367,66 @@ def decode(address, number, data):
     return scope["encode"], scope["decode"]
 
 
-def _data(row: Row, size: int, scope: dict[str, Any]) -> tuple[str, str]:
-    """Return the statement that takes raw numbers r0, r1 … from data, and the expression for the data."""
-    codes = [_CODES.get((field.kind.replace("const", "uint"), field.bits), "") for field in row.fields]
-    if all(codes):
-        packer = struct.Struct(("<" if row.order == "little" else ">") + "".join(codes))
-        scope |= {"pack": packer.pack, "unpack": packer.unpack}
-        raws = "".join(f"r{at}, " for at in range(len(codes)))
-        taken = f"{raws} = unpack(data)" if codes else "pass"
-        return taken, f"pack({', '.join(map(_raw, row.fields))})"
-    taken, parts, below = f"n = int.from_bytes(data, {row.order!r})", [], 0
+def _data(row: Row, scope: dict[str, Any]) -> tuple[str, str]:
+    """Return the statements that take raw numbers r0, r1 … from data, and the expression for their data."""
+    words = _words(row.fields)
+    packer = struct.Struct(("<" if row.order == "little" else ">") + "".join(code for code, _, _ in words))
+    scope |= {"pack": packer.pack, "unpack": packer.unpack}
+    taken = [f"{''.join(f'w{number}, ' for number in range(len(words)))} = unpack(data)"] if words else []
+    packed: list[list[str]] = [[] for _ in words]
+    start = 0
     for at, field in enumerate(row.fields):
-        shift = below if row.order == "little" else 8 * size - below - field.bits
-        below += field.bits
-        ones = (1 << field.bits) - 1
-        raw, bits = _raw(field), f"(n >> {shift} & {ones})"
-        if field.kind == "f32":
-            raw, bits = f"to_f32({raw})", f"f32({bits})"
-        elif field.kind == "int":
-            raw, bits = f"({raw}) & {ones}", f"({bits} ^ {1 << field.bits - 1}) - {1 << field.bits - 1}"
-        parts.append(f"({raw}) << {shift}")
-        taken += f"; r{at} = {bits}" if field.name or field.kind == "const" else ""
-    return taken, f"({' | '.join(parts)}).to_bytes({size}, {row.order!r})"
+        end, ones = start + field.bits, (1 << field.bits) - 1
+        whole = (_code(field), start, end) in words
+        sent, parts = f"r{at}" if field.name else str(int(field.low)), []
+        if field.name and not whole:
+            sent = {"f32": f"to_f32({sent})", "int": f"({sent} & {ones})"}.get(field.kind, sent)
+        for number, (_, first, last) in enumerate(words):
+            low, high = max(start, first), min(end, last)
+            if low < high:
+                little = row.order == "little"
+                place, part = (low - first, low - start) if little else (last - high, end - high)
+                packed[number].append(_bits(sent, part, high - low, field.bits, place))
+                parts.append(_bits(f"w{number}", place, high - low, last - first, part))
+        bits, half = " | ".join(parts), ones // 2 + 1
+        if not whole:
+            bits = {"f32": f"f32({bits})", "int": f"(({bits}) ^ {half}) - {half}"}.get(field.kind, bits)
+        taken += [f"r{at} = {bits}"] if field.name or field.kind == "const" else []
+        start = end
+    return "; ".join(taken) or "pass", f"pack({', '.join(map(' | '.join, packed))})"
+
+
+def _bits(name: str, at: int, count: int, width: int, to: int) -> str:
+    """Return the expression for some bits of a number of this width, moved from one place to another."""
+    mask = f" & {(1 << count) - 1}" if at + count < width else ""
+    taken = f"({name} >> {at}{mask})" if at else f"({name}{mask})" if mask else name
+    return f"({taken} << {to})" if to else taken
+
+
+def _words(fields: Sequence[Field]) -> list[tuple[str, int, int]]:
+    """Cut data into numbers that `struct` has (code, first bit, the one behind the last): the fields that are
+    such numbers, and the bytes between them."""
+    words: list[tuple[str, int, int]] = []
+    start = cut = 0
+    for bits, code in (
+        *((each.bits, _code(each)) for each in fields),
+        (-sum(f.bits for f in fields) % 8, ""),
+    ):
+        start += bits
+        if code and (start - bits, start % 8) == (cut, 0):
+            words.append((code, cut, start))
+            cut = start
+        while start % 8 == 0 and cut < start:
+            width = max(width for width in (8, 16, 32, 64) if width <= start - cut)
+            words.append((_CODES["uint", width], cut, cut + width))
+            cut += width
+    return words
+
+
+def _code(field: Field) -> str:
+    """Return how `struct` has a field; "" if it has none like it."""
+    kind = "uint" if field.kind in ("const", "span") else field.kind
+    return _CODES.get((kind, field.bits), "")
 
 
 def _raw(field: Field) -> str:
@@ -375,7 +452,7 @@ def _value(field: Field, raw: str) -> str:
         return f"None if {raw} != {raw} else {value}" if field.optional else value
     if field.kind == "span":
         value = f"{raw} * {field.step!r} + {field.low!r}"
-        return f"None if {raw} in (0, {(1 << field.bits) - 1}) else {value}" if field.optional else value
+        return f"{value} if 0 < {raw} < {(1 << field.bits) - 1} else None" if field.optional else value
     return raw if field.unit == 1.0 else f"{raw} * {field.unit!r}"
 
 

@@ -10,7 +10,19 @@ from typing import Any
 import pytest
 
 from protocols.frames import EXTENDED_BIT, CanFrame, exact
-from protocols.toolkit.table import FLOAT_MAX, Field, Row, Table, const, f32, sint, span, uint, unused
+from protocols.toolkit.table import (
+    FLOAT_MAX,
+    REMEMBERED,
+    Field,
+    Row,
+    Table,
+    const,
+    f32,
+    sint,
+    span,
+    uint,
+    unused,
+)
 
 BOTH = ("little", "big")
 ADDRESS = (const(0b101, 3), uint("address", 8))
@@ -178,6 +190,17 @@ def test_a_frame_is_the_message_of_its_id(frame: CanFrame, decoded: Any) -> None
     name = decoded[0] if decoded else ""
     assert TABLE.names(frame) == ((name,) if name else ())
     assert TABLE.read_only(frame) is (name in ("two", "question"))
+
+
+def test_numbers_in_the_id_are_no_ids_to_be_remembered() -> None:
+    """Else a set-point in an id would be looked up anew whenever it changes."""
+    one = Table([DATA_IN_ID])
+    for x in range(0, 0x10000, 999):
+        decoded = one.decode(one.encode("data", 7, a=5, x=x), "to_device")
+        assert decoded is not None
+        assert decoded.values["x"] == x
+    _, known = one._seen[True]["to_device"]
+    assert len(known) == 1
 
 
 def test_ids_are_encoded_and_listed_with_the_bits_that_carry_data_open() -> None:
