@@ -10,19 +10,7 @@ from typing import Any
 import pytest
 
 from protocols.frames import EXTENDED_BIT, CanFrame, exact
-from protocols.toolkit.table import (
-    FLOAT_MAX,
-    REMEMBERED,
-    Field,
-    Row,
-    Table,
-    const,
-    f32,
-    sint,
-    span,
-    uint,
-    unused,
-)
+from protocols.toolkit.table import FLOAT_MAX, Field, Row, Table, const, f32, sint, span, uint, unused
 
 BOTH = ("little", "big")
 ADDRESS = (const(0b101, 3), uint("address", 8))
