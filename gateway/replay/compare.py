@@ -190,24 +190,22 @@ def compare(
     command decoder of a bus; `mounts` are those of the recorder. `robot_text` and `facts` are the present
     ones, to find the cause of a difference (None: the recorded ones). Frames received on a bus that is not
     among `buses` (None: all are) are left over."""
-    comparer = _Comparer(recording, step, belief, decoder, Views(mounts), buses, observe)
+    comparer = Comparer(recording, step, belief, decoder, Views(mounts), buses, observe)
+    error: RecordingError | None = None
     try:
         for recorded in recording.steps:
             comparer.take(recorded)
-    except RecordingError as error:
-        comparer.differ("recording", f"the recording cannot be read further: {error}")
-    if not recording.whole and comparer.ticks:
-        comparer.differ(
-            "recording", "the recording ends here without its end: it was cut; all before was compared"
-        )
-    causes: list[str] = []
-    if comparer.differences:
-        causes = _causes(comparer.differences, recording, robot_text, facts)
-    return comparer.result(recording.indexed, causes)
+    except RecordingError as raised:
+        error = raised
+    comparer.end(error)
+    return comparer.result(recording.indexed, robot_text, facts)
 
 
-class _Comparer:
-    """Counts and first differences so far."""
+class Comparer:
+    """Counts and first differences so far.
+
+    `follow`: decode all packets as they come, until they differ; otherwise all before the first difference are
+    read and decoded again, when it is met: less work in all, but much at once."""
 
     def __init__(
         self,
@@ -217,19 +215,36 @@ class _Comparer:
         decoder: Callable[[str], CommandDecoder],
         views: Views,
         buses: Collection[str] | None,
-        observe: Observe | None,
+        observe: Observe | None = None,
+        *,
+        follow: bool = False,
     ) -> None:
         self._recording, self._observe = recording, observe
         self._step, self._belief, self._decoder = step, belief, decoder
         self._views, self._buses, self._texts = views, buses, recording.format != "1"
         self._start: Nanos = 0
         self._last: Tick | None = None
+        self._decoders: dict[str, CommandDecoder | None] | None = {} if follow else None
         self.differences: dict[Kind, Difference] = {}
         self.ticks = 0
         self._packets = self._bytes = self._view_count = self._given = self._left_over = self._differing = 0
 
-    def result(self, indexed: int | None, causes: Sequence[str]) -> Comparison:
-        """Return the result."""
+    def end(self, error: RecordingError | None = None) -> None:
+        """Compare the end: nothing more can be read, for this reason if there is one."""
+        if error is not None:
+            self.differ("recording", f"the recording cannot be read further: {error}")
+        if not self._recording.whole and self.ticks:
+            self.differ(
+                "recording", "the recording ends here without its end: it was cut; all before was compared"
+            )
+
+    def result(
+        self, indexed: int | None, robot_text: str | None = None, facts: Mapping[str, str] | None = None
+    ) -> Comparison:
+        """Return the result so far, with its causes; `indexed`: number of ticks that there should be."""
+        causes: list[str] = []
+        if self.differences:
+            causes = _causes(self.differences, self._recording, robot_text, facts)
         order = sorted(self.differences.values(), key=lambda d: (d.tick, _KINDS.index(d.kind)))
         return Comparison(
             self.ticks,
@@ -257,7 +272,7 @@ class _Comparer:
         self._check_number(tick)
         for damage in recorded.damage:
             self.differ("recording", damage)
-        inputs = self._on_known_buses(tick.inputs)
+        inputs = on_known_buses(tick.inputs, self._buses)
         outputs = self._step(tick.now, inputs)
         self.ticks += 1
         self._given += len(inputs.packets)
@@ -281,16 +296,6 @@ class _Comparer:
                 "recording", f"the tick before it in the recording is {before.number}: some were lost"
             )
 
-    def _on_known_buses(self, inputs: Inputs) -> Inputs:
-        buses = self._buses
-        if buses is None:
-            return inputs
-        return replace(
-            inputs,
-            states=tuple((bus, state) for bus, state in inputs.states if bus in buses),
-            packets=tuple(packet for packet in inputs.packets if packet.bus in buses),
-        )
-
     # -- packets ----------------------------------------------------------------------------------
 
     def _compare_packets(self, recorded: Sequence[Packet], now: Sequence[Packet]) -> None:
@@ -303,13 +308,16 @@ class _Comparer:
             if one != two:
                 self.differ("packets", self._side_by_side(one, two, recorded[:same]))
                 return
+            if self._decoders is not None:
+                self._decode(self._decoders, one)
 
     def _side_by_side(self, recorded: Packet | None, now: Packet | None, same: Sequence[Packet]) -> str:
         """Return both packets and what a device would obey, given all frames before."""
-        decoders: dict[str, CommandDecoder | None] = {}
-        before = islice(self._recording.ticks, self.ticks - 1)
-        for each in chain(chain.from_iterable(tick.outputs.packets for tick in before), same):
-            self._decode(decoders, each)
+        decoders = self._decoders
+        if decoders is None:
+            decoders, before = {}, islice(self._recording.ticks, self.ticks - 1)
+            for each in chain(chain.from_iterable(tick.outputs.packets for tick in before), same):
+                self._decode(decoders, each)
         commands = [self._decode(deepcopy(decoders), packet) for packet in (recorded, now)]
         buses = dict.fromkeys(packet.bus for packet in (recorded, now) if packet)
         lines = [f"bus {' and '.join(buses)}"]
@@ -375,6 +383,17 @@ class _Comparer:
             self.differ("views", f"view {one.topic}: {field}")
         else:
             self.differ("views", _both("view", *(view.topic if view else "" for view in (one, two))))
+
+
+def on_known_buses(inputs: Inputs, buses: Collection[str] | None) -> Inputs:
+    """Return the inputs without those on a bus that is not among `buses` (None: all are)."""
+    if buses is None:
+        return inputs
+    return replace(
+        inputs,
+        states=tuple((bus, state) for bus, state in inputs.states if bus in buses),
+        packets=tuple(packet for packet in inputs.packets if packet.bus in buses),
+    )
 
 
 def _first_pair(recorded: Iterable[T], now: Iterable[T]) -> tuple[T | None, T | None] | None:
