@@ -8,6 +8,7 @@ that by `ImpedanceGains.canonical`, so that the contract does not tell them apar
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from protocols import messages as msg
 from protocols.messages import Command
@@ -17,7 +18,7 @@ from protocols.toolkit.table import Row
 NUMBERS = ("position", "velocity", "torque", "stiffness", "damping")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class ImpedanceGains:
     """ImpedanceGains of Position, Hold and Velocity, as the row `row` of a table encodes them."""
 
@@ -26,6 +27,11 @@ class ImpedanceGains:
     damping: float
     """N·m·s/rad"""
     row: Row
+
+    @cached_property
+    def _steps(self) -> tuple[float, float]:
+        """Values of one count of both."""
+        return self.row.field("stiffness").step, self.row.field("damping").step
 
     def impedance(self, command: Command, held: float | None) -> msg.Impedance:
         """Return a command as five numbers; Hold is at `held` [rad]."""
@@ -60,7 +66,7 @@ class ImpedanceGains:
 
     def _is(self, command: msg.Impedance, stiffness: float, damping: float) -> bool:
         """True if a command's gains are these, as they are encoded."""
-        steps = self.row.field("stiffness").step, self.row.field("damping").step
+        steps = self._steps
         return abs(command.stiffness - stiffness) < steps[0] and abs(command.damping - damping) < steps[1]
 
     def ranges(self) -> dict[str, Range]:
