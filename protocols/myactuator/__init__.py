@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from protocols import messages as msg
-from protocols.frames import IdMask, exact
+from protocols.frames import EXTENDED_BIT, IdMask, exact
 from protocols.messages import MILLISECOND, Command
 from protocols.myactuator import table as rmd
 from protocols.myactuator.driver import RmdAdapter
@@ -20,9 +20,9 @@ COMMANDS: dict[str, frozenset[type[Command]]] = {
     "servo": frozenset({msg.Idle, msg.Hold, msg.Position, msg.Velocity, msg.Torque}),
     "motion": frozenset({msg.Idle, msg.Hold, msg.Position, msg.Velocity, msg.Torque, msg.Impedance}),
 }
-REQUESTS = frozenset({msg.ClearFault, msg.Scan})
-ANYBODY: IdMask = (0x140, 0x7C0)
+ANYBODY: IdMask = (0x140, EXTENDED_BIT | 0x7C0)
 """Ids of a scan."""
+ANSWERS: IdMask = (0x240, EXTENDED_BIT | 0x7C0)
 DEGREE = math.pi / 180.0
 
 
@@ -58,15 +58,15 @@ def spec(device: Device) -> Spec:
         device,
         options.table,
         rmd.ADDRESSES,
-        sends=(*options.table.ids("to_device", device.address), *((ANYBODY,) if options.scan else ())),
+        (ANYBODY,),
         commands=COMMANDS[options.mode],
-        requests=REQUESTS if options.scan else REQUESTS - {msg.Scan},
+        requests=frozenset({msg.ClearFault}),
         ranges=ranges(options),
         watchdog=Watchdog(timeout or None, timeout > 0, note, "any frame"),
         feedback=FeedbackKind.REPLY,
         holds_unattended=not timeout,
         faults=rmd.FAULTS,
-        receives_also=((0x240, 0x7C0),) if options.scan else (),
+        receives_also=(ANSWERS,) if options.scan else (),
         obeys_also=(exact(rmd.ALL_MOTORS), exact(rmd.SET_ID)),
         **extra,
     )

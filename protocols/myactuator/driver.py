@@ -24,13 +24,13 @@ from protocols.toolkit.duplicates import AnswerCount
 from protocols.toolkit.host import Host, Phase, Report, Timing
 from protocols.toolkit.mit import NUMBERS
 from protocols.toolkit.motor_driver import Adapter, MotorDriver, Pending, Rx
+from protocols.toolkit.requests import scan
 from protocols.toolkit.table import Values
 
 CHECK: Nanos = 50 * MILLISECOND
 """Period of questions for faults and running time, and of what is written until it is confirmed."""
 EARLIER = 500
 """ms by which the running time must go back to be that of a restart, not a late frame."""
-SLICE, SLICE_PERIOD = 8, 10 * MILLISECOND
 
 
 @dataclass(slots=True)
@@ -244,16 +244,12 @@ class RmdAdapter(Adapter[Motor]):
             return Pending(request, host.name, now, now + 2 * SECOND, now, host)
         if not isinstance(request, msg.Scan):
             return "the device cannot do that on this bus"
-        if not all(each.options.scan for each in driver.hosts.values()):
-            return "switched off (scan = false): others on this bus would obey its questions"
-        asked = 2 * tuple(rmd.ANY.encode("read version", at) for at in rmd.ADDRESSES)  # one may be lost
-        end = now + len(asked) // SLICE * SLICE_PERIOD + SECOND // 5
-        return Pending(request, request.bus, now, end, now, None, asked, SLICE_PERIOD)
+        return scan(now, request, (rmd.ANY.encode("read version", at) for at in rmd.ADDRESSES))
 
     def frames(self, now: Nanos, pending: Pending[Motor]) -> Sequence[Frame]:
         host = pending.host
         if host is None:
-            return pending.frames[pending.sent : pending.sent + SLICE]
+            return pending.slice()
         if not pending.sent and host.active - rmd.PASSING.keys():
             return (rmd.ANY.encode("reset", host.address),)
         frames = [rmd.ANY.encode(name, host.address) for name in ("shutdown", "read status 1")]

@@ -21,7 +21,7 @@ COMMANDS: dict[str, frozenset[type[Command]]] = {
     "speed": frozenset({msg.Idle, msg.Velocity}),
     "position": frozenset({msg.Idle, msg.Hold, msg.Position}),
 }
-REQUESTS = frozenset({msg.ClearFault, msg.Zero, msg.ReadParameter, msg.WriteParameter, msg.Scan})
+REQUESTS = frozenset({msg.ClearFault, msg.Zero, msg.ReadParameter, msg.WriteParameter})
 TURNS = Range(-1e5, 1e5, 1e-6, BINARY32)
 """Position in a register, which counts turns."""
 ANYBODY: IdMask = (EXTENDED_BIT | rs.HOST << 8, EXTENDED_BIT | 0x1FFFFF00)
@@ -62,9 +62,9 @@ def spec(device: Device) -> Spec:
         device,
         options.table,
         RobStrideAdapter.addresses,
-        sends=(*options.table.ids("to_device", device.address), *((ANYBODY,) if options.scan else ())),
+        (ANYBODY,),
         commands=COMMANDS[options.mode],
-        requests=REQUESTS if options.scan else REQUESTS - {msg.Scan},
+        requests=REQUESTS,
         ranges=ranges(options),
         watchdog=Watchdog(timeout, timeout > 0, note, "any frame"),
         feedback=FeedbackKind.REPLY,
@@ -73,7 +73,7 @@ def spec(device: Device) -> Spec:
         parameters=tuple(name for name in has if name != rs.SAVE),
         configuration=configured(device),
         save=rs.SAVE if rs.SAVE in has else "",
-        receives_also=((EXTENDED_BIT | 0xFE, EXTENDED_BIT | 0x1F0000FF),),
+        receives_also=((EXTENDED_BIT | 0xFE, EXTENDED_BIT | 0x1F0000FF),) if options.scan else (),
         canonical=options.gains.canonical,
     )
 

@@ -147,8 +147,6 @@ class RobStrideAdapter(RegisterAdapter):
     def begin(
         self, now: Nanos, request: Request, host: Host[Motor] | None, driver: MotorDriver[Motor]
     ) -> Pending[Motor] | str:
-        if isinstance(request, msg.Scan) and not all(each.options.scan for each in driver.hosts.values()):
-            return "switched off (scan = false): others on this bus would obey its questions"
         name, known = getattr(request, "parameter", ""), (*rs.REGISTERS.by_name, self.save)
         if host is not None and name in known and name not in rs.parameters_of(host.options.model):
             return f"a {host.options.model} has no {name}"

@@ -3,25 +3,43 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from typing import Any, Protocol
 
-from protocols.frames import Frame
-from protocols.messages import MILLISECOND, Command, Nanos, Obeyed
+from protocols.frames import Frame, IdMask
+from protocols.messages import MILLISECOND, Command, Nanos, Obeyed, Scan
 from protocols.plugin import CommandDecoder, Device, Driver, FeedbackKind, Spec
-from protocols.toolkit.motor_driver import Adapter, MotorDriver
+from protocols.toolkit.motor_driver import Adapter, MotorDriver, may_scan
 from protocols.toolkit.table import Decoded, Table
 
 
-def can_motor(device: Device, table: Table, addresses: range, **others: Any) -> Spec:  # noqa: ANN401 -- fields
+def can_motor(
+    device: Device,
+    table: Table,
+    addresses: range,
+    scan: Sequence[IdMask] = (),
+    **others: Any,  # noqa: ANN401 -- fields
+) -> Spec:
     """Return the spec of a motor that is polled every `feedback_ms` and offline after `offline_ms` of its
-    options; `others`: its other fields. Raises ValueError if it cannot have its address."""
+    options.
+
+    Args:
+        device: the motor.
+        table: its messages.
+        addresses: those that it can have; ValueError if it has another one.
+        scan: ids of the questions of a scan, unless its options have `scan` false.
+        others: its other fields.
+    """
     if device.address not in addresses:
         low, high = addresses.start, addresses.stop - 1
         raise ValueError(f"address {device.address} of {device.name}: it must be {low} to {high}")
+    asks = scan if may_scan(device) else ()
+    if asks:
+        others["requests"] = others.get("requests", frozenset()) | {Scan}
     usual: dict[str, Any] = {
         "bus": "can",
         "kind": "motor",
-        "sends": table.ids("to_device", device.address),
+        "sends": (*table.ids("to_device", device.address), *asks),
         "expects": table.ids("from_device", device.address),
         "read_only": table.read_only,
         "feedback": FeedbackKind.POLLED,
@@ -69,6 +87,16 @@ class TableDecoder:
             table: [(memory, canonical) for other, memory, canonical in devices if other is table]
             for table, _, _ in devices
         }
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> TableDecoder:
+        """Copy what the devices keep: all else is constant. The guard does that every few frames."""
+        return TableDecoder(
+            [
+                (table, deepcopy(memory, memo), canonical)
+                for table, devices in self._devices.items()
+                for memory, canonical in devices
+            ]
+        )
 
     def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
         """Return what the devices would obey in this frame; [] if nothing."""

@@ -181,6 +181,11 @@ class Adapter(Generic[Own]):
         return "no reply to this request"
 
 
+def may_scan(device: Device | Host[Any]) -> bool:
+    """True if a device's option `scan`, where it has one, does not switch scans of its bus off."""
+    return bool(getattr(device.options, "scan", True))
+
+
 class MotorDriver(Generic[Own]):
     """All devices of a protocol on one bus."""
 
@@ -365,6 +370,10 @@ class MotorDriver(Generic[Own]):
             return rq.refusal(now, request, full)
         for_all = isinstance(request, msg.Scan | msg.SetId)
         host = None if for_all else self.hosts.get(rq.subject(request))
+        if isinstance(request, msg.Scan) and not all(map(may_scan, self.hosts.values())):
+            return rq.refusal(
+                now, request, "switched off (scan = false): others on this bus would obey its questions"
+            )
         if host is None and not for_all:
             return rq.refusal(now, request, f"{self.adapter.name} cannot do this, or knows no such motor")
         if host is not None and self.adapter.running(host) and isinstance(request, self.adapter.needs_idle):

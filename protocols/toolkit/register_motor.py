@@ -19,14 +19,12 @@ from protocols.toolkit.duplicates import AnswerCount
 from protocols.toolkit.host import Host, Report
 from protocols.toolkit.motor_driver import Adapter, MotorDriver, Pending
 from protocols.toolkit.registers import Registers
+from protocols.toolkit.requests import ANSWER, scan
 
-ANSWER, RETRY = 200 * MILLISECOND, 50 * MILLISECOND
-"""Time within which a frame may be an answer, and after which a register is asked for or written again."""
-
+RETRY = 50 * MILLISECOND
+"""Time after which a register is asked for or written again."""
 FRESH = 500 * MILLISECOND
 """Age of what a register is known to hold, up to which a device is armed upon it."""
-SLICE, SLICE_PERIOD = 8, 10 * MILLISECOND
-"""Questions of a scan that are sent at once (a usual queue holds ten), and how often."""
 SILENT = 3
 """Periods of feedback without one, after which a commanded device is asked beside its set-points."""
 
@@ -239,9 +237,7 @@ class RegisterAdapter(Adapter[Motor]):
         if isinstance(request, msg.Scan) and (once := self._who_is_there()):
             for each in driver.hosts.values():
                 each.own.ask(now, self.serial)
-            end = now + SLICE_PERIOD * (1 + 2 * len(once) // SLICE) + ANSWER
-            twice = (*once, *once)  # a question may be lost
-            return Pending(request, request.bus, now, end, now, None, twice, SLICE_PERIOD)
+            return scan(now, request, once)
         wrong = "the device cannot do that on this bus"
         match request:
             case msg.ReadParameter(_, name):
@@ -262,7 +258,7 @@ class RegisterAdapter(Adapter[Motor]):
     def frames(self, now: Nanos, pending: Pending[Motor]) -> Sequence[Frame]:
         host = pending.host
         if host is None:
-            return pending.frames[pending.sent : pending.sent + SLICE]
+            return pending.slice()
         frames: Sequence[Frame]
         match pending.request:
             case msg.ReadParameter(_, name):

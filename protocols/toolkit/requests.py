@@ -6,18 +6,22 @@ answers, not how they are made.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from math import isfinite
 from typing import Any, Generic, TypeAlias
 
 from protocols.frames import Frame
-from protocols.messages import MILLISECOND, Command, Done, Nanos, Refused, Request
+from protocols.messages import MILLISECOND, Command, Done, Nanos, Refused, Request, Scan
 from protocols.plugin import Range
 from protocols.toolkit.host import Host, Own
 
 SMALLEST = 2.0**-126
 """The smallest normal float32. Anything below it counts as zero."""
+ANSWER = 200 * MILLISECOND
+"""Time within which a frame may be an answer."""
+SLICE, SLICE_PERIOD = 8, 10 * MILLISECOND
+"""Questions of a scan that are sent at once (a usual queue holds ten), and how often."""
 
 
 Bounds: TypeAlias = tuple[tuple[str, float, float], ...]
@@ -95,6 +99,10 @@ class Pending(Generic[Own]):
         self.sent += len(frames)
         return frames
 
+    def slice(self) -> Sequence[Frame]:
+        """Return the next questions of a scan."""
+        return self.frames[self.sent : self.sent + SLICE]
+
     def done(self, t: Nanos, detail: str = "") -> Done:
         """Return the answer that it was carried out."""
         return Done(t, type(self.request).__name__, self.name, detail)
@@ -102,6 +110,13 @@ class Pending(Generic[Own]):
     def refuse(self, t: Nanos, reason: str) -> Refused:
         """Return the answer that it was not carried out."""
         return Refused(t, type(self.request).__name__, self.name, reason)
+
+
+def scan(now: Nanos, request: Scan, questions: Iterable[Frame]) -> Pending[Own]:
+    """Return a scan that asks all this twice, since a question may be lost, in slices."""
+    twice = 2 * tuple(questions)
+    end = now + SLICE_PERIOD * (1 + len(twice) // SLICE) + ANSWER
+    return Pending(request, request.bus, now, end, now, None, twice, SLICE_PERIOD)
 
 
 class RequestQueue(Generic[Own]):

@@ -19,6 +19,7 @@ from protocols.plugin import Device
 from protocols.toolkit.duplicates import AnswerCount
 from protocols.toolkit.host import Host, Report, Timing
 from protocols.toolkit.motor_driver import Adapter, MotorDriver, Pending, Rx
+from protocols.toolkit.requests import scan
 from protocols.toolkit.table import Values
 from protocols.vesc import table as vt
 from protocols.vesc.options import Options
@@ -26,8 +27,7 @@ from protocols.vesc.options import Options
 ABSENT: Nanos = SECOND
 """Time for which others come and one does not, after which a message is missing."""
 ASKED: Nanos = 10 * MILLISECOND
-"""Period of questions while it is armed or released, and of `PINGS` addresses in a scan."""
-PINGS = 8
+"""Period of questions while it is armed or released."""
 
 
 @dataclass(slots=True)
@@ -238,13 +238,13 @@ class VescAdapter(Adapter[Controller]):
         if not isinstance(request, msg.Scan):
             return "the device cannot do that on this bus"
         reply = next(iter(driver.hosts.values())).options.host_id
-        pings = 2 * tuple(vt.TABLE.encode("PING", at, host=reply) for at in vt.ADDRESSES if at != reply)
-        end = now + len(pings) // PINGS * ASKED + SECOND // 5
-        return Pending(request, request.bus, now, end, now, None, pings, ASKED)
+        return scan(
+            now, request, (vt.TABLE.encode("PING", at, host=reply) for at in vt.ADDRESSES if at != reply)
+        )
 
     def frames(self, now: Nanos, pending: Pending[Controller]) -> Sequence[Frame]:
         if pending.host is None:
-            return pending.frames[pending.sent : pending.sent + PINGS]
+            return pending.slice()
         pending.host.own.answers.ask()
         return pending.frames
 

@@ -27,6 +27,9 @@ class Options:
     """Timeout of the controller (as delivered 1000, or 500 by the vendor's page): a longer one is a fault."""
     host_id: int = bounded(254, 0, 254)
     """Address to which controllers reply; no controller may have it."""
+    scan: bool = True
+    """A scan may ask all addresses. Set it to false for all controllers on a bus where others obey its ids
+    (11xxh of 29 bits)."""
     feedback_ms: int = bounded(20, 1, 1000)
     """Period of STATUS_1, 4 and 5: 1000 / CAN Status Messages Rate 1."""
     poll_ms: int = bounded(50, 5, 200)
