@@ -149,6 +149,8 @@ class Joint:
         self._loop = Loop() if settings.loop is not None and msg.Torque in spec.commands else None
         """In place of the device's own."""
         self._holds_loads = "Hold.torque" in spec.ranges
+        self._feeds_velocity = "Position.velocity" in spec.ranges
+        """Whether Position takes the velocity on the way; else the device follows the position alone."""
         self._replies_only = spec.feedback is FeedbackKind.REPLY
         self._ratio = settings.gear * settings.sign
         self._following = Following(
@@ -502,7 +504,8 @@ class Joint:
             case msg.Velocity(motor, velocity, torque):
                 return msg.Velocity(motor, velocity * ratio, torque / ratio)
             case msg.Position(motor, position, velocity, torque):
-                return msg.Position(motor, position * ratio, velocity * ratio, torque / ratio)
+                ahead = velocity * ratio if self._feeds_velocity else 0.0
+                return msg.Position(motor, position * ratio, ahead, torque / ratio)
             case msg.Torque(motor, torque):
                 return msg.Torque(motor, torque / ratio)
             case msg.Hold(motor, torque) if torque:

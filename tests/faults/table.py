@@ -397,9 +397,9 @@ FAULTS: tuple[Fault, ...] = (
 )  # fmt: skip
 
 ROBOTS = (
-    "diffbot", "diffbot_cia402", "diffbot_cubemars", "diffbot_damiao", "diffbot_mixed", "diffbot_moteus",
-    "diffbot_myactuator", "diffbot_robomaster", "diffbot_robstride", "diffbot_vesc", "diffbot_zlac8015d",
-    "bench", "bench05", "twelve",
+    "diffbot", "diffbot_cia402", "diffbot_cubemars", "diffbot_damiao", "diffbot_mixed", "diffbot_mixed_can",
+    "diffbot_moteus", "diffbot_myactuator", "diffbot_robomaster", "diffbot_robstride", "diffbot_vesc",
+    "diffbot_zlac8015d", "bench", "bench05", "twelve",
 )  # fmt: skip
 """Those of fixtures/ that have a world."""
 BASES = tuple(name for name in ROBOTS if name.startswith("diffbot"))

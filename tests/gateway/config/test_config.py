@@ -476,6 +476,16 @@ def test_two_protocols_do_not_report_on_one_id() -> None:
     assert id_conflict(left, right) == conflict
 
 
+def test_vesc_and_robstride_share_a_bus_where_neither_scans() -> None:
+    """And each address is one motor's."""
+    text = resources.find("robots", "diffbot_mixed_can").read_text("utf-8")
+    assert mistakes_in(text) == []
+    (found,) = mistakes_in(text.replace("scan = false", "scan = true", 1))
+    assert "uses CAN ids of 'left' (vesc) on bus 'can0': 0x00001102 (each would obey" in found
+    (found, *_) = mistakes_in(text.replace("address = 2", "address = 1"))
+    assert "it would obey what 'left' reports there" in found
+
+
 def test_an_id_of_29_bits_is_another_one_than_the_same_number_in_11() -> None:
     """As of an ODrive with is_extended."""
     ids: dict[str, Any] = {"expects": (exact(0x47, extended=True),), "obeys_also": ()}

@@ -26,6 +26,7 @@ ROBOTS = {
     "diffbot_moteus": {"moteus"},
     "diffbot_myactuator": {"myactuator"},
     "diffbot_mixed": {"cia402", "moteus", "odrive_can"},
+    "diffbot_mixed_can": {"vesc", "robstride", "cubemars"},
 }
 """The protocols on the bus of the motors, by robot file."""
 
@@ -51,9 +52,10 @@ def test_the_goal_is_reached_and_the_recording_replays_to_the_same_bytes(name: s
     assert int(compared[1]) > (900 if "robomaster" in ROBOTS[name] else 1000)  # one frame has two set-points
 
 
-def test_three_protocols_move_at_once_on_one_bus() -> None:
+@pytest.mark.parametrize("name", [name for name, protocols in ROBOTS.items() if len(protocols) > 1])
+def test_three_protocols_move_at_once_on_one_bus(name: str) -> None:
     """Wheels and mast; each driver accepts only its own frames, and ignores those of the others."""
-    rig = Rig(resources.find("robots", "diffbot_mixed").read_text("utf-8"))
+    rig = Rig(resources.find("robots", name).read_text("utf-8"))
     rig.run(1.5)
     rig.run(0.01, Position("mast", 0.5))
     rig.run(2.5, Goal(0.4, 0.0))
@@ -62,7 +64,7 @@ def test_three_protocols_move_at_once_on_one_bus() -> None:
     assert rig.world.world.shaft("mast")[0] == pytest.approx(0.5, abs=0.01)
     assert rig.world.world.truth().x > 0.2
     counted = {protocol: counters for bus, protocol, counters in rig.gateway.rx_counters() if bus == "can0"}
-    assert set(counted) == {"cia402", "moteus", "odrive_can"}
+    assert set(counted) == ROBOTS[name]
     for counters in counted.values():
         assert counters.malformed == 0
         assert min(counters.accepted, counters.ignored) > 100
