@@ -10,15 +10,16 @@ from pathlib import Path
 
 from brain.belief import BrainState
 from gateway.cli import arguments
+from gateway.cli.reports import add_report, reported
 from gateway.config import cannot, load_mission, load_robot, with_interfaces
 from gateway.core.robot import TWIN, Robot
 from gateway.core.step import LEFT_ARMED
 from gateway.errors import UserError
 from gateway.operator import Operator
-from gateway.operator.status import status_text
 from gateway.runtime.process import request_realtime
 from gateway.runtime.schedule import NotCounted, refuse_overload
 from gateway.runtime.session import Session, open_session
+from gateway.runtime.status import status_text
 from protocols.messages import MILLISECOND, Goal, Instruction, Mission
 
 
@@ -33,6 +34,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--record", type=Path, metavar="FILE", help="write a recording (MCAP); FILE must not exist yet"
     )
+    add_report(parser)
     arguments.add_seconds(parser, "Ctrl-C, or quit")
     parser.add_argument("--dry-run", action="store_true", help="do everything except writing to the buses")
     parser.add_argument(
@@ -59,10 +61,14 @@ def run(options: Namespace) -> int:
     with (
         open_session(robot, simulated=options.fast, record=options.record, seed=options.seed) as session,
         Operator(robot) as operator,
+        reported(session, options.report, "run") as ending,
     ):
         session.submit(*goals, *([mission] if mission else []))
         status = _drive(session, operator, options, mission)
+        ending.ok = status == 0
     print_recording(session)
+    if options.report is not None:
+        print(f"report: {options.report}")
     return status
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import platform
 import sys
+from functools import cache
 from hashlib import blake2b
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -51,6 +52,7 @@ def facts(cpuinfo: Path = Path("/proc/cpuinfo")) -> dict[str, str]:
     return found
 
 
+@cache
 def sources(root: Path = Path(__file__).parent.parent) -> str:
     """Return a digest of every source file, since two programs of one version may differ."""
     digest = blake2b(digest_size=16)
@@ -61,6 +63,7 @@ def sources(root: Path = Path(__file__).parent.parent) -> str:
     return digest.hexdigest()
 
 
+@cache
 def _version(package: str) -> str:
     try:
         return version(package)

@@ -27,6 +27,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import TYPE_CHECKING, NamedTuple
 
 from brain.belief import Belief, BrainState
@@ -91,6 +92,7 @@ class View(NamedTuple):
     """CDR"""
 
 
+@cache
 def typestore() -> Typestore:
     """Return ROS 2 Jazzy's message types, and the two for CAN frames that are not part of it."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -113,11 +115,13 @@ class _MotorStatus:
 
 
 class Views:
-    """Converts ticks and beliefs to messages. State: what was last sent, and the motors' last values."""
+    """Converts ticks and beliefs to messages. State: what was last sent, and the motors' last values.
 
-    def __init__(self, mounts: Mapping[str, Mount] | None = None) -> None:
+    `store`: the message types, if they are at hand (`typestore`)."""
+
+    def __init__(self, mounts: Mapping[str, Mount] | None = None, store: Typestore | None = None) -> None:
         self._mounts = dict(mounts or {})
-        self._store = typestore()
+        self._store = store or typestore()
         self._types: ros_messages.Types = self._store.types
         self._definitions: dict[str, str] = {}
         self._layouts = ros_cdr.Layouts()

@@ -72,7 +72,7 @@ class Recorder:
         """Wakes the writer."""
         self._room = threading.Event()
         """Set when a tick was taken from the queue."""
-        self._closing = False
+        self._closing = self._closed = False
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
         self._syncer = _Syncer(self._writer.descriptor, path, self._report)
@@ -99,12 +99,17 @@ class Recorder:
             self._report(f"{self.path} continues with tick {tick.number}: {self._gap} ticks are missing")
             self._gap = 0
 
-    def close(self) -> None:
-        """Write the queued ticks and the file's index. May be called again."""
-        if self._closing:
-            return
+    def end(self) -> None:
+        """Take no more ticks; what is queued is written, and the file's index. Does not wait for it."""
         self._closing = True
         self._wake.set()
+
+    def close(self) -> None:
+        """Write the queued ticks and the file's index. May be called again."""
+        if self._closed:
+            return
+        self._closed = True
+        self.end()
         self._thread.join(CLOSE_TIMEOUT)
         self._syncer.close()
         if self._thread.is_alive():

@@ -31,6 +31,7 @@ from protocols.messages import SECOND, Goal, Instruction, Release
 if TYPE_CHECKING:
     from gateway.buses.virtual.bus import TwinWorld
     from gateway.recording import Recorder
+    from gateway.runtime.live_view import SessionView
 
 log = logging.getLogger("gateway")
 
@@ -48,10 +49,14 @@ class Session:
     buses: dict[str, Bus]
     twins: TwinWorld | None
     """The simulated world behind the buses whose interface is "twin"; None if there is none."""
-    recorder: Recorder | None
+    recorder: Recorder | None = None
     stats: loop.LoopStats = field(default_factory=loop.LoopStats)
     reasons: list[str] = field(default_factory=list)
     """Why the run is to end before its time: `leave`."""
+    _watchers: list[loop.Record] = field(default_factory=list)
+    _view: SessionView | None = None
+    _recorders: list[Recorder] = field(default_factory=list)
+    """All that were opened."""
     _submitted: list[Instruction] = field(default_factory=list)
     _ticks: Generator[Tick] | None = None
     _stopped: bool = False
@@ -79,6 +84,14 @@ class Session:
             reason: for the log. Nothing that follows the second changes anything.
         """
         self.reasons.append(reason)
+
+    def watch(self, take: loop.Record) -> None:
+        """Have a function called with each tick and the belief after it, also those in which a run ends.
+
+        Args:
+            take: must be quick: it is a part of the step.
+        """
+        self._watchers.append(take)
 
     def run(
         self,
@@ -111,7 +124,8 @@ class Session:
         until = None if seconds is None else self.clock.now() + round(seconds * SECOND)
 
         def instructions() -> Sequence[Instruction]:
-            submitted = [*self._submitted, *poll()]
+            seen = self._view.poll() if self._view is not None else ()
+            submitted = [*self._submitted, *poll(), *seen]
             self._submitted.clear()
             return submitted
 
@@ -131,10 +145,72 @@ class Session:
                 self._stopped = bool(self.gateway.stopped)
                 yield tick
 
+    def start_recording(self, path: Path | str) -> None:
+        """Record from the next step on. A recording that does not begin with the run shows what happened; a
+        replay of it cannot be compared.
+
+        Args:
+            path: an MCAP file that must not exist yet.
+
+        Raises:
+            RecordingError: it cannot be written.
+            UserError: it exists.
+        """
+        from gateway.recording import Recorder
+
+        _check_new(path)
+        self.stop_recording()
+        mounts = {name: sensor.mount for name, sensor in self.robot.sensors.items()}
+        self.recorder = Recorder(Path(path), self.robot.text, {"date": date()}, mounts)
+        self._recorders.append(self.recorder)
+
+    def stop_recording(self) -> None:
+        """End the recording, if there is one. Does not wait for the disk."""
+        if self.recorder is not None:
+            self.recorder.end()
+        self.recorder = None
+
+    def view(
+        self,
+        address: str = "",
+        *,
+        steer: bool = False,
+        token: str = "",
+        origins: Sequence[str] = (),
+    ) -> str:
+        """Open a live view: a page for a browser, and for Foxglove, while the session runs.
+
+        Args:
+            address: HOST:PORT, HOST or PORT; "": 127.0.0.1:8765. Port 0: one that is free.
+            steer: whether who looks may do more than look and stop.
+            token: what a client must bring; needed where other machines can reach the address.
+            origins: foreign pages that may connect, such as "https://app.foxglove.dev".
+
+        Returns:
+            str: the address to open.
+
+        Raises:
+            UserError: the address cannot be opened, or needs a token.
+        """
+        from gateway.runtime.live_view import SessionView
+
+        self.close_view()
+        self._view = SessionView(self, address, steer=steer, token=token, origins=tuple(origins))
+        return self._view.url
+
+    def close_view(self) -> None:
+        """Close the live view, if there is one."""
+        if self._view is not None:
+            self._view.close()
+        self._view = None
+
     def close(self) -> None:
         """End a run that was not ended, as `run` does. Called when the session is left."""
         if self._ticks is not None:
             self._ticks.close()
+        self.close_view()
+        for recorder in self._recorders:
+            recorder.close()
 
     @property
     def joints(self) -> Mapping[str, Joint]:
@@ -157,6 +233,10 @@ class Session:
         return [Goal(x, y) for x, y in self.twins.world.tour] if self.twins is not None else []
 
     def _record(self, tick: Tick, belief: Belief) -> None:
+        for take in self._watchers:
+            take(tick, belief)
+        if self._view is not None:
+            self._view.take(tick, belief)
         if self.recorder is not None:
             self.recorder.record(tick, belief, patient=isinstance(self.clock, SimulatedClock))
 
@@ -192,28 +272,27 @@ def open_session(
     real = [bus.name for bus in robot.buses.values() if bus.interface != TWIN]
     if simulated and real:
         raise UserError(f"simulated time needs a simulated world: {', '.join(real)} is on a real interface")
-    if record is not None and Path(record).exists():
-        raise UserError(f"{record}: the file exists already; a recording is never overwritten")
+    if record is not None:
+        _check_new(record)
     clock = SimulatedClock() if simulated else WallClock()
     reasons: list[str] = []
     with ExitStack() as stack:
         stack.enter_context(signals(reasons.append, suspend=False))
         buses, twins = _open_buses(robot, clock, seed, stack)
-        recorder = None
+        session = Session(robot, Gateway(robot), clock, buses, twins, reasons=reasons)
+        stack.callback(session.close)
         if record is not None:
-            from gateway.recording import Recorder
-
-            mounts = {name: sensor.mount for name, sensor in robot.sensors.items()}
-            recorder = Recorder(Path(record), robot.text, {"date": date()}, mounts)
-            stack.callback(recorder.close)
-        gateway = Gateway(robot)
+            session.start_recording(record)
         for caution in config.cautions(robot):
             log.warning("%s", caution)
         stack.enter_context(quiet_collector())
         _discard_stale(robot, buses, clock)
-        session = Session(robot, gateway, clock, buses, twins, recorder, reasons=reasons)
-        stack.callback(session.close)
         yield session
+
+
+def _check_new(path: Path | str) -> None:
+    if Path(path).exists():
+        raise UserError(f"{path}: the file exists already; a recording is never overwritten")
 
 
 def _discard_stale(robot: Robot, buses: Mapping[str, Bus], clock: Clock) -> None:

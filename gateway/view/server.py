@@ -37,6 +37,8 @@ MAX_READ = 1024
 """Bytes read of one connection in one poll: up to 170 frames, each of which takes some µs."""
 MAX_BUSY = 3
 """Connections that are read in one poll, of those that have something: the others have their turn next."""
+MAX_DISCARDED = 1 << 16
+"""Bytes, if it is closing."""
 MAX_MESSAGES = 8
 """Messages of one client handed out in one poll."""
 MAX_SIZE = 1 << 16
@@ -92,6 +94,8 @@ class Client:
     stuck_since: Nanos | None = None
     ending: Nanos | None = None
     """When it is closed at the latest."""
+    shut: bool = False
+    """Whether our end is closed."""
 
     def send(self, message: Message) -> None:
         """Send an event. It is not dropped; a client that leaves too many unread is."""
@@ -220,15 +224,14 @@ class Server:
     def _read(self, now: Nanos, client: Client) -> bool:
         """Read once; return whether there was anything."""
         try:
-            data = client.socket.recv(MAX_READ)
+            data = client.socket.recv(MAX_READ if client.ending is None else MAX_DISCARDED)
         except BlockingIOError:
             return False
         except OSError:
             data = b""
         if not data:
             self._drop(client)
-            return True
-        if client.ending is None:
+        elif client.ending is None:
             client.protocol.receive_data(data)
             for event in client.protocol.events_received():
                 if isinstance(event, Request):
@@ -302,13 +305,16 @@ class Server:
     def _time_out(self, now: Nanos, client: Client) -> None:
         """Close a connection that is too slow, or has ended."""
         late = now - client.since > HANDSHAKE_TIMEOUT and not client.open
-        if client.ending is not None and (client.idle or now >= client.ending):
-            with suppress(OSError):
-                client.socket.shutdown(socket.SHUT_WR)
-            self._drop(client)
+        if client.ending is not None:
+            if client.idle and not client.shut:  # what it still sends is read and discarded: a close with
+                client.shut = True  # something unread would reset the connection, and the reason be lost
+                with suppress(OSError):
+                    client.socket.shutdown(socket.SHUT_WR)
+            if now >= client.ending:
+                self._drop(client)
         elif late:
             self._drop(client)
-        elif client.ending is None and client.open:
+        elif client.open:
             stuck = client.stuck_since is not None and now - client.stuck_since > PATIENCE
             if stuck or len(client.unsent) > MAX_UNSENT:
                 client.end(1008, "too slow: what was sent was not read")

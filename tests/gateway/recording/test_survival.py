@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 
 from gateway import config
-from gateway.operator.status import status_text
+from gateway.runtime.status import status_text
 from gateway.recording import Recorder, read_recording, writer
 from gateway.recording.recover import is_whole
 from gateway.runtime.session import open_session

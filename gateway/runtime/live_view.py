@@ -1,0 +1,88 @@
+"""The live view of a session: what a page sees of it beside the robot, and a recording that is switched.
+
+A recording that begins while the robot moves shows what happened from then on; its replay cannot be compared,
+since the state that it began with is not in it. `--record` records from the start.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from gateway.core.clock import date, stopwatch
+from gateway.core.tick import Tick
+from gateway.errors import GatewayError
+from gateway.view import Access, Address, Scene, View, parse_address
+from gateway.view.requests import READ_ONLY, Answer
+from gateway.view.scene import Json
+from protocols.messages import MILLISECOND, SECOND, Instruction, Nanos
+
+if TYPE_CHECKING:
+    from brain.belief import Belief
+    from gateway.runtime.session import Session
+
+LOAD_PERIOD: Nanos = SECOND // 2
+"""Over which the load of a bus is averaged, at least."""
+
+
+class SessionView:
+    """A view of a session, fed by it."""
+
+    def __init__(
+        self, session: Session, address: str, *, steer: bool, token: str, origins: tuple[str, ...]
+    ) -> None:
+        self._session, self._steer = session, steer
+        where = parse_address(address) if address else Address()
+        self._busy: dict[str, Nanos] = {}
+        self._loads: dict[str, float] = {}
+        self._since: Nanos = 0
+        self._view = View(
+            Scene(session.gateway, "live", self._facts),
+            where,
+            Access(where.loopback, token, origins),
+            steer=steer,
+            acts={"record": self._record},
+        )
+        self.url = self._view.url
+        self.close = self._view.close
+
+    def poll(self) -> list[Instruction]:
+        """Return what is asked of the robot. Never waits."""
+        return self._view.poll(stopwatch())
+
+    def take(self, tick: Tick, belief: Belief) -> None:
+        """Show a tick."""
+        if tick.now - self._since >= LOAD_PERIOD:
+            busy, span = dict(self._session.stats.busy), tick.now - self._since
+            self._loads = {bus: (t - self._busy.get(bus, 0)) / span for bus, t in busy.items()}
+            self._busy, self._since = busy, tick.now
+        self._view.show(stopwatch(), tick, belief)
+
+    def _facts(self) -> Json:
+        stats, recorder = self._session.stats, self._session.recorder
+        return {
+            "ticks": stats.ticks,
+            "missed": stats.missed,
+            "longest": stats.longest_step / MILLISECOND,
+            "sent": stats.sent,
+            "load": {bus: round(load, 4) for bus, load in self._loads.items()},
+            "recording": str(recorder.path) if recorder is not None else "",
+            "trouble": recorder.trouble if recorder is not None else "",
+        }
+
+    def _record(self, on: object) -> Answer:
+        """Switch the recording on or off."""
+        if not self._steer:
+            return Answer(ok=False, text=READ_ONLY)
+        session = self._session
+        try:
+            if on and session.recorder is None:
+                name = f"{session.robot.name}-{date()[:19].replace(':', '')}.mcap"
+                session.start_recording(name)
+                return Answer(ok=True, text=f"recording: {name}")
+            if not on and session.recorder is not None:
+                path = session.recorder.path
+                session.stop_recording()
+                return Answer(ok=True, text=f"recorded: {path}")
+        except GatewayError as error:
+            return Answer(ok=False, text=str(error))
+        return Answer(ok=True, text="nothing to do")

@@ -1,0 +1,225 @@
+"""The cockpit's end of the wire: what its page is sent, and what it asks.
+
+To the page, JSON as text, or binary: a header's length (uint32, little-endian), the header as JSON, padding
+to four bytes, then arrays one after the other. Each has a "kind":
+
+| kind | as | when | what |
+|---|---|---|---|
+| hello | text | on opening | what does not change (`Scene.hello`), `steer` |
+| settings | text | with it, and after a change | what can be changed (`Scene.settings`) |
+| joints | text | every 20 ms | a row for each joint (`Scene.joints`) |
+| state | text | every 100 ms | pose, states, goal, faults, buses … (`Scene.state`) |
+| note | text | at once | what happened, for a person |
+| answer | text | at once | to what was asked, with its `id`: `ok`, `text` |
+| path | binary | when it changes | `version`; float32 x, y [m] for each point |
+| scan | binary | every 100 ms | `lidars`: mount, `min`, `step`, `count`, `near`, `far`; float32 [m] |
+| tiles | binary | every 100 ms, if new | the map: `resolution`, `corner`, `size`, `keys` (row, column); int8 |
+
+From the page, JSON as text: `{"ask": LINE, "id": N}`, a line of the operator's language; `{"held": LINE}`,
+the same for as long as it is repeated; `{"record": true}`; `{"play": {…}}` in a replay; `{}`: still there.
+Notes and answers are never dropped; of everything else, a slow page gets the newest.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from brain.belief import MapView
+from gateway.core.tick import Tick
+from gateway.view.requests import Answer, Asking, Requests
+from gateway.view.scene import Json, Scene, lidar_mounts, note
+from gateway.view.server import Client, Message
+from protocols.messages import MILLISECOND, Instruction, LaserScan, Nanos, Set
+
+JOINTS_PERIOD: Nanos = 20 * MILLISECOND
+STATE_PERIOD: Nanos = 100 * MILLISECOND
+MAX_TILES = 32
+"""Tiles of the map in one message: 128 kB."""
+KEPT_NOTES = 200
+"""Notes that a page gets on opening."""
+
+Act = Callable[[Any], Answer]
+"""What does something that is no instruction of the robot: recording, playback. Gets what the page sent."""
+
+
+@dataclass(slots=True, eq=False)
+class _Page:
+    """One page, and what it has."""
+
+    client: Client
+    asking: Asking
+    path: int = -1
+    """Version of the path it has."""
+    tiles: dict[tuple[int, int], object] = field(default_factory=dict)
+    corner: tuple[float, float] | None = None
+
+
+class Cockpit:
+    """All pages.
+
+    Args:
+        scene: what is shown.
+        requests: what takes their lines.
+        acts: by the key of a message: "record", "play".
+    """
+
+    def __init__(self, scene: Scene, requests: Requests, acts: Mapping[str, Act]) -> None:
+        self.scene, self._requests, self._acts = scene, requests, acts
+        self._pages: dict[Client, _Page] = {}
+        self._notes: deque[str] = deque(maxlen=KEPT_NOTES)
+        self._joints_at = self._state_at = -STATE_PERIOD
+        self._changed = False
+        """Whether a setting has been changed since pages were told them."""
+
+    def receive(self, now: Nanos, client: Client, message: Message) -> Sequence[Instruction]:
+        """Return what a page asks of the robot; answer it."""
+        page = self._pages.get(client) or self._enter(client)
+        try:
+            asked = json.loads(message)
+        except ValueError:  # no JSON, or no UTF-8
+            asked = None
+        if not isinstance(asked, dict):
+            client.end(1003, "JSON is expected: an object")
+            return ()
+        instruction, answer = None, Answer(ok=True, text="")
+        if isinstance(line := asked.get("ask"), str):
+            instruction, answer = self._requests.line(now, page.asking, line)
+        elif isinstance(line := asked.get("held"), str):
+            instruction, answer = self._requests.hold(now, page.asking, line)
+        else:
+            for key, act in self._acts.items():
+                if key in asked:
+                    answer = act(asked[key])
+        self._changed = self._changed or isinstance(instruction, Set)
+        if answer.text:
+            client.send(_text("answer", {"id": asked.get("id"), "ok": answer.ok, "text": answer.text}))
+        return () if instruction is None else (instruction,)
+
+    def leave(self, clients: Sequence[Client]) -> list[Instruction]:
+        """Forget pages that are not among these; return what ends what they held."""
+        gone = [page for client, page in self._pages.items() if client not in clients]
+        ended = [self._requests.leave(self._pages.pop(page.client).asking) for page in gone]
+        return [one for one in ended if one is not None]
+
+    def show(self, now: Nanos, clients: Sequence[Client], tick: Tick) -> None:
+        """Send what a tick brought, and what is due."""
+        notes = [_text("note", note(tick.now, one)) for one in tick.outputs.notes]
+        self._notes.extend(notes)
+        for client in clients:
+            if client not in self._pages:
+                self._enter(client)
+            else:
+                for text in notes:
+                    client.send(text)
+        if not clients:
+            return
+        if now - self._joints_at >= JOINTS_PERIOD:
+            self._joints_at = now
+            self._sample("joints", _once(lambda: _text("joints", self.scene.joints())))
+        if now - self._state_at >= STATE_PERIOD:
+            self._state_at = now
+            self._slow()
+
+    def _slow(self) -> None:
+        """Send what is sent ten times a second."""
+        scene = self.scene
+        self._sample("state", _once(lambda: _text("state", scene.state())))
+        if scene.scans:
+            self._sample("scan", _once(partial(_scan, scene)))
+        version, points, view = scene.belief.path_version, scene.belief.path, scene.belief.map
+        changed, self._changed = self._changed, False
+        for page in self._pages.values():
+            if page.path != version:
+                page.path = version
+                page.client.send(_binary("path", {"version": version}, np.asarray(points, dtype="<f4")))
+            if view is not None and page.client.idle:
+                self._send_tiles(page, view)
+            if changed:
+                page.client.send(_text("settings", {"rows": scene.settings()}))
+
+    def _enter(self, client: Client) -> _Page:
+        """Greet a page."""
+        page = self._pages[client] = _Page(client, self._requests.enter())
+        client.send(_text("hello", self.scene.hello() | {"steer": self._requests.steer}))
+        client.send(_text("settings", {"rows": self.scene.settings()}))
+        for text in self._notes:
+            client.send(text)
+        return page
+
+    def _sample(self, key: str, message: Callable[[], Message]) -> None:
+        for client in self._pages:
+            client.sample(key, message)
+
+    def _send_tiles(self, page: _Page, view: MapView) -> None:
+        """Send the tiles that a page does not have, some at a time; first that it has none, if they moved."""
+        has = page.tiles
+        moved = page.corner != view.corner or any(key not in view.tiles for key in has)
+        if moved:
+            page.corner = view.corner
+            has.clear()
+        new = [(key, tile) for key, tile in view.tiles.items() if has.get(key) is not tile][:MAX_TILES]
+        if not new and not moved:
+            return
+        has.update(new)
+        header = {
+            "resolution": view.resolution,
+            "corner": list(view.corner),
+            "size": new[0][1].shape[0] if new else 0,
+            "keys": [list(key) for key, _ in new],
+            "reset": moved,
+        }
+        page.client.send(_binary("tiles", header, *(tile for _, tile in new)))
+
+
+def _once(make: Callable[[], Message]) -> Callable[[], Message]:
+    """Return what makes a message once, for however many clients."""
+    made: list[Message] = []
+
+    def message() -> Message:
+        if not made:
+            made.append(make())
+        return made[0]
+
+    return message
+
+
+def _scan(scene: Scene) -> bytes:
+    mounts = lidar_mounts(scene.robot)
+    lidars, ranges = [], list[npt.NDArray[np.float32]]()
+    for name, scan in scene.scans.items():
+        lidars.append(_lidar(scan, mounts[name]) | {"name": name})
+        ranges.append(np.asarray(scan.ranges, dtype="<f4"))
+    return _binary("scan", {"lidars": lidars}, *ranges)
+
+
+def _lidar(scan: LaserScan, mount: tuple[float, float, float]) -> Json:
+    x, y, yaw = mount
+    return {
+        "x": x,
+        "y": y,
+        "yaw": yaw,
+        "min": scan.angle_min,
+        "step": scan.angle_increment,
+        "count": len(scan.ranges),
+        "near": scan.range_min,
+        "far": scan.range_max,
+    }
+
+
+def _text(kind: str, content: Json) -> str:
+    return json.dumps({"kind": kind} | content, separators=(",", ":"), allow_nan=False, default=float)
+
+
+def _binary(kind: str, header: Json, *arrays: npt.NDArray[Any]) -> bytes:
+    head = _text(kind, header).encode()
+    head += b" " * (-len(head) % 4)
+    return b"".join([struct.pack("<I", len(head)), head, *(array.tobytes() for array in arrays)])

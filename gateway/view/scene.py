@@ -1,0 +1,221 @@
+"""A robot as a page shows it: plain data that becomes JSON, and arrays. No sockets, no clients.
+
+Rules. Everything is read, nothing is changed, and each value is made only when it is sent. SI, at the joint's
+output shaft; times in s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from math import isfinite
+from typing import Any, Literal, TypeAlias
+
+from brain.belief import Belief
+from brain.bodies.body import Base, Linkage
+from brain.settings import AT_RUN_TIME, keys
+from gateway.core.joint import LEAST_SHARE, Joint
+from gateway.core.robot import Robot
+from gateway.core.step import Gateway
+from gateway.core.tick import Note, Tick
+from protocols import messages as msg
+from protocols.messages import MILLISECOND, SECOND, Command, Nanos
+
+Json: TypeAlias = dict[str, Any]
+Kind: TypeAlias = Literal["live", "replay"]
+
+LIMITS = ("velocity", "acceleration", "torque")
+"""Of a joint, that can be changed while it runs."""
+VALUE = {"Velocity": "velocity", "Position": "position", "Impedance": "position", "Torque": "torque"}
+"""The number of a command that is plotted beside the feedback of the same name."""
+
+
+@dataclass(slots=True)
+class Scene:
+    """A gateway as it is shown. Fed with each tick by `observe`."""
+
+    gateway: Gateway
+    kind: Kind
+    facts: Callable[[], Json]
+    """What the gateway does not know of itself: ticks missed, buses, recording, playback."""
+    scans: dict[str, msg.LaserScan] = field(default_factory=dict)
+    """The newest of each lidar."""
+    now: Nanos = 0
+    belief: Belief = field(init=False)
+    """After the last tick."""
+
+    def __post_init__(self) -> None:
+        self.belief = self.gateway.belief()
+
+    @property
+    def robot(self) -> Robot:
+        """The robot that is shown."""
+        return self.gateway.robot
+
+    def observe(self, tick: Tick, belief: Belief) -> None:
+        """Take what a tick brought."""
+        self.now, self.belief = tick.now, belief
+        for event in tick.outputs.events:
+            if isinstance(event, msg.LaserScan):
+                self.scans[event.sensor] = event
+
+    def hello(self) -> Json:
+        """Return what does not change: joints, buses, body, what the robot can be asked."""
+        robot, body = self.robot, self.robot.brain.body
+        return {
+            "robot": robot.name,
+            "mode": self.kind,
+            "joints": [
+                {
+                    "name": name,
+                    "protocol": motor.plugin.name,
+                    "address": motor.device.address,
+                    "bus": motor.bus,
+                    "commands": sorted(kind.__name__ for kind in motor.joint.commands(motor.spec)),
+                    "limits": {limit: getattr(motor.joint.limits, limit) for limit in LIMITS},
+                    "moves": "base" if isinstance(body, Base) and name in body.joints else "joint",
+                }
+                for name, motor in robot.motors.items()
+            ],
+            "buses": [
+                {"name": bus.name, "kind": bus.kind, "interface": bus.interface, "bitrate": bus.bitrate}
+                for bus in robot.buses.values()
+            ],
+            "sensors": [
+                {"name": name, "protocol": one.plugin.name, "x": one.mount.x, "y": one.mount.y}
+                for name, one in robot.sensors.items()
+            ],
+            "body": body.kind,
+            "base": _base(body) if isinstance(body, Base) else None,
+            "linkage": isinstance(body, Linkage),
+            "period": robot.period / SECOND,
+        }
+
+    def settings(self) -> list[Json]:
+        """Return what can be changed while it runs: the value, the robot file's, and the bounds known."""
+        brain, robot = self.gateway.brain, self.robot
+        ways = {path: way for way, _, names in AT_RUN_TIME for path in names.split()}
+        in_file, rows = dict(keys(robot.brain)), list[Json]()
+        for name, motor in robot.motors.items():
+            limits = self.gateway.joints[name].settings.limits
+            for limit in LIMITS:
+                most: float = getattr(motor.joint.limits, limit)
+                bounds = {"low": LEAST_SHARE * most, "high": most}
+                rows.append(
+                    {"key": f"{name}.limits.{limit}", "value": getattr(limits, limit), "file": most} | bounds
+                )
+        kind = robot.brain.body.kind
+        for key, value in keys(brain.settings):
+            table, _, rest = key.partition(".")
+            way = ways.get(f"body.{rest}" if table == kind else key)
+            if way is not None:
+                file = in_file[key]
+                bound = {"at most": {"high": file}, "at least": {"low": file}, "free": {}}[way]
+                rows.append({"key": f"brain.{key}", "value": value, "file": file} | bound)
+        return rows
+
+    def joints(self) -> Json:
+        """Return every joint's state, in the order of `hello`: a row each."""
+        return {
+            "t": self.now / SECOND,
+            "rows": [self._joint(joint) for joint in self.gateway.joints.values()],
+        }
+
+    def _joint(self, joint: Joint) -> list[Any]:
+        """Return mode, armed, kind of command, its value, then the feedback, its age [ms] and faults."""
+        feedback, sent, age = joint.feedback, joint.sent, joint.feedback_age(self.now)
+        kind = type(sent).__name__
+        return [
+            joint.mode.value,
+            joint.armed,
+            kind,
+            _number(_value(kind, sent)),
+            _number(feedback.position),
+            _number(feedback.velocity),
+            _number(feedback.torque),
+            _number(feedback.current),
+            _number(feedback.voltage),
+            _number(feedback.temperature),
+            None if age is None else age // MILLISECOND,
+            len(joint.faults),
+        ]
+
+    def state(self) -> Json:
+        """Return everything else that changes, but map, path and scans."""
+        gateway, belief = self.gateway, self.belief
+        estimate, mission = belief.estimate, belief.mission
+        return {
+            "t": self.now / SECOND,
+            "state": belief.state.value,
+            "reason": belief.reason,
+            "stopped": gateway.why_stopped(),
+            "stop": bool(gateway.stopped),
+            "systems": [[one.name, one.state, one.reason] for one in belief.systems],
+            "pose": None
+            if estimate is None
+            else [_number(v) for v in (estimate.pose.x, estimate.pose.y, estimate.pose.yaw)],
+            "covariance": None if estimate is None else [_number(float(v)) for v in estimate.covariance.flat],
+            "twist": None
+            if estimate is None
+            else [_number(v) for v in (estimate.linear, estimate.angular, estimate.lateral)],
+            "raw": None if belief.raw is None else [_number(v) for v in (belief.raw.x, belief.raw.y)],
+            "goal": None if belief.goal is None else [belief.goal.x, belief.goal.y, belief.goal.yaw],
+            "reached": belief.reached,
+            "path_version": belief.path_version,
+            "mission": None
+            if mission is None
+            else {
+                "name": mission.name,
+                "phase": mission.phase,
+                "step": mission.step,
+                "steps": mission.steps,
+                "text": mission.text,
+                "reason": mission.reason,
+            },
+            "rejected": dict(belief.rejected),
+            "faults": [
+                {"joint": name, "name": one.name, "cause": one.cause, "remedy": one.remedy, "code": one.code}
+                for name, joint in gateway.joints.items()
+                for one in joint.faults.values()
+            ],
+            "received": [
+                {
+                    "bus": bus,
+                    "protocol": protocol,
+                    "accepted": c.accepted,
+                    "malformed": c.malformed,
+                    "ignored": c.ignored,
+                }
+                for bus, protocol, c in gateway.rx_counters()
+            ],
+            **self.facts(),
+        }
+
+
+def note(t: Nanos, one: Note) -> Json:
+    """Return a note, to be logged."""
+    return {"t": t / SECOND, "level": one.level, "source": one.source, "text": one.text}
+
+
+def _base(body: Base) -> Json:
+    return {
+        "outline": [list(corner) for corner in body.outline],
+        "max_linear": body.max_linear,
+        "max_lateral": (body.max_lateral or body.max_linear) if body.moves_sideways else 0.0,
+        "max_angular": body.max_angular,
+        "turning_radius": body.turning_radius,
+    }
+
+
+def _value(kind: str, command: Command) -> float | None:
+    return getattr(command, VALUE[kind]) if kind in VALUE else None
+
+
+def _number(value: float | None) -> float | None:
+    """Return a number that JSON has, with as many digits as a screen shows."""
+    return None if value is None or not isfinite(value) else round(value, 5)
+
+
+def lidar_mounts(robot: Robot) -> Mapping[str, tuple[float, float, float]]:
+    """Return where each sensor is, in the robot's frame: m, m, rad."""
+    return {name: (one.mount.x, one.mount.y, one.mount.yaw) for name, one in robot.sensors.items()}
