@@ -33,6 +33,7 @@ COMMANDS = {
     "run": "run a robot on its buses",
     "twin": "simulate the devices of a robot, for another program to drive",
     "replay": "run a recording through the same code and compare every byte; or evaluate a ROS bag",
+    "view": "show a running robot, or recordings, in a browser",
     "recover": "repair a recording that was cut off or damaged",
     "watch": "listen to buses or to a recording, without ever sending",
     "jog": "turn one motor slowly, as long as a key is held",

@@ -31,7 +31,9 @@ ALL = "all"
 class Query:
     """A line that is answered at once, and does not reach the robot."""
 
-    kind: Literal["status", "help", "quit"]
+    kind: Literal["status", "help", "quit", "view"]
+    text: str = ""
+    """Its arguments."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -343,6 +345,8 @@ COMMANDS: dict[str, _Command] = {
     "setid": _Command("BUS SERIAL ADDRESS", "give the device with this serial number (hex) an address",
                       msg.SetId, (_bus, _integer(16), _integer(10))),
     "status": _Command("", "what the robot does, and why", partial(Query, "status")),
+    "view": _Command("[HOST:PORT] [steer]", "open the live view for a browser; print its address",
+                     partial(Query, "view"), free_text=True),
     "help": _Command("", "this list", partial(Query, "help")),
     "quit": _Command("", "send the stop command and end the run", partial(Query, "quit")),
 }

@@ -20,7 +20,7 @@ import stat
 import struct
 import sys
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -117,10 +117,13 @@ class Operator:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def poll(self, status: Callable[[], str]) -> list[Instruction]:
+    def poll(
+        self, status: Callable[[], str], view: Callable[[str], str] = lambda _: "there is no view here"
+    ) -> list[Instruction]:
         """Return the instructions since the last poll, of the client answered longest ago first. Never waits.
 
-        `status` is called for each line that asks for it."""
+        `status`, and `view` with its arguments, are called for each line that asks for it."""
+        answers: dict[str, Callable[[str], str]] = {"status": lambda _: status(), "view": view}
         instructions: list[Instruction] = []
         for client in list(self._clients):
             self._read(client)
@@ -130,7 +133,7 @@ class Operator:
         for client in list(self._clients):
             count = min(left, MAX_LINES_EACH, len(client.lines))
             for _ in range(count):
-                instructions += self._on_line(client.lines.popleft(), partial(_queue, client), status)
+                instructions += self._on_line(client.lines.popleft(), partial(_queue, client), answers)
             left -= count
             if count:
                 self._clients.remove(client)
@@ -138,7 +141,7 @@ class Operator:
             self._send(client)
         self._typed_lines.extend(() if self._typed_lines else self._read_terminal())
         for _ in range(min(MAX_LINES_EACH, len(self._typed_lines))):
-            instructions += self._on_line(self._typed_lines.popleft(), _print, status)
+            instructions += self._on_line(self._typed_lines.popleft(), _print, answers)
         return instructions
 
     def report(self, text: str) -> None:
@@ -157,7 +160,10 @@ class Operator:
             self.path.unlink(missing_ok=True)
 
     def _on_line(
-        self, line: str | RejectedLine, answer: Callable[[str], None], status: Callable[[], str]
+        self,
+        line: str | RejectedLine,
+        answer: Callable[[str], None],
+        answers: Mapping[str, Callable[[str], str]],
     ) -> list[Instruction]:
         """Answer a line, and return its instruction if it is one."""
         match parse(line, self._robot) if isinstance(line, str) else line:
@@ -165,10 +171,10 @@ class Operator:
                 pass
             case RejectedLine(reason):
                 answer(reason)
-            case Query("status"):
-                answer(status())
             case Query("help"):
                 answer(help_text())
+            case Query(kind, text) if kind in answers:
+                answer(answers[kind](text))
             case Query():  # quit
                 self.leaving = True
                 answer("leaving")

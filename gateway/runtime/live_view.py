@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from gateway.core.clock import date, stopwatch
 from gateway.core.tick import Tick
 from gateway.errors import GatewayError
-from gateway.view import Access, Address, Scene, View, parse_address
+from gateway.view import Access, Scene, View, free_address, parse_address
 from gateway.view.requests import READ_ONLY, Answer
 from gateway.view.scene import Json
 from protocols.messages import MILLISECOND, SECOND, Instruction, Nanos
@@ -31,12 +31,12 @@ class SessionView:
         self, session: Session, address: str, *, steer: bool, token: str, origins: tuple[str, ...]
     ) -> None:
         self._session, self._steer = session, steer
-        where = parse_address(address) if address else Address()
+        where = parse_address(address) if address else free_address()
         self._busy: dict[str, Nanos] = {}
         self._loads: dict[str, float] = {}
         self._since: Nanos = 0
         self._view = View(
-            Scene(session.gateway, "live", self._facts),
+            [Scene(session.gateway, "live", self._facts)],
             where,
             Access(where.loopback, token, origins),
             steer=steer,
@@ -55,7 +55,8 @@ class SessionView:
             busy, span = dict(self._session.stats.busy), tick.now - self._since
             self._loads = {bus: (t - self._busy.get(bus, 0)) / span for bus, t in busy.items()}
             self._busy, self._since = busy, tick.now
-        self._view.show(stopwatch(), tick, belief)
+        self._view.take(tick, belief)
+        self._view.show(stopwatch())
 
     def _facts(self) -> Json:
         stats, recorder = self._session.stats, self._session.recorder

@@ -110,16 +110,19 @@ class Cockpit:
         ended = [self._requests.leave(self._pages.pop(page.client).asking) for page in gone]
         return [one for one in ended if one is not None]
 
-    def show(self, now: Nanos, clients: Sequence[Client], tick: Tick) -> None:
-        """Send what a tick brought, and what is due."""
-        notes = [_text("note", note(tick.now, one)) for one in tick.outputs.notes]
-        self._notes.extend(notes)
+    def take(self, tick: Tick) -> None:
+        """Send the notes of a tick."""
+        for one in tick.outputs.notes:
+            text = _text("note", note(tick.now, one))
+            self._notes.append(text)
+            for client in self._pages:
+                client.send(text)
+
+    def show(self, now: Nanos, clients: Sequence[Client]) -> None:
+        """Greet who is new, and send what is due."""
         for client in clients:
             if client not in self._pages:
                 self._enter(client)
-            else:
-                for text in notes:
-                    client.send(text)
         if not clients:
             return
         if now - self._joints_at >= JOINTS_PERIOD:

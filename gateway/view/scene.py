@@ -52,6 +52,11 @@ class Scene:
         """The robot that is shown."""
         return self.gateway.robot
 
+    def adopt(self, gateway: Gateway) -> None:
+        """Show another gateway of the same robot from now on, as after a jump in a recording."""
+        self.gateway = gateway
+        self.scans.clear()
+
     def observe(self, tick: Tick, belief: Belief) -> None:
         """Take what a tick brought."""
         self.now, self.belief = tick.now, belief

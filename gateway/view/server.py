@@ -78,7 +78,10 @@ class Client:
     protocol: ServerProtocol
     since: Nanos
     """When it was accepted."""
+    path: str = ""
+    """Where it has connected,"""
     subprotocol: str = ""
+    """and what it speaks there."""
     open: bool = False
     """Whether it has become a client."""
     heard: Nanos = 0
@@ -283,7 +286,7 @@ class Server:
             silent.end(1013, f"there are more than {MAX_CLIENTS} clients")
             self._send(now, silent)
             self._drop(silent)
-        client.subprotocol = spoken
+        client.path, client.subprotocol = urlsplit(request.path).path, spoken
         return client.protocol.accept(request)
 
     # -- out ----------------------------------------------------------------------------------
@@ -370,3 +373,12 @@ def _listen(address: Address) -> socket.socket:
         listener.close()
         raise UserError(f"the view cannot listen on {address}: {error.strerror}") from error
     return listener
+
+
+def free_address() -> Address:
+    """Return the default address; with a port that is free if its own is taken."""
+    try:
+        _listen(Address()).close()
+    except UserError:
+        return Address(port=0)
+    return Address()

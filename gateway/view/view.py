@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import resources
 
 from brain.belief import Belief
@@ -11,11 +11,11 @@ from gateway.view.access import Access, Address
 from gateway.view.cockpit import Act, Cockpit
 from gateway.view.requests import Requests
 from gateway.view.scene import Scene
-from gateway.view.server import Page, Server
+from gateway.view.server import Client, Page, Server
 from protocols.messages import Instruction, Nanos
 
 COCKPIT = "/cockpit"
-"""Path of the cockpit's WebSocket."""
+"""Path of the cockpit's WebSocket; of the second scene "/cockpit/2"."""
 _KINDS = {
     "html": "text/html; charset=utf-8",
     "css": "text/css; charset=utf-8",
@@ -29,7 +29,7 @@ class View:
     """One port. Use it as a context manager, or close it.
 
     Args:
-        scene: what is shown.
+        scenes: what is shown: one, or two beside each other. Requests go to the first.
         address: where to listen.
         access: who may connect.
         steer: whether clients may do more than look and stop.
@@ -41,17 +41,19 @@ class View:
 
     def __init__(
         self,
-        scene: Scene,
+        scenes: Sequence[Scene],
         address: Address,
         access: Access,
         *,
         steer: bool = False,
         acts: Mapping[str, Act] | None = None,
     ) -> None:
-        self.scene = scene
-        self._requests = Requests(scene.robot, steer)
-        self._cockpit = Cockpit(scene, self._requests, acts or {})
-        self._server = Server(address, access, pages(), {COCKPIT: ("",)})
+        self._requests = Requests(scenes[0].robot, steer)
+        self._cockpits = {
+            COCKPIT + f"/{number}" * (number > 1): Cockpit(scene, self._requests, acts or {})
+            for number, scene in enumerate(scenes, 1)
+        }
+        self._server = Server(address, access, pages(), dict.fromkeys(self._cockpits, ("",)))
         token = f"?token={access.token}" if access.token else ""
         self.url = f"http://{self._server.address}/{token}"
         """What to open in a browser."""
@@ -70,19 +72,29 @@ class View:
         """
         instructions: list[Instruction] = []
         for client, message in self._server.poll(now):
-            instructions += self._cockpit.receive(now, client, message)
-        instructions += self._cockpit.leave(self._server.clients)
+            instructions += self._cockpits[client.path].receive(now, client, message)
+        for path, cockpit in self._cockpits.items():
+            instructions += cockpit.leave(self._clients(path))
         return instructions + self._requests.expired(now)
 
-    def show(self, now: Nanos, tick: Tick, belief: Belief) -> None:
-        """Send clients what a tick brought. Never waits."""
-        self.scene.observe(tick, belief)
-        self._cockpit.show(now, self._server.clients, tick)
+    def take(self, tick: Tick, belief: Belief, scene: int = 0) -> None:
+        """Take a tick of one of the scenes: its notes are sent at once, all else when it is due."""
+        cockpit = list(self._cockpits.values())[scene]
+        cockpit.scene.observe(tick, belief)
+        cockpit.take(tick)
+
+    def show(self, now: Nanos) -> None:
+        """Send clients what is due. Never waits."""
+        for path, cockpit in self._cockpits.items():
+            cockpit.show(now, self._clients(path))
         self._server.flush(now)
 
     def close(self) -> None:
         """Tell every client that it ends."""
         self._server.close()
+
+    def _clients(self, path: str) -> list[Client]:
+        return [client for client in self._server.clients if client.path == path]
 
 
 def pages() -> dict[str, Page]:

@@ -1,0 +1,177 @@
+"""Recordings in the live view: played, paused, stepped, sought; one, or two beside each other.
+
+Work is sliced by counted ticks, so that pages are answered in between; what is left of the time goes into the
+comparison, whose keyframes make seeking quick. Two recordings are at the same time since their beginnings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from math import isfinite
+
+from gateway.replay.player import Playback, Player
+from gateway.view import Access, Address, Scene, View
+from gateway.view.requests import Answer
+from gateway.view.scene import Json
+from protocols.messages import MILLISECOND, SECOND, Nanos
+
+SLICE = 20
+"""Ticks that are played, or compared, before pages are polled again."""
+IDLE: Nanos = 10 * MILLISECOND
+"""Between two polls if there is nothing to do."""
+RATES = (0.05, 100.0)
+"""Lowest and highest rate."""
+MOST_STEPS = 1000
+"""Ticks of one step."""
+SHOWN = 20
+"""Differences that are listed."""
+
+
+@dataclass(slots=True)
+class _Shown:
+    """One recording."""
+
+    player: Player
+    scene: Scene = field(init=False)
+    prepared: float = 0.0
+    """How much of it is compared, from 0 to 1."""
+    seeking: bool = False
+    """Whether it is on its way to where it was sought."""
+
+    def due(self, since_start: Nanos) -> Nanos:
+        """Return a time since the beginning as one of the recording."""
+        return min(self.player.start + since_start, self.player.end)
+
+
+class ReplayView:
+    """Recordings with their pages. `slice` does some work; whoever calls it has the clock.
+
+    Args:
+        players: one, or two that are shown beside each other.
+        address: where to listen.
+        access: who may connect.
+
+    Raises:
+        UserError: the address cannot be opened.
+    """
+
+    def __init__(self, players: Sequence[Player], address: Address, access: Access) -> None:
+        self._shown = [_Shown(player) for player in players]
+        for one in self._shown:
+            one.scene = Scene(one.player.gateway, "replay", partial(self._facts, one))
+        self._playback = Playback(0, 0)
+        self._now: Nanos = 0
+        self._view = View([one.scene for one in self._shown], address, access, acts={"play": self._play})
+        self.url = self._view.url
+        self.close = self._view.close
+
+    @property
+    def position(self) -> Nanos:
+        """The time since the beginning that is due."""
+        return self._playback.target(self._now)
+
+    def slice(self, now: Nanos) -> Nanos:
+        """Answer pages, play what is due, and compare on. Returns when it wants to be called again."""
+        self._now = now
+        self._view.poll(now)  # a recording takes no instructions
+        longest = max(one.player.end - one.player.start for one in self._shown)
+        if self.position >= longest and self._playback.playing:
+            self._playback = Playback(longest, now, self._playback.rate)
+        busy = False
+        for number, one in enumerate(self._shown):
+            busy = self._advance(number, one) or busy
+        for one in self._shown:
+            if not busy and one.prepared < 1.0:
+                one.prepared, busy = one.player.prepare(SLICE), True
+        self._view.show(now)
+        return now if busy else now + IDLE
+
+    def _advance(self, number: int, one: _Shown) -> bool:
+        """Play some ticks; return whether some are left."""
+        player, until = one.player, one.due(self.position)
+        if one.seeking:
+            if not player.advance(SLICE):
+                return True
+            one.seeking = False
+            self._take(number, one)
+        for _ in range(SLICE):
+            before = player.tick
+            done = player.advance(1, until)
+            if player.tick is not before:
+                self._take(number, one)
+            if done:
+                return False
+        return True
+
+    def _take(self, number: int, one: _Shown) -> None:
+        player = one.player
+        if one.scene.gateway is not player.gateway:
+            one.scene.adopt(player.gateway)
+        if player.tick is not None:
+            tick = player.tick if player.outputs is None else replace(player.tick, outputs=player.outputs)
+            self._view.take(tick, player.gateway.belief(), number)
+
+    def _facts(self, one: _Shown) -> Json:
+        player, playback = one.player, self._playback
+        return {
+            "ticks": player.tick.number if player.tick is not None else 0,
+            "recording": str(player.recording.path),
+            "playback": {
+                "playing": playback.playing,
+                "rate": playback.rate,
+                "t": (player.now - player.start) / SECOND,
+                "due": self.position / SECOND,
+                "length": (player.end - player.start) / SECOND,
+                "prepared": one.prepared,
+                "differences": [
+                    {"t": each.since / SECOND, "kind": each.kind, "text": each.text}
+                    for each in player.differences[:SHOWN]
+                ],
+            },
+        }
+
+    def _play(self, asked: object) -> Answer:
+        """Do what a page asks of the playback: each of its keys, the first that is wrong is answered."""
+        if not isinstance(asked, dict):
+            return Answer(ok=False, text="play: an object is expected")
+        acts: dict[str, Callable[[float], None]] = {
+            "playing": self._set_playing,
+            "rate": self._set_rate,
+            "seek": self._seek,
+            "step": self._step,
+        }
+        for key, value in asked.items():
+            if key not in acts:
+                return Answer(ok=False, text=f"play: {', '.join(acts)} are expected, not {key!r}")
+            if not isinstance(value, int | float) or not isfinite(value):
+                return Answer(ok=False, text=f"play: {key} must be a finite number")
+            acts[key](float(value))
+        return Answer(ok=True, text="")
+
+    def _set_playing(self, value: float) -> None:
+        self._playback = replace(self._playback, position=self.position, since=self._now, playing=bool(value))
+
+    def _set_rate(self, value: float) -> None:
+        rate = min(max(value, RATES[0]), RATES[1])
+        self._playback = replace(self._playback, position=self.position, since=self._now, rate=rate)
+
+    def _seek(self, value: float) -> None:
+        longest = max(one.player.end - one.player.start for one in self._shown)
+        position = min(max(0, round(value * SECOND)), longest)
+        self._playback = replace(self._playback, position=position, since=self._now)
+        for one in self._shown:
+            one.player.seek(one.due(position))
+            one.seeking = True
+
+    def _step(self, value: float) -> None:
+        """Step every recording, and pause."""
+        steps = max(-MOST_STEPS, min(MOST_STEPS, round(value)))
+        for number, one in enumerate(self._shown):
+            one.player.step(steps)
+            self._take(number, one)
+        first = self._shown[0].player
+        self._playback = replace(
+            self._playback, position=first.now - first.start, since=self._now, playing=False
+        )
