@@ -186,13 +186,8 @@ class Decoded(NamedTuple):
 
 _Encode: TypeAlias = Callable[..., CanFrame]
 _Decode: TypeAlias = Callable[[int, int, bytes], Decoded | None]
-_Candidates: TypeAlias = list[tuple[_Decode, int]]
-"""How to decode address, id and data, and the address in the id: row by row."""
-
-
-_Known: TypeAlias = tuple[_Candidates, dict[int, _Candidates], Decoded | None]
-"""What frames of an id can be: whatever their first byte is, with these first bytes, and what is decoded if
-the data fit none of them."""
+_Known: TypeAlias = tuple[_Decode, int, Decoded | None]
+"""How frames of an id are decoded, the address in the id, and what is decoded if the data do not fit."""
 
 
 class Table:
@@ -206,12 +201,12 @@ class Table:
         for row in self.rows:
             self._encode[row.name], self._decode[row.name] = _compiled(row)
         self._particular = sorted(self.rows, key=lambda row: -row.id_mask()[1].bit_count())
-        self._seen: list[dict[Direction, tuple[int, dict[int, _Known]]]] = [
-            {direction: (self._significant(direction, extended), {}) for direction in DIRECTIONS}
-            for extended in (False, True)
-        ]
-        """By format and direction: the bits of ids that count, and by these (inverted for a remote frame)
-        what was looked up."""
+        self._standard, self._extended = self._nothing_seen(False), self._nothing_seen(True)
+        """By direction: the bits of ids that count, and what was looked up by these (inverted for a remote
+        frame)."""
+
+    def _nothing_seen(self, extended: bool) -> dict[Direction, tuple[int, dict[int, _Known]]]:
+        return {direction: (self._significant(direction, extended), {}) for direction in DIRECTIONS}
 
     def _significant(self, direction: Direction, extended: bool) -> int:
         """Return the bits of the ids of a format that tell messages and devices apart: not those of data."""
@@ -243,43 +238,31 @@ class Table:
         """Return the message in a frame: the first row that fits; None if the id is none of the table's."""
         if not isinstance(frame, CanFrame) or frame.fd:
             return None
-        significant, seen = self._seen[frame.extended][direction]
-        number, data = frame.id, frame.data
+        significant, seen = (self._extended if frame.extended else self._standard)[direction]
+        number = frame.id
         key = ~(number & significant) if frame.remote else number & significant
-        known = seen.get(key)
-        if known is None:
-            known = self._candidates(frame, direction)
+        try:
+            decode, address, misfit = seen[key]
+        except KeyError:
+            decode, address, misfit = known = self._look_up(frame, direction)
             if len(seen) < REMEMBERED:
                 seen[key] = known
-        rows, by_first, misfit = known
-        if by_first:
-            rows = by_first.get(data[0] if data else 0, rows)
-        for decode, address in rows:
-            decoded = decode(address, number, data)
-            if decoded is not None:
-                return decoded
-        return misfit
+        return decode(address, number, frame.data) or misfit
 
-    def _candidates(self, frame: CanFrame, direction: Direction) -> _Known:
-        """Return the rows that frames of an id can be of: looked up once, for as many ids as there is room
-        for. The most particular come first."""
+    def _look_up(self, frame: CanFrame, direction: Direction) -> _Known:
+        """Return how frames of an id are decoded. The most particular row comes first."""
         number = frame.id | EXTENDED_BIT if frame.extended else frame.id
-        found: list[tuple[int | None, tuple[_Decode, int]]] = []
-        misfit: Decoded | None = None
+        found: list[tuple[int | None, _Decode, int]] = []
         for row in self._particular:
             constant, mask = row.id_mask()
-            if (row.direction, row.remote) != (direction, frame.remote) or number & mask != constant:
-                continue
-            places = [number >> at & bits >> at for f, at, bits in row.id_parts() if f.name == "address"]
-            address = places[0] if places else -any(field.name == "address" for field in row.fields)
-            found.append((row.first_byte(), (self._decode[row.name], address)))
-            misfit = Decoded("", address, {})
-        by_first = {
-            byte: [row for first, row in found if first in (None, byte)]
-            for byte, _ in found
-            if byte is not None
-        }
-        return [row for first, row in found if first is None], by_first, misfit
+            if (row.direction, row.remote) == (direction, frame.remote) and number & mask == constant:
+                places = [number >> at & bits >> at for f, at, bits in row.id_parts() if f.name == "address"]
+                address = places[0] if places else -any(field.name == "address" for field in row.fields)
+                found.append((row.first_byte(), self._decode[row.name], address))
+        if not found:
+            return _first_of([]), 0, None
+        _, decode, address = found[-1]
+        return decode if len(found) == 1 else _first_of(found), address, Decoded("", address, {})
 
     def read(self, name: str, data: bytes) -> Values | None:
         """Return the numbers in the data of a message whose id has none; None if it is malformed."""
@@ -318,6 +301,7 @@ def _compiled(row: Row) -> tuple[_Encode, _Decode]:
     """Return `encode(address, **values) -> frame` and `decode(address, id, data) -> message` of a row."""
     scope: dict[str, Any] = {"CanFrame": CanFrame, "Decoded": Decoded, "saturated": saturated, "TINY": TINY}
     scope |= {
+        "error": struct.error,
         "new": tuple.__new__,  # in half the time of the class's own
         "nan": math.nan,
         "inf": math.inf,
@@ -326,7 +310,7 @@ def _compiled(row: Row) -> tuple[_Encode, _Decode]:
         "f32": _f32,
     }
     size = (sum(field.bits for field in row.fields) + 7) // 8
-    taken, packed = _data(row, scope)
+    words, taken, packed = _data(row, scope)
     packed += f" + {bytes(row.sent - size)!r}" if row.sent > size else ""
     packed = f"({packed})[:{row.sent}]" if 0 < row.sent < size else packed
     raws = [f"r{at} = {_raw(field)}" for at, field in enumerate(row.fields) if field.name]
@@ -355,10 +339,12 @@ def encode(address{f", *, {given}" if given else ""}):
     return CanFrame({" | ".join(number)}, {packed}, {row.extended}, {row.remote})
 
 def decode(address, number, data):
-    if len(data) != {size}:
+    try:
+        {words} = unpack(data)
+    except error:
         if not {shortest} <= len(data) <= {longest}:
             return None
-        data = data[:{size}].ljust({size}, b"\\0")
+        {words} = unpack(data[:{size}].ljust({size}, b"\\0"))
     {taken}
     {_wrong(row.fields)}
     return new(Decoded, ({row.name!r}, {address}, {{{", ".join(values)}}}))
@@ -367,12 +353,13 @@ def decode(address, number, data):
     return scope["encode"], scope["decode"]
 
 
-def _data(row: Row, scope: dict[str, Any]) -> tuple[str, str]:
-    """Return the statements that take raw numbers r0, r1 … from data, and the expression for their data."""
+def _data(row: Row, scope: dict[str, Any]) -> tuple[str, str, str]:
+    """Return the numbers w0, w1 … of which data is made, the statements that take raw numbers r0, r1 … from
+    them, and the expression for the data of raw numbers."""
     words = _words(row.fields)
     packer = struct.Struct(("<" if row.order == "little" else ">") + "".join(code for code, _, _ in words))
     scope |= {"pack": packer.pack, "unpack": packer.unpack}
-    taken = [f"{''.join(f'w{number}, ' for number in range(len(words)))} = unpack(data)"] if words else []
+    taken = []
     packed: list[list[str]] = [[] for _ in words]
     start = 0
     for at, field in enumerate(row.fields):
@@ -393,7 +380,8 @@ def _data(row: Row, scope: dict[str, Any]) -> tuple[str, str]:
             bits = {"f32": f"f32({bits})", "int": f"(({bits}) ^ {half}) - {half}"}.get(field.kind, bits)
         taken += [f"r{at} = {bits}"] if field.name or field.kind == "const" else []
         start = end
-    return "; ".join(taken) or "pass", f"pack({', '.join(map(' | '.join, packed))})"
+    names = "".join(f"w{number}, " for number in range(len(words)))
+    return f"({names})", "; ".join(taken) or "pass", f"pack({', '.join(map(' | '.join, packed))})"
 
 
 def _bits(name: str, at: int, count: int, width: int, to: int) -> str:
@@ -464,6 +452,22 @@ def _wrong(fields: Sequence[Field]) -> str:
     wrong += [f"({' + '.join(floats)}) * 0.0 != 0.0"] if floats else []
     wrong += [f"r{at} in (inf, -inf)" for at, f in enumerate(fields) if f.optional and f.kind == "f32"]
     return f"if {' or '.join(wrong)}: return None" if wrong else "pass"
+
+
+def _first_of(rows: Sequence[tuple[int | None, _Decode, int]]) -> _Decode:
+    """Return how data are decoded that can be of several rows; of each: its first byte, if that is constant,
+    how it is decoded, and the address in its id."""
+    others = [row[1:] for row in rows if row[0] is None]
+    by_first = {byte: [row[1:] for row in rows if row[0] in (None, byte)] for byte, _, _ in rows}
+
+    def decode(_: int, number: int, data: bytes) -> Decoded | None:
+        for row, address in by_first.get(data[0] if data else 0, others):
+            decoded = row(address, number, data)
+            if decoded is not None:
+                return decoded
+        return None
+
+    return decode
 
 
 def saturated(value: float, low: float, high: float) -> float:

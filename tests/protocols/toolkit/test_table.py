@@ -187,7 +187,7 @@ def test_numbers_in_the_id_are_no_ids_to_be_remembered() -> None:
         decoded = one.decode(one.encode("data", 7, a=5, x=x), "to_device")
         assert decoded is not None
         assert decoded.values["x"] == x
-    _, known = one._seen[True]["to_device"]
+    _, known = one._extended["to_device"]
     assert len(known) == 1
 
 
