@@ -397,7 +397,7 @@ def docs(arguments: Sequence[str]) -> int:
 
 def prove(arguments: Sequence[str]) -> int:
     """Run the long campaigns. Returns pytest's exit status: to have run none is no success."""
-    status = python_here(["-m", "pytest", "-m", "prove", "--timeout", "0", *arguments]).wait()
+    status = python_here(["-m", "pytest", "-m", "prove", "--timeout", "0", "-v", *arguments]).wait()
     if status == 5:
         report("no campaign matches: nothing was proven")
     return status

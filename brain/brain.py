@@ -66,7 +66,7 @@ class Brain:
 
     @property
     def nis(self) -> Mapping[str, Nis]:
-        """Normalised innovations squared, by sensor: whether the estimate is consistent; {} without a base."""
+        """Normalised innovations squared, by sensor: is the estimate consistent? {} without a base."""
         return self._body.perception.nis if isinstance(self._body, BaseBrain) else {}
 
     def take_notes(self) -> list[Note]:

@@ -16,6 +16,7 @@ PRINTED = {
     "send_one_command": [r"left: armed \(CLOSED_LOOP_CONTROL\)", r"left: \w+, 1[01]\.\d\d rad"],
     "record_a_drive": [r"brain: goal 1 reached", r"believed pose: Pose\(x=1\.[45]\d*, y=0\.[45]\d*"],
     "replay_a_recording": [r"the same, byte for byte", r"events: .*\d+ Feedback"],
+    "report_of_a_recording": [r"the same, byte for byte", r"drive\.html: \d+ kB"],
     "embed_the_step": [r"right: [23]\.\d\d rad, -?[\d.]+ rad/s on the way to 3 rad"],
 }
 PLUGIN = FOLDER / "robstride_can"
@@ -37,7 +38,7 @@ def test_none_is_left_out() -> None:
 @pytest.mark.parametrize("name", PRINTED)
 def test_it_runs_and_prints_what_it_should(name: str, folder: Path) -> None:
     command = [sys.executable, str(FOLDER / f"{name}.py")]
-    command += [str(folder / "drive.mcap")] if name in ("record_a_drive", "replay_a_recording") else []
+    command += [str(folder / "drive.mcap")] if "record" in name else []
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     for pattern in PRINTED[name]:

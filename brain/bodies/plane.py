@@ -69,3 +69,10 @@ def moved(start: Pose, by: Pose) -> Pose:
     """Return the pose that lies at `by` in the frame of `start`."""
     c, s = math.cos(start.yaw), math.sin(start.yaw)
     return Pose(start.x + c * by.x - s * by.y, start.y + s * by.x + c * by.y, wrap(start.yaw + by.yaw))
+
+
+def seen_from(start: Pose, pose: Pose) -> Pose:
+    """Return a pose in the frame of another one: the inverse of `moved`."""
+    c, s = math.cos(start.yaw), math.sin(start.yaw)
+    dx, dy = pose.x - start.x, pose.y - start.y
+    return Pose(c * dx + s * dy, c * dy - s * dx, wrap(pose.yaw - start.yaw))

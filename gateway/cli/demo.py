@@ -11,10 +11,13 @@ from functools import partial
 from math import degrees
 from pathlib import Path
 
-from brain.belief import Belief
+from brain.belief import Belief, MissionView
 from gateway.cli import arguments
+from gateway.cli.live import add_view, check_view, open_view
 from gateway.cli.picture import draw
+from gateway.cli.reports import add_report, reported
 from gateway.cli.run import goals_of, print_recording
+from gateway.cli.terminal.progress import Progress, progress
 from gateway.cli.tour import Tour
 from gateway.config import load_robot
 from gateway.config.mission import load_mission
@@ -42,14 +45,17 @@ def add_arguments(parser: ArgumentParser) -> None:
         help="folder for recording and picture (default: out)",
     )
     parser.add_argument("--robot", default="diffbot", metavar="ROBOT", help="another robot file")
+    add_report(parser)
     arguments.add_seed(parser)
     arguments.add_goal(parser, "drive here, instead of the world's tour")
     parser.add_argument("--mission", metavar="FILE", help="do this mission, instead of the world's tour")
+    add_view(parser)
 
 
 def run(options: Namespace) -> int:
     """Return 1 unless the true pose was near every goal, or the mission is done, and every motor is disarmed
     or holds."""
+    check_view(options)
     robot = load_robot(options.robot)
     try:
         options.out.mkdir(parents=True, exist_ok=True)
@@ -58,19 +64,30 @@ def run(options: Namespace) -> int:
     asked = goals_of(options, robot)
     recording, picture = options.out / "demo.mcap", options.out / "demo.png"
     recording.unlink(missing_ok=True)
-    with open_session(robot, simulated=options.fast, record=recording, seed=options.seed) as session:
+    with (
+        open_session(robot, simulated=options.fast, record=recording, seed=options.seed) as session,
+        reported(session, options.report, "demo") as ending,
+    ):
+        open_view(session, options)
         mission, goals = _choice(options, session, asked)
         tour = Tour(session, goals)
         began = stopwatch()
-        (_follow if mission is None else partial(_do, mission))(session, tour)
+        total = len(goals) if mission is None else len(mission.steps)
+        with progress("goals" if mission is None else "steps", total) as shown:
+            (_follow if mission is None else partial(_do, mission))(session, tour, shown)
         took = stopwatch() - began
-    print("\n".join(tour.figures()))
+        done = tour.done if mission else tour.near == len(goals)
+        ending.ok = done and not session.gateway.still_armed()
+        ending.figures = tuple(tour.figures())
+        ending.walls = tuple(map(tuple, tour.outlines))
+    print("\n".join(ending.figures))
     _print_costs(session, tour.seconds * SECOND, took)
     draw(tour, picture)
     print_recording(session)
+    if options.report is not None:
+        print(f"report: {options.report}")
     print(f"picture: {picture}\nreplay it: gateway replay {recording}")
-    done = tour.done if mission else tour.near == len(goals)
-    return 0 if done and not session.gateway.still_armed() else 1
+    return 0 if ending.ok else 1
 
 
 def _choice(options: Namespace, session: Session, goals: list[Goal]) -> tuple[Mission | None, list[Goal]]:
@@ -84,7 +101,7 @@ def _choice(options: Namespace, session: Session, goals: list[Goal]) -> tuple[Mi
     return None, goals or session.tour()
 
 
-def _do(mission: Mission, session: Session, tour: Tour) -> None:
+def _do(mission: Mission, session: Session, tour: Tour, shown: Progress) -> None:
     """Do a mission, until it ends."""
     session.submit(mission)
     printed = stopwatch()
@@ -93,20 +110,25 @@ def _do(mission: Mission, session: Session, tour: Tour) -> None:
             tour.on_tick(tick)
             view = tour.belief.mission
             if view is not None and view.phase not in ("running", "paused"):
+                shown.clear()
                 print(f"mission {view.name} {view.phase}{view.reason and ': '}{view.reason}")
                 break
             if stopwatch() - printed > PROGRESS_PERIOD:
                 printed = stopwatch()
                 doing = f"step {view.step} of {view.steps}: {view.text}" if view else ""
+                shown.clear()
                 print(f"{_progress(tour.belief, tick.now)}  {doing}", flush=True)
+            if view is not None:
+                shown.update(_steps_done(view))
             stopped = session.gateway.why_stopped()
             if stopped or tick.now > MISSION_TIMEOUT:
                 why = stopped or f"not done after {MISSION_TIMEOUT / SECOND:.0f} s"
+                shown.clear()
                 print(f"mission {mission.name} abandoned: {why}", file=sys.stderr)
                 break
 
 
-def _follow(session: Session, tour: Tour) -> None:
+def _follow(session: Session, tour: Tour, shown: Progress) -> None:
     """Send one goal after the other, the next when the brain reports the last as reached."""
     goals, arrivals = tour.goals, tour.arrivals
     sent: Nanos = session.clock.now()
@@ -124,12 +146,20 @@ def _follow(session: Session, tour: Tour) -> None:
             if stopwatch() - printed > PROGRESS_PERIOD:
                 printed = stopwatch()
                 where = _progress(tour.belief, tick.now)
+                shown.clear()
                 print(f"{where}  goals {tour.belief.reached}/{len(goals)}", flush=True)
+            shown.update(tour.belief.reached)
             stopped = session.gateway.why_stopped()
             if stopped or tick.now - sent > GOAL_TIMEOUT:
                 why = stopped or f"not reached after {GOAL_TIMEOUT / SECOND:.0f} s"
+                shown.clear()
                 print(f"goal {len(arrivals) + 1} abandoned: {why}", file=sys.stderr)
                 break
+
+
+def _steps_done(view: MissionView) -> int:
+    """Return how many steps of a mission are behind it."""
+    return int(view.step.partition(".")[0]) - 1 if view.step else view.steps
 
 
 def _print_costs(session: Session, simulated: float, took: Nanos) -> None:

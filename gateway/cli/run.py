@@ -6,10 +6,12 @@ import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 
 from brain.belief import BrainState
 from gateway.cli import arguments
+from gateway.cli.live import add_view, check_view, open_view, view_on_demand
 from gateway.cli.reports import add_report, reported
 from gateway.config import cannot, load_mission, load_robot, with_interfaces
 from gateway.core.robot import TWIN, Robot
@@ -42,10 +44,12 @@ def add_arguments(parser: ArgumentParser) -> None:
     )
     arguments.add_seed(parser)
     arguments.add_realtime(parser)
+    add_view(parser)
 
 
 def run(options: Namespace) -> int:
     """Return 1 if a motor was left in fault or armed, or a goal or the mission was not done."""
+    check_view(options)
     robot = with_interfaces(load_robot(options.robot), dict(options.bus))
     if options.mission and options.goal:
         raise UserError("--mission and --goal exclude each other: put the goals into the mission")
@@ -63,6 +67,7 @@ def run(options: Namespace) -> int:
         Operator(robot) as operator,
         reported(session, options.report, "run") as ending,
     ):
+        open_view(session, options)
         session.submit(*goals, *([mission] if mission else []))
         status = _drive(session, operator, options, mission)
         ending.ok = status == 0
@@ -86,7 +91,7 @@ def _drive(session: Session, operator: Operator, options: Namespace, mission: Mi
     print(f"{session.robot.name} is running; type help here, or: gateway ask {name} help", flush=True)
 
     def poll() -> Sequence[Instruction]:
-        instructions = operator.poll(lambda: status_text(session))
+        instructions = operator.poll(lambda: status_text(session), partial(view_on_demand, session))
         if operator.leaving and not session.reasons:
             session.leave("an operator sent quit")
         return instructions

@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import cos, dist, hypot, sin, sqrt
+from math import dist, hypot, sqrt
 
 import numpy as np
 
 from brain.belief import Belief, BrainState, Floats, Pose
 from brain.bodies.body import Base, Linkage
-from brain.bodies.plane import motion, moved
+from brain.bodies.plane import motion, moved, seen_from
 from brain.planning.polyline import Polyline
 from gateway.core.tick import Tick
 from gateway.runtime.session import Session
@@ -180,10 +180,7 @@ class Tour:
 
     def _in_odom(self, pose: Pose) -> Pose:
         """Return a pose of the world in the frame "odom", whose origin is the robot's pose at the start."""
-        dx, dy = pose.x - self._start.x, pose.y - self._start.y
-        c, s = cos(self._start.yaw), sin(self._start.yaw)
-        yaw = (pose.yaw - self._start.yaw + np.pi) % (2 * np.pi) - np.pi
-        return Pose(c * dx + s * dy, -s * dx + c * dy, float(yaw))
+        return seen_from(self._start, pose)
 
     # -- figures ------------------------------------------------------------------------------
 

@@ -11,9 +11,19 @@ import json
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
+from gateway.cli.terminal.progress import Progress
 from gateway.recording import environment
+
+
+def terminal() -> TextIO:
+    """The terminal behind pytest's capture; what leads nowhere if there is none."""
+    try:
+        return Path("/dev/tty").open("w")
+    except OSError:
+        return Path(os.devnull).open("w")
+
 
 FOLDER = Path(__file__).parent.parent.parent / ".prove"
 
@@ -44,9 +54,9 @@ class Campaign:
         )
         with self.path.open("a") as file:
             file.write("\n")  # the last line may be torn
-            for number in range(self.count):
-                if number in self.done:
-                    continue
+            shown = Progress(f"{self.path.stem}, cases", self.count - len(self.done), terminal())
+            for ran, number in enumerate([n for n in range(self.count) if n not in self.done]):
+                shown.update(ran)
                 try:
                     self.done[number] = case(self.seed, number)
                 except BaseException as error:

@@ -1,4 +1,6 @@
-"""The terminal of interactive commands: `keys` reads it, `screen` draws on it.
+"""The terminal of interactive commands: `keys` reads it, `screen` draws on it, `progress`
+shows how far long work is.
 
-Exports nothing at this level. Imports nothing of the gateway but how texts are escaped.
+Exports nothing at this level. Imports nothing of the gateway but how texts are escaped, and
+the stopwatch.
 """

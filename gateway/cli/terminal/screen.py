@@ -96,6 +96,12 @@ class Line:
         self._write(f"\r{CLEAR_LINE}{escaped(text)}\n" if self._drawn else f"{escaped(text)}\n")
         self._drawn = False
 
+    def clear(self) -> None:
+        """Remove the line that is redrawn."""
+        if self._drawn:
+            self._write(f"\r{CLEAR_LINE}")
+        self._drawn = False
+
     def end(self) -> None:
         """Keep the last line, and begin a new one."""
         if self._drawn:

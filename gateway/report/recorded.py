@@ -1,0 +1,73 @@
+"""The report of a recording: its inputs through the code of today, watched and compared on the way."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from brain.belief import Belief
+from gateway.core.robot import Robot
+from gateway.core.step import Gateway
+from gateway.core.tick import Tick
+from gateway.recording import Recording, read_recording
+from gateway.replay import Comparison, Observe, Watch, replay_recording
+from gateway.report.collect import Collector
+from gateway.report.page import Facts, write
+
+
+def write_report(
+    recording: Recording | Path | str,
+    file: Path | str,
+    robot: Robot | None = None,
+    watch: Watch | None = None,
+) -> Comparison:
+    """Write a report of a recording: map, plots, figures, log, and whether a replay gives the same bytes.
+
+    Args:
+        recording: what `read_recording` returned, or the path of a recording. Its inputs are run through the
+            code of today, several times as fast as they were recorded.
+        file: the HTML file to write; one that exists is replaced.
+        robot: another robot than the recorded one.
+        watch: as for `replay_recording`.
+
+    Returns:
+        Comparison: the result of the replay.
+
+    Raises:
+        ConfigError: the recorded robot file is not valid any more.
+        RecordingError: it is no recording, or unreadable.
+        UserError: the file cannot be written.
+    """
+    if not isinstance(recording, Recording):
+        recording = read_recording(recording)
+    collectors: list[Collector] = []
+
+    def both(gateway: Gateway) -> Observe:
+        collector = Collector(gateway)
+        collectors.append(collector)
+        others = watch(gateway) if watch is not None else None
+
+        def take(tick: Tick, belief: Belief) -> None:
+            collector.take(tick, belief)
+            if others is not None:
+                others(tick, belief)
+
+        return take
+
+    comparison = replay_recording(recording, robot, both)
+    write(Path(file), collectors[0], recorded_facts(recording, comparison))
+    return comparison
+
+
+def recorded_facts(recording: Recording, comparison: Comparison) -> Facts:
+    """Return what the report of a replay says beside what the ticks show."""
+    rows = [("recording", str(recording.path)), *versions(recording.facts)]
+    return Facts("replay", comparison.ok, comparison.text(), tuple(rows))
+
+
+def versions(facts: dict[str, str]) -> list[tuple[str, str]]:
+    """Return date, program, packages and processor of the facts of a recording."""
+    return [
+        (name.removeprefix("package ").removeprefix("processor "), value)
+        for name, value in facts.items()
+        if not name.endswith((" flags", " Features"))
+    ]
