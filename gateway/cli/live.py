@@ -44,10 +44,12 @@ def add_origin(parser: ArgumentParser) -> None:
 
 
 def check_view(options: Namespace) -> None:
-    """Raise UserError for options that mean nothing without --view."""
+    """Raise UserError for options that do not go with --view, or without it."""
     given = ["--origin"] * bool(options.origin) + ["--steer"] * getattr(options, "steer", False)
     if options.view is None and given:
         raise UserError(f"{given[0]} belongs to --view, which is absent")
+    if options.view is not None and getattr(options, "fast", False):
+        raise UserError("--view shows a run in real time: leave --fast away")
 
 
 def token_for(address: str) -> str:
@@ -67,7 +69,7 @@ def open_view(session: Session, options: Namespace) -> None:
 
 
 def view_on_demand(session: Session, words: str) -> str:
-    """Open the view of a session that runs, as the operator's line `view [HOST:PORT] [steer]` asks; return its
+    """Open the view of a session that runs, as an operator's `view [HOST:PORT] [steer]` asks; return its
     address, or why not."""
     asked = words.split()
     steer = asked[-1:] == ["steer"]

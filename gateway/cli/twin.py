@@ -5,15 +5,18 @@ from __future__ import annotations
 import logging
 import shlex
 from argparse import ArgumentParser, Namespace
+from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
 from gateway.cli import arguments
+from gateway.cli.live import add_view, check_view, token_for
 from gateway.config import load_robot, with_interfaces
 from gateway.core.clock import WallClock
 from gateway.core.robot import BusSettings
 from gateway.runtime.process import request_realtime
 from gateway.runtime.twin_process import Devices, devices, without_interfaces
-from protocols.messages import MILLISECOND, SECOND
+from protocols.messages import MILLISECOND, SECOND, Nanos
 
 log = logging.getLogger("gateway")
 
@@ -49,17 +52,20 @@ def add_arguments(parser: ArgumentParser) -> None:
     arguments.add_seconds(parser)
     arguments.add_seed(parser)
     arguments.add_realtime(parser)
+    add_view(parser, steer=False)
 
 
 def run(options: Namespace) -> int:
     """Simulate the devices until a signal, on the interfaces that are named here alone."""
+    check_view(options)
     robot = with_interfaces(without_interfaces(load_robot(options.robot)), dict(options.bus))
     if options.realtime is not None and (refused := request_realtime(options.realtime)):
         log.warning("%s", refused)
     adapters = (options.adapter or ["slcan"]) * options.ports
     with devices(robot, WallClock(), options.seed, adapters, options.link) as made:
         print("\n".join(invitation(made, options.robot)), flush=True)
-        made.serve(options.seconds)
+        with ExitStack() as stack:
+            made.serve(options.seconds, _view(made, options, stack))
     stats = made.stats
     stalled = f"; stood still for {stats.stalled / SECOND:.1f} s in all" if stats.stalled else ""
     print(
@@ -67,6 +73,21 @@ def run(options: Namespace) -> int:
         f"at most {stats.late / MILLISECOND:.0f} ms behind the clock{stalled}"
     )
     return 0
+
+
+def _view(made: Devices, options: Namespace, stack: ExitStack) -> Callable[[Nanos], None] | None:
+    """Open the view that is asked for, and print its address; return what it has to be called with."""
+    if options.view is None:
+        return None
+    from gateway.runtime.twin_view import TwinView
+    from gateway.view import Access, free_address, parse_address
+
+    address = parse_address(options.view) if options.view else free_address()
+    access = Access(address.loopback, token_for(options.view), tuple(options.origin))
+    view = TwinView(made, address, access)
+    stack.callback(view.close)
+    print(f"live view of the simulated world: {view.url}", flush=True)
+    return view.watch
 
 
 def invitation(made: Devices, robot: str) -> list[str]:

@@ -6,7 +6,8 @@ since the state that it began with is not in it. `--record` records from the sta
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
 
 from gateway.core.clock import date, stopwatch
 from gateway.core.tick import Tick
@@ -18,17 +19,35 @@ from protocols.messages import MILLISECOND, SECOND, Instruction, Nanos
 
 if TYPE_CHECKING:
     from brain.belief import Belief
-    from gateway.runtime.session import Session
+    from gateway.core.robot import Robot
+    from gateway.core.step import Gateway
+    from gateway.recording import Recorder
+    from gateway.runtime.loop import LoopStats
 
 LOAD_PERIOD: Nanos = SECOND // 2
 """Over which the load of a bus is averaged, at least."""
+
+
+class Viewed(Protocol):
+    """What a view needs of a session."""
+
+    robot: Robot
+    gateway: Gateway
+    stats: LoopStats
+    recorder: Recorder | None
+
+    def start_recording(self, path: Path | str) -> None:
+        """Record from the next step on. Raises RecordingError and UserError."""
+
+    def stop_recording(self) -> None:
+        """End the recording."""
 
 
 class SessionView:
     """A view of a session, fed by it."""
 
     def __init__(
-        self, session: Session, address: str, *, steer: bool, token: str, origins: tuple[str, ...]
+        self, session: Viewed, address: str, *, steer: bool, token: str, origins: tuple[str, ...]
     ) -> None:
         self._session, self._steer = session, steer
         where = parse_address(address) if address else free_address()

@@ -9,7 +9,7 @@ buses and of the motors' states are logged.
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -49,13 +49,15 @@ class Devices:
     leaving: str = ""
     """The signal that ends it; "" if none came."""
 
-    def serve(self, seconds: float | None = None) -> None:
-        """Serve until a signal comes, or for this time."""
+    def serve(self, seconds: float | None = None, watch: Callable[[Nanos], None] | None = None) -> None:
+        """Serve until a signal comes, or for this time. `watch` is called at every iteration."""
         until = None if seconds is None else self.clock.now() + round(seconds * SECOND)
         served = serve(self.twins.buses, self.buses, self.clock, until=until, stats=self.stats, age=self.age)
         with closing(served):
             for moment in served:
                 self._report(moment)
+                if watch is not None:
+                    watch(moment.now)
                 if self.leaving:
                     log.warning("leaving: %s", self.leaving)
                     return
