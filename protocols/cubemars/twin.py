@@ -84,6 +84,7 @@ class CubeMarsTwin(ServoFirmware):
     """One motor."""
 
     faults = cm.FAULTS
+    passing = FAULT_STOP
 
     def __init__(self, device: Device, seed: int) -> None:
         options: Options = device.options
@@ -93,16 +94,6 @@ class CubeMarsTwin(ServoFirmware):
         super().__init__(device, seed, Gains(torque_limit=most))
         self.options = options
         self.memory = memory_of(device)
-        self.tripped_at: Nanos = 0
-
-    def trip(self, code: int) -> None:
-        super().trip(code)
-        self.tripped_at = self.now or 0
-
-    def cycle(self, now: Nanos, dt: float, position: float, velocity: float) -> float:
-        if now - self.tripped_at >= FAULT_STOP:
-            self.clear()
-        return super().cycle(now, dt, position, velocity)
 
     def on_frame(self, t: Nanos, frame: Frame) -> None:
         decoded = self.options.table.decode(frame, "to_device")

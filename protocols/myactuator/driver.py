@@ -21,7 +21,7 @@ from protocols.myactuator import table as rmd
 from protocols.myactuator.options import Options
 from protocols.plugin import Device
 from protocols.toolkit.duplicates import AnswerCount
-from protocols.toolkit.host import Host, Phase, Report, Timing
+from protocols.toolkit.host import Host, Phase, Report
 from protocols.toolkit.mit import NUMBERS
 from protocols.toolkit.motor_driver import Adapter, MotorDriver, Pending, Rx
 from protocols.toolkit.requests import scan
@@ -40,7 +40,6 @@ class Motor:
     idle_current: float
     """A"""
     answers: AnswerCount = field(default_factory=AnswerCount)
-    sent_at: Nanos = -(1 << 62)
     last: dict[str, Nanos] = field(default_factory=dict)
     """When it was last written and checked"""
     errors: int | None = None
@@ -79,9 +78,7 @@ class Motor:
                 self.driven = False
             case "set timeout reply":
                 self.timeout = values["value"]
-            case "motion reply" | "stop reply":
-                self.driven = True
-            case _ if name.removesuffix(" reply") in rmd.SET_POINTS:
+            case "motion reply" | "stop reply" | "torque reply" | "speed reply" | "position reply":
                 self.driven = True
 
     def mode(self) -> Mode | None:
@@ -97,12 +94,6 @@ class Motor:
         due = now - self.last.get(what, -CHECK) >= CHECK
         self.last |= {what: now} if due else {}
         return due
-
-    def sent(self, now: Nanos, frames: Sequence[Frame]) -> Sequence[Frame]:
-        """Record frames, each of which is answered; return them."""
-        self.sent_at = now if frames else self.sent_at
-        self.answers.ask(len(frames))
-        return frames
 
 
 def _radians(degrees: float, most: float) -> float | None:
@@ -122,9 +113,6 @@ class RmdAdapter(Adapter[Motor]):
 
     def own(self, device: Device) -> Motor:
         return Motor(device.options.idle_current)
-
-    def timing(self, options: Options) -> Timing:
-        return Timing(options.offline_ms * MILLISECOND)
 
     def forget(self, now: Nanos, host: Host[Motor]) -> None:
         host.own.forget()
@@ -187,20 +175,14 @@ class RmdAdapter(Adapter[Motor]):
             frames.append(rmd.ANY.encode("set timeout", address, value=options.timeout_ms))
         if options.brake and not own.released:
             frames += [rmd.ANY.encode(name, address) for name in ("release brake", "read status 1")]
-        if not frames:
-            return own.sent(now, (self._at_rest(host, command),))
-        return own.sent(now, frames) if own.is_due(now, "write") else ()
-
-    def _at_rest(self, host: Host[Motor], command: Command) -> Frame:
-        """Return the set-point that starts a motor where it stands."""
-        motor = host.name
-        return self._set_point(
-            host, msg.Torque(motor, 0.0) if isinstance(command, msg.Torque) else msg.Velocity(motor, 0.0)
-        )
+        if not frames:  # what starts it where it stands
+            kind = msg.Torque if isinstance(command, msg.Torque) else msg.Velocity
+            return own.answers.sent(now, (self._set_point(host, kind(host.name, 0.0)),))
+        return own.answers.sent(now, frames) if own.is_due(now, "write") else ()
 
     def command(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
         read = rmd.ANY.encode("read angle", host.address)
-        return host.own.sent(now, (self._set_point(host, command), read))
+        return host.own.answers.sent(now, (self._set_point(host, command), read))
 
     def _set_point(self, host: Host[Motor], command: Command) -> Frame:
         options: Options = host.options
@@ -220,19 +202,19 @@ class RmdAdapter(Adapter[Motor]):
 
     def release(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
         names = ("shutdown", "lock brake") if host.options.brake else ("shutdown",)
-        return host.own.sent(now, [rmd.ANY.encode(name, host.address) for name in names])
+        return host.own.answers.sent(now, [rmd.ANY.encode(name, host.address) for name in names])
 
     def poll(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
         own, names = host.own, list[str]()
-        if now - own.sent_at >= host.options.feedback_ms * MILLISECOND:
+        if now - own.answers.sent_at >= host.options.feedback_ms * MILLISECOND:
             names += ["read angle", "read status 2"]
         if own.is_due(now, "check"):
             names += ["read status 1", "read runtime"]
             names += ["shutdown"] if host.once_commanded and host.phase is Phase.FREE else []
-        return own.sent(now, [rmd.ANY.encode(name, host.address) for name in names])
+        return own.answers.sent(now, [rmd.ANY.encode(name, host.address) for name in names])
 
     def poll_due(self, host: Host[Motor]) -> Nanos:
-        asked: Nanos = host.own.sent_at + host.options.feedback_ms * MILLISECOND
+        asked: Nanos = host.own.answers.sent_at + host.options.feedback_ms * MILLISECOND
         return min(asked, host.own.last.get("check", -CHECK) + CHECK)
 
     # -- requests -------------------------------------------------------------------------------------

@@ -7,7 +7,7 @@ is no word that enables it. What the loops inside do, how long a restart takes a
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -82,6 +82,7 @@ class RmdTwin(ServoFirmware):
     """One motor."""
 
     faults = rmd.FAULTS
+    passing = PASSES
 
     def __init__(self, device: Device, seed: int) -> None:
         settings: Settings = device.settings
@@ -89,8 +90,6 @@ class RmdTwin(ServoFirmware):
         self.memory = memory_of(device)
         self.table: Table = device.options.table
         self.watchdog = settings.timeout_ms
-        self.booted: Nanos | None = None
-        self.tripped_at: Nanos = 0
 
     # -- watchdog, faults and brake -------------------------------------------------------------------
 
@@ -100,16 +99,6 @@ class RmdTwin(ServoFirmware):
     def on_timeout(self) -> None:
         self.disarm()
         self.memory.lock()
-
-    def trip(self, code: int) -> None:
-        super().trip(code)
-        self.tripped_at = self.now or 0
-
-    def cycle(self, now: Nanos, dt: float, position: float, velocity: float) -> float:
-        self.booted = now if self.booted is None else self.booted
-        if self.fault in rmd.PASSING and now - self.tripped_at >= PASSES:
-            self.clear()
-        return super().cycle(now, dt, position, velocity)
 
     # -- messages -------------------------------------------------------------------------------------
 
@@ -121,7 +110,6 @@ class RmdTwin(ServoFirmware):
         here, does = self.encoder.position, memory.obey(decoded)
         if name == "reset":
             self.restart(t, BOOT)
-            self.booted = None
             return
         for obeyed in does:
             if name == "increment" and isinstance(obeyed, msg.Position):
@@ -135,31 +123,28 @@ class RmdTwin(ServoFirmware):
 
     def _answer(self, t: Nanos, name: str, values: Values) -> Frame:
         settings, encoder, address = self.settings, self.encoder, self.memory.address
-        turned, speed = math.degrees(encoder.position), math.degrees(encoder.velocity)
-        errors = 0x0400 if self.fault == rmd.UNKNOWN else self.fault
-        measured: dict[str, Any] = {
+        moved = zip(NUMBERS, (encoder.position, encoder.velocity, self.torque), strict=False)
+        measured = {
             "temperature": round(settings.temperature),
             "current": self.torque / self.memory.options.torque_constant,
-            "velocity": round(speed),
-            "angle": round(turned),
+            "velocity": round(math.degrees(encoder.velocity)),
+            "angle": round(math.degrees(encoder.position)),
         }
-        match name:
-            case "motion":
-                moved = dict(zip(NUMBERS, (encoder.position, encoder.velocity, self.torque), strict=False))
-                return self.table.encode("motion reply", address, motor=address, **moved)
-            case "set timeout":
-                return self.table.encode("set timeout reply", address, value=values["value"])
-            case "read angle":
-                return self.table.encode("angle", address, position=turned)
-            case "read status 1":
-                state = {"released": int(self.memory.released), "voltage": settings.supply, "errors": errors}
-                return self.table.encode("status 1", address, temperature=measured["temperature"], **state)
-            case "read runtime":
-                ran = t - (t if self.booted is None else self.booted)
-                return self.table.encode("runtime", address, ms=ran // MILLISECOND & 0xFFFFFFFF)
-            case "read version":
-                return self.table.encode("version", address, date=settings.version)
-            case "read status 2":
-                return self.table.encode("status 2", address, **measured)
-        numbers = measured if name in rmd.SET_POINTS else {}
-        return self.table.encode(f"{name} reply", address, **numbers)
+        state = {
+            "temperature": measured["temperature"],
+            "released": int(self.memory.released),
+            "voltage": settings.supply,
+            "errors": 0x0400 if self.fault == rmd.UNKNOWN else self.fault,
+        }
+        numbers: Mapping[str, Mapping[str, Any]] = {
+            "motion": {"motor": address, **dict(moved)},
+            "set timeout": values,
+            "read angle": {"position": math.degrees(encoder.position)},
+            "read status 1": state,
+            "read status 2": measured,
+            "read runtime": {"ms": (t - self.silent_until) // MILLISECOND & 0xFFFFFFFF},
+            "read version": {"date": settings.version},
+            **dict.fromkeys(rmd.SET_POINTS, measured),
+        }
+        answer = name.removeprefix("read ") if name.startswith("read ") else f"{name} reply"
+        return self.table.encode(answer, address, **numbers.get(name, {}))

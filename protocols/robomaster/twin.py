@@ -53,26 +53,17 @@ class RoboMasterTwin(ServoFirmware):
     """One controller with its motor."""
 
     faults = rm.FAULTS
+    passing = ERROR_LASTS
 
     def __init__(self, device: Device, seed: int) -> None:
         self.options: Options = device.options
         super().__init__(device, seed, Gains(torque_limit=self.options.torque * self.options.of_model.full))
         self.encoder = Encoder(counts=rm.COUNTS / math.tau, bandwidth=1000.0)
         self.memory = motor_of(device)
-        self.tripped_at: Nanos = 0
 
     def timeout(self) -> Nanos:
         driven = self.mode is msg.Mode.ARMED
         return milliseconds(self.settings.timeout_ms or self.options.timeout_ms) if driven else 0
-
-    def trip(self, code: int) -> None:
-        super().trip(code)
-        self.tripped_at = self.now or 0
-
-    def cycle(self, now: Nanos, dt: float, position: float, velocity: float) -> float:
-        if now - self.tripped_at >= ERROR_LASTS:
-            self.clear()
-        return super().cycle(now, dt, position, velocity)
 
     def on_frame(self, t: Nanos, frame: Frame) -> None:
         decoded = rm.TABLE.decode(frame, "to_device")

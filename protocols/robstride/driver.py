@@ -132,7 +132,8 @@ class RobStrideAdapter(RegisterAdapter):
         held = host.position if host.held is None else host.held
         value: Any = getattr(command, "velocity" if options.mode == "speed" else "position", held)
         name = rs.SET_POINT[options.run_mode]
-        host.own.put(host.own.sent_at, name, value)  # what it is enabled with, unless it is written before
+        # What it is enabled with, unless it is written before.
+        host.own.put(host.own.answers.sent_at, name, value)
         return self.about("write", host.address, name, value)[0]
 
     def poll(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:

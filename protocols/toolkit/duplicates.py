@@ -5,10 +5,11 @@ Rules. A device counts for two rounds of identification. What is noticed is repo
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
+from protocols.frames import Frame
 from protocols.messages import SECOND, Event, Found, Nanos, seconds
 
 Sample: TypeAlias = tuple[Nanos, float, float]
@@ -111,6 +112,14 @@ class AnswerCount:
     since: Nanos | None = None
     asked: int = 0
     answered: int = 0
+    sent_at: Nanos = -(1 << 62)
+    """When frames were last sent."""
+
+    def sent(self, now: Nanos, frames: Sequence[Frame]) -> Sequence[Frame]:
+        """Record frames, each of which is answered; return them."""
+        self.sent_at = now if frames else self.sent_at
+        self.ask(len(frames))
+        return frames
 
     def add(self, t: Nanos) -> str:
         """Count an answer. Returns why there must be two devices, "" if there need not be."""

@@ -27,6 +27,8 @@ class Firmware:
     faults: Mapping[int, FaultInfo]
     lost: int = 0
     """Code of the fault that the watchdog trips; 0: it disarms without one."""
+    passing: Nanos = 0
+    """Time after which a fault that does not latch passes; 0: none does."""
     reply_delay: Nanos = 0
 
     def __init__(self, device: Device, seed: int) -> None:
@@ -34,7 +36,9 @@ class Firmware:
         self.settings: Any = device.settings
         self.mode = Mode.READY
         self.fault = 0
-        """Code of the fault that it is in."""
+        """Code of the fault that it is in,"""
+        self.tripped_at: Nanos = 0
+        """and since when."""
         self.torque = 0.0
         """N·m on the shaft"""
         self.shaft = (0.0, 0.0)
@@ -87,7 +91,7 @@ class Firmware:
 
     def trip(self, code: int) -> None:
         """Enter fault."""
-        self.mode, self.fault = Mode.FAULT, code
+        self.mode, self.fault, self.tripped_at = Mode.FAULT, code, self.now or 0
 
     def clear(self) -> None:
         """Leave fault."""
@@ -136,6 +140,9 @@ class Firmware:
         if now < self.silent_until:
             return [Torque(self.device.name, 0.0)], []
         self._watch(now)
+        passed = self.passing and now - self.tripped_at >= self.passing
+        if passed and self.fault and not self.faults[self.fault].latching:
+            self.clear()
         self.torque = self.cycle(now, dt, *self.shaft)
         due = [frame for at, frame in self._replies if at <= now]
         self._replies = [each for each in self._replies if each[0] > now]

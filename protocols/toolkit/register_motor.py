@@ -39,15 +39,8 @@ class Motor:
     asked: dict[str, Nanos] = field(default_factory=dict)
     """When each register was last asked for or written."""
     answers: AnswerCount = field(default_factory=AnswerCount)
-    sent_at: Nanos = -(1 << 62)
     reported_at: Nanos = 0
     """When its feedback last came; answers about registers are none."""
-
-    def sent(self, now: Nanos, frames: Sequence[Frame]) -> Sequence[Frame]:
-        """Record frames, each of which is answered; return them."""
-        self.sent_at = now if frames else self.sent_at
-        self.answers.ask(len(frames))
-        return frames
 
     def reported(self, t: Nanos) -> str:
         """Record a feedback; return why more devices than one must have answered, "" if one may."""
@@ -192,21 +185,23 @@ class RegisterAdapter(Adapter[Motor]):
             return ()  # `poll` asks
         if stale := host.own.stale(now, wanted):
             asked = [name for name in stale if host.own.may_ask(now, name)]
-            return host.own.sent(now, self._read(now, host, asked))
+            return host.own.answers.sent(now, self._read(now, host, asked))
         if host.own.different(wanted):
             wrong = host.own.to_write(now, wanted)
-            return host.own.sent(now, [f for each in wrong for f in self._about(now, host, "write", *each)])
-        return host.own.sent(now, [self.message(self.enable, host.address)])
+            return host.own.answers.sent(
+                now, [f for each in wrong for f in self._about(now, host, "write", *each)]
+            )
+        return host.own.answers.sent(now, [self.message(self.enable, host.address)])
 
     def command(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
         reads = self._read(now, host, self.polled(host.options))
         # One that has restarted may be in a mode in which it does not answer this set-point.
         silent = now - host.own.reported_at > SILENT * host.options.feedback_ms * MILLISECOND
         asks = self.ask(host) if silent else ()
-        return host.own.sent(now, [self.set_point(host, command), *asks, *reads])
+        return host.own.answers.sent(now, [self.set_point(host, command), *asks, *reads])
 
     def release(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
-        return host.own.sent(now, [self.message(self.disable, host.address)])
+        return host.own.answers.sent(now, [self.message(self.disable, host.address)])
 
     def poll(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
         if now < self.poll_due(host):
@@ -214,10 +209,10 @@ class RegisterAdapter(Adapter[Motor]):
         options = host.options
         needed = (*self.expected(options), *self.written(options))
         names = (*host.own.missing(now, needed), *self.polled(options))
-        return host.own.sent(now, [*self.ask(host), *self._read(now, host, names)])
+        return host.own.answers.sent(now, [*self.ask(host), *self._read(now, host, names)])
 
     def poll_due(self, host: Host[Motor]) -> Nanos:
-        at: Nanos = host.own.sent_at + host.options.feedback_ms * MILLISECOND
+        at: Nanos = host.own.answers.sent_at + host.options.feedback_ms * MILLISECOND
         return at
 
     def _read(self, now: Nanos, host: Host[Motor], names: Sequence[str]) -> list[Frame]:

@@ -39,7 +39,6 @@ class Controller:
     idle_current: float
     """A"""
     answers: AnswerCount = field(default_factory=AnswerCount)
-    asked_at: Nanos = -(1 << 62)
     since: Nanos | None = None
     """When it first reported,"""
     seen: dict[str, Nanos] = field(default_factory=dict)
@@ -109,11 +108,6 @@ class Controller:
     def feed(self, now: Nanos, *, driven: bool) -> None:
         """Record that it is fed."""
         self.driven, self.fed_at, self.passed = driven, now, False
-
-    def ask(self, now: Nanos) -> None:
-        """Record two questions, each of which is answered."""
-        self.asked_at = now
-        self.answers.ask(2)
 
 
 class VescAdapter(Adapter[Controller]):
@@ -215,15 +209,15 @@ class VescAdapter(Adapter[Controller]):
         return self._ask(now, host, host.options.poll_ms * MILLISECOND)
 
     def poll_due(self, host: Host[Controller]) -> Nanos:
-        at: Nanos = host.own.asked_at + host.options.poll_ms * MILLISECOND
+        at: Nanos = host.own.answers.sent_at + host.options.poll_ms * MILLISECOND
         return at
 
     def _ask(self, now: Nanos, host: Host[Controller], period: Nanos) -> Sequence[Frame]:
         """Return the questions about fault and timeout, if none were sent for a time."""
-        if now - host.own.asked_at < period:
+        answers = host.own.answers
+        if now - answers.sent_at < period:
             return ()
-        host.own.ask(now)
-        return self._get("fault", host), self._get("state", host)
+        return answers.sent(now, (self._get("fault", host), self._get("state", host)))
 
     def _get(self, name: str, host: Host[Controller]) -> Frame:
         return vt.TABLE.encode(f"get {name}", host.address, host=host.options.host_id, reply=0)

@@ -68,13 +68,13 @@ class VescTwin(ServoFirmware):
     """One controller with its motor."""
 
     faults = vt.FAULTS
+    passing = FAULT_STOP
 
     def __init__(self, device: Device, seed: int) -> None:
         most = device.options.max_current * device.options.torque_constant
         super().__init__(device, seed, Gains(torque_limit=most))
         self.memory = motor_of(device)
         self.timed_out = True
-        self.tripped_at: Nanos = 0
 
     # -- timeout and faults ---------------------------------------------------------------------------
 
@@ -89,15 +89,6 @@ class VescTwin(ServoFirmware):
     def on_timeout(self) -> None:
         self.timed_out = True
         self.disarm()
-
-    def trip(self, code: int) -> None:
-        super().trip(code)
-        self.tripped_at = self.now or 0
-
-    def cycle(self, now: Nanos, dt: float, position: float, velocity: float) -> float:
-        if now - self.tripped_at >= FAULT_STOP:
-            self.clear()
-        return super().cycle(now, dt, position, velocity)
 
     # -- messages -------------------------------------------------------------------------------------
 
