@@ -46,9 +46,11 @@ def bench(options: Namespace) -> int:
 def parts() -> dict[str, Callable[[Effort], list[Row]]]:
     """What is measured, in order. Processes first, while this one is still small."""
     from benchmarks.arms import arms
+    from benchmarks.bridge import bridge
     from benchmarks.cars import cars
     from benchmarks.codec import codec
     from benchmarks.drive import driving
+    from benchmarks.drivers import drivers
     from benchmarks.paths import paths
     from benchmarks.perceive import perceive
     from benchmarks.process import processes
@@ -57,7 +59,9 @@ def parts() -> dict[str, Callable[[Effort], list[Row]]]:
     return {
         "start-up and memory": processes,
         "steps": steps,
+        "drivers": drivers,
         "codec": codec,
+        "an adapter": bridge,
         "filter and map": perceive,
         "paths": paths,
         "a car": cars,

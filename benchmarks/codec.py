@@ -3,9 +3,10 @@ bare `struct`.
 
 Rules. The samples of a protocol are the module of its name in `benchmarks.samples`, or `bench` in its own
 package, with `RIVAL`, `prepared` and `SAMPLES` (class `Language`): what the messages are, and which package
-is the vendor's or the usual one, is its own affair. A package is used as its documentation shows first, with
-the checks it makes by default. Ours makes a message and the whole frame, and lets no number through that is
-not finite. All sides of a sample must come to the same, or it is not measured.
+is the vendor's or the usual one, is its own affair. One whose licence keeps it out of our process is a
+script, `ELSEWHERE`, which is measured in a process of its own. A package is used as its documentation shows
+first, with the checks it makes by default. Ours makes a message and the whole frame, and lets no number
+through that is not finite. All sides of a sample must come to the same, or it is not measured.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import Any, Protocol, cast
 
-from benchmarks.measure import Call, Effort, NotMeasured, Rival, in_turn, rival
+from benchmarks.measure import Call, Effort, NotMeasured, Rival, in_turn, rival, rival_elsewhere
 from benchmarks.rows import Row, Target, against
 from protocols.plugin import installed
 
@@ -87,7 +88,8 @@ def languages() -> list[tuple[str, Language]]:
 def opened(language: Language) -> Rival:
     """What the language is measured against, prepared; or why it is not there."""
     module, distribution, _ = language.RIVAL
-    found = rival(module, distribution)
+    script = getattr(language, "ELSEWHERE", "")
+    found = rival_elsewhere(distribution, script) if script else rival(module, distribution)
     if found.why_not:
         return found
     try:

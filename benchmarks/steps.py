@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from contextlib import closing
 from dataclasses import replace
+from importlib.resources import files
 from itertools import islice
 from typing import Any, TypeAlias
 
@@ -42,16 +43,21 @@ Drive: TypeAlias = tuple[Robot, Sequence[Tick]]
 
 
 def steps(effort: Effort) -> list[Row]:
-    """12 motors, and the first 2 of them."""
+    """12 motors, and the first 2 of them; 12 others, which take their set-points as springs."""
     twelve = config.load_robot("twelve")
-    seconds = effort.of(5, 1)
+    seconds = effort.of(3, 1)
     drives = {
         "2 motors, velocity": drive(first(twelve, 2), lambda motor: Velocity(motor, 5.0), seconds),
         "12 motors, velocity": drive(twelve, lambda motor: Velocity(motor, 5.0), seconds),
         "12 motors, position": drive(twelve, lambda motor: Position(motor, 3.0), seconds),
+    } | {
+        f"12 {name} in MIT mode, position": drive(
+            springs(protocol), lambda motor: Position(motor, 1.0), seconds
+        )
+        for name, protocol in (("Damiao", "damiao"), ("RobStride", "robstride"))
     }
     found = time_steps(drives, effort.of(9, 1))
-    targets = {name: Target(at_most=0.4 * MILLISECOND) for name in drives if name.startswith("12")}
+    targets = {name: Target(at_most=0.4 * MILLISECOND) for name in drives if name.startswith("12 motors")}
     tick = {name: (span(TICK, robot.period),) for name, (robot, _) in drives.items()}
     checked = {name: guard_time(*drives[name]) for name in drives}
     frame = (span(FRAME, CAN_FRAME),)
@@ -85,6 +91,17 @@ def guard_time(robot: Robot, ticks: Sequence[Tick]) -> Figures:
         for tick in ticks:
             gateway.step(tick.now, tick.inputs)
     return figures(guard.took)
+
+
+def springs(protocol: str) -> Robot:
+    """The robot of twelve motors with motors of another protocol, in MIT mode and without a gear."""
+    text = (files("gateway.fixtures") / "robots" / "twelve.toml").read_text("utf-8")
+    head, _, rest = text.partition("[defaults.motors.options]")
+    head = head.replace('"odrive_can"', f'"{protocol}"').replace("gear = 8.0", "gear = 1.0")
+    options = 'mode = "mit"\nstiffness = 20.0\ndamping = 1.0\nfeedback_ms = 5'
+    return config.parse_robot(
+        f"{head}[defaults.motors.options]\n{options}\n[motors]{rest.partition('[motors]')[2]}"
+    )
 
 
 def first(robot: Robot, motors: int) -> Robot:

@@ -1,9 +1,7 @@
 """Benchmark samples of odrive_can, measured beside cantools on the vendor's DBC.
 
 Rules. Data and calls only: the robot uses nothing of this. Every contestant starts from plain values, or from
-a frame. Bare `struct` knows its message beforehand, checks nothing and makes no frame: it is the lower bound.
-cantools does what its documentation shows first, `encode_message` and `decode_message` with the checks it
-makes by default.
+a frame.
 
 Source of names and identifiers: the DBC of package odrive-can 2.1.0.
 """
@@ -11,11 +9,10 @@ Source of names and identifiers: the DBC of package odrive-can 2.1.0.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
-from dataclasses import dataclass, field
 from importlib.resources import files
 from typing import Any
 
+from benchmarks.samples.dbc import Sample
 from protocols.frames import CanFrame
 from protocols.odrive_can.table import table_of
 
@@ -30,35 +27,6 @@ def prepared(cantools: Any) -> Any:  # noqa: ANN401 -- cantools has no types
     """Return the vendor's DBC as a cantools database."""
     package, file = DBC
     return cantools.database.load_string((files(package) / file).read_text("utf-8"), "dbc")
-
-
-@dataclass(frozen=True, slots=True)
-class Sample:
-    """One message in one direction."""
-
-    what: str
-    ours: Callable[[], object]
-    struct: Callable[[], object]
-    id: int
-    """Of its frame."""
-    data: bytes
-    """Of its frame: what encoding must give, what is decoded."""
-    values: dict[str, float] = field(default_factory=dict)
-    """The fields to encode by the DBC's names; {} for a message to decode."""
-
-    def theirs(self, known: Any) -> Callable[[], object]:  # noqa: ANN401 -- cantools has no types
-        """Return the same operation in cantools."""
-        number, data, values = self.id, self.data, self.values
-        if not values:
-            return lambda: known.decode_message(number, data)
-        return lambda: known.encode_message(number, dict(values))
-
-    def alike(self, ours: Any, theirs: Any, struct: Any) -> bool:  # noqa: ANN401 -- a frame, or fields
-        """True if encoding gave the same bytes, or decoding the same fields in order."""
-        if self.values:
-            return bool(theirs == struct == ours.data == self.data and ours.id == self.id)
-        fields = list(ours.values.values())
-        return fields == [getattr(value, "value", value) for value in theirs.values()] == list(struct)
 
 
 _PAIR, _POSITION, _HEARTBEAT = struct.Struct("<ff"), struct.Struct("<fhh"), struct.Struct("<IBBBx")

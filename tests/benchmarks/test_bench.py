@@ -17,7 +17,21 @@ import pytest
 import scipy.sparse
 import scipy.sparse.csgraph
 
-from benchmarks import arms, cars, codec, drive, measure, paths, perceive, process, rivals, rows, steps
+from benchmarks import (
+    arms,
+    bridge,
+    cars,
+    codec,
+    drive,
+    drivers,
+    measure,
+    paths,
+    perceive,
+    process,
+    rivals,
+    rows,
+    steps,
+)
 from benchmarks.__main__ import main
 from benchmarks.measure import Effort, Figures, NotMeasured, Rival
 from benchmarks.rows import Beside, Row, Target
@@ -29,7 +43,7 @@ from brain.perception.mount import Mount
 from brain.planning.footprint import Footprint
 from gateway import config
 from protocols.frames import CanFrame
-from protocols.messages import MILLISECOND, SECOND, Feedback, Velocity
+from protocols.messages import MILLISECOND, SECOND, Feedback, Position, Velocity
 
 STARTS = ["gateway --help", "gateway run bench: first frame out", "gateway run diffbot: first frame out"]
 MEMORIES = [
@@ -37,7 +51,13 @@ MEMORIES = [
     "gateway run diffbot, on its buses",
     "gateway run diffbot --fast --seconds 10",
 ]
-STEPS = ["2 motors, velocity", "12 motors, velocity", "12 motors, position"]
+STEPS = [
+    "2 motors, velocity",
+    "12 motors, velocity",
+    "12 motors, position",
+    "12 Damiao in MIT mode, position",
+    "12 RobStride in MIT mode, position",
+]
 LANGUAGES = codec.languages()
 TARGETS = {
     "gateway --help",
@@ -84,7 +104,10 @@ def test_every_row_is_there_once_and_in_order(run: Run) -> None:
         *MEMORIES,
         *STEPS,
         *(f"a frame: {name}" for name in STEPS),
+        *(what.format(name) for name in drivers.OPTIONS for what in drivers.WHAT),
         *(sample.what for _, language in LANGUAGES for sample in language.SAMPLES),
+        bridge.SENT,
+        bridge.RECEIVED,
         "one predict and update, gated",
         "1024 × 1024 cells of 0.05 m, beams of up to 12 m",
         "200 × 200 cells",
@@ -289,6 +312,22 @@ def test_a_sample_tells_bytes_and_fields_apart() -> None:
     assert not estimates.alike(estimates.ours(), {"a": 1.25, "b": -0.5}, (1.25, 0.5))
 
 
+def test_a_rival_in_another_process_answers_is_measured_there_and_ends_with_its_object() -> None:
+    elsewhere = measure.Elsewhere("CALLS = {'two': lambda: bytes((1, 2)), 'none': lambda: 1 / 0}")
+    call = elsewhere.call("two")
+    assert call() == [1, 2]
+    assert measure.sample(call, 1000) > 0.0
+    with pytest.raises(NotMeasured, match="division by zero"):
+        elsewhere.call("none")()
+    process = elsewhere._process
+    del elsewhere, call
+    assert process.returncode is not None
+
+
+def test_a_rival_elsewhere_that_is_not_installed_is_named() -> None:
+    assert measure.rival_elsewhere("no-such-package", "").why_not == "no-such-package is not installed"
+
+
 def test_a_sample_on_which_they_differ_is_not_measured() -> None:
     class Wrong:
         def encode_message(self, number: int, values: dict[str, float]) -> bytes:
@@ -404,6 +443,17 @@ def test_a_car_may_be_where_its_footprint_fits() -> None:
     assert not free.at(5.0, cars.WIDE, 0.0)
 
 
+def test_motorbridge_and_ours_send_the_same_packets_and_receive_the_same_position() -> None:
+    motorbridge = pytest.importorskip("motorbridge")
+    packets = set()
+    for client in (bridge.ours, bridge.theirs(motorbridge)):
+        with bridge.line() as (far, _, path), client(path) as (send, position):
+            packets.add(bridge.sending(send, far)())
+            receive = bridge.receiving(position, far)
+            assert [receive(), receive()] == list(bridge.FEEDBACK)
+    assert len(packets) == 1
+
+
 # -- steps, drives, processes ---------------------------------------------------------------------
 
 
@@ -424,6 +474,21 @@ def test_the_steps_that_count_are_those_of_every_motor() -> None:
             assert len(tick.outputs.packets) >= 2
             assert {e.motor for e in tick.outputs.events if isinstance(e, Feedback)} == set(robot.motors)
     assert steps.counting(ticks, twelve) == set()
+
+
+@pytest.mark.parametrize("protocol", ["damiao", "robstride"])
+def test_twelve_other_motors_are_commanded_as_springs(protocol: str) -> None:
+    robot = steps.springs(protocol)
+    _, ticks = steps.drive(robot, lambda motor: Position(motor, 1.0), 1)
+    assert len(steps.counting(ticks, robot)) > 40
+    assert {motor.plugin.name for motor in robot.motors.values()} == {protocol}
+
+
+@pytest.mark.parametrize("name", drivers.OPTIONS)
+def test_four_motors_report_and_are_commanded(name: str) -> None:
+    received, sent = drivers.timed(drivers.session(name, 3 * SECOND))
+    assert len(sent) == SECOND // drivers.PERIOD
+    assert len(received) >= 4 * 100
 
 
 def test_polling_costs_no_steps_of_its_own() -> None:
