@@ -192,11 +192,12 @@ class Server:
     def flush(self, now: Nanos) -> None:
         """Send what there is room for. Never waits."""
         for client in list(self._connections):
+            if client.unsent:
+                self._send(now, client)
             if client.samples and client.idle:
                 samples, client.samples = client.samples, {}
                 for message in samples.values():
                     client.send(message())
-            if client.unsent:
                 self._send(now, client)
 
     def close(self) -> None:
