@@ -4,7 +4,8 @@ Rules. No report says whether a motor is driven, and none is known to stop by it
 a motor that has been commanded, and is not, is released again every `feedback_ms`: by a current of 0, or by
 the frame that leaves MIT mode, which is answered. In MIT mode every frame is answered, and nothing else is
 sent: an answer belongs to the oldest frame that still waits for one; one that was not asked for is to another
-host, or to a late frame. Servo mode reports by itself.
+host, or to a late frame. One that has left motor mode answers on: it is known by the torque that it does not
+give, and entered again. Servo mode reports by itself.
 """
 
 from __future__ import annotations
@@ -31,6 +32,11 @@ ANSWER: Nanos = 50 * MILLISECOND
 ZEROED: Nanos = 3 * SECOND
 """Time for a new zero: the motor may be silent for half of it."""
 ARMED = ("enter", "control")
+RESTS: Nanos = 200 * MILLISECOND
+"""Time for which a motor that has left motor mode is asked for torque and gives none."""
+LEAST, LIMP = 0.02, 0.2
+"""Share of the largest torque from which on a torque can be told, and share of the torque asked for below
+which it is none."""
 State: TypeAlias = tuple[Mode | None, str]
 UNKNOWN: State = None, ""
 Motion: TypeAlias = tuple[float | None, float | None, float | None]
@@ -45,7 +51,11 @@ class Motor:
     driven: bool = False
     """Servo: what we sent last is a set-point, or prepares one."""
     awaited: list[tuple[Nanos, str, bytes]] = field(default_factory=list)
-    """MIT: frames that are not answered yet."""
+    """MIT: frames that are not answered yet,"""
+    goal: msg.Impedance | None = None
+    """the last set-point since it was entered,"""
+    limp_since: Nanos | None = None
+    """and since when it gives no torque where that asks for some."""
     turns: Turns = field(default_factory=Turns)
     shaft: ShaftCheck = field(default_factory=lambda: ShaftCheck(0.05))
 
@@ -59,6 +69,23 @@ class Motor:
     def drive(self, *, driven: bool) -> None:
         """Record whether we drive it."""
         self.driven = driven
+
+    def follow(self, goal: msg.Impedance | None) -> None:
+        """Record a set-point; None: it is entered."""
+        self.goal = goal
+        self.limp_since = self.limp_since if goal else None
+
+    def rests(self, t: Nanos, values: Values, most: float) -> bool:
+        """True if it has long given no torque where its set-point asks for some; `most`: the largest."""
+        goal, (position, velocity, torque) = self.goal, (values[name] for name in NUMBERS[:3])
+        wanted = 0.0
+        if goal is not None and None not in (position, velocity, torque):  # as at the ends of their ranges
+            pull = goal.stiffness * (goal.position - position) + goal.damping * (goal.velocity - velocity)
+            wanted = min(abs(goal.torque + pull), most)
+        limp = wanted > LEAST * most and abs(torque) < LIMP * wanted
+        since = t if self.limp_since is None else self.limp_since
+        self.limp_since = since if limp else None
+        return limp and t - since >= RESTS
 
     def answered(self, t: Nanos) -> str:
         """Return to which message an answer is, "" if to none of ours."""
@@ -123,7 +150,9 @@ class CubeMarsAdapter(Adapter[Motor]):
             return Rx.MALFORMED
         name, state = own.answered(t), UNKNOWN
         if name in ARMED and host.phase is not Phase.RELEASING:
-            state = Mode.ARMED, "motor mode"
+            most = host.options.table.row("reply").field("torque").high
+            rests = name == "control" and own.rests(t, values, most)
+            state = (Mode.READY, "it gives no torque") if rests else (Mode.ARMED, "motor mode")
         elif name == "exit":
             state = Mode.READY, "rest mode"
         elif not name and host.phase is not Phase.ARMING:
@@ -167,6 +196,7 @@ class CubeMarsAdapter(Adapter[Motor]):
             return own.sent(now, cm.SERVO.encode("SET_CURRENT", at, value=0.0))
         # The set-point of an earlier host may still be in it.
         zero = options.table.encode("control", at, **dict.fromkeys(NUMBERS, 0.0))
+        own.follow(None)
         return own.sent(now, cm.MIT.encode("enter", at), zero)
 
     def release(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
@@ -183,6 +213,7 @@ class CubeMarsAdapter(Adapter[Motor]):
             frame = options.table.encoder("control")(at, **numbers)
             if frame.data in cm.SPECIAL_DATA:  # one step of position beside enter, exit …
                 frame = CanFrame(frame.id, b"\xff\xfe" + frame.data[2:])
+            host.own.follow(goal)
             return host.own.sent(now, frame)
         host.own.drive(driven=True)
         match command:
