@@ -97,12 +97,12 @@ class RobStrideAdapter(RegisterAdapter):
         host.own.reported(t)
         mode, detail = MODES[values["mode"]]
         # A status has fewer faults than a fault message, and does not take those back.
-        details = {code for code in host.active if code >= rs.DETAIL}
-        faults = details | rs.faults_in_status(host.options.model, values["faults"])
+        faults = rs.faults_in_status(host.options.model, values["faults"])
+        faults |= {code for code in host.active if code >= rs.DETAIL}
         mode = Mode.FAULT if faults else mode
         # Its position loops at ±4π, or ends there: mechPos has it.
-        velocity, torque, temperature = (values[name] for name in ("velocity", "torque", "temperature"))
-        feedback = Feedback(host.name, t, None, velocity, torque, temperature=temperature)
+        motion = values["velocity"], values["torque"]
+        feedback = Feedback(host.name, t, None, *motion, temperature=values["temperature"])
         return Report(host, host.address, mode, detail, faults, feedback)
 
     # -- sent -----------------------------------------------------------------------------------------

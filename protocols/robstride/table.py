@@ -135,6 +135,8 @@ def faults_of(model: str) -> Mapping[int, FaultInfo]:
 
 def faults_in_status(model: str, bits: int) -> frozenset[int]:
     """Return the codes of the faults in a status."""
+    if not bits:
+        return frozenset()
     codes = frozenset(bit for bit in _STATUS if bits & bit)
     return (codes - {0x10}) | {HALL} if model == CYBERGEAR and 0x10 in codes else codes
 
