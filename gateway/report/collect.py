@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import hypot, sqrt
 
@@ -66,10 +66,17 @@ class Collector:
     Args:
         gateway: the one that steps.
         truth: returns the true pose in the frame "odom", where something knows it.
+        busy: transmission time of all packets up to the tick before, by bus, where something counts it: that
+            is half of the work here.
     """
 
-    def __init__(self, gateway: Gateway, truth: Callable[[], Pose] | None = None) -> None:
-        self.gateway, self._truth = gateway, truth
+    def __init__(
+        self,
+        gateway: Gateway,
+        truth: Callable[[], Pose] | None = None,
+        busy: Mapping[str, Nanos] | None = None,
+    ) -> None:
+        self.gateway, self._truth, self._counted = gateway, truth, busy
         self.signals = Signals(2 * gateway.robot.period)
         self.belief: Belief = gateway.belief()
         self.start: Nanos = 0
@@ -104,6 +111,8 @@ class Collector:
         self._next: Nanos = 0
         self._sampled: Nanos = 0
         self._fed: dict[str, msg.Feedback] = {}
+        self._ages: dict[str, Nanos] = {}
+        """Of the oldest feedback of each joint since the last sample."""
 
     def take(self, tick: Tick, belief: Belief) -> None:
         """Take a tick, and the belief after it."""
@@ -138,8 +147,10 @@ class Collector:
         for counts, packets in ((self.received, tick.inputs.packets), (self.sent, tick.outputs.packets)):
             for packet in packets:
                 bus = buses.get(packet.bus)
-                if bus is not None:  # a recording replayed with another robot may have more of them
-                    counts[packet.bus] += 1
+                if bus is None:
+                    continue  # of a recording that is replayed with another robot
+                counts[packet.bus] += 1
+                if self._counted is None:
                     self.busy[packet.bus] += frame_time(
                         packet.frame, bus.baudrate or bus.bitrate, bus.data_bitrate
                     )
@@ -157,7 +168,7 @@ class Collector:
             add(getattr(command, quantity), group, quantity, "commanded")
         age = joint.feedback_age(now)
         if age is not None:
-            add(age / MILLISECOND, group, "age of feedback", "age")
+            self._ages[name] = max(age, self._ages.get(name, 0))
 
     def _take_note(self, now: Nanos, note: Note) -> None:
         self.note_count += 1
@@ -179,10 +190,14 @@ class Collector:
 
     def _sample(self, now: Nanos, belief: Belief) -> None:
         add, passed = self.signals.add, now - self._sampled
+        self.busy.update(self._counted or {})
         for bus, busy in self.busy.items():
             if passed:
                 add(100.0 * (busy - self._busy_before[bus]) / passed, "bus", "load", bus)
         self._busy_before, self._sampled = dict(self.busy), now
+        for name, age in self._ages.items():
+            add(age / MILLISECOND, group_of(name), "age of feedback", "oldest")
+        self._ages.clear()
         estimate = belief.estimate
         if estimate is None:
             return

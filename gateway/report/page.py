@@ -282,7 +282,8 @@ def _map_section(collector: Collector, facts: Facts) -> str:
     box = f"{left:.3f} {top:.3f} {width:.3f} {height:.3f}"
     return (
         f"<section><h2>Map</h2><p class='legend'>{names}</p>"
-        f"<svg id='map' viewBox='{box}' {letters} role='img' aria-label='map'>{''.join(parts)}</svg>"
+        f"<svg id='map' viewBox='{box}' role='img' aria-label='map'>"
+        f"<g id='world' {letters}>{''.join(parts)}</g></svg>"
         f"{_arrivals(collector)}</section>"
     )
 

@@ -45,7 +45,7 @@
       width: into.clientWidth,
       height: HEIGHT,
       scales: { x: { time: false } },
-      axes: [{ ...axis, size: 34, values: (_, ticks) => ticks.map((t) => t + " s") }, { ...axis, size: 58 }],
+      axes: [{ ...axis, size: 34, values: (_, ticks) => ticks.map((t) => t + " s") }, { ...axis, size: 58, values: (_, ticks) => ticks.map((v) => String(+v.toPrecision(6))) }],
       series: [{ label: "t", value: (_, t) => (t == null ? "–" : t + " s") }, ...series],
       cursor: { sync: { key: "time" }, points: { size: 5 } },
       hooks: { setScale: [(u, key) => key === "x" && zoomAll(u)], setCursor: [(u) => show(u.data[0][u.cursor.idx])] },
@@ -95,7 +95,8 @@
     for (const canvas of all) draw(canvas.plot, canvas);
   });
 
-  // -- the map: the robot at a time; the wheel zooms, dragging moves, a double click shows all again
+  // -- the map: the robot at a time; the wheel zooms, dragging moves, a double click shows all again. While the
+  // cursor is over a plot and the map is out of sight, a small one stands beside.
 
   const map = document.getElementById("map");
   const robot = document.getElementById("robot");
@@ -109,6 +110,19 @@
   }
 
   if (map) {
+    const SVG = "http://www.w3.org/2000/svg";
+    const beside = document.body.appendChild(document.createElementNS(SVG, "svg"));
+    beside.id = "beside";
+    beside.setAttribute("viewBox", map.getAttribute("viewBox"));
+    beside.appendChild(document.createElementNS(SVG, "use")).setAttribute("href", "#world");
+    let inSight = true;
+    new IntersectionObserver((entries) => { inSight = entries[0].isIntersecting; }).observe(map);
+    place.addEventListener("pointermove", (event) => {
+      const shown = !inSight && event.target.closest(".u-over");
+      beside.style.visibility = shown ? "visible" : "hidden";
+    });
+    place.addEventListener("pointerleave", () => { beside.style.visibility = "hidden"; });
+
     const box = map.viewBox.baseVal;
     const whole = [box.x, box.y, box.width, box.height];
     const set = (x, y, width, height) => map.setAttribute("viewBox", [x, y, width, height].join(" "));
