@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from brain.belief import Pose
 from brain.bodies.differential import Differential
-from brain.bodies.plane import Twist, arc, sinc, wrap
+from brain.bodies.plane import Twist, arc, moved, seen_from, sinc, wrap
 from tests.brain.bodies.kinematics import rolled
 from tests.brain.bodies.kinematics import speeds as wheel_speeds
 
@@ -96,6 +96,13 @@ def test_two_parts_of_an_arc_are_the_arc(start: Pose, distance: float, turn: flo
 def test_back_along_the_same_arc(start: Pose, distance: float, turn: float) -> None:
     back = arc(arc(start, distance, turn), -distance, -turn)
     assert (back.x, back.y) == pytest.approx((start.x, start.y), abs=1e-9)
+
+
+@given(places, places)
+def test_what_is_seen_from_a_pose_lies_there(start: Pose, pose: Pose) -> None:
+    again = moved(start, seen_from(start, pose))
+    assert (again.x, again.y) == pytest.approx((pose.x, pose.y), abs=1e-9)
+    assert wrap(again.yaw - pose.yaw) == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize("half", [1e-4 * (1 + 1e-9), 1e-4 * (1 - 1e-9), -1e-4])
