@@ -299,13 +299,12 @@ _CODES |= {("int", 8): "b", ("int", 16): "h", ("int", 32): "i", ("int", 64): "q"
 
 def _compiled(row: Row) -> tuple[_Encode, _Decode]:
     """Return `encode(address, **values) -> frame` and `decode(address, id, data) -> message` of a row."""
-    scope: dict[str, Any] = {"CanFrame": CanFrame, "Decoded": Decoded, "saturated": saturated, "TINY": TINY}
+    scope: dict[str, Any] = {"CanFrame": CanFrame, "Decoded": Decoded, "saturated": saturated}
     scope |= {
         "error": struct.error,
         "new": tuple.__new__,  # in half the time of the class's own
         "nan": math.nan,
         "inf": math.inf,
-        "FMAX": FLOAT_MAX,
         "to_f32": _to_f32,
         "f32": _f32,
     }
@@ -423,9 +422,9 @@ def _raw(field: Field) -> str:
     if field.kind == "const" or not x:
         return str(int(field.low))
     if field.kind == "f32":
-        finite = f"{x} if -FMAX <= {x} <= FMAX else saturated({x}, -FMAX, FMAX)"
+        finite = f"{x} if {low!r} <= {x} <= {high!r} else saturated({x}, {low!r}, {high!r})"
         absent = f"nan if {x} is None else " if field.optional else ""
-        return f"({absent}0.0 if -TINY < {x} < TINY else {finite})"
+        return f"({absent}0.0 if {-TINY!r} < {x} < {TINY!r} else {finite})"
     inside = f"({x} if {low!r} <= {x} <= {high!r} else saturated({x}, {low!r}, {high!r}))"
     if field.kind == "span":
         steps = f"({inside} - {low!r}) * {1.0 / field.step!r}"
@@ -436,7 +435,7 @@ def _raw(field: Field) -> str:
 def _value(field: Field, raw: str) -> str:
     """Return the expression for the value of a raw number."""
     if field.kind == "f32":
-        value = f"{raw} if {raw} >= TINY or {raw} <= -TINY else 0.0"
+        value = f"{raw} if {raw} >= {TINY!r} or {raw} <= {-TINY!r} else 0.0"
         return f"None if {raw} != {raw} else {value}" if field.optional else value
     if field.kind == "span":
         value = f"{raw} * {field.step!r} + {field.low!r}"
