@@ -1,0 +1,283 @@
+"""A session, simulated devices and recordings in the live view, by its port."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from itertools import count
+from pathlib import Path
+
+import pytest
+
+from gateway.cli.live import view_on_demand
+from gateway.config import load_robot
+from gateway.core.tick import Tick
+from gateway.errors import UserError
+from gateway.recording import read_recording
+from gateway.replay import replay_recording
+from gateway.replay.player import Player
+from gateway.runtime import replay_view
+from gateway.runtime.replay_view import ReplayView
+from gateway.runtime.session import Session, open_session
+from gateway.view import Access, Address, parse_address
+from protocols.messages import MILLISECOND, SECOND, Goal
+from tests.gateway.view.clients import Browser
+
+
+def address_of(url: str) -> Address:
+    return parse_address(url.partition("//")[2].partition("/")[0])
+
+
+class Watched:
+    """A session in simulated time with a page: each tick polls both."""
+
+    def __init__(self, session: Session, *, steer: bool = True) -> None:
+        self.session = session
+        self.page = Browser(address_of(session.view("0", steer=steer)))
+        self.ticks: Iterator[Tick] = iter(session.run())
+        self.until(lambda: bool(self.page.of("state")) and self.page.of("state")[-1]["state"] == "ready")
+
+    def until(self, what: Callable[[], bool], seconds: float = 60.0) -> None:
+        for tick in self.ticks:
+            self.page.poll()
+            if what():
+                return
+            assert tick.seconds < seconds, self.page.messages[-20:]
+
+    def ask(self, line: str) -> None:
+        answers = len(self.page.of("answer"))
+        self.page.send({"ask": line})
+        self.until(lambda: len(self.page.of("answer")) > answers)
+
+
+@pytest.fixture
+def watched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Watched]:
+    monkeypatch.chdir(tmp_path)
+    with open_session("diffbot", simulated=True, record="drive.mcap") as session:
+        made = Watched(session)
+        yield made
+        made.page.close()
+
+
+def test_a_page_drives_the_robot_and_the_recording_replays_it(watched: Watched) -> None:
+    page = watched.page
+    watched.ask("goal 0.6 0.2")
+    watched.until(lambda: page.of("state")[-1]["reached"] == 1)
+    x, y, _ = page.of("state")[-1]["pose"]
+    assert abs(x - 0.6) < 0.1
+    assert abs(y - 0.2) < 0.1
+    assert page.of("tiles")
+    assert page.of("scan")[-1]["lidars"][0]["count"] * 4 == len(page.of("scan")[-1]["bytes"])
+    assert any(one["bytes"] for one in page.of("path"))
+    watched.ask("set brain.pursuit.lookahead_time 0.9")
+    watched.until(lambda: len(page.of("settings")) == 2)
+    rows = {row["key"]: row for row in page.of("settings")[-1]["rows"]}
+    assert rows["brain.pursuit.lookahead_time"]["value"] == 0.9
+    watched.ask("stop enough")
+    watched.until(lambda: page.of("state")[-1]["stopped"] == "enough")
+    watched.session.close()
+    assert replay_recording(read_recording(Path("drive.mcap"))).ok
+
+
+def test_a_fault_is_explained_and_cleared_by_a_page(watched: Watched) -> None:
+    page, session = watched.page, watched.session
+    assert session.twins is not None
+    device = next(one for one in session.twins.buses["can0"].devices if one.name == "left")
+    code, info = next(iter(device.settings.spec.faults.items()))
+    device.twin.provoke(code)
+    watched.until(lambda: bool(page.of("state")[-1]["faults"]))
+    [fault] = page.of("state")[-1]["faults"]
+    assert (fault["joint"], fault["name"], fault["remedy"]) == ("left", info.name, info.remedy)
+    assert page.of("joints")[-1]["rows"][0][-1] == 1
+    watched.ask("clear left")
+    watched.until(lambda: not page.of("state")[-1]["faults"])
+
+
+def test_a_recording_is_switched_on_and_off(watched: Watched) -> None:
+    page, session = watched.page, watched.session
+    assert page.of("state")[-1]["recording"] == "drive.mcap"
+    for on in (False, True):
+        page.send({"record": on, "id": 1})
+        watched.until(lambda on=on: bool(page.of("state")[-1]["recording"]) is on)  # type: ignore[misc]
+    second = Path(page.of("state")[-1]["recording"])
+    end = session.clock.now() + SECOND
+    watched.until(lambda: session.clock.now() > end)
+    session.close()
+    first, later = read_recording(Path("drive.mcap")), read_recording(second)
+    assert replay_recording(first).ok
+    ticks = list(later.ticks)
+    assert ticks[0].number > 0
+    assert len(ticks) > 100
+    comparison = replay_recording(later)
+    assert not comparison.ok
+    assert "under way" in comparison.text()
+
+
+def test_a_view_that_may_not_steer(tmp_path: Path) -> None:
+    with open_session("diffbot", simulated=True) as session:
+        watched = Watched(session, steer=False)
+        for line in ("goal 1 1", "release"):
+            watched.ask(line)
+        watched.page.send({"record": True})
+        watched.until(lambda: len(watched.page.of("answer")) == 3)
+        assert {one["ok"] for one in watched.page.of("answer")} == {False}
+        assert {"read-only" in one["text"] for one in watched.page.of("answer")} == {True}
+        watched.ask("stop")
+        watched.until(lambda: bool(watched.page.of("state")[-1]["stopped"]))
+        watched.page.close()
+
+
+def test_a_view_on_demand_is_not_opened_while_a_motor_is_armed() -> None:
+    with open_session("diffbot", simulated=True) as session:
+        watched = Watched(session)
+        assert view_on_demand(session, "127.0.0.1:0 steer").startswith("http://127.0.0.1:")
+        assert "is no address" in view_on_demand(session, "127.0.0.1:x")
+        watched.page.close()
+        watched = Watched(session)
+        watched.page.send({"ask": "goal 1 0"})
+        watched.until(lambda: session.joints["left"].armed)
+        assert "armed" in view_on_demand(session, "")
+        watched.page.close()
+
+
+def test_an_address_that_others_can_reach_needs_a_token_and_one_that_is_taken_is_named() -> None:
+    with open_session("bench", simulated=True) as session, open_session("bench05", simulated=True) as other:
+        with pytest.raises(UserError, match="needs a token"):
+            session.view("0.0.0.0:0")
+        taken = address_of(session.view("0"))
+        with pytest.raises(UserError, match=f"cannot listen on {taken}"):
+            other.view(str(taken))
+        assert session.view("0.0.0.0:0", token="0123456789abcdef").endswith("?token=0123456789abcdef")
+
+
+# -- recordings ----------------------------------------------------------------------------------------
+
+
+class Shown:
+    """Recordings in a view, and its page; time is counted."""
+
+    def __init__(self, *files: Path) -> None:
+        self.players = [Player(read_recording(file)) for file in files]
+        self.view = ReplayView(self.players, Address(port=0), Access())
+        self.page = Browser(address_of(self.view.url))
+        self.times = count(0, 10 * MILLISECOND)
+
+    def until(self, what: Callable[[], bool], slices: int = 20_000) -> None:
+        for now, _ in zip(self.times, range(slices), strict=False):
+            if what():
+                return
+            self.page.poll()
+            self.view.slice(now)
+        raise AssertionError(self.page.of("state")[-1])
+
+    @property
+    def state(self) -> dict[str, object]:
+        return self.page.of("state")[-1] if self.page.of("state") else {}
+
+    @property
+    def playback(self) -> dict[str, float]:
+        playback = self.state.get("playback", {})
+        assert isinstance(playback, dict)
+        return playback
+
+    def play(self, **how: float) -> None:
+        self.page.send({"play": how})
+
+    def close(self) -> None:
+        self.page.close()
+        self.view.close()
+        for player in self.players:
+            player.close()
+
+
+def recorded(file: Path, seed: int) -> Path:
+    with open_session("diffbot", simulated=True, record=file, seed=seed) as session:
+        session.submit(Goal(0.6, 0.2))
+        for _ in session.run(seconds=3.0):
+            pass
+    return file
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return recorded(tmp_path_factory.mktemp("drive") / "drive.mcap", 1)
+
+
+@pytest.fixture
+def shown(drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Shown]:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    made = Shown(drive)
+    yield made
+    made.close()
+
+
+def test_a_recording_is_played_paused_stepped_and_sought(shown: Shown) -> None:
+    page = shown.page
+    shown.until(lambda: shown.playback.get("prepared") == 1.0)
+    assert page.of("hello")[0]["mode"] == "replay"
+    assert shown.playback["t"] == 0.0  # it waits
+    assert 2.9 < shown.playback["length"] < 4.5
+    shown.play(rate=4.0)
+    shown.play(playing=True)
+    shown.until(lambda: shown.playback["t"] > 1.5)
+    shown.play(playing=False)
+    shown.until(lambda: not shown.playback["playing"])
+    at = shown.playback["due"]
+    shown.until(lambda: abs(shown.playback["t"] - at) < 0.02)
+    before = shown.state["ticks"]
+    assert isinstance(before, int)
+    for steps, tick in ((1, before + 1), (-3, before - 2), (2, before)):
+        shown.play(step=steps)
+        shown.until(lambda tick=tick: shown.state["ticks"] == tick)  # type: ignore[misc]
+    shown.play(seek=2.5)
+    shown.until(lambda: abs(shown.playback["t"] - 2.5) < 0.02)
+    late = shown.state["pose"]
+    shown.play(seek=0.5)
+    shown.until(lambda: abs(shown.playback["t"] - 0.5) < 0.02)
+    shown.until(lambda: shown.state["pose"] != late)
+    shown.play(seek=1e12)
+    shown.until(lambda: abs(shown.playback["t"] - shown.playback["length"]) < 0.02)
+    assert shown.playback["differences"] == []
+    assert shown.players[0].comparison.ok
+
+
+@pytest.mark.parametrize("asked", [{"seek": "x"}, {"rate": 1e400}, {"faster": 1}, 7, {"step": None}])
+def test_what_is_no_playback_gets_a_sentence(shown: Shown, asked: object) -> None:
+    shown.until(lambda: bool(shown.page.of("state")))
+    shown.page.send('{"play": {"rate": 1e400}}' if asked == {"rate": 1e400} else {"play": asked})
+    shown.until(lambda: bool(shown.page.of("answer")))
+    assert shown.page.of("answer")[-1]["ok"] is False
+    shown.page.send({"ask": "goal 1 1"})
+    shown.until(lambda: len(shown.page.of("answer")) == 2)
+    assert "read-only" in shown.page.of("answer")[-1]["text"]
+
+
+def test_the_work_of_a_slice_is_counted(shown: Shown, monkeypatch: pytest.MonkeyPatch) -> None:
+    [player] = shown.players
+    shown.until(lambda: shown.playback.get("prepared") == 1.0)
+    shown.play(rate=100.0)
+    shown.play(playing=True)
+    last = 0
+    while shown.playback["t"] < shown.playback["length"] - 0.02:
+        shown.page.poll()
+        shown.view.slice(next(shown.times))
+        number = player.tick.number if player.tick is not None else 0
+        assert 0 <= number - last <= replay_view.SLICE
+        last = number
+
+
+def test_two_recordings_are_at_the_same_time_since_their_beginnings(shown: Shown, tmp_path: Path) -> None:
+    other = recorded(tmp_path / "other.mcap", 9)
+    pair = Shown(shown.players[0].recording.path, other)
+    second = Browser(address_of(pair.view.url), "/cockpit/2")
+    pair.until(lambda: bool(pair.page.of("state")))
+    pair.play(seek=1.0)
+    pair.until(lambda: pair.playback["t"] > 0.98)
+    pair.until(lambda: bool(second.poll() or second.of("state")))
+    pair.until(lambda: abs(second.of("state")[-1]["playback"]["t"] - pair.playback["t"]) < 0.02)
+    assert second.of("state")[-1]["recording"].endswith("other.mcap")
+    second.close()
+    pair.close()
+
+
+def test_the_robot_file_is_the_recorded_one_unless_another_is_named(shown: Shown) -> None:
+    assert shown.players[0].robot.name == load_robot("diffbot").name
