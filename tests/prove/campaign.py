@@ -52,10 +52,12 @@ class Campaign:
         print(
             f"\n{self.path.stem}: seed {self.seed}, {len(self.done)} of {self.count} cases were done before"
         )
-        with self.path.open("a") as file:
+        left = [number for number in range(self.count) if number not in self.done]
+        with self.path.open("a") as file, terminal() as screen:
             file.write("\n")  # the last line may be torn
-            shown = Progress(f"{self.path.stem}, cases", self.count - len(self.done), terminal())
-            for ran, number in enumerate([n for n in range(self.count) if n not in self.done]):
+            screen.write("\n")  # below the line of pytest that names the test
+            shown = Progress(f"{self.path.stem}, cases", len(left), screen)
+            for ran, number in enumerate(left):
                 shown.update(ran)
                 try:
                     self.done[number] = case(self.seed, number)
@@ -66,6 +68,7 @@ class Campaign:
                     raise
                 file.write(json.dumps({"case": number, "result": self.done[number]}) + "\n")
                 file.flush()
+            shown.clear()
         return self.done
 
     def _read(self) -> tuple[dict[str, Any], dict[int, Any]]:
