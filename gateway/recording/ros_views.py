@@ -25,7 +25,7 @@ Bytes of serial buses are in the raw tick only: ROS has no message type for them
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from typing import TYPE_CHECKING, NamedTuple
@@ -61,6 +61,24 @@ _BY_SERIALISER = (
     "diagnostic_msgs/msg/DiagnosticArray",
     "rcl_interfaces/msg/Log",
 )
+
+TOPICS = {
+    "/scan": SCAN,
+    "/imu/data": IMU,
+    "/fix": "sensor_msgs/msg/NavSatFix",
+    "/pose": "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "/odom": ODOMETRY,
+    "/wheel_odom": ODOMETRY,
+    "/tf": TRANSFORMS,
+    "/tf_static": TRANSFORMS,
+    "/joint_states": JOINT_STATE,
+    "/map": "nav_msgs/msg/OccupancyGrid",
+    "/plan": "nav_msgs/msg/Path",
+    "/goal_pose": "geometry_msgs/msg/PoseStamped",
+    "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+    "/rosout": "rcl_interfaces/msg/Log",
+}
+"""The type of each topic, but those of frames: `frame_topics`."""
 
 _OK, _WARN, _ERROR, _STALE = 0, 1, 2, 3
 _BRAIN_LEVELS = {
@@ -117,10 +135,19 @@ class _MotorStatus:
 class Views:
     """Converts ticks and beliefs to messages. State: what was last sent, and the motors' last values.
 
-    `store`: the message types, if they are at hand (`typestore`)."""
+    Args:
+        mounts: where the sensors are, for /tf_static.
+        store: the message types, if they are at hand (`typestore`).
+        wanted: the topics to make messages for, looked at in each tick; None: all.
+    """
 
-    def __init__(self, mounts: Mapping[str, Mount] | None = None, store: Typestore | None = None) -> None:
-        self._mounts = dict(mounts or {})
+    def __init__(
+        self,
+        mounts: Mapping[str, Mount] | None = None,
+        store: Typestore | None = None,
+        wanted: Container[str] | None = None,
+    ) -> None:
+        self._mounts, self._wanted = dict(mounts or {}), wanted
         self._store = store or typestore()
         self._types: ros_messages.Types = self._store.types
         self._definitions: dict[str, str] = {}
@@ -138,20 +165,17 @@ class Views:
     def messages(self, tick: Tick, belief: Belief) -> list[View]:
         """Return the messages for a tick, in a fixed order."""
         views = self._mounts_view(tick.now)
-        views += [
-            self._frame(p, "from", p.frame) for p in tick.inputs.packets if isinstance(p.frame, CanFrame)
-        ]
+        views += self._frames(tick.inputs.packets, "from")
         views += self._events(tick.outputs.events)
-        views += [
-            self._frame(p, "to", p.frame) for p in tick.outputs.packets if isinstance(p.frame, CanFrame)
-        ]
+        views += self._frames(tick.outputs.packets, "to")
         views += self._estimate_and_map(tick.now, belief)
         views += self._goal_and_plan(tick.now, belief)
         views += self._joints(tick.now)
-        views += [
-            self._view("/rosout", tick.now, ros_messages.log(self._types, tick.now, note))
-            for note in tick.outputs.notes
-        ]
+        if self._wants("/rosout"):
+            views += [
+                self._view("/rosout", tick.now, ros_messages.log(self._types, tick.now, note))
+                for note in tick.outputs.notes
+            ]
         views += self._diagnostics(tick, belief)
         return views
 
@@ -183,7 +207,11 @@ class Views:
         except SerdeError as error:
             return f"no {view.type}: {error}"
 
-    # -- rates ----------------------------------------------------------------------------------
+    # -- what is wanted, and at which rate --------------------------------------------------------
+
+    def _wants(self, *topics: str) -> bool:
+        """Return whether one of these is wanted."""
+        return self._wanted is None or any(topic in self._wanted for topic in topics)
 
     def _due(self, topic: str, now: Nanos, period: Nanos) -> bool:
         last = self._sent.get(topic)
@@ -211,12 +239,21 @@ class Views:
 
     # -- frames and events ------------------------------------------------------------------------
 
-    def _frame(self, packet: Packet, direction: str, frame: CanFrame) -> View:
-        key = packet.bus, direction, frame.fd
-        topic = self._topics.get(key)
+    def _frames(self, packets: Sequence[Packet], direction: str) -> list[View]:
+        return [
+            self._frame(topic, p, p.frame)
+            for p in packets
+            if isinstance(p.frame, CanFrame)
+            and self._wants(topic := self._topic(p.bus, direction, p.frame.fd))
+        ]
+
+    def _topic(self, bus: str, direction: str, fd: bool) -> str:
+        topic = self._topics.get((bus, direction, fd))
         if topic is None:
-            name = f"/{topic_name(packet.bus)}/{direction}_can_bus{'_fd' if frame.fd else ''}"
-            topic = self._topics[key] = name
+            topic = self._topics[bus, direction, fd] = _frame_topic(bus, direction, fd)
+        return topic
+
+    def _frame(self, topic: str, packet: Packet, frame: CanFrame) -> View:
         if frame.fd:
             data = ros_cdr.fd_frame(self._layouts, packet.t, packet.bus, frame)
             return View(topic, ros_messages.FD_FRAME, _stamp(packet.t), data)
@@ -225,7 +262,11 @@ class Views:
 
     def _events(self, events: Sequence[Event]) -> list[View]:
         views: list[View] = []
+        motors = self._wants("/joint_states", "/diagnostics")
         for event in events:
+            topic = _TOPIC_OF.get(type(event))
+            if not (motors if topic is None else self._wants(topic)):
+                continue
             match event:
                 case msg.LaserScan():
                     data = ros_cdr.laser_scan(self._layouts, event)
@@ -266,40 +307,43 @@ class Views:
     # -- belief -----------------------------------------------------------------------------------
 
     def _mounts_view(self, now: Nanos) -> list[View]:
-        if not self._mounts or not self._is_new("/tf_static", True):
+        if not self._mounts or not self._wants("/tf_static") or not self._is_new("/tf_static", True):
             return []
         return [self._view("/tf_static", now, ros_messages.mount_transforms(self._types, now, self._mounts))]
 
     def _estimate_and_map(self, now: Nanos, belief: Belief) -> list[View]:
         views: list[View] = []
-        estimate = belief.estimate
+        estimate = belief.estimate if self._wants("/odom", "/tf", "/wheel_odom") else None
         if estimate is not None and self._new_and_due("/odom", estimate.t, now, BELIEF_PERIOD):
             t, layouts = _stamp(estimate.t), self._layouts
-            views.append(View("/odom", ODOMETRY, t, ros_cdr.odometry(layouts, estimate)))
-            views.append(View("/tf", TRANSFORMS, t, ros_cdr.base_transform(layouts, estimate)))
-            if belief.raw is not None:
+            if self._wants("/odom"):
+                views.append(View("/odom", ODOMETRY, t, ros_cdr.odometry(layouts, estimate)))
+            if self._wants("/tf"):
+                views.append(View("/tf", TRANSFORMS, t, ros_cdr.base_transform(layouts, estimate)))
+            if belief.raw is not None and self._wants("/wheel_odom"):
                 raw = ros_cdr.dead_reckoning(layouts, estimate.t, belief.raw)
                 views.append(View("/wheel_odom", ODOMETRY, t, raw))
-        grid = belief.map
+        grid = belief.map if self._wants("/map") else None
         if grid is not None and self._new_and_due("/map", grid.version, now, MAP_PERIOD):
             views.append(self._view("/map", now, ros_messages.occupancy(self._types, now, grid)))
         return views
 
     def _goal_and_plan(self, now: Nanos, belief: Belief) -> list[View]:
         views: list[View] = []
-        if belief.goal != self._shown.get("/goal_pose"):
+        if belief.goal != self._shown.get("/goal_pose") and self._wants("/goal_pose"):
             self._shown["/goal_pose"] = belief.goal
             if belief.goal is not None:
                 views.append(
                     self._view("/goal_pose", now, ros_messages.goal_pose(self._types, now, belief.goal))
                 )
         nothing_yet = "/plan" not in self._shown and not belief.path
-        if not nothing_yet and self._is_new("/plan", belief.path_version):
+        if not nothing_yet and self._wants("/plan") and self._is_new("/plan", belief.path_version):
             views.append(self._view("/plan", now, ros_messages.path(self._types, now, belief.path)))
         return views
 
     def _joints(self, now: Nanos) -> list[View]:
-        if not self._moved or not self._due("/joint_states", now, BELIEF_PERIOD):
+        wanted = self._moved and self._wants("/joint_states")
+        if not wanted or not self._due("/joint_states", now, BELIEF_PERIOD):
             return []
         self._moved = False
         measured = {
@@ -311,6 +355,8 @@ class Views:
     # -- diagnostics ------------------------------------------------------------------------------
 
     def _diagnostics(self, tick: Tick, belief: Belief) -> list[View]:
+        if not self._wants("/diagnostics"):
+            return []
         motors = tuple((name, m.mode, m.detail, tuple(m.faults)) for name, m in self._motors.items())
         changed = self._is_new("/diagnostics", (belief.state, motors))
         due = self._due("/diagnostics", tick.now, DIAGNOSTICS_PERIOD)
@@ -358,6 +404,23 @@ class Views:
 
 _MEASURED = ("position", "velocity", "torque", "current", "voltage", "temperature")
 _REPORTED = {"current": "A", "voltage": "V", "temperature": "degC"}
+_TOPIC_OF: dict[type[Event], str] = {
+    msg.LaserScan: "/scan",
+    msg.Imu: "/imu/data",
+    msg.Fix: "/fix",
+    msg.PoseReading: "/pose",
+}
+"""Of a sensor's readings; everything else is of the motors."""
+
+
+def frame_topics(bus: str, *, fd: bool) -> dict[str, str]:
+    """Return the topics of a CAN bus's frames, with their types."""
+    kinds = ((False, ros_messages.CAN_FRAME), (True, ros_messages.FD_FRAME))[: 1 + fd]
+    return {_frame_topic(bus, way, kind): type_ for kind, type_ in kinds for way in ("from", "to")}
+
+
+def _frame_topic(bus: str, direction: str, fd: bool) -> str:
+    return f"/{topic_name(bus)}/{direction}_can_bus{'_fd' if fd else ''}"
 
 
 def _stamp(t: Nanos) -> Nanos:

@@ -1,4 +1,4 @@
-"""The live view: one port with the cockpit's page and its clients, polled once per tick."""
+"""The live view: one port with the cockpit's page, its clients and Foxglove's, polled once per tick."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from brain.belief import Belief
 from gateway.core.tick import Tick
 from gateway.view.access import Access, Address
 from gateway.view.cockpit import Act, Cockpit
+from gateway.view.foxglove import Foxglove
+from gateway.view.foxglove_wire import SUBPROTOCOLS
 from gateway.view.requests import Requests
 from gateway.view.scene import Scene
 from gateway.view.server import Client, Page, Server
@@ -16,6 +18,8 @@ from protocols.messages import Instruction, Nanos
 
 COCKPIT = "/cockpit"
 """Path of the cockpit's WebSocket; of the second scene "/cockpit/2"."""
+FOXGLOVE = "/"
+"""Path of Foxglove's, of the first scene."""
 _KINDS = {
     "html": "text/html; charset=utf-8",
     "css": "text/css; charset=utf-8",
@@ -48,12 +52,15 @@ class View:
         steer: bool = False,
         acts: Mapping[str, Act] | None = None,
     ) -> None:
-        self._requests = Requests(scenes[0].robot, steer)
+        self._requests, self._scenes = Requests(scenes[0].robot, steer), scenes
         self._cockpits = {
             COCKPIT + f"/{number}" * (number > 1): Cockpit(scene, self._requests, acts or {})
             for number, scene in enumerate(scenes, 1)
         }
-        self._server = Server(address, access, pages(), dict.fromkeys(self._cockpits, ("",)))
+        foxglove = Foxglove(scenes[0], self._requests, acts or {})
+        self._speakers: dict[str, Cockpit | Foxglove] = {**self._cockpits, FOXGLOVE: foxglove}
+        subprotocols = {**dict.fromkeys(self._cockpits, ("",)), FOXGLOVE: SUBPROTOCOLS}
+        self._server = Server(address, access, pages(), subprotocols)
         token = f"?token={access.token}" if access.token else ""
         self.url = f"http://{self._server.address}/{token}"
         """What to open in a browser."""
@@ -72,21 +79,22 @@ class View:
         """
         instructions: list[Instruction] = []
         for client, message in self._server.poll(now):
-            instructions += self._cockpits[client.path].receive(now, client, message)
-        for path, cockpit in self._cockpits.items():
-            instructions += cockpit.leave(self._clients(path))
+            instructions += self._speakers[client.path].receive(now, client, message)
+        for path, speaker in self._speakers.items():
+            instructions += speaker.leave(self._clients(path))
         return instructions + self._requests.expired(now)
 
     def take(self, tick: Tick, belief: Belief, scene: int = 0) -> None:
         """Take a tick of one of the scenes: its notes are sent at once, all else when it is due."""
-        cockpit = list(self._cockpits.values())[scene]
-        cockpit.scene.observe(tick, belief)
-        cockpit.take(tick)
+        self._scenes[scene].observe(tick, belief)
+        for speaker in self._speakers.values():
+            if speaker.scene is self._scenes[scene]:
+                speaker.take(tick)
 
     def show(self, now: Nanos) -> None:
         """Send clients what is due. Never waits."""
-        for path, cockpit in self._cockpits.items():
-            cockpit.show(now, self._clients(path))
+        for path, speaker in self._speakers.items():
+            speaker.show(now, self._clients(path))
         self._server.flush(now)
 
     def close(self) -> None:
