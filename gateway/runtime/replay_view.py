@@ -118,6 +118,7 @@ class ReplayView:
         return {
             "ticks": player.tick.number if player.tick is not None else 0,
             "recording": str(player.recording.path),
+            "recordings": len(self._shown),
             "playback": {
                 "playing": playback.playing,
                 "rate": playback.rate,

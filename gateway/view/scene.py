@@ -77,6 +77,7 @@ class Scene:
                     "address": motor.device.address,
                     "bus": motor.bus,
                     "commands": sorted(kind.__name__ for kind in motor.joint.commands(motor.spec)),
+                    "requests": sorted(kind.__name__ for kind in motor.spec.requests),
                     "limits": {limit: getattr(motor.joint.limits, limit) for limit in LIMITS},
                     "moves": "base" if isinstance(body, Base) and name in body.joints else "joint",
                 }

@@ -354,7 +354,7 @@ def _page(page: Page) -> Response:
             ("Content-Length", str(len(page.body))),
             ("Connection", "close"),
             ("Cache-Control", "no-store"),
-            ("Content-Security-Policy", "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'"),
+            ("Content-Security-Policy", "default-src 'self'; img-src 'self' data:; frame-ancestors 'self'"),
             ("X-Content-Type-Options", "nosniff"),
             ("Referrer-Policy", "no-referrer"),
         ]

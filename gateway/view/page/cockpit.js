@@ -1,0 +1,150 @@
+// The cockpit: what comes over the wire is handed to its panels, what a person does becomes lines of the operator's
+// language. The page knows nothing that the robot did not say, and sends nothing that nobody did.
+
+import { Drive } from "./drive.js";
+import { $, number, say, twice } from "./elements.js";
+import { Joints } from "./joints.js";
+import { Field } from "./map.js";
+import { log, Settings, showBuses, showFaults, showMission, showSystems } from "./panels.js";
+import { Replay } from "./replay.js";
+import { Held, Wire } from "./wire.js";
+
+const query = new URLSearchParams(location.search);
+const on = { hello, settings, note, state, answer, joints: m => joints.take(m), path: (m, b) => field.takePath(m, b),
+  scan: (m, b) => field.takeScan(m, b), tiles: (m, b) => field.takeTiles(m, b) };
+const wire = new Wire(query.get("scene") === "2" ? "/cockpit/2" : "/cockpit", on, lost);
+const held = new Held(wire);
+const drive = new Drive(held);
+const field = new Field((x, y, yaw) =>
+  ask(`goal ${x.toFixed(3)} ${y.toFixed(3)}` + (yaw === null ? "" : ` ${((yaw * 180) / Math.PI).toFixed(1)}`)));
+const joints = new Joints(wire, held);
+$("both").search = location.search;
+const table = new Settings(wire);
+const replay = new Replay(wire);
+let robot = null;
+let steer = false;
+
+// -- in -------------------------------------------------------------------------------------------
+
+function hello(message) {
+  robot = message;
+  const live = message.mode === "live";
+  steer = live && message.steer;
+  document.title = `${message.robot} – cockpit`;
+  say($("robot"), message.robot);
+  say($("mode"), live ? (steer ? "live" : "live, read-only") : message.mode);
+  const { base } = message;
+  document.body.classList.toggle("bare", !base);
+  $("map").hidden = !base;
+  $("replay").hidden = message.mode !== "replay";
+  $("stopping").hidden = !live;
+  $("record").hidden = $("mission-buttons").hidden = $("drop").hidden = !steer;
+  $("ask").hidden = !live;
+  say($("hint"), steer ? "Click: goal. Drag: goal with heading. Right button or two fingers: move the map." : "Drag to move the map.");
+  field.steer = steer;
+  field.reset(base?.outline ?? [], message.walls ?? []);
+  joints.reset(message.joints, steer);
+  drive.enable(steer ? base : null);
+  table.reset(steer);
+  $("log").replaceChildren();
+}
+
+function settings(message) {
+  table.take(message);
+}
+
+function note(message) {
+  log(message.level, message.text, message.source, message.t);
+  table.note(message);
+}
+
+function answer({ ok, text }) {
+  log(ok ? "answer" : "refused", text);
+  if (ok && text.includes("\n")) return;
+  say($("said"), text);
+  $("said").className = ok ? "" : "bad";
+}
+
+function state(message) {
+  if (!robot) return;
+  const word = message.stop || message.stopped ? "stopped" : message.state;
+  say($("word"), word);
+  $("word").dataset.state = word;
+  say($("reason"), message.stopped || message.reason);
+  $("stop").classList.toggle("pressed", message.stop);
+  $("release").hidden = !(message.stop && steer);
+  showSystems(message.systems);
+  showMission(message.mission);
+  showFaults(message.faults, steer && (name => ask(`clear ${name}`)));
+  showBuses(robot, message);
+  if (message.playback) replay.take(message.playback);
+  $("both").hidden = !(message.recordings > 1) || query.has("scene");
+  if (!robot.base) return;
+  field.take(message);
+  const [x, y, yaw] = message.pose ?? [];
+  const speed = message.twist ? `  ${number(message.twist[0], 2, "m/s")}` : "";
+  say($("pose"), message.pose ? `x ${number(x, 2)}  y ${number(y, 2)}  ${number((yaw * 180) / Math.PI, 0)}°${speed}` : "no pose yet");
+}
+
+function lost(why, open) {
+  held.end();
+  say($("banner"), why);
+  $("banner").hidden = !why;
+  document.body.classList.toggle("lost", Boolean(why));
+  $("stop").disabled = Boolean(why) && !open;
+  say($("stop-how"), $("stop").disabled ? "not connected" : "space bar");
+  if (why) $("release").hidden = true;
+  $("main").inert = $("replay").inert = Boolean(why) && !open;
+  if (!why) return;
+  say($("word"), open ? "silent" : "not connected");
+  delete $("word").dataset.state;
+}
+
+// -- out ------------------------------------------------------------------------------------------
+
+function ask(line, take = answer) {
+  wire.ask(line, take);
+}
+
+function stop() {
+  held.end();
+  ask("stop an operator pressed STOP");
+}
+
+$("stop").addEventListener("pointerdown", event => event.button === 0 && stop()); // not when it is let go
+$("stop").addEventListener("click", event => event.detail === 0 && stop()); // by Enter, or a screen reader
+twice($("release"), () => ask("release"));
+for (const type of ["keydown", "keyup"])
+  window.addEventListener(type, event => {
+    const text = event.target.matches?.("input:not([type]), input[type=text]"); // the command line needs spaces
+    if (event.code !== "Space" || text) return;
+    event.preventDefault();
+    event.stopImmediatePropagation();
+    if (type === "keyup" || event.repeat || !robot) return;
+    if (robot.mode === "live") stop();
+    else if (robot.mode === "replay") replay.toggle();
+  }, true);
+
+$("drop").addEventListener("click", () => ask("drop"));
+$("clear").addEventListener("click", () => ask("clear all"));
+$("mission-buttons").addEventListener("click", event => event.target.dataset.ask && ask(event.target.dataset.ask));
+$("record").addEventListener("click", () => wire.send({ record: $("record").getAttribute("aria-pressed") !== "true" }));
+
+const lines = [];
+let at = 0;
+$("ask").addEventListener("submit", event => {
+  event.preventDefault();
+  const line = $("line").value.trim();
+  if (!line) return;
+  lines.push(line);
+  at = lines.length;
+  $("line").value = "";
+  log("asked", line);
+  ask(line);
+});
+$("line").addEventListener("keydown", event => {
+  if (event.key !== "ArrowUp" && event.key !== "ArrowDown") return;
+  event.preventDefault();
+  at = Math.max(0, Math.min(lines.length, at + (event.key === "ArrowUp" ? -1 : 1)));
+  $("line").value = lines[at] ?? "";
+});

@@ -1,0 +1,55 @@
+// A recording: played, paused, stepped, sought, with what differs from today's code.
+
+import { $, button, make, say } from "./elements.js";
+
+const RATES = [0.1, 0.25, 0.5, 1, 2, 5, 10];
+
+export class Replay {
+  constructor(wire) {
+    Object.assign(this, { wire, playback: null, sliding: false, marks: "" });
+    $("rate").append(...RATES.map(rate => make("option", { value: rate, textContent: `× ${rate}`, selected: rate === 1 })));
+    $("play").addEventListener("click", () => this.toggle());
+    $("back").addEventListener("click", () => this.play({ step: -1 }));
+    $("forth").addEventListener("click", () => this.play({ step: 1 }));
+    $("rate").addEventListener("change", () => this.play({ rate: Number($("rate").value) }));
+    $("seek").addEventListener("pointerdown", () => (this.sliding = true));
+    $("seek").addEventListener("change", () => {
+      this.sliding = false;
+      this.play({ seek: Number($("seek").value) });
+    });
+  }
+
+  play(asked) {
+    this.wire.send({ play: asked });
+  }
+
+  toggle() {
+    this.play({ playing: !this.playback?.playing });
+  }
+
+  take(playback) {
+    this.playback = playback;
+    const { playing, rate, t, length, prepared, differences } = playback;
+    say($("play"), playing ? "Pause" : "Play");
+    if (document.activeElement !== $("rate")) $("rate").value = rate;
+    $("seek").max = length;
+    if (!this.sliding) $("seek").value = t;
+    say($("when"), `${t.toFixed(2)} of ${length.toFixed(2)} s`);
+    say($("prepared"), `${Math.floor(100 * prepared)} % compared with today's code, differences: ${differences.length || "none"}`);
+    $("ready").style.width = `${100 * prepared}%`;
+    const marks = JSON.stringify([length, differences]);
+    if (marks === this.marks) return;
+    this.marks = marks;
+    $("marks").replaceChildren(...differences.map(one => this.mark(one, length)));
+  }
+
+  mark({ t, kind, text }, length) {
+    const what = `${t.toFixed(3)} s, ${kind}: ${text}`;
+    const mark = button("", () => {
+      this.play({ seek: t });
+      say($("difference"), what);
+    }, { title: what, ariaLabel: `difference: ${what}` });
+    mark.style.left = `${(100 * t) / (length || 1)}%`;
+    return mark;
+  }
+}
