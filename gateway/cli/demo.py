@@ -6,9 +6,11 @@ from __future__ import annotations
 import resource
 import sys
 from argparse import ArgumentParser, Namespace
+from collections.abc import Sequence
 from contextlib import closing
 from functools import partial
-from math import degrees
+from itertools import pairwise
+from math import degrees, dist
 from pathlib import Path
 
 from brain.belief import Belief, MissionView
@@ -72,8 +74,9 @@ def run(options: Namespace) -> int:
         mission, goals = _choice(options, session, asked)
         tour = Tour(session, goals)
         began = stopwatch()
-        total = len(goals) if mission is None else len(mission.steps)
-        with progress("goals" if mission is None else "steps", total) as shown:
+        metres = round(sum(_straight(goals)), 1)
+        what, total = ("tour, metres", metres) if mission is None else ("mission, steps", len(mission.steps))
+        with progress(what, total) as shown:
             (_follow if mission is None else partial(_do, mission))(session, tour, shown)
         took = stopwatch() - began
         done = tour.done if mission else tour.near == len(goals)
@@ -148,13 +151,29 @@ def _follow(session: Session, tour: Tour, shown: Progress) -> None:
                 where = _progress(tour.belief, tick.now)
                 shown.clear()
                 print(f"{where}  goals {tour.belief.reached}/{len(goals)}", flush=True)
-            shown.update(tour.belief.reached)
+            shown.update(_way_done(tour))
             stopped = session.gateway.why_stopped()
             if stopped or tick.now - sent > GOAL_TIMEOUT:
                 why = stopped or f"not reached after {GOAL_TIMEOUT / SECOND:.0f} s"
                 shown.clear()
                 print(f"goal {len(arrivals) + 1} abandoned: {why}", file=sys.stderr)
                 break
+
+
+def _straight(goals: Sequence[Goal]) -> list[float]:
+    """Return the straight ways [m] from the start to the first goal, and from each to the next."""
+    places = [(0.0, 0.0), *((goal.x, goal.y) for goal in goals)]
+    return [dist(a, b) for a, b in pairwise(places)]
+
+
+def _way_done(tour: Tour) -> float:
+    """Return how much [m] of the straight ways is done."""
+    ways, reached, estimate = _straight(tour.goals), len(tour.arrivals), tour.belief.estimate
+    if estimate is None or reached == len(ways):
+        return sum(ways[:reached])
+    goal = tour.goals[reached]
+    left = dist((estimate.pose.x, estimate.pose.y), (goal.x, goal.y))
+    return sum(ways[:reached]) + max(0.0, ways[reached] - left)
 
 
 def _steps_done(view: MissionView) -> int:

@@ -17,6 +17,8 @@ from protocols.messages import SECOND, Nanos
 
 MOVING, PLAIN = SECOND // 2, 10 * SECOND
 """Between two lines: on a terminal, elsewhere."""
+KNOWN = 0.01
+"""The share from which the time left is told: before, it is a guess."""
 
 
 def text(what: str, done: float, total: float | None, elapsed: float) -> str:
@@ -26,7 +28,7 @@ def text(what: str, done: float, total: float | None, elapsed: float) -> str:
     if not total:
         return f"{what}: {done:g} so far, {duration(elapsed)}"
     share = min(max(done / total, 0.0), 1.0)
-    left = f", about {duration(elapsed * (1.0 - share) / share)} left" if share > 0.0 else ""
+    left = f", about {duration(elapsed * (1.0 - share) / share)} left" if share >= KNOWN else ""
     return f"{what}: {share:.0%} of {total:g}, {duration(elapsed)}{left}"
 
 

@@ -22,7 +22,8 @@ TEXTS = [
     (1, 3, 100.0, "replay: 33% of 3, 1 min 40 s, about 3 min 20 s left"),
     (100, 100, 59.4, "replay: 100% of 100, 59 s, about 0 s left"),
     (120, 100, 10.0, "replay: 100% of 100, 10 s, about 0 s left"),  # more than the index knows of
-    (1, 1000, 20.0, "replay: 0% of 1000, 20 s, about 5 h 33 min left"),
+    (9, 1000, 20.0, "replay: 1% of 1000, 20 s"),
+    (10, 1000, 200.0, "replay: 1% of 1000, 3 min 20 s, about 5 h 30 min left"),
     (12345, None, 61.0, "replay: 12345 so far, 1 min 01 s"),
     (3, 0, 1.0, "replay: 3 so far, 1 s"),
 ]
