@@ -17,6 +17,7 @@ PRINTED = {
     "record_a_drive": [r"brain: goal 1 reached", r"believed pose: Pose\(x=1\.[45]\d*, y=0\.[45]\d*"],
     "replay_a_recording": [r"the same, byte for byte", r"events: .*\d+ Feedback"],
     "report_of_a_recording": [r"the same, byte for byte", r"drive\.html: \d+ kB"],
+    "live_view": [r"open http://127\.0\.0\.1:\d+/", r"brain: goal 1 accepted"],
     "embed_the_step": [r"right: [23]\.\d\d rad, -?[\d.]+ rad/s on the way to 3 rad"],
 }
 PLUGIN = FOLDER / "robstride_can"
