@@ -8,7 +8,7 @@ point where it has gone on by some distance, which doubles when there are too ma
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import hypot
+from math import hypot, isfinite
 
 from brain.belief import Pose
 from brain.bodies.plane import wrap
@@ -84,7 +84,9 @@ class Signals:
             self._join()
 
     def add(self, value: float, *name: str) -> None:
-        """Add a value, which must be finite, to the signal of this name."""
+        """Add a value to the signal of this name; one that is not finite is left out."""
+        if value - value != 0.0:
+            return
         signal = self._signals.get(name)
         if signal is None:
             signal = self._signals[name] = Signal()
@@ -129,7 +131,9 @@ class Track:
         self._measured: Pose | None = None
 
     def add(self, t: Nanos, pose: Pose) -> None:
-        """Add a pose."""
+        """Add a pose; one that is not finite is left out."""
+        if not isfinite(pose.x + pose.y + pose.yaw):
+            return
         self._measure(pose)
         self._last = (t, pose)
         if self._points and _distance(self._points[-1][1], pose) < self._apart:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, sin
+from math import cos, inf, nan, sin
 
 import numpy as np
 import pytest
@@ -44,6 +44,16 @@ def test_a_rare_signal_has_gaps_and_a_common_one_none() -> None:
     assert None not in values[("often",)]
     assert values[("rare",)].count(2.0) == 8
     assert values[("rare",)].count(None) == 72
+
+
+def test_what_is_not_finite_is_left_out() -> None:
+    signals, track = Signals(PERIOD), Track()
+    signals.move_to(0)
+    for value in (nan, 1.0, inf, -inf):
+        signals.add(value, "a")
+        track.add(0, Pose(value, 0.0, 0.0))
+    assert dict(signals.values()) == {("a",): [1.0, 1.0]}
+    assert track.points == [(0, Pose(1.0, 0.0, 0.0))]
 
 
 def test_shrinking_keeps_the_peaks_of_all_signals() -> None:
