@@ -44,6 +44,8 @@ class Record(NamedTuple):
 
     opcode: int
     content: bytes
+    at: tuple[int, int] = (0, 0)
+    """The byte in the file where it begins, or its chunk does, and the byte in the chunk: in order."""
 
 
 class Damage(NamedTuple):
@@ -57,12 +59,13 @@ class Damage(NamedTuple):
 Piece: TypeAlias = Record | Damage
 
 
-def records(file: BinaryIO) -> Iterator[Piece]:
+def records(file: BinaryIO, start: int = len(MAGIC)) -> Iterator[Piece]:
     """Yield all records up to the end of the data (DATA_END is the last), or to a cut.
 
+    `start`: where a record begins; from another than the first, the checksum of all data is not verified.
     A cut is a Damage that reaches to the end of the file; a cut between two records leaves no trace."""
     size = file.seek(0, os.SEEK_END)
-    at, crc, damaged = len(MAGIC), zlib.crc32(MAGIC), False
+    at, crc, damaged = start, zlib.crc32(MAGIC), start != len(MAGIC)
     unpacked = 0
     while at < size:
         found = _record(file, at, size)
@@ -103,6 +106,23 @@ def summary(file: BinaryIO) -> Iterator[Record]:
         at += _START.size + len(found.content)
 
 
+def newest_time(file: BinaryIO) -> int:
+    """Return the newest log time by the heads of the chunks, up to the first damage; 0 without a chunk."""
+    at, size, newest = len(MAGIC), file.seek(0, os.SEEK_END), 0
+    while at < size:
+        file.seek(at)
+        head = file.read(_START.size + 2 * _U64.size)
+        if len(head) < _START.size + 2 * _U64.size:
+            break
+        opcode, length = _START.unpack_from(head)
+        if not Opcode.HEADER <= opcode <= Opcode.DATA_END:
+            break
+        at += _START.size + length
+        if opcode == Opcode.CHUNK and at <= size:
+            newest = max(newest, _U64.unpack_from(head, _START.size + _U64.size)[0])
+    return newest
+
+
 def _record(file: BinaryIO, at: int, size: int) -> Record | None:
     """Return the record at a position; None if there is none, or it is incomplete."""
     file.seek(at)
@@ -117,7 +137,7 @@ def _record(file: BinaryIO, at: int, size: int) -> Record | None:
     content = file.read(length)
     if len(content) < length or (opcode == Opcode.CHUNK and _chunk_data(content) is None):
         return None
-    return Record(opcode, content)
+    return Record(opcode, content, (at, 0))
 
 
 def _chunk_data(content: bytes) -> tuple[int, int, str, bytes] | None:
@@ -149,7 +169,7 @@ def _in_chunk(content: bytes, at: int) -> Iterator[Piece]:
         if place > len(contents) or length < _IN_CHUNK.get(opcode, length + 1):
             yield Damage(at, _START.size + len(content), "a chunk with an incomplete record in it")
             return
-        yield Record(opcode, contents[place - length : place])
+        yield Record(opcode, contents[place - length : place], (at, place))
 
 
 def _contents(content: bytes) -> bytes | str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
@@ -25,9 +25,18 @@ from gateway.recording.layout import (
     digest,
     modernised,
 )
-from gateway.recording.mcap_records import MAX_UNPACKED, MESSAGE_HEAD, Damage, Record, records, summary
+from gateway.recording.mcap_records import (
+    MAX_UNPACKED,
+    MESSAGE_HEAD,
+    Damage,
+    Record,
+    newest_time,
+    records,
+    summary,
+)
 from gateway.recording.ros_views import View
 from gateway.recording.tick_codec import TickCodecError
+from protocols.messages import Nanos
 
 _VIEW = 200
 """Bytes of memory of a view, beside its data"""
@@ -36,6 +45,27 @@ if TYPE_CHECKING:
     from mcap.records import Attachment, Channel, Header, Metadata, Schema, Statistics
 
     R = TypeVar("R", Attachment, Channel, Header, Metadata, Schema, Statistics)
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a tick stands in the file, and what it takes to read on from there without all before it."""
+
+    at: tuple[int, int]
+    """The byte where its chunk begins, and the byte in the chunk."""
+    before: tick_codec.DigestChain
+    """The digests written with the tick before it."""
+    known: Known
+    """The channels so far."""
+
+
+@dataclass(slots=True)
+class Known:
+    """What the file has declared so far. It only grows: all places in a recording share it."""
+
+    schemas: dict[int, str] = field(default_factory=dict)
+    channels: dict[int, tuple[str, str]] = field(default_factory=dict)
+    """Topic and type."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +78,7 @@ class Step:
     """What was changed since it was written, in words; empty if nothing."""
     whole: bool
     """False for the last one before a cut: views may be missing."""
+    place: Place
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +95,8 @@ class Recording:
     """True if it was closed; otherwise it ends where the writing ended."""
     indexed: int | None
     """Number of ticks by its index; None without an index."""
+    end: Nanos
+    """Time of its last tick: by its index, or by the heads of its chunks."""
 
     @property
     def ticks(self) -> Iterator[Tick]:
@@ -74,6 +107,10 @@ class Recording:
     def steps(self) -> Iterator[Step]:
         """The ticks with their views and damage. Raises RecordingError as `ticks`."""
         return _steps(self.path, self.whole)
+
+    def steps_from(self, place: Place) -> Iterator[Step]:
+        """The same from one of them on; what is before it is not read. Raises RecordingError as `ticks`."""
+        return _steps(self.path, self.whole, place)
 
 
 def read_recording(path: Path | str) -> Recording:
@@ -92,7 +129,11 @@ def read_recording(path: Path | str) -> Recording:
     whole = has_end(path)
     format_, robot_text, facts = head(path, whole)
     robot_text = robot_text if format_ == FORMAT else modernised(robot_text)
-    return Recording(path, format_, robot_text, facts, whole, _indexed(path) if whole else None)
+    indexed, end = _indexed(path) if whole else (None, None)
+    if end is None:
+        with path.open("rb") as file:
+            end = newest_time(file)
+    return Recording(path, format_, robot_text, facts, whole, indexed, end)
 
 
 def has_end(path: Path) -> bool:
@@ -169,27 +210,29 @@ def head(path: Path, whole: bool) -> tuple[str, str, dict[str, str]]:
     return format_, robot.decode(errors="surrogateescape"), metadata.get(FACTS, {})
 
 
-def _indexed(path: Path) -> int | None:
-    """Return the number of ticks that the index counts."""
+def _indexed(path: Path) -> tuple[int, Nanos] | tuple[None, None]:
+    """Return the number of ticks that the index counts, and the time of the last; None if it does not."""
     from mcap.records import Channel, Statistics
 
     ticks: set[int] = set()
-    counts: dict[int, int] | None = None
+    found: Statistics | None = None
     with path.open("rb") as file:
         for record in summary(file):
             if record.opcode == Opcode.CHANNEL:
                 channel = parse(path, Channel, record)
                 ticks |= {channel.id} if channel.topic == tick_codec.TOPIC else set()
             elif record.opcode == Opcode.STATISTICS:
-                counts = parse(path, Statistics, record).channel_message_counts
-    return None if counts is None else sum(counts.get(channel, 0) for channel in ticks)
+                found = parse(path, Statistics, record)
+    if found is None:
+        return None, None
+    return sum(found.channel_message_counts.get(channel, 0) for channel in ticks), found.message_end_time
 
 
-def _records(path: Path, whole: bool) -> Iterator[Record]:
-    """Yield the records in the order of the file. A closed file must be undamaged; another ends at the first
-    damage."""
+def _records(path: Path, whole: bool, start: int = len(MAGIC)) -> Iterator[Record]:
+    """Yield the records in the order of the file, from a byte on. A closed file must be undamaged; another
+    ends at the first damage."""
     with path.open("rb") as file:
-        for piece in records(file):
+        for piece in records(file, start):
             if isinstance(piece, Damage):
                 if not whole:
                     return
@@ -197,32 +240,36 @@ def _records(path: Path, whole: bool) -> Iterator[Record]:
             yield piece
 
 
-def _steps(path: Path, whole: bool) -> Iterator[Step]:
+_START = Place((len(MAGIC), 0), tick_codec.CHAIN_START, Known())
+
+
+def _steps(path: Path, whole: bool, start: Place = _START) -> Iterator[Step]:
     from mcap.records import Channel, Schema
 
-    schemas: dict[int, str] = {}
-    channels: dict[int, tuple[str, str]] = {}
-    chain = tick_codec.CHAIN_START
+    known = Known(dict(start.known.schemas), dict(start.known.channels))
+    chain, place = start.before, start
     entry: tick_codec.Entry | None = None
     views: list[View] = []
     held = 0
     """Memory of the views, about"""
-    for record in _records(path, whole):
+    for record in _records(path, whole, start.at[0]):
+        if record.at < start.at:
+            continue
         if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             try:
                 if record.opcode == Opcode.SCHEMA:
                     schema = parse(path, Schema, record)
-                    schemas[schema.id] = schema.name
+                    known.schemas[schema.id] = schema.name
                 else:
                     channel = parse(path, Channel, record)
-                    channels[channel.id] = (channel.topic, schemas.get(channel.schema_id, ""))
+                    known.channels[channel.id] = (channel.topic, known.schemas.get(channel.schema_id, ""))
             except RecordingError:
                 if whole:
                     raise
                 break  # cut off within it, with zeros behind: like any damage, the end of an unclosed file
         elif record.opcode == Opcode.MESSAGE:
             number, _sequence, _log, published = MESSAGE_HEAD.unpack_from(record.content)
-            topic, type_ = channels.get(number, ("", ""))
+            topic, type_ = known.channels.get(number, ("", ""))
             data = record.content[MESSAGE_HEAD.size :]
             if topic != tick_codec.TOPIC:
                 views.append(View(topic, type_, published, data))
@@ -231,11 +278,12 @@ def _steps(path: Path, whole: bool) -> Iterator[Step]:
                     raise RecordingError(f"{path}: damaged: more than {MAX_UNPACKED} bytes between two ticks")
                 continue
             if entry is not None:
-                yield Step(entry.tick, tuple(views), entry.damage(), whole=True)
+                yield Step(entry.tick, tuple(views), entry.damage(), whole=True, place=place)
+            place = Place(record.at, chain, known)
             entry, views, held = _entry(path, data, chain, entry), [], 0
             chain = entry.written
     if entry is not None:
-        yield Step(entry.tick, tuple(views), entry.damage(), whole)
+        yield Step(entry.tick, tuple(views), entry.damage(), whole, place)
 
 
 def _entry(

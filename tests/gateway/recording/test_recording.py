@@ -13,6 +13,7 @@ import struct
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 from io import BytesIO
 from itertools import product
 from pathlib import Path
@@ -145,6 +146,32 @@ def test_contents_do_not_depend_on_the_hash_seed(tmp_path: Path) -> None:
 
 
 # -- cut short ---------------------------------------------------------------------------------
+
+
+def test_reading_goes_on_from_any_tick(path: Path) -> None:
+    little.record(path, 300)
+    whole = path.read_bytes()
+    for size in (len(whole), len(whole) * 2 // 3):
+        path.write_bytes(whole[:size])
+        made = read_recording(path)
+        steps = list(made.steps)
+        assert made.end == steps[-1].tick.now
+        for at in (0, 1, 9, 10, 11, len(steps) // 2, len(steps) - 1):
+            assert list(made.steps_from(steps[at].place)) == steps[at:]
+
+
+def test_reading_from_the_middle_finds_the_same_damage(path: Path) -> None:
+    little.record(path, 300)
+    place = [step.place for step in read_recording(path).steps][250]
+    data = bytearray(path.read_bytes())
+    data[len(data) // 3] ^= 1
+    path.write_bytes(data)
+    made = read_recording(path)
+    assert [step.tick.number for step in made.steps_from(place)] == list(range(250, 300))
+    wrong = replace(place, before=tick_codec.CHAIN_START)
+    assert [bool(step.damage) for step in made.steps_from(wrong)] == [True] + [False] * 49
+    with pytest.raises(RecordingError, match="damaged near byte"):
+        list(made.steps)
 
 
 def test_a_process_that_ends_loses_at_most_100_ms(path: Path) -> None:
