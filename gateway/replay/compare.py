@@ -40,7 +40,10 @@ from protocols.plugin import CommandDecoder
 T = TypeVar("T")
 Observe: TypeAlias = Callable[[Tick, Belief], None]
 Watch: TypeAlias = Callable[[Gateway], Observe]
-Kind: TypeAlias = Literal["recording", "events", "packets", "notes", "views"]
+Kind: TypeAlias = Literal[
+    "recording", "times", "states", "received", "instructions", "events", "packets", "notes", "views"
+]
+"""Times, states, received packets and instructions differ between two recordings only (`beside`)."""
 _KINDS: tuple[Kind, ...] = ("recording", "events", "packets", "notes", "views")
 _FRAME_VIEWS = (CAN_FRAME, FD_FRAME)
 _MAX_SETTINGS = 12
@@ -204,8 +207,8 @@ def compare(
 class Comparer:
     """Counts and first differences so far.
 
-    `follow`: decode all packets as they come, until they differ; otherwise all before the first difference are
-    read and decoded again, when it is met: less work in all, but much at once."""
+    `follow`: decode all packets as they come, until they differ; otherwise all before the first difference
+    are read and decoded again, when it is met: less work in all, but much at once."""
 
     def __init__(
         self,
@@ -224,7 +227,9 @@ class Comparer:
         self._views, self._buses, self._texts = views, buses, recording.format != "1"
         self._start: Nanos = 0
         self._last: Tick | None = None
-        self._decoders: dict[str, CommandDecoder | None] | None = {} if follow else None
+        self._decoders: dict[str, CommandDecoder | None] | None = None
+        if follow:
+            self._decoders = {bus: decoder(bus) for bus in buses or ()}
         self.differences: dict[Kind, Difference] = {}
         self.ticks = 0
         self._packets = self._bytes = self._view_count = self._given = self._left_over = self._differing = 0
@@ -245,7 +250,6 @@ class Comparer:
         causes: list[str] = []
         if self.differences:
             causes = _causes(self.differences, self._recording, robot_text, facts)
-        order = sorted(self.differences.values(), key=lambda d: (d.tick, _KINDS.index(d.kind)))
         return Comparison(
             self.ticks,
             self._packets,
@@ -255,10 +259,14 @@ class Comparer:
             self._left_over,
             max(0, (indexed or 0) - self.ticks),
             self._differing,
-            tuple(order),
+            self.in_order(),
             tuple(causes),
             self._texts,
         )
+
+    def in_order(self) -> tuple[Difference, ...]:
+        """Return the differences so far, in order of time."""
+        return tuple(sorted(self.differences.values(), key=lambda d: (d.tick, _KINDS.index(d.kind))))
 
     def differ(self, kind: Kind, text: str) -> None:
         """Keep a difference if it is the first of its kind."""
@@ -291,6 +299,12 @@ class Comparer:
         before, self._last = self._last, tick
         if before is None:
             self._start = tick.now
+            if tick.number:
+                self.differ(
+                    "recording",
+                    f"it begins with tick {tick.number}: it was switched on under way, and the state that "
+                    "was reached before is not in it; what follows differs for this reason alone",
+                )
         elif tick.number != before.number + 1:
             self.differ(
                 "recording", f"the tick before it in the recording is {before.number}: some were lost"
@@ -428,9 +442,8 @@ def _causes(
         causes.append("the recording is not as it was written: see above")
     # Only facts of both sides: a recorder adds some of its own (a date) that no replay has.
     common = recording.facts.keys() & facts.keys() if facts is not None else set()
-    environments = diff.mappings(
-        *({key: side[key] for key in common} for side in (recording.facts, facts or {}))
-    )
+    then, today = ({key: side[key] for key in common} for side in (recording.facts, facts or {}))
+    environments = diff.mappings(then, today)
     if any(line.startswith(PROGRAM) for line in environments):
         causes.append("the program: its sources have changed since")
     elsewhere = [line for line in environments if not line.startswith(PROGRAM)]

@@ -31,20 +31,25 @@ def message_texts(recorded: Sequence[Message], now: Sequence[Message]) -> tuple[
     return one, two
 
 
-def settings(recorded: str, now: str) -> list[str]:
+_SIDES = ("recorded", "now")
+
+
+def settings(recorded: str, now: str, sides: tuple[str, str] = _SIDES) -> list[str]:
     """Return the keys in which two robot files differ, with both values; [] if they mean the same."""
     if recorded == now:
         return []
     try:
-        return mappings(_flat(tomllib.loads(recorded)), _flat(tomllib.loads(now)))
+        return mappings(_flat(tomllib.loads(recorded)), _flat(tomllib.loads(now)), sides)
     except tomllib.TOMLDecodeError as error:
         return [f"the two files differ, and one of them cannot be read: {error}"]
 
 
-def mappings(recorded: Mapping[str, object], now: Mapping[str, object]) -> list[str]:
+def mappings(
+    recorded: Mapping[str, object], now: Mapping[str, object], sides: tuple[str, str] = _SIDES
+) -> list[str]:
     """Return the entries in which two mappings differ, with both values, sorted by key."""
     return [
-        f"{escaped(key)}: {_shown(recorded, key)} recorded, {_shown(now, key)} now"
+        f"{escaped(key)}: {_shown(recorded, key)} {sides[0]}, {_shown(now, key)} {sides[1]}"
         for key in sorted({**recorded, **now})
         if key not in recorded
         or key not in now

@@ -1,0 +1,320 @@
+"""Keyframes: the state of a replay after some of its ticks, as bytes, so that it can go on from there.
+
+Rules. A keyframe is a pickle, hence code to whoever loads it: it is only ever read from a folder that belongs
+to this user and is closed to all others, and never from a recording or from beside one. What can never change
+(the robot, tables, compiled functions: all that a deep copy shares) is not in it, but referred to by its
+number in the state before the first step. So a keyframe is good only for the recording, the robot and the
+sources it was made with: the name of its folder is a digest of all three.
+"""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import logging
+import os
+import pickle
+import shutil
+import stat
+import sys
+import zlib
+from bisect import bisect_right, insort
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from io import BytesIO
+from pathlib import Path
+from struct import Struct
+from tempfile import TemporaryDirectory
+from types import FunctionType
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from gateway.recording import Recording, environment
+
+log = logging.getLogger("gateway")
+
+SPACING = 1000
+"""Ticks between two keyframes, at first: what a seek has to step at most."""
+LIMIT = 512_000_000
+"""Bytes of the keyframes of one recording: beyond, every other one is dropped,"""
+TOTAL_LIMIT = 2_000_000_000
+"""and of those of all: beyond, the recordings that were not played for the longest time are dropped."""
+_DIGEST = 16
+_PROTOCOL = 5
+
+
+class StateCodec:
+    """State to bytes and back.
+
+    Args:
+        state: a state of this kind before its first step.
+        constants: what never changes, beside what is found in `state`.
+    """
+
+    def __init__(self, state: object, constants: Sequence[object] = ()) -> None:
+        found = _Collector(constants)
+        found.dump(state)
+        self.constants = found.constants
+        self._numbers = {id(each): number for number, each in enumerate(found.constants)}
+        self.modules = found.modules
+        """Where the state's classes and functions are defined."""
+
+    def dump(self, state: object) -> bytes:
+        """Return a state as bytes. Raises what pickle raises if there is in it what cannot be pickled."""
+        file = BytesIO()
+        _Dumper(file, self._numbers).dump(state)
+        return zlib.compress(file.getbuffer(), 1)
+
+    def load(self, data: bytes) -> Any:  # noqa: ANN401 -- whatever was dumped
+        """Return the state in bytes that `dump` made, by this or another codec of the same kind of state."""
+        return _Loader(BytesIO(zlib.decompress(data)), self.constants).load()
+
+
+class _Collector(pickle.Pickler):
+    """Finds the constants of a state, always in the same order."""
+
+    def __init__(self, constants: Sequence[object]) -> None:
+        super().__init__(BytesIO(), _PROTOCOL)
+        self.constants = list(constants)
+        self.modules: set[str] = set()
+        self._known = {id(each) for each in constants}
+
+    def persistent_id(self, each: Any) -> bool | None:  # noqa: ANN401 -- any object
+        if id(each) in self._known:
+            return True
+        self.modules.add((each if isinstance(each, FunctionType | type) else type(each)).__module__)
+        if not _is_constant(each):
+            return None
+        self.constants.append(each)
+        self._known.add(id(each))
+        return True
+
+
+def _is_constant(each: object) -> bool:
+    """True for functions, and for what is its own deep copy by its own account."""
+    if isinstance(each, type):
+        return False
+    return isinstance(each, FunctionType) or (
+        hasattr(type(each), "__deepcopy__") and copy.deepcopy(each) is each
+    )
+
+
+class _Dumper(pickle.Pickler):
+    def __init__(self, file: BytesIO, numbers: Mapping[int, int]) -> None:
+        super().__init__(file, _PROTOCOL)
+        self._numbers = numbers
+
+    def persistent_id(self, each: object) -> int | None:
+        return self._numbers.get(id(each))
+
+    def reducer_override(self, each: object) -> Any:  # noqa: ANN401 -- as pickle declares it
+        """Let an array come back as a deep copy would: with memory of its own, which it may resize."""
+        if type(each) is Struct:
+            return Struct, (each.format,)
+        if type(each) is not np.ndarray or each.dtype.hasobject:
+            return NotImplemented
+        order: Literal["C", "F"] = "F" if each.flags.f_contiguous and not each.flags.c_contiguous else "C"
+        return _array, (each.tobytes(order), each.dtype, each.shape, order)
+
+
+def _array(
+    data: bytes, dtype: np.dtype[Any], shape: tuple[int, ...], order: Literal["C", "F"]
+) -> np.ndarray[Any, np.dtype[Any]]:
+    made = np.empty(shape, dtype, order)
+    made.reshape(-1, order=order).view(np.uint8)[:] = np.frombuffer(data, np.uint8)
+    return made
+
+
+class _Loader(pickle.Unpickler):
+    def __init__(self, file: BytesIO, constants: Sequence[object]) -> None:
+        super().__init__(file)
+        self.constants = constants
+
+    def persistent_load(self, number: Any) -> object:  # noqa: ANN401 -- as pickle declares it
+        return self.constants[number]
+
+
+class Frame(NamedTuple):
+    """Which keyframe."""
+
+    played: int
+    """Number of ticks played,"""
+    now: int
+    """and the time of the last of them [ns]."""
+
+
+class Keyframes:
+    """The keyframes of one recording, in files of their own.
+
+    Args:
+        name: of their folder; None: they are not kept for the next time.
+        cache: the folder of all recordings; None: the user's own. If it is not closed to others, they are not
+            kept for the next time.
+    """
+
+    def __init__(self, name: str | None, cache: Path | None = None, limit: int = LIMIT) -> None:
+        self.spacing = SPACING
+        """Ticks between two keyframes."""
+        self._limit = limit
+        self._temporary: TemporaryDirectory[str] | None = None
+        root = _own_folder(cache) if name else None
+        if name is None or root is None:
+            self._temporary = TemporaryDirectory(prefix="motor-gateway-")
+            self._folder = Path(self._temporary.name)
+        else:
+            self._folder = root / name
+            self._open(root)
+        self._frames = sorted(filter(None, (_frame_of(path) for path in self._folder.glob("*.key"))))
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def _open(self, root: Path) -> None:
+        self._folder.mkdir(mode=0o700, exist_ok=True)
+        os.utime(self._folder)
+        others = sorted(
+            (each for each in root.iterdir() if each.is_dir() and each != self._folder),
+            key=lambda each: each.stat().st_mtime_ns,
+            reverse=True,
+        )
+        total = self.size
+        for folder in others:
+            total += _size(folder)
+            if total > TOTAL_LIMIT - self._limit:
+                shutil.rmtree(folder, ignore_errors=True)
+
+    @property
+    def size(self) -> int:
+        """Bytes on disk."""
+        return _size(self._folder)
+
+    def last(self, *, now: int | None = None, played: int | None = None) -> Frame | None:
+        """Return the last one at this time, or after so many ticks; without either, the last of all."""
+        if now is not None:
+            return max((frame for frame in self._frames if frame.now <= now), default=None)
+        at = (
+            len(self._frames)
+            if played is None
+            else bisect_right(self._frames, played, key=lambda f: f.played)
+        )
+        return self._frames[at - 1] if at else None
+
+    def put(self, frame: Frame, data: bytes) -> None:
+        """Keep one. If the disk does not take it, there is none at this place."""
+        path = self._path(frame)
+        part = path.with_suffix(f".{os.getpid()}")
+        try:
+            part.write_bytes(_digest(data) + data)
+            part.replace(path)
+        except OSError as error:
+            part.unlink(missing_ok=True)
+            log.info("keyframe not kept: %s", error)
+            return
+        if frame not in self._frames:
+            insort(self._frames, frame)
+        while self.size > self._limit and len(self._frames) > 1:
+            self.spacing *= 2
+            for each in [each for each in self._frames[:-1] if each.played % self.spacing]:
+                self.drop(each)
+
+    def get(self, frame: Frame) -> bytes | None:
+        """Return one as it was put; None if it is damaged or gone: then it is none any more."""
+        try:
+            content = self._path(frame).read_bytes()
+        except OSError:
+            content = b""
+        data = content[_DIGEST:]
+        if content[:_DIGEST] == _digest(data):
+            return data
+        self.drop(frame)
+        return None
+
+    def drop(self, frame: Frame) -> None:
+        """Remove one."""
+        self._frames.remove(frame)
+        self._path(frame).unlink(missing_ok=True)
+
+    def close(self) -> None:
+        """Remove them, unless they are kept for the next time."""
+        if self._temporary is not None:
+            self._temporary.cleanup()
+
+    def _path(self, frame: Frame) -> Path:
+        return self._folder / f"{frame.played}_{frame.now}.key"
+
+
+def folder_name(
+    recording: Recording, robot_text: str, facts: Mapping[str, str], modules: Iterable[str]
+) -> str | None:
+    """Return a digest of all that a keyframe depends on; None if the recording cannot be read.
+
+    `facts` are those of this program (`environment.facts`); `modules` may be of plugins, which are not."""
+    digest = hashlib.blake2b(digest_size=_DIGEST)
+    try:
+        with recording.path.open("rb") as file:
+            digest.update(hashlib.file_digest(file, "sha256").digest())
+    except OSError:
+        return None
+    for name, value in sorted({**facts, "robot": robot_text}.items()):
+        digest.update(f"{name}\0{value}\0".encode(errors="surrogateescape"))
+    for package in sorted({module.partition(".")[0] for module in modules} - _WITH_FACTS):
+        for path in _files(package):
+            digest.update(f"{package}\0{path.name}\0".encode(errors="surrogateescape"))
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+_WITH_FACTS = {*environment.ROOMS, *sys.stdlib_module_names, "filterpy", "numpy", "rosbags"}
+"""Packages whose version or sources are among the facts, or come with Python."""
+
+
+def _files(package: str) -> list[Path]:
+    """Return the sources of a package that is not ours."""
+    module = sys.modules[package]
+    folders = [Path(folder) for folder in getattr(module, "__path__", ())]
+    if not folders:
+        return [Path(module.__file__)] if module.__file__ else []
+    return sorted(path for folder in folders for path in folder.rglob("*.py"))
+
+
+def _digest(data: bytes) -> bytes:
+    return hashlib.blake2b(data, digest_size=_DIGEST).digest()
+
+
+def _frame_of(path: Path) -> Frame | None:
+    played, _, now = path.stem.partition("_")
+    try:
+        return Frame(int(played), int(now))
+    except ValueError:
+        return None
+
+
+def _size(folder: Path) -> int:
+    size = 0
+    for path in folder.glob("*"):
+        with suppress(OSError):  # another player may drop it meanwhile
+            size += path.stat().st_size
+    return size
+
+
+def _user_cache() -> Path:
+    """Return the folder of this program in the user's cache, as freedesktop's XDG Base Directory has it."""
+    given = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    return (given if given.is_absolute() else Path("~/.cache").expanduser()) / "motor-gateway"
+
+
+def _own_folder(folder: Path | None) -> Path | None:
+    """Return the folder, made if it was not there; None unless it is ours and closed to all others."""
+    try:
+        folder = folder or _user_cache()
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, exist_ok=True)
+        found = folder.lstat()
+    except (OSError, RuntimeError) as error:  # RuntimeError: the user has no home
+        log.warning("keyframes are not kept for the next time: %s", error)
+        return None
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.geteuid() or found.st_mode & 0o077:
+        log.warning("keyframes are not kept for the next time: %s is not a folder of yours alone", folder)
+        return None
+    return folder

@@ -1,0 +1,343 @@
+"""A player of a recording: its ticks through the code of today, with pause, step, seek and rate.
+
+Rules. What is played is what a replay from the first tick to here would have done, to the byte, whatever was
+played before. The recording is compared once, from its first tick on, and keyframes are kept on this way; the
+position that is shown never passes the part that is compared, and goes on from the nearest keyframe. Work is
+counted in ticks, so whoever shows it can do something else in between. Time is an argument.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple, Self
+
+from gateway.config import parse_robot
+from gateway.core.guard import decoder_of
+from gateway.core.robot import Robot
+from gateway.core.step import Gateway
+from gateway.core.tick import Outputs, Tick
+from gateway.errors import RecordingError
+from gateway.recording import Recording, Step, environment
+from gateway.recording.reader import Place
+from gateway.recording.ros_views import Views, typestore
+from gateway.replay.compare import Comparer, Comparison, Difference, on_known_buses
+from gateway.replay.keyframes import Frame, Keyframes, StateCodec, folder_name
+from protocols.messages import Nanos
+
+log = logging.getLogger("gateway")
+
+
+class _Saved(NamedTuple):
+    """What a keyframe holds."""
+
+    played: int
+    place: Place | None
+    """Of the tick that was played last; None: none was."""
+    gateway: Gateway
+    comparer: Comparer
+
+
+class _Reading:
+    """Reads a recording tick by tick, and sees one ahead."""
+
+    def __init__(self, recording: Recording, played: int = 0, place: Place | None = None) -> None:
+        self.played = played
+        """Number of ticks taken."""
+        self.last: Step | None = None
+        self.following: Step | None = None
+        """None at the end."""
+        self.error: RecordingError | None = None
+        """Why nothing follows, if the recording is damaged there."""
+        self._steps: Iterator[Step] = recording.steps if place is None else recording.steps_from(place)
+        self._look()
+        if place is not None:
+            self.last = self.following
+            self._look()
+
+    def take(self) -> Step | None:
+        """Go on by a tick, and return it; None at the end."""
+        if self.following is None:
+            return None
+        self.played += 1
+        self.last = self.following
+        self._look()
+        return self.last
+
+    def follows(self, until: Nanos) -> bool:
+        """True if there is a tick more, at this time or before it."""
+        return self.following is not None and self.following.tick.now <= until
+
+    def stop(self) -> None:
+        """End here."""
+        self.following = None
+
+    def _look(self) -> None:
+        try:
+            self.following = next(self._steps, None)
+        except RecordingError as error:
+            self.following, self.error = None, error
+
+
+class Player:
+    """Plays a recording through the code of today.
+
+    Args:
+        recording: what `read_recording` returned.
+        robot: another robot than the recorded one.
+        cache: folder for the keyframes, of this user alone; None: motor-gateway in the user's cache folder.
+
+    Raises:
+        ConfigError: the recorded robot file is not valid any more.
+    """
+
+    def __init__(self, recording: Recording, robot: Robot | None = None, cache: Path | None = None) -> None:
+        self.recording = recording
+        self.robot = robot or parse_robot(recording.robot_text, f"{recording.path}: robot.toml")
+        self._facts = environment.facts()
+        self._bytes = max(1, recording.path.stat().st_size)
+        self.gateway = Gateway(self.robot)
+        """As it is after `tick`. Another object after a seek."""
+        self.outputs: Outputs | None = None
+        """What the code of today made of `tick`; the recorded outputs are in the tick itself. None: no tick
+        was played since the seek."""
+        self._reading = _Reading(recording)
+        first = self._reading.following
+        self.start: Nanos = first.tick.now if first else 0
+        """Time of the first tick [ns]."""
+        self._sought: Nanos = self.start
+        store = typestore()
+        mounts = {name: sensor.mount for name, sensor in self.robot.sensors.items()}
+        comparer = self._comparer_of(self.gateway, Views(mounts, store))
+        saved = _Saved(0, None, self.gateway, comparer)
+        self._codec = StateCodec(saved, [recording, self.robot, store, store.types])
+        name = folder_name(recording, self.robot.text, self._facts, self._codec.modules)
+        self._frames = Keyframes(name, cache)
+        self._first = self._codec.dump(saved)
+        self._compare_from(self._last_saved() or self._codec.load(self._first))
+
+    # -- where it is --------------------------------------------------------------------------------
+
+    @property
+    def tick(self) -> Tick | None:
+        """The last tick played, as it was recorded; None before the first."""
+        return self._reading.last.tick if self._reading.last else None
+
+    @property
+    def now(self) -> Nanos:
+        """Time of the last tick played; before the first, `start` [ns]."""
+        return self._reading.last.tick.now if self._reading.last else self.start
+
+    @property
+    def end(self) -> Nanos:
+        """Time of the last tick [ns]: by the file's index; once all is compared, of the last readable one."""
+        last = self._ahead.last
+        return self.recording.end if self._ahead.following or last is None else last.tick.now
+
+    @property
+    def differences(self) -> tuple[Difference, ...]:
+        """The first difference of each kind in what is compared so far, in order of time."""
+        return self._comparer.in_order()
+
+    @property
+    def comparison(self) -> Comparison:
+        """The result of the comparison so far; as `replay_recording` once `prepare` has returned 1."""
+        ended = self._ahead.following is None
+        return self._comparer.result(self.recording.indexed if ended else None, self.robot.text, self._facts)
+
+    # -- playing ------------------------------------------------------------------------------------
+
+    def step(self, ticks: int = 1) -> None:
+        """Play so many ticks, at most to the end; or go back by so many, at most to the first."""
+        if ticks < 0:
+            self._go_back_to(max(1, self._reading.played + ticks))
+            return
+        for _ in range(ticks):
+            if self._reading.played == self._ahead.played and not self._compare_tick():
+                return
+            self._play_tick()
+
+    def seek(self, t: Nanos) -> None:
+        """Begin to go to the last tick at a time or before it, at least to the first; `advance` gets there.
+
+        Returns soon: it goes to the nearest keyframe, if there is one, and steps nothing."""
+        self._sought = max(t, self.start)
+        if self._reading.last is not None and self.now > self._sought:
+            self._restore(self._frames.last(now=self._sought))
+        else:
+            self._jump()
+
+    def advance(self, budget_ticks: int, until: Nanos | None = None) -> bool:
+        """Play on to a time, with a bounded amount of work.
+
+        Args:
+            budget_ticks: so many ticks are stepped or compared at most; call again for the rest.
+            until: the time up to which to play [ns]; None: that of the last `seek`, and the ticks on the way
+                need not all be played.
+
+        Returns:
+            bool: True if nothing is left to be played up to that time.
+        """
+        t = self._sought if until is None else until
+        while self._ahead.follows(t):
+            if budget_ticks <= 0:
+                return False
+            budget_ticks -= 1
+            self._compare_tick()
+        if until is None:
+            self._jump()
+        while self._reading.follows(t) and self._reading.played < self._ahead.played:
+            if budget_ticks <= 0:
+                return False
+            budget_ticks -= 1
+            self._play_tick()
+        return True
+
+    def prepare(self, budget_ticks: int) -> float:
+        """Compare on, and keep keyframes on the way, while nobody asks for more: what is shown stays.
+
+        Args:
+            budget_ticks: so many ticks at most.
+
+        Returns:
+            float: how much of the recording is compared, 0 to 1; 1: all of it.
+        """
+        for _ in range(budget_ticks):
+            if not self._compare_tick():
+                return 1.0
+        last = self._ahead.last
+        if self._ahead.following is None:
+            return 1.0
+        return last.place.at[0] / self._bytes if last else 0.0
+
+    def close(self) -> None:
+        """Remove keyframes that are not kept for the next time."""
+        self._frames.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    # -- the part that is compared --------------------------------------------------------------------
+
+    def _comparer_of(self, gateway: Gateway, views: Views) -> Comparer:
+        robot = self.robot
+        return Comparer(
+            self.recording,
+            gateway.step,
+            gateway.belief,
+            lambda bus: decoder_of(robot, bus),
+            views,
+            robot.buses,
+            follow=True,
+        )
+
+    def _compare_from(self, saved: _Saved) -> None:
+        self._ahead = _Reading(self.recording, saved.played, saved.place)
+        self._compared, self._comparer = saved.gateway, saved.comparer
+        if self._ahead.following is None:
+            self._comparer.end(self._ahead.error)
+
+    def _compare_tick(self) -> bool:
+        """Compare the next tick; False at the end."""
+        following = self._ahead.following
+        if following is None:
+            return False
+        try:
+            self._comparer.take(following)
+        except Exception as error:  # noqa: BLE001 -- whatever it is, what was played before can be looked at
+            self._comparer.differ("packets", f"the code of today fails: {type(error).__name__}: {error}")
+            self._ahead.stop()
+            return False
+        self._ahead.take()
+        if self._ahead.following is None:
+            self._comparer.end(self._ahead.error)
+        if self._ahead.following is None or self._ahead.played % self._frames.spacing == 0:
+            self._keep(following)
+        return True
+
+    def _keep(self, step: Step) -> None:
+        saved = _Saved(self._ahead.played, step.place, self._compared, self._comparer)
+        try:
+            data = self._codec.dump(saved)
+        except Exception as error:  # noqa: BLE001 -- the state of somebody's plugin may hold anything
+            log.info("keyframe not kept: %s", error)
+            return
+        self._frames.put(Frame(saved.played, step.tick.now), data)
+
+    # -- the position that is shown -------------------------------------------------------------------
+
+    def _play_tick(self) -> None:
+        step = self._reading.take()
+        if step is not None:
+            inputs = on_known_buses(step.tick.inputs, self.robot.buses)
+            self.outputs = self.gateway.step(step.tick.now, inputs)
+
+    def _jump(self) -> None:
+        """Go to the last keyframe at the time that is sought, or before it, if that is further on."""
+        frame = self._frames.last(now=self._sought)
+        if frame is not None and self._reading.played < frame.played <= self._ahead.played:
+            self._restore(frame)
+
+    def _go_back_to(self, played: int) -> None:
+        if played < self._reading.played:
+            self._restore(self._frames.last(played=played))
+        while self._reading.played < played and self._reading.following is not None:
+            self._play_tick()
+
+    def _restore(self, frame: Frame | None) -> None:
+        """Go to a keyframe; to an earlier one, or to the start, if it cannot be read."""
+        saved = None
+        while frame is not None and (saved := self._saved(frame)) is None:
+            frame = self._frames.last(played=frame.played)
+        saved = saved or self._codec.load(self._first)
+        self._reading = _Reading(self.recording, saved.played, saved.place)
+        self.gateway, self.outputs = saved.gateway, None
+
+    def _last_saved(self) -> _Saved | None:
+        while (frame := self._frames.last()) is not None:
+            if (saved := self._saved(frame)) is not None:
+                return saved
+        return None
+
+    def _saved(self, frame: Frame) -> _Saved | None:
+        data = self._frames.get(frame)
+        return None if data is None else self._codec.load(data)
+
+
+@dataclass(frozen=True, slots=True)
+class Playback:
+    """How somebody wants to see a recording: which time at which time. Values; the caller has the clock."""
+
+    position: Nanos
+    """Time in the recording,"""
+    since: Nanos
+    """at this time of the caller's clock."""
+    rate: float = 1.0
+    """Seconds of the recording per second."""
+    playing: bool = False
+
+    def target(self, now: Nanos) -> Nanos:
+        """Return the time in the recording that is due."""
+        return self.position + round((now - self.since) * self.rate) if self.playing else self.position
+
+    def changed(
+        self,
+        now: Nanos,
+        *,
+        position: Nanos | None = None,
+        rate: float | None = None,
+        playing: bool | None = None,
+    ) -> Playback:
+        """Return it with a change from now on: elsewhere, at another rate, paused or playing."""
+        return replace(
+            self,
+            position=self.target(now) if position is None else position,
+            since=now,
+            rate=self.rate if rate is None else rate,
+            playing=self.playing if playing is None else playing,
+        )

@@ -1,0 +1,209 @@
+"""Keyframes: bytes and back, in a folder of one's own, within bounds."""
+
+from __future__ import annotations
+
+import copy
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from struct import Struct
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gateway.replay import keyframes
+from gateway.replay.keyframes import Frame, Keyframes, StateCodec
+
+
+class Constant:
+    def __deepcopy__(self, memo: object) -> Constant:
+        return self
+
+
+@dataclass
+class State:
+    constant: Constant = field(default_factory=Constant)
+    function: Callable[[int], int] = field(default_factory=lambda: lambda x: x + 1)
+    values: list[Any] = field(default_factory=list)
+    again: list[Any] = field(default_factory=list)
+
+
+def test_constants_are_referred_to_and_the_rest_is_copied() -> None:
+    state = State()
+    codec = StateCodec(state)
+    state.values = state.again = [1, {"a": 2.5}]
+    made = codec.load(codec.dump(state))
+    assert (made.constant is state.constant, made.function is state.function) == (True, True)
+    assert made.values == state.values
+    assert made.values is made.again
+    assert made.values is not state.values
+
+
+def test_another_codec_of_the_same_kind_puts_its_own_constants_in() -> None:
+    one, two = State(), State()
+    made = StateCodec(two).load(StateCodec(one).dump(one))
+    assert (made.constant is two.constant, made.function is two.function) == (True, True)
+
+
+def test_what_cannot_be_pickled_raises() -> None:
+    state = State()
+    codec = StateCodec(state)
+    state.function = lambda x: x + 2
+    with pytest.raises(AttributeError, match="lambda"):
+        codec.dump(state)
+
+
+ARRAYS: dict[str, np.ndarray[Any, np.dtype[Any]]] = {
+    "floats": np.linspace(0, 1, 12).reshape(3, 4),
+    "by columns": np.asfortranarray(np.linspace(0, 1, 12).reshape(3, 4)),
+    "turned": np.arange(24, dtype=np.int16).reshape(2, 3, 4).transpose(1, 0, 2),
+    "a part": np.arange(20.0)[3:17:2],
+    "empty": np.zeros((0, 3)),
+    "one value": np.array(3.5),
+    "records": np.array([(1, 2.5), (3, 4.5)], dtype=[("a", "<i2"), ("b", "<f8")]),
+    "not finite": np.array([np.nan, np.inf, -0.0]),
+}
+
+
+@pytest.mark.parametrize("name", ARRAYS)
+def test_an_array_comes_back_as_a_deep_copy(name: str) -> None:
+    codec = StateCodec(State())
+    array = ARRAYS[name]
+    made, copied = codec.load(codec.dump(array)), copy.deepcopy(array)
+    assert (made.dtype, made.shape, made.tobytes()) == (copied.dtype, copied.shape, copied.tobytes())
+    assert made.flags.f_contiguous >= array.flags.f_contiguous
+    assert (made.flags.owndata, made.flags.writeable) == (True, True)
+
+
+def test_a_layout_comes_back() -> None:
+    codec = StateCodec(State())
+    assert codec.load(codec.dump(Struct("<Qd"))).format == "<Qd"
+
+
+# -- on disk -----------------------------------------------------------------------------------
+
+
+def filled(frames: Keyframes, count: int, size: int = 100) -> Keyframes:
+    for number in range(1, count + 1):
+        frames.put(Frame(number * frames.spacing, number * 10), os.urandom(size))
+    return frames
+
+
+def test_the_last_one_is_found_by_time_and_by_number(tmp_path: Path) -> None:
+    frames = filled(Keyframes("a", tmp_path / "c"), 3)
+    assert frames.last() == Frame(3000, 30)
+    cases = {-1: None, 9: None, 10: Frame(1000, 10), 29: Frame(2000, 20), 99: Frame(3000, 30)}
+    assert {now: frames.last(now=now) for now in cases} == cases
+    numbers = {0: None, 999: None, 1000: Frame(1000, 10), 2999: Frame(2000, 20), 9999: Frame(3000, 30)}
+    assert {played: frames.last(played=played) for played in numbers} == numbers
+
+
+def test_they_are_there_the_next_time_for_this_user_alone(tmp_path: Path) -> None:
+    frames = Keyframes("a", tmp_path / "c")
+    frames.put(Frame(1000, -5), b"state")
+    frames.close()
+    assert Keyframes("a", tmp_path / "c").get(Frame(1000, -5)) == b"state"
+    assert len(Keyframes("b", tmp_path / "c")) == 0
+    assert [oct(path.stat().st_mode & 0o777) for path in (tmp_path / "c", tmp_path / "c/a")] == ["0o700"] * 2
+
+
+def others(folder: Path) -> None:
+    folder.mkdir(mode=0o700)
+    folder.chmod(0o750)
+
+
+def linked(folder: Path) -> None:
+    (folder.parent / "elsewhere").mkdir(mode=0o700)
+    folder.symlink_to(folder.parent / "elsewhere")
+
+
+@pytest.mark.parametrize("make", [others, linked, Path.touch])
+def test_a_folder_that_others_may_write_to_is_not_used(
+    make: Callable[[Path], None], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    make(tmp_path / "c")
+    frames = filled(Keyframes("a", tmp_path / "c"), 1)
+    assert not list(tmp_path.rglob("*.key"))
+    assert "keyframes are not kept for the next time" in caplog.text
+    temporary = frames._folder
+    assert (temporary.stat().st_mode & 0o777, frames.get(Frame(1000, 10)) is None) == (0o700, False)
+    frames.close()
+    assert not temporary.exists()
+
+
+def test_a_folder_of_another_user_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
+    frames = filled(Keyframes("a", tmp_path / "c"), 1)
+    assert not list(tmp_path.rglob("*.key"))
+    frames.close()
+
+
+HOMES = [
+    ({"XDG_CACHE_HOME": "{tmp}/x"}, "x/motor-gateway"),
+    ({"XDG_CACHE_HOME": "x", "HOME": "{tmp}"}, ".cache/motor-gateway"),
+    ({"XDG_CACHE_HOME": "", "HOME": "{tmp}"}, ".cache/motor-gateway"),
+]
+
+
+@pytest.mark.parametrize(("environment", "folder"), HOMES)
+def test_the_cache_is_where_the_user_wants_it(
+    environment: dict[str, str], folder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value.format(tmp=tmp_path))
+    filled(Keyframes("a"), 1)
+    assert (tmp_path / folder / "a/1000_10.key").is_file()
+
+
+DAMAGES: dict[str, Callable[[bytes], bytes]] = {
+    "a flipped bit": lambda data: data[:40] + bytes([data[40] ^ 1]) + data[41:],
+    "cut": lambda data: data[:-1],
+    "empty": lambda _: b"",
+    "longer": lambda data: data + b"\0",
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_one_is_none(damage: str, tmp_path: Path) -> None:
+    frames = filled(Keyframes("a", tmp_path / "c"), 2)
+    path = tmp_path / "c/a/1000_10.key"
+    path.write_bytes(DAMAGES[damage](path.read_bytes()))
+    assert frames.get(Frame(1000, 10)) is None
+    assert (len(frames), path.exists(), frames.last(now=15)) == (1, False, None)
+    (tmp_path / "c/a/2000_20.key").unlink()
+    assert (frames.get(Frame(2000, 20)), len(frames)) == (None, 0)
+
+
+def test_their_size_is_bounded_and_they_stay_spread(tmp_path: Path) -> None:
+    frames = Keyframes("a", tmp_path / "c", limit=2000)
+    for number in range(1, 1001):
+        if number * 1000 % frames.spacing == 0:
+            frames.put(Frame(number * 1000, number), os.urandom(100))
+        assert frames.size <= 2000
+    numbers = [frame.played for frame in frames._frames]
+    assert frames.spacing == 64_000
+    assert numbers == list(range(64_000, 1_000_000, 64_000))
+
+
+def test_the_recording_that_was_not_played_for_longest_is_dropped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(keyframes, "TOTAL_LIMIT", 3000)
+    for number, name in enumerate("abcd"):
+        filled(Keyframes(name, tmp_path / "c", limit=1000), 5)
+        os.utime(tmp_path / "c" / name, (number, number))
+    Keyframes("a", tmp_path / "c", limit=1000)
+    Keyframes("e", tmp_path / "c", limit=1000)
+    assert sorted(path.name for path in (tmp_path / "c").iterdir()) == ["a", "c", "d", "e"]
+
+
+def test_a_full_disk_is_no_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> int:
+        raise OSError(28, "No space left on device")
+
+    frames = filled(Keyframes("a", tmp_path / "c"), 1)
+    monkeypatch.setattr(Path, "write_bytes", full)
+    filled(frames, 3)
+    assert frames._frames == [Frame(1000, 10)]
