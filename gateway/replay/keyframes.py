@@ -19,7 +19,7 @@ import stat
 import sys
 import zlib
 from bisect import bisect_right, insort
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
@@ -59,6 +59,8 @@ class StateCodec:
         self._numbers = {id(each): number for number, each in enumerate(found.constants)}
         self.modules = found.modules
         """Where the state's classes and functions are defined."""
+        self.kinds = [getattr(each, "__qualname__", type(each).__qualname__) for each in self.constants]
+        """What the numbers of the constants mean."""
 
     def dump(self, state: object) -> bytes:
         """Return a state as bytes. Raises what pickle raises if there is in it what cannot be pickled."""
@@ -245,20 +247,22 @@ class Keyframes:
 
 
 def folder_name(
-    recording: Recording, robot_text: str, facts: Mapping[str, str], modules: Iterable[str]
+    recording: Recording, robot_text: str, facts: Mapping[str, str], codec: StateCodec
 ) -> str | None:
     """Return a digest of all that a keyframe depends on; None if the recording cannot be read.
 
-    `facts` are those of this program (`environment.facts`); `modules` may be of plugins, which are not."""
+    `facts` are those of this program (`environment.facts`); the sources of somebody's plugins are not among
+    them, and are read here."""
     digest = hashlib.blake2b(digest_size=_DIGEST)
     try:
         with recording.path.open("rb") as file:
             digest.update(hashlib.file_digest(file, "sha256").digest())
     except OSError:
         return None
-    for name, value in sorted({**facts, "robot": robot_text}.items()):
+    kinds = " ".join(codec.kinds)
+    for name, value in sorted({**facts, "robot": robot_text, "constants": kinds}.items()):
         digest.update(f"{name}\0{value}\0".encode(errors="surrogateescape"))
-    for package in sorted({module.partition(".")[0] for module in modules} - _WITH_FACTS):
+    for package in sorted({module.partition(".")[0] for module in codec.modules} - _WITH_FACTS):
         for path in _files(package):
             digest.update(f"{package}\0{path.name}\0".encode(errors="surrogateescape"))
             digest.update(path.read_bytes())

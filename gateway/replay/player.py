@@ -113,7 +113,7 @@ class Player:
         comparer = self._comparer_of(self.gateway, Views(mounts, store))
         saved = _Saved(0, None, self.gateway, comparer)
         self._codec = StateCodec(saved, [recording, self.robot, store, store.types])
-        name = folder_name(recording, self.robot.text, self._facts, self._codec.modules)
+        name = folder_name(recording, self.robot.text, self._facts, self._codec)
         self._frames = Keyframes(name, cache)
         self._first = self._codec.dump(saved)
         self._compare_from(self._last_saved() or self._codec.load(self._first))

@@ -6,6 +6,7 @@ import copy
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from struct import Struct
 from typing import Any
@@ -13,8 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gateway.recording import read_recording
 from gateway.replay import keyframes
 from gateway.replay.keyframes import Frame, Keyframes, StateCodec
+from tests.gateway import little
 
 
 class Constant:
@@ -207,3 +210,37 @@ def test_a_full_disk_is_no_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(Path, "write_bytes", full)
     filled(frames, 3)
     assert frames._frames == [Frame(1000, 10)]
+
+
+# -- what they are good for ----------------------------------------------------------------------
+
+
+def test_the_folder_is_another_for_another_recording_robot_program_or_plugin(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    little.record(tmp_path / "a.mcap", 20)
+    little.record(tmp_path / "b.mcap", 21)
+    plugin = tmp_path / "somebodys_plugin"
+    plugin.mkdir()
+    (plugin / "__init__.py").write_text("class Driver: pass\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    driver = import_module("somebodys_plugin").Driver()
+
+    def name(
+        file: str = "a.mcap", text: str = little.ROBOT, state: object = driver, **facts: str
+    ) -> str | None:
+        return keyframes.folder_name(read_recording(tmp_path / file), text, facts, StateCodec(state))
+
+    first = name()
+    assert name() == first
+    others = [
+        name("b.mcap"),
+        name(text=f"{little.ROBOT} "),
+        name(sources="x"),
+        name(state=[driver, lambda: None]),
+    ]
+    (plugin / "wire.py").write_text("x = 1\n")
+    others.append(name())
+    (plugin / "wire.py").write_text("x = 2\n")
+    others.append(name())
+    assert len({first, *others}) == 7
