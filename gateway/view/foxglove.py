@@ -106,8 +106,8 @@ class Foxglove:
         self._known: dict[str, Json] | None = None
         """Parameters as their subscribers know them; None: nobody asked."""
         self._changed = False
-        self._waiting: list[tuple[_Peer, Mapping[str, float], object]] = []
-        """Who is answered after the next step: the parameters that were set, and the id of the request."""
+        self._waiting: list[tuple[_Peer, Sequence[str], Mapping[str, float], object]] = []
+        """Who is answered after the next step: parameters, values that were accepted, the request's id."""
 
     # -- the speaker ------------------------------------------------------------------------------
 
@@ -321,12 +321,12 @@ class Foxglove:
             return
         values, known = self._parameters(), self._known
         self._changed = False
-        for peer, wanted, id_ in self._waiting:
-            for name, value in wanted.items():
-                if name in values and values[name]["value"] != value:
-                    peer.tell(WARNING, f"{name} stays {values[name]['value']}: /rosout tells why")
+        for peer, names, accepted, id_ in self._waiting:
+            for name, value in accepted.items():
+                if name not in values or values[name]["value"] != value:
+                    peer.tell(WARNING, f"{name[:100]} is not set: /rosout tells why")
             if id_ is not None:
-                _send_values(peer, values, list(wanted), id_)
+                _send_values(peer, values, names, id_)
         self._waiting.clear()
         if known is not None:
             self._known = values
@@ -342,15 +342,15 @@ class Foxglove:
         wanted = {
             word(wire.string(one, "name"), "name"): wire.real(one.get("value"), "value") for one in rows
         }
-        instructions = list[Instruction]()
+        accepted = dict[str, Instruction]()
         for name, value in wanted.items():
             instruction, why = self._ask(now, peer, f"set {name} {value!r}")
             if instruction is None:
                 peer.tell(ERROR, f"{name[:100]} is not set: {why}")
             else:
-                instructions.append(instruction)
-        self._waiting.append((peer, wanted, id_))
-        return instructions
+                accepted[name] = instruction
+        self._waiting.append((peer, list(wanted), {name: wanted[name] for name in accepted}, id_))
+        return list(accepted.values())
 
     def _subscribe_parameters(self, peer: _Peer, names: Sequence[str]) -> None:
         values = self._parameters()
