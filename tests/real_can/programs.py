@@ -1,7 +1,7 @@
 """Commands of the gateway as processes of their own, started quickly where importing is slow.
 
 Rules. Each is a process with its own memory, signals and output; it is forked from a server that has the
-slow modules loaded (`multiprocessing`'s forkserver), and then does what `gateway WORDS…` does.
+slow modules loaded (`multiprocessing`'s forkserver), and then does what `gateway WORDS…` does, or springs.py.
 """
 
 from __future__ import annotations
@@ -26,13 +26,14 @@ _CONTEXT.set_forkserver_preload(["tests.real_can.loaded", "tests.real_can.progra
 def _become(arguments: tuple[str, ...], folder: Path, output: Path) -> None:
     """Run the command in this process, with its output in a file."""
     from gateway.cli.main import main
+    from tests.real_can import springs
 
     log = os.open(output, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     for stream in (sys.stdout, sys.stderr):
         os.dup2(log, stream.fileno())
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]  # a TextIOWrapper in a new process
     os.environ["XDG_RUNTIME_DIR"] = str(folder)
-    sys.exit(main(list(arguments)))
+    sys.exit(springs.main(arguments[1:]) if arguments[0] == "springs" else main(list(arguments)))
 
 
 class Program:
