@@ -14,6 +14,7 @@ import hashlib
 import logging
 import os
 import pickle
+import re
 import shutil
 import stat
 import sys
@@ -41,6 +42,8 @@ LIMIT = 512_000_000
 TOTAL_LIMIT = 2_000_000_000
 """and of those of all: beyond, the recordings that were not played for the longest time are dropped."""
 _DIGEST = 16
+_NAME = re.compile("[0-9a-f]{32}")
+"""The name of a recording's folder: nothing else is ever dropped."""
 _PROTOCOL = 5
 
 
@@ -176,7 +179,7 @@ class Keyframes:
         self._folder.mkdir(mode=0o700, exist_ok=True)
         os.utime(self._folder)
         others = sorted(
-            (each for each in root.iterdir() if each.is_dir() and each != self._folder),
+            (each for each in root.iterdir() if _NAME.fullmatch(each.name) and each != self._folder),
             key=lambda each: each.stat().st_mtime_ns,
             reverse=True,
         )
@@ -303,9 +306,9 @@ def _size(folder: Path) -> int:
 
 
 def _user_cache() -> Path:
-    """Return the folder of this program in the user's cache, as freedesktop's XDG Base Directory has it."""
+    """Return the folder for keyframes in the user's cache, as freedesktop's XDG Base Directory has it."""
     given = Path(os.environ.get("XDG_CACHE_HOME", ""))
-    return (given if given.is_absolute() else Path("~/.cache").expanduser()) / "motor-gateway"
+    return (given if given.is_absolute() else Path("~/.cache").expanduser()) / "motor-gateway/keyframes"
 
 
 def _own_folder(folder: Path | None) -> Path | None:

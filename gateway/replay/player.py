@@ -87,7 +87,7 @@ class Player:
     Args:
         recording: what `read_recording` returned.
         robot: another robot than the recorded one.
-        cache: folder for the keyframes, of this user alone; None: motor-gateway in the user's cache folder.
+        cache: folder for the keyframes, this user's alone; None: motor-gateway/keyframes in the user's cache.
 
     Raises:
         ConfigError: the recorded robot file is not valid any more.

@@ -144,9 +144,9 @@ def test_a_folder_of_another_user_is_not_used(tmp_path: Path, monkeypatch: pytes
 
 
 HOMES = [
-    ({"XDG_CACHE_HOME": "{tmp}/x"}, "x/motor-gateway"),
-    ({"XDG_CACHE_HOME": "x", "HOME": "{tmp}"}, ".cache/motor-gateway"),
-    ({"XDG_CACHE_HOME": "", "HOME": "{tmp}"}, ".cache/motor-gateway"),
+    ({"XDG_CACHE_HOME": "{tmp}/x"}, "x/motor-gateway/keyframes"),
+    ({"XDG_CACHE_HOME": "x", "HOME": "{tmp}"}, ".cache/motor-gateway/keyframes"),
+    ({"XDG_CACHE_HOME": "", "HOME": "{tmp}"}, ".cache/motor-gateway/keyframes"),
 ]
 
 
@@ -194,12 +194,17 @@ def test_the_recording_that_was_not_played_for_longest_is_dropped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(keyframes, "TOTAL_LIMIT", 3000)
-    for number, name in enumerate("abcd"):
-        filled(Keyframes(name, tmp_path / "c", limit=1000), 5)
-        os.utime(tmp_path / "c" / name, (number, number))
-    Keyframes("a", tmp_path / "c", limit=1000)
-    Keyframes("e", tmp_path / "c", limit=1000)
-    assert sorted(path.name for path in (tmp_path / "c").iterdir()) == ["a", "c", "d", "e"]
+    names = {letter: letter * 32 for letter in "abcde"}
+    for number, letter in enumerate("abcd"):
+        filled(Keyframes(names[letter], tmp_path / "c", limit=1000), 5)
+        os.utime(tmp_path / "c" / names[letter], (number, number))
+    not_ours = tmp_path / "c/letters"
+    not_ours.mkdir()
+    (not_ours / "a").write_bytes(bytes(5000))
+    Keyframes(names["a"], tmp_path / "c", limit=1000)
+    Keyframes(names["e"], tmp_path / "c", limit=1000)
+    left = sorted(path.name for path in (tmp_path / "c").iterdir())
+    assert left == [*(names[letter] for letter in "acde"), "letters"]
 
 
 def test_a_full_disk_is_no_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
