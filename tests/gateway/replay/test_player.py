@@ -17,6 +17,7 @@ from gateway.core.tick import Outputs
 from gateway.recording import Recording, environment, read_recording
 from gateway.replay import Playback, Player, keyframes, replay_recording
 from protocols.messages import MILLISECOND, SECOND
+from tests.gateway.recording.hostile import KINDS, Forge
 from tests.gateway.replay.state_digest import constants_of, digest
 
 SECONDS = 1.5
@@ -315,3 +316,25 @@ def test_playback(changes: list[tuple[int, dict[str, Any]]], due: float) -> None
     for at, change in changes:
         playback = playback.changed(at * SECOND, **change)
     assert playback.target(10 * SECOND) == round(due * SECOND)
+
+
+@pytest.mark.usefixtures("often")
+@pytest.mark.parametrize("number", range(len(KINDS)))
+def test_recordings_that_were_made_to_do_harm_are_played_as_they_are_replayed(
+    number: int, tmp_path: Path
+) -> None:
+    forge = Forge(tmp_path, 5)
+    for each in range(number, 4 * len(KINDS), len(KINDS)):
+        try:
+            recording = read_recording(forge.make(each))
+            expected = replay_recording(recording)
+        except gw.GatewayError:
+            continue
+        with Player(recording, cache=tmp_path / "cache") as played:
+            played.seek((played.start + played.end) // 2)
+            played.advance(20)
+            played.step(5)
+            played.step(-3)
+            while played.prepare(1000) < 1:
+                pass
+            assert played.comparison == expected
