@@ -55,6 +55,7 @@ def parts() -> dict[str, Callable[[Effort], list[Row]]]:
     from benchmarks.perceive import perceive
     from benchmarks.process import processes
     from benchmarks.steps import steps
+    from benchmarks.view import view
 
     return {
         "start-up and memory": processes,
@@ -67,6 +68,7 @@ def parts() -> dict[str, Callable[[Effort], list[Row]]]:
         "a car": cars,
         "arms": arms,
         "a drive": driving,
+        "the live view": view,
     }
 
 

@@ -209,9 +209,8 @@ class Views:
 
     # -- what is wanted, and at which rate --------------------------------------------------------
 
-    def _wants(self, *topics: str) -> bool:
-        """Return whether one of these is wanted."""
-        return self._wanted is None or any(topic in self._wanted for topic in topics)
+    def _wants(self, topic: str) -> bool:
+        return self._wanted is None or topic in self._wanted
 
     def _due(self, topic: str, now: Nanos, period: Nanos) -> bool:
         last = self._sent.get(topic)
@@ -262,7 +261,7 @@ class Views:
 
     def _events(self, events: Sequence[Event]) -> list[View]:
         views: list[View] = []
-        motors = self._wants("/joint_states", "/diagnostics")
+        motors = self._wants("/joint_states") or self._wants("/diagnostics")
         for event in events:
             topic = _TOPIC_OF.get(type(event))
             if not (motors if topic is None else self._wants(topic)):
@@ -313,7 +312,7 @@ class Views:
 
     def _estimate_and_map(self, now: Nanos, belief: Belief) -> list[View]:
         views: list[View] = []
-        estimate = belief.estimate if self._wants("/odom", "/tf", "/wheel_odom") else None
+        estimate = belief.estimate if any(map(self._wants, _OF_ESTIMATE)) else None
         if estimate is not None and self._new_and_due("/odom", estimate.t, now, BELIEF_PERIOD):
             t, layouts = _stamp(estimate.t), self._layouts
             if self._wants("/odom"):
@@ -404,6 +403,7 @@ class Views:
 
 _MEASURED = ("position", "velocity", "torque", "current", "voltage", "temperature")
 _REPORTED = {"current": "A", "voltage": "V", "temperature": "degC"}
+_OF_ESTIMATE = ("/odom", "/tf", "/wheel_odom")
 _TOPIC_OF: dict[type[Event], str] = {
     msg.LaserScan: "/scan",
     msg.Imu: "/imu/data",

@@ -31,6 +31,7 @@ from benchmarks import (
     rivals,
     rows,
     steps,
+    view,
 )
 from benchmarks.__main__ import main
 from benchmarks.measure import Effort, Figures, NotMeasured, Rival
@@ -66,6 +67,7 @@ TARGETS = {
     "12 motors, velocity",
     "12 motors, position",
     "processor time of both",
+    view.BOTH,
     *(sample.what for _, language in LANGUAGES for sample in language.SAMPLES),
 }
 
@@ -117,6 +119,9 @@ def test_every_row_is_there_once_and_in_order(run: Run) -> None:
         *drive.KINDS,
         *drive.REPLAYS,
         *drive.PARTS,
+        view.NOBODY,
+        view.PAGE,
+        view.BOTH,
     ]
 
 
@@ -536,6 +541,12 @@ def test_a_gateway_that_puts_nothing_on_its_bus_is_not_measured(monkeypatch: pyt
     monkeypatch.setattr(process, "_address", lambda _: "slcan:/dev/no-such-port")
     with pytest.raises(NotMeasured, match="no-such-port"):
         process.until_first_frame("bench", SECOND)
+
+
+def test_a_view_whose_clients_get_nothing_is_not_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(view, "LEAST", dict.fromkeys(view.LEAST, 1 << 30))
+    with pytest.raises(NotMeasured, match="nobody looks: 0 bytes"):
+        view.costs(1)
 
 
 def test_effort() -> None:
