@@ -85,7 +85,7 @@ class Cockpit:
         page = self._pages.get(client) or self._enter(client)
         try:
             asked = json.loads(message)
-        except ValueError:  # no JSON, or no UTF-8
+        except (ValueError, RecursionError):  # no JSON, no UTF-8, or brackets without end
             asked = None
         if not isinstance(asked, dict):
             client.end(1003, "JSON is expected: an object")

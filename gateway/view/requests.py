@@ -95,6 +95,7 @@ class Requests:
     def _parsed(self, line: str) -> Instruction | Answer:
         if len(line) > MAX_LINE:
             return Answer(ok=False, text=f"the line is longer than {MAX_LINE} characters")
+        line = line.encode(errors="replace").decode()  # half a character, as JSON can write, is no text
         words = line.split()
         if words[:1] == ["mission"] and any(mark in line for mark in "/\\"):
             return Answer(

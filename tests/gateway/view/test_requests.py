@@ -17,6 +17,7 @@ ROBOT, BENCH = load_robot("diffbot"), load_robot("bench")
         ("goal 1 2", Goal(1.0, 2.0)),
         ("set left.limits.velocity 3", Set("left.limits.velocity", 3.0)),
         ("stop the cat", Stop("the cat")),
+        ("stop \ud800", Stop("?")),  # what cannot be recorded
     ],
 )
 def test_a_line_is_an_operators_request(line: str, instruction: object) -> None:

@@ -280,6 +280,13 @@ def test_rubbish_ends_its_connection_and_nothing_else(loop: Bench, seed: int) ->
     assert all(isinstance(one, Stop) for _, one in loop.instructions)
 
 
+def test_brackets_without_end_are_no_json(loop: Bench) -> None:
+    rude = loop.page()
+    rude.send("[" * 60_000)
+    loop.until(lambda: not rude.open)
+    assert (rude.code, rude.reason) == (1003, "JSON is expected: an object")
+
+
 def test_a_flood_of_goals_is_heard_in_part_and_its_own_stop_too(loop: Bench) -> None:
     page, rude = loop.page(), loop.page()
     for number in range(5000):
