@@ -103,9 +103,10 @@ class Foxglove:
         self._time_at = self._slow_at = -SLOW_PERIOD
         self._playback: tuple[int, float] | None = None
         """State and rate, as clients know them."""
+        self._values: dict[str, Json] | None = None
+        """The parameters; None: they may have changed."""
         self._known: dict[str, Json] | None = None
-        """Parameters as their subscribers know them; None: nobody asked."""
-        self._changed = False
+        """As their subscribers know them; None: nobody asked."""
         self._waiting: list[tuple[_Peer, Sequence[str], Mapping[str, float], object]] = []
         """Who is answered after the next step: parameters, values that were accepted, the request's id."""
 
@@ -137,7 +138,8 @@ class Foxglove:
         """Send what a tick brought to who has subscribed to it."""
         if self._start is None and self._play is not None:
             self._start = tick.now - round(self._facts()["t"] * SECOND)
-        self._changed = self._changed or any(isinstance(one, msg.Set) for one in tick.inputs.instructions)
+        if any(isinstance(one, msg.Set) for one in tick.inputs.instructions):
+            self._values = None
         if not self._peers:
             return
         if not 0 <= tick.now - self._time_at < TIME_PERIOD:
@@ -256,7 +258,7 @@ class Foxglove:
     def _begin_anew(self) -> None:
         """Send everything there is now, as after a jump, or to who has subscribed."""
         if self.scene.gateway is not self._gateway:
-            self._gateway, self._changed = self.scene.gateway, True
+            self._gateway, self._values = self.scene.gateway, None
             self._send_time()
         self._stale = False
         mounts = {name: sensor.mount for name, sensor in self.scene.robot.sensors.items()}
@@ -312,15 +314,16 @@ class Foxglove:
 
     def _parameters(self) -> dict[str, Json]:
         """Return the settings, by name."""
-        return {row["key"]: _parameter(row["key"], row["value"]) for row in self.scene.settings()}
+        if self._values is None:
+            rows = self.scene.settings()
+            self._values = {row["key"]: _parameter(row["key"], row["value"]) for row in rows}
+        return self._values
 
     def _send_parameters(self) -> None:
         """Answer who has set some, and tell subscribers what has changed."""
-        if not self._waiting and not (self._changed and self._known is not None):
-            self._changed = False
+        if not self._waiting and (self._known is None or self._values is not None):
             return
         values, known = self._parameters(), self._known
-        self._changed = False
         for peer, names, accepted, id_ in self._waiting:
             for name, value in accepted.items():
                 if name not in values or values[name]["value"] != value:
@@ -328,7 +331,7 @@ class Foxglove:
             if id_ is not None:
                 _send_values(peer, values, names, id_)
         self._waiting.clear()
-        if known is not None:
+        if known is not None and known is not values:
             self._known = values
             changed = [name for name, value in values.items() if known.get(name) != value]
             for peer in self._peers.values():
@@ -338,7 +341,7 @@ class Foxglove:
     def _set_parameters(
         self, now: Nanos, peer: _Peer, rows: Sequence[Json], id_: object
     ) -> Sequence[Instruction]:
-        """Ask for new values; what is not finite or no name spoils all of them."""
+        """Ask for new values, up to the first that is refused; what is no name or number spoils all."""
         wanted = {
             word(wire.string(one, "name"), "name"): wire.real(one.get("value"), "value") for one in rows
         }
@@ -347,8 +350,8 @@ class Foxglove:
             instruction, why = self._ask(now, peer, f"set {name} {value!r}")
             if instruction is None:
                 peer.tell(ERROR, f"{name[:100]} is not set: {why}")
-            else:
-                accepted[name] = instruction
+                break
+            accepted[name] = instruction
         self._waiting.append((peer, list(wanted), {name: wanted[name] for name in accepted}, id_))
         return list(accepted.values())
 

@@ -25,6 +25,8 @@ PLAYING, PAUSED, ENDED = 0, 1, 3
 UINT32, UINT64 = 2**32 - 1, 2**64 - 1
 MAX_TEXT = 500
 """Characters of a status."""
+MAX_ROWS = 100
+"""Subscriptions, channels or parameters in one message: each may be answered."""
 
 _MESSAGE = struct.Struct("<BIQ")
 _TIME = struct.Struct("<BQ")
@@ -175,15 +177,15 @@ def rows(asked: Json, key: str) -> list[Json]:
     found = asked.get(key)
     if not isinstance(found, list) or not all(isinstance(one, dict) for one in found):
         raise WireError(f"{key} must be a list of objects")
-    return found
+    return _few(found, key)
 
 
 def names(asked: Json, key: str) -> list[str]:
-    """Return a list of texts."""
+    """Return a list of texts, each once."""
     found = asked.get(key)
     if not isinstance(found, list) or not all(isinstance(one, str) for one in found):
         raise WireError(f"{key} must be a list of texts")
-    return found
+    return list(dict.fromkeys(found))
 
 
 def ids(asked: Json, key: str) -> list[int]:
@@ -191,7 +193,13 @@ def ids(asked: Json, key: str) -> list[int]:
     found = asked.get(key)
     if not isinstance(found, list):
         raise WireError(f"{key} must be a list of ids")
-    return [number({key: one}, key) for one in found]
+    return [number({key: one}, key) for one in _few(found, key)]
+
+
+def _few(found: list[Any], key: str) -> list[Any]:
+    if len(found) > MAX_ROWS:
+        raise WireError(f"{key}: at most {MAX_ROWS} are expected in one message")
+    return found
 
 
 def number(asked: Json, key: str) -> int:

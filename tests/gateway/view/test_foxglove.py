@@ -393,6 +393,14 @@ WRONG: list[tuple[Any, tuple[int, str] | None]] = [
     ),
     ('{"op":"setParameters","parameters":[{"name":"a","value":1}]}', (ERROR, "a is not set: no owner")),
     (
+        '{"op":"setParameters","parameters":[{"name":"a","value":1},{"name":"b","value":1}]}',
+        (ERROR, "a is not set: no owner"),
+    ),
+    (
+        json.dumps({"op": "subscribe", "subscriptions": [{"id": 1, "channelId": 999}] * 101}),
+        (ERROR, "subscriptions: at most 100 are expected"),
+    ),
+    (
         '{"op":"subscribeConnectionGraph"}',
         (ERROR, "Server does not support connection graph capability"),
     ),
