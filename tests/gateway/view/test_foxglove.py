@@ -10,9 +10,10 @@ import json
 import math
 import struct
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -23,7 +24,10 @@ from websockets.frames import Frame, Opcode
 import gateway
 from gateway.core.step import Gateway
 from gateway.core.tick import Note, Tick
+from gateway.recording import read_recording
 from gateway.recording.ros_views import TOPICS, Views, typestore
+from gateway.replay.player import Player
+from gateway.runtime.replay_view import ReplayView
 from gateway.view import Access, Address, Scene, View, parse_address
 from gateway.view.requests import HELD, READ_ONLY, Answer
 from gateway.view.scene import Json
@@ -882,3 +886,57 @@ def test_after_a_jump_everything_is_sent_anew() -> None:
         loop.run(2)
         assert len(app.of("/tf_static")) == 1
         assert [state_of(b)[3] for b in app.binary if b[0] == 5] == [True]
+
+
+def test_a_recording_is_played_sought_and_ends(tmp_path: Path) -> None:
+    file = tmp_path / "run.mcap"
+    with gateway.open_session("diffbot", simulated=True, seed=1, record=file) as session:
+        session.submit(session.tour()[0])
+        for _ in session.run(seconds=3.0):
+            pass
+    with Player(read_recording(file), cache=tmp_path) as player:
+        view = ReplayView([player], Address(port=0), Access())
+        with closing(view), closing(App(parse_address(view.url.partition("//")[2][:-1]))) as app:
+            now = 0
+
+            def slices(count: int) -> None:
+                nonlocal now
+                for _ in range(count):
+                    now += 10_000_000
+                    view.slice(now)
+                    app.poll()
+
+            def play(command: int, seek: Nanos | None, request: bytes) -> None:
+                head = struct.pack("<BBfBQI", 3, command, 1.0, seek is not None, seek or 0, len(request))
+                app.send(head + request)
+
+            slices(10)
+            info, start = app.messages[0], player.start
+            assert info["dataStartTime"] == {"sec": start // 10**9, "nsec": start % 10**9}
+            assert info["dataEndTime"] == {"sec": player.end // 10**9, "nsec": player.end % 10**9}
+            app.subscribe("/odom", "/tf_static")
+            slices(20)
+            assert len(app.of("/odom")) <= 1  # it stands
+            assert len(app.of("/tf_static")) == 1
+            play(0, None, b"a")
+            slices(100)
+            times = [t for t, _ in app.of("/odom")]
+            assert len(times) > 40
+            assert times == sorted(times)
+            app.binary.clear()
+            back = start + 200_000_000
+            play(0, back, b"b")
+            slices(20)
+            clock = [Nanos.from_bytes(b[1:], "little") for b in app.binary if b[0] == 2]
+            assert start < min(clock) < back + 100_000_000
+            assert min(t for t, _ in app.of("/odom")) < back + 100_000_000
+            assert app.of("/tf_static")
+            slices(330)
+            states = [state_of(b) for b in app.binary if b[0] == 5]
+            assert states[0] == (0, back, 1.0, True, b"b")
+            assert states[-1] == (3, player.end, 1.0, False, b"")
+            play(1, back, b"c")
+            slices(30)
+            assert (1, back, 1.0, True, b"c") in [state_of(b) for b in app.binary if b[0] == 5]
+            assert player.now <= back
+            assert not app.statuses()
