@@ -748,6 +748,25 @@ def test_every_part_of_a_pose_is_too_little_and_none_is_taken(shared: Bench, app
     assert not shared.asked
 
 
+def test_a_client_has_so_many_channels(shared: Bench, app: App) -> None:
+    for first in (0, 60):
+        channels = [
+            {"id": first + number, "topic": "/x", "encoding": "json", "schemaName": "X"}
+            for number in range(60)
+        ]
+        app.send({"op": "advertise", "channels": channels})
+    shared.until(lambda: len(app.statuses()) == 20)
+    assert set(app.statuses()) == {(ERROR, "there are 100 channels already")}
+
+
+def test_numbers_that_are_not_finite_are_no_motion(shared: Bench, app: App) -> None:
+    app.advertise("/cmd_vel", TWIST, "cdr")
+    app.publish(twist(math.nan, 0.0, 0.0)[1])
+    shared.until(lambda: bool(app.statuses()))
+    assert app.statuses() == [(ERROR, "/cmd_vel: finite numbers are expected")]
+    assert not shared.asked
+
+
 @pytest.mark.parametrize(
     "payload",
     [
@@ -872,6 +891,15 @@ def test_a_playback_is_controlled() -> None:
             (3, end, 1.0, False, b""),
         ]
         assert not [b for b in old.binary if b[0] == 5]
+
+
+def test_what_a_playback_refuses_is_told() -> None:
+    refuses = {"play": lambda _: Answer(ok=False, text="not now")}
+    with bench(kind="replay", facts=playback(), acts=refuses) as loop:
+        app = loop.app()
+        app.send(struct.pack("<BBfBQI", 3, 0, 2.0, 0, 0, 2) + b"r1")
+        loop.until(lambda: bool(app.statuses()))
+        assert app.statuses() == [(ERROR, "not now")]
 
 
 def test_after_a_jump_everything_is_sent_anew() -> None:
