@@ -52,7 +52,6 @@ def facts(cpuinfo: Path = Path("/proc/cpuinfo")) -> dict[str, str]:
     return found
 
 
-@cache
 def sources(root: Path = Path(__file__).parent.parent) -> str:
     """Return a digest of every source file, since two programs of one version may differ."""
     digest = blake2b(digest_size=16)

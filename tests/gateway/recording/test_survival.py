@@ -18,10 +18,10 @@ from typing import Any
 import pytest
 
 from gateway import config
-from gateway.runtime.status import status_text
 from gateway.recording import Recorder, read_recording, writer
 from gateway.recording.recover import is_whole
 from gateway.runtime.session import open_session
+from gateway.runtime.status import status_text
 from protocols.messages import SECOND, Velocity
 from tests.gateway import kills, little
 from tests.gateway.processes import Process, eventually

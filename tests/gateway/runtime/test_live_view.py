@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from itertools import count
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -174,7 +175,7 @@ class Shown:
         return self.page.of("state")[-1] if self.page.of("state") else {}
 
     @property
-    def playback(self) -> dict[str, float]:
+    def playback(self) -> dict[str, Any]:
         playback = self.state.get("playback", {})
         assert isinstance(playback, dict)
         return playback
@@ -272,8 +273,13 @@ def test_two_recordings_are_at_the_same_time_since_their_beginnings(shown: Shown
     pair.until(lambda: bool(pair.page.of("state")))
     pair.play(seek=1.0)
     pair.until(lambda: pair.playback["t"] > 0.98)
-    pair.until(lambda: bool(second.poll() or second.of("state")))
-    pair.until(lambda: abs(second.of("state")[-1]["playback"]["t"] - pair.playback["t"]) < 0.02)
+
+    def beside() -> bool:
+        second.poll()
+        states = second.of("state")
+        return bool(states) and abs(states[-1]["playback"]["t"] - pair.playback["t"]) < 0.02
+
+    pair.until(beside)
     assert second.of("state")[-1]["recording"].endswith("other.mcap")
     second.close()
     pair.close()

@@ -10,7 +10,8 @@ import logging
 import re
 import shlex
 import signal
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
 
@@ -287,12 +288,14 @@ def patient(text: str) -> str:
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    sockets = tmp_path / "run"
-    sockets.mkdir(mode=0o700)
-    for name in ("diffbot", "diffbot_damiao", "bench"):
-        (tmp_path / f"{name}.toml").write_text(patient(resources.find("robots", name).read_text()))
-    return tmp_path
+def folder() -> Iterator[Path]:
+    """A directory with a short name, as sockets need."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "run").mkdir(mode=0o700)
+        for robot in ("diffbot", "diffbot_damiao", "bench"):
+            (folder / f"{robot}.toml").write_text(patient(resources.find("robots", robot).read_text()))
+        yield folder
 
 
 def invited(twin: Process, *more: str) -> list[str]:

@@ -97,7 +97,7 @@ class Browser:
             if isinstance(event, Response):
                 self.status, self.reason = event.status_code, bytes(event.body).decode()
             elif isinstance(event, Frame) and event.opcode is Opcode.TEXT:
-                self.messages.append(json.loads(event.data))
+                self.messages.append(json.loads(bytes(event.data)))
             elif isinstance(event, Frame) and event.opcode is Opcode.BINARY:
                 length = int.from_bytes(event.data[:4], "little")
                 header = json.loads(bytes(event.data[4 : 4 + length]))
