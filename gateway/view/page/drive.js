@@ -90,7 +90,7 @@ export class Drive {
     if ($("strafe").checked) [sum[1], sum[2]] = [0, sum[1]];
     for (const code of this.keys) KEYS[code].forEach((v, i) => (sum[i] += v));
     const { max_linear, max_angular, max_lateral, turning_radius } = this.base;
-    const [x, turn, y] = sum.map(v => (Math.max(-1, Math.min(1, v)) * $("speed").value) / 100);
+    const [x, turn, y] = sum.map(v => (Math.max(-1, Math.min(1, v)) * $("speed").value) / 100 + 0); // no -0
     const linear = x * max_linear;
     const angular = turning_radius ? (sum[1] * linear) / turning_radius : turn * max_angular;
     const lateral = y * max_lateral;

@@ -12,7 +12,7 @@ export class Replay {
     $("back").addEventListener("click", () => this.play({ step: -1 }));
     $("forth").addEventListener("click", () => this.play({ step: 1 }));
     $("rate").addEventListener("change", () => this.play({ rate: Number($("rate").value) }));
-    $("seek").addEventListener("pointerdown", () => (this.sliding = true));
+    $("seek").addEventListener("input", () => (this.sliding = true));
     $("seek").addEventListener("change", () => {
       this.sliding = false;
       this.play({ seek: Number($("seek").value) });
