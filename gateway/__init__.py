@@ -62,6 +62,7 @@ if TYPE_CHECKING:
     from gateway.recording import read_recording as read_recording
     from gateway.replay import Comparison as Comparison
     from gateway.replay import replay_recording as replay_recording
+    from gateway.report import draw_map as draw_map
     from gateway.report import write_report as write_report
     from gateway.runtime import Session as Session
     from gateway.runtime import open_session as open_session
@@ -125,7 +126,7 @@ _MODULES = {
     "gateway.operator": ("ask",),
     "gateway.recording": ("Recording", "read_recording"),
     "gateway.replay": ("Comparison", "replay_recording"),
-    "gateway.report": ("write_report",),
+    "gateway.report": ("draw_map", "write_report"),
     "gateway.runtime": ("Session", "open_session"),
     "protocols.frames": ("BusState", "CanFrame", "Packet"),
     "protocols.messages": (

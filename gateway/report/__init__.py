@@ -1,6 +1,7 @@
 """A report of a run: one HTML file with map, plots, figures and log, which opens without a network.
 
-Exports: `write_report` (of a recording), `Collector` (fed with every tick), `Facts`, `write`, `versions`.
+Exports: `write_report` and `draw_map` (of a recording), `Collector` (fed with every tick), `Facts`, `write`,
+`versions`.
 Must not import: `gateway.runtime`, `gateway.cli`. Nothing here moves a robot.
 
 Rules. One collector serves a run and a replay. What it keeps is bounded, however long the run is: signals as
@@ -11,6 +12,6 @@ other script run.
 
 from gateway.report.collect import Collector
 from gateway.report.page import Facts, write
-from gateway.report.recorded import versions, write_report
+from gateway.report.recorded import draw_map, versions, write_report
 
-__all__ = ["Collector", "Facts", "versions", "write", "write_report"]
+__all__ = ["Collector", "Facts", "draw_map", "versions", "write", "write_report"]

@@ -30,6 +30,8 @@ from gateway.report.collect import QUANTITIES, Collector, group_of
 from gateway.report.series import Track
 from protocols.messages import MILLISECOND, SECOND, Nanos
 
+SVG = "xmlns='http://www.w3.org/2000/svg' width='1000'"
+"""What the map needs to be a file of its own."""
 POINTS = 240_000
 """The most points of all plots together: at about 6 bytes each, 1.5 MB."""
 MAP_CELLS = 4_000_000
@@ -79,7 +81,7 @@ def page(collector: Collector, facts: Facts) -> str:
     view = files("gateway") / "view" / "page"
     own = files("gateway") / "report" / "page"
     scripts = [(view / "uplot.js").read_text("utf-8"), (own / "report.js").read_text("utf-8")]
-    styles = [(view / "uplot.css").read_text("utf-8"), (own / "report.css").read_text("utf-8")]
+    styles = [file.read_text("utf-8") for file in (view / "uplot.css", own / "map.css", own / "report.css")]
     allowed = " ".join(f"'sha256-{b64encode(sha256(s.encode()).digest()).decode()}'" for s in scripts)
     policy = f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src {allowed}"
     title = f"{robot.name}: {facts.what}, {_seconds(collector.end - collector.start)}"
@@ -244,20 +246,44 @@ def _log(collector: Collector) -> str:
 # -- the map --------------------------------------------------------------------------------------------
 
 
+def picture(collector: Collector) -> str:
+    """Return the map with the paths and the robot where it ended, as an SVG file. Raises UserError."""
+    if not collector.driven.points:
+        raise UserError("there is no map to draw: the robot has no base, or never knew where it was")
+    style = (files("gateway") / "report" / "page" / "map.css").read_text("utf-8")
+    _, pose = collector.driven.points[-1]
+    at = f"translate({pose.x:.3f} {-pose.y:.3f}) rotate({-degrees(pose.yaw):.2f})"
+    robot = f"<path id='robot' style='visibility:visible' transform='{at}'"
+    drawn = _map(collector, ()).replace("<path id='robot'", robot)
+    return drawn.replace(" id='map'", f" id='map' {SVG}").replace(">", f"><style>{style}</style>", 1)
+
+
 def _map_section(collector: Collector, facts: Facts) -> str:
-    """Return the map with the paths, as SVG whose y points down: everything is mirrored into it."""
+    """Return the map with its legend, and the goals that were reached."""
     if not collector.driven.points:
         return ""
+    legend = [("planned", "planned"), ("driven", "believed")]
+    legend += [("true", "true")] * bool(collector.true.points) + [("raw", "by the wheels alone")]
+    legend += [("wall", "true walls")] * bool(facts.walls)
+    names = " ".join(f"<span class='{kind}'>{name}</span>" for kind, name in legend)
+    return (
+        f"<section><h2>Map</h2><p class='legend'>{names}</p>{_map(collector, facts.walls)}"
+        f"{_arrivals(collector)}</section>"
+    )
+
+
+def _map(collector: Collector, walls: Sequence[Sequence[tuple[float, float]]]) -> str:
+    """Return the map with the paths, as SVG whose y points down: everything is mirrored into it."""
     view = collector.belief.map
     parts, places = [], [(p.x, p.y) for _, p in collector.driven.points]
     places += [(p.x, p.y) for _, p in collector.true.points]
     places += [(one.goal.x, one.goal.y) for one in collector.arrivals]
-    places += [point for wall in facts.walls for point in wall]
+    places += [point for wall in walls for point in wall]
     if view is not None and view.tiles:
         image, corners = _map_image(view)
         parts.append(image)
         places += corners
-    closed = [(*wall, wall[0]) for wall in facts.walls if wall]
+    closed = [(*wall, wall[0]) for wall in walls if wall]
     parts += [_line("wall", wall) for wall in closed]
     parts += [_line("planned", _thinned(path)) for _, path in collector.paths]
     parts += [
@@ -274,17 +300,11 @@ def _map_section(collector: Collector, facts: Facts) -> str:
         parts.append(f"<circle class='goal' cx='{x:.3f}' cy='{y:.3f}' r='{radius:.3f}'/>")
         parts.append(f"<text x='{x + radius:.3f}' y='{y - radius:.3f}'>{number}</text>")
     parts.append(f"<path id='robot' d='{_outline(collector)}'/>")
-    legend = [("planned", "planned"), ("driven", "believed")]
-    legend += [("true", "true")] * bool(collector.true.points) + [("raw", "by the wheels alone")]
-    legend += [("wall", "true walls")] * bool(facts.walls)
-    names = " ".join(f"<span class='{kind}'>{name}</span>" for kind, name in legend)
     letters = f"font-size='{3.0 * radius:.3f}'"
     box = f"{left:.3f} {top:.3f} {width:.3f} {height:.3f}"
     return (
-        f"<section><h2>Map</h2><p class='legend'>{names}</p>"
         f"<svg id='map' viewBox='{box}' role='img' aria-label='map'>"
         f"<g id='world' {letters}>{''.join(parts)}</g></svg>"
-        f"{_arrivals(collector)}</section>"
     )
 
 

@@ -11,7 +11,7 @@ from gateway.core.tick import Tick
 from gateway.recording import Recording, read_recording
 from gateway.replay import Comparison, Observe, Watch, replay_recording
 from gateway.report.collect import Collector
-from gateway.report.page import Facts, write
+from gateway.report.page import Facts, picture, write
 
 
 def write_report(
@@ -37,6 +37,33 @@ def write_report(
         RecordingError: it is no recording, or unreadable.
         UserError: the file cannot be written.
     """
+    recording, collector, comparison = _collected(recording, robot, watch)
+    write(Path(file), collector, recorded_facts(recording, comparison))
+    return comparison
+
+
+def draw_map(recording: Recording | Path | str, robot: Robot | None = None) -> str:
+    """Return the map of a recording: what was planned, where the robot believed to be, where it ended.
+
+    Args:
+        recording: as for `write_report`.
+        robot: another robot than the recorded one.
+
+    Returns:
+        SVG, for a file or for a notebook (`IPython.display.SVG`).
+
+    Raises:
+        ConfigError: the recorded robot file is not valid any more.
+        RecordingError: it is no recording, or unreadable.
+        UserError: there is nothing to draw, as of a robot without a base.
+    """
+    return picture(_collected(recording, robot, None)[1])
+
+
+def _collected(
+    recording: Recording | Path | str, robot: Robot | None, watch: Watch | None
+) -> tuple[Recording, Collector, Comparison]:
+    """Replay a recording, and collect its signals."""
     if not isinstance(recording, Recording):
         recording = read_recording(recording)
     collectors: list[Collector] = []
@@ -54,8 +81,7 @@ def write_report(
         return take
 
     comparison = replay_recording(recording, robot, both)
-    write(Path(file), collectors[0], recorded_facts(recording, comparison))
-    return comparison
+    return recording, collectors[0], comparison
 
 
 def recorded_facts(recording: Recording, comparison: Comparison) -> Facts:

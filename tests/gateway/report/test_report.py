@@ -9,6 +9,7 @@ from dataclasses import replace
 from hashlib import sha256
 from html.parser import HTMLParser
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
@@ -99,6 +100,16 @@ def test_the_report_of_a_recording_is_that_of_the_run(drive: tuple[Collector, Pa
     (error,) = (plot for plot in base["plots"] if plot["title"] == "error of the pose")
     error["lines"] = [line for line in error["lines"] if line["name"] != "true"]  # which no recording knows
     assert kept == ran
+
+
+def test_the_map_alone_is_a_file_of_its_own(drive: tuple[Collector, Path], tmp_path: Path) -> None:
+    text = gw.draw_map(drive[1])
+    root = ET.fromstring(text)
+    found = {one.get("class") for one in root.iter() if one.tag.endswith("polyline")}
+    assert {"planned", "driven", "raw"} <= found
+    (robot,) = (one for one in root.iter() if one.get("id") == "robot")
+    x, y = (float(one) for one in re.findall(r"-?\d\.\d+", str(robot.get("transform")))[:2])
+    assert (x, -y) == pytest.approx((0.4, 0.1), abs=0.05)
 
 
 def test_it_shows_the_drive(drive: tuple[Collector, Path]) -> None:
