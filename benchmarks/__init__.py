@@ -20,6 +20,7 @@ def bench(options: Namespace) -> int:
 
     Always returns 0. Raises OSError for a file that cannot be written, NotMeasured where something did not
     do its work."""
+    from gateway.cli.terminal import progress
     from gateway.core.clock import stopwatch
     from gateway.recording import environment
     from protocols.messages import SECOND
@@ -28,7 +29,11 @@ def bench(options: Namespace) -> int:
         options.json.open("a").close()  # report now, not in two minutes, that it cannot be written
     effort = Effort(options.quick)
     began, before = stopwatch(), preemptions()
-    rows = [row for name, part in parts().items() for row in _reported(name, part, effort)]
+    rows = list[Row]()
+    for done, (name, part) in enumerate(parts().items()):
+        how_far = progress.text("parts", done, len(parts()), (stopwatch() - began) / SECOND)
+        print(f"measuring: {name} … ({how_far})", flush=True)
+        rows += part(effort)
     facts = environment.facts() | {
         "load average": " ".join(f"{load:.1f}" for load in os.getloadavg()),
         "processors": str(os.cpu_count()),
@@ -70,11 +75,6 @@ def parts() -> dict[str, Callable[[Effort], list[Row]]]:
         "a drive": driving,
         "the live view": view,
     }
-
-
-def _reported(name: str, part: Callable[[Effort], list[Row]], effort: Effort) -> list[Row]:
-    print(f"measuring: {name} …", flush=True)
-    return part(effort)
 
 
 def head(facts: Mapping[str, str], *, quick: bool) -> str:
