@@ -76,7 +76,8 @@ class Cockpit:
         self.scene, self._requests, self._acts = scene, requests, acts
         self._pages: dict[Client, _Page] = {}
         self._notes: deque[str] = deque(maxlen=KEPT_NOTES)
-        self._joints_at = self._state_at = -STATE_PERIOD
+        self._joints_due: Nanos = 0
+        self._state_due: Nanos = 0
         self._changed = False
         """Whether a setting has been changed since pages were told them."""
 
@@ -123,13 +124,12 @@ class Cockpit:
         for client in clients:
             if client not in self._pages:
                 self._enter(client)
-        if not clients:
-            return
-        if now - self._joints_at >= JOINTS_PERIOD:
-            self._joints_at = now
+        # Due at multiples of the period: a tick that is late must not make the next ones late.
+        if now >= self._joints_due:
+            self._joints_due = now - now % JOINTS_PERIOD + JOINTS_PERIOD
             self._sample("joints", _once(lambda: _text("joints", self.scene.joints())))
-        if now - self._state_at >= STATE_PERIOD:
-            self._state_at = now
+        if now >= self._state_due:
+            self._state_due = now - now % STATE_PERIOD + STATE_PERIOD
             self._slow()
 
     def _slow(self) -> None:

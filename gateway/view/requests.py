@@ -69,6 +69,7 @@ class Requests:
         if isinstance(asked, Answer):
             return None, asked
         if isinstance(asked, msg.Stop):
+            one.held = None  # it ends with the rest
             return asked, Answer(ok=True, text="stopped")
         if refused := self._refused(now, one):
             return None, Answer(ok=False, text=refused)

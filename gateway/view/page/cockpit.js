@@ -107,8 +107,8 @@ function ask(line, take = answer) {
 }
 
 function stop() {
-  held.end();
   ask("stop an operator pressed STOP");
+  held.end();
 }
 
 $("stop").addEventListener("pointerdown", event => event.button === 0 && stop()); // not when it is let go

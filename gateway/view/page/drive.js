@@ -71,8 +71,8 @@ export class Drive {
   change() {
     if (!this.keys.size && this.pointer === null) this.held.end();
     else if (!this.active) {
-      this.held.begin(() => this.line(), () => this.ended());
       this.active = true;
+      this.held.begin(() => this.line(), () => this.ended());
     } else this.held.repeat();
   }
 

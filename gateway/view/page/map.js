@@ -23,7 +23,7 @@ export class Field {
     this.canvas.addEventListener("pointerdown", event => this.down(event));
     this.canvas.addEventListener("pointermove", event => this.move(event));
     this.canvas.addEventListener("pointerup", event => this.up(event, true));
-    this.canvas.addEventListener("pointercancel", event => this.up(event, false));
+    for (const type of ["pointercancel", "lostpointercapture"]) this.canvas.addEventListener(type, event => this.up(event, false));
     window.addEventListener("keydown", event => event.key === "Escape" && this.cancel());
     $("nearer").addEventListener("click", () => this.zoom(1.4));
     $("wider").addEventListener("click", () => this.zoom(1 / 1.4));

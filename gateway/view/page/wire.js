@@ -80,13 +80,12 @@ export class Held {
   // `line` returns what is held now: a line of the operator's language.
   begin(line, ended = () => {}) {
     this.end();
-    Object.assign(this, { line, ended });
+    Object.assign(this, { line, ended, timer: setInterval(() => this.repeat(), 50) });
     this.repeat();
-    this.timer = setInterval(() => this.repeat(), 50);
   }
 
   repeat() {
-    this.wire.send({ held: this.line() });
+    if (!this.wire.send({ held: this.line() })) this.end(); // what nobody hears does not begin later by itself
   }
 
   end() {

@@ -1,0 +1,668 @@
+"""The cockpit's page in a browser: what a person does is what the robot is asked, and the other way round.
+
+Robots run in processes of their own, on twins, in real time; nothing here judges how fast the machine is.
+What a robot cannot be made to say (hostile names, a recording that differs) is said by a server without one.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gateway.view.access import Access, Address
+from gateway.view.server import Server
+from gateway.view.view import pages
+from tests.gateway.view.chromium import Chromium, Tab, chromium, wait
+
+PAGE = Path(__file__).parents[3] / "gateway" / "view" / "page"
+WATCH = """
+window.seen = { in: [], out: [], shift: 0 };
+window.WebSocket = class extends WebSocket {
+  constructor(...given) {
+    super(...given);
+    this.addEventListener("message", ({ data }) => seen.in.push([performance.now(), JSON.parse(
+      typeof data === "string" ? data
+        : new TextDecoder().decode(new Uint8Array(data, 4, new DataView(data).getUint32(0, true))))]));
+  }
+  send(message) { seen.out.push([performance.now(), JSON.parse(message)]); super.send(message); }
+};
+window.addEventListener("pointerdown", ({ timeStamp }) => (seen.pressed = timeStamp), true);
+new PerformanceObserver(list => list.getEntries().forEach(one => (seen.shift += one.value)))
+  .observe({ type: "layout-shift", buffered: true });
+"""
+"""What came and went over the wire, with its time; and how much the layout has shifted."""
+
+
+class Robot:
+    """A robot in a process of its own: tests/gateway/view/robot.py."""
+
+    def __init__(self, name: str, *words: str) -> None:
+        command = [sys.executable, "-m", "tests.gateway.view.robot", name, *words]
+        self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        assert self.process.stdout is not None
+        self.url = self.process.stdout.readline().strip()
+
+    def do(self, line: str) -> Any:
+        """Return the answer to a line."""
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        print(line, file=self.process.stdin, flush=True)
+        return json.loads(self.process.stdout.readline())
+
+    def look(self) -> Any:
+        """Return what it does."""
+        return self.do("look")
+
+    def asked(self, kind: str = "") -> list[str]:
+        """Return what it was asked, but what is held."""
+        return [one for _, one in self.look()["asked"] if one.startswith(kind)]
+
+    def held(self, what: str) -> Any:
+        """Wait until this is what was held last."""
+        return wait(lambda: (seen := self.look()) and seen["held"][1].startswith(what) and seen, what)
+
+    def stands(self) -> None:
+        """Wait until it stands."""
+        wait(lambda: standing(self.look()), "standing")
+
+    def rest(self) -> None:
+        """Have it stand without stop, fault or goal, whatever was before, and forget what it was asked."""
+        wait(lambda: (now := self.do("rest"))["state"] == "ready" and standing(now), "rest")
+        self.do("forget")
+
+    def end(self) -> None:
+        """End it as one leaves a run."""
+        self.process.communicate(timeout=60)
+
+
+def standing(seen: Any) -> bool:
+    return all(abs(one) < 0.05 for one in seen["speeds"].values())
+
+
+@contextmanager
+def running(*words: str) -> Iterator[Robot]:
+    robot = Robot(*words)
+    try:
+        yield robot
+    finally:
+        robot.end()
+
+
+@pytest.fixture(scope="module")
+def chrome(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium]:
+    with chromium(tmp_path_factory.mktemp("browser") / "profile") as one:
+        yield one
+
+
+@pytest.fixture
+def browser(chrome: Chromium) -> Iterator[Chromium]:
+    """Chromium, whose pages are closed after a test, and have complained of nothing."""
+    yield chrome
+    chrome.call("Browser.getVersion")  # and with its answer comes what is still under way
+    problems = [problem for tab in chrome.tabs.values() for problem in tab.problems]
+    for tab in list(chrome.tabs.values()):
+        tab.close()
+    assert problems == []
+
+
+@pytest.fixture(scope="module")
+def one_diffbot(chrome: Chromium) -> Iterator[Robot]:
+    with running("diffbot", "steer") as robot:
+        yield robot
+
+
+@pytest.fixture
+def diffbot(one_diffbot: Robot) -> Robot:
+    """A robot that may be steered, standing, without stop, fault or goal."""
+    one_diffbot.rest()
+    return one_diffbot
+
+
+@pytest.fixture(scope="module")
+def one_bench(chrome: Chromium) -> Iterator[Robot]:
+    with running("bench", "steer") as robot:
+        yield robot
+
+
+@pytest.fixture
+def bench(one_bench: Robot) -> Robot:
+    one_bench.rest()
+    return one_bench
+
+
+def opened(browser: Chromium, url: str, **size: int) -> Tab:
+    """Return a page that shows a robot."""
+    tab = browser.open(url, before=WATCH, **size)
+    tab.until("document.querySelector('#word')?.dataset.state === 'ready'")
+    return tab
+
+
+@pytest.fixture
+def tab(browser: Chromium, diffbot: Robot) -> Tab:
+    return opened(browser, diffbot.url)
+
+
+def on_map(tab: Tab, x: float, y: float) -> tuple[float, float]:
+    """Return the pixel so many m from where the robot is believed to be, which is the middle of the map."""
+    left, top = tab.middle("#canvas")
+    return left + 60 * x, top - 60 * y
+
+
+def pose(tab: Tab) -> list[float]:
+    found = re.findall(r"-?[\d.]+", tab.text("#pose"))
+    return [float(one) for one in found[:2]]
+
+
+def sent(tab: Tab, key: str) -> list[Any]:
+    """Return what the page has sent under a key."""
+    return [one[key] for one in tab.run("seen.out.map(one => one[1])") if key in one]
+
+
+# -- steering ----------------------------------------------------------------------------------------
+
+
+def test_a_click_on_the_map_is_a_goal_that_is_reached(tab: Tab, diffbot: Robot) -> None:
+    x, y = pose(tab)
+    at = on_map(tab, 0.5, 0.25)
+    tab.mouse("mousePressed", at)
+    tab.mouse("mouseReleased", at)
+    (goal,) = wait(lambda: diffbot.asked("Goal"), "a goal")
+    numbers = [float(one) for one in re.findall(r"=(-?[\d.]+)", goal)]
+    assert numbers == pytest.approx([x + 0.5, y + 0.25], abs=0.03)
+    tab.until("[...document.querySelectorAll('#log li')].some(one => one.textContent.includes('reached'))")
+    diffbot.stands()
+    assert diffbot.look()["pose"] == pytest.approx(numbers, abs=0.15)
+
+
+def test_a_drag_on_the_map_is_a_goal_with_a_heading(tab: Tab, diffbot: Robot) -> None:
+    tab.mouse("mousePressed", on_map(tab, -0.3, 0.0))
+    tab.mouse("mouseMoved", on_map(tab, -0.3, 0.5))
+    tab.mouse("mouseReleased", on_map(tab, -0.3, 0.5))
+    (goal,) = wait(lambda: diffbot.asked("Goal"), "a goal")
+    assert "yaw=1.57" in goal
+    tab.click("#drop")
+    wait(lambda: diffbot.asked("Drop"), "giving it up")
+    tab.mouse("mousePressed", on_map(tab, 0.3, 0.0))
+    tab.key("keyDown", "Escape")
+    tab.mouse("mouseReleased", on_map(tab, 0.3, 0.0))
+    diffbot.stands()
+    assert len(diffbot.asked("Goal")) == 1
+
+
+def test_a_key_drives_as_long_as_it_is_held(tab: Tab, diffbot: Robot) -> None:
+    tab.key("keyDown", "KeyW", "w")
+    diffbot.held("Drive(linear=0.3, angular=0.0")
+    tab.key("keyDown", "ArrowLeft")
+    diffbot.held("Drive(linear=0.3, angular=1.0")
+    tab.key("keyUp", "ArrowLeft")
+    tab.key("keyUp", "KeyW", "w")
+    diffbot.held("Drive(linear=0.0, angular=0.0")
+    tab.key("keyDown", "KeyS", "s")
+    diffbot.held("Drive(linear=-0.3")
+    tab.run("window.dispatchEvent(new Event('blur'))")  # another window comes to the front
+    diffbot.held("Drive(linear=0.0, angular=0.0")
+    assert sent(tab, "held")[-1] == ""
+    tab.key("keyUp", "KeyS", "s")
+    diffbot.stands()
+
+
+def test_the_stick_drives_as_long_as_it_is_held(tab: Tab, diffbot: Robot) -> None:
+    x, y = tab.middle("#stick")
+    tab.mouse("mousePressed", (x, y))
+    tab.mouse("mouseMoved", (x, y + 70))
+    diffbot.held("Drive(linear=-0.3, angular=0.0")
+    tab.mouse("mouseMoved", (x - 70, y))
+    diffbot.held("Drive(linear=0.0, angular=1.0")
+    tab.mouse("mouseReleased", (x - 70, y))
+    diffbot.held("Drive(linear=0.0, angular=0.0")
+    diffbot.stands()
+
+
+def test_the_base_stands_after_the_page_has_vanished(browser: Chromium, diffbot: Robot) -> None:
+    tab = opened(browser, diffbot.url)
+    tab.key("keyDown", "ArrowRight")
+    wait(lambda: abs(diffbot.look()["speeds"]["left"]) > 1.0, "turning")
+    tab.close()
+    diffbot.held("Drive(linear=0.0, angular=0.0")
+    diffbot.stands()
+
+
+# -- stop --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("how", ["click", "space bar", "space bar in a number", "Enter"])
+def test_stop_is_heard_at_once_and_ends_what_is_held(tab: Tab, diffbot: Robot, how: str) -> None:
+    tab.key("keyDown", "KeyD", "d")
+    wait(lambda: diffbot.look()["speeds"]["left"] > 1.0, "turning")
+    if how == "click":
+        tab.click("#stop")
+    elif how == "Enter":
+        tab.run("document.querySelector('#stop').focus()")
+        tab.call("Input.dispatchKeyEvent", type="keyDown", code="Enter", key="Enter", text="\r")
+    else:
+        field = "#settings summary" if how == "space bar" else "#rows input"
+        tab.run(f"document.querySelector('#settings').open = true, document.querySelector('{field}').focus()")
+        tab.key("keyDown", "Space", " ")
+    tab.until("document.querySelector('#release').hidden === false")
+    assert "an operator pressed STOP" in tab.text("#state")
+    assert diffbot.asked() == ["Stop(reason='an operator pressed STOP')"]
+    before, after = (diffbot.look()["stop"][when] for when in ("before", "after"))
+    assert all(abs(after[name]) < abs(before[name]) for name in before)  # the tick that hears it brakes
+    out, came, pressed = tab.run("[seen.out, seen.in, seen.pressed]")
+    last = next(i for i, (_, one) in enumerate(out) if str(one.get("ask")).startswith("stop"))
+    assert [one for _, one in out[last + 1 :]] == [{"held": ""}]  # the key is still down, in vain
+    begin = pressed if how == "click" else out[last][0]
+    noted = next(t for t, one in came if t > begin and str(one.get("text")).startswith("stopped: an op"))
+    print(f"from STOP by {how} until the note of the tick that brakes: {noted - begin:.1f} ms")
+    tab.key("keyUp", "KeyD", "d")
+    diffbot.stands()
+    tab.click("#release")
+    assert diffbot.asked("Release") == []  # once is not enough
+    tab.click("#release")
+    tab.until("document.querySelector('#release').hidden")
+    assert len(diffbot.asked("Release")) == 1
+
+
+def test_the_command_line_takes_spaces_and_answers(tab: Tab, diffbot: Robot) -> None:
+    tab.run("document.querySelector('#line').focus()")
+    for letter in "goal 1":
+        tab.key("keyDown", "Space" if letter == " " else f"Key{letter.upper()}", letter)
+    assert tab.run("document.querySelector('#line').value") == "goal 1"
+    tab.type("#line", "help")
+    tab.until("document.querySelector('#log').textContent.includes('drive to a place on the map')")
+    tab.type("#line", "gaol 1 2")
+    tab.until("document.querySelector('#log .refused')?.textContent.includes(\"did you mean 'goal'\")")
+    tab.key("keyDown", "ArrowUp")
+    assert tab.run("document.querySelector('#line').value") == "gaol 1 2"
+    assert diffbot.asked() == []
+
+
+# -- what is shown -----------------------------------------------------------------------------------
+
+
+def test_a_fault_is_shown_with_its_cause_and_remedy_and_cleared(tab: Tab, diffbot: Robot) -> None:
+    fault = diffbot.do("provoke left")
+    tab.until("document.querySelector('#faults article')")
+    shown = tab.text("#faults")
+    assert all(one in shown for one in (fault["name"], fault["cause"], fault["remedy"]))
+    assert tab.text("#to-faults") == "1 fault"
+    assert fault["name"] in tab.text("#state")
+    tab.click("#faults article button")
+    tab.until("document.querySelector('#faults').textContent === 'none'")
+    tab.until("document.querySelector('#word').textContent === 'ready'")
+    assert diffbot.asked() == ["ClearFault(motor='left')"]
+
+
+def test_a_setting_is_changed_and_its_value_seen_back(tab: Tab, diffbot: Robot) -> None:
+    tab.run("document.querySelector('#settings').open = true")
+    tab.type("#filter", "pursuit.turn_gain", enter=False)
+    assert tab.run("[...document.querySelectorAll('#rows form')].filter(one => !one.hidden).length") == 1
+    row = "#rows form:not([hidden])"
+    in_file = tab.run(f"document.querySelector('{row} input').value")
+    tab.type(f"{row} input", "1.25")
+    tab.until(f"document.querySelector('{row} output').textContent === 'now 1.25'")
+    tab.until(f"document.querySelector('{row}').classList.contains('changed')")
+    assert diffbot.asked("Set")[-1] == "Set(key='brain.pursuit.turn_gain', value=1.25)"
+    tab.type(f"{row} input", "-3")
+    tab.until(f"document.querySelector('{row} output').className === 'bad'")
+    tab.until(f"document.querySelector('{row} input').value === '1.25'")
+    tab.click(f"{row} button[title]")
+    tab.until(f"document.querySelector('{row} input').value === '{in_file}'")
+    tab.type("#filter", "left.limits.velocity", enter=False)
+    tab.type(f"{row} input", "99")  # more than the robot file allows: the browser tells, and nothing is sent
+    assert not tab.run(f"document.querySelector('{row} input').validity.valid")
+    assert len(diffbot.asked("Set")) == 3
+
+
+def test_samples_come_as_often_as_the_loop_allows(tab: Tab, diffbot: Robot) -> None:
+    at = on_map(tab, -0.5, 0.0)  # behind it: as it turns, the map changes
+    tab.mouse("mousePressed", at)
+    tab.mouse("mouseReleased", at)
+    first = wait(lambda: (seen := diffbot.look())["state"] == "running" and seen, "driving")
+    last = wait(lambda: (seen := diffbot.look())["tick"] > first["tick"] + 300 and seen, "300 ticks")
+    tab.until(f"seen.in.at(-1)[1].t > {last['t']}")
+    came = [one for _, one in tab.run("seen.in")]
+    ticks, span = last["tick"] - first["tick"], last["t"] - first["t"]
+    print(f"of {ticks / span:.0f} ticks a second, to the page each second:", end=" ")
+    for kind, every in (("joints", 4), ("state", 20)):
+        times = [one["t"] for one in came if one["kind"] == kind and first["t"] < one["t"] <= last["t"]]
+        print(f"{len(times) / span:.0f} {kind}", end=" ")
+        assert times == sorted(times)
+        assert len(times) >= ticks / every - 2
+    states = [i for i, one in enumerate(came) if one["kind"] == "state"]
+    for kind in ("scan", "tiles"):
+        between = [one["kind"] for one in came[states[0] : states[-1]]].count(kind)
+        print(f"{between / (len(states) - 1):.1f} {kind} with each state", end=" ")
+        assert between >= 0.5 * len(states) - 2
+
+
+def test_everything_can_be_reached_and_has_a_name(tab: Tab) -> None:
+    tab.run("document.querySelector('#settings').open = true")
+    nodes = tab.call("Accessibility.getFullAXTree")["nodes"]
+    kinds = {
+        "button",
+        "textbox",
+        "searchbox",
+        "spinbutton",
+        "slider",
+        "combobox",
+        "link",
+        "checkbox",
+        "log",
+        "status",
+    }
+    named = [(one["role"]["value"], one.get("name", {}).get("value", "")) for one in nodes if "role" in one]
+    assert [one for one in named if one[0] in kinds - {"status"} and not one[1]] == []
+    assert {role for role, _ in named} >= {"button", "slider", "spinbutton", "log", "status"}
+    assert tab.run("seen.shift") < 0.1  # what web.dev calls good
+
+
+@pytest.mark.parametrize("robot", ["diffbot", "bench"])
+def test_a_phone_shows_stop_always_and_nothing_beside_the_screen(
+    browser: Chromium, request: pytest.FixtureRequest, robot: str
+) -> None:
+    tab = opened(browser, request.getfixturevalue(robot).url, width=390, height=844)
+    for where in (0, 700, 100000):
+        tab.run(f"window.scrollTo(0, {where})")
+        box = tab.run(
+            "(b => [b.left, b.right, b.top, b.bottom])"
+            "(document.querySelector('#stop').getBoundingClientRect())"
+        )
+        assert 0 <= box[0] < box[1] <= 390
+        assert 844 - 120 < box[2] < box[3] <= 844
+    assert tab.run("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
+
+
+def test_bare_joints_are_moved_by_hand(browser: Chromium, bench: Robot) -> None:
+    tab = opened(browser, bench.url)
+    assert tab.run("document.querySelector('#map').hidden && document.querySelector('#drive').hidden")
+    at = tab.middle(".joint:nth-of-type(2) .hold:nth-of-type(2)")
+    tab.mouse("mousePressed", at)
+    bench.held("Velocity(motor='right', velocity=2.0")
+    wait(lambda: bench.look()["speeds"]["right"] > 1.0, "turning")
+    tab.mouse("mouseReleased", at)
+    bench.held("Velocity(motor='right', velocity=0.0")
+    tab.type(".joint input", "0.5")
+    wait(lambda: "0.50" in tab.text(".joint dl"), "its position")
+    tab.run("document.querySelector('.joint .controls > button:last-child').click()")
+    tab.run("document.querySelector('.joint .controls > button:last-child').click()")
+    wait(lambda: bench.asked("Zero"), "zero")
+    assert bench.asked("Zero")[0] == "Zero(motor='left')"
+
+
+def test_without_steer_a_page_can_only_look_and_stop(browser: Chromium) -> None:
+    with running("diffbot") as robot:
+        tab = opened(browser, robot.url)
+        assert tab.run("document.querySelector('#drive').hidden && document.querySelector('#record').hidden")
+        at = on_map(tab, 0.5, 0.0)
+        tab.mouse("mousePressed", at)
+        tab.mouse("mouseReleased", at)
+        tab.key("keyDown", "KeyW", "w")
+        tab.key("keyUp", "KeyW", "w")
+        assert tab.run("seen.out.length") == 0
+        tab.type("#line", "goal 1 1")
+        tab.until("document.querySelector('#log .refused')?.textContent.includes('read-only')")
+        tab.click("#stop")
+        tab.until("document.querySelector('#word').textContent === 'stopped'")
+        assert tab.run("document.querySelector('#release').hidden")
+        assert robot.asked() == ["Stop(reason='an operator pressed STOP')"]
+        tab.close()
+
+
+# -- what no robot says ------------------------------------------------------------------------------
+
+HOSTILE = [
+    "<img src=x onerror=alert(1)>",
+    "</script><script>alert(1)</script>",
+    "__proto__",
+    "\"'`${1}`",
+    "\u202eabc",
+    "n" * 5000,
+]
+EMPTY: dict[str, Any] = {
+    "t": 1.0, "state": "ready", "reason": "", "stopped": "", "stop": False, "systems": [], "pose": None,
+    "covariance": None, "twist": None, "raw": None, "goal": None, "reached": 0, "path_version": 0,
+    "mission": None, "rejected": {}, "faults": [], "received": [],
+}  # fmt: skip
+
+
+class Fake:
+    """A server that says what a test wants, and keeps what it is sent. Polled while the test waits."""
+
+    def __init__(self, port: int = 0, access: Access | None = None) -> None:
+        self.server = Server(Address(port=port), access or Access(), pages(), {"/cockpit": ("",)})
+        self.address, self.now = self.server.address, 0
+        self.received: list[Any] = []
+
+    def poll(self) -> None:
+        self.now += 1_000_000
+        self.received += [json.loads(message) for _, message in self.server.poll(self.now)]
+        self.server.flush(self.now)
+
+    def until(self, what: Callable[[], Any], name: str = "what is awaited") -> Any:
+        """Return what a function returns once that is true."""
+
+        def polled() -> Any:
+            for _ in range(10):
+                self.poll()
+            return what()
+
+        return wait(polled, name)
+
+    def say(self, kind: str, **content: Any) -> None:
+        for client in self.server.clients:
+            client.send(json.dumps({"kind": kind} | content))
+        self.poll()
+
+    def close(self) -> None:
+        self.server.close()
+
+    def open(self, browser: Chromium, query: str = "") -> Tab:
+        tab = browser.open(f"http://{self.address}/{query}", before=WATCH)
+        self.until(lambda: self.server.clients, "a connection")
+        return tab
+
+
+@pytest.fixture
+def fake() -> Iterator[Fake]:
+    with closing(Fake()) as one:
+        yield one
+
+
+def hello(
+    name: str = "fake", *, mode: str = "live", joints: list[str] | None = None, base: bool = True
+) -> Any:
+    limits = {"velocity": 1.0, "acceleration": 1.0, "torque": 1.0}
+    about = {
+        "protocol": name,
+        "address": 1,
+        "bus": name,
+        "commands": ["Velocity"],
+        "requests": [],
+        "limits": limits,
+    }
+    outline = [[0.2, 0.1], [-0.2, 0.1], [-0.2, -0.1], [0.2, -0.1]]
+    body = {
+        "outline": outline,
+        "max_linear": 1.0,
+        "max_lateral": 0.5,
+        "max_angular": 1.0,
+        "turning_radius": 0.0,
+    }
+    return {
+        "robot": name,
+        "mode": mode,
+        "joints": [{"name": one, "moves": "joint"} | about for one in joints or []],
+        "buses": [{"name": name, "kind": "can", "interface": name, "bitrate": 0}],
+        "sensors": [],
+        "body": name,
+        "base": body if base else None,
+        "linkage": False,
+        "period": 0.005,
+        "steer": mode == "live",
+    }
+
+
+def test_hostile_names_stay_text(browser: Chromium, fake: Fake) -> None:
+    tab = fake.open(browser)
+    for name in HOSTILE:
+        fault = {"joint": name, "name": name, "cause": name, "remedy": name, "code": 1}
+        mission = {"name": name, "phase": name, "step": name, "steps": 1, "text": name, "reason": name}
+        counters = {"bus": name, "protocol": name, "accepted": 1, "malformed": 1, "ignored": 1}
+        fake.say("hello", **hello(name, joints=[name]))
+        fake.say(
+            "settings",
+            rows=[
+                {"key": name, "value": 1.0, "file": 2.0},
+                {"key": "x" + name, "value": True, "file": False},
+            ],
+        )
+        fake.say("joints", t=1.0, rows=[[name, True, name, None, *[None] * 7, 1]])
+        fake.say("note", t=1.0, level=name, source=name, text=name)
+        fake.say("note", t=1.0, level="info", source="operator", text=f"set {name}: refused: {name}")
+        fake.say("answer", id=None, ok=False, text=name)
+        fake.say("unknown", text=name)
+        told = {
+            "systems": [[name, name, name]],
+            "faults": [fault],
+            "mission": mission,
+            "received": [counters],
+        }
+        fake.say(
+            "state",
+            **EMPTY | told | {"reason": name, "recording": name, "trouble": name, "load": {name: 0.5}},
+        )
+        shown = f"document.querySelector('#faults h3')?.textContent.includes({json.dumps(name)})"
+        fake.until(partial(tab.run, f"document.querySelector('#robot').textContent === {json.dumps(name)}"))
+        fake.until(partial(tab.run, shown))
+        assert tab.run("document.querySelectorAll('body img, body script, body iframe').length") == 0
+        assert tab.run("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
+
+
+def test_a_lost_connection_is_shown_and_nothing_is_sent_by_itself_after_it(
+    browser: Chromium, fake: Fake
+) -> None:
+    tab = fake.open(browser)
+    fake.say("hello", **hello())
+    fake.say("state", **EMPTY)
+    fake.until(lambda: tab.run("!document.querySelector('#main').inert"))
+    tab.key("keyDown", "KeyW", "w")
+    fake.until(
+        lambda: len([one for one in fake.received if one == {"held": "drive 0.500 0.000 0.000"}]) > 2,
+        "driving",
+    )
+    fake.close()
+    tab.until("document.querySelector('#banner').hidden === false")
+    assert "the gateway ends" in tab.text("#banner")
+    assert tab.run("document.querySelector('#main').inert && document.querySelector('#stop').disabled")
+    with closing(Fake(fake.address.port)) as again:
+        again.until(lambda: again.server.clients, "a new connection")
+        again.say("hello", **hello())
+        again.say("state", **EMPTY)
+        again.until(lambda: tab.run("document.querySelector('#banner').hidden"))
+        again.until(
+            lambda: tab.run("document.querySelector('#banner').textContent").startswith("Nothing heard"),
+            "silence",
+        )
+        assert again.received == []
+        tab.key("keyUp", "KeyW", "w")
+        tab.click("#stop")  # which is tried all the same
+        again.until(lambda: again.received)
+        assert again.received == [{"ask": "stop an operator pressed STOP", "id": 1}]
+        assert all("WebSocket connection" in one for one in tab.problems)
+        tab.problems.clear()
+
+
+def test_the_controls_of_a_replay_ask_for_what_they_say(browser: Chromium, fake: Fake) -> None:
+    tab = fake.open(browser)
+    difference = {"t": 1.5, "kind": "packets", "text": "the first that differs"}
+    playback = {
+        "playing": False,
+        "rate": 1.0,
+        "t": 1.0,
+        "due": 1.0,
+        "length": 6.0,
+        "prepared": 0.25,
+        "differences": [difference],
+    }
+    fake.say("hello", **hello(mode="replay"))
+    fake.say("state", **EMPTY | {"playback": playback, "recordings": 2})
+    fake.until(lambda: tab.run("document.querySelector('#replay').hidden === false"))
+    assert tab.text("#when") == "1.00 of 6.00 s"
+    assert "25 %" in tab.text("#prepared")
+    assert tab.run("document.querySelector('#stopping').hidden && document.querySelector('#drive').hidden")
+    tab.click("#play")
+    tab.click("#forth")
+    tab.click("#back")
+    tab.run("document.querySelector('#rate').value = '2'")
+    tab.run("document.querySelector('#rate').dispatchEvent(new Event('change'))")
+    tab.click("#seek")
+    tab.click("#marks button")
+    tab.run("document.activeElement.blur()")
+    tab.key("keyDown", "Space", " ")
+    fake.until(lambda: len(fake.received) == 7)
+    seek = fake.received.pop(4)["play"]["seek"]
+    assert seek == pytest.approx(3.0, abs=0.1)
+    asked: list[Any] = [
+        {"playing": True},
+        {"step": 1},
+        {"step": -1},
+        {"rate": 2},
+        {"seek": 1.5},
+        {"playing": True},
+    ]
+    assert fake.received == [{"play": one} for one in asked]
+    assert tab.text("#difference") == "1.500 s, packets: the first that differs"
+
+
+def test_the_token_of_the_address_is_brought_along(browser: Chromium) -> None:
+    with closing(Fake(access=Access(token="a token + of 20 characters"))) as fake:
+        tab = fake.open(browser, "?token=a%20token%20%2B%20of%2020%20characters")
+        fake.say("hello", **hello())
+        fake.until(lambda: tab.text("#robot") == "fake")
+
+
+# -- without a browser -------------------------------------------------------------------------------
+
+TEXT_ON = [
+    ("text", "back"), ("text", "panel"), ("dim", "panel"), ("dim", "back"), ("accent", "panel"),
+    ("good", "panel"), ("good", "good-back"), ("warn", "panel"), ("warn", "warn-back"), ("bad", "panel"),
+    ("bad", "bad-back"), ("panel", "accent"), ("panel", "bad"), ("panel", "dim"),
+]  # fmt: skip
+
+
+def luminance(colour: str) -> float:
+    """Relative luminance of #rrggbb: WCAG 2.1."""
+    parts = [int(colour[at : at + 2], 16) / 255 for at in (1, 3, 5)]
+    r, g, b = (c / 12.92 if c <= 0.03928 else ((c + 0.055) / 1.055) ** 2.4 for c in parts)
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b
+
+
+def test_colours_have_the_contrast_that_text_needs() -> None:
+    blocks = re.findall(r":root \{(.*?)\}", (PAGE / "cockpit.css").read_text(), re.S)
+    light, dark = (dict(re.findall(r"--([\w-]+): (#\w{6});", block)) for block in blocks)
+    for colours in (light, dark):
+        for text, back in [*TEXT_ON, ("#ffffff", "stop")]:
+            pair = sorted((luminance(colours.get(one, one)) for one in (text, back)), reverse=True)
+            assert (pair[0] + 0.05) / (pair[1] + 0.05) >= 4.5, (text, back)  # WCAG 2.1, 1.4.3: AA
+
+
+def test_the_page_is_light_and_needs_no_other_server() -> None:
+    files = [one for one in PAGE.iterdir() if one.suffix != ".LICENSE"]
+    assert sum(one.stat().st_size for one in files) < 130_000
+    for one in files:
+        if one.name != "uplot.js":
+            addresses = re.findall(r"https?://[^\s\"']+", one.read_text())
+            assert set(addresses) <= {"http://www.w3.org/2000/svg"}, one.name
+            assert not re.search(
+                r"innerHTML|outerHTML|insertAdjacent|document\.write|eval\(", one.read_text()
+            ), one.name
