@@ -22,7 +22,7 @@ from protocols.messages import MILLISECOND, SECOND, Command, Feedback, Mode, Nan
 from protocols.plugin import Device
 from protocols.toolkit.duplicates import ShaftCheck
 from protocols.toolkit.host import Host, Phase, Report, Timing
-from protocols.toolkit.mit import NUMBERS
+from protocols.toolkit.mit import NUMBERS, encoded
 from protocols.toolkit.motor_driver import Adapter, MotorDriver, Pending, Rx
 from protocols.toolkit.table import Values
 from protocols.toolkit.turns import Turns
@@ -39,8 +39,8 @@ LEAST, LIMP = 0.02, 0.2
 which it is none."""
 State: TypeAlias = tuple[Mode | None, str]
 UNKNOWN: State = None, ""
-Motion: TypeAlias = tuple[float | None, float | None, float | None]
-"""Velocity, torque and current."""
+Motion: TypeAlias = tuple[float | None, float | None, float | None, float | None]
+"""Position, velocity, torque and current."""
 
 
 @dataclass(slots=True)
@@ -104,6 +104,7 @@ class CubeMarsAdapter(Adapter[Motor]):
 
     name = "cubemars"
     faults, duplicate, latch, blind = cm.ALL_FAULTS, cm.DUPLICATE, True, True
+    clearing = SECOND
 
     def own(self, device: Device) -> Motor:
         return Motor()
@@ -136,8 +137,8 @@ class CubeMarsAdapter(Adapter[Motor]):
         position = values["position"] * cm.DEGREE
         reported = position if abs(position) < options.end - cm.DEGREE else None
         velocity = values["velocity"] * options.erpm if abs(values["velocity"]) < cm.LAST_ERPM else None
-        motion = velocity, current * options.torque_constant, current
-        return self._report(t, host, state, values, reported, motion)
+        motion = reported, velocity, current * options.torque_constant, current
+        return self._report(t, host, state, values, motion)
 
     def _reply(self, t: Nanos, frame: CanFrame, host: Host[Motor] | None) -> Report[Motor] | Rx:
         if host is None or host.options.mode != "mit" or frame.id != host.options.reply_id:
@@ -159,27 +160,22 @@ class CubeMarsAdapter(Adapter[Motor]):
             state = Mode.ARMED, "it answers what was not sent"
         if len(frame.data) < cm.REPLY_LENGTH:
             values["temperature"] = None
-        motion = values["velocity"], values["torque"], None
-        return self._report(t, host, state, values, values["position"], motion)
+        motion = values["position"], values["velocity"], values["torque"], None
+        return self._report(t, host, state, values, motion)
 
     def _report(
-        self,
-        t: Nanos,
-        host: Host[Motor],
-        state: State,
-        values: Values,
-        position: float | None,
-        motion: Motion,
+        self, t: Nanos, host: Host[Motor], state: State, values: Values, motion: Motion
     ) -> Report[Motor]:
         own, code, (mode, detail) = host.own, values["error"], state
+        position, velocity, torque, current = motion
         faults = [code if code in cm.FAULTS else cm.UNKNOWN] if code else []
         if faults:
             mode, detail = Mode.FAULT, cm.FAULTS[faults[0]].name
-        two = position is not None and own.shaft.add(t, position, motion[0] or 0.0)
+        two = position is not None and own.shaft.add(t, position, velocity or 0.0)
         if host.options.turns:
-            position = own.turns.add(t, position, motion[0], host.options.end)
-        heat = values["temperature"]
-        feedback = Feedback(host.name, t, position, *motion, None, None if heat is None else float(heat))
+            position = own.turns.add(t, position, velocity, host.options.end)
+        heat = None if values["temperature"] is None else float(values["temperature"])
+        feedback = Feedback(host.name, t, position, velocity, torque, current, temperature=heat)
         cause = "its position jumps there and back" if two else ""
         return Report(host, host.address, mode, detail, faults, feedback, duplicate=cause)
 
@@ -209,12 +205,8 @@ class CubeMarsAdapter(Adapter[Motor]):
         options, at = host.options, host.address
         if options.mode == "mit":
             goal = options.gains.impedance(command, host.held)
-            numbers = {name: getattr(goal, name) for name in NUMBERS}
-            frame = options.table.encoder("control")(at, **numbers)
-            if frame.data in cm.SPECIAL_DATA:  # one step of position beside enter, exit …
-                frame = CanFrame(frame.id, b"\xff\xfe" + frame.data[2:])
             host.own.follow(goal)
-            return host.own.sent(now, frame)
+            return host.own.sent(now, encoded(options.table.encoder("control"), at, goal, cm.SPECIAL_DATA))
         host.own.drive(driven=True)
         match command:
             case msg.Velocity(_, velocity):
@@ -246,11 +238,9 @@ class CubeMarsAdapter(Adapter[Motor]):
     def begin(
         self, now: Nanos, request: Request, host: Host[Motor] | None, driver: MotorDriver[Motor]
     ) -> Pending[Motor] | str:
-        if isinstance(request, msg.ClearFault) and host is not None:  # its faults pass by themselves
-            return Pending(request, host.name, now, now + SECOND, now, host)
         if isinstance(request, msg.Zero) and host is not None:
             return Pending(request, host.name, now, now + ZEROED, now, host, period=ZEROED)
-        return "the device cannot do that on this bus"
+        return super().begin(now, request, host, driver)
 
     def frames(self, now: Nanos, pending: Pending[Motor]) -> Sequence[Frame]:
         host = pending.host

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from protocols.cubemars import table as cm
-from protocols.toolkit.mit import ImpedanceGains
+from protocols.toolkit.mit import KD_MAX, KP_MAX, ImpedanceGains
 from protocols.toolkit.options import bounded, check_bounds
 from protocols.toolkit.table import Table
 
@@ -46,9 +46,9 @@ class Options:
     # -- MIT mode
     model: Model = "AK80-9"
     """Decides the ranges of all numbers in MIT mode."""
-    stiffness: float = bounded(20.0, 0.2, cm.KP_MAX)
+    stiffness: float = bounded(20.0, 0.2, KP_MAX)
     """N·m/rad of Position and Hold"""
-    damping: float = bounded(1.0, 0.01, cm.KD_MAX)
+    damping: float = bounded(1.0, 0.01, KD_MAX)
     """N·m·s/rad of Position, Hold and Velocity"""
     position_end: float = bounded(0.0, 0.0, 100.0)
     """rad; 0: the model's. These depend on the firmware: see README."""
@@ -94,9 +94,9 @@ class Options:
     @property
     def end(self) -> float:
         """rad beyond which no position is reported"""
-        return (
-            cm.LAST_DEGREES * cm.DEGREE if self.mode == "servo" else self.table.row("control").fields[0].high
-        )
+        if self.mode == "servo":
+            return cm.LAST_DEGREES * cm.DEGREE
+        return self.table.row("control").field("position").high
 
 
 @dataclass(frozen=True, slots=True)

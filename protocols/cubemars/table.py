@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import cache
 
 from protocols.frames import CanFrame, Frame
 from protocols.plugin import FaultInfo
-from protocols.toolkit.table import Field, Row, Table, const, sint, span, uint
+from protocols.toolkit.mit import numbers, words
+from protocols.toolkit.table import Direction, Field, Row, Table, const, sint, uint
 
 ADDRESSES = range(1, 256)
 MODELS: Mapping[str, tuple[float, float, float]] = {
@@ -30,27 +30,23 @@ MODELS: Mapping[str, tuple[float, float, float]] = {
     "AK80-64": (12.5, 8.0, 144.0),
 }
 """rad, rad/s and N·m at the ends of the ranges in MIT mode."""
-KP_MAX, KD_MAX = 500.0, 5.0
 REPLY_LENGTH = 8
 """Bytes of a reply; older firmware sends 6, without temperature and error."""
 SPECIAL = {"enter": 0xFC, "exit": 0xFD, "set zero": 0xFE}
 """Last byte, after seven of FF."""
-SPECIAL_DATA = [b"\xff" * 7 + bytes((last,)) for last in SPECIAL.values()]
+SPECIAL_DATA = frozenset(b"\xff" * 7 + bytes((last,)) for last in SPECIAL.values())
 
 
 @cache
 def mit_table(position: float, velocity: float, torque: float) -> Table:
     """Return the messages of MIT mode; the arguments are the ends of its ranges."""
     own = (uint("address", 11),)
-    ends = ("position", 16, position), ("velocity", 12, velocity), ("torque", 12, torque)
-    p, v, t = (span(name, bits, -end, end) for name, bits, end in ends)
-    gains = span("stiffness", 12, 0.0, KP_MAX), span("damping", 12, 0.0, KD_MAX)
-    measured = [span(name, bits, -end, end, measured=True) for name, bits, end in ends]
-    reply = (uint("motor"), *measured, sint("temperature", 8), uint("error"))
+    five, measured = numbers(position, velocity, torque)
+    reply = (uint("motor"), *measured, *_STATE)
     return Table(
         (
-            *(Row(n, own, (const((1 << 56) - 1, 56), const(b)), order="big") for n, b in SPECIAL.items()),
-            Row("control", own, (p, v, *gains, t), order="big"),
+            *words(own, SPECIAL),
+            Row("control", own, tuple(five), order="big"),
             Row("reply", (const(0, 11),), reply, "from_device", "big", fewest=6),
         )
     )
@@ -60,14 +56,14 @@ STATUS = 0x2900
 """Id of a motor's reports in servo mode, without its address."""
 
 
-def _servo(name: str, number: int, *fields: Field) -> Row:
-    return Row(name, (const(number, 21), uint("address")), fields, order="big")
+def _servo(name: str, number: int, *fields: Field, direction: Direction = "to_device") -> Row:
+    return Row(name, (const(number, 21), uint("address")), fields, direction, "big", extended=True)
 
 
 _MOTION = sint("position", 16, 0.1), sint("velocity", 16, 10.0), sint("current", 16, 0.01)
+_STATE = sint("temperature", 8), uint("error")
 SERVO = Table(
-    replace(row, extended=True)
-    for row in (
+    (
         _servo("SET_DUTY", 0, sint("value", 32, 1e-5)),
         _servo("SET_CURRENT", 1, sint("value", 32, 1e-3)),
         _servo("SET_CURRENT_BRAKE", 2, sint("value", 32, 1e-3)),
@@ -76,13 +72,7 @@ SERVO = Table(
         _servo("SET_POS", 4, sint("value", 32, 1e-4)),
         _servo("SET_ORIGIN_HERE", 5, uint("value")),
         _servo("SET_POS_SPD", 6, sint("value", 32, 1e-4), sint("fastest", 16, 10.0), sint("ramp", 16, 10.0)),
-        Row(
-            "status",
-            (const(STATUS >> 8, 21), uint("address")),
-            (*_MOTION, sint("temperature", 8), uint("error")),
-            "from_device",
-            "big",
-        ),
+        _servo("status", STATUS >> 8, *_MOTION, *_STATE, direction="from_device"),
     )
 )
 """The messages of servo mode: share of the voltage, A, electrical rpm and its change in a second, degrees of

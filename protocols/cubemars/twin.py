@@ -18,7 +18,7 @@ from protocols.frames import Frame
 from protocols.messages import MILLISECOND, Nanos, Obeyed
 from protocols.plugin import Device
 from protocols.toolkit.firmware import ServoFirmware, milliseconds
-from protocols.toolkit.mit import NUMBERS
+from protocols.toolkit.mit import commanded
 from protocols.toolkit.servo import Gains
 from protocols.toolkit.table import Decoded
 
@@ -52,7 +52,7 @@ class Memory:
             case "set zero" | "SET_ORIGIN_HERE":
                 return (msg.Zero(motor),)
             case "control":
-                return (msg.Impedance(motor, *(values[n] for n in NUMBERS)),) if self.entered else ()
+                return (commanded(motor, values),) if self.entered else ()
         return self._drive(decoded.name, values["value"], values.get("fastest", math.inf))
 
     def _drive(self, name: str, value: float, fastest: float) -> Sequence[Obeyed]:
@@ -103,10 +103,8 @@ class CubeMarsTwin(ServoFirmware):
             self.obey(t, obeyed)
         self.fastest = self.memory.fastest
         if self.options.mode == "mit":
-            measured = zip(NUMBERS, (self.encoder.position, self.encoder.velocity, self.torque), strict=False)
-            reply = self.options.table.encode(
-                "reply", 0, motor=self.memory.address, **dict(measured), **self._state()
-            )
+            numbers = {"motor": self.memory.address, **self.measured(), **self._state()}
+            reply = self.options.table.encode("reply", **numbers)
             self.reply(t, replace(reply, id=self.options.reply_id))
 
     def _state(self) -> Mapping[str, int]:

@@ -11,6 +11,7 @@ from protocols.damiao.twin import DamiaoTwin, motor_of
 from protocols.frames import exact
 from protocols.messages import MILLISECOND, Command
 from protocols.plugin import DRIVER_WRITES, Device, Plugin, Range, Setting, Spec, Watchdog
+from protocols.toolkit import mit
 from protocols.toolkit.assembly import can_motor, decoder_of, driver_of
 from protocols.toolkit.options import configuration
 from protocols.toolkit.table import BINARY32
@@ -18,7 +19,7 @@ from protocols.toolkit.table import BINARY32
 __all__ = ["plugin"]
 
 COMMANDS: dict[str, frozenset[type[Command]]] = {
-    "mit": frozenset({msg.Idle, msg.Hold, msg.Position, msg.Velocity, msg.Torque, msg.Impedance}),
+    "mit": mit.COMMANDS,
     "pos_vel": frozenset({msg.Idle, msg.Hold, msg.Position}),
     "vel": frozenset({msg.Idle, msg.Velocity}),
     "force_pos": frozenset({msg.Idle, msg.Hold, msg.Position}),

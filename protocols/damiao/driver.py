@@ -17,6 +17,7 @@ from protocols.damiao.options import Options
 from protocols.frames import CanFrame, Frame
 from protocols.messages import Command, Feedback, Mode, Nanos
 from protocols.toolkit.host import Host, Report
+from protocols.toolkit.mit import encoded
 from protocols.toolkit.motor_driver import MotorDriver, Rx
 from protocols.toolkit.register_motor import Motor, RegisterAdapter
 
@@ -103,8 +104,4 @@ class DamiaoAdapter(RegisterAdapter):
             case "force_pos":
                 return table.encode("FORCE_POS", at, position=goal, fastest=fastest, force=options.max_force)
         five = options.gains.impedance(command, host.held)
-        p, v, kp, kd, t = five.position, five.velocity, five.stiffness, five.damping, five.torque
-        frame = table.encoder("MIT")(at, position=p, velocity=v, stiffness=kp, damping=kd, torque=t)
-        if frame.data in dm.SPECIAL_DATA:  # one step of position beside enable, disable …
-            return CanFrame(frame.id, b"\xff\xfe" + frame.data[2:])
-        return frame
+        return encoded(table.encoder("MIT"), at, five, dm.SPECIAL_DATA)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from protocols.damiao import table as dm
-from protocols.toolkit.mit import ImpedanceGains
+from protocols.toolkit.mit import KD_MAX, KP_MAX, ImpedanceGains
 from protocols.toolkit.options import bounded, check_bounds
 from protocols.toolkit.table import FLOAT_MAX, Table
 
@@ -28,9 +28,9 @@ class Options:
     """CTRL_MODE, written before the motor is enabled."""
     reply_id: int = bounded(0, 0, 0x7FE)
     """MST_ID of the motor; 0: its address and 16."""
-    stiffness: float = bounded(20.0, 0.2, dm.KP_MAX)
+    stiffness: float = bounded(20.0, 0.2, KP_MAX)
     """N·m/rad of Position and Hold (mode mit)"""
-    damping: float = bounded(1.0, 0.01, dm.KD_MAX)
+    damping: float = bounded(1.0, 0.01, KD_MAX)
     """N·m·s/rad of Position, Hold and Velocity (mode mit)"""
     max_velocity: float = bounded(5.0, 0.01, 300.0)
     """rad/s on the way to a Position (modes pos_vel, force_pos)"""

@@ -12,14 +12,14 @@ from functools import cache
 from protocols.frames import CanFrame
 from protocols.messages import ClearFault, Request, Zero
 from protocols.plugin import FaultInfo
+from protocols.toolkit.mit import numbers, words
 from protocols.toolkit.registers import Register, Registers
-from protocols.toolkit.table import Field, Row, Table, const, f32, span, uint, unused
+from protocols.toolkit.table import Field, Row, Table, const, f32, uint, unused
 
 ADDRESSES = range(1, 16)
 """ESC_ID; a feedback carries its lower four bits only."""
 REPLY_BASE = 0x10
 """Added to ESC_ID for the MST_ID that vendors' tools suggest."""
-KP_MAX, KD_MAX = 500.0, 5.0
 TIMEOUT_UNIT_MS = 0.05
 """Of register TIMEOUT."""
 MODES: Mapping[str, int] = {"mit": 1, "pos_vel": 2, "vel": 3, "force_pos": 4}
@@ -104,10 +104,7 @@ def ranges_of(model: str) -> dict[str, float]:
 @cache
 def table_of(model: str) -> Table:
     """Return the messages of a model."""
-    p, v, t = MODELS[model]
-    ends = ("position", 16, -p, p), ("velocity", 12, -v, v), ("torque", 12, -t, t)
-    numbers = [span(*each) for each in ends]
-    gains = span("stiffness", 12, 0.0, KP_MAX), span("damping", 12, 0.0, KD_MAX)
+    five, measured = numbers(*MODELS[model])
     own, reply, all_motors = (const(0, 3), uint("address", 8)), (uint("address", 11),), (const(0x7FF, 11),)
 
     def set_point(name: str, page: int, *fields: Field) -> Row:
@@ -119,13 +116,12 @@ def table_of(model: str) -> Table:
     def about(operation: int) -> tuple[Field, ...]:
         return const(operation), uint("number"), uint("value", 32)
 
-    measured = [span(*each, measured=True) for each in ends]
     asked = uint("motor", 4), const(0, 12)  # these zeros alone tell an answer from most feedbacks
     status = (uint("status", 4), uint("motor", 4), *measured, uint("mos"), uint("rotor"))
     return Table(
         (
-            *(Row(n, own, (const((1 << 56) - 1, 56), const(b)), order="big") for n, b in SPECIAL.items()),
-            Row("MIT", own, (*numbers[:2], *gains, numbers[2]), order="big"),
+            *words(own, SPECIAL),
+            Row("MIT", own, tuple(five), order="big"),
             set_point("POS_VEL", 1, f32("position"), f32("fastest")),
             set_point("VEL", 2, f32("velocity"), unused(32)),
             set_point("FORCE_POS", 3, f32("position"), uint("fastest", 16, 0.01), uint("force", 16, 1e-4)),

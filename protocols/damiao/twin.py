@@ -17,7 +17,7 @@ from protocols.frames import Frame
 from protocols.messages import Command, Mode, Nanos, Obeyed
 from protocols.plugin import Device
 from protocols.toolkit.firmware import ServoFirmware, milliseconds
-from protocols.toolkit.mit import NUMBERS
+from protocols.toolkit.mit import commanded
 from protocols.toolkit.servo import Gains
 from protocols.toolkit.table import Decoded
 
@@ -56,7 +56,7 @@ class Motor:
         if not self.enabled or self.ignores(name):
             return ()
         if name == "MIT":
-            return (msg.Impedance(motor, *(values[number] for number in NUMBERS)),)
+            return (commanded(motor, values),)
         if name == "VEL":
             return (msg.Velocity(motor, values["velocity"]),)
         self.fastest, self.force = abs(values["fastest"]), values.get("force", 1.0)
@@ -126,9 +126,8 @@ class DamiaoTwin(ServoFirmware):
         if decoded.name not in dm.OPERATIONS:
             self.feed(t)
         status = {Mode.READY: dm.DISABLED, Mode.ARMED: dm.ENABLED}.get(self.mode, self.fault)
-        measured = zip(NUMBERS, (self.encoder.position, self.encoder.velocity, self.torque), strict=False)
         heat = {"mos": self.settings.temperature, "rotor": self.settings.temperature}
-        others = {"status": status, "motor": motor.address, **heat, **dict(measured)}
+        others = {"status": status, "motor": motor.address, **heat, **self.measured()}
         self.reply(t, self.table.encode("feedback", int(motor.registers["MST_ID"]), **others))
 
     def _answer_register(self, t: Nanos, decoded: Decoded) -> None:

@@ -11,14 +11,15 @@ from protocols.myactuator import table as rmd
 from protocols.myactuator.driver import RmdAdapter
 from protocols.myactuator.options import Options, Settings
 from protocols.myactuator.twin import RmdTwin, memory_of
-from protocols.plugin import Device, FeedbackKind, Plugin, Range, Spec, Watchdog
-from protocols.toolkit.assembly import can_motor, decoder_of, driver_of
+from protocols.plugin import Device, FeedbackKind, Plugin, Range, Spec
+from protocols.toolkit import mit
+from protocols.toolkit.assembly import can_motor, decoder_of, driver_of, fed_by_any_frame
 
 __all__ = ["plugin"]
 
 COMMANDS: dict[str, frozenset[type[Command]]] = {
-    "servo": frozenset({msg.Idle, msg.Hold, msg.Position, msg.Velocity, msg.Torque}),
-    "motion": frozenset({msg.Idle, msg.Hold, msg.Position, msg.Velocity, msg.Torque, msg.Impedance}),
+    "servo": mit.COMMANDS - {msg.Impedance},
+    "motion": mit.COMMANDS,
 }
 ANYBODY: IdMask = (0x140, EXTENDED_BIT | 0x7C0)
 """Ids of a scan."""
@@ -52,7 +53,6 @@ def spec(device: Device) -> Spec:
     """Return the contract of one motor. Raises ValueError if its address cannot be one."""
     options: Options = device.options
     timeout = (options.timeout_ms or device.settings.timeout_ms) * MILLISECOND
-    note = "" if timeout else "it has no watchdog (timeout_ms = 0): without a host its last command goes on"
     extra = {"canonical": options.gains.canonical} if options.mode == "motion" else {}
     return can_motor(
         device,
@@ -62,12 +62,11 @@ def spec(device: Device) -> Spec:
         commands=COMMANDS[options.mode],
         requests=frozenset({msg.ClearFault}),
         ranges=ranges(options),
-        watchdog=Watchdog(timeout or None, timeout > 0, note, "any frame"),
         feedback=FeedbackKind.REPLY,
-        holds_unattended=not timeout,
         faults=rmd.FAULTS,
         receives_also=(ANSWERS,) if options.scan else (),
         obeys_also=(exact(rmd.ALL_MOTORS), exact(rmd.SET_ID)),
+        **fed_by_any_frame(timeout or None),
         **extra,
     )
 

@@ -10,21 +10,20 @@ brake be released. A running time that goes backwards is a restart.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from protocols import messages as msg
 from protocols.frames import Frame
-from protocols.messages import MILLISECOND, SECOND, Command, Feedback, Mode, Nanos, Request
+from protocols.messages import MILLISECOND, SECOND, Command, Feedback, Mode, Nanos
 from protocols.myactuator import table as rmd
 from protocols.myactuator.options import Options
 from protocols.plugin import Device
 from protocols.toolkit.duplicates import AnswerCount
 from protocols.toolkit.host import Host, Phase, Report
-from protocols.toolkit.mit import NUMBERS
+from protocols.toolkit.mit import encoded
 from protocols.toolkit.motor_driver import Adapter, MotorDriver, Pending, Rx
-from protocols.toolkit.requests import scan
 from protocols.toolkit.table import Values
 
 CHECK: Nanos = 50 * MILLISECOND
@@ -109,7 +108,7 @@ class RmdAdapter(Adapter[Motor]):
 
     name = "myactuator"
     faults, latch, blind = rmd.ALL_FAULTS, True, True
-    not_armed, duplicate = rmd.NOT_ARMED, rmd.DUPLICATE
+    not_armed, duplicate, clearing = rmd.NOT_ARMED, rmd.DUPLICATE, 2 * SECOND
 
     def own(self, device: Device) -> Motor:
         return Motor(device.options.idle_current)
@@ -189,7 +188,7 @@ class RmdAdapter(Adapter[Motor]):
         address = host.address
         if options.mode == "motion":
             goal = options.gains.impedance(command, host.held)
-            return options.table.encode("motion", address, **{name: getattr(goal, name) for name in NUMBERS})
+            return encoded(options.table.encoder("motion"), address, goal)
         match command:
             case msg.Torque(_, torque):
                 return rmd.ANY.encode("torque", address, value=torque / options.torque_constant)
@@ -219,14 +218,8 @@ class RmdAdapter(Adapter[Motor]):
 
     # -- requests -------------------------------------------------------------------------------------
 
-    def begin(
-        self, now: Nanos, request: Request, host: Host[Motor] | None, driver: MotorDriver[Motor]
-    ) -> Pending[Motor] | str:
-        if isinstance(request, msg.ClearFault) and host is not None:
-            return Pending(request, host.name, now, now + 2 * SECOND, now, host)
-        if not isinstance(request, msg.Scan):
-            return "the device cannot do that on this bus"
-        return scan(now, request, (rmd.ANY.encode("read version", at) for at in rmd.ADDRESSES))
+    def questions(self, driver: MotorDriver[Motor]) -> Iterable[Frame]:
+        return (rmd.ANY.encode("read version", at) for at in rmd.ADDRESSES)
 
     def frames(self, now: Nanos, pending: Pending[Motor]) -> Sequence[Frame]:
         host = pending.host

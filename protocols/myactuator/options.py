@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from protocols.myactuator.table import table_of
-from protocols.toolkit.mit import ImpedanceGains
+from protocols.toolkit.mit import KD_MAX, KP_MAX, ImpedanceGains
 from protocols.toolkit.options import bounded, check_bounds
 from protocols.toolkit.table import Table
 
@@ -21,9 +21,9 @@ class Options:
     """N·m/A at the output shaft, from the model's data sheet (mode servo)"""
     max_velocity: float = bounded(5.0, 0.02, 1000.0)
     """rad/s on the way to a Position (mode servo), in steps of a degree per second"""
-    stiffness: float = bounded(20.0, 0.2, 500.0)
+    stiffness: float = bounded(20.0, 0.2, KP_MAX)
     """N·m/rad of Position and Hold (mode motion)"""
-    damping: float = bounded(1.0, 0.01, 5.0)
+    damping: float = bounded(1.0, 0.01, KD_MAX)
     """N·m·s/rad of Position, Hold and Velocity (mode motion)"""
     position_end: float = bounded(12.5, 1.0, 100.0)
     """rad of the motion mode, which must be the firmware's: 12.5 in V4.2. Uncertain beyond."""

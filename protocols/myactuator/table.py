@@ -10,7 +10,8 @@ from collections.abc import Mapping
 from functools import cache
 
 from protocols.plugin import FaultInfo
-from protocols.toolkit.table import Field, Row, Table, const, sint, span, uint, unused
+from protocols.toolkit.mit import numbers
+from protocols.toolkit.table import Field, Row, Table, const, sint, uint, unused
 
 ADDRESSES = range(1, 33)
 ALL_MOTORS, SET_ID = 0x280, 0x300
@@ -41,7 +42,6 @@ READ: Mapping[str, tuple[int, tuple[Field, ...]]] = {
 """Command byte, and numbers of the answer: °C, V, A, degrees per second, degrees."""
 TURNS, FASTEST, STRONGEST = (2**31 - 2) * 0.01, 32766.0, 327.66
 """Degrees, degrees per second and A: the ends of what is measured, where a motor that saturates is not."""
-KP_MAX, KD_MAX = 500.0, 5.0
 
 
 def _id(base: int) -> tuple[Field, ...]:
@@ -54,10 +54,7 @@ TO, FROM, MOTION, MOVED = _id(0x140), _id(0x240), _id(0x400), _id(0x500)
 @cache
 def table_of(position: float, velocity: float, torque: float) -> Table:
     """Return the messages; the ends [rad, rad/s, N·m] are those of the motion mode."""
-    ends = ("position", 16, position), ("velocity", 12, velocity), ("torque", 12, torque)
-    p, v, t = (span(name, bits, -end, end, floor=False) for name, bits, end in ends)
-    gains = span("stiffness", 12, 0.0, KP_MAX), span("damping", 12, 0.0, KD_MAX)
-    moved = tuple(span(name, bits, -end, end, floor=False, measured=True) for name, bits, end in ends)
+    five, moved = numbers(position, velocity, torque, floor=False)
     timeout = const(0xB3), unused(24), uint("value", 32)
     return Table(
         (
@@ -65,7 +62,7 @@ def table_of(position: float, velocity: float, torque: float) -> Table:
             *(Row(name, TO, (const(code), unused(56))) for name, code in ECHOED.items()),
             Row("set timeout", TO, timeout),
             Row("reset", TO, (const(0x76), unused(56))),
-            Row("motion", MOTION, (p, v, *gains, t), order="big"),
+            Row("motion", MOTION, tuple(five), order="big"),
             *(
                 Row(f"read {n}", TO, (const(code), unused(56)), read_only=True)
                 for n, (code, _) in READ.items()

@@ -18,7 +18,7 @@ from protocols.myactuator import table as rmd
 from protocols.myactuator.options import Options, Settings
 from protocols.plugin import Device
 from protocols.toolkit.firmware import ServoFirmware, milliseconds
-from protocols.toolkit.mit import NUMBERS
+from protocols.toolkit.mit import commanded
 from protocols.toolkit.servo import Gains
 from protocols.toolkit.table import Decoded, Table, Values
 
@@ -65,7 +65,7 @@ class Memory:
             case "position" | "single turn" | "increment":  # the last from where it stands
                 return msg.Arm(name), msg.Position(name, math.radians(values["position"]))
             case "motion":
-                return msg.Arm(name), msg.Impedance(name, *(values[number] for number in NUMBERS))
+                return msg.Arm(name), commanded(name, values)
         return ()
 
     def lock(self) -> None:
@@ -123,7 +123,6 @@ class RmdTwin(ServoFirmware):
 
     def _answer(self, t: Nanos, name: str, values: Values) -> Frame:
         settings, encoder, address = self.settings, self.encoder, self.memory.address
-        moved = zip(NUMBERS, (encoder.position, encoder.velocity, self.torque), strict=False)
         measured = {
             "temperature": round(settings.temperature),
             "current": self.torque / self.memory.options.torque_constant,
@@ -137,7 +136,7 @@ class RmdTwin(ServoFirmware):
             "errors": 0x0400 if self.fault == rmd.UNKNOWN else self.fault,
         }
         numbers: Mapping[str, Mapping[str, Any]] = {
-            "motion": {"motor": address, **dict(moved)},
+            "motion": {"motor": address, **self.measured()},
             "set timeout": values,
             "read angle": {"position": math.degrees(encoder.position)},
             "read status 1": state,

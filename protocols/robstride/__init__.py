@@ -5,19 +5,20 @@ from __future__ import annotations
 from protocols import messages as msg
 from protocols.frames import EXTENDED_BIT, IdMask
 from protocols.messages import MILLISECOND, Command
-from protocols.plugin import DRIVER_WRITES, Device, FeedbackKind, Plugin, Range, Setting, Spec, Watchdog
+from protocols.plugin import DRIVER_WRITES, Device, FeedbackKind, Plugin, Range, Setting, Spec
 from protocols.robstride import table as rs
 from protocols.robstride.driver import RobStrideAdapter
 from protocols.robstride.options import STORED, Options, Settings
 from protocols.robstride.twin import RobStrideTwin, memory_of
-from protocols.toolkit.assembly import can_motor, decoder_of, driver_of
+from protocols.toolkit import mit
+from protocols.toolkit.assembly import can_motor, decoder_of, driver_of, fed_by_any_frame
 from protocols.toolkit.options import configuration
 from protocols.toolkit.table import BINARY32
 
 __all__ = ["plugin"]
 
 COMMANDS: dict[str, frozenset[type[Command]]] = {
-    "mit": frozenset({msg.Idle, msg.Hold, msg.Position, msg.Velocity, msg.Torque, msg.Impedance}),
+    "mit": mit.COMMANDS,
     "speed": frozenset({msg.Idle, msg.Velocity}),
     "position": frozenset({msg.Idle, msg.Hold, msg.Position}),
 }
@@ -56,8 +57,7 @@ def configured(device: Device) -> dict[str, Setting]:
 def spec(device: Device) -> Spec:
     """Return the contract of one motor. Raises ValueError if its address cannot be one."""
     options: Options = device.options
-    timeout, has = round(options.timeout_ms * MILLISECOND), rs.parameters_of(options.model)
-    note = "" if timeout else "it has no watchdog (timeout_ms = 0): without a host its last command goes on"
+    has = rs.parameters_of(options.model)
     return can_motor(
         device,
         options.table,
@@ -66,15 +66,14 @@ def spec(device: Device) -> Spec:
         commands=COMMANDS[options.mode],
         requests=REQUESTS,
         ranges=ranges(options),
-        watchdog=Watchdog(timeout, timeout > 0, note, "any frame"),
         feedback=FeedbackKind.REPLY,
-        holds_unattended=not timeout,
         faults=rs.faults_of(options.model),
         parameters=tuple(name for name in has if name != rs.SAVE),
         configuration=configured(device),
         save=rs.SAVE if rs.SAVE in has else "",
         receives_also=((EXTENDED_BIT | 0xFE, EXTENDED_BIT | 0x1F0000FF),) if options.scan else (),
         canonical=options.gains.canonical,
+        **fed_by_any_frame(round(options.timeout_ms * MILLISECOND)),
     )
 
 

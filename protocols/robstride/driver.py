@@ -18,7 +18,7 @@ from protocols.robstride import table as rs
 from protocols.robstride.options import Options
 from protocols.toolkit.duplicates import IDENTIFY_PERIOD
 from protocols.toolkit.host import Host, Report
-from protocols.toolkit.mit import NUMBERS
+from protocols.toolkit.mit import encoded
 from protocols.toolkit.motor_driver import MotorDriver, Pending, Rx
 from protocols.toolkit.register_motor import Motor, RegisterAdapter
 from protocols.toolkit.table import Values
@@ -126,9 +126,7 @@ class RobStrideAdapter(RegisterAdapter):
         options: Options = host.options
         if options.mode == "mit":
             goal = options.gains.impedance(command, host.held)
-            return options.table.encode(
-                "control", host.address, **{name: getattr(goal, name) for name in NUMBERS}
-            )
+            return encoded(options.table.encoder("control"), host.address, goal)
         held = host.position if host.held is None else host.held
         value: Any = getattr(command, "velocity" if options.mode == "speed" else "position", held)
         name = rs.SET_POINT[options.run_mode]

@@ -13,8 +13,9 @@ from functools import cache
 from typing import NamedTuple
 
 from protocols.plugin import FaultInfo
+from protocols.toolkit.mit import numbers
 from protocols.toolkit.registers import Register, Registers, Type
-from protocols.toolkit.table import Field, Row, Table, const, span, uint, unused
+from protocols.toolkit.table import Field, Row, Table, const, uint, unused
 
 HOST = 0xFD
 """Our address, that of the manual's examples. Motors answer any, and never need it before they run."""
@@ -167,19 +168,14 @@ def table_of(model: str, position: float = 0.0, velocity: float = 0.0, torque: f
     """Return the messages of a model; ends that are not 0 are in the place of the model's."""
     ends = MODELS[model]
     most = position or ends.position, velocity or ends.velocity, torque or ends.torque
-    numbers = [
-        (name, 16, -end, end) for name, end in zip(("position", "velocity", "torque"), most, strict=True)
-    ]
-    pos, vel, force = (span(*each) for each in numbers)
-    gains = span("stiffness", 16, 0.0, ends.stiffness), span("damping", 16, 0.0, ends.damping)
-    measured = [span(*each, measured=True) for each in numbers]
+    (*four, force), measured = numbers(*most, ends.stiffness, ends.damping, bits=16)
     state, status = (uint("mode", 2), uint("faults", 6)), (*measured, uint("temperature", 16, 0.1))
     register = uint("number", 16), unused(16), uint("value", 32)
     version = const(0x00C4, 16), const(0x56), uint("version", 32), unused(8)
 
     rows = (
         Row("get_id", _to(0), (unused(64),), read_only=True),
-        Row("control", (const(1, 5), force, uint("address")), (pos, vel, *gains), order="big"),
+        Row("control", (const(1, 5), force, uint("address")), tuple(four), order="big"),
         Row("enable", _to(3), (unused(64),)),
         Row("clear", _to(4), (const(1), unused(56))),
         Row("disable", _to(4), (unused(64),)),

@@ -18,7 +18,7 @@ from protocols.plugin import Device
 from protocols.robstride import table as rs
 from protocols.robstride.options import STORED, Settings
 from protocols.toolkit.firmware import ServoFirmware, milliseconds
-from protocols.toolkit.mit import NUMBERS
+from protocols.toolkit.mit import commanded
 from protocols.toolkit.servo import Gains
 from protocols.toolkit.table import Decoded, Table
 
@@ -52,7 +52,7 @@ class Memory:
             case "save":
                 return (msg.WriteParameter(motor, rs.SAVE, 1.0),)
             case "control" if self.enabled and not self.registers["run_mode"]:
-                return (msg.Impedance(motor, *(values[number] for number in NUMBERS)),)
+                return (commanded(motor, values),)
             case "write":
                 return self._write(*rs.REGISTERS.value(values["number"], values["value"]))
         return ()
@@ -112,7 +112,7 @@ class RobStrideTwin(ServoFirmware):
         bits = IN_STATUS.get(self.fault - rs.DETAIL, 0) if self.fault >= rs.DETAIL else self.fault
         end = self.table.row("status").field("position").high
         position = math.remainder(self.encoder.position, 2.0 * end)
-        measured = {"position": position, "velocity": self.encoder.velocity, "torque": self.torque}
+        measured = self.measured() | {"position": position}
         state = {"mode": mode, "faults": 0x10 if bits == rs.HALL else bits, "temperature": 30.0}
         return self._frame("status", **state, **measured)
 

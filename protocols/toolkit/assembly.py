@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 from protocols.frames import Frame, IdMask
 from protocols.messages import MILLISECOND, Command, Nanos, Obeyed, Scan
-from protocols.plugin import CommandDecoder, Device, Driver, FeedbackKind, Spec
+from protocols.plugin import CommandDecoder, Device, Driver, FeedbackKind, Spec, Watchdog
 from protocols.toolkit.motor_driver import Adapter, MotorDriver, may_scan
 from protocols.toolkit.table import Decoded, Table
 
@@ -49,6 +49,13 @@ def can_motor(
         "stop_clears_faults": False,
     }
     return Spec(**usual | others)
+
+
+def fed_by_any_frame(timeout: Nanos | None) -> dict[str, Any]:
+    """Return the fields of the spec of a motor whose watchdog any frame feeds; 0 or None: without one."""
+    note = "" if timeout else "it has no watchdog (timeout_ms = 0): without a host its last command goes on"
+    watchdog = Watchdog(timeout, bool(timeout), note, "any frame")
+    return {"watchdog": watchdog, "holds_unattended": not timeout}
 
 
 def driver_of(

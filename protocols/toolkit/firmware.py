@@ -216,6 +216,11 @@ class ServoFirmware(Firmware):
             case msg.Position() | msg.Velocity() | msg.Torque() | msg.Impedance():
                 self.goal = obeyed
 
+    def measured(self) -> dict[str, float]:
+        """Return what it measures of its motion."""
+        encoder = self.encoder
+        return {"position": encoder.position, "velocity": encoder.velocity, "torque": self.torque}
+
     def cycle(self, now: Nanos, dt: float, position: float, velocity: float) -> float:
         """Run the loops."""
         encoder, servo = self.encoder, self.servo

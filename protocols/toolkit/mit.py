@@ -7,15 +7,70 @@ that by `ImpedanceGains.canonical`, so that the contract does not tell them apar
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
 from protocols import messages as msg
+from protocols.frames import CanFrame
 from protocols.messages import Command
 from protocols.plugin import Range
-from protocols.toolkit.table import Row
+from protocols.toolkit.table import Field, Row, Values, const, span
 
 NUMBERS = ("position", "velocity", "torque", "stiffness", "damping")
+COMMANDS: frozenset[type[Command]] = frozenset(
+    {msg.Idle, msg.Hold, msg.Position, msg.Velocity, msg.Torque, msg.Impedance}
+)
+"""What all these actuators can do."""
+KP_MAX, KD_MAX = 500.0, 5.0
+"""N·m/rad and N·m·s/rad at the ends of the ranges of most makes."""
+
+
+def numbers(
+    position: float,
+    velocity: float,
+    torque: float,
+    stiffness: float = KP_MAX,
+    damping: float = KD_MAX,
+    *,
+    bits: int = 12,
+    floor: bool = True,
+) -> tuple[list[Field], list[Field]]:
+    """Return the fields of a set-point, the torque behind the gains, and those of what is measured: position,
+    velocity and torque.
+
+    Args:
+        position, velocity, torque: both ends of each range [rad, rad/s, N·m].
+        stiffness, damping: ends of the gains, from 0.
+        bits: of each field but the position, which has 16.
+        floor: they are rounded down, as most makers' code does.
+    """
+    ends = ("position", 16, position), ("velocity", bits, velocity), ("torque", bits, torque)
+    where, speed, push = (span(name, size, -end, end, floor=floor) for name, size, end in ends)
+    gains = span("stiffness", bits, 0.0, stiffness), span("damping", bits, 0.0, damping)
+    measured = [span(name, size, -end, end, floor=floor, measured=True) for name, size, end in ends]
+    return [where, speed, *gains, push], measured
+
+
+def words(id_fields: tuple[Field, ...], last: Mapping[str, int]) -> list[Row]:
+    """Return the messages that are a last byte after seven of FF, by name: on the id of set-points."""
+    return [Row(n, id_fields, (const((1 << 56) - 1, 56), const(b)), order="big") for n, b in last.items()]
+
+
+def encoded(
+    encode: Callable[..., CanFrame], address: int, goal: msg.Impedance, others: Collection[bytes] = ()
+) -> CanFrame:
+    """Return the frame of a set-point; a step of position beside it, if its data are among `others`: those
+    that mean something else."""
+    p, v, t, kp, kd = goal.position, goal.velocity, goal.torque, goal.stiffness, goal.damping
+    frame = encode(address, position=p, velocity=v, torque=t, stiffness=kp, damping=kd)
+    return frame if frame.data not in others else CanFrame(frame.id, b"\xff\xfe" + frame.data[2:])
+
+
+def commanded(motor: str, values: Values) -> msg.Impedance:
+    """Return what a set-point of these numbers commands a motor."""
+    position, velocity, torque = values["position"], values["velocity"], values["torque"]
+    return msg.Impedance(motor, position, velocity, torque, values["stiffness"], values["damping"])
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ given, or never. Every request has exactly one answer, at its deadline at the la
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from enum import Enum
 from math import isclose, nan
 from typing import Any, Generic, TypeVar
@@ -51,6 +51,8 @@ class Adapter(Generic[Own]):
     """A device is commanded before its mode and position are known: it holds by itself where it is."""
     needs_idle: tuple[type[Request], ...] = (msg.Zero, msg.Reboot, msg.WriteParameter)
     """Requests that are refused while a device is, or may be, armed."""
+    clearing: Nanos = 0
+    """Time for ClearFault: in it, faults that pass by themselves must have passed. 0: see `begin`."""
     zero_tolerance: float = 0.01
     """rad within which the position is zero after Zero"""
     set_id_detail: str = ""
@@ -140,8 +142,17 @@ class Adapter(Generic[Own]):
     def begin(
         self, now: Nanos, request: Request, host: Host[Own] | None, driver: MotorDriver[Own]
     ) -> Pending[Own] | str:
-        """Begin a request (`host` None: for the bus), or return why it is refused."""
-        raise NotImplementedError
+        """Begin a request (`host` None: for the bus), or return why it is refused: here all but ClearFault,
+        if `clearing` is given, and Scan, if there are `questions`."""
+        if isinstance(request, msg.ClearFault) and host is not None and self.clearing:
+            return Pending(request, host.name, now, now + self.clearing, now, host)
+        if isinstance(request, msg.Scan) and (questions := tuple(self.questions(driver))):
+            return rq.scan(now, request, questions)
+        return "the device cannot do that on this bus"
+
+    def questions(self, driver: MotorDriver[Own]) -> Iterable[Frame]:
+        """Return the read-only frames to all addresses, by which a scan finds devices."""
+        return ()
 
     def frames(self, now: Nanos, pending: Pending[Own]) -> Sequence[Frame]:
         """Return what is sent for a request now."""

@@ -9,17 +9,16 @@ since we last fed it, it is driven by another host or by late frames. A timeout 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 from protocols import messages as msg
 from protocols.frames import Frame
-from protocols.messages import MILLISECOND, SECOND, Command, Event, Feedback, Mode, Nanos, Request
+from protocols.messages import MILLISECOND, SECOND, Command, Event, Feedback, Mode, Nanos
 from protocols.plugin import Device
 from protocols.toolkit.duplicates import AnswerCount
 from protocols.toolkit.host import Host, Report, Timing
 from protocols.toolkit.motor_driver import Adapter, MotorDriver, Pending, Rx
-from protocols.toolkit.requests import scan
 from protocols.toolkit.table import Values
 from protocols.vesc import table as vt
 from protocols.vesc.options import Options
@@ -114,7 +113,7 @@ class VescAdapter(Adapter[Controller]):
     """What controllers are sent, and what they report."""
 
     name = "vesc"
-    faults, not_armed, latch = vt.ALL_FAULTS, vt.NOT_ARMED, True
+    faults, not_armed, latch, clearing = vt.ALL_FAULTS, vt.NOT_ARMED, True, SECOND
 
     def own(self, device: Device) -> Controller:
         options: Options = device.options
@@ -224,23 +223,16 @@ class VescAdapter(Adapter[Controller]):
 
     # -- requests -------------------------------------------------------------------------------------
 
-    def begin(
-        self, now: Nanos, request: Request, host: Host[Controller] | None, driver: MotorDriver[Controller]
-    ) -> Pending[Controller] | str:
-        if isinstance(request, msg.ClearFault) and host is not None:  # its faults pass by themselves
-            return Pending(request, host.name, now, now + SECOND, now, host, (self._get("state", host),))
-        if not isinstance(request, msg.Scan):
-            return "the device cannot do that on this bus"
+    def questions(self, driver: MotorDriver[Controller]) -> Iterable[Frame]:
         reply = next(iter(driver.hosts.values())).options.host_id
-        return scan(
-            now, request, (vt.TABLE.encode("PING", at, host=reply) for at in vt.ADDRESSES if at != reply)
-        )
+        return (vt.TABLE.encode("PING", at, host=reply) for at in vt.ADDRESSES if at != reply)
 
     def frames(self, now: Nanos, pending: Pending[Controller]) -> Sequence[Frame]:
-        if pending.host is None:
+        host = pending.host
+        if host is None:
             return pending.slice()
-        pending.host.own.answers.ask()
-        return pending.frames
+        host.own.answers.ask()
+        return (self._get("state", host),)
 
 
 def _inside(raw: int, unit: float) -> float | None:
