@@ -149,11 +149,13 @@ class _Cluster(NamedTuple):
 
 
 class _Past(NamedTuple):
-    """A scan of a while ago, to see what was free."""
+    """A scan of a while ago: as much of it as tells what was free."""
 
     t: Nanos
     at: Pose
-    scan: BodyScan
+    origin: tuple[float, float]
+    bearings: Floats
+    ranges: Floats
 
 
 class Movers:
@@ -185,7 +187,7 @@ class Movers:
         clusters = _clusters(scan, here, [one for age in AGES for one in _aged(past, t, age)])
         self._follow(t, duration, clusters)
         if not past or t - past[-1].t >= SPACING:
-            past.append(_Past(t, here, scan))
+            past.append(_Past(t, here, scan.origin, scan.bearings, scan.ranges))
         ends = np.zeros(len(scan.hit), dtype=np.bool_)
         moving = [one for one in self._tracks if one.moving]
         if moving:
@@ -243,7 +245,7 @@ def _clusters(scan: BodyScan, here: Pose, past: list[_Past]) -> list[_Cluster]:
     following = np.concatenate((ends[1:], ends[:1]))
     apart = np.hypot(*(following - ends).T)
     joined = (step <= STEPS) & (apart < APART + 1.5 * width * step * ranges)
-    around = _is_full(scan)
+    around = _is_full(scan.bearings)
     joined[-1] &= around
     breaks = np.flatnonzero(~joined)
     if not len(breaks):
@@ -298,9 +300,9 @@ def _runs(chosen: Bools) -> list[tuple[int, int]]:
     return [(int(a), int(b) - 1) for a, b in change.reshape(-1, 2)]
 
 
-def _is_full(scan: BodyScan) -> bool:
+def _is_full(bearings: Floats) -> bool:
     """Return whether a scan looks all around."""
-    span, count = float(scan.bearings[-1] - scan.bearings[0]), len(scan.bearings)
+    span, count = float(bearings[-1] - bearings[0]), len(bearings)
     return span > 2.0 * math.pi * (1.0 - 2.0 / count)
 
 
@@ -344,12 +346,12 @@ def _entered(points: Floats, past: list[_Past]) -> tuple[Bools, Bools]:
     for one in past:
         c, s = math.cos(one.at.yaw), math.sin(one.at.yaw)
         dx, dy = points[:, 0] - one.at.x, points[:, 1] - one.at.y
-        x, y = c * dx + s * dy - one.scan.origin[0], c * dy - s * dx - one.scan.origin[1]
-        first, count = float(one.scan.bearings[0]), len(one.scan.bearings)
+        x, y = c * dx + s * dy - one.origin[0], c * dy - s * dx - one.origin[1]
+        first, count = float(one.bearings[0]), len(one.bearings)
         bearing = (np.arctan2(y, x) - first) % (2.0 * math.pi) + first
-        beam = np.searchsorted(one.scan.bearings, bearing)
-        seen = _is_full(one.scan) or (beam >= 2) & (beam <= count - 2)
-        near = np.stack([one.scan.ranges[(beam + k) % count] for k in (-2, -1, 0, 1)])
+        beam = np.searchsorted(one.bearings, bearing)
+        seen = _is_full(one.bearings) or (beam >= 2) & (beam <= count - 2)
+        near = np.stack([one.ranges[(beam + k) % count] for k in (-2, -1, 0, 1)])
         length = np.hypot(x, y)
         found |= seen & (near.min(axis=0) > length * (1.0 + FREE_SHARE) + FREE)
         unseen &= seen & (np.abs(near - length) > APART).all(axis=0)
