@@ -15,13 +15,11 @@ import logging
 import os
 import pickle
 import re
-import shutil
-import stat
 import sys
 import zlib
 from bisect import bisect_right, insort
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from io import BytesIO
 from pathlib import Path
 from struct import Struct
@@ -32,10 +30,11 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from gateway.recording import Recording, environment
+from gateway.replay.own_folder import OwnFolder
 
 log = logging.getLogger("gateway")
 
-SPACING = 1000
+SPACING = 500
 """Ticks between two keyframes, at first: what a seek has to step at most."""
 LIMIT = 512_000_000
 """Bytes of the keyframes of one recording: beyond, every other one is dropped,"""
@@ -45,6 +44,8 @@ _DIGEST = 16
 _NAME = re.compile("[0-9a-f]{32}")
 """The name of a recording's folder: nothing else is ever dropped."""
 _PROTOCOL = 5
+_LEVEL = 4
+"""A tenth smaller than with 1, in 10 ms more."""
 
 
 class StateCodec:
@@ -69,7 +70,7 @@ class StateCodec:
         """Return a state as bytes. Raises what pickle raises if there is in it what cannot be pickled."""
         file = BytesIO()
         _Dumper(file, self._numbers).dump(state)
-        return zlib.compress(file.getbuffer(), 1)
+        return zlib.compress(file.getbuffer(), _LEVEL)
 
     def load(self, data: bytes) -> Any:  # noqa: ANN401 -- whatever was dumped
         """Return the state in bytes that `dump` made, by this or another codec of the same kind of state."""
@@ -148,14 +149,19 @@ class Frame(NamedTuple):
     now: int
     """and the time of the last of them [ns]."""
 
+    @property
+    def file(self) -> str:
+        """The name of its file."""
+        return f"{self.played}_{self.now}.key"
+
 
 class Keyframes:
     """The keyframes of one recording, in files of their own.
 
     Args:
         name: of their folder; None: they are not kept for the next time.
-        cache: the folder of all recordings; None: the user's own. If it is not closed to others, they are not
-            kept for the next time.
+        cache: the folder of all recordings; None: the user's own. If one of the two is not this user's alone,
+            they are not kept for the next time.
     """
 
     def __init__(self, name: str | None, cache: Path | None = None, limit: int = LIMIT) -> None:
@@ -163,71 +169,52 @@ class Keyframes:
         """Ticks between two keyframes."""
         self._limit = limit
         self._temporary: TemporaryDirectory[str] | None = None
-        root = _own_folder(cache) if name else None
-        if name is None or root is None:
+        folder = _kept_folder(name, cache, TOTAL_LIMIT - limit) if name else None
+        if folder is None:
             self._temporary = TemporaryDirectory(prefix="motor-gateway-")
-            self._folder = Path(self._temporary.name)
-        else:
-            self._folder = root / name
-            self._open(root)
-        self._frames = sorted(filter(None, (_frame_of(path) for path in self._folder.glob("*.key"))))
+            folder = OwnFolder(self._temporary.name)
+        self._folder = folder
+        self._sizes = {
+            frame: found.st_size
+            for name, found in folder.found().items()
+            if (frame := _frame_of(name)) is not None
+        }
+        self._frames = sorted(self._sizes)
 
     def __len__(self) -> int:
         return len(self._frames)
 
-    def _open(self, root: Path) -> None:
-        self._folder.mkdir(mode=0o700, exist_ok=True)
-        os.utime(self._folder)
-        others = sorted(
-            (each for each in root.iterdir() if _NAME.fullmatch(each.name) and each != self._folder),
-            key=lambda each: each.stat().st_mtime_ns,
-            reverse=True,
-        )
-        total = self.size
-        for folder in others:
-            total += _size(folder)
-            if total > TOTAL_LIMIT - self._limit:
-                shutil.rmtree(folder, ignore_errors=True)
-
     @property
     def size(self) -> int:
         """Bytes on disk."""
-        return _size(self._folder)
+        return sum(self._sizes.values())
 
-    def last(self, *, now: int | None = None, played: int | None = None) -> Frame | None:
-        """Return the last one at this time, or after so many ticks; without either, the last of all."""
-        if now is not None:
-            return max((frame for frame in self._frames if frame.now <= now), default=None)
-        at = (
-            len(self._frames)
-            if played is None
-            else bisect_right(self._frames, played, key=lambda f: f.played)
-        )
-        return self._frames[at - 1] if at else None
+    def last(self, *, now: int = sys.maxsize, played: int = sys.maxsize) -> Frame | None:
+        """Return the last one at this time or before it, after so many ticks at most."""
+        at = bisect_right(self._frames, played, key=lambda frame: frame.played)
+        return next((self._frames[i] for i in range(at - 1, -1, -1) if self._frames[i].now <= now), None)
 
     def put(self, frame: Frame, data: bytes) -> None:
         """Keep one. If the disk does not take it, there is none at this place."""
-        path = self._path(frame)
-        part = path.with_suffix(f".{os.getpid()}")
         try:
-            part.write_bytes(_digest(data) + data)
-            part.replace(path)
+            self._folder.write(frame.file, _digest(data) + data)
         except OSError as error:
-            part.unlink(missing_ok=True)
             log.info("keyframe not kept: %s", error)
             return
-        if frame not in self._frames:
+        if frame not in self._sizes:
             insort(self._frames, frame)
+        self._sizes[frame] = _DIGEST + len(data)
         while self.size > self._limit and len(self._frames) > 1:
             self.spacing *= 2
             for each in [each for each in self._frames[:-1] if each.played % self.spacing]:
                 self.drop(each)
 
     def get(self, frame: Frame) -> bytes | None:
-        """Return one as it was put; None if it is damaged or gone: then it is none any more."""
+        """Return one as it was put; None if it is damaged, gone, or somebody else's: then it is dropped."""
         try:
-            content = self._path(frame).read_bytes()
-        except OSError:
+            content = self._folder.read(frame.file)
+        except OSError as error:
+            log.info("keyframe not used: %s", error)
             content = b""
         data = content[_DIGEST:]
         if content[:_DIGEST] == _digest(data):
@@ -238,15 +225,14 @@ class Keyframes:
     def drop(self, frame: Frame) -> None:
         """Remove one."""
         self._frames.remove(frame)
-        self._path(frame).unlink(missing_ok=True)
+        del self._sizes[frame]
+        self._folder.remove(frame.file)
 
     def close(self) -> None:
         """Remove them, unless they are kept for the next time."""
+        self._folder.close()
         if self._temporary is not None:
             self._temporary.cleanup()
-
-    def _path(self, frame: Frame) -> Path:
-        return self._folder / f"{frame.played}_{frame.now}.key"
 
 
 def folder_name(
@@ -289,20 +275,13 @@ def _digest(data: bytes) -> bytes:
     return hashlib.blake2b(data, digest_size=_DIGEST).digest()
 
 
-def _frame_of(path: Path) -> Frame | None:
-    played, _, now = path.stem.partition("_")
+def _frame_of(file: str) -> Frame | None:
+    stem, _, ending = file.rpartition(".")
+    played, _, now = stem.partition("_")
     try:
-        return Frame(int(played), int(now))
+        return Frame(int(played), int(now)) if ending == "key" else None
     except ValueError:
         return None
-
-
-def _size(folder: Path) -> int:
-    size = 0
-    for path in folder.glob("*"):
-        with suppress(OSError):  # another player may drop it meanwhile
-            size += path.stat().st_size
-    return size
 
 
 def _user_cache() -> Path:
@@ -311,17 +290,25 @@ def _user_cache() -> Path:
     return (given if given.is_absolute() else Path("~/.cache").expanduser()) / "motor-gateway/keyframes"
 
 
-def _own_folder(folder: Path | None) -> Path | None:
-    """Return the folder, made if it was not there; None unless it is ours and closed to all others."""
+def _kept_folder(name: str, cache: Path | None, rest: int) -> OwnFolder | None:
+    """Return the folder of a recording in the cache; None if there can be none for this user alone. Those of
+    recordings that were not played for longest are removed, as far as all of them take more than `rest`."""
     try:
-        folder = folder or _user_cache()
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        folder.mkdir(mode=0o700, exist_ok=True)
-        found = folder.lstat()
+        root = OwnFolder(cache or _user_cache())
+        with closing(root):
+            folder = root.folder(name)
+            folder.touch()
+            _make_room(root, name, rest)
+            return folder
     except (OSError, RuntimeError) as error:  # RuntimeError: the user has no home
         log.warning("keyframes are not kept for the next time: %s", error)
         return None
-    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.geteuid() or found.st_mode & 0o077:
-        log.warning("keyframes are not kept for the next time: %s is not a folder of yours alone", folder)
-        return None
-    return folder
+
+
+def _make_room(root: OwnFolder, name: str, rest: int) -> None:
+    found = {each: at for each, at in root.found().items() if _NAME.fullmatch(each) and each != name}
+    for each in sorted(found, key=lambda each: found[each].st_mtime_ns, reverse=True):
+        with suppress(OSError), closing(root.folder(each)) as folder:  # another player may have removed it
+            rest -= sum(file.st_size for file in folder.found().values())
+        if rest < 0:
+            root.remove_folder(each)

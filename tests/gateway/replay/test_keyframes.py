@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib import import_module
+from itertools import chain, repeat
 from pathlib import Path
 from struct import Struct
 from typing import Any
@@ -96,11 +97,13 @@ def filled(frames: Keyframes, count: int, size: int = 100) -> Keyframes:
 
 def test_the_last_one_is_found_by_time_and_by_number(tmp_path: Path) -> None:
     frames = filled(Keyframes("a", tmp_path / "c"), 3)
-    assert frames.last() == Frame(3000, 30)
-    cases = {-1: None, 9: None, 10: Frame(1000, 10), 29: Frame(2000, 20), 99: Frame(3000, 30)}
+    one, two, three = Frame(500, 10), Frame(1000, 20), Frame(1500, 30)
+    assert frames.last() == three
+    cases = {-1: None, 9: None, 10: one, 29: two, 99: three}
     assert {now: frames.last(now=now) for now in cases} == cases
-    numbers = {0: None, 999: None, 1000: Frame(1000, 10), 2999: Frame(2000, 20), 9999: Frame(3000, 30)}
+    numbers = {0: None, 499: None, 500: one, 1499: two, 9999: three}
     assert {played: frames.last(played=played) for played in numbers} == numbers
+    assert frames.last(now=29, played=999) == frames.last(now=19, played=9999) == one
 
 
 def test_they_are_there_the_next_time_for_this_user_alone(tmp_path: Path) -> None:
@@ -130,14 +133,60 @@ def test_a_folder_that_others_may_write_to_is_not_used(
     frames = filled(Keyframes("a", tmp_path / "c"), 1)
     assert not list(tmp_path.rglob("*.key"))
     assert "keyframes are not kept for the next time" in caplog.text
-    temporary = frames._folder
-    assert (temporary.stat().st_mode & 0o777, frames.get(Frame(1000, 10)) is None) == (0o700, False)
+    assert frames._temporary is not None
+    temporary = Path(frames._temporary.name)
+    assert (temporary.stat().st_mode & 0o777, frames.get(Frame(500, 10)) is None) == (0o700, False)
     frames.close()
     assert not temporary.exists()
 
 
-def test_a_folder_of_another_user_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("make", [others, linked, Path.touch])
+def test_nor_is_such_a_folder_in_it(make: Callable[[Path], None], tmp_path: Path) -> None:
+    (tmp_path / "c").mkdir(mode=0o700)
+    make(tmp_path / "c/a")
+    frames = filled(Keyframes("a", tmp_path / "c"), 1)
+    assert not list(tmp_path.rglob("*.key"))
+    frames.close()
+
+
+def another_users(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
+
+
+def writable(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path.chmod(0o620)
+
+
+def a_link(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path.symlink_to(path.rename(path.with_name("elsewhere")))
+
+
+def a_pipe(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path.unlink()
+    os.mkfifo(path, 0o600)
+
+
+@pytest.mark.parametrize("make", [another_users, writable, a_link, a_pipe])
+def test_a_file_that_others_may_have_written_is_not_read(
+    make: Callable[[Path, pytest.MonkeyPatch], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames = filled(Keyframes("a", tmp_path / "c"), 2)
+    make(tmp_path / "c/a/500_10.key", monkeypatch)
+    assert (frames.get(Frame(500, 10)), len(frames)) == (None, 1)
+
+
+def test_another_folder_in_its_place_is_not_read(tmp_path: Path) -> None:
+    frames, forged = filled(Keyframes("a", tmp_path / "c"), 1), Keyframes("a", tmp_path / "forged")
+    data = frames.get(Frame(500, 10))
+    forged.put(Frame(500, 10), b"code")
+    (tmp_path / "c").rename(tmp_path / "moved")
+    (tmp_path / "forged").rename(tmp_path / "c")
+    assert data == frames.get(Frame(500, 10)) != b"code"
+
+
+def test_a_folder_of_another_user_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    users = chain([os.getuid() + 1], repeat(os.getuid()))
+    monkeypatch.setattr(os, "geteuid", lambda: next(users))
     frames = filled(Keyframes("a", tmp_path / "c"), 1)
     assert not list(tmp_path.rglob("*.key"))
     frames.close()
@@ -157,7 +206,7 @@ def test_the_cache_is_where_the_user_wants_it(
     for name, value in environment.items():
         monkeypatch.setenv(name, value.format(tmp=tmp_path))
     filled(Keyframes("a"), 1)
-    assert (tmp_path / folder / "a/1000_10.key").is_file()
+    assert (tmp_path / folder / "a/500_10.key").is_file()
 
 
 DAMAGES: dict[str, Callable[[bytes], bytes]] = {
@@ -171,23 +220,23 @@ DAMAGES: dict[str, Callable[[bytes], bytes]] = {
 @pytest.mark.parametrize("damage", DAMAGES)
 def test_a_damaged_one_is_none(damage: str, tmp_path: Path) -> None:
     frames = filled(Keyframes("a", tmp_path / "c"), 2)
-    path = tmp_path / "c/a/1000_10.key"
+    path = tmp_path / "c/a/500_10.key"
     path.write_bytes(DAMAGES[damage](path.read_bytes()))
-    assert frames.get(Frame(1000, 10)) is None
+    assert frames.get(Frame(500, 10)) is None
     assert (len(frames), path.exists(), frames.last(now=15)) == (1, False, None)
-    (tmp_path / "c/a/2000_20.key").unlink()
-    assert (frames.get(Frame(2000, 20)), len(frames)) == (None, 0)
+    (tmp_path / "c/a/1000_20.key").unlink()
+    assert (frames.get(Frame(1000, 20)), len(frames)) == (None, 0)
 
 
 def test_their_size_is_bounded_and_they_stay_spread(tmp_path: Path) -> None:
     frames = Keyframes("a", tmp_path / "c", limit=2000)
     for number in range(1, 1001):
-        if number * 1000 % frames.spacing == 0:
-            frames.put(Frame(number * 1000, number), os.urandom(100))
-        assert frames.size <= 2000
+        if number * 500 % frames.spacing == 0:
+            frames.put(Frame(number * 500, number), os.urandom(100))
+        assert frames.size == sum(path.stat().st_size for path in tmp_path.rglob("*.key")) <= 2000
     numbers = [frame.played for frame in frames._frames]
-    assert frames.spacing == 64_000
-    assert numbers == list(range(64_000, 1_000_000, 64_000))
+    assert frames.spacing == 32_000
+    assert numbers == list(range(32_000, 500_000, 32_000))
 
 
 def test_the_recording_that_was_not_played_for_longest_is_dropped(
@@ -208,13 +257,14 @@ def test_the_recording_that_was_not_played_for_longest_is_dropped(
 
 
 def test_a_full_disk_is_no_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: object) -> int:
+    def full(*_: object, **__: object) -> int:
         raise OSError(28, "No space left on device")
 
     frames = filled(Keyframes("a", tmp_path / "c"), 1)
-    monkeypatch.setattr(Path, "write_bytes", full)
+    monkeypatch.setattr(os, "replace", full)
     filled(frames, 3)
-    assert frames._frames == [Frame(1000, 10)]
+    assert frames._frames == [Frame(500, 10)]
+    assert [path.name for path in (tmp_path / "c/a").iterdir()] == ["500_10.key"]
 
 
 # -- what they are good for ----------------------------------------------------------------------
