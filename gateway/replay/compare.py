@@ -231,6 +231,8 @@ class Comparer:
         if follow:
             self._decoders = {bus: decoder(bus) for bus in buses or ()}
         self.differences: dict[Kind, Difference] = {}
+        self.outputs: Outputs | None = None
+        """Those of the last tick, as the code of today makes them."""
         self.ticks = 0
         self._packets = self._bytes = self._view_count = self._given = self._left_over = self._differing = 0
 
@@ -281,7 +283,7 @@ class Comparer:
         for damage in recorded.damage:
             self.differ("recording", damage)
         inputs = on_known_buses(tick.inputs, self._buses)
-        outputs = self._step(tick.now, inputs)
+        self.outputs = outputs = self._step(tick.now, inputs)
         self.ticks += 1
         self._given += len(inputs.packets)
         self._left_over += len(tick.inputs.packets) - len(inputs.packets)

@@ -9,6 +9,7 @@ counted in ticks, so whoever shows it can do something else in between. Time is 
 from __future__ import annotations
 
 import logging
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -40,6 +41,13 @@ class _Saved(NamedTuple):
     comparer: Comparer
 
 
+class _Target(NamedTuple):
+    """Where to go: to the last tick at this time or before it, after so many ticks at most."""
+
+    now: Nanos = sys.maxsize
+    played: int = sys.maxsize
+
+
 class _Reading:
     """Reads a recording tick by tick, and sees one ahead."""
 
@@ -66,9 +74,10 @@ class _Reading:
         self._look()
         return self.last
 
-    def follows(self, until: Nanos) -> bool:
-        """True if there is a tick more, at this time or before it."""
-        return self.following is not None and self.following.tick.now <= until
+    def follows(self, target: _Target) -> bool:
+        """True if there is a tick more on the way there."""
+        following = self.following
+        return following is not None and following.tick.now <= target.now and self.played < target.played
 
     def stop(self) -> None:
         """End here."""
@@ -101,13 +110,13 @@ class Player:
         self.gateway = Gateway(self.robot)
         """As it is after `tick`. Another object after a seek."""
         self.outputs: Outputs | None = None
-        """What the code of today made of `tick`; the recorded outputs are in the tick itself. None: no tick
-        was played since the seek."""
+        """What the code of today made of `tick`; the recorded outputs are in the tick itself. None before the
+        first."""
         self._reading = _Reading(recording)
         first = self._reading.following
         self.start: Nanos = first.tick.now if first else 0
         """Time of the first tick [ns]."""
-        self._sought: Nanos = self.start
+        self._target = _Target(now=self.start)
         store = typestore()
         mounts = {name: sensor.mount for name, sensor in self.robot.sensors.items()}
         comparer = self._comparer_of(self.gateway, Views(mounts, store))
@@ -137,6 +146,14 @@ class Player:
         return self.recording.end if self._ahead.following or last is None else last.tick.now
 
     @property
+    def prepared(self) -> float:
+        """How much of the recording is compared, from 0 to 1: all of it."""
+        if self._ahead.following is None:
+            return 1.0
+        last = self._ahead.last
+        return last.place.at[0] / self._bytes if last else 0.0
+
+    @property
     def differences(self) -> tuple[Difference, ...]:
         """The first difference of each kind in what is compared so far, in order of time."""
         return self._comparer.in_order()
@@ -149,46 +166,39 @@ class Player:
 
     # -- playing ------------------------------------------------------------------------------------
 
-    def step(self, ticks: int = 1) -> None:
-        """Play so many ticks, at most to the end; or go back by so many, at most to the first."""
-        if ticks < 0:
-            self._go_back_to(max(1, self._reading.played + ticks))
-            return
-        for _ in range(ticks):
-            if self._reading.played == self._ahead.played and not self._compare_tick():
-                return
-            self._play_tick()
-
     def seek(self, t: Nanos) -> None:
         """Begin to go to the last tick at a time or before it, at least to the first; `advance` gets there.
 
         Returns soon: it goes to the nearest keyframe, if there is one, and steps nothing."""
-        self._sought = max(t, self.start)
-        if self._reading.last is not None and self.now > self._sought:
-            self._restore(self._frames.last(now=self._sought))
-        else:
-            self._jump()
+        self._go(_Target(now=max(t, self.start)))
+
+    def step(self, ticks: int = 1) -> None:
+        """Begin to go on by so many ticks from where it is, or back; at most to the end, or to the first.
+
+        Returns soon, as `seek`."""
+        played = self._reading.played + ticks
+        self._go(_Target(played=max(1, played) if ticks < 0 else played))
 
     def advance(self, budget_ticks: int, until: Nanos | None = None) -> bool:
         """Play on to a time, with a bounded amount of work.
 
         Args:
             budget_ticks: so many ticks are stepped or compared at most; call again for the rest.
-            until: the time up to which to play [ns]; None: that of the last `seek`, and the ticks on the way
-                need not all be played.
+            until: the time up to which to play [ns]; None: to where the last `seek` or `step` goes, and the
+                ticks on the way need not all be played.
 
         Returns:
-            bool: True if nothing is left to be played up to that time.
+            bool: True if nothing is left to be played up to there.
         """
-        t = self._sought if until is None else until
-        while self._ahead.follows(t):
+        target = self._target if until is None else _Target(now=until)
+        while self._ahead.follows(target):
             if budget_ticks <= 0:
                 return False
             budget_ticks -= 1
             self._compare_tick()
         if until is None:
             self._jump()
-        while self._reading.follows(t) and self._reading.played < self._ahead.played:
+        while self._reading.follows(target) and self._reading.played < self._ahead.played:
             if budget_ticks <= 0:
                 return False
             budget_ticks -= 1
@@ -202,15 +212,12 @@ class Player:
             budget_ticks: so many ticks at most.
 
         Returns:
-            float: how much of the recording is compared, 0 to 1; 1: all of it.
+            float: `prepared`.
         """
         for _ in range(budget_ticks):
             if not self._compare_tick():
-                return 1.0
-        last = self._ahead.last
-        if self._ahead.following is None:
-            return 1.0
-        return last.place.at[0] / self._bytes if last else 0.0
+                break
+        return self.prepared
 
     def close(self) -> None:
         """Remove keyframes that are not kept for the next time."""
@@ -277,17 +284,19 @@ class Player:
             inputs = on_known_buses(step.tick.inputs, self.robot.buses)
             self.outputs = self.gateway.step(step.tick.now, inputs)
 
+    def _go(self, target: _Target) -> None:
+        self._target = target
+        beyond = self._reading.played > target.played or self.now > target.now
+        if beyond and self._reading.last is not None:
+            self._restore(self._frames.last(now=target.now, played=target.played))
+        else:
+            self._jump()
+
     def _jump(self) -> None:
-        """Go to the last keyframe at the time that is sought, or before it, if that is further on."""
-        frame = self._frames.last(now=self._sought)
+        """Go to the last keyframe on the way, if that is further on."""
+        frame = self._frames.last(now=self._target.now, played=self._target.played)
         if frame is not None and self._reading.played < frame.played <= self._ahead.played:
             self._restore(frame)
-
-    def _go_back_to(self, played: int) -> None:
-        if played < self._reading.played:
-            self._restore(self._frames.last(played=played))
-        while self._reading.played < played and self._reading.following is not None:
-            self._play_tick()
 
     def _restore(self, frame: Frame | None) -> None:
         """Go to a keyframe; to an earlier one, or to the start, if it cannot be read."""
@@ -296,7 +305,7 @@ class Player:
             frame = self._frames.last(played=frame.played)
         saved = saved or self._codec.load(self._first)
         self._reading = _Reading(self.recording, saved.played, saved.place)
-        self.gateway, self.outputs = saved.gateway, None
+        self.gateway, self.outputs = saved.gateway, saved.comparer.outputs
 
     def _last_saved(self) -> _Saved | None:
         while (frame := self._frames.last()) is not None:

@@ -35,10 +35,8 @@ class _Shown:
 
     player: Player
     scene: Scene = field(init=False)
-    prepared: float = 0.0
-    """How much of it is compared, from 0 to 1."""
-    seeking: bool = False
-    """Whether it is on its way to where it was sought."""
+    under_way: bool = False
+    """Whether it is on its way to where somebody sought, or stepped."""
 
     def due(self, since_start: Nanos) -> Nanos:
         """Return a time since the beginning as one of the recording."""
@@ -62,10 +60,19 @@ class ReplayView:
         for one in self._shown:
             one.scene = Scene(one.player.gateway, "replay", partial(self._facts, one))
         self._playback = Playback(0, 0)
+        """Held while a recording is under way."""
+        self._steps = 0
+        """Ticks to be stepped once none is under way."""
+        self._stepping = False
+        """Whether they are under way by steps: where they arrive is the position then."""
         self._now: Nanos = 0
         self._view = View([one.scene for one in self._shown], address, access, acts={"play": self._play})
         self.url = self._view.url
         self.close = self._view.close
+
+    @property
+    def _longest(self) -> Nanos:
+        return max(one.player.end - one.player.start for one in self._shown)
 
     @property
     def position(self) -> Nanos:
@@ -76,26 +83,43 @@ class ReplayView:
         """Answer pages, play what is due, and compare on. Returns when it wants to be called again."""
         self._now = now
         self._view.poll(now)  # a recording takes no instructions
-        longest = max(one.player.end - one.player.start for one in self._shown)
-        if self.position >= longest and self._playback.playing:
-            self._playback = Playback(longest, now, self._playback.rate)
-        busy = False
-        for number, one in enumerate(self._shown):
-            busy = self._advance(number, one) or busy
+        busy = self._arrive()
+        if not busy:
+            if self.position >= self._longest and self._playback.playing:
+                self._playback = Playback(self._longest, now, self._playback.rate)
+            for number, one in enumerate(self._shown):
+                busy = self._play_on(number, one) or busy
         for one in self._shown:
-            if not busy and one.prepared < 1.0:
-                one.prepared, busy = one.player.prepare(SLICE), True
+            if not busy and one.player.prepared < 1.0:
+                one.player.prepare(SLICE)
+                busy = True
         self._view.show(now)
         return now if busy else now + IDLE
 
-    def _advance(self, number: int, one: _Shown) -> bool:
+    def _arrive(self) -> bool:
+        """Go on to where somebody sought, or stepped; return whether any recording is still under way."""
+        for number, one in enumerate(self._shown):
+            if one.under_way and one.player.advance(SLICE):
+                one.under_way = False
+                self._take(number, one)
+        if any(one.under_way for one in self._shown):
+            self._playback = replace(self._playback, since=self._now)
+            return True
+        if self._stepping:
+            first = self._shown[0].player
+            self._playback = replace(self._playback, position=first.now - first.start, since=self._now)
+            self._stepping = False
+        if self._steps:
+            for one in self._shown:
+                one.player.step(self._steps)
+                one.under_way = True
+            self._steps, self._stepping = 0, True
+            return True
+        return False
+
+    def _play_on(self, number: int, one: _Shown) -> bool:
         """Play some ticks; return whether some are left."""
         player, until = one.player, one.due(self.position)
-        if one.seeking:
-            if not player.advance(SLICE):
-                return True
-            one.seeking = False
-            self._take(number, one)
         for _ in range(SLICE):
             before = player.tick
             done = player.advance(1, until)
@@ -109,9 +133,8 @@ class ReplayView:
         player = one.player
         if one.scene.gateway is not player.gateway:
             one.scene.adopt(player.gateway)
-        if player.tick is not None:
-            tick = player.tick if player.outputs is None else replace(player.tick, outputs=player.outputs)
-            self._view.take(tick, player.gateway.belief(), number)
+        if player.tick is not None and player.outputs is not None:
+            self._view.take(replace(player.tick, outputs=player.outputs), player.gateway.belief(), number)
 
     def _facts(self, one: _Shown) -> Json:
         player, playback = one.player, self._playback
@@ -124,8 +147,9 @@ class ReplayView:
                 "rate": playback.rate,
                 "t": (player.now - player.start) / SECOND,
                 "due": self.position / SECOND,
+                "under_way": one.under_way,
                 "length": (player.end - player.start) / SECOND,
-                "prepared": one.prepared,
+                "prepared": player.prepared,
                 "differences": [
                     {"t": each.since / SECOND, "kind": each.kind, "text": each.text}
                     for each in player.differences[:SHOWN]
@@ -159,20 +183,14 @@ class ReplayView:
         self._playback = replace(self._playback, position=self.position, since=self._now, rate=rate)
 
     def _seek(self, value: float) -> None:
-        longest = max(one.player.end - one.player.start for one in self._shown)
-        position = min(max(0, round(value * SECOND)), longest)
+        position = min(max(0, round(value * SECOND)), self._longest)
         self._playback = replace(self._playback, position=position, since=self._now)
+        self._steps, self._stepping = 0, False
         for one in self._shown:
             one.player.seek(one.due(position))
-            one.seeking = True
+            one.under_way = True
 
     def _step(self, value: float) -> None:
         """Step every recording, and pause."""
-        steps = max(-MOST_STEPS, min(MOST_STEPS, round(value)))
-        for number, one in enumerate(self._shown):
-            one.player.step(steps)
-            self._take(number, one)
-        first = self._shown[0].player
-        self._playback = replace(
-            self._playback, position=first.now - first.start, since=self._now, playing=False
-        )
+        self._set_playing(0.0)
+        self._steps = max(-MOST_STEPS, min(MOST_STEPS, self._steps + round(value)))

@@ -11,7 +11,8 @@ import pytest
 
 from gateway.cli.live import view_on_demand
 from gateway.config import load_robot
-from gateway.core.tick import Tick
+from gateway.core.step import Gateway
+from gateway.core.tick import Inputs, Outputs, Tick
 from gateway.errors import UserError
 from gateway.recording import read_recording
 from gateway.replay import replay_recording
@@ -264,6 +265,48 @@ def test_the_work_of_a_slice_is_counted(shown: Shown, monkeypatch: pytest.Monkey
         number = player.tick.number if player.tick is not None else 0
         assert 0 <= number - last <= replay_view.SLICE
         last = number
+    steps = 0
+    step = Gateway.step
+
+    def counted(self: Gateway, now: int, inputs: Inputs) -> Outputs:
+        nonlocal steps
+        steps += 1
+        return step(self, now, inputs)
+
+    monkeypatch.setattr(Gateway, "step", counted)
+    shown.play(step=-replay_view.MOST_STEPS)
+    while shown.state["ticks"] != 0:
+        shown.page.poll()
+        steps = 0
+        shown.view.slice(next(shown.times))
+        assert steps <= replay_view.SLICE
+
+
+def test_it_waits_while_it_is_under_way_to_what_was_not_compared_yet(
+    shown: Shown, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(replay_view, "SLICE", 2)
+    shown.until(lambda: bool(shown.playback))
+    shown.play(playing=True)
+    shown.play(seek=2.0)
+    shown.until(lambda: shown.playback["under_way"])
+    before = shown.playback["prepared"]
+    shown.until(lambda: shown.playback["prepared"] > before)
+    assert shown.playback["under_way"]
+    assert shown.playback["due"] == 2.0
+    assert shown.playback["t"] < 0.1
+    for steps in (-1, -2, 1):
+        shown.play(step=steps)
+    shown.until(lambda: not shown.playback["playing"])
+    assert shown.playback["under_way"]
+    shown.until(lambda: not shown.playback["under_way"])
+    last = [
+        tick.number
+        for tick in shown.players[0].recording.ticks
+        if tick.now <= shown.players[0].start + 2 * SECOND
+    ]
+    shown.until(lambda: shown.state["ticks"] == last[-3])
+    assert shown.playback["due"] == shown.playback["t"]
 
 
 def test_two_recordings_are_at_the_same_time_since_their_beginnings(shown: Shown, tmp_path: Path) -> None:
