@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from math import isfinite
 
+from gateway.core.tick import Tick
 from gateway.replay.player import Playback, Player
 from gateway.view import Access, Address, Scene, View
 from gateway.view.requests import Answer
@@ -75,6 +76,10 @@ class ReplayView:
         return max(one.player.end - one.player.start for one in self._shown)
 
     @property
+    def _under_way(self) -> bool:
+        return any(one.under_way for one in self._shown)
+
+    @property
     def position(self) -> Nanos:
         """The time since the beginning that is due."""
         return self._playback.target(self._now)
@@ -82,6 +87,8 @@ class ReplayView:
     def slice(self, now: Nanos) -> Nanos:
         """Answer pages, play what is due, and compare on. Returns when it wants to be called again."""
         self._now = now
+        if self._under_way:
+            self._playback = replace(self._playback, since=now)
         self._view.poll(now)  # a recording takes no instructions
         busy = self._arrive()
         if not busy:
@@ -99,11 +106,15 @@ class ReplayView:
     def _arrive(self) -> bool:
         """Go on to where somebody sought, or stepped; return whether any recording is still under way."""
         for number, one in enumerate(self._shown):
-            if one.under_way and one.player.advance(SLICE):
-                one.under_way = False
-                self._take(number, one)
-        if any(one.under_way for one in self._shown):
-            self._playback = replace(self._playback, since=self._now)
+            for _ in range(SLICE if one.under_way else 0):
+                before = one.player.tick
+                if one.player.advance(1):
+                    one.under_way = False
+                    self._take(number, one)
+                    break
+                if one.player.tick is not before:
+                    self._pass(one)
+        if self._under_way:
             return True
         if self._stepping:
             first = self._shown[0].player
@@ -130,11 +141,23 @@ class ReplayView:
         return True
 
     def _take(self, number: int, one: _Shown) -> None:
+        """Show where it is."""
+        if (tick := self._adopted(one)) is not None:
+            self._view.take(tick, one.player.gateway.belief(), number)
+
+    def _pass(self, one: _Shown) -> None:
+        """Keep what is shown of the ticks on the way: the newest scan may be one of them."""
+        if (tick := self._adopted(one)) is not None:
+            one.scene.observe(tick, one.player.gateway.belief())
+
+    def _adopted(self, one: _Shown) -> Tick | None:
+        """Return the tick where it is, as the code of today makes it; show its gateway from now on."""
         player = one.player
         if one.scene.gateway is not player.gateway:
             one.scene.adopt(player.gateway)
-        if player.tick is not None and player.outputs is not None:
-            self._view.take(replace(player.tick, outputs=player.outputs), player.gateway.belief(), number)
+        if player.tick is None or player.outputs is None:
+            return None
+        return replace(player.tick, outputs=player.outputs)
 
     def _facts(self, one: _Shown) -> Json:
         player, playback = one.player, self._playback
