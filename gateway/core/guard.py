@@ -10,7 +10,7 @@ trace in what the devices are taken to have received.
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias, get_args
 
@@ -81,7 +81,10 @@ class _Receivers:
 
     def decode(self, t: Nanos, frame: Frame) -> list[Obeyed]:
         """Decode what any device on the bus would obey."""
-        return [one for number in self._listening(frame) for one in self._decoders[number].decode(t, frame)]
+        obeyed: list[Obeyed] = []
+        for number in self._listening(frame):
+            obeyed += self._decoders[number].decode(t, frame)
+        return obeyed
 
     def keep(self, t: Nanos, frame: Frame) -> None:
         """Keep the frame that was decoded last."""
@@ -160,26 +163,28 @@ class Guard:
         """
         passed: list[Frame] = []
         blocked: list[Blocked] = []
+        receivers = self._receivers[bus]
         last: dict[tuple[str, type[Command] | None], tuple[Nanos, Command]] = {}
         for name in self._specs[bus, protocol]:
-            if name in joints and not joints[name].armed:
-                self._coasting[name] = (now, joints[name].feedback.velocity or 0.0)
+            joint = joints.get(name)
+            if joint is not None and not joint.armed:
+                self._coasting[name] = (now, joint.feedback.velocity or 0.0)
         for frame in frames:
             obeyed: Sequence[Obeyed] = ()
             objection: Objection | None
             try:
-                obeyed = self._receivers[bus].decode(now, frame)
+                obeyed = receivers.decode(now, frame)
                 objection = self._objection(now, bus, protocol, frame, obeyed, joints, stopped)
             except Exception as error:  # noqa: BLE001 -- a plugin's: what cannot be read must not go out
                 objection = "its decoder failed", f"{type(error).__name__}: {error}"
             if objection is not None:
-                self._receivers[bus].take_back(frame)
+                receivers.take_back(frame)
                 motors = self._motors_of(bus, protocol, frame, obeyed)
                 blocked.append(Blocked(frame, motors, *objection))
                 continue
-            self._receivers[bus].keep(now, frame)
+            receivers.keep(now, frame)
             for one in obeyed:
-                if isinstance(one, Command):
+                if isinstance(one, msg.COMMANDS):
                     last[one.motor, type(one)] = last[one.motor, None] = (now, one)
             passed.append(frame)
         self._last |= last  # only now: frames of one step are compared with those of the steps before
@@ -220,11 +225,14 @@ class Guard:
         joints: Mapping[str, Joint],
         stopped: bool,
     ) -> Objection | None:
-        named = {name for one in obeyed if (name := getattr(one, "motor", "")) in joints}
-        ours = [name for name in named if self._is_ours(now, joints[name])]
+        ours: list[str] = []
         for one in obeyed:
             name = getattr(one, "motor", "")
-            if isinstance(one, msg.Scan | msg.ReadParameter):
+            if name in joints and name not in ours and self._is_ours(now, joints[name]):
+                ours.append(name)
+        for one in obeyed:
+            name = getattr(one, "motor", "")
+            if isinstance(one, READS):
                 continue  # it only reads
             if isinstance(one, msg.SetId):
                 if not self._was_asked(now, bus, msg.SetId):
@@ -250,13 +258,13 @@ class Guard:
         self, now: Nanos, one: Obeyed, joint: Joint, ours: Sequence[str], stopped: bool
     ) -> Objection | None:
         match one:
+            case msg.Velocity() | msg.Position() | msg.Torque() | msg.Impedance():
+                return self._outside(now, one, joint)
             case msg.Arm():
                 if (stopped or joint.faults) and not joint.armed:
                     return "arming against a stop or a fault", next(iter(joint.faults), ("", ""))[1]
             case msg.Idle() | msg.Hold():
                 pass
-            case msg.Velocity() | msg.Position() | msg.Torque() | msg.Impedance():
-                return self._outside(now, one, joint)
             case msg.ReadParameter() | msg.WriteParameter():
                 pass  # a driver sets up the device that it commands
             case msg.Reboot() if self._was_asked(now, joint.name, msg.WriteParameter):
@@ -270,47 +278,53 @@ class Guard:
         """Return which number of a set-point is beyond the limits of the robot file."""
         bounds, measured = self._motors[joint.name], joint.feedback
         limits = bounds.limits
-        for quantity, limit in (("velocity", limits.velocity), ("torque", limits.torque)):
-            value = bounds.at_joint(one, quantity)
-            if not abs(value) <= limit + bounds.slack(one, quantity):  # NaN is neither
-                return f"{quantity} beyond the limit", f"{value:g}, limit {limit:g}"
+        velocity, slack = bounds.at_joint(one, "velocity")
+        if not abs(velocity) <= limits.velocity + slack:  # NaN is neither
+            return "velocity beyond the limit", f"{velocity:g}, limit {limits.velocity:g}"
+        torque, error = bounds.at_joint(one, "torque")
+        if not abs(torque) <= limits.torque + error:
+            return "torque beyond the limit", f"{torque:g}, limit {limits.torque:g}"
         if isinstance(one, msg.Velocity):
-            value, slack = bounds.at_joint(one, "velocity"), bounds.slack(one, "velocity")
-            before = self._before(now, one, measured.velocity or 0.0)
-            slower = any(abs(value) <= abs(v) + slack and value * v >= 0.0 for v, _ in before)
-            if not slower and all(abs(value - v) > limits.acceleration * dt + slack for v, dt in before):
-                return "acceleration beyond the limit", f"velocity {value:g} after {before[0][0]:g}"
-        elif isinstance(one, msg.Position | msg.Impedance):
-            value, slack = bounds.at_joint(one, "position"), bounds.slack(one, "position")
-            if not abs(limits.inside(value) - value) <= slack:  # NaN and infinities are not
-                return "position beyond the limit", f"{value:g}, limits {limits.position}"
-            if isinstance(one, msg.Position) and measured.position is not None:
-                before = self._before(now, one, measured.position, limits.inside(measured.position))
-                if all(abs(value - p) > limits.velocity * dt + slack for p, dt in before):
-                    return "a jump of the position", f"{value:g} after {before[0][0]:g}"
-            if isinstance(one, msg.Impedance):
-                pull = bounds.pull(one, measured)
-                if not abs(pull) <= limits.torque * (1.0 + SPRING_ERROR):
-                    return "torque of the spring beyond the limit", f"{pull:g}, limit {limits.torque:g}"
+            measured_velocity = measured.velocity or 0.0
+            for before, dt in self._before(now, one, "velocity", measured_velocity):
+                slower = abs(velocity) <= abs(before) + slack and velocity * before >= 0.0
+                if slower or not abs(velocity - before) > limits.acceleration * dt + slack:
+                    return None
+            return "acceleration beyond the limit", f"velocity {velocity:g} after {measured_velocity:g}"
+        if isinstance(one, msg.Torque):
+            return None
+        position, slack = bounds.at_joint(one, "position")
+        if not abs(limits.inside(position) - position) <= slack:  # NaN and infinities are not
+            return "position beyond the limit", f"{position:g}, limits {limits.position}"
+        if isinstance(one, msg.Impedance):
+            pull = bounds.pull(one, measured)
+            if not abs(pull) <= limits.torque * (1.0 + SPRING_ERROR):
+                return "torque of the spring beyond the limit", f"{pull:g}, limit {limits.torque:g}"
+        elif (there := measured.position) is not None:
+            for before, dt in self._before(now, one, "position", there, limits.inside(there)):
+                if not abs(position - before) > limits.velocity * dt + slack:
+                    return None
+            return "a jump of the position", f"{position:g} after {there:g}"
         return None
 
     def _before(
-        self, now: Nanos, one: msg.Velocity | msg.Position, *measured: float
-    ) -> list[tuple[float, float]]:
-        """Return from where a set-point may go on, each with the time [s] in which it may have changed."""
+        self, now: Nanos, one: msg.Velocity | msg.Position, quantity: str, *measured: float
+    ) -> Iterator[tuple[float, float]]:
+        """Yield from where a set-point may go on, each with the time [s] in which it may have changed."""
         bounds, motor, kind = self._motors[one.motor], one.motor, type(one)
-        last, alike = self._last.get((motor, None)), self._last.get((motor, kind))
-        coasting = self._coasting.get(motor)
-        found = [(value, bounds.timeout if last is None else now - last[0]) for value in measured]
+        last = self._last.get((motor, None))
+        for value in measured:
+            yield value, bounds.changing(bounds.timeout if last is None else now - last[0])
+        alike, coasting = self._last.get((motor, kind)), self._coasting.get(motor)
         if alike is not None and now - alike[0] <= GOES_ON:
-            found.append((bounds.at_joint(alike[1], kind.__name__.lower()), now - alike[0]))
+            yield bounds.at_joint(alike[1], quantity)[0], bounds.changing(now - alike[0])
         if kind is msg.Velocity and coasting is not None and now - coasting[0] <= GOES_ON:
-            found.append((coasting[1], 0))
-        return [(value, (min(since, bounds.timeout) + LATENCY) / SECOND) for value, since in found]
+            yield coasting[1], bounds.changing(0)
 
 
 SetPoint: TypeAlias = msg.Velocity | msg.Position | msg.Torque | msg.Impedance
 SET_POINTS = get_args(SetPoint)
+READS = (msg.Scan, msg.ReadParameter)
 ASKED: tuple[type[Request], ...] = (
     msg.ClearFault,
     msg.Estop,
@@ -332,13 +346,27 @@ class _Bounds:
 
     def __init__(self, motor: Motor) -> None:
         self.limits, self.timeout = motor.joint.limits, motor.joint.command_timeout
-        self._ranges = motor.spec.ranges
         self._ratio = motor.joint.gear * motor.joint.sign
+        self._errors: dict[tuple[type[Command], str], tuple[float, float]] = {}
+        """Of the encoding of each quantity of each set-point: absolute, and relative."""
+        for kind in SET_POINTS:
+            for quantity in ("position", "velocity", "torque"):
+                known = motor.spec.ranges.get(f"{kind.__name__}.{quantity}")
+                self._errors[kind, quantity] = (known.resolution, known.relative) if known else (0.0, 0.0)
 
-    def at_joint(self, one: Command, quantity: str) -> float:
-        """Return "position", "velocity" or "torque"; 0 where the set-point has none."""
+    def at_joint(self, one: Command, quantity: str) -> tuple[float, float]:
+        """Return "position", "velocity" or "torque", 0 where the set-point has none, and the error of its
+        encoding."""
         value: float = getattr(one, quantity, 0.0)
-        return value * self._ratio if quantity == "torque" else value / self._ratio
+        absolute, relative = self._errors[type(one), quantity]
+        error, ratio = absolute + relative * abs(value), self._ratio
+        if quantity == "torque":
+            return value * ratio, 1e-9 + abs(error * ratio)
+        return value / ratio, 1e-9 + abs(error / ratio)
+
+    def changing(self, since: Nanos) -> float:
+        """Return in which time [s] a set-point may have changed since then."""
+        return (min(since, self.timeout) + LATENCY) / SECOND
 
     def pull(self, one: msg.Impedance, measured: msg.Feedback) -> float:
         """Return the torque [N·m] of a spring and damper at the measured position and velocity."""
@@ -346,11 +374,3 @@ class _Bounds:
         velocity = (measured.velocity or 0.0) * self._ratio
         spring = one.stiffness * (one.position - position) + one.damping * (one.velocity - velocity)
         return (one.torque + spring) * self._ratio
-
-    def slack(self, one: SetPoint, quantity: str) -> float:
-        """Return the error of the encoding of a quantity."""
-        known = self._ranges.get(f"{type(one).__name__}.{quantity}")
-        if known is None:
-            return 1e-9
-        error: float = known.resolution + known.relative * abs(getattr(one, quantity))
-        return 1e-9 + abs(error * self._ratio if quantity == "torque" else error / self._ratio)

@@ -34,17 +34,20 @@ BROADCASTS = ("Reboot", "Clear_Errors")
 """What a device of 0.6.x obeys on the broadcast node, beside assignments of node ids."""
 BOARD = ("Reboot (0.5.x)", "Clear_Errors (0.5.x)")
 """What an axis of 0.5.x obeys on the node of the other axis on its board."""
-FOLLOWED: Mapping[int, str] = {
-    InputMode.INACTIVE: "",
-    InputMode.PASSTHROUGH: "position velocity torque",
-    InputMode.VEL_RAMP: "velocity",
-    InputMode.POS_FILTER: "position velocity",
-    InputMode.TRAP_TRAJ: "position",
-    InputMode.TORQUE_RAMP: "torque",
-    InputMode.TUNING: "position velocity torque",
+FOLLOWED: Mapping[int, tuple[bool, bool, bool]] = {
+    InputMode.INACTIVE: (False, False, False),
+    InputMode.PASSTHROUGH: (True, True, True),
+    InputMode.VEL_RAMP: (False, True, False),
+    InputMode.POS_FILTER: (True, True, False),
+    InputMode.TRAP_TRAJ: (True, False, False),
+    InputMode.TORQUE_RAMP: (False, False, True),
+    InputMode.TUNING: (True, True, True),
 }
-"""The inputs that each input mode follows. (ODrive@f9b5419 `MotorControl/controller.cpp` update.)"""
-COMMANDS = (msg.Idle, msg.Torque, msg.Velocity, msg.Position)  # By control mode.
+"""Whether each input mode follows position, velocity and torque. (ODrive@f9b5419
+`MotorControl/controller.cpp` update.)"""
+COMMANDS: Sequence[Callable[..., msg.Command]] = (msg.Idle, msg.Torque, msg.Velocity, msg.Position)
+"""By control mode."""
+LOOPS = tuple(ControlMode)
 NOT_A_NUMBER = "MODULATION_IS_NAN"
 INPUT_FAULTS = ("INVALID_MIRROR_AXIS", "INVALID_INPUT_MODE", NOT_A_NUMBER)
 """The errors of mode and inputs in closed loop, by their names in 0.5.x."""
@@ -92,43 +95,45 @@ class Memory:
         trajectory ends in position control, and a filter leads to a position, whatever the control mode."""
         if self.input_mode in (InputMode.POS_FILTER, InputMode.TRAP_TRAJ):
             return ControlMode.POSITION
-        return ControlMode(min(max(self.control_mode, ControlMode.TORQUE), ControlMode.POSITION))
+        return LOOPS[min(max(self.control_mode, ControlMode.TORQUE), ControlMode.POSITION)]
 
     @property
     def fault(self) -> str:
         """The error of mode and inputs, one of `INPUT_FAULTS`; "": none."""
-        if self.input_mode == InputMode.MIRROR:
-            return "INVALID_MIRROR_AXIS"
-        if self.input_mode not in FOLLOWED:
-            return "INVALID_INPUT_MODE"
-        return NOT_A_NUMBER if any(map(math.isnan, self._inputs())) else ""
+        return self._fault_of(self._inputs(self.control))
 
     @property
     def trips(self) -> bool:
         """True if that is an error now: inputs that are no numbers are none before closed loop."""
-        return self.fault != "" and (self.armed or self.fault != NOT_A_NUMBER)
+        return self._trips_with(self.fault)
 
-    def _inputs(self) -> Sequence[float]:
+    def _trips_with(self, fault: str) -> bool:
+        return fault != "" and (self.armed or fault != NOT_A_NUMBER)
+
+    def _fault_of(self, inputs: Sequence[float]) -> str:
+        if self.input_mode in FOLLOWED:
+            return NOT_A_NUMBER if any(map(math.isnan, inputs)) else ""
+        return "INVALID_MIRROR_AXIS" if self.input_mode == InputMode.MIRROR else "INVALID_INPUT_MODE"
+
+    def _inputs(self, control: ControlMode) -> Sequence[float]:
         """Return the inputs that control and input mode follow, in the order of a command's fields."""
-        followed = FOLLOWED[self.input_mode]
-        inputs = {"position": self.position or 0.0, "velocity": self.velocity, "torque": self.torque}
-        used = list(inputs)[ControlMode.POSITION - self.control :]
-        return [inputs[name] if name in followed else 0.0 for name in used]
+        inputs = (self.position or 0.0, self.velocity, self.torque)
+        followed = zip(inputs, FOLLOWED.get(self.input_mode, ()), strict=False)
+        return [value if follows else 0.0 for value, follows in followed][ControlMode.POSITION - control :]
 
     def _command(self) -> Sequence[msg.Command]:
         """Return the command that mode and inputs amount to now; none if they change nothing."""
-        if self.trips:
+        control = self.control
+        inputs = self._inputs(control)
+        if self._trips_with(self._fault_of(inputs)):
             self.disarm()
             return (msg.Idle(self.motor),)
-        if not self.armed:
-            return ()
-        control, (*turns, torque) = self.control, self._inputs()
-        if control.name.lower() not in FOLLOWED[self.input_mode]:
+        if not self.armed or not FOLLOWED[self.input_mode][ControlMode.POSITION - control]:
             return ()
         if control is ControlMode.POSITION and self.position is None:
             return (msg.Hold(self.motor),)
-        kind: Callable[..., msg.Command] = COMMANDS[control]
-        return (kind(self.motor, *(each * math.tau for each in turns), torque),)
+        *turns, torque = inputs
+        return (COMMANDS[control](self.motor, *[each * math.tau for each in turns], torque),)
 
     def addressed(self, decoded: Decoded) -> bool:
         """True if a message is for this axis."""
@@ -148,7 +153,6 @@ class Memory:
             self.other = values["Axis_Node_ID"] & table.MAX_EXTENDED_NODE
         if not self.addressed(decoded):
             return ()
-        written = {key: values[key] for key in table.WRITABLE.get(name, ())}
         match name.removesuffix(" (0.5.x)"):
             case "Set_Input_Pos":
                 self.position, self.velocity, self.torque = values.values()
@@ -183,6 +187,8 @@ class Memory:
                 self.endpoints[number] = bits
                 endpoint, value = self.registers.value(number, bits)
                 written = {f"endpoint {number}": bits} if value is None else {endpoint: value}
+            case _:
+                written = {key: values[key] for key in table.WRITABLE.get(name, ())}
         return tuple(msg.WriteParameter(motor, key, float(value)) for key, value in written.items())
 
     def disarm(self) -> None:
