@@ -6,11 +6,13 @@ comparison, whose keyframes make seeking quick. Two recordings are at the same t
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from math import isfinite
 
+from brain.belief import Belief
 from gateway.core.tick import Tick
 from gateway.replay.player import Playback, Player
 from gateway.view import Access, Address, Scene, View
@@ -28,6 +30,8 @@ MOST_STEPS = 1000
 """Ticks of one step."""
 SHOWN = 20
 """Differences that are listed."""
+PASSED = 100
+"""Ticks before the one that was sought that are taken note of: with the newest scans."""
 
 
 @dataclass(slots=True)
@@ -37,7 +41,17 @@ class _Shown:
     player: Player
     scene: Scene = field(init=False)
     under_way: bool = False
-    """Whether it is on its way to where somebody sought, or stepped."""
+    """Whether it is on its way to where somebody sought, or stepped: until then, all stays as it was."""
+    passed: deque[tuple[Tick, Belief]] = field(default_factory=lambda: deque(maxlen=PASSED))
+    """Of the way."""
+    tick: Tick | None = None
+    """Which is shown, as the code of today makes it."""
+
+    def pass_on(self) -> None:
+        """Keep a tick of the way."""
+        tick, outputs = self.player.tick, self.player.outputs
+        if tick is not None and outputs is not None:
+            self.passed.append((replace(tick, outputs=outputs), self.player.gateway.belief()))
 
     def due(self, since_start: Nanos) -> Nanos:
         """Return a time since the beginning as one of the recording."""
@@ -113,7 +127,7 @@ class ReplayView:
                     self._take(number, one)
                     break
                 if one.player.tick is not before:
-                    self._pass(one)
+                    one.pass_on()
         if self._under_way:
             return True
         if self._stepping:
@@ -141,34 +155,28 @@ class ReplayView:
         return True
 
     def _take(self, number: int, one: _Shown) -> None:
-        """Show where it is."""
-        if (tick := self._adopted(one)) is not None:
-            self._view.take(tick, one.player.gateway.belief(), number)
-
-    def _pass(self, one: _Shown) -> None:
-        """Keep what is shown of the ticks on the way: the newest scan may be one of them."""
-        if (tick := self._adopted(one)) is not None:
-            one.scene.observe(tick, one.player.gateway.belief())
-
-    def _adopted(self, one: _Shown) -> Tick | None:
-        """Return the tick where it is, as the code of today makes it; show its gateway from now on."""
+        """Show where it is, with what the ticks on the way brought."""
         player = one.player
+        if player.tick is None or player.outputs is None:
+            return
         if one.scene.gateway is not player.gateway:
             one.scene.adopt(player.gateway)
-        if player.tick is None or player.outputs is None:
-            return None
-        return replace(player.tick, outputs=player.outputs)
+        for tick, belief in one.passed:
+            one.scene.observe(tick, belief)
+        one.passed.clear()
+        one.tick = replace(player.tick, outputs=player.outputs)
+        self._view.take(one.tick, player.gateway.belief(), number)
 
     def _facts(self, one: _Shown) -> Json:
         player, playback = one.player, self._playback
         return {
-            "ticks": player.tick.number if player.tick is not None else 0,
+            "ticks": one.tick.number if one.tick is not None else 0,
             "recording": str(player.recording.path),
             "recordings": len(self._shown),
             "playback": {
                 "playing": playback.playing,
                 "rate": playback.rate,
-                "t": (player.now - player.start) / SECOND,
+                "t": (one.tick.now - player.start) / SECOND if one.tick is not None else 0.0,
                 "due": self.position / SECOND,
                 "under_way": one.under_way,
                 "length": (player.end - player.start) / SECOND,
@@ -211,6 +219,7 @@ class ReplayView:
         self._steps, self._stepping = 0, False
         for one in self._shown:
             one.player.seek(one.due(position))
+            one.passed.clear()
             one.under_way = True
 
     def _step(self, value: float) -> None:
