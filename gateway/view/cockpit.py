@@ -12,7 +12,7 @@ to four bytes, then arrays one after the other. Each has a "kind":
 | note | text | at once | what happened, for a person |
 | answer | text | at once | to what was asked, with its `id`: `ok`, `text` |
 | path | binary | when it changes | `version`; float32 x, y [m] for each point |
-| scan | binary | every 100 ms | `lidars`: mount, `min`, `step`, `count`, `near`, `far`; float32 [m] |
+| scan | binary | every 100 ms | `lidars`: mount, `poses`, `min`, `step`, `count`, `near`, `far`; float32 |
 | tiles | binary | every 100 ms, if new | map: `resolution`, `corner`, `size`, `keys` (row, column); int8 |
 
 From the page, JSON as text: `{"ask": LINE, "id": N}`, a line of the operator's language; `{"held": LINE}`,
@@ -199,7 +199,7 @@ def _scan(scene: Scene) -> bytes:
     mounts = lidar_mounts(scene.robot)
     lidars, ranges = [], list[npt.NDArray[np.float32]]()
     for name, scan in scene.scans.items():
-        lidars.append(_lidar(scan, mounts[name]) | {"name": name})
+        lidars.append(_lidar(scan, mounts[name]) | {"name": name, "poses": scene.swept[name]})
         ranges.append(np.asarray(scan.ranges, dtype="<f4"))
     return _binary("scan", {"lidars": lidars}, *ranges)
 

@@ -6,12 +6,13 @@ output shaft; times in s.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from math import isfinite
 from typing import Any, Literal, TypeAlias
 
-from brain.belief import Belief
+from brain.belief import Belief, Pose
 from brain.bodies.body import Base, Linkage
 from brain.settings import AT_RUN_TIME, keys
 from gateway.core.joint import LEAST_SHARE, Joint
@@ -26,6 +27,8 @@ Kind: TypeAlias = Literal["live", "replay"]
 
 LIMITS = ("velocity", "acceleration", "torque")
 """Of a joint, that can be changed while it runs."""
+TRACK = 256
+"""Poses that are kept, one per tick: a scan is older than the tick that brings it."""
 VALUE = {"Velocity": "velocity", "Position": "position", "Impedance": "position", "Torque": "torque"}
 """The number of a command that is plotted beside the feedback of the same name."""
 
@@ -40,9 +43,14 @@ class Scene:
     """What the gateway does not know of itself: ticks missed, buses, recording, playback."""
     scans: dict[str, msg.LaserScan] = field(default_factory=dict)
     """The newest of each lidar."""
+    swept: dict[str, list[list[float | None]]] = field(default_factory=dict)
+    """Where the robot was at the first and the last beam of it: x, y, yaw; empty if it did not know."""
+    buses: dict[str, str] = field(default_factory=dict)
+    """The state of each bus that has changed."""
     now: Nanos = 0
     belief: Belief = field(init=False)
     """After the last tick."""
+    _track: deque[tuple[Nanos, Pose]] = field(default_factory=lambda: deque(maxlen=TRACK))
 
     def __post_init__(self) -> None:
         self.belief = self.gateway.belief()
@@ -56,13 +64,25 @@ class Scene:
         """Show another gateway of the same robot from now on, as after a jump in a recording."""
         self.gateway = gateway
         self.scans.clear()
+        self._track.clear()
 
     def observe(self, tick: Tick, belief: Belief) -> None:
         """Take what a tick brought."""
         self.now, self.belief = tick.now, belief
+        if belief.estimate is not None:
+            self._track.append((tick.now, belief.estimate.pose))
+        for bus, state in tick.inputs.states:
+            self.buses[bus] = state.value
         for event in tick.outputs.events:
             if isinstance(event, msg.LaserScan):
                 self.scans[event.sensor] = event
+                self.swept[event.sensor] = self._at(event.t) + self._at(event.t + event.duration)
+
+    def _at(self, t: Nanos) -> list[list[float | None]]:
+        """Return the pose at a time of the recent past, or the oldest kept; empty if there is none."""
+        poses = self._track
+        found = next((pose for now, pose in reversed(poses) if now <= t), poses[0][1] if poses else None)
+        return [] if found is None else [[_number(v) for v in (found.x, found.y, found.yaw)]]
 
     def hello(self) -> Json:
         """Return what does not change: joints, buses, body, what the robot can be asked."""
@@ -194,6 +214,7 @@ class Scene:
                 }
                 for bus, protocol, c in gateway.rx_counters()
             ],
+            "bus_states": self.buses,
             **self.facts(),
         }
 

@@ -62,7 +62,8 @@ class View:
         subprotocols = {**dict.fromkeys(self._cockpits, ("",)), FOXGLOVE: SUBPROTOCOLS}
         self._server = Server(address, access, pages(), subprotocols)
         token = f"?token={access.token}" if access.token else ""
-        self.url = f"http://{self._server.address}/{token}"
+        page = "pair.html" if len(scenes) > 1 else ""
+        self.url = f"http://{self._server.address}/{page}{token}"
         """What to open in a browser."""
 
     def __enter__(self) -> View:

@@ -5,7 +5,7 @@ import { Drive } from "./drive.js";
 import { $, number, say, twice } from "./elements.js";
 import { Joints } from "./joints.js";
 import { Field } from "./map.js";
-import { log, Settings, showBuses, showFaults, showMission, showSystems } from "./panels.js";
+import { log, rewind, Settings, showBuses, showFaults, showMission, showSystems } from "./panels.js";
 import { Replay } from "./replay.js";
 import { Held, Wire } from "./wire.js";
 
@@ -77,12 +77,17 @@ function state(message) {
   showMission(message.mission);
   showFaults(message.faults, steer && (name => ask(`clear ${name}`)));
   showBuses(robot, message);
-  if (message.playback) replay.take(message.playback);
+  if (message.playback) {
+    replay.take(message.playback);
+    rewind(message.t);
+    say($("said"), message.recording);
+  }
   $("both").hidden = !(message.recordings > 1) || query.has("scene");
   if (!robot.base) return;
   field.take(message);
   const [x, y, yaw] = message.pose ?? [];
-  const speed = message.twist ? `  ${number(message.twist[0], 2, "m/s")}` : "";
+  const [linear, , lateral] = message.twist ?? [];
+  const speed = message.twist ? `  ${number(lateral ? Math.hypot(linear, lateral) : linear, 2, "m/s")}` : "";
   say($("pose"), message.pose ? `x ${number(x, 2)}  y ${number(y, 2)}  ${number((yaw * 180) / Math.PI, 0)}°${speed}` : "no pose yet");
 }
 

@@ -3,6 +3,7 @@
 import { $, button, holdable, make, number, say, twice } from "./elements.js";
 
 const SPAN = 20; // s
+const GAP = 1; // s without a value that are drawn as such
 const PERIOD = 90; // ms between two drawings
 const QUANTITIES = { position: 4, velocity: 5, torque: 6 }; // where they are in a row
 const UNITS = { position: "rad", velocity: "rad/s", torque: "N·m" };
@@ -115,6 +116,11 @@ export class Joints {
       list.length = kept;
       list.splice(0, old);
     }
+    const before = times.at(-1);
+    if (t - before > GAP) { // a jump, or silence: no line over it
+      times.push((before + t) / 2);
+      for (const { rows } of this.cards) rows.push([]);
+    }
     times.push(t);
     this.cards.forEach((card, i) => card.rows.push(rows[i]));
     const now = performance.now();
@@ -136,7 +142,7 @@ export class Joints {
       this.show(card, card.rows[card.rows.length - 1]);
       if (!card.visible) continue;
       const command = card.rows.map(row => (PLOTTED[row[2]] === name ? row[3] : null));
-      card.plot.setData([x, command, card.rows.map(row => row[QUANTITIES[name]])]);
+      card.plot.setData([x, command, card.rows.map(row => row[QUANTITIES[name]] ?? null)]);
     }
   }
 

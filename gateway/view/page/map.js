@@ -52,18 +52,21 @@ export class Field {
   }
 
   takeScan(header, { buffer, offset }) {
-    const pose = this.state?.pose;
     this.scan = [];
-    if (!pose) return;
     for (const lidar of header.lidars) {
       const ranges = new Float32Array(buffer, offset, lidar.count);
       offset += 4 * lidar.count;
-      const [c, s] = [Math.cos(pose[2]), Math.sin(pose[2])];
-      const [x, y] = [pose[0] + c * lidar.x - s * lidar.y, pose[1] + s * lidar.x + c * lidar.y];
+      if (!lidar.poses.length) continue;
+      const [first, last] = lidar.poses; // the robot moves while the beam turns
+      const turn = Math.atan2(Math.sin(last[2] - first[2]), Math.cos(last[2] - first[2]));
       ranges.forEach((range, i) => {
-        if (!(range >= lidar.near && range <= lidar.far)) return;
-        const angle = pose[2] + lidar.yaw + lidar.min + i * lidar.step;
-        this.scan.push(x + range * Math.cos(angle), y + range * Math.sin(angle));
+        if (!(range >= lidar.near && range < lidar.far)) return;
+        const share = i / lidar.count;
+        const yaw = first[2] + share * turn;
+        const [c, s] = [Math.cos(yaw), Math.sin(yaw)];
+        const angle = yaw + lidar.yaw + lidar.min + i * lidar.step;
+        this.scan.push(first[0] + share * (last[0] - first[0]) + c * lidar.x - s * lidar.y + range * Math.cos(angle),
+          first[1] + share * (last[1] - first[1]) + s * lidar.x + c * lidar.y + range * Math.sin(angle));
       });
     }
     this.change();
@@ -190,6 +193,8 @@ export class Field {
     const { pen, ratio } = this;
     const length = this.grid();
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
+    pen.fillStyle = this.colour.unknown + "cc";
+    pen.fillRect(6, this.height - 34, Math.max(44, 12 + length * this.scale), 28);
     pen.fillStyle = pen.strokeStyle = this.colour.robot;
     pen.lineWidth = 2;
     pen.beginPath();

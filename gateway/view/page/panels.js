@@ -58,17 +58,20 @@ export function showBuses(hello, state) {
       cells[0].className = "";
       cells[0].append(make("div", { textContent: name }), make("small", { className: "dim" }));
       cells[0].title = `${bus.kind}, ${bus.interface}${bus.bitrate ? `, ${bus.bitrate / 1e6} Mbit/s` : ""}`;
-      if (name) cells[1].append(make("meter", { min: 0, max: 1, high: 0.7, optimum: 0, ariaLabel: `load of ${name}` }), make("span"));
+      if (name) cells[1].append(make("span"), make("meter", { min: 0, max: 1, high: 0.7, optimum: 0, ariaLabel: `load of ${name}` }));
     }
-    say(cells[0].lastChild, one.protocol ?? bus.kind);
+    const trouble = name && !["up", "back", undefined].includes(state.bus_states?.[name]);
+    say(cells[0].lastChild, (one.protocol ?? bus.kind) + (trouble ? `, ${state.bus_states[name]}` : ""));
+    cells[0].lastChild.className = trouble ? "bad" : "dim";
     if (name) {
-      cells[1].firstChild.value = load ?? 0;
-      say(cells[1].lastChild, load === undefined ? "–" : `${(100 * load).toFixed(1)} %`);
+      cells[1].lastChild.value = load ?? 0;
+      say(cells[1].firstChild, load === undefined ? "–" : `${(100 * load).toFixed(1)} %`);
     }
     ["accepted", "malformed", "ignored"].forEach((key, i) => say(cells[i + 2], `${one[key] ?? "–"}`));
     cells[3].classList.toggle("bad", one.malformed > 0);
   });
   say($("ticks"), `${state.ticks ?? "–"}`);
+  say($("sent"), `${state.sent ?? "–"}`);
   say($("missed"), `${state.missed ?? "–"}`);
   say($("longest"), number(state.longest, 2, "ms"));
   say($("recording"), state.trouble ? `${state.recording}: ${state.trouble}` : state.recording || "off");
@@ -91,11 +94,16 @@ function rows(parent, items, make, fill) {
 export function log(level, text, source = "", t = null) {
   const list = $("log");
   const when = t === null ? "" : clock(t);
-  list.prepend(make("li", { className: level },
+  list.prepend(make("li", { className: level, t },
     make("span", { className: "num dim", textContent: when }), " ",
     make("b", { textContent: `${MARKS[level] ?? level}${source ? ` ${source}:` : ""}` }), " ",
     make("span", { className: "text", textContent: text })));
   while (list.children.length > KEPT) list.lastChild.remove();
+}
+
+// Forget what has not happened yet, after a jump back in a recording.
+export function rewind(t) {
+  while ($("log").firstChild?.t > t) $("log").firstChild.remove();
 }
 
 const clock = t => `${Math.floor(t / 60)}:${(t % 60).toFixed(2).padStart(5, "0")}`;

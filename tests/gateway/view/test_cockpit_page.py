@@ -7,17 +7,20 @@ What a robot cannot be made to say (hostile names, a recording that differs) is 
 from __future__ import annotations
 
 import json
+import os
 import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from functools import partial
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from gateway import Goal, open_session
 from gateway.view.access import Access, Address
 from gateway.view.server import Server
 from gateway.view.view import pages
@@ -418,6 +421,67 @@ def test_without_steer_a_page_can_only_look_and_stop(browser: Chromium) -> None:
         tab.close()
 
 
+# -- recordings --------------------------------------------------------------------------------------
+
+
+@contextmanager
+def ended(process: subprocess.Popen[str]) -> Iterator[None]:
+    try:
+        yield
+    finally:
+        process.terminate()
+
+
+FRAMES = "[...document.querySelectorAll('iframe')].map(frame => frame.contentDocument)"
+
+
+def test_two_recordings_are_played_beside_each_other(browser: Chromium, tmp_path: Path) -> None:
+    files = [tmp_path / "a.mcap", tmp_path / "b.mcap"]
+    for file, seconds in zip(files, (1.0, 1.5), strict=True):
+        with open_session("diffbot", simulated=True, record=file) as session:
+            session.submit(Goal(1.0, 0.5))
+            for _ in session.run(seconds=seconds):
+                pass
+    own = resources.files("fixtures") / "robots" / "diffbot.toml"
+    other = tmp_path / "other.toml"
+    other.write_text(own.read_text() + "\n[brain.pursuit]\nturn_gain = 1.2\n")
+    view = [sys.executable, "-m", "gateway", "view", *map(str, files), "--robot", str(other)]
+    with (
+        subprocess.Popen(
+            [*view, "--at", "127.0.0.1:0"],
+            stdout=subprocess.PIPE,
+            text=True,
+            env=os.environ | {"XDG_CACHE_HOME": str(tmp_path), "PYTHONUNBUFFERED": "1"},
+        ) as process,
+        ended(process),
+    ):
+        assert process.stdout is not None
+        found = re.search(r"http\S+", process.stdout.readline())
+        assert found is not None
+        tab = browser.open(found[0])
+        each = f"{FRAMES}.map(page => page.querySelector('#%s').%s)"
+        tab.until(f"{FRAMES}.length === 2")
+        for page in (0, 1):
+            tab.until(f"{FRAMES}[{page}].querySelector('#said')?.textContent.endsWith('{'ab'[page]}.mcap')")
+            tab.until(f"{FRAMES}[{page}].querySelector('#prepared').textContent.startsWith('100 %')")
+            tab.until(f"!{FRAMES}[{page}].querySelector('#first').hidden")
+        ends = [f"{when[8:-2]} of {when[8:]}" for when in tab.run(each % ("when", "textContent"))]
+        click = f"{FRAMES}[0].querySelector('#%s').click()"
+        tab.run(click % "play")  # what is pressed in one, both do
+        tab.until(f"{each % ('when', 'textContent')}.every((when, i) => when === {ends}[i])")
+        tab.until(f"{each % ('play', 'textContent')}.every(text => text === 'Play')")
+        tab.run(click % "first")
+        first = tab.run(f"{FRAMES}[0].querySelector('#difference').textContent")
+        assert re.match(r"0\.\d+ s, packets: .*recorded: .*now: ", first, re.DOTALL)
+        tab.until(f"{each % ('seek', 'value')}.every(value => Math.abs(value - {first[:5]}) < 0.01)")
+        tab.until(f"{each % ('when', 'textContent')}.every(when => when.endsWith('s'))")  # it is there
+        begin = tab.run(each % ("seek", "value"))
+        tab.run(click % "forth")
+        tab.until(f"{each % ('seek', 'value')}.every((value, i) => value > {begin}[i])")
+        tab.run(click % "back")
+        tab.until(f"{each % ('seek', 'value')}.every((value, i) => value === {begin}[i])")
+
+
 # -- what no robot says ------------------------------------------------------------------------------
 
 HOSTILE = [
@@ -607,9 +671,10 @@ def test_the_controls_of_a_replay_ask_for_what_they_say(browser: Chromium, fake:
     tab.run("document.querySelector('#rate').dispatchEvent(new Event('change'))")
     tab.click("#seek")
     tab.click("#marks button")
+    tab.click("#first")
     tab.run("document.activeElement.blur()")
     tab.key("keyDown", "Space", " ")
-    fake.until(lambda: len(fake.received) == 7)
+    fake.until(lambda: len(fake.received) == 8)
     seek = fake.received.pop(4)["play"]["seek"]
     assert seek == pytest.approx(3.0, abs=0.1)
     asked: list[Any] = [
@@ -617,6 +682,7 @@ def test_the_controls_of_a_replay_ask_for_what_they_say(browser: Chromium, fake:
         {"step": 1},
         {"step": -1},
         {"rate": 2},
+        {"seek": 1.5},
         {"seek": 1.5},
         {"playing": True},
     ]
