@@ -91,8 +91,10 @@ class Band:
 
     def follow(self, setpoint: float, share: float) -> None:
         """Let both sides follow by a share of their distance; neither leaves the set-point outside."""
-        self.high = max(setpoint, self.high + (setpoint - self.high) * share)
-        self.low = min(setpoint, self.low + (setpoint - self.low) * share)
+        high = self.high + (setpoint - self.high) * share
+        low = self.low + (setpoint - self.low) * share
+        self.high = high if high > setpoint else setpoint
+        self.low = low if low < setpoint else setpoint
 
     def distance(self, measured: float) -> float:
         """Return how far a value is outside."""
@@ -211,7 +213,7 @@ class Following:
         limit, speed, band = self._limits.velocity, measured.velocity or 0.0, self._band
         fast, margin, code, turning = abs(speed) - limit, FAST, NOT_FOLLOWED, False
         share, floor, part, actual = min(1.0, dt / SECOND / self._lag), self._slack, 0.0, measured.position
-        if isinstance(sent, Velocity | Hold):
+        if isinstance(sent, (Velocity, Hold)):
             floor, part, actual, turning = FLOOR * limit, self._share, measured.velocity, True
             setpoint = sent.velocity if isinstance(sent, Velocity) else self._slow_down(dt)
         elif isinstance(sent, Position):

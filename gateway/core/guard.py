@@ -210,8 +210,10 @@ class Guard:
 
     def _is_ours(self, now: Nanos, joint: Joint) -> bool:
         """True if we have commanded the device, or an operator has asked something of it."""
+        if joint.owned:
+            return True
         asked = (self._was_asked(now, joint.name, kind) for kind in ASKED)
-        return joint.owned or any(asked) or self._was_asked(now, "", msg.Stop)
+        return any(asked) or self._was_asked(now, "", msg.Stop)
 
     # -- what it would do ---------------------------------------------------------------------------
 
@@ -225,13 +227,9 @@ class Guard:
         joints: Mapping[str, Joint],
         stopped: bool,
     ) -> Objection | None:
-        ours: list[str] = []
-        for one in obeyed:
-            name = getattr(one, "motor", "")
-            if name in joints and name not in ours and self._is_ours(now, joints[name]):
-                ours.append(name)
-        for one in obeyed:
-            name = getattr(one, "motor", "")
+        named = [getattr(one, "motor", "") for one in obeyed]
+        ours = [name for name in named if name in joints and self._is_ours(now, joints[name])]
+        for one, name in zip(obeyed, named, strict=True):
             if isinstance(one, READS):
                 continue  # it only reads
             if isinstance(one, msg.SetId):

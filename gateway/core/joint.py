@@ -349,7 +349,7 @@ class Joint:
     def _by_torque(self, out: Command, dt: float, loop: Loop) -> Command:
         """Return the torque with which a set-point is reached; any other command as it is."""
         measured, limits, settings = self.feedback, self.settings.limits, self.settings.loop
-        if not isinstance(out, msg.Position | msg.Velocity) or settings is None:
+        if not isinstance(out, (msg.Position, msg.Velocity)) or settings is None:
             loop.reset()
             return out
         ahead = 0.0
@@ -457,7 +457,8 @@ class Joint:
         )
 
     def _accept(self, now: Nanos, new: Command) -> None:
-        self.refused = self._objection(new)
+        # One that was accepted before is as good now: a command never changes.
+        self.refused = "" if new is self._command else self._objection(new)
         if not self.refused:
             self._command, self._command_at = new, now
         elif not _finite(new):

@@ -98,13 +98,14 @@ class Profile:
 
     def limited(self, wanted: Command, dt: float, measured: Feedback, limits: Limits) -> Command:
         """Return the command that is within the limits, `dt` seconds after the previous one."""
-        if isinstance(wanted, Idle | Hold):
+        if isinstance(wanted, (Idle, Hold)):
             self.forget()
             if isinstance(wanted, Hold) and wanted.torque:
                 return Hold(wanted.motor, limits.torque_now(wanted.torque, measured))
             return wanted
-        blind = isinstance(wanted, Position | Impedance) or limits.position is not None
-        if measured.position is None and blind:
+        if measured.position is None and (
+            limits.position is not None or isinstance(wanted, (Position, Impedance))
+        ):
             self.forget()
             return Idle(wanted.motor)
         match wanted:

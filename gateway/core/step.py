@@ -11,9 +11,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import partial
 from math import isfinite
-from typing import TYPE_CHECKING, Literal, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
 
 from brain.belief import Belief, BrainTask
 from brain.brain import Brain
@@ -170,12 +169,12 @@ class Gateway:
 
     def due(self) -> Nanos | None:
         """Return when a driver next has to send by itself; None if none has to."""
-        times = [self._call(one, one.driver.due, None) for one in self._drivers]
+        times = [self._call(one, None, one.driver.due) for one in self._drivers]
         return min((due for due in times if due is not None), default=None)
 
     def awaiting(self) -> bool:
         """True while a driver awaits an answer to which it has something to add at once."""
-        return any(self._call(one, one.driver.awaits, False) for one in self._drivers)
+        return any(self._call(one, False, one.driver.awaits) for one in self._drivers)
 
     def belief(self) -> Belief:
         """Return the brain's state estimate."""
@@ -213,7 +212,7 @@ class Gateway:
     def _on_bus_states(self, now: Nanos, states: Sequence[tuple[str, BusState]]) -> None:
         for bus, state in states:
             for one in self._on_bus[bus]:
-                self._call(one, partial(one.driver.bus, now, state), None)
+                self._call(one, None, one.driver.bus, now, state)
             bad = state in (BusState.OFF, BusState.GONE, BusState.FULL)
             self._note("error" if bad else "warning", bus, _BUS_TEXTS[state])
 
@@ -223,8 +222,9 @@ class Gateway:
         for packet in packets:
             t = min(packet.t, now)
             for one in self._on_bus[packet.bus]:
-                received = self._call(one, partial(one.driver.receive, t, packet.frame), _NOTHING)
-                events += self._on_events(now, received)
+                received = self._call(one, _NOTHING, one.driver.receive, t, packet.frame)
+                if received:
+                    events += self._on_events(now, received)
         return events
 
     def _on_events(self, now: Nanos, events: Iterable[Event]) -> list[Event]:
@@ -340,8 +340,8 @@ class Gateway:
             for request in asked:
                 self.guard.ask(now, request)
             given = [command for name, command in commands.items() if name in one.motors]
-            send = partial(one.driver.send, now, [*asked, *given])
-            events, frames = self._call(one, send, (_NOTHING, _NO_FRAMES))
+            nothing = _NOTHING, _NO_FRAMES
+            events, frames = self._call(one, nothing, one.driver.send, now, [*asked, *given])
             self._late += events
             packets += self._out(now, one, frames)
         return packets
@@ -363,10 +363,16 @@ class Gateway:
             blocked.text,
         )
 
-    def _call(self, one: _BusDriver, call: Callable[[], Result], otherwise: Result) -> Result:
+    def _call(
+        self,
+        one: _BusDriver,
+        otherwise: Result,
+        call: Callable[..., Result],
+        *given: Any,  # noqa: ANN401 -- what the call takes
+    ) -> Result:
         """Call a driver. If it raises, this is a fault of its motors, and `otherwise` is returned."""
         try:
-            return call()
+            return call(*given)
         except Exception as error:  # noqa: BLE001 -- a plugin may raise anything; the others must go on
             name = f"the driver {one.protocol} on {one.bus} has failed"
             self._latch(one, one.motors, DRIVER_FAILED, name, f"{type(error).__name__}: {error}")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from protocols.cubemars import table as cm
-from protocols.toolkit.mit import KD_MAX, KP_MAX, ImpedanceGains
+from protocols.toolkit.mit import KD_MAX, KP_MAX, ImpedanceGains, gains_of
 from protocols.toolkit.options import bounded, check_bounds
 from protocols.toolkit.table import Table
 
@@ -84,7 +84,7 @@ class Options:
     @property
     def gains(self) -> ImpedanceGains:
         """The gains of Position, Hold and Velocity in MIT mode."""
-        return ImpedanceGains(self.stiffness, self.damping, self.table.row("control"))
+        return gains_of(self.table, "control", self.stiffness, self.damping)
 
     @property
     def erpm(self) -> float:

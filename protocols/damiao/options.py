@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from protocols.damiao import table as dm
-from protocols.toolkit.mit import KD_MAX, KP_MAX, ImpedanceGains
+from protocols.toolkit.mit import KD_MAX, KP_MAX, ImpedanceGains, gains_of
 from protocols.toolkit.options import bounded, check_bounds
 from protocols.toolkit.table import FLOAT_MAX, Table
 
@@ -57,7 +57,7 @@ class Options:
     @property
     def gains(self) -> ImpedanceGains:
         """The gains of Position, Hold and Velocity."""
-        return ImpedanceGains(self.stiffness, self.damping, self.table.row("MIT"))
+        return gains_of(self.table, "MIT", self.stiffness, self.damping)
 
     def reply(self, address: int) -> int:
         """Return the id of a motor's answers."""

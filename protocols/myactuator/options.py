@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from protocols.myactuator.table import table_of
-from protocols.toolkit.mit import KD_MAX, KP_MAX, ImpedanceGains
+from protocols.toolkit.mit import KD_MAX, KP_MAX, ImpedanceGains, gains_of
 from protocols.toolkit.options import bounded, check_bounds
 from protocols.toolkit.table import Table
 
@@ -57,7 +57,7 @@ class Options:
     @property
     def gains(self) -> ImpedanceGains:
         """Gains of the motion mode."""
-        return ImpedanceGains(self.stiffness, self.damping, self.table.row("motion"))
+        return gains_of(self.table, "motion", self.stiffness, self.damping)
 
 
 @dataclass(frozen=True, slots=True)

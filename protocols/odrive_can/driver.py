@@ -108,14 +108,14 @@ class OdriveAdapter(Adapter[Axis]):
 
     def _report(self, t: Nanos, host: OdriveHost, frame: CanFrame, decoded: Decoded) -> OdriveReport | Rx:
         axis, address, name, values = host.own, host.address, decoded.name, decoded.values
-        feedback, faults, read = None, None, dict[str, float]()
         if name == "Get_Encoder_Estimates":
             position, velocity = values["Pos_Estimate"], values["Vel_Estimate"]
             twice = axis.on_estimates(t, position, velocity)
-            feedback = Feedback(host.name, t, position * math.tau, velocity * math.tau)
-            return Report(host, address, feedback=feedback, duplicate=twice, content=decoded)
+            motion = Feedback(host.name, t, position * math.tau, velocity * math.tau)
+            return Report(host, address, feedback=motion, duplicate=twice, content=decoded)
         if name == "Heartbeat":
             return self._on_heartbeat(t, host, frame, decoded)
+        feedback, faults, read = None, None, dict[str, float]()
         if name in MEASURED:
             signal, quantity = MEASURED[name]
             feedback = Feedback(host.name, t, **{quantity: values[signal]})
@@ -218,15 +218,15 @@ class OdriveAdapter(Adapter[Axis]):
         return (still, host.own.encode("Set_Axis_State", Axis_Requested_State=table.IDLE))
 
     def _set_point(self, host: OdriveHost, command: Command) -> CanFrame:
-        encode = host.own.encode
+        encoder, at = host.own.identity.table.encoder, host.address
         match command:
             case msg.Velocity(_, velocity, torque):
-                return encode("Set_Input_Vel", Input_Vel=velocity / math.tau, Input_Torque_FF=torque)
+                return encoder("Set_Input_Vel")(at, Input_Vel=velocity / math.tau, Input_Torque_FF=torque)
             case msg.Torque(_, torque):
-                return encode("Set_Input_Torque", Input_Torque=torque)
+                return encoder("Set_Input_Torque")(at, Input_Torque=torque)
             case msg.Position(_, position, velocity, torque):
-                turns = {"Input_Pos": position / math.tau, "Vel_FF": velocity / math.tau}
-                return encode("Set_Input_Pos", **turns, Torque_FF=torque)
+                encode = encoder("Set_Input_Pos")
+                return encode(at, Input_Pos=position / math.tau, Vel_FF=velocity / math.tau, Torque_FF=torque)
         return self._set_point(host, msg.Position(host.name, host.held or 0.0))
 
     # -- by itself ------------------------------------------------------------------------------------

@@ -47,7 +47,7 @@ FOLLOWED: Mapping[int, tuple[bool, bool, bool]] = {
 `MotorControl/controller.cpp` update.)"""
 COMMANDS: Sequence[Callable[..., msg.Command]] = (msg.Idle, msg.Torque, msg.Velocity, msg.Position)
 """By control mode."""
-LOOPS = tuple(ControlMode)
+TO_A_POSITION = (InputMode.POS_FILTER, InputMode.TRAP_TRAJ)
 NOT_A_NUMBER = "MODULATION_IS_NAN"
 INPUT_FAULTS = ("INVALID_MIRROR_AXIS", "INVALID_INPUT_MODE", NOT_A_NUMBER)
 """The errors of mode and inputs in closed loop, by their names in 0.5.x."""
@@ -93,9 +93,9 @@ class Memory:
     def control(self) -> ControlMode:
         """The outermost loop: voltage control is torque control, and what is above the last is the last. A
         trajectory ends in position control, and a filter leads to a position, whatever the control mode."""
-        if self.input_mode in (InputMode.POS_FILTER, InputMode.TRAP_TRAJ):
+        if self.input_mode in TO_A_POSITION or self.control_mode >= ControlMode.POSITION:
             return ControlMode.POSITION
-        return LOOPS[min(max(self.control_mode, ControlMode.TORQUE), ControlMode.POSITION)]
+        return ControlMode.TORQUE if self.control_mode <= ControlMode.TORQUE else ControlMode.VELOCITY
 
     @property
     def fault(self) -> str:
@@ -105,9 +105,7 @@ class Memory:
     @property
     def trips(self) -> bool:
         """True if that is an error now: inputs that are no numbers are none before closed loop."""
-        return self._trips_with(self.fault)
-
-    def _trips_with(self, fault: str) -> bool:
+        fault = self.fault
         return fault != "" and (self.armed or fault != NOT_A_NUMBER)
 
     def _fault_of(self, inputs: Sequence[float]) -> str:
@@ -117,15 +115,18 @@ class Memory:
 
     def _inputs(self, control: ControlMode) -> Sequence[float]:
         """Return the inputs that control and input mode follow, in the order of a command's fields."""
-        inputs = (self.position or 0.0, self.velocity, self.torque)
-        followed = zip(inputs, FOLLOWED.get(self.input_mode, ()), strict=False)
-        return [value if follows else 0.0 for value, follows in followed][ControlMode.POSITION - control :]
+        inputs: tuple[float, ...] = (self.position or 0.0, self.velocity, self.torque)
+        if self.input_mode != InputMode.PASSTHROUGH:  # which follows all of them
+            followed = zip(inputs, FOLLOWED.get(self.input_mode, ()), strict=False)
+            inputs = tuple(value if follows else 0.0 for value, follows in followed)
+        return inputs[ControlMode.POSITION - control :]
 
     def _command(self) -> Sequence[msg.Command]:
         """Return the command that mode and inputs amount to now; none if they change nothing."""
         control = self.control
         inputs = self._inputs(control)
-        if self._trips_with(self._fault_of(inputs)):
+        fault = self._fault_of(inputs)
+        if fault and (self.armed or fault != NOT_A_NUMBER):
             self.disarm()
             return (msg.Idle(self.motor),)
         if not self.armed or not FOLLOWED[self.input_mode][ControlMode.POSITION - control]:
@@ -145,13 +146,13 @@ class Memory:
 
     def obey(self, decoded: Decoded) -> Sequence[Obeyed]:
         """Apply a message to any address; return what the axis then does."""
-        decoded = obeyed_as(decoded)
+        decoded = obeyed_as(decoded) if " " in decoded.name else decoded
         name, values, motor = decoded.name, decoded.values, self.motor
         if name == "Address":
             return self._assign(values["Node_ID"], values["Serial_Number"])
         if name == "Set_Axis_Node_ID" and decoded.address == self.other:
             self.other = values["Axis_Node_ID"] & table.MAX_EXTENDED_NODE
-        if not self.addressed(decoded):
+        if decoded.address != self.node and not self.addressed(decoded):
             return ()
         match name.removesuffix(" (0.5.x)"):
             case "Set_Input_Pos":

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from protocols.robstride import table as rs
-from protocols.toolkit.mit import ImpedanceGains
+from protocols.toolkit.mit import ImpedanceGains, gains_of
 from protocols.toolkit.options import bounded, check_bounds
 from protocols.toolkit.table import Table
 
@@ -62,7 +62,7 @@ class Options:
     @property
     def gains(self) -> ImpedanceGains:
         """The gains of Position, Hold and Velocity."""
-        return ImpedanceGains(self.stiffness, self.damping, self.table.row("control"))
+        return gains_of(self.table, "control", self.stiffness, self.damping)
 
 
 @dataclass(frozen=True, slots=True)

@@ -253,9 +253,10 @@ class Host(Generic[Own]):
         if self.offline or self.tripped or self.phase is Phase.FAULT or self.mode is Mode.FAULT:
             return self.phase
         self.own_unasked()
-        self._fire(now, Trigger.COMMAND)
-        if self.mode is Mode.ARMED:  # also one that ran before us
-            self._fire(now, Trigger.ARMED)
+        if self.phase is not Phase.ARMED:
+            self._fire(now, Trigger.COMMAND)
+            if self.mode is Mode.ARMED:  # also one that ran before us
+                self._fire(now, Trigger.ARMED)
         if not hold:
             self.held = None
         elif self.held is None:

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 from protocols import messages as msg
 from protocols.frames import CanFrame
 from protocols.messages import Command
 from protocols.plugin import Range
-from protocols.toolkit.table import Field, Row, Values, const, span
+from protocols.toolkit.table import Field, Row, Table, Values, const, span
 
 NUMBERS = ("position", "velocity", "torque", "stiffness", "damping")
 COMMANDS: frozenset[type[Command]] = frozenset(
@@ -84,6 +84,11 @@ class ImpedanceGains:
     row: Row
 
     @cached_property
+    def _ends(self) -> tuple[float, float]:
+        """Lowest and highest position."""
+        return self.row.field("position").ends()
+
+    @cached_property
     def _steps(self) -> tuple[float, float]:
         """Values of one count of both."""
         return self.row.field("stiffness").step, self.row.field("damping").step
@@ -101,7 +106,7 @@ class ImpedanceGains:
             case msg.Impedance():
                 return command
         torque = getattr(command, "torque", 0.0)  # of Hold
-        low, high = self.row.field("position").ends()
+        low, high = self._ends
         if held is None or not low <= held <= high:  # a spring would pull it to zero, or to an end
             return msg.Impedance(motor, 0.0, 0.0, torque, 0.0, self.damping)
         return msg.Impedance(motor, held, 0.0, torque, self.stiffness, self.damping)
@@ -111,18 +116,16 @@ class ImpedanceGains:
         if not isinstance(command, msg.Impedance):
             return command
         motor, velocity, torque = command.motor, command.velocity, command.torque
-        if self._is(command, 0.0, 0.0):
-            return msg.Torque(motor, torque)
-        if self._is(command, 0.0, self.damping):
-            return msg.Velocity(motor, velocity, torque)
-        if self._is(command, self.stiffness, self.damping):
+        step, fine = self._steps  # gains are the same if they are encoded so
+        as_damped = abs(command.damping - self.damping) < fine
+        if abs(command.stiffness) < step:
+            if abs(command.damping) < fine:
+                return msg.Torque(motor, torque)
+            if as_damped:
+                return msg.Velocity(motor, velocity, torque)
+        if as_damped and abs(command.stiffness - self.stiffness) < step:
             return msg.Position(motor, command.position, velocity, torque)
         return command
-
-    def _is(self, command: msg.Impedance, stiffness: float, damping: float) -> bool:
-        """True if a command's gains are these, as they are encoded."""
-        steps = self._steps
-        return abs(command.stiffness - stiffness) < steps[0] and abs(command.damping - damping) < steps[1]
 
     def ranges(self) -> dict[str, Range]:
         """Return the ranges of all commands, as in `Spec.ranges`."""
@@ -135,3 +138,9 @@ class ImpedanceGains:
             "Impedance": NUMBERS,
         }
         return {f"{kind}.{name}": spans[name] for kind, names in carried.items() for name in names}
+
+
+@cache
+def gains_of(table: Table, row: str, stiffness: float, damping: float) -> ImpedanceGains:
+    """Return the gains of Position, Hold and Velocity, for set-points of this row."""
+    return ImpedanceGains(stiffness, damping, table.row(row))

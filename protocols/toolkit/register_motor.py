@@ -33,6 +33,12 @@ SILENT = 3
 class Motor:
     """What is known of one device beyond its phase. Plain data."""
 
+    expected: Mapping[str, float] = field(default_factory=dict)
+    """The registers that must be so,"""
+    written: Mapping[str, float] = field(default_factory=dict)
+    """and those that are written before it is armed."""
+    wrong: dict[str, float] = field(default_factory=dict)
+    """Of those that must be so, the ones that are not."""
     known: dict[str, float] = field(default_factory=dict)
     """What its registers hold, since it was last forgotten."""
     known_at: dict[str, Nanos] = field(default_factory=dict)
@@ -54,10 +60,13 @@ class Motor:
     def put(self, t: Nanos, name: str, value: float) -> None:
         """Record what a register holds."""
         self.known[name], self.known_at[name] = value, t
+        if name in self.expected:
+            self.wrong = self.different(self.expected)
 
     def forget(self) -> None:
         """Forget everything: the device may have restarted."""
         self.known.clear()
+        self.wrong.clear()
         self.asked.clear()
 
     def is_asked(self, t: Nanos, name: str) -> bool:
@@ -116,7 +125,7 @@ class RegisterAdapter(Adapter[Motor]):
 
     def wanted(self, host: Host[Motor]) -> Mapping[str, float]:
         """Return what these must hold now, where that depends on more than the options."""
-        return self.written(host.options)
+        return host.own.written
 
     def polled(self, options: Any) -> Sequence[str]:  # noqa: ANN401
         """Return the registers that are read with every question and command."""
@@ -164,20 +173,20 @@ class RegisterAdapter(Adapter[Motor]):
     # -- sent -----------------------------------------------------------------------------------------
 
     def own(self, device: Device) -> Motor:
-        return Motor()
+        return Motor(self.expected(device.options), self.written(device.options))
 
     def forget(self, now: Nanos, host: Host[Motor]) -> None:
         host.own.forget()
 
     def refuse(self, host: Host[Motor], command: Command) -> str:
-        known, expected = host.own.known, self.expected(host.options)
-        wrong = host.own.different(expected)
-        differences = ", ".join(f"{name} is {known[name]:g}, not {expected[name]:g}" for name in wrong)
+        known, wrong = host.own.known, host.own.wrong
+        differences = ", ".join(f"{name} is {known[name]:g}, not {wrong[name]:g}" for name in wrong)
         return f"it is another model than the robot file has: {differences}" if wrong else ""
 
     def ready(self, host: Host[Motor]) -> bool:
-        known, options = host.own.known.keys(), host.options
-        return self.expected(options).keys() | self.written(options).keys() <= known
+        own = host.own
+        known = own.known.keys()
+        return own.expected.keys() <= known and own.written.keys() <= known
 
     def arm(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
         wanted = self.wanted(host)
@@ -207,7 +216,7 @@ class RegisterAdapter(Adapter[Motor]):
         if now < self.poll_due(host):
             return ()
         options = host.options
-        needed = (*self.expected(options), *self.written(options))
+        needed = (*host.own.expected, *host.own.written)
         names = (*host.own.missing(now, needed), *self.polled(options))
         return host.own.answers.sent(now, [*self.ask(host), *self._read(now, host, names)])
 
