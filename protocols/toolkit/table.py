@@ -310,7 +310,6 @@ def _compiled(row: Row) -> tuple[_Encode, _Decode]:
     }
     size = (sum(field.bits for field in row.fields) + 7) // 8
     words, taken, packed = _data(row, scope)
-    packed += f" + {bytes(row.sent - size)!r}" if row.sent > size else ""
     packed = f"({packed})[:{row.sent}]" if 0 < row.sent < size else packed
     raws = [f"r{at} = {_raw(field)}" for at, field in enumerate(row.fields) if field.name]
 
@@ -331,6 +330,9 @@ def _compiled(row: Row) -> tuple[_Encode, _Decode]:
 
     shortest = size if row.fewest < 0 else row.fewest
     longest = max(8, row.sent) if row.fewest >= 0 or row.sent > size else size
+    # Data of exactly this size are the usual case: nothing but `unpack` looks at their length.
+    received = f"unpack_from(data) if {size} < len(data) <= {longest} else unpack(data)"
+    received = received if longest > size else "unpack(data)"
     given = ", ".join(name for name in names if name != "address")
     source = f"""
 def encode(address{f", *, {given}" if given else ""}):
@@ -339,11 +341,11 @@ def encode(address{f", *, {given}" if given else ""}):
 
 def decode(address, number, data):
     try:
-        {words} = unpack(data)
+        {words} = {received}
     except error:
-        if not {shortest} <= len(data) <= {longest}:
+        if not {shortest} <= len(data) < {size}:
             return None
-        {words} = unpack(data[:{size}].ljust({size}, b"\\0"))
+        {words} = unpack(data.ljust({size}, b"\\0"))
     {taken}
     {_wrong(row.fields)}
     return new(Decoded, ({row.name!r}, {address}, {{{", ".join(values)}}}))
@@ -353,11 +355,14 @@ def decode(address, number, data):
 
 
 def _data(row: Row, scope: dict[str, Any]) -> tuple[str, str, str]:
-    """Return the numbers w0, w1 … of which data is made, the statements that take raw numbers r0, r1 … from
-    them, and the expression for the data of raw numbers."""
+    """Return the numbers of which data is made (raw numbers r0, r1 …; words w0, w1 … with parts of such),
+    the statements that take the other raw numbers from these words, and the expression for the data."""
     words = _words(row.fields)
-    packer = struct.Struct(("<" if row.order == "little" else ">") + "".join(code for code, _, _ in words))
-    scope |= {"pack": packer.pack, "unpack": packer.unpack}
+    codes = ("<" if row.order == "little" else ">") + "".join(code for code, _, _ in words)
+    packer = struct.Struct(codes)
+    padded = struct.Struct(f"{codes}{max(0, row.sent - packer.size)}x")
+    scope |= {"pack": padded.pack, "unpack": packer.unpack, "unpack_from": packer.unpack_from}
+    names = [f"w{number}" for number in range(len(words))]
     taken = []
     packed: list[list[str]] = [[] for _ in words]
     start = 0
@@ -375,12 +380,14 @@ def _data(row: Row, scope: dict[str, Any]) -> tuple[str, str, str]:
                 packed[number].append(_bits(sent, part, high - low, field.bits, place))
                 parts.append(_bits(f"w{number}", place, high - low, last - first, part))
         bits, half = " | ".join(parts), ones // 2 + 1
-        if not whole:
+        if whole:
+            names[words.index((_code(field), start, end))] = f"r{at}"
+        elif field.name or field.kind == "const":
             bits = {"f32": f"f32({bits})", "int": f"(({bits}) ^ {half}) - {half}"}.get(field.kind, bits)
-        taken += [f"r{at} = {bits}"] if field.name or field.kind == "const" else []
+            taken.append(f"r{at} = {bits}")
         start = end
-    names = "".join(f"w{number}, " for number in range(len(words)))
-    return f"({names})", "; ".join(taken) or "pass", f"pack({', '.join(map(' | '.join, packed))})"
+    received = "".join(f"{name}, " for name in names)
+    return f"({received})", "; ".join(taken) or "pass", f"pack({', '.join(map(' | '.join, packed))})"
 
 
 def _bits(name: str, at: int, count: int, width: int, to: int) -> str:
