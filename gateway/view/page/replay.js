@@ -38,7 +38,8 @@ export class Replay {
     $("seek").max = length;
     if (!this.sliding) $("seek").value = t;
     say($("when"), `${t.toFixed(2)} of ${length.toFixed(2)} s${under_way ? " …" : ""}`);
-    say($("prepared"), `${Math.floor(100 * prepared)} % compared with today's code, differences: ${differences.length || "none"}`);
+    const found = differences.length;
+    say($("prepared"), `${Math.floor(100 * prepared)} % compared, ${found || "no"} difference${found === 1 ? "" : "s"}`);
     $("ready").style.width = `${100 * prepared}%`;
     const marks = JSON.stringify([length, differences]);
     if (marks === this.marks) return;

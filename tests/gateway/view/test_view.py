@@ -5,19 +5,21 @@ from __future__ import annotations
 import random
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from itertools import pairwise
+from dataclasses import dataclass, field, replace
+from itertools import cycle, pairwise
 from typing import Any
 
+import numpy as np
 import pytest
 
+from brain.belief import Estimate, Pose
 from gateway.config import load_robot
 from gateway.core.step import Gateway
 from gateway.core.tick import Inputs, Note, Outputs, Tick
 from gateway.view import Access, Address, Scene, View, parse_address
 from gateway.view.requests import AT_ONCE, HELD
 from gateway.view.server import MAX_CLIENTS, MAX_SIZE, MAX_UNSENT, PATIENCE
-from protocols.messages import MILLISECOND, SECOND, Drive, Goal, Instruction, Nanos, Set, Stop
+from protocols.messages import MILLISECOND, SECOND, Drive, Goal, Instruction, LaserScan, Nanos, Set, Stop
 from tests.gateway.view.clients import Browser, get
 
 PERIOD: Nanos = 5 * MILLISECOND
@@ -169,6 +171,27 @@ def test_a_page_is_greeted_and_then_told_at_its_rates(loop: Bench) -> None:
     names = [one["name"] for one in page.messages[0]["joints"]]
     assert names == ["left", "right"]
     assert len(page.of("joints")[-1]["rows"]) == 2
+
+
+def test_a_late_tick_does_not_make_the_next_ones_late(loop: Bench) -> None:
+    page = loop.page()
+    for number, jitter in zip(range(400), cycle((0, 1, 2)), strict=False):
+        loop.now = (number + 100) * PERIOD + jitter * MILLISECOND - PERIOD
+        loop.tick()
+    times = [one["t"] for one in page.of("joints") if one["t"] >= 0.5]
+    assert abs(len(times) - (times[-1] - times[0]) / 0.02) <= 1.5
+
+
+def test_a_scan_is_shown_from_where_it_was_measured() -> None:
+    scene = Scene(Gateway(load_robot("diffbot")), "live", dict)
+    belief = scene.belief
+    for number in range(1, 11):
+        now = number * PERIOD
+        scan = LaserScan("lidar", 3 * PERIOD, 0.0, 0.1, 0.1, 5.0, (1.0, 2.0), duration=4 * PERIOD)
+        estimate = Estimate(now, Pose(number / 100, 0.0, 0.0), 2.0, 0.0, np.zeros((3, 3)))
+        outputs = Outputs(events=(scan,) if number == 10 else ())
+        scene.observe(Tick(number, now, Inputs(), outputs), replace(belief, estimate=estimate))
+    assert scene.swept == {"lidar": [[0.03, 0.0, 0.0], [0.07, 0.0, 0.0]]}
 
 
 def test_a_page_asks_and_is_answered(loop: Bench) -> None:
