@@ -261,5 +261,7 @@ class Following:
     def _lasts(self, code: int, beyond: bool, dt: Nanos, time: Nanos) -> bool:
         """True if a bound has been exceeded for a time; within it, that time runs back at half speed."""
         since = self._since.get(code, 0)
+        if not since and not beyond:
+            return False
         self._since[code] = since = since + dt if beyond else max(0, since - dt // 2)
         return since > time

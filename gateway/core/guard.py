@@ -227,9 +227,13 @@ class Guard:
         joints: Mapping[str, Joint],
         stopped: bool,
     ) -> Objection | None:
-        named = [getattr(one, "motor", "") for one in obeyed]
-        ours = [name for name in named if name in joints and self._is_ours(now, joints[name])]
-        for one, name in zip(obeyed, named, strict=True):
+        ours: list[str] = []
+        for one in obeyed:
+            joint = joints.get(getattr(one, "motor", ""))
+            if joint is not None and self._is_ours(now, joint):
+                ours.append(joint.name)
+        for one in obeyed:
+            name = getattr(one, "motor", "")
             if isinstance(one, READS):
                 continue  # it only reads
             if isinstance(one, msg.SetId):
@@ -279,9 +283,10 @@ class Guard:
         velocity, slack = bounds.at_joint(one, "velocity")
         if not abs(velocity) <= limits.velocity + slack:  # NaN is neither
             return "velocity beyond the limit", f"{velocity:g}, limit {limits.velocity:g}"
-        torque, error = bounds.at_joint(one, "torque")
-        if not abs(torque) <= limits.torque + error:
-            return "torque beyond the limit", f"{torque:g}, limit {limits.torque:g}"
+        if one.torque:  # 0 is within every limit
+            torque, error = bounds.at_joint(one, "torque")
+            if not abs(torque) <= limits.torque + error:
+                return "torque beyond the limit", f"{torque:g}, limit {limits.torque:g}"
         if isinstance(one, msg.Velocity):
             measured_velocity = measured.velocity or 0.0
             for before, dt in self._before(now, one, "velocity", measured_velocity):

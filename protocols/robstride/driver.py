@@ -98,7 +98,7 @@ class RobStrideAdapter(RegisterAdapter):
         mode, detail = MODES[values["mode"]]
         # A status has fewer faults than a fault message, and does not take those back.
         faults = rs.faults_in_status(host.options.model, values["faults"])
-        faults |= {code for code in host.active if code >= rs.DETAIL}
+        faults = faults.union(code for code in host.active if code >= rs.DETAIL) if host.active else faults
         mode = Mode.FAULT if faults else mode
         # Its position loops at ±4π, or ends there: mechPos has it.
         motion = values["velocity"], values["torque"]

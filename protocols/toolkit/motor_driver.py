@@ -228,14 +228,14 @@ class MotorDriver(Generic[Own]):
         """Decode a frame; [] for foreign ones."""
         events: list[Event] = []
         for report in self.adapter.receive(t, frame, self):
-            if report is Rx.IGNORED:
+            if isinstance(report, Report):
+                events += self._on_report(t, report)
+            elif report is Rx.IGNORED:
                 self.counters.add(ignored=1)
             elif report is Rx.EXPECTED:
                 self.counters.add(accepted=1)
-            elif report is Rx.MALFORMED:
+            else:
                 self.counters.add(malformed=1)
-            elif isinstance(report, Report):
-                events += self._on_report(t, report)
         return events
 
     def _on_report(self, t: Nanos, report: Report[Own]) -> list[Event]:
@@ -328,17 +328,19 @@ class MotorDriver(Generic[Own]):
         """Send requests, then commands, then what disarms, then what is polled."""
         events, self._events = self._events, []
         frames: list[Frame] = []
+        commands: list[Command] = []
         for message in messages:
-            if isinstance(message, msg.Stop):
+            if isinstance(message, Command):
+                commands.append(message)
+            elif isinstance(message, msg.Stop):
                 for host in self.hosts.values():
                     host.own_unasked()
-            elif not isinstance(message, Command):
+            else:
                 events += self.queue.add(self._begin(now, message))
         if self.queue.waiting:
             self._send_requests(now, events, frames)
-        for message in messages:
-            if isinstance(message, msg.COMMANDS):
-                frames += self._command(now, message, events)
+        for command in commands:
+            frames += self._command(now, command, events)
         for host in self.hosts.values():
             silent = host.check_silence(now)
             if silent:

@@ -278,7 +278,8 @@ class Table:
 
     def read_only(self, frame: Frame) -> bool:
         """True if a frame holds a message that changes nothing, as `Spec.read_only` does."""
-        return any(self._rows[name].read_only for name in self.names(frame))
+        decoded = self.decode(frame, "to_device")
+        return decoded is not None and decoded.name != "" and self._rows[decoded.name].read_only
 
     def ids(self, direction: Direction, address: int) -> tuple[IdMask, ...]:
         """Return the ids of the messages to or from a device, each once."""
