@@ -99,7 +99,7 @@ export class Joints {
       return [low - pad, high + pad];
     };
     return new uPlot({
-      width: box.clientWidth || 300, height: 110, legend: { show: false }, cursor: { show: false }, padding: [6, 8, 0, 0],
+      width: box.clientWidth || 300, height: 110, legend: { show: false }, cursor: { show: false }, padding: [6, 14, 0, 0],
       scales: { x: { time: false, range: () => [-SPAN, 0] }, y: { range } },
       axes: [{ ...axis, size: 22, values: (_, ticks) => ticks.map(v => `${v} s`) }, { ...axis, size: 46 }],
       series: [{}, { stroke: colour("--command"), width: 2, paths: uPlot.paths.stepped({ align: 1 }), points: { show: false } },

@@ -337,7 +337,8 @@ export class Field {
       this.pan((event.clientX - before.clientX) / (others.length + 1), (event.clientY - before.clientY) / (others.length + 1));
       if (others.length === 1) {
         const span = one => Math.max(10, Math.hypot(one.clientX - others[0].clientX, one.clientY - others[0].clientY));
-        this.zoom(span(event) / span(before));
+        const [clientX, clientY] = [(event.clientX + others[0].clientX) / 2, (event.clientY + others[0].clientY) / 2];
+        this.zoom(span(event) / span(before), { clientX, clientY });
       }
     }
     this.pointers.set(event.pointerId, event);
