@@ -98,7 +98,9 @@ class Band:
 
     def distance(self, measured: float) -> float:
         """Return how far a value is outside."""
-        return max(measured - self.high, self.low - measured, 0.0)
+        if measured > self.high:
+            return measured - self.high
+        return self.low - measured if measured < self.low else 0.0
 
 
 class Following:

@@ -310,8 +310,8 @@ class Joint:
 
     def feedback_lost(self, now: Nanos) -> bool:
         """True if there is no feedback, or it is older than the timeout."""
-        age = self.feedback_age(now)
-        return age is None or age > self.settings.feedback_timeout
+        received = self._received_at
+        return received is None or now - received > self.settings.feedback_timeout
 
     # -- from the brain -----------------------------------------------------------------------
 
@@ -325,8 +325,8 @@ class Joint:
         device was armed, a fault latches, since a motor that comes back must not start by itself."""
         if new is not None:
             self._accept(now, new)
-        if self._received_at is not None:  # a stamp from the future must not keep the joint from going blind
-            self._received_at = min(self._received_at, now)
+        if self._received_at is not None and self._received_at > now:
+            self._received_at = now  # a stamp from the future must not keep the joint from going blind
         if self.owned and self.armed and self.feedback_lost(now):
             limit = f"{self.settings.feedback_timeout / MILLISECOND:g} ms"
             self.latch(self._fault(now, FEEDBACK_LOST, limit))

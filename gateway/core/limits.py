@@ -52,10 +52,12 @@ class Limits:
         if self.position is None:
             return position
         low, high = self.position
-        return max(low, min(high, position))
+        return position if low <= position <= high else max(low, min(high, position))
 
     def torque_now(self, wanted: float, measured: Feedback) -> float:
         """Return a torque within its limit that accelerates no shaft beyond its velocity or end of travel."""
+        if not wanted:
+            return wanted
         torque = clamp(wanted, self.torque)
         velocity, position = measured.velocity, measured.position
         if velocity is not None and velocity * torque > 0.0:

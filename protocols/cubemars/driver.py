@@ -177,7 +177,7 @@ class CubeMarsAdapter(Adapter[Motor]):
         heat = None if values["temperature"] is None else float(values["temperature"])
         feedback = Feedback(host.name, t, position, velocity, torque, current, temperature=heat)
         cause = "its position jumps there and back" if two else ""
-        return Report(host, host.address, mode, detail, faults, feedback, duplicate=cause)
+        return Report(host, host.address, mode, detail, faults, feedback, cause)
 
     # -- sent -----------------------------------------------------------------------------------------
 

@@ -79,7 +79,7 @@ class DamiaoAdapter(RegisterAdapter):
         hottest = float(max(values["mos"], values["rotor"]))
         feedback = Feedback(host.name, t, position, values["velocity"], values["torque"], None, None, hottest)
         faults, many = (status,) if mode is Mode.FAULT else (), host.own.reported(t)
-        return Report(host, host.address, mode, detail, faults, feedback, duplicate=many)
+        return Report(host, host.address, mode, detail, faults, feedback, many)
 
     # -- sent -----------------------------------------------------------------------------------------
 

@@ -143,7 +143,7 @@ class RoboMasterAdapter(Adapter[Controller]):
         two = own.shaft.add(t, own.position, own.velocity)
         faults = (rm.ERROR,) if own.error else ()
         duplicate = "positions of two rotors" if two else ""
-        return (Report(host, host.address, mode, detail, faults, feedback, duplicate=duplicate),)
+        return (Report(host, host.address, mode, detail, faults, feedback, duplicate),)
 
     # -- sent -----------------------------------------------------------------------------------------
 

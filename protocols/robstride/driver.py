@@ -102,7 +102,7 @@ class RobStrideAdapter(RegisterAdapter):
         mode = Mode.FAULT if faults else mode
         # Its position loops at ±4π, or ends there: mechPos has it.
         motion = values["velocity"], values["torque"]
-        feedback = Feedback(host.name, t, None, *motion, temperature=values["temperature"])
+        feedback = Feedback(host.name, t, None, *motion, None, None, values["temperature"])
         return Report(host, host.address, mode, detail, faults, feedback)
 
     # -- sent -----------------------------------------------------------------------------------------

@@ -108,6 +108,10 @@ class Report(Generic[Own]):
     faults: Collection[int] | None = None
     """Codes of all faults that are active."""
     feedback: Feedback | None = None
+    duplicate: str = ""
+    """Why this address must be held by more than one device."""
+    content: Any = None
+    """The frame as the protocol decodes it, for its own requests."""
     events: Sequence[Event] = ()
     """Others that are reported as they are: measurements of a sensor."""
     parameters: Mapping[str, float] = field(default_factory=dict)
@@ -117,10 +121,6 @@ class Report(Generic[Own]):
     serial: int | None = None
     note: str = ""
     """Hardware and firmware, for `Found`."""
-    duplicate: str = ""
-    """Why this address must be held by more than one device."""
-    content: Any = None
-    """The frame as the protocol decodes it, for its own requests."""
     counted: bool = True
     """False: the frame is counted with another device's report."""
 
