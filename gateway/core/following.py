@@ -177,7 +177,8 @@ class Following:
             span = (t - last) / SECOND
             self._travel += 0.5 * (self._velocity + velocity) * span
             self._fastest *= max(0.0, 1.0 - span / (4.0 * LAG))
-        self._fastest = max(self._fastest, abs(velocity))
+        if abs(velocity) > self._fastest:
+            self._fastest = abs(velocity)
         self._moved_at, self._velocity = t, velocity
 
     def _compare(self, t: Nanos, position: float, travel: float) -> None:

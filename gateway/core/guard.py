@@ -280,10 +280,12 @@ class Guard:
         """Return which number of a set-point is beyond the limits of the robot file."""
         bounds, measured = self._motors[joint.name], joint.feedback
         limits = bounds.limits
-        velocity, slack = bounds.at_joint(one, "velocity")
-        if not abs(velocity) <= limits.velocity + slack:  # NaN is neither
-            return "velocity beyond the limit", f"{velocity:g}, limit {limits.velocity:g}"
-        if one.torque:  # 0 is within every limit
+        velocity = slack = 0.0
+        if getattr(one, "velocity", 0.0):  # 0 is within every limit, and NaN is not 0
+            velocity, slack = bounds.at_joint(one, "velocity")
+            if not abs(velocity) <= limits.velocity + slack:
+                return "velocity beyond the limit", f"{velocity:g}, limit {limits.velocity:g}"
+        if one.torque:
             torque, error = bounds.at_joint(one, "torque")
             if not abs(torque) <= limits.torque + error:
                 return "torque beyond the limit", f"{torque:g}, limit {limits.torque:g}"

@@ -18,7 +18,17 @@ from protocols.odrive_can import errors, table
 from protocols.odrive_can.driver import OdriveAdapter
 from protocols.odrive_can.options import Options, Settings, configured, line_of
 from protocols.odrive_can.twin import OdriveTwin, Twin05, Twin06, memory
-from protocols.plugin import CommandDecoder, Device, Driver, FeedbackKind, Plugin, Range, Spec, Watchdog
+from protocols.plugin import (
+    CommandDecoder,
+    Device,
+    Driver,
+    FeedbackKind,
+    Plugin,
+    Range,
+    Spec,
+    Watchdog,
+    unchanged,
+)
 from protocols.toolkit.assembly import TableDecoder, can_motor
 from protocols.toolkit.motor_driver import MotorDriver
 from protocols.toolkit.table import BINARY32
@@ -123,7 +133,7 @@ def driver(devices: Sequence[Device]) -> Driver:
 def decoder(devices: Sequence[Device]) -> CommandDecoder:
     """Return what the ODrives of one bus would obey."""
     tables = {each.name: table.table_of(line_of(each), each.options.is_extended) for each in devices}
-    return TableDecoder([(tables[each.name], memory(each), lambda command: command) for each in devices])
+    return TableDecoder([(tables[each.name], memory(each), unchanged) for each in devices])
 
 
 def twin(device: Device, seed: int) -> OdriveTwin:
