@@ -234,16 +234,19 @@ class Guard:
                 ours.append(joint.name)
         for one in obeyed:
             name = getattr(one, "motor", "")
-            if isinstance(one, READS):
-                continue  # it only reads
-            if isinstance(one, msg.SetId):
-                if not self._was_asked(now, bus, msg.SetId):
-                    return "a request that was not made", "SetId"
-            elif name not in joints:
-                return "a command to a device that is not a motor of this robot", name
-            elif name not in ours and not (ours and _is_at_rest(one)):
-                return "a command to a device that was not commanded", type(one).__name__
-            elif (found := self._objection_to(now, one, joints[name], ours, stopped)) is not None:
+            if name not in ours:
+                if isinstance(one, READS):
+                    continue  # it only reads
+                if isinstance(one, msg.SetId):
+                    if not self._was_asked(now, bus, msg.SetId):
+                        return "a request that was not made", "SetId"
+                    continue
+                if name not in joints:
+                    return "a command to a device that is not a motor of this robot", name
+                if not (ours and _is_at_rest(one)):
+                    return "a command to a device that was not commanded", type(one).__name__
+            found = self._objection_to(now, one, joints[name], ours, stopped)
+            if found is not None:
                 return found
         if obeyed or any(spec.read_only(frame) for spec in self._specs[bus, protocol].values()):
             return None
