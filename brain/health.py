@@ -346,12 +346,9 @@ class Health:
         if name not in self._timeouts:
             return OK
         age, timeout, settings = now - self._last[name], self._timeouts[name], self.settings
-        for level, share in (
-            (HealthLevel.HALT, settings.stand_age),
-            (HealthLevel.SLOW, settings.slow_age),
-        ):
-            limit = round(share * timeout)
-            if age > limit:
+        stand, slow = settings.stand_age * timeout, settings.slow_age * timeout
+        for level, share in ((HealthLevel.HALT, stand), (HealthLevel.SLOW, slow)):
+            if age > share - 1.0 and age > (limit := round(share)):
                 reason = f"{name}: no {self._measurement[name]} for more than {limit / MILLISECOND:g} ms"
                 reason += self._why_absent(name)
                 return SourceHealth(level, reason)

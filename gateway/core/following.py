@@ -216,11 +216,11 @@ class Following:
         limit, speed, band = self._limits.velocity, measured.velocity or 0.0, self._band
         fast, margin, code, turning = abs(speed) - limit, FAST, NOT_FOLLOWED, False
         share, floor, part, actual = min(1.0, dt / SECOND / self._lag), self._slack, 0.0, measured.position
-        if isinstance(sent, (Velocity, Hold)):
+        if isinstance(sent, Position):
+            setpoint = sent.position
+        elif isinstance(sent, (Velocity, Hold)):
             floor, part, actual, turning = FLOOR * limit, self._share, measured.velocity, True
             setpoint = sent.velocity if isinstance(sent, Velocity) else self._slow_down(dt)
-        elif isinstance(sent, Position):
-            setpoint = sent.position
         else:  # an Impedance is followed by no quantity of its own
             setpoint, actual = (sent.torque, measured.torque) if isinstance(sent, Torque) else (0.0, None)
             floor, part, code, margin = TORQUE_FLOOR * self._limits.torque, TORQUE_SHARE, NO_TORQUE, FAST_FREE
@@ -228,8 +228,8 @@ class Following:
         if actual is not None:
             band.follow(setpoint, share)
             beyond = band.distance(actual) > floor + part * max(-band.low, band.high)
-            if isinstance(sent, Torque) and speed * setpoint > 0.0:
-                beyond = beyond and abs(speed) < AT_LIMIT * limit
+            if beyond and isinstance(sent, Torque) and speed * setpoint > 0.0:
+                beyond = abs(speed) < AT_LIMIT * limit
             still = self._moved_at is not None and self._moved_at - self._changed_at > self._time // 3
             if self._lasts(code, beyond, dt, self._time // 2 if still else self._time):
                 found = found or (code, f"{setpoint:.3g} commanded, {actual:.3g} measured")

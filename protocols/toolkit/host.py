@@ -265,7 +265,7 @@ class Host(Generic[Own]):
 
     def own_unasked(self) -> None:
         """Own it without a command: an operator's stop also disarms what another host armed."""
-        if self._unasked():
+        if not self.once_commanded and self._unasked():
             self.received_at = None  # its silence counts from now on
         self.owned = self.once_commanded = True
 
@@ -321,11 +321,12 @@ class Host(Generic[Own]):
 
     def check_silence(self, now: Nanos) -> list[Event]:
         """Report once that it is offline."""
-        if self._unasked():
+        timing = self.timing
+        if timing.only_replies and self._unasked():
             return []
         if self.received_at is None:
             self.received_at = now  # when we began to listen
-        if self.offline or now - self.received_at < self.timing.offline:
+        if self.offline or now - self.received_at < timing.offline:
             return []
         self.forget(now)
         self.offline = True

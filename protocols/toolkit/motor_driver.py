@@ -247,7 +247,8 @@ class MotorDriver(Generic[Own]):
         cause = report.duplicate
         if report.serial is not None and report.address != self.adapter.unaddressed:
             cause = self.serials.add(t, report.address, report.serial) or cause
-        events += self._on_duplicate(t, report, cause) if cause else []
+        if cause:
+            events += self._on_duplicate(t, report, cause)
         for pending in self.queue.waiting:
             if pending.host is None:
                 events += self._on_found(t, pending, report)
@@ -347,7 +348,7 @@ class MotorDriver(Generic[Own]):
                 self.adapter.forget(now, host)
                 events += silent
             events += self.adapter.notice(now, host)
-            if host.release_due(now):
+            if host.phase is Phase.RELEASING and host.release_due(now):
                 frames += self.adapter.release(now, host)
             frames += self.adapter.poll(now, host)
         frames += self.adapter.poll_bus(now)
