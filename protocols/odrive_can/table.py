@@ -229,7 +229,7 @@ def ids_of_driver(firmware: str, extended: bool, address: int) -> tuple[IdMask, 
     rows = [row for line in LINES[firmware] for row in table_of(line, extended).rows]
     sent = [row for row in rows if row.direction == "to_device" and not row.name.startswith((*never, *FORMS))]
     requested = requests_of(firmware, extended).rows
-    return tuple(dict.fromkeys(row.id_mask(address) for row in (*requested, *sent)))
+    return tuple(dict.fromkeys(row.ids().of(address) for row in (*requested, *sent)))
 
 
 def names(frame: Frame) -> tuple[str, ...]:

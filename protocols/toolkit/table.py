@@ -161,16 +161,36 @@ class Row:
             at -= field.bits
             yield field, at, (1 << field.bits) - 1 << at
 
-    def id_mask(self, address: int | None = None) -> IdMask:
-        """Return the id's bits that are constant (with an address: of this device), and which these are."""
+    def ids(self) -> RowIds:
+        """Return its ids, for whoever asks often."""
+        address = [(at, bits >> at) for field, at, bits in self.id_parts() if field.name == "address"]
+        return RowIds(self, *self.id_mask(), tuple(address))
+
+    def id_mask(self) -> IdMask:
+        """Return the id's bits that are constant, and which these are."""
         number, mask = EXTENDED_BIT * self.extended, ID_BITS
         for field, at, bits in self.id_parts():
             if field.kind == "const":
                 number |= int(field.low) << at
-            elif field.name == "address" and address is not None:
-                number |= address << at
             else:
                 mask &= ~bits
+        return number, mask
+
+
+class RowIds(NamedTuple):
+    """The ids of a row."""
+
+    row: Row
+    constant: int
+    mask: int
+    address: tuple[tuple[int, int], ...]
+    """Where the address is: the place of the lowest bit, and the mask of its number."""
+
+    def of(self, address: int) -> IdMask:
+        """Return the constant bits of the id of one device, and which these are."""
+        number, mask = self.constant, self.mask
+        for at, width in self.address:
+            number, mask = number | address << at, mask | width << at
         return number, mask
 
 
@@ -200,7 +220,8 @@ class Table:
         self._decode: dict[str, _Decode] = {}
         for row in self.rows:
             self._encode[row.name], self._decode[row.name] = _compiled(row)
-        self._particular = sorted(self.rows, key=lambda row: -row.id_mask()[1].bit_count())
+        self._ids = [row.ids() for row in self.rows]
+        self._particular = sorted(self._ids, key=lambda ids: -ids.mask.bit_count())
         self._standard, self._extended = self._nothing_seen(False), self._nothing_seen(True)
         """By direction: the bits of ids that count, and what was looked up by these (inverted for a remote
         frame)."""
@@ -211,10 +232,9 @@ class Table:
     def _significant(self, direction: Direction, extended: bool) -> int:
         """Return the bits of the ids of a format that tell messages and devices apart: not those of data."""
         bits = 0
-        for row in self.rows:
+        for row, _, mask, address in self._ids:
             if (row.direction, row.extended) == (direction, extended):
-                bits |= row.id_mask()[1]
-                bits |= sum(mask for field, _, mask in row.id_parts() if field.name == "address")
+                bits |= mask | sum(width << at for at, width in address)
         return bits & ~EXTENDED_BIT
 
     def __deepcopy__(self, memo: object) -> Table:
@@ -253,10 +273,9 @@ class Table:
         """Return how frames of an id are decoded. The most particular row comes first."""
         number = frame.id | EXTENDED_BIT if frame.extended else frame.id
         found: list[tuple[int | None, _Decode, int]] = []
-        for row in self._particular:
-            constant, mask = row.id_mask()
-            if (row.direction, row.remote) == (direction, frame.remote) and number & mask == constant:
-                places = [number >> at & bits >> at for f, at, bits in row.id_parts() if f.name == "address"]
+        for row, constant, mask, bits in self._particular:
+            if number & mask == constant and (row.direction, row.remote) == (direction, frame.remote):
+                places = [number >> at & width for at, width in bits]
                 address = places[0] if places else -any(field.name == "address" for field in row.fields)
                 found.append((row.first_byte(), self._decode[row.name], address))
         if not found:
@@ -283,8 +302,8 @@ class Table:
 
     def ids(self, direction: Direction, address: int) -> tuple[IdMask, ...]:
         """Return the ids of the messages to or from a device, each once."""
-        rows = [row for row in self.rows if row.direction == direction]
-        return tuple(dict.fromkeys(row.id_mask(address) for row in rows))
+        rows = [ids.of(address) for ids in self._ids if ids.row.direction == direction]
+        return tuple(dict.fromkeys(rows))
 
     def range(self, message: str, field: str, unit: float = 1.0, inside: int = 0) -> Range:
         """Return the range of a field; see `Field.range`."""
