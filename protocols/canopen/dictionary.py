@@ -86,7 +86,7 @@ class Dictionary:
     def start(self, below: int = 0x1_0000) -> None:
         """Take the stored values of all objects below an index."""
         self.values |= {key: value for key, value in self.stored.items() if key[0] < below}
-        for index in o.PDO_PARAMETERS:
+        for index in sorted(index for index, sub in self.values if not sub and index in o.PDO_PARAMETERS):
             self._repack(index)
 
     def __deepcopy__(self, _: dict[int, object]) -> Dictionary:
