@@ -79,12 +79,12 @@ class _Receivers:
         self._by_id: dict[tuple[int, bool], list[int]] = {}
         """The decoders by the id of a frame and its format: filled as ids are used."""
 
-    def decode(self, t: Nanos, frame: Frame) -> list[Obeyed]:
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
         """Decode what any device on the bus would obey."""
-        obeyed: list[Obeyed] = []
-        for number in self._listening(frame):
-            obeyed += self._decoders[number].decode(t, frame)
-        return obeyed
+        numbers = self._listening(frame)
+        if len(numbers) == 1:
+            return self._decoders[numbers[0]].decode(t, frame)
+        return [one for number in numbers for one in self._decoders[number].decode(t, frame)]
 
     def keep(self, t: Nanos, frame: Frame) -> None:
         """Keep the frame that was decoded last."""
@@ -321,8 +321,9 @@ class Guard:
         """Yield from where a set-point may go on, each with the time [s] in which it may have changed."""
         bounds, motor, kind = self._motors[one.motor], one.motor, type(one)
         last = self._last.get((motor, None))
+        time = bounds.changing(bounds.timeout if last is None else now - last[0])
         for value in measured:
-            yield value, bounds.changing(bounds.timeout if last is None else now - last[0])
+            yield value, time
         alike, coasting = self._last.get((motor, kind)), self._coasting.get(motor)
         if alike is not None and now - alike[0] <= GOES_ON:
             yield bounds.at_joint(alike[1], quantity)[0], bounds.changing(now - alike[0])
@@ -374,7 +375,7 @@ class _Bounds:
 
     def changing(self, since: Nanos) -> float:
         """Return in which time [s] a set-point may have changed since then."""
-        return (min(since, self.timeout) + LATENCY) / SECOND
+        return ((since if since < self.timeout else self.timeout) + LATENCY) / SECOND
 
     def pull(self, one: msg.Impedance, measured: msg.Feedback) -> float:
         """Return the torque [N·m] of a spring and damper at the measured position and velocity."""

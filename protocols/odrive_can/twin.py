@@ -110,7 +110,7 @@ class Memory:
 
     def _fault_of(self, inputs: Sequence[float]) -> str:
         if self.input_mode in FOLLOWED:
-            return NOT_A_NUMBER if any(map(math.isnan, inputs)) else ""
+            return NOT_A_NUMBER if math.isnan(sum(inputs)) else ""  # the others are finite, and so small
         return "INVALID_MIRROR_AXIS" if self.input_mode == InputMode.MIRROR else "INVALID_INPUT_MODE"
 
     def _inputs(self, control: ControlMode) -> Sequence[float]:

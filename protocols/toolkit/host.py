@@ -252,8 +252,8 @@ class Host(Generic[Own]):
         """Record a command other than Idle. Returns the phase: what is to be done about it."""
         if self.offline or self.tripped or self.phase is Phase.FAULT or self.mode is Mode.FAULT:
             return self.phase
-        self.own_unasked()
-        if self.phase is not Phase.ARMED:
+        if self.phase is not Phase.ARMED:  # one that is, is ours already
+            self.own_unasked()
             self._fire(now, Trigger.COMMAND)
             if self.mode is Mode.ARMED:  # also one that ran before us
                 self._fire(now, Trigger.ARMED)
