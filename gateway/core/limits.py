@@ -172,14 +172,17 @@ class Profile:
             torque = limits.torque_now(wanted.torque, measured)
             return Position(wanted.motor, limits.inside(self._position), self._velocity, torque)
         rest = limits.inside(wanted.position) - self._position
-        # the highest speed from which the remaining distance, less this step's, is enough to stop
-        reach = 0.5 * limits.acceleration * dt
-        stopping = max(0.0, sqrt(reach * reach + 2.0 * limits.acceleration * abs(rest)) - reach)
-        speed = copysign(min(limits.velocity, stopping), rest)
-        velocity = toward(self._velocity, speed, limits.acceleration * dt)
-        move = velocity * dt
-        if abs(move) >= abs(rest) and move * rest >= 0.0 and abs(velocity) <= 2.0 * limits.acceleration * dt:
-            move, velocity = rest, 0.0
+        move = velocity = 0.0
+        if rest or self._velocity:  # it is not there yet
+            # the highest speed from which the remaining distance, less this step's, is enough to stop
+            change = limits.acceleration * dt
+            reach = 0.5 * change
+            stopping = max(0.0, sqrt(reach * reach + 2.0 * limits.acceleration * abs(rest)) - reach)
+            speed = copysign(min(limits.velocity, stopping), rest)
+            velocity = toward(self._velocity, speed, change)
+            move = velocity * dt
+            if abs(move) >= abs(rest) and move * rest >= 0.0 and abs(velocity) <= 2.0 * change:
+                move, velocity = rest, 0.0
         self._position, self._velocity = self._position + move, velocity
         ahead = velocity if velocity else clamp(wanted.velocity, limits.velocity) if rest == 0.0 else 0.0
         torque = limits.torque_now(wanted.torque, measured)
