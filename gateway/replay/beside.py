@@ -55,6 +55,11 @@ class Beside:
             self._compare(*pair)
         return bool(self.found)
 
+    @property
+    def first(self) -> Difference | None:
+        """What differs first in anything but time stamps; without that, the first time stamp that differs."""
+        return self.found[0] if self.found else self.times
+
     def _compare(self, one: Tick | str | None, two: Tick | str | None) -> None:
         if not isinstance(one, Tick) or not isinstance(two, Tick):
             given = one if isinstance(one, Tick) else two
@@ -88,13 +93,12 @@ def first_difference(one: Recording, two: Recording) -> Difference | None:
         two: another.
 
     Returns:
-        Difference: the first in anything but time stamps; without one, the first time stamp that differs;
-            None if all is the same.
+        Difference: `Beside.first`; None if all is the same.
     """
     beside = Beside(one, two)
     while not beside.advance(1000):
         pass
-    return beside.found[0] if beside.found else beside.times
+    return beside.first
 
 
 def _ticks(recording: Recording) -> Iterator[Tick | str]:

@@ -14,6 +14,8 @@ from math import isfinite
 
 from brain.belief import Belief
 from gateway.core.tick import Tick
+from gateway.replay.beside import Beside
+from gateway.replay.compare import Difference
 from gateway.replay.player import Playback, Player
 from gateway.view import Access, Address, Scene, View
 from gateway.view.requests import Answer
@@ -80,6 +82,9 @@ class ReplayView:
         """Ticks to be stepped once none is under way."""
         self._stepping = False
         """Whether they are under way by steps: where they arrive is the position then."""
+        self._beside = Beside(*(each.recording for each in players)) if len(players) == 2 else None
+        self._compared = False
+        """Whether the two are compared with each other."""
         self._now: Nanos = 0
         self._view = View([one.scene for one in self._shown], address, access, acts={"play": self._play})
         self.url = self._view.url
@@ -110,6 +115,9 @@ class ReplayView:
                 self._playback = Playback(self._longest, now, self._playback.rate)
             for number, one in enumerate(self._shown):
                 busy = self._play_on(number, one) or busy
+        if not busy and self._beside is not None and not self._compared:
+            self._compared = self._beside.advance(SLICE)
+            busy = True
         for one in self._shown:
             if not busy and one.player.prepared < 1.0:
                 one.player.prepare(SLICE)
@@ -182,11 +190,17 @@ class ReplayView:
                 "length": (player.end - player.start) / SECOND,
                 "prepared": player.prepared,
                 "differences": [
-                    {"t": each.since / SECOND, "kind": each.kind, "text": each.text}
-                    for each in player.differences[:SHOWN]
+                    {"t": each.since / SECOND, "kind": kind, "text": each.text}
+                    for kind, each in self._differences(player)
                 ],
             },
         }
+
+    def _differences(self, player: Player) -> list[tuple[str, Difference]]:
+        """Return the first between two recordings, then those between this one and the code of today."""
+        between = self._beside.first if self._beside is not None and self._compared else None
+        found = [] if between is None else [(f"{between.kind}, beside the other recording", between)]
+        return [*found, *((each.kind, each) for each in player.differences[:SHOWN])]
 
     def _play(self, asked: object) -> Answer:
         """Do what a page asks of the playback: each of its keys, the first that is wrong is answered."""

@@ -15,7 +15,7 @@ from gateway.core.step import Gateway
 from gateway.core.tick import Inputs, Outputs, Tick
 from gateway.errors import UserError
 from gateway.recording import read_recording
-from gateway.replay import replay_recording
+from gateway.replay import first_difference, replay_recording
 from gateway.replay.player import Player
 from gateway.runtime import replay_view
 from gateway.runtime.replay_view import ReplayView
@@ -320,6 +320,14 @@ def test_two_recordings_are_at_the_same_time_since_their_beginnings(shown: Shown
 
     pair.until(beside)
     assert second.of("state")[-1]["recording"].endswith("other.mcap")
+    pair.until(lambda: bool(pair.playback["differences"]))
+    expected = first_difference(*(player.recording for player in pair.players))
+    assert expected is not None
+    [found] = pair.playback["differences"]
+    assert (found["kind"], found["t"]) == (
+        f"{expected.kind}, beside the other recording",
+        expected.since / SECOND,
+    )
     second.close()
     pair.close()
 
