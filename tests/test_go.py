@@ -19,6 +19,8 @@ from types import ModuleType
 
 import pytest
 
+from tests.sampled import sampled
+
 GO = Path(__file__).resolve().parent.parent / "go"
 
 
@@ -296,7 +298,7 @@ def lose_base(clone: Clone) -> None:
         python.symlink_to("/nowhere/python")
 
 
-@pytest.mark.parametrize("harm", [change_lock, change_project, interrupt, lose_pip, lose_base])
+@pytest.mark.parametrize("harm", sampled([interrupt, lose_pip, change_lock, lose_base, change_project], 2))
 def test_set_up_is_repaired(clone: Clone, harm: Callable[[Clone], None]) -> None:
     assert clone.go("run").returncode == 7
     harm(clone)

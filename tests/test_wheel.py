@@ -193,7 +193,9 @@ def test_a_shipped_robot_is_found_by_name(installed: Installed) -> None:
 
 def test_the_demo_runs_and_its_recording_replays(installed: Installed, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    demo = installed.run("gateway", "demo", "--fast", "--out", str(out), PYTHONHASHSEED="1")
+    demo = installed.run(
+        "gateway", "demo", "--fast", "--goal", "1.2,0.5", "--out", str(out), PYTHONHASHSEED="1"
+    )
     assert demo.returncode == 0, demo.stdout + demo.stderr
     (recording,) = out.glob("*.mcap")
     (picture,) = out.glob("*.png")

@@ -146,12 +146,13 @@ def check(
     seed: int = 0,
     addresses: tuple[int, int, int] = ADDRESSES,
     clauses: Sequence[Clause] = CLAUSES,
+    options: Sequence[object] = (),
 ) -> tuple[Result, ...]:
     """Check each clause on a plugin. Never raises, whatever the plugin does.
 
     `addresses` are those of two devices of one driver and of a stranger, for a protocol that cannot
-    have 1, 2 and 3."""
-    cases = [Case(plugin, options, seed, addresses) for options in variants(plugin)]
+    have 1, 2 and 3. `options` are those that it is checked with; (): each of `variants`."""
+    cases = [Case(plugin, each, seed, addresses) for each in options or variants(plugin)]
     return tuple(_check(clause, cases) for clause in clauses)
 
 

@@ -22,6 +22,7 @@ from protocols.frames import Packet
 from protocols.plain import table
 from tests.protocols import hostile
 from tests.protocols.hostile import PLUGINS
+from tests.sampled import sampled
 
 
 @pytest.mark.parametrize("name", sorted(PLUGINS))
@@ -30,7 +31,7 @@ def test_hostile_frames_do_not_raise(name: str) -> None:
         hostile.line(name, seed, 1000)
 
 
-@pytest.mark.parametrize("name", sorted(PLUGINS))
+@pytest.mark.parametrize("name", sampled(sorted(PLUGINS), 3))
 def test_a_gateway_and_a_monitor_take_hostile_frames(name: str) -> None:
     hostile.robot(name, 1, 800)
 

@@ -1,8 +1,8 @@
 """`gateway run` and `gateway twin`, two processes on a real CAN: a goal, the recording, what candump sees.
 
-The shipped robots of each protocol, and of three on one bus, on a virtual bus; a rover between two controllers.
-The tier drives the first, the three languages on one CAN FD bus, and one rover; all of them are driven by
-`python -m tests.real_can pytest tests/real_can/test_drive.py`."""
+The shipped robots of each protocol, and of three on one bus, on a virtual bus; a rover between two
+controllers. The tier drives the first, the three languages on one CAN FD bus, and one rover; all are
+driven by `python -m tests.real_can pytest tests/real_can/test_drive.py`."""
 
 from __future__ import annotations
 

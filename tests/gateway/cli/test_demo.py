@@ -16,6 +16,7 @@ from gateway import config
 from gateway.cli.tour import Leg
 from gateway.recording import read_recording
 from protocols.messages import Feedback, Imu, LaserScan, State
+from tests.sampled import sampled
 
 ROOT = Path(__file__).parents[3]
 
@@ -106,7 +107,7 @@ def test_the_inputs_are_frames_and_bytes_without_a_pose(drive: Drive) -> None:
 # -- replay -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", ["0", "4711"])
+@pytest.mark.parametrize("seed", sampled(["4711", "0"], 2))
 def test_a_replay_gives_the_same_bytes_whatever_the_hash_seed(drive: Drive, seed: str) -> None:
     done = gateway("replay", str(drive.recording), PYTHONHASHSEED=seed)
     assert done.returncode == 0, done.stdout + done.stderr

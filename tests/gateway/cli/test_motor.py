@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
 from pathlib import Path
 
 import pytest
@@ -19,13 +21,23 @@ def motor(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str
     return status, printed.out, printed.err
 
 
-@pytest.fixture
-def dump(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Path:
-    path = tmp_path / "dump.toml"
-    status, out, err = motor(capsys, "dump", ROBOT, "--out", str(path))
-    assert (status, err) == (0, "")
+@pytest.fixture(scope="module")
+def dumped(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """What a dump of the robot's motors is."""
+    path = tmp_path_factory.mktemp("motor") / "dump.toml"
+    with redirect_stdout(StringIO()) as printed, redirect_stderr(StringIO()) as trouble:
+        status = main(["motor", "dump", ROBOT, "--out", str(path)])
+    assert (status, trouble.getvalue()) == (0, "")
+    out = printed.getvalue()
     assert "left: damiao at address 1 on can0, serial number DA310001\n  UV_Value   15\n" in out
     assert "  SN         3660644353  (left: it names the motor)\n" in out
+    return path.read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def dump(tmp_path: Path, dumped: str) -> Path:
+    path = tmp_path / "dump.toml"
+    path.write_text(dumped, encoding="utf-8")
     return path
 
 

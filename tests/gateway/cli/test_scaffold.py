@@ -19,6 +19,7 @@ from gateway.errors import UserError
 from protocols.conformance import CLAUSES, Result, check, table
 from protocols.plugin import Broken, load
 from tests.distributions import Site
+from tests.sampled import sampled
 
 ROOT = Path(__file__).resolve().parents[3]
 NEEDS_THE_DEVICE = {"vectors"}
@@ -83,7 +84,7 @@ def test_it_passes_types(written: dict[Bus, Path], tmp_path: Path) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-@pytest.mark.parametrize("bus", BUSES)
+@pytest.mark.parametrize("bus", sampled(BUSES, 3))
 def test_it_keeps_every_clause_that_needs_no_knowledge_of_the_device(
     written: dict[Bus, Path], site: Site, bus: Bus
 ) -> None:

@@ -31,7 +31,12 @@ ROBOTS = {
 """The protocols on the bus of the motors, by robot file."""
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+OFTEN = {"diffbot_damiao", "diffbot_robomaster", "diffbot_myactuator", "diffbot_mixed", "diffbot_mixed_can"}
+"""Each protocol is in one of these; the other robots are driven by `./go prove`."""
+DRIVEN = [pytest.param(one, marks=[] if one in OFTEN else [pytest.mark.prove]) for one in ROBOTS]
+
+
+@pytest.mark.parametrize("name", DRIVEN)
 def test_the_goal_is_reached_and_the_recording_replays_to_the_same_bytes(name: str, tmp_path: Path) -> None:
     robot = config.load_robot(name)
     assert {motor.plugin.name for motor in robot.motors.values()} == ROBOTS[name]

@@ -18,6 +18,7 @@ from protocols import messages as msg
 from protocols.frames import CanFrame, Frame, Packet
 from protocols.messages import MILLISECOND, SECOND, Command, Mode, Nanos, Request
 from tests.gateway.rig import BENCH, Rig, notes_in, sent_commands
+from tests.sampled import sampled
 
 LEFT, RIGHT, ABSENT = 1, 2, 9
 """Addresses."""
@@ -425,7 +426,7 @@ def test_on_a_serial_line_only_the_motor_that_would_obey_is_in_fault() -> None:
 @pytest.mark.parametrize(
     ("wild", "name"),
     [
-        *(("fast", name) for name in ROBOTS),
+        *sampled((("fast", name) for name in ROBOTS), 3),
         *(("against a stop", name) for name in ("bench05", "diffbot_cia402")),
     ],
 )
@@ -470,7 +471,9 @@ def test_a_joint_without_limits_moves_nothing_beyond_them(name: str, wild: str) 
 
 @pytest.mark.parametrize(
     ("protocol", "method"),
-    [("plain", "send"), ("plain", "due"), ("cia402", "send"), ("cia402", "receive"), ("cia402", "bus")],
+    sampled(
+        [("plain", "send"), ("plain", "due"), ("cia402", "send"), ("cia402", "bus"), ("cia402", "receive")], 2
+    ),
 )
 def test_a_driver_that_raises_keeps_nothing_from_the_others(
     protocol: str, method: str, monkeypatch: pytest.MonkeyPatch

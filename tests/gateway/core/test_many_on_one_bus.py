@@ -15,6 +15,7 @@ from gateway.core.step import Gateway
 from gateway.core.tick import Inputs
 from gateway.runtime.loop import LoopStats, moments, read, write
 from protocols.messages import MILLISECOND, SECOND, Command, Feedback, Hold, Nanos, Velocity
+from tests.sampled import sampled
 
 OPTIONS = {
     "odrive_can": 'watchdog = "acknowledged"',
@@ -100,7 +101,7 @@ class Bench:
         return counts, ages
 
 
-@pytest.mark.parametrize("protocol", OPTIONS)
+@pytest.mark.parametrize("protocol", sampled(OPTIONS, 3))
 def test_a_silent_device_slows_no_other(protocol: str) -> None:
     bench = Bench(protocol)
     bench.reports(5.0 if protocol == "cia402" else 2.0)  # until every object has been read
@@ -116,7 +117,7 @@ def test_a_silent_device_slows_no_other(protocol: str) -> None:
         assert bench.gateway.joints[name].armed
 
 
-@pytest.mark.parametrize("protocol", OPTIONS)
+@pytest.mark.parametrize("protocol", sampled(OPTIONS, 3))
 def test_frames_that_are_destroyed_are_sent_again_and_stall_nobody(protocol: str) -> None:
     """Every fiftieth frame is cut off by an error frame after forty bits."""
     bench, sent = Bench(protocol), count()

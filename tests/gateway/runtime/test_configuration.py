@@ -20,6 +20,7 @@ from gateway.runtime.configuration import Interrupted, Motors, Reading
 from gateway.runtime.session import Session, open_session
 from protocols.messages import Mode, ReadParameter, Velocity, WriteParameter
 from tests.gateway.rig import BENCH
+from tests.sampled import sampled
 
 ROBOTS = sorted({path.stem for path in Path("fixtures/robots").glob("*.toml")} - {"twelve"})  # six of bench
 SIMULATED = [name for name in ROBOTS if all(bus.interface == TWIN for bus in load_robot(name).buses.values())]
@@ -87,7 +88,7 @@ def sent(robot: Robot, record: Path) -> tuple[list[bool], list[object]]:
     return harmless, obeyed
 
 
-@pytest.mark.parametrize("name", SIMULATED)
+@pytest.mark.parametrize("name", sampled(SIMULATED, 4))
 def test_each_shipped_robot_is_read_without_a_frame_that_does_anything(name: str, tmp_path: Path) -> None:
     robot = configuration.motors_only(load_robot(name))
     with running(robot, tmp_path / "r.mcap") as (_, motors):

@@ -32,6 +32,7 @@ from gateway.runtime import loop
 from protocols.messages import MILLISECOND, Idle, Leave, Mode, Nanos, Velocity
 from tests.gateway import little
 from tests.gateway.rig import BENCH, Rig, sent_commands
+from tests.sampled import sampled
 
 MS = MILLISECOND
 CAN1 = '[buses.can1]\nkind = "can"\ninterface = "twin"\nbitrate = 1_000_000\n'
@@ -194,7 +195,7 @@ DRIVEN = [
 ]
 
 
-@pytest.mark.parametrize("robot", DRIVEN)
+@pytest.mark.parametrize("robot", sampled(DRIVEN, 3))
 def test_a_motor_that_is_about_to_arm_when_the_run_is_left_does_not_stay_armed(robot: str) -> None:
     """Left after each of the first ticks of a motion, with what arms it sent or on its way; the first frames
     of the way out are lost."""
