@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from math import isfinite
+from math import inf
 
 from brain.belief import Belief
 from gateway.core.tick import Tick
@@ -107,12 +107,12 @@ class ReplayView:
         """Answer pages, play what is due, and compare on. Returns when it wants to be called again."""
         self._now = now
         if self._under_way:
-            self._playback = replace(self._playback, since=now)
+            self._playback = self._playback.changed(now, position=self._playback.position)
         self._view.poll(now)  # a recording takes no instructions
         busy = self._arrive()
         if not busy:
             if self.position >= self._longest and self._playback.playing:
-                self._playback = Playback(self._longest, now, self._playback.rate)
+                self._playback = self._playback.changed(now, position=self._longest, playing=False)
             for number, one in enumerate(self._shown):
                 busy = self._play_on(number, one) or busy
         if not busy and self._beside is not None and not self._compared:
@@ -140,7 +140,7 @@ class ReplayView:
             return True
         if self._stepping:
             first = self._shown[0].player
-            self._playback = replace(self._playback, position=first.now - first.start, since=self._now)
+            self._playback = self._playback.changed(self._now, position=first.now - first.start)
             self._stepping = False
         if self._steps:
             for one in self._shown:
@@ -215,21 +215,21 @@ class ReplayView:
         for key, value in asked.items():
             if key not in acts:
                 return Answer(ok=False, text=f"play: {', '.join(acts)} are expected, not {key!r}")
-            if not isinstance(value, int | float) or not isfinite(value):
+            if not isinstance(value, int | float) or not -inf < value < inf:  # an int may be no float
                 return Answer(ok=False, text=f"play: {key} must be a finite number")
-            acts[key](float(value))
+            acts[key](value)
         return Answer(ok=True, text="")
 
     def _set_playing(self, value: float) -> None:
-        self._playback = replace(self._playback, position=self.position, since=self._now, playing=bool(value))
+        self._playback = self._playback.changed(self._now, playing=bool(value))
 
     def _set_rate(self, value: float) -> None:
         rate = min(max(value, RATES[0]), RATES[1])
-        self._playback = replace(self._playback, position=self.position, since=self._now, rate=rate)
+        self._playback = self._playback.changed(self._now, rate=rate)
 
     def _seek(self, value: float) -> None:
-        position = min(max(0, round(value * SECOND)), self._longest)
-        self._playback = replace(self._playback, position=position, since=self._now)
+        position = round(min(max(0.0, value), self._longest / SECOND) * SECOND)
+        self._playback = self._playback.changed(self._now, position=position)
         self._steps, self._stepping = 0, False
         for one in self._shown:
             one.player.seek(one.due(position))
