@@ -75,6 +75,8 @@ class Gateway:
             {name: motor.joint.feedback_timeout for name, motor in robot.motors.items()}
             | {name: sensor.timeout for name, sensor in robot.sensors.items()},
         )
+        self.bus_states: dict[str, BusState] = {}
+        """The last that each bus has reported; those that are up from the beginning report none."""
         self.stopped = ""
         """Why an operator has stopped the robot; "" if no stop is in force."""
         self._brain_failed = ""
@@ -211,6 +213,7 @@ class Gateway:
 
     def _on_bus_states(self, now: Nanos, states: Sequence[tuple[str, BusState]]) -> None:
         for bus, state in states:
+            self.bus_states[bus] = state
             for one in self._on_bus[bus]:
                 self._call(one, None, one.driver.bus, now, state)
             bad = state in (BusState.OFF, BusState.GONE, BusState.FULL)

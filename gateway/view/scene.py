@@ -45,8 +45,6 @@ class Scene:
     """The newest of each lidar."""
     swept: dict[str, list[list[float | None]]] = field(default_factory=dict)
     """Where the robot was at the first and the last beam of it: x, y, yaw; empty if it did not know."""
-    buses: dict[str, str] = field(default_factory=dict)
-    """The state of each bus that has changed."""
     now: Nanos = 0
     belief: Belief = field(init=False)
     """After the last tick."""
@@ -71,8 +69,6 @@ class Scene:
         self.now, self.belief = tick.now, belief
         if belief.estimate is not None:
             self._track.append((tick.now, belief.estimate.pose))
-        for bus, state in tick.inputs.states:
-            self.buses[bus] = state.value
         for event in tick.outputs.events:
             if isinstance(event, msg.LaserScan):
                 self.scans[event.sensor] = event
@@ -214,7 +210,7 @@ class Scene:
                 }
                 for bus, protocol, c in gateway.rx_counters()
             ],
-            "bus_states": self.buses,
+            "bus_states": gateway.bus_states,
             **self.facts(),
         }
 

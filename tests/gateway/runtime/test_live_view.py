@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -240,6 +241,24 @@ def test_a_recording_is_played_paused_stepped_and_sought(shown: Shown) -> None:
     shown.until(lambda: len(page.of("scan")) > scans)
     assert shown.playback["differences"] == []
     assert shown.players[0].comparison.ok
+
+
+def test_the_buses_are_shown_as_they_were_where_it_is_sought(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    file = tmp_path / "lost.mcap"
+    with open_session("diffbot", simulated=True, record=file) as session:
+        assert session.twins is not None
+        for tick in session.run(seconds=3.0):
+            if tick.number == 150:
+                session.twins.buses["sensors"].lose()
+    with closing(Shown(file)) as shown:
+        shown.until(lambda: shown.playback.get("prepared") == 1.0)
+        for seek, states in ((2.9, {"sensors": "gone"}), (0.2, {}), (2.8, {"sensors": "gone"})):
+            shown.play(seek=seek)
+            shown.until(lambda seek=seek: abs(shown.playback["t"] - seek) < 0.02)  # type: ignore[misc]
+            assert shown.state["bus_states"] == states
 
 
 @pytest.mark.parametrize("far", [1e12, 1e300, 10**400], ids=["1e12", "1e300", "integer"])
