@@ -13,7 +13,7 @@ from math import isfinite
 from typing import Any, Literal, TypeAlias
 
 from brain.belief import Belief, Pose
-from brain.bodies.body import Base, Linkage
+from brain.bodies.body import Base
 from brain.settings import AT_RUN_TIME, keys
 from gateway.core.joint import LEAST_SHARE, Joint
 from gateway.core.robot import Robot
@@ -103,14 +103,7 @@ class Scene:
                 {"name": bus.name, "kind": bus.kind, "interface": bus.interface, "bitrate": bus.bitrate}
                 for bus in robot.buses.values()
             ],
-            "sensors": [
-                {"name": name, "protocol": one.plugin.name, "x": one.mount.x, "y": one.mount.y}
-                for name, one in robot.sensors.items()
-            ],
-            "body": body.kind,
             "base": _base(body) if isinstance(body, Base) else None,
-            "linkage": isinstance(body, Linkage),
-            "period": robot.period / SECOND,
         }
 
     def settings(self) -> list[Json]:
@@ -182,8 +175,6 @@ class Scene:
             else [_number(v) for v in (estimate.linear, estimate.angular, estimate.lateral)],
             "raw": None if belief.raw is None else [_number(v) for v in (belief.raw.x, belief.raw.y)],
             "goal": None if belief.goal is None else [belief.goal.x, belief.goal.y, belief.goal.yaw],
-            "reached": belief.reached,
-            "path_version": belief.path_version,
             "mission": None
             if mission is None
             else {
@@ -194,7 +185,6 @@ class Scene:
                 "text": mission.text,
                 "reason": mission.reason,
             },
-            "rejected": dict(belief.rejected),
             "faults": [
                 {"joint": name, "name": one.name, "cause": one.cause, "remedy": one.remedy, "code": one.code}
                 for name, joint in gateway.joints.items()

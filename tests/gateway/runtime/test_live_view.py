@@ -64,7 +64,7 @@ def watched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Watched
 def test_a_page_drives_the_robot_and_the_recording_replays_it(watched: Watched) -> None:
     page = watched.page
     watched.ask("goal 0.6 0.2")
-    watched.until(lambda: page.of("state")[-1]["reached"] == 1)
+    watched.until(lambda: watched.session.belief.reached == 1)
     x, y, _ = page.of("state")[-1]["pose"]
     assert abs(x - 0.6) < 0.1
     assert abs(y - 0.2) < 0.1
@@ -278,7 +278,7 @@ def test_what_is_no_playback_gets_a_sentence(shown: Shown, asked: object) -> Non
     assert shown.page.of("answer")[-1]["ok"] is False
     shown.page.send({"ask": "goal 1 1"})
     shown.until(lambda: len(shown.page.of("answer")) == 2)
-    assert "read-only" in shown.page.of("answer")[-1]["text"]
+    assert shown.page.of("answer")[-1]["text"] == NO_ROBOT
 
 
 def test_the_work_of_a_slice_is_counted(shown: Shown, monkeypatch: pytest.MonkeyPatch) -> None:
