@@ -168,8 +168,6 @@ class Joint:
         """Whether any command but Idle has been sent: only then is the stop command sent."""
         self.refused = ""
         """Why the brain's last command was refused; "" if it was accepted."""
-        self.not_finite = 0
-        """Number of messages from the device or the brain that were dropped for a non-finite value."""
         self._unreported: list[msg.Fault] = []
         self._command: Command | None = None
         """The brain's last accepted command."""
@@ -255,7 +253,6 @@ class Joint:
         current, voltage, temperature = event.current, event.voltage, event.temperature
         for value in (position, velocity, torque, current, voltage, temperature):
             if value is not None and value - value != 0.0:  # infinities and NaN less themselves are NaN
-                self.not_finite += 1
                 return None
         position = None if position is None else position / ratio
         velocity = None if velocity is None else velocity / ratio
@@ -461,8 +458,6 @@ class Joint:
         self.refused = "" if new is self._command else self._objection(new)
         if not self.refused:
             self._command, self._command_at = new, now
-        elif not _finite(new):
-            self.not_finite += 1
 
     def _objection(self, new: Command) -> str:
         if type(new) not in self._supported:
