@@ -69,9 +69,11 @@ def open_view(session: Session, options: Namespace) -> None:
 
 
 def view_on_demand(session: Session, words: str) -> str:
-    """Open the view of a session that runs, as an operator's `view [HOST:PORT] [steer]` asks; return its
-    address, or why not."""
+    """Open the view of a session that runs, as an operator's `view [HOST:PORT] [steer]` asks, unless one is
+    open and nothing else is asked for; return its address, or why not."""
     asked = words.split()
+    if session.view_url and not asked:
+        return session.view_url  # as it was opened
     steer = asked[-1:] == ["steer"]
     address = " ".join(asked[:-1] if steer else asked)
     if any(joint.armed for joint in session.joints.values()):

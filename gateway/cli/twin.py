@@ -80,11 +80,9 @@ def _view(made: Devices, options: Namespace, stack: ExitStack) -> Callable[[Nano
     if options.view is None:
         return None
     from gateway.runtime.twin_view import TwinView
-    from gateway.view import Access, free_address, parse_address
+    from gateway.view import place
 
-    address = parse_address(options.view) if options.view else free_address()
-    access = Access(address.loopback, token_for(options.view), tuple(options.origin))
-    view = TwinView(made, address, access)
+    view = TwinView(made, *place(options.view, token_for(options.view), options.origin))
     stack.callback(view.close)
     print(f"live view of the simulated world: {view.url}", flush=True)
     return view.watch

@@ -15,7 +15,7 @@ from gateway.recording import read_recording
 from gateway.replay.player import Player
 from gateway.runtime.process import signals
 from gateway.runtime.replay_view import ReplayView
-from gateway.view import Access, free_address, parse_address
+from gateway.view import place
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -64,13 +64,13 @@ def _view_robot(options: Namespace) -> int:
 
 def show_recordings(files: list[Path], at: str, origins: tuple[str, ...], robot: str | None) -> int:
     """Show recordings until a signal."""
-    address = parse_address(at) if at else free_address()
+    where, access = place(at, token_for(at), origins)
     clock, reasons = WallClock(), list[str]()
     with ExitStack() as stack:
         stack.enter_context(signals(reasons.append, suspend=False))
         loaded = None if robot is None else load_robot(robot)
         players = [stack.enter_context(Player(read_recording(file), loaded)) for file in files]
-        view = ReplayView(players, address, Access(address.loopback, token_for(at), origins))
+        view = ReplayView(players, where, access)
         stack.callback(view.close)
         print(f"{' and '.join(map(str, files))}: {view.url} (end with Ctrl-C)", flush=True)
         while not reasons:

@@ -12,8 +12,8 @@ from protocols.suggest import did_you_mean
 
 def find(kind: Literal["robots", "worlds", "plants", "missions"], name: str) -> Path:
     """Return the file of that path, or the shipped one of that name. Raises UserError with what there is."""
-    path = Path(name)
-    if path.suffix == ".toml" or "/" in name:
+    if is_path(name):
+        path = Path(name)
         if path.is_file():
             return path
         raise UserError(f"there is no file {name}")
@@ -22,6 +22,11 @@ def find(kind: Literal["robots", "worlds", "plants", "missions"], name: str) -> 
         return shipped[name]
     known = f"one of the shipped {kind}: {', '.join(shipped)}"
     raise UserError(f"{name!r} is neither a .toml file nor {known}{did_you_mean(name, shipped)}")
+
+
+def is_path(name: str) -> bool:
+    """True if this is the path of a file, not the name of one that ships with the package."""
+    return Path(name).suffix == ".toml" or "/" in name
 
 
 def shipped(kind: str) -> Path:

@@ -293,6 +293,8 @@ class Gateway:
                     self._note("info", "operator", f"leaving{' at once' * at_once}: {reason}")
                     for name in self.still_armed() if last else ():
                         self._note("error", name, LEFT_ARMED)
+                case msg.Release() if any(isinstance(other, msg.Stop) for other in instructions):
+                    self._note("info", "operator", "not released: a stop was sent in the same step")
                 case msg.Release():
                     text = "released" if self.stopped else "nothing to release: no stop is in force"
                     self.stopped, self._leaving, self._at_once = "", False, False

@@ -17,6 +17,7 @@ from typing import Literal, TypeAlias
 
 from brain.bodies.body import Base
 from brain.planning.mission_steps import text
+from gateway.config import resources
 from gateway.config.errors import unknown
 from gateway.config.mission import cannot, load_mission
 from gateway.core.robot import Robot
@@ -43,21 +44,35 @@ class RejectedLine:
     reason: str
 
 
-def parse(line: str, robot: Robot) -> msg.Instruction | Query | RejectedLine | None:
-    """Return what a line asks of this robot; None for an empty line or a comment (#)."""
-    words = line.partition("#")[0].replace(",", " ").split()
+def parse(line: str, robot: Robot, *, files: bool = True) -> msg.Instruction | Query | RejectedLine | None:
+    """Return what a line asks of this robot; None for an empty line or a comment (#).
+
+    Without `files` it may name what ships with the package, but no path."""
+    words = _words(line)
     if not words:
         return None
     name, texts = words[0].lower(), words[1:]
     command = COMMANDS.get(name)
     if command is None:
         return RejectedLine(f"{unknown('command', words[0], COMMANDS)}. Type help for what they do")
+    if command.of_file and not files and any(map(resources.is_path, texts)):
+        return RejectedLine(f"{name} one that ships: files are for the gateway's own terminal")
     if command.of_base and (wrong := cannot(msg.Drive(0.0, 0.0), robot)):
         return RejectedLine(wrong)
     try:
         return command.parse(texts, robot)
     except _InvalidError as error:
         return RejectedLine(f"{error}; expected: {name} {command.usage}".rstrip())
+
+
+def command_of(line: str) -> str:
+    """Return the command that a line begins with, known or not; "" for an empty line."""
+    words = _words(line)
+    return words[0].lower() if words else ""
+
+
+def _words(line: str) -> list[str]:
+    return line.partition("#")[0].replace(",", " ").split()
 
 
 def help_text() -> str:
@@ -88,6 +103,8 @@ class _Command:
     """Whether the rest of the line is its one argument, which may be empty."""
     of_base: bool = False
     """Whether it needs a base that drives."""
+    of_file: bool = False
+    """Whether its argument may be the path of a file."""
     of_words: Callable[[list[str], Robot], msg.Instruction] | None = None
     """What makes the instruction of all words, in place of `make` and `arguments`."""
 
@@ -305,7 +322,7 @@ COMMANDS: dict[str, _Command] = {
                       "drive by hand [m/s, rad/s, m/s to the left]; repeat it before it times out",
                       msg.Drive, (_number, _number, _number), optional=1, of_base=True),
     "mission": _Command("FILE", "do the steps of a mission file, or of one that ships", _no,
-                        of_words=_mission),
+                        of_words=_mission, of_file=True),
     "turn": _Command("[left|right] ANGLE", "turn on the spot [degrees]", _no, of_words=_turn, of_base=True),
     "move": _Command("[left|right] [SPEED] [for SECONDS s | METRES m]",
                      "drive straight: move 2 m, move 0.3 for 2 m, move -0.2 for 3 s", _no, of_words=_move,

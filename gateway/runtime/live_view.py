@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Protocol
 from gateway.core.clock import date, stopwatch
 from gateway.core.tick import Tick
 from gateway.errors import GatewayError
-from gateway.view import Access, Scene, View, free_address, parse_address
+from gateway.view import Access, Address, Scene, View
 from gateway.view.requests import READ_ONLY, Answer
 from gateway.view.scene import Json
 from protocols.messages import MILLISECOND, SECOND, Instruction, Nanos
@@ -46,23 +46,20 @@ class Viewed(Protocol):
 class SessionView:
     """A view of a session, fed by it."""
 
-    def __init__(
-        self, session: Viewed, address: str, *, steer: bool, token: str, origins: tuple[str, ...]
-    ) -> None:
+    def __init__(self, session: Viewed, where: Address, access: Access, *, steer: bool) -> None:
         self._session, self._steer = session, steer
-        where = parse_address(address) if address else free_address()
         self._busy: dict[str, Nanos] = {}
         self._loads: dict[str, float] = {}
         self._since: Nanos = 0
         self._view = View(
             [Scene(session.gateway, "live", self._facts)],
             where,
-            Access(where.loopback, token, origins),
+            access,
             steer=steer,
             acts={"record": self._record},
         )
         self.url = self._view.url
-        self.close = self._view.close
+        self.ends, self.close = self._view.ends, self._view.close
 
     def poll(self) -> list[Instruction]:
         """Return what is asked of the robot. Never waits."""

@@ -13,7 +13,7 @@ from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from brain.belief import Belief, Pose
 from gateway import config
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from gateway.runtime.live_view import SessionView
 
 log = logging.getLogger("gateway")
+_Result = TypeVar("_Result")
 
 MAX_STALE_READS = 100
 """Of one bus, before a run begins."""
@@ -124,7 +125,7 @@ class Session:
         until = None if seconds is None else self.clock.now() + round(seconds * SECOND)
 
         def instructions() -> Sequence[Instruction]:
-            seen = self._view.poll() if self._view is not None else ()
+            seen = self._guarded(lambda view: view.poll()) or ()
             submitted = [*self._submitted, *poll(), *seen]
             self._submitted.clear()
             return submitted
@@ -140,10 +141,13 @@ class Session:
             dry_run=dry_run,
             reasons=self.reasons,
         )
-        with closing(ticks):
-            for tick in ticks:
-                self._stopped = bool(self.gateway.stopped)
-                yield tick
+        try:
+            with closing(ticks):
+                for tick in ticks:
+                    self._stopped = bool(self.gateway.stopped)
+                    yield tick
+        finally:  # the run's end has ended what was held
+            self._guarded(lambda view: view.ends())
 
     def start_recording(self, path: Path | str) -> None:
         """Record from the next step on. A recording that does not begin with the run shows what happened; a
@@ -193,16 +197,36 @@ class Session:
             UserError: the address cannot be opened, or needs a token.
         """
         from gateway.runtime.live_view import SessionView
+        from gateway.view import place
 
+        where, access = place(address, token, origins)
         self.close_view()
-        self._view = SessionView(self, address, steer=steer, token=token, origins=tuple(origins))
+        self._view = SessionView(self, where, access, steer=steer)
         return self._view.url
 
+    @property
+    def view_url(self) -> str:
+        """The address of the live view; "" without one."""
+        return self._view.url if self._view is not None else ""
+
     def close_view(self) -> None:
-        """Close the live view, if there is one."""
-        if self._view is not None:
-            self._view.close()
-        self._view = None
+        """Close the live view, if there is one. What is held there ends with the next step."""
+        view, self._view = self._view, None
+        if view is not None:
+            self._submitted += view.ends()
+            view.close()
+
+    def _guarded(self, use: Callable[[SessionView], _Result]) -> _Result | None:
+        """Return what something does with the view; None without one. A view that fails is closed, and
+        keeps nothing from the robot."""
+        if self._view is None:
+            return None
+        try:
+            return use(self._view)
+        except Exception:
+            log.exception("the live view has failed, and is closed")
+            self.close_view()
+            return None
 
     def close(self) -> None:
         """End a run that was not ended, as `run` does. Called when the session is left."""
@@ -235,8 +259,7 @@ class Session:
     def _record(self, tick: Tick, belief: Belief) -> None:
         for take in self._watchers:
             take(tick, belief)
-        if self._view is not None:
-            self._view.take(tick, belief)
+        self._guarded(lambda view: view.take(tick, belief))
         if self.recorder is not None:
             self.recorder.record(tick, belief, patient=isinstance(self.clock, SimulatedClock))
 

@@ -9,5 +9,5 @@ from gateway.view.access import Access as Access
 from gateway.view.access import Address as Address
 from gateway.view.access import parse_address as parse_address
 from gateway.view.scene import Scene as Scene
-from gateway.view.server import free_address as free_address
+from gateway.view.server import place as place
 from gateway.view.view import View as View

@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from hmac import compare_digest
 from ipaddress import ip_address
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs
 
 from gateway.errors import UserError
 
@@ -82,10 +82,10 @@ class Access:
         """
         if self.loopback and not _is_loopback(_name(host)):
             return 403, f"the view of this machine is not {host!r}"
-        if origin is not None and origin not in self.origins and urlsplit(origin).netloc != host:
+        if origin is not None and origin not in self.origins and origin.partition("://")[2] != host:
             return 403, f"pages of {origin!r} may not connect: allow them with --origin"
-        given = parse_qs(urlsplit(path).query).get("token", [""])[0]
-        if self.token and not compare_digest(given.encode(), self.token.encode()):
+        given = parse_qs(path.partition("?")[2]).get("token", [""])[0]
+        if self.token and not compare_digest(given.encode(errors="replace"), self.token.encode()):
             return 401, "the token is missing or wrong: open the address that the gateway printed"
         return 0, ""
 

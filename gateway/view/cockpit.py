@@ -17,7 +17,7 @@ to four bytes, then arrays one after the other. Each has a "kind":
 
 From the page, JSON as text: `{"ask": LINE, "id": N}`, a line of the operator's language; `{"held": LINE}`,
 the same for as long as it is repeated; `{"record": true}`; `{"play": {…}}` in a replay; `{}`: still there.
-Notes and answers are never dropped; of everything else, a slow page gets the newest.
+An `id` is an integer. Notes and answers are never dropped; of everything else, a slow page gets the newest.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ import numpy.typing as npt
 
 from brain.belief import MapView
 from gateway.core.tick import Tick
-from gateway.view.requests import Answer, Asking, Requests
+from gateway.view.requests import SILENT, Answer, Asking, Requests
 from gateway.view.scene import Json, Scene, lidar_mounts, note
 from gateway.view.server import Client, Message
 from protocols.messages import MILLISECOND, Instruction, LaserScan, Nanos, Set
@@ -78,41 +78,45 @@ class Cockpit:
         self._notes: deque[str] = deque(maxlen=KEPT_NOTES)
         self._joints_due: Nanos = 0
         self._state_due: Nanos = 0
-        self._changed = False
-        """Whether a setting has been changed since pages were told them."""
+        self._settings_of: object = scene.gateway
+        """The gateway whose settings pages have been sent; None: they have changed since."""
 
-    def receive(self, now: Nanos, client: Client, message: Message) -> Sequence[Instruction]:
-        """Return what a page asks of the robot; answer it."""
+    def receive(self, now: Nanos, client: Client, messages: Sequence[Message]) -> Sequence[Instruction]:
+        """Return what a page asks of the robot; answer it. Of what is held the newest counts."""
         page = self._pages.get(client) or self._enter(client)
-        try:
-            asked = json.loads(message)
-        except (ValueError, RecursionError):  # no JSON, no UTF-8, or brackets without end
-            asked = None
-        if not isinstance(asked, dict):
-            client.end(1003, "JSON is expected: an object")
-            return ()
-        instruction, answer = None, Answer(ok=True, text="")
-        if isinstance(line := asked.get("ask"), str):
-            instruction, answer = self._requests.line(now, page.asking, line)
-        elif isinstance(line := asked.get("held"), str):
-            instruction, answer = self._requests.hold(now, page.asking, line)
-        else:
-            for key, act in self._acts.items():
-                if key in asked:
-                    answer = act(asked[key])
-        self._changed = self._changed or isinstance(instruction, Set)
-        if answer.text:
-            client.send(_text("answer", {"id": asked.get("id"), "ok": answer.ok, "text": answer.text}))
-        return () if instruction is None else (instruction,)
+        instructions: list[Instruction] = []
+        held: list[Json] = []
+        for message in messages:
+            asked = _read(message)
+            if asked is None:
+                client.end(1003, "JSON is expected: an object")
+                return instructions
+            answer = SILENT
+            if isinstance(line := asked.get("ask"), str):
+                instruction, answer = self._requests.line(now, page.asking, line)
+                instructions += [] if instruction is None else [instruction]
+            elif isinstance(asked.get("held"), str):
+                held.append(asked)
+            else:
+                for key in self._acts.keys() & asked.keys():
+                    why = self._requests.refused(now, page.asking, reads=True)
+                    answer = Answer(ok=False, text=why) if why else self._acts[key](asked[key])
+            _answer(client, asked, answer)
+        if held:
+            begun, answer = self._requests.hold(now, page.asking, held[-1]["held"], len(held))
+            instructions += begun
+            _answer(client, held[-1], answer)
+        return instructions
 
     def leave(self, clients: Sequence[Client]) -> list[Instruction]:
         """Forget pages that are not among these; return what ends what they held."""
         gone = [page for client, page in self._pages.items() if client not in clients]
-        ended = [self._requests.leave(self._pages.pop(page.client).asking) for page in gone]
-        return [one for one in ended if one is not None]
+        return [end for page in gone for end in self._requests.leave(self._pages.pop(page.client).asking)]
 
     def take(self, tick: Tick) -> None:
         """Send the notes of a tick."""
+        if any(isinstance(one, Set) for one in tick.inputs.instructions):
+            self._settings_of = None
         for one in tick.outputs.notes:
             text = _text("note", note(tick.now, one))
             self._notes.append(text)
@@ -139,15 +143,16 @@ class Cockpit:
         if scene.scans:
             self._sample("scan", _once(partial(_scan, scene)))
         version, points, view = scene.belief.path_version, scene.belief.path, scene.belief.map
-        changed, self._changed = self._changed, False
+        path = _once(lambda: _binary("path", {"version": version}, np.asarray(points, dtype="<f4")))
         for page in self._pages.values():
             if page.path != version:
                 page.path = version
-                page.client.send(_binary("path", {"version": version}, np.asarray(points, dtype="<f4")))
+                page.client.sample("path", path)
             if view is not None and page.client.idle:
                 self._send_tiles(page, view)
-            if changed:
-                page.client.send(_text("settings", {"rows": scene.settings()}))
+        if self._settings_of is not scene.gateway:
+            self._settings_of = scene.gateway
+            self._sample("settings", _once(lambda: _text("settings", {"rows": scene.settings()})))
 
     def _enter(self, client: Client) -> _Page:
         """Greet a page."""
@@ -181,6 +186,23 @@ class Cockpit:
             "reset": moved,
         }
         page.client.send(_binary("tiles", header, *(tile for _, tile in new)))
+
+
+def _read(message: Message) -> Json | None:
+    """Return the object that a message is; None: it is none."""
+    try:
+        asked = json.loads(message)
+    except (ValueError, RecursionError):  # no JSON, no UTF-8, or brackets without end
+        return None
+    return asked if isinstance(asked, dict) else None
+
+
+def _answer(client: Client, asked: Json, answer: Answer) -> None:
+    """Answer a page, if there is anything to tell, with its own number of what it asked."""
+    if answer.text:
+        number = asked.get("id")
+        shown = number if isinstance(number, int) and abs(number) < 1 << 53 else None
+        client.send(_text("answer", {"id": shown, "ok": answer.ok, "text": answer.text}))
 
 
 def _once(make: Callable[[], Message]) -> Callable[[], Message]:

@@ -46,7 +46,6 @@ SLOW_PERIOD: Nanos = 100 * MILLISECOND
 """Of looking for a change of the playback, and of beginning topics anew for who has subscribed."""
 MAX_CHANNELS = 100
 """That a client may publish on."""
-NO_INSTRUCTIONS = "a recording takes no instructions"
 
 
 @dataclass(slots=True, eq=False)
@@ -112,27 +111,30 @@ class Foxglove:
 
     # -- the speaker ------------------------------------------------------------------------------
 
-    def receive(self, now: Nanos, client: Client, message: Message) -> Sequence[Instruction]:
+    def receive(self, now: Nanos, client: Client, messages: Sequence[Message]) -> Sequence[Instruction]:
         """Return what a client asks of the robot; answer it."""
         peer = self._peers.get(client) or self._enter(now, client)
-        try:
-            if isinstance(message, str):
-                return self._text(now, peer, wire.read_text(message))
-            return self._binary(now, peer, wire.read_binary(message)) if message else ()
-        except WireError as error:
-            peer.tell(ERROR, f"Invalid message: {error}")
-            return ()
+        instructions: list[Instruction] = []
+        for message in messages:
+            try:
+                if isinstance(message, str):
+                    instructions += self._text(now, peer, wire.read_text(message))
+                elif message:
+                    instructions += self._binary(now, peer, wire.read_binary(message))
+            except WireError as error:
+                peer.tell(ERROR, f"Invalid message: {error}")
+        return instructions
 
     def leave(self, clients: Sequence[Client]) -> list[Instruction]:
         """Forget clients that are not among these; return what ends what they held."""
         gone = [peer for client, peer in self._peers.items() if client not in clients]
-        ended = list[Instruction | None]()
+        ended: list[Instruction] = []
         for peer in gone:
             del self._peers[peer.client]
             self._unsubscribe(peer, list(peer.subscriptions))
             self._waiting = [one for one in self._waiting if one[0] is not peer]
-            ended.append(self._requests.leave(peer.asking))
-        return [one for one in ended if one is not None]
+            ended += self._requests.leave(peer.asking)
+        return ended
 
     def take(self, tick: Tick) -> None:
         """Send what a tick brought to who has subscribed to it."""
@@ -224,6 +226,8 @@ class Foxglove:
                 self._advertised_by(peer, wire.rows(asked, "channels"))
             case "unadvertise":
                 self._unadvertised_by(peer, wire.ids(asked, "channelIds"))
+            case "getParameters" if why := self._requests.refused(now, peer.asking, reads=True):
+                peer.tell(ERROR, why)
             case "getParameters":
                 names, values = wire.names(asked, "parameterNames"), self._parameters()
                 _send_values(peer, values, names or list(values), asked.get("id"))
@@ -243,15 +247,15 @@ class Foxglove:
         return ()
 
     def _binary(self, now: Nanos, peer: _Peer, asked: wire.Binary) -> Sequence[Instruction]:
-        instruction: Instruction | None = None
         match asked:
             case wire.Published():
-                instruction = self._published(now, peer, asked)
+                return self._published(now, peer, asked)
             case wire.Call():
                 instruction = self._called(now, peer, asked)
+                return () if instruction is None else (instruction,)
             case wire.Play():
                 self._played(peer, asked)
-        return () if instruction is None else (instruction,)
+        return ()
 
     # -- topics -----------------------------------------------------------------------------------
 
@@ -367,8 +371,6 @@ class Foxglove:
 
     def _ask(self, now: Nanos, peer: _Peer, line: str) -> tuple[Instruction | None, str]:
         """Return what a line asks, or None; and the answer."""
-        if self.scene.kind == "replay":
-            return None, NO_INSTRUCTIONS
         instruction, answer = self._requests.line(now, peer.asking, line)
         return instruction, answer.text
 
@@ -425,15 +427,15 @@ class Foxglove:
             if peer.channels.pop(number, None) is None:
                 peer.tell(WARNING, f"Client is not advertising channel: {number}")
 
-    def _published(self, now: Nanos, peer: _Peer, asked: wire.Published) -> Instruction | None:
+    def _published(self, now: Nanos, peer: _Peer, asked: wire.Published) -> Sequence[Instruction]:
         """Do what a client publishes, and tell it what is refused, until it is not any more."""
         if asked.channel not in peer.channels:
             peer.tell(ERROR, f"Unknown channel ID: {asked.channel}")
-            return None
+            return ()
         topic, encoding = peer.channels[asked.channel]
-        instruction: Instruction | None = None
+        instructions: Sequence[Instruction] = ()
         try:
-            instruction, refused = self._asked_by(now, peer, topic, encoding, asked.payload)
+            instructions, refused = self._asked_by(now, peer, topic, encoding, asked.payload)
         except WireError as error:
             refused = str(error)
         name = topic[:100]
@@ -443,26 +445,26 @@ class Foxglove:
         elif name in peer.troubled:
             peer.troubled.remove(name)
             peer.client.send(wire.text("removeStatus", {"statusIds": [name]}))
-        return instruction
+        return instructions
 
     def _asked_by(
         self, now: Nanos, peer: _Peer, topic: str, encoding: str, payload: bytes
-    ) -> tuple[Instruction | None, str]:
+    ) -> tuple[Sequence[Instruction], str]:
         """Return what a message asks, and why that is refused. A Twist of zeros lets go."""
         if topic not in RECEIVED:
-            return None, f"nothing here receives this topic, but {', '.join(RECEIVED)}"
+            return (), f"nothing here receives this topic, but {', '.join(RECEIVED)}"
         if RECEIVED[topic] == "Twist":
             linear, lateral, angular = wire.twist(encoding, payload)
             sideways = f" {lateral!r}" if lateral else ""
             moves = linear or lateral or angular
             line = f"drive {linear!r} {angular!r}{sideways}" if moves else ""
-            instruction, answer = self._requests.hold(now, peer.asking, line)
-            return instruction, answer.text
+            instructions, answer = self._requests.hold(now, peer.asking, line)
+            return instructions, answer.text
         frame, x, y, yaw = wire.pose(encoding, payload)
         if frame.lstrip("/") not in ("", FRAME):
-            return None, f"a goal is in the frame {FRAME!r}, not in {frame[:100]!r}"
+            return (), f"a goal is in the frame {FRAME!r}, not in {frame[:100]!r}"
         instruction, text = self._ask(now, peer, f"goal {x!r} {y!r} {yaw!r}rad")
-        return instruction, "" if instruction is not None else text
+        return ((), text) if instruction is None else ((instruction,), "")
 
     # -- a playback -------------------------------------------------------------------------------
 

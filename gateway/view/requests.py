@@ -1,8 +1,9 @@
 """What the view's clients ask of a robot: lines of an operator's language → instructions of the next tick.
 
 Rules. A client that may not steer may only stop. What is held (a key, a stick, a jog) ends when its client
-does not repeat it for `HELD`, or is gone. A client has so many requests a second, but stop is always heard.
-Nothing here raises, whatever a client sends.
+does not repeat it for `HELD`, holds something else, or is gone; and with a stop, whoever asked for it: then
+it must be let go before it is held again. A client has so many requests a second and in one poll, but a stop
+is always read. Nothing here raises, whatever a client sends.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from gateway.core.robot import Robot
-from gateway.operator.commands import Query, RejectedLine, help_text, parse
+from gateway.operator.commands import Query, RejectedLine, command_of, help_text, parse
 from protocols import messages as msg
 from protocols.messages import MILLISECOND, SECOND, Instruction, Nanos
 
@@ -19,10 +20,15 @@ HELD: Nanos = 200 * MILLISECOND
 PER_SECOND = 20
 """Requests of one client,"""
 AT_ONCE = 40
-"""and at once."""
+"""at once,"""
+PER_POLL = 10
+"""and in one poll."""
+HOLDS_PER_SECOND = 100
+"""Messages of one client that something is held: more are a flood, and hold nothing."""
 MAX_LINE = 1000
 """Characters of a line."""
 READ_ONLY = "this view is read-only: start it with --steer"
+NO_ROBOT = "no robot runs here: what is shown takes no requests, and cannot be stopped"
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,15 +39,54 @@ class Answer:
     text: str
 
 
+SILENT = Answer(ok=True, text="")
+"""The answer to what needs none."""
+
+
+@dataclass(slots=True)
+class _Budget:
+    """How much of something may be asked: so much a second, and that of `span` seconds at once."""
+
+    rate: float
+    left: float
+    debt: float = 0.0
+    """How far it can be overdrawn: a flood stays refused until it calms down."""
+    at: Nanos = 0
+    """When `left` was brought up to date."""
+    full: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.full = self.left
+
+    def take(self, now: Nanos, count: int = 1) -> bool:
+        """Take so many, if there are any."""
+        self.left = min(self.full, self.left + (now - self.at) / SECOND * self.rate)
+        self.at = now
+        granted = self.left >= count
+        if granted or self.debt:
+            self.left = max(-self.debt, self.left - count)
+        return granted
+
+
 @dataclass(slots=True, eq=False)
 class Asking:
     """One client, as one who asks."""
 
-    tokens: float = AT_ONCE
-    at: Nanos = 0
-    """When `tokens` was brought up to date."""
+    requests: _Budget = field(default_factory=lambda: _Budget(PER_SECOND, AT_ONCE))
+    holds: _Budget = field(
+        default_factory=lambda: _Budget(HOLDS_PER_SECOND, HOLDS_PER_SECOND, debt=HOLDS_PER_SECOND)
+    )
+    polled: Nanos = -1
+    """The last poll in which it asked,"""
+    asked: int = 0
+    """and how often."""
+    stopped: Nanos = -1
+    """The last poll in which it asked for a stop: once is enough."""
     held: Instruction | None = None
     held_until: Nanos = 0
+    """Without another message; or, if it is barred, until when that lasts."""
+    barred: bool = False
+    """Whether what it holds counts for nothing until it lets go."""
 
 
 @dataclass(slots=True)
@@ -51,58 +96,106 @@ class Requests:
     robot: Robot
     steer: bool
     """Whether they may do more than stop."""
+    live: bool = True
+    """Whether there is a robot to ask."""
     asking: list[Asking] = field(default_factory=list)
+    _stopped: str = ""
+    """Why the robot is stopped; "": it is not."""
 
     def enter(self) -> Asking:
         """Return a new client."""
         self.asking.append(Asking())
         return self.asking[-1]
 
-    def leave(self, one: Asking) -> Instruction | None:
+    def leave(self, one: Asking) -> list[Instruction]:
         """Forget a client; return what ends what it held."""
         self.asking.remove(one)
         return _end_of(one)
 
     def line(self, now: Nanos, one: Asking, line: str) -> tuple[Instruction | None, Answer]:
         """Return what a line asks of the robot, and the answer; None if that is nothing."""
+        word = command_of(line[:MAX_LINE])
+        if word == "stop" and self.live:
+            return self._stop(now, one, line)
+        if refused := self.refused(now, one, reads=word == "help"):
+            return None, Answer(ok=False, text=refused)
         asked = self._parsed(line)
         if isinstance(asked, Answer):
             return None, asked
-        if isinstance(asked, msg.Stop):
-            one.held = None  # it ends with the rest
-            return asked, Answer(ok=True, text="stopped")
-        if refused := self._refused(now, one):
-            return None, Answer(ok=False, text=refused)
         return asked, Answer(ok=True, text=f"accepted: {line}")
 
-    def hold(self, now: Nanos, one: Asking, line: str) -> tuple[Instruction | None, Answer]:
-        """Do what a line asks for as long as it is held; "" ends it. Only Drive and Velocity can be held."""
+    def hold(self, now: Nanos, one: Asking, line: str, count: int = 1) -> tuple[list[Instruction], Answer]:
+        """Do what a line asks for as long as it is held; "" ends it. Only Drive and Velocity can be held.
+
+        Args:
+            now: the time of the poll.
+            one: who asks.
+            line: the newest of the messages of this poll.
+            count: how many there were.
+        """
         if not line.strip():
-            return _end_of(one), Answer(ok=True, text="")
+            one.barred = False
+            return _end_of(one), SILENT
+        if one.barred and now <= one.held_until:
+            one.held_until = now + HELD
+            return [], SILENT
+        one.barred = False
+        if not one.holds.take(now, count):
+            one.barred, one.held_until = True, now + HELD
+            return _end_of(one), Answer(ok=False, text="too many messages: what is held has ended")
+        if wrong := self._never() or (f"stopped: {self._stopped}" if self._stopped else ""):
+            one.barred, one.held_until = True, now + HELD
+            return [], Answer(ok=False, text=wrong)
         asked = self._parsed(line)
         if isinstance(asked, Answer):
-            return None, asked
+            return _end_of(one), asked
         if not isinstance(asked, msg.Drive | msg.Velocity):
-            return None, Answer(ok=False, text=f"{line!r} is nothing that can be held")
-        if not self.steer:
-            return None, Answer(ok=False, text=READ_ONLY)
+            return _end_of(one), Answer(ok=False, text=f"{line!r} is nothing that can be held")
+        ended = [] if _motor(one.held) == _motor(asked) else _end_of(one)
         one.held, one.held_until = asked, now + HELD
-        return asked, Answer(ok=True, text="")
+        return [*ended, asked], SILENT
+
+    def refused(self, now: Nanos, one: Asking, *, reads: bool = False) -> str:
+        """Return why a client may not ask now; "" if it may. `reads`: it only wants to know something."""
+        if not reads and (wrong := self._never()):
+            return wrong
+        if one.polled != now:
+            one.polled, one.asked = now, 0
+        one.asked += 1
+        if one.asked > PER_POLL or not one.requests.take(now):
+            return f"too many requests: {PER_SECOND} a second are read, {PER_POLL} in a step"
+        return ""
 
     def expired(self, now: Nanos) -> list[Instruction]:
         """Return what ends that which is not held any more."""
-        return [end for one in self.asking if now > one.held_until and (end := _end_of(one)) is not None]
+        return [end for one in self.asking if now > one.held_until for end in _end_of(one)]
+
+    def ends(self) -> list[Instruction]:
+        """Return what ends all that is held."""
+        return [end for one in self.asking for end in _end_of(one)]
+
+    def on_stop(self, reason: str) -> None:
+        """Take why the robot is stopped, "" if it is not. With a stop ends what is held."""
+        self._stopped = reason
+        if reason:
+            for one in self.asking:
+                one.barred = one.barred or one.held is not None
+                one.held = None
+
+    def _never(self) -> str:
+        """Return why nobody may ask for anything but a stop; "" if they may."""
+        return NO_ROBOT if not self.live else READ_ONLY if not self.steer else ""
+
+    def _stop(self, now: Nanos, one: Asking, line: str) -> tuple[Instruction | None, Answer]:
+        again, one.stopped = one.stopped == now, now
+        asked = None if again else self._parsed(line[:MAX_LINE])
+        return asked if isinstance(asked, msg.Stop) else None, Answer(ok=True, text="stopped")
 
     def _parsed(self, line: str) -> Instruction | Answer:
         if len(line) > MAX_LINE:
             return Answer(ok=False, text=f"the line is longer than {MAX_LINE} characters")
         line = line.encode(errors="replace").decode()  # half a character, as JSON can write, is no text
-        words = line.split()
-        if words[:1] == ["mission"] and any(mark in line for mark in "/\\"):
-            return Answer(
-                ok=False, text="name a mission that ships: files are for the gateway's own terminal"
-            )
-        match parse(line, self.robot):
+        match parse(line, self.robot, files=False):
             case None:
                 return Answer(ok=False, text="nothing was asked")
             case RejectedLine(reason):
@@ -114,21 +207,15 @@ class Requests:
             case instruction:
                 return instruction
 
-    def _refused(self, now: Nanos, one: Asking) -> str:
-        """Return why a client may not ask now; "" if it may."""
-        if not self.steer:
-            return READ_ONLY
-        one.tokens = min(AT_ONCE, one.tokens + (now - one.at) / SECOND * PER_SECOND)
-        one.at = now
-        if one.tokens < 1.0:
-            return f"too many requests: {PER_SECOND} a second are heard"
-        one.tokens -= 1.0
-        return ""
+
+def _motor(held: Instruction | None) -> str | None:
+    """Return what is held: the name of a motor, "" for the base; None: nothing."""
+    return held.motor if isinstance(held, msg.Velocity) else None if held is None else ""
 
 
-def _end_of(one: Asking) -> Instruction | None:
+def _end_of(one: Asking) -> list[Instruction]:
     """Return what ends what a client held, once."""
     held, one.held = one.held, None
     if isinstance(held, msg.Velocity):
-        return replace(held, velocity=0.0)
-    return None if held is None else msg.Drive(0.0, 0.0)
+        return [replace(held, velocity=0.0)]
+    return [] if held is None else [msg.Drive(0.0, 0.0)]

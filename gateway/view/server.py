@@ -1,22 +1,22 @@
 """One port for pages and WebSocket clients, polled by the loop: no thread, no asyncio, nothing that waits.
 
-Rules. Each poll has a bounded share: connections accepted, bytes and messages read. What is sent is either an
-event, which is never dropped, or a sample, of which only the newest waits while a client does not read. A
-client that stays slow, or leaves too much unread, is closed with the reason. Connections that do not get on
-with their handshake, or to which a page was sent, are closed after a while; if there are too many the oldest
-goes. The same is true of clients: of those, the one that has been silent longest.
+Rules. Each poll has a bounded share: connections accepted, and bytes read, hence messages. What is sent is
+either an event, which is never dropped, or a sample, of which only the newest waits while a client does not
+read. A client that stays slow, or leaves too much unread, is closed with the reason. Connections that do not
+get on with their handshake, or to which a page was sent, are closed after a while; if there are too many the
+oldest goes. If there are too many clients, a new one takes the place of one that has been silent for long, or
+is refused.
 """
 
 from __future__ import annotations
 
 import logging
 import socket
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from ipaddress import ip_address
 from typing import TypeAlias
-from urllib.parse import urlsplit
 
 from websockets.datastructures import Headers
 from websockets.frames import Frame, Opcode
@@ -26,7 +26,7 @@ from websockets.server import ServerProtocol
 from websockets.typing import Subprotocol
 
 from gateway.errors import UserError
-from gateway.view.access import Access, Address
+from gateway.view.access import Access, Address, parse_address
 from protocols.messages import SECOND, Nanos
 
 Message: TypeAlias = str | bytes
@@ -35,17 +35,18 @@ MAX_ACCEPTED = 8
 """Connections accepted in one poll."""
 MAX_READ = 1024
 """Bytes read of one connection in one poll: up to 170 frames, each of which takes some µs."""
-MAX_BUSY = 3
-"""Connections that are read in one poll, of those that have something: the others have their turn next."""
+MAX_BUSY = {True: 3, False: 1}
+"""Clients, and connections that are none (yet), that are read in one poll, of those that have sent something:
+the others have their turn next."""
 MAX_DISCARDED = 1 << 16
 """Bytes, if it is closing."""
-MAX_MESSAGES = 8
-"""Messages of one client handed out in one poll."""
 MAX_SIZE = 1 << 16
 """Bytes of a message that a client may send."""
 MAX_PENDING = 32
 """Connections that are no clients (yet)."""
 MAX_CLIENTS = 16
+SILENCE: Nanos = 10 * SECOND
+"""After which a client gives way to a new one. Our pages send something every 2 s."""
 MAX_UNSENT = 4 << 20
 """Bytes of events that a client may leave unread."""
 SEND_BUFFER = 1 << 18
@@ -86,14 +87,15 @@ class Client:
     """Whether it has become a client."""
     heard: Nanos = 0
     """When it last sent a message."""
-    dropped: int = 0
-    """Samples that were replaced by newer ones before they were sent."""
-    inbox: deque[Message] = field(default_factory=deque)
+    inbox: list[Message] = field(default_factory=list)
+    """What has come in this poll."""
     parts: list[bytes] = field(default_factory=list)
     """Of a message in fragments."""
     text: bool = False
     unsent: bytearray = field(default_factory=bytearray)
     samples: dict[str, Callable[[], Message]] = field(default_factory=dict)
+    sampled: int = 0
+    """Bytes of samples that are not sent yet, at most: they may be as large as they are."""
     stuck_since: Nanos | None = None
     ending: Nanos | None = None
     """When it is closed at the latest."""
@@ -111,8 +113,6 @@ class Client:
 
     def sample(self, key: str, message: Callable[[], Message]) -> None:
         """Send a sample when there is room: until then a newer one of this key takes its place."""
-        if key in self.samples:
-            self.dropped += 1
         self.samples[key] = message
 
     def end(self, code: int, reason: str) -> None:
@@ -156,6 +156,9 @@ class Server:
         self._access, self._pages, self._subprotocols = access, pages, subprotocols
         self._listener = _listen(address)
         self.address = Address(address.host, self._listener.getsockname()[1])
+        everywhere = ip_address(address.host).is_unspecified
+        self.name = f"{socket.gethostname()}:{self.address.port}" if everywhere else str(self.address)
+        """How it is reached: by the machine's name where it listens on all of its addresses."""
         self._connections: list[Client] = []
         """The one that was read longest ago first."""
 
@@ -167,23 +170,25 @@ class Server:
 
     @property
     def clients(self) -> list[Client]:
-        """Those that have finished their handshake."""
-        return [one for one in self._connections if one.open]
+        """Those that have finished their handshake, and are not being closed."""
+        return [one for one in self._connections if one.open and one.protocol.state is State.OPEN]
 
-    def poll(self, now: Nanos) -> list[tuple[Client, Message]]:
+    def poll(self, now: Nanos) -> list[tuple[Client, list[Message]]]:
         """Return the messages since the last poll, those of the client read longest ago first. Never waits.
 
         `now` only times out."""
-        messages: list[tuple[Client, Message]] = []
-        busy = 0
+        messages: list[tuple[Client, list[Message]]] = []
+        left = dict(MAX_BUSY)
         for client in list(self._connections):
-            if not client.inbox and busy < MAX_BUSY and self._read(now, client):
-                busy += 1
+            kind = client.open
+            if left[kind] and self._read(now, client):
+                left[kind] -= 1
                 if client in self._connections:
                     self._connections.remove(client)
                     self._connections.append(client)
-            count = min(MAX_MESSAGES, len(client.inbox))
-            messages += [(client, client.inbox.popleft()) for _ in range(count)]
+            if client.inbox:
+                messages.append((client, client.inbox))
+                client.inbox = []
         self._accept(now)
         for client in list(self._connections):
             self._time_out(now, client)
@@ -198,6 +203,7 @@ class Server:
                 samples, client.samples = client.samples, {}
                 for message in samples.values():
                     client.send(message())
+                client.sampled = len(client.unsent)
                 self._send(now, client)
 
     def close(self) -> None:
@@ -251,24 +257,25 @@ class Server:
         """Send a page, or become a client."""
         headers = request.headers
         origins, hosts = headers.get_all("Origin"), headers.get_all("Host")
-        page = self._pages.get(urlsplit(request.path).path)
+        path = request.path.partition("?")[0]
+        page = self._pages.get(path)
         if len(hosts) != 1 or len(origins) > 1:
             response = client.protocol.reject(400, "one header Host and one Origin at most are expected\n")
         elif "Upgrade" not in headers:
             response = _page(page) if page else client.protocol.reject(404, "there is no such page\n")
         else:
-            response = self._upgrade(now, client, request, hosts[0], origins[0] if origins else None)
+            response = self._upgrade(now, client, request, path, hosts[0], origins[0] if origins else None)
         client.protocol.send_response(response)
         client.open = response.status_code == 101
         client.heard = now
 
     def _upgrade(
-        self, now: Nanos, client: Client, request: Request, host: str, origin: str | None
+        self, now: Nanos, client: Client, request: Request, path: str, host: str, origin: str | None
     ) -> Response:
         status, reason = self._access.refused(request.path, host, origin)
         if status:
             return client.protocol.reject(status, reason + "\n")
-        offered = self._subprotocols.get(urlsplit(request.path).path)
+        offered = self._subprotocols.get(path)
         if offered is None:
             return client.protocol.reject(404, "nothing is spoken at this path\n")
         asked = [
@@ -284,10 +291,12 @@ class Server:
         clients = self.clients
         if len(clients) >= MAX_CLIENTS:
             silent = min(clients, key=lambda one: one.heard)
-            silent.end(1013, f"there are more than {MAX_CLIENTS} clients")
+            if now - silent.heard < SILENCE:
+                return client.protocol.reject(503, f"there are {MAX_CLIENTS} clients already\n")
+            silent.end(1013, f"there are more than {MAX_CLIENTS} clients, and this one was silent")
             self._send(now, silent)
             self._drop(silent)
-        client.path, client.subprotocol = urlsplit(request.path).path, spoken
+        client.path, client.subprotocol = path, spoken
         return client.protocol.accept(request)
 
     # -- out ----------------------------------------------------------------------------------
@@ -302,7 +311,7 @@ class Server:
             self._drop(client)
             return
         if not client.unsent:
-            client.stuck_since = None
+            client.stuck_since, client.sampled = None, 0
         elif client.stuck_since is None or sent:
             client.stuck_since = now
 
@@ -320,8 +329,9 @@ class Server:
             self._drop(client)
         elif client.open:
             stuck = client.stuck_since is not None and now - client.stuck_since > PATIENCE
-            if stuck or len(client.unsent) > MAX_UNSENT:
+            if stuck or len(client.unsent) - client.sampled > MAX_UNSENT:
                 client.end(1008, "too slow: what was sent was not read")
+            if client.protocol.state is not State.OPEN:
                 client.ending = now + LINGER
 
     def _drop(self, client: Client) -> None:
@@ -338,7 +348,7 @@ def _on_frame(now: Nanos, client: Client, frame: Frame) -> None:
         client.text = frame.opcode is Opcode.TEXT
         client.parts = [bytes(frame.data)]
     elif frame.opcode is Opcode.CONT:
-        client.parts.append(bytes(frame.data))
+        client.parts += [bytes(frame.data)] if frame.data else []
     else:
         return
     if frame.fin:
@@ -376,10 +386,21 @@ def _listen(address: Address) -> socket.socket:
     return listener
 
 
-def free_address() -> Address:
-    """Return the default address; with a port that is free if its own is taken."""
-    try:
-        _listen(Address()).close()
-    except UserError:
-        return Address(port=0)
-    return Address()
+def place(address: str, token: str, origins: Sequence[str] = ()) -> tuple[Address, Access]:
+    """Return where a view listens, and who may connect.
+
+    Args:
+        address: HOST:PORT, HOST or PORT; "": the default one, with a port that is free if its own is taken.
+        token: what a client must bring.
+        origins: foreign pages that may connect.
+
+    Raises:
+        UserError: the address is none, or needs a token.
+    """
+    where = parse_address(address) if address else Address()
+    if not address:
+        try:
+            _listen(where).close()
+        except UserError:
+            where = Address(port=0)
+    return where, Access(where.loopback, token, tuple(origins))

@@ -52,7 +52,8 @@ class View:
         steer: bool = False,
         acts: Mapping[str, Act] | None = None,
     ) -> None:
-        self._requests, self._scenes = Requests(scenes[0].robot, steer), scenes
+        self._requests = Requests(scenes[0].robot, steer, live=scenes[0].kind == "live")
+        self._scenes = scenes
         self._cockpits = {
             COCKPIT + f"/{number}" * (number > 1): Cockpit(scene, self._requests, acts or {})
             for number, scene in enumerate(scenes, 1)
@@ -63,7 +64,7 @@ class View:
         self._server = Server(address, access, pages(), subprotocols)
         token = f"?token={access.token}" if access.token else ""
         page = "pair.html" if len(scenes) > 1 else ""
-        self.url = f"http://{self._server.address}/{page}{token}"
+        self.url = f"http://{self._server.name}/{page}{token}"
         """What to open in a browser."""
 
     def __enter__(self) -> View:
@@ -79,15 +80,21 @@ class View:
             now: any clock that keeps step with a person's: what is held times out by it.
         """
         instructions: list[Instruction] = []
-        for client, message in self._server.poll(now):
-            instructions += self._speakers[client.path].receive(now, client, message)
+        for client, messages in self._server.poll(now):
+            instructions += self._speakers[client.path].receive(now, client, messages)
         for path, speaker in self._speakers.items():
             instructions += speaker.leave(self._clients(path))
         return instructions + self._requests.expired(now)
 
+    def ends(self) -> list[Instruction]:
+        """Return what ends all that is held, before the view is closed."""
+        return self._requests.ends()
+
     def take(self, tick: Tick, belief: Belief, scene: int = 0) -> None:
         """Take a tick of one of the scenes: its notes are sent at once, all else when it is due."""
         self._scenes[scene].observe(tick, belief)
+        if scene == 0:
+            self._requests.on_stop(self._scenes[0].gateway.stopped)
         for speaker in self._speakers.values():
             if speaker.scene is self._scenes[scene]:
                 speaker.take(tick)

@@ -22,7 +22,8 @@ from gateway.runtime import replay_view
 from gateway.runtime.replay_view import ReplayView
 from gateway.runtime.session import Session, open_session
 from gateway.view import Access, Address, parse_address
-from protocols.messages import MILLISECOND, SECOND, Goal
+from gateway.view.requests import NO_ROBOT
+from protocols.messages import MILLISECOND, SECOND, Goal, Instruction, Release, Stop
 from tests.gateway.view.clients import Browser
 
 
@@ -133,13 +134,66 @@ def test_a_view_on_demand_is_not_opened_while_a_motor_is_armed() -> None:
     with open_session("diffbot", simulated=True) as session:
         watched = Watched(session)
         assert view_on_demand(session, "127.0.0.1:0 steer").startswith("http://127.0.0.1:")
+        url = session.view_url
         assert "is no address" in view_on_demand(session, "127.0.0.1:x")
+        assert view_on_demand(session, "") == url  # the one that is open, as it is
         watched.page.close()
         watched = Watched(session)
         watched.page.send({"ask": "goal 1 0"})
         watched.until(lambda: session.joints["left"].armed)
-        assert "armed" in view_on_demand(session, "")
+        assert "armed" in view_on_demand(session, "127.0.0.1:0")
         watched.page.close()
+
+
+def jogged(session: Session) -> Watched:
+    """Return a page that has held a jog until the joint turns."""
+    watched = Watched(session)
+
+    def turns() -> bool:
+        watched.page.send({"held": "velocity left 2"})
+        feedback = session.joints["left"].feedback
+        return feedback is not None and (feedback.velocity or 0.0) > 1.0
+
+    watched.until(turns)
+    return watched
+
+
+def stands(session: Session) -> bool:
+    feedback = session.joints["left"].feedback
+    return feedback is not None and abs(feedback.velocity or 0.0) < 0.05
+
+
+def test_what_is_held_ends_with_the_view() -> None:
+    with open_session("bench", simulated=True) as session:
+        watched = jogged(session)
+        session.view("0", steer=True)
+        watched.until(lambda: stands(session))
+        watched.page.close()
+
+
+def test_a_view_that_fails_is_closed_and_keeps_nothing_from_the_robot(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    with open_session("bench", simulated=True) as session:
+        watched = jogged(session)
+        view = session._view
+        assert view is not None
+
+        def fail() -> list[Instruction]:
+            raise ZeroDivisionError
+
+        monkeypatch.setattr(view, "poll", fail)
+        watched.until(lambda: stands(session))
+        assert session.view_url == ""
+        assert "the live view has failed" in caplog.text
+        watched.page.close()
+
+
+def test_a_stop_holds_until_it_is_released_after_it(watched: Watched) -> None:
+    watched.session.submit(Stop("enough"), Release())
+    watched.until(lambda: bool(watched.page.of("state")[-1]["stopped"]))
+    watched.ask("release")
+    watched.until(lambda: not watched.page.of("state")[-1]["stopped"])
 
 
 def test_an_address_that_others_can_reach_needs_a_token_and_one_that_is_taken_is_named() -> None:

@@ -512,7 +512,8 @@ class Fake:
 
     def poll(self) -> None:
         self.now += 1_000_000
-        self.received += [json.loads(message) for _, message in self.server.poll(self.now)]
+        for _, messages in self.server.poll(self.now):
+            self.received += map(json.loads, messages)
         self.server.flush(self.now)
 
     def until(self, what: Callable[[], Any], name: str = "what is awaited") -> Any:

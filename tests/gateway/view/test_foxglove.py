@@ -580,7 +580,7 @@ def test_a_parameter_out_of_its_bounds_stays(loop: Bench) -> None:
     ("how", "why"),
     [
         ({"steer": False}, READ_ONLY),
-        (REPLAY, "a recording takes no instructions"),
+        (REPLAY, NO_ROBOT),
     ],
     ids=["read-only", "replay"],
 )

@@ -5,8 +5,19 @@ from __future__ import annotations
 import pytest
 
 from gateway.config import load_robot
-from gateway.view.requests import AT_ONCE, HELD, PER_SECOND, READ_ONLY, Requests
-from protocols.messages import SECOND, Drive, Goal, Set, Stop, Velocity
+from gateway.view.requests import (
+    AT_ONCE,
+    HELD,
+    NO_ROBOT,
+    PER_POLL,
+    PER_SECOND,
+    READ_ONLY,
+    SILENT,
+    Answer,
+    Asking,
+    Requests,
+)
+from protocols.messages import SECOND, Drive, Goal, Nanos, Set, Stop, Velocity
 
 ROBOT, BENCH = load_robot("diffbot"), load_robot("bench")
 
@@ -33,6 +44,8 @@ def test_a_line_is_an_operators_request(line: str, instruction: object) -> None:
         ("goal nan 1", "not a finite number"),
         ("", "nothing was asked"),
         ("mission ../../etc/passwd", "files are for the gateway's own terminal"),
+        ("Mission,/etc/passwd", "files are for the gateway's own terminal"),
+        ("MISSION mine.toml", "files are for the gateway's own terminal"),
         ("quit", "for the gateway's own terminal"),
         ("status", "for the gateway's own terminal"),
         ("goal 1 " + "2" * 1000, "longer than 1000"),
@@ -54,17 +67,42 @@ def test_who_may_not_steer_may_stop_and_nothing_else() -> None:
     for line in ("release", "goal 1 1", "set left.limits.velocity 3", "clear"):
         assert requests.line(0, one, line) == (None, requests.line(0, one, "release")[1])
     assert requests.hold(0, one, "drive 0.1 0")[1].text == READ_ONLY
+    assert requests.line(0, one, "help")[1].ok
+
+
+def test_where_no_robot_runs_nothing_can_be_asked_not_even_a_stop() -> None:
+    requests = Requests(ROBOT, steer=False, live=False)
+    one = requests.enter()
+    for line in ("stop", "goal 1 1"):
+        assert requests.line(0, one, line) == (None, Answer(ok=False, text=NO_ROBOT))
+
+
+def taken(requests: Requests, now: Nanos, one: Asking, polls: int) -> int:
+    """Return how many requests are taken of one who asks as often as possible."""
+    times = [now + poll for poll in range(polls) for _ in range(10 * PER_POLL)]
+    return sum(requests.line(t, one, "goal 1 1")[0] is not None for t in times)
 
 
 def test_too_many_requests_are_refused_and_a_stop_never_is() -> None:
     requests = Requests(ROBOT, steer=True)
     one, other = requests.enter(), requests.enter()
-    heard = sum(requests.line(0, one, "goal 1 1")[0] is not None for _ in range(10 * AT_ONCE))
-    assert heard == AT_ONCE
+    assert taken(requests, 0, one, polls=1) == PER_POLL
+    assert taken(requests, 1, one, polls=10) == AT_ONCE - PER_POLL
     assert requests.line(0, one, "stop")[0] == Stop("")
+    assert requests.line(0, one, "stop") == (
+        None,
+        Answer(ok=True, text="stopped"),
+    )  # once in a poll is enough
+    assert requests.line(1, one, "stop")[0] == Stop("")
     assert requests.line(0, other, "goal 1 1")[0] == Goal(1.0, 1.0)
-    heard = sum(requests.line(SECOND, one, "goal 1 1")[0] is not None for _ in range(10 * AT_ONCE))
-    assert heard == PER_SECOND
+    assert taken(requests, SECOND, one, polls=10) == PER_SECOND
+
+
+def test_what_is_refused_is_not_even_parsed() -> None:
+    requests = Requests(ROBOT, steer=False)
+    one = requests.enter()
+    for line in ("mission rounds", "gaol 1 1"):
+        assert requests.line(0, one, line)[1].text == READ_ONLY
 
 
 @pytest.mark.parametrize(
@@ -78,17 +116,56 @@ def test_what_is_held_ends_without_its_client(robot: object, line: str, held: ob
     requests = Requests(robot, steer=True)  # type: ignore[arg-type]
     one = requests.enter()
     for t in (0, HELD, 2 * HELD):  # repeated in time
-        assert requests.hold(t, one, line)[0] == held
+        assert requests.hold(t, one, line)[0] == [held]
         assert requests.expired(t + HELD) == []
     assert requests.expired(3 * HELD + 1) == [end]
     assert requests.expired(4 * HELD) == []
-    assert requests.hold(5 * HELD, one, line)[0] == held
-    assert requests.hold(5 * HELD, one, "")[0] == end  # released
-    assert requests.hold(6 * HELD, one, line)[0] == held
-    assert requests.leave(one) == end  # gone
+    assert requests.hold(5 * HELD, one, line)[0] == [held]
+    assert requests.hold(5 * HELD, one, "")[0] == [end]  # released
+    assert requests.hold(6 * HELD, one, line)[0] == [held]
+    assert requests.leave(one) == [end]  # gone
     assert requests.expired(9 * HELD) == []
 
 
-def test_a_goal_cannot_be_held() -> None:
+def test_what_is_held_ends_with_what_is_held_next() -> None:
+    requests = Requests(BENCH, steer=True)
+    one = requests.enter()
+    assert requests.hold(0, one, "velocity left 2")[0] == [Velocity("left", 2.0)]
+    assert requests.hold(1, one, "velocity left 3")[0] == [Velocity("left", 3.0)]
+    assert requests.hold(2, one, "velocity right 2")[0] == [Velocity("left", 0.0), Velocity("right", 2.0)]
+    assert requests.hold(3, one, "goal 1 1")[0] == [Velocity("right", 0.0)]  # which cannot be held
+    assert requests.ends() == []
+
+
+def test_after_a_stop_it_must_be_let_go_before_it_is_held_again() -> None:
     requests = Requests(ROBOT, steer=True)
-    assert requests.hold(0, requests.enter(), "goal 1 1")[0] is None
+    holds, silent, lets_go = (requests.enter() for _ in range(3))
+    for one in (holds, silent, lets_go):
+        assert requests.hold(0, one, "drive 0.3 0")[0] == [Drive(0.3, 0.0)]
+    requests.on_stop("another operator")
+    assert requests.expired(10 * HELD) == []  # the stop has ended it
+    for t in range(0, 10 * HELD, HELD // 2):
+        assert requests.hold(t, holds, "drive 0.3 0") == ([], SILENT)
+        requests.on_stop("another operator" if t < 5 * HELD else "")
+    assert requests.hold(10 * HELD, silent, "drive 0.3 0")[0] == [Drive(0.3, 0.0)]
+    assert requests.hold(10 * HELD, lets_go, "")[0] == []
+    assert requests.hold(10 * HELD, lets_go, "drive 0.3 0")[0] == [Drive(0.3, 0.0)]
+
+
+def test_nothing_is_held_while_it_is_stopped_and_that_is_answered_once() -> None:
+    requests = Requests(ROBOT, steer=True)
+    one = requests.enter()
+    requests.on_stop("enough")
+    assert requests.hold(0, one, "drive 0.3 0") == ([], Answer(ok=False, text="stopped: enough"))
+    assert requests.hold(HELD // 2, one, "drive 0.3 0") == ([], SILENT)
+
+
+def test_a_flood_holds_nothing_until_it_calms_down() -> None:
+    requests = Requests(ROBOT, steer=True)
+    one = requests.enter()
+    assert requests.hold(0, one, "drive 0.3 0", count=60)[0] == [Drive(0.3, 0.0)]
+    begun, answer = requests.hold(1, one, "drive 0.3 0", count=60)
+    assert (begun, answer.ok) == ([Drive(0.0, 0.0)], False)
+    for t in range(1, 5):
+        assert requests.hold(t * HELD // 2, one, "drive 0.3 0", count=60)[0] == []
+    assert requests.hold(5 * SECOND, one, "drive 0.3 0")[0] == [Drive(0.3, 0.0)]
