@@ -41,8 +41,6 @@ class Linked(Scene):
             raise WorldError.about(f"plant {plant.name!r}", [f"{plant.urdf}: {error}"]) from error
         super().__init__(file, model, imus)
         self._height = plant.height
-        self._shafts: dict[str, tuple[int, int, int]] = {}
-        """Index of each motor in ctrl, and of its joint in qpos and qvel."""
         self._start: list[tuple[int, float]] = []
         """Index of each joint in qpos, and where it starts."""
         for index, (motor, (name, joint)) in enumerate(zip(plant.motors, plant.joints.items(), strict=True)):
@@ -50,11 +48,6 @@ class Linked(Scene):
             self._shafts[motor] = index, int(at.qposadr[0]), int(at.dofadr[0])
             self._start.append((int(at.qposadr[0]), joint.start))
         self.settle()
-
-    @property
-    def motors(self) -> tuple[str, ...]:
-        """The motors that move a joint."""
-        return tuple(self._shafts)
 
     def settle(self) -> None:
         """Settle into the contacts with the joints where they start, then begin time at rest."""
@@ -80,11 +73,6 @@ class Linked(Scene):
         for motor, (index, _, _) in self._shafts.items():
             self.data.ctrl[index] = torques.get(motor, 0.0)
         self.advance()
-
-    def shaft(self, motor: str) -> tuple[float, float]:
-        """Return position [rad] and velocity [rad/s] of a joint."""
-        _, position, velocity = self._shafts[motor]
-        return float(self.data.qpos[position]), float(self.data.qvel[velocity])
 
     def attitude(self) -> tuple[float, float, float]:
         """Return the root link's roll and pitch [rad] and its height [m], now."""

@@ -89,7 +89,6 @@ class Rover(Scene):
         steered = {one.steer.motor: f"{name}_steer" for name, one in body.wheels.items() if one.steer}
         moved = (mjcf.first(body) | steered).items()
         self._shafts = {motor: (index, *at[joint]) for index, (motor, joint) in enumerate(moved)}
-        """Index of each motor in ctrl, and of its shaft in qpos and qvel."""
         self._rollers = [place for name, (place, _) in at.items() if name.endswith("_roller")]
         radius = body.wheel.radius
         streams = np.random.SeedSequence(seed).spawn(len(body.wheels))
@@ -107,11 +106,6 @@ class Rover(Scene):
         self.settle()
         for position, _ in at.values():
             self.data.qpos[position] = 0.0
-
-    @property
-    def motors(self) -> tuple[str, ...]:
-        """The motors that turn or steer a wheel."""
-        return tuple(self._shafts)
 
     def step(self, torques: Mapping[str, float]) -> None:
         """Advance by one time step under torques [N·m] at the shafts."""
@@ -148,11 +142,6 @@ class Rover(Scene):
             for dof in tyre.dofs:
                 applied[dof] = -tyre.radius * along
         data.qfrc_applied[:] = applied
-
-    def shaft(self, motor: str) -> tuple[float, float]:
-        """Return position [rad] and velocity [rad/s] of the output shaft, inside the creeping tyre."""
-        _, position, velocity = self._shafts[motor]
-        return float(self.data.qpos[position]), float(self.data.qvel[velocity])
 
 
 def _joints(body: WheeledBody) -> list[str]:

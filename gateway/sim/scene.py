@@ -76,24 +76,27 @@ class Scene:
         """How often walls and fixed boxes were newly touched, each counted separately."""
         self.touches_by_people = 0
         """How often a person was newly touched while the robot moved."""
+        self._shafts: dict[str, tuple[int, int, int]] = {}
+        """Index of each motor in ctrl, and of its shaft in qpos and qvel. Filled by the robot's kind."""
         self._move_people()
 
     # -- what a kind of robot provides -----------------------------------------------------------
-
-    @property
-    def motors(self) -> Iterable[str]:
-        """The motors that move it."""
-        raise NotImplementedError
 
     def step(self, torques: Mapping[str, float]) -> None:
         """Advance by one time step under torques [N·m] at its motors' output shafts."""
         raise NotImplementedError
 
+    # -- what is the same for all ----------------------------------------------------------------
+
+    @property
+    def motors(self) -> Iterable[str]:
+        """The motors that move it."""
+        return tuple(self._shafts)
+
     def shaft(self, motor: str) -> tuple[float, float]:
         """Return position [rad] and velocity [rad/s] of a motor's output shaft."""
-        raise NotImplementedError
-
-    # -- what is the same for all ----------------------------------------------------------------
+        _, position, velocity = self._shafts[motor]
+        return float(self.data.qpos[position]), float(self.data.qvel[velocity])
 
     def settle(self) -> None:
         """Settle into the contacts at the start pose, then begin time with the base at rest there."""
