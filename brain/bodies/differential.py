@@ -82,14 +82,3 @@ class Differential(Base):
         half, lever = radius / 2.0, radius / self.wheel_separation
         turn = (right - left) / self.wheel_separation
         return Travel((left + right) / 2.0, turn, 0.0, (half, half), (-lever, lever), (0.0, 0.0))
-
-    # for perception, until it asks for `travel`
-    def forward(self, left: float, right: float) -> tuple[float, float]:
-        """Return distance and turn."""
-        travel = self.travel((0.0, 0.0), (left, right))
-        return travel.distance, travel.turn
-
-    @property
-    def wheel_speed(self) -> float:
-        """Largest speed of a wheel [rad/s]."""
-        return self.top_speeds[0]
