@@ -48,11 +48,6 @@ def outside(command: Command, bounds: Bounds) -> str:
     return ""
 
 
-def out_of_range(command: Command, ranges: Mapping[str, Range]) -> str:
-    """Return why the numbers of a command must not be sent, "" if they may."""
-    return outside(command, bounds_of(type(command), ranges))
-
-
 class RejectionFilter:
     """Reports a refused command once: commands are repeated every tick, and only a new reason is reported.
 

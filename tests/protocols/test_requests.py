@@ -11,7 +11,8 @@ from protocols.toolkit.requests import (
     Pending,
     RejectionFilter,
     RequestQueue,
-    out_of_range,
+    bounds_of,
+    outside,
     refusal,
     subject,
 )
@@ -37,7 +38,7 @@ RANGES = {"Velocity.velocity": Range(-10.0, 20.0, 0.0)}
     ],
 )
 def test_what_may_be_sent(command: Command, reason: str) -> None:
-    assert out_of_range(command, RANGES) == reason
+    assert outside(command, bounds_of(type(command), RANGES)) == reason
 
 
 def test_a_refusal_is_reported_when_its_reason_is_new_and_once_for_each_motor() -> None:
