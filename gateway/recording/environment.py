@@ -52,7 +52,13 @@ def facts(cpuinfo: Path = Path("/proc/cpuinfo")) -> dict[str, str]:
     return found
 
 
-def sources(root: Path = Path(__file__).parent.parent) -> str:
+@cache
+def sources() -> str:
+    """Return the digest of this program. Read once: what runs is what was there then."""
+    return digest_of(Path(__file__).parent.parent.parent)
+
+
+def digest_of(root: Path) -> str:
     """Return a digest of every source file, since two programs of one version may differ."""
     digest = blake2b(digest_size=16)
     for room in ROOMS:
