@@ -29,7 +29,7 @@ from gateway.recording.ros_views import TOPICS, Views, typestore
 from gateway.replay.player import Player
 from gateway.runtime.replay_view import ReplayView
 from gateway.view import Access, Address, Scene, View, parse_address
-from gateway.view.requests import HELD, READ_ONLY, Answer
+from gateway.view.requests import HELD, NO_ROBOT, READ_ONLY, Answer
 from gateway.view.scene import Json
 from protocols.messages import ClearFault, Drive, Goal, Instruction, Nanos, Release, Set, Stop
 from tests.gateway.view.clients import Browser
