@@ -21,8 +21,9 @@ SERIAL_BITS = 10
 """Bits per byte at 8N1: start, eight data, stop."""
 INTERFRAME_BITS = 3
 """The bits of the interframe space, during which no frame begins."""
-_TRAILER_BITS = 1 + 1 + 1 + 7 + INTERFRAME_BITS
-"""CRC delimiter, acknowledgement, its delimiter, end of frame, interframe space: none is stuffed."""
+_TRAILER_BITS = 1 + 1 + 7 + INTERFRAME_BITS
+"""Acknowledgement, its delimiter, end of frame, interframe space: none is stuffed, nor is the CRC delimiter
+before them."""
 
 
 def padded(frame: CanFrame) -> CanFrame:
@@ -51,8 +52,9 @@ def frame_time(frame: Frame, bitrate: int, data_bitrate: int = 0) -> Nanos:
 def frame_bits(frame: CanFrame) -> tuple[int, int]:
     """Return the bits sent at the arbitration bit rate, and those at the data bit rate (0 in classic CAN).
 
-    The rate changes within BRS, which counts as slow, and within the bit before the CRC delimiter, which
-    counts as fast."""
+    The rate changes at the sample point of BRS, and back at that of the CRC delimiter: a part of each is
+    slow, the rest fast. Together they take one bit at each rate, wherever the sample points are: BRS counts
+    as slow, the CRC delimiter as fast."""
     data = padded(frame).data
     code = bisect_left(LENGTHS, len(data))
     bits, width = frame.id, 12  # with the start bit
@@ -62,7 +64,7 @@ def frame_bits(frame: CanFrame) -> tuple[int, int]:
         bits, width = (bits << 1 | frame.remote) << 6 | code, width + 7
         checksum = _checksum(bits.to_bytes(5, "big") + data)
         parts = ((bits, width), *((byte, 8) for byte in data), (checksum >> 8, 7), (checksum & 0xFF, 8))
-        return _stuffed(parts, _START)[0] + _TRAILER_BITS, 0
+        return _stuffed(parts, _START)[0] + 1 + _TRAILER_BITS, 0
     # RRS; IDE of a standard frame; FDF, res, BRS | ESI (dominant: error active), length code, data
     rest = 4 if frame.extended else 5
     slow, run = _stuffed(((bits << rest | 0b100 | frame.brs, width + rest),), _START)
@@ -70,7 +72,7 @@ def frame_bits(frame: CanFrame) -> tuple[int, int]:
     # Stuff count with parity, and CRC: a fixed stuff bit before them, in place of one due behind the data,
     # and after every fourth bit.
     checked = 4 + (21 if len(data) > 16 else 17)
-    return slow + _TRAILER_BITS, fast - (run & _JUST_STUFFED) + 1 + checked + checked // 4
+    return slow + _TRAILER_BITS, fast - (run & _JUST_STUFFED) + 1 + checked + checked // 4 + 1
 
 
 def _stuffed(parts: Iterable[tuple[int, int]], run: int) -> tuple[int, int]:

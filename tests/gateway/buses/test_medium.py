@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from gateway.buses.frame_time import frame_bits, frame_time, priority
 from gateway.buses.virtual.medium import Medium
 from protocols.frames import CanFrame, Frame
 from protocols.messages import MILLISECOND
+from tests.gateway.buses.bit_layout import CRC_15, CRC_17, CRC_21, layout, remainder
 
 MBIT = 1_000_000
 SAMPLE = 10_000
@@ -31,59 +34,47 @@ def test_can_fd_switches_its_data_phase() -> None:
         frame_time(b"", 0)
 
 
-def bits_of(frame: CanFrame) -> tuple[int, int]:
-    """The bits of a frame as they would be sent, laid out one by one (ISO 11898-1:2015, 10.4).
-
-    Stuff bits behind five equal ones: in CAN FD up to the end of the data, and from there on at fixed places,
-    so that it does not matter which bits the CRC has; in classic CAN to the end of the CRC."""
-    ident = f"{frame.id:011b}" if not frame.extended else f"{frame.id >> 18:011b}11{frame.id & 0x3FFFF:018b}"
-    code = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64).index(len(frame.data))
-    rest = f"{code:04b}" + "".join(f"{byte:08b}" for byte in frame.data)
-    if frame.fd:
-        head = "0" + ident + ("0" if frame.extended else "00") + "10" + str(int(frame.brs))
-        rest = "0" + rest  # ESI
-    else:
-        head, rest = "", "0" + ident + str(int(frame.remote)) + "00" + rest
-        rest += checksum(rest)
-    counts, same, last, stuffed = [0, 0], 0, "", False
-    for at, bit in enumerate(head + rest):
-        phase = int(at >= len(head))
-        counts[phase] += 1
-        same = same + 1 if bit == last else 1
-        last, stuffed = bit, same == 5
-        if stuffed:
-            counts[phase] += 1
-            same, last = 1, "10"[int(bit)]
-    end = 1 + 1 + 1 + 7 + 3  # CRC delimiter, acknowledgement and its delimiter, end, gap
-    if not frame.fd:
-        return counts[1] + end, 0
-    checked = 4 + (21 if len(frame.data) > 16 else 17)  # stuff count with parity, and CRC
-    return counts[0] + end, counts[1] - stuffed + checked + 1 + checked // 4
+def test_the_layout_that_judges_has_the_checksums_of_the_catalogue_of_crcs() -> None:
+    """Check values, of "123456789", of CRC-15/CAN, CRC-17/CAN-FD and CRC-21/CAN-FD."""
+    message = "".join(f"{byte:08b}" for byte in b"123456789")
+    values = [int(remainder(message, powers, 0), 2) for powers in (CRC_15, CRC_17, CRC_21)]
+    assert values == [0x059E, 0x04F03, 0x0ED841]
 
 
-def checksum(bits: str) -> str:
-    """The remainder of a division by x^15 + x^14 + x^10 + x^8 + x^7 + x^4 + x^3 + 1, as on paper."""
-    rest = [*map(int, bits), *[0] * 15]
-    for at in range(len(bits)):
-        if rest[at]:
-            for power in (15, 14, 10, 8, 7, 4, 3, 0):
-                rest[at + 15 - power] ^= 1
-    return "".join(map(str, rest[-15:]))
+def random_frame(rng: np.random.Generator, number: int) -> CanFrame:
+    fd, extended, plain = (bool(rng.integers(2)) for _ in range(3))
+    length = int(rng.choice((0, 1, 7, 8, 12, 16, 20, 24, 32, 48, 64) if fd else range(9)))
+    data = bytes([int(rng.choice((0x00, 0xFF, 0x78, 0xF8)))]) * length if plain else rng.bytes(length)
+    ident = 0 if number % 8 == 0 else int(rng.integers(0x20000000 if extended else 0x800))
+    remote = not fd and not data and bool(rng.integers(2))
+    return CanFrame(ident, data, extended, remote, fd, brs=fd and bool(rng.integers(2)))
 
 
 def test_the_lengths_of_random_frames_are_those_of_their_bits() -> None:
     rng = np.random.Generator(np.random.PCG64(11))
-    for at in range(SAMPLE):
-        fd, extended, plain = (bool(rng.integers(2)) for _ in range(3))
-        length = int(rng.choice((0, 1, 7, 8, 12, 16, 20, 24, 32, 48, 64) if fd else range(9)))
-        data = bytes([int(rng.choice((0x00, 0xFF, 0x78, 0xF8)))]) * length if plain else rng.bytes(length)
-        ident = 0 if at % 8 == 0 else int(rng.integers(0x20000000 if extended else 0x800))
-        remote = not fd and not data and bool(rng.integers(2))
-        frame = CanFrame(ident, data, extended, remote, fd, brs=fd and plain)
-        assert frame_bits(frame) == bits_of(frame), frame
-        if not fd:  # Davis et al. 2007, "Controller Area Network (CAN) schedulability analysis", eq. 1
-            checked = (54 if extended else 34) + 8 * length
-            assert checked + 13 <= frame_bits(frame)[0] <= checked + 13 + (checked - 1) // 4
+    for number in range(SAMPLE):
+        frame = random_frame(rng, number)
+        slow, fast = frame_bits(frame)
+        laid_out = layout(frame)
+        assert slow + fast == len(laid_out.bits), frame
+        # Nominal and data bit in ns: 1 and 5 Mbit/s.
+        taken = laid_out.duration(Fraction(1000), Fraction(200))
+        assert frame_time(frame, MBIT, 5 * MBIT) == taken, frame
+        length = 8 * len(frame.data)
+        if frame.fd:  # Linux, include/linux/can/length.h: fields of a frame, without the stuff bits
+            fields = (86 if frame.extended else 67) - (0 if len(frame.data) > 16 else 21 - 17 + 1)
+            assert slow + fast - laid_out.stuffed == fields + length, frame
+        else:  # Davis et al. 2007, "Controller Area Network (CAN) schedulability analysis", eq. 1
+            checked = (54 if frame.extended else 34) + length
+            assert checked + 13 <= slow <= checked + 13 + (checked - 1) // 4
+
+
+def test_the_rate_changes_within_brs_and_the_crc_delimiter_wherever_their_sample_points_are() -> None:
+    frame = CanFrame(0x123, bytes(range(24)), fd=True, brs=True)
+    for slow, fast in ((0.8, 0.7), (0.875, 0.5), (0.5, 0.9)):
+        points = Fraction(slow).limit_denominator(), Fraction(fast).limit_denominator()
+        taken = layout(frame).duration(Fraction(2000), Fraction(500), points)
+        assert taken == frame_time(frame, MBIT // 2, 2 * MBIT)
 
 
 def test_can_fd_data_is_padded_to_a_valid_length() -> None:
