@@ -62,7 +62,7 @@ class LoopStats:
     received: int = 0
     """Packets"""
     busy: dict[str, Nanos] = field(default_factory=dict)
-    """By bus: transmission time of everything sent and received, with worst-case bit stuffing."""
+    """By bus: transmission time of everything sent and received."""
 
 
 def no_instructions() -> Sequence[Instruction]:
