@@ -175,7 +175,7 @@ class Requests:
         return [end for one in self.asking for end in _end_of(one)]
 
     def on_stop(self, reason: str) -> None:
-        """Take why the robot is stopped, "" if it is not. With a stop ends what is held."""
+        """Take why the robot must not move, "" if it may. With that ends what is held."""
         self._stopped = reason
         if reason:
             for one in self.asking:

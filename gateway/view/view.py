@@ -94,7 +94,7 @@ class View:
         """Take a tick of one of the scenes: its notes are sent at once, all else when it is due."""
         self._scenes[scene].observe(tick, belief)
         if scene == 0:
-            self._requests.on_stop(self._scenes[0].gateway.stopped)
+            self._requests.on_stop(self._scenes[0].gateway.why_stopped())
         for speaker in self._speakers.values():
             if speaker.scene is self._scenes[scene]:
                 speaker.take(tick)
