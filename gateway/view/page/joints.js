@@ -65,6 +65,7 @@ export class Joints {
         const line = () => `velocity ${name} ${((sign * limits.velocity * $("jog").value) / 100).toFixed(4)}`;
         let holding = false;
         holdable(one, () => {
+          if (holding) return; // by a second finger, or by Enter
           holding = true;
           one.classList.add("held");
           this.held.begin(line, () => {

@@ -50,6 +50,7 @@ class Tab:
     def __init__(self, chromium: Chromium, session: str, target: str) -> None:
         self.chromium, self.session, self.target = chromium, session, target
         self.problems: list[str] = []
+        self.fingers = 0
 
     def call(self, method: str, **parameters: Any) -> Any:
         """Call a method of the protocol."""
@@ -82,6 +83,14 @@ class Tab:
         """Press the left button, move it while it is pressed, or release it."""
         button = {"button": "left", "buttons": int(kind != "mouseReleased"), "clickCount": 1}
         self.call("Input.dispatchMouseEvent", type=kind, x=at[0], y=at[1], **button)
+
+    def touch(self, *fingers: tuple[float, float]) -> None:
+        """Have so many fingers on the screen, where they are; none: the last is lifted."""
+        points = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(fingers)]
+        now = len(points)
+        kind = "touchStart" if now > self.fingers else "touchEnd" if now < self.fingers else "touchMove"
+        self.fingers = now
+        self.call("Input.dispatchTouchEvent", type=kind, touchPoints=points)
 
     def click(self, selector: str) -> None:
         """Click on the middle of an element."""

@@ -403,6 +403,29 @@ def test_bare_joints_are_moved_by_hand(browser: Chromium, bench: Robot) -> None:
     assert bench.asked("Zero")[0] == "Zero(motor='left')"
 
 
+@pytest.mark.parametrize("second", ["finger", "Enter"])
+def test_a_button_that_is_pressed_twice_ends_what_it_holds(
+    browser: Chromium, fake: Fake, second: str
+) -> None:
+    tab = fake.open(browser)
+    fake.say("hello", **hello(joints=["arm"], base=False))
+    fake.say("state", **EMPTY)
+    fake.until(lambda: tab.run("Boolean(document.querySelector('.hold'))"))
+    x, y = tab.middle(".hold:nth-of-type(2)")
+    tab.touch((x, y))
+    if second == "finger":
+        tab.touch((x, y), (x + 8, y))
+        tab.touch((x, y))
+    else:
+        tab.run("document.querySelector('.hold:nth-of-type(2)').focus()")
+        tab.key("keyDown", "Enter", "Enter")
+        tab.key("keyUp", "Enter", "Enter")
+    tab.touch()
+    assert sent(tab, "held")[0].startswith("velocity arm 0.1")
+    assert sent(tab, "held")[-1] == ""
+    assert tab.run("document.querySelector('.held') === null")
+
+
 def test_without_steer_a_page_can_only_look_and_stop(browser: Chromium) -> None:
     with running("diffbot") as robot:
         tab = opened(browser, robot.url)
