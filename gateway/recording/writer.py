@@ -73,9 +73,9 @@ class Recorder:
         self._room = threading.Event()
         """Set when a tick was taken from the queue."""
         self._closing = self._closed = False
+        self._syncer = _Syncer(self._writer.descriptor, path, self._report)
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
-        self._syncer = _Syncer(self._writer.descriptor, path, self._report)
 
     @property
     def lost(self) -> int:
@@ -100,7 +100,8 @@ class Recorder:
             self._gap = 0
 
     def end(self) -> None:
-        """Take no more ticks; what is queued is written, and the file's index. Does not wait for it."""
+        """Take no more ticks. What is queued is written, and the file's index; then both threads end. Does
+        not wait for that."""
         self._closing = True
         self._wake.set()
 
@@ -146,6 +147,7 @@ class Recorder:
         except Exception as error:  # noqa: BLE001 -- whatever it is, it is reported, and the robot continues
             self._report(f"the recording ends here: {self.path}: {error!r}; the robot continues")
         self._report(self._writer.finish())
+        self._syncer.close()
 
     def _write_until_closed(self) -> None:
         closing = False

@@ -34,6 +34,7 @@ from gateway.recording.ros_views import Views
 from gateway.recording.tick_writer import TickWriter
 from protocols.messages import SetId
 from tests.gateway import little
+from tests.gateway.processes import eventually
 
 CHILD = """
 import os, sys
@@ -258,6 +259,23 @@ def test_after_closing_ticks_are_lost_and_reported(tmp_path: Path) -> None:
     assert "are missing" in recorder.trouble
     assert "it is closed" in recorder.trouble
     assert list(read_recording(recorder.path).ticks) == []
+
+
+def test_recordings_that_have_ended_leave_no_thread_and_no_file_open(tmp_path: Path) -> None:
+    def held() -> tuple[set[threading.Thread], list[Path]]:
+        files = [file.resolve() for file in Path("/proc/self/fd").iterdir()]
+        return {*threading.enumerate()} - before, [file for file in files if tmp_path in file.parents]
+
+    before, recorders = {*threading.enumerate()}, []
+    for number in range(10):
+        recorders.append(Recorder(tmp_path / f"{number}.mcap", little.ROBOT, {}))
+        recorders[-1].record(*next(little.life(1)))
+        recorders[-1].end()
+    assert eventually(lambda: held() == (set(), [])), held()
+    assert all(read_recording(one.path).whole for one in recorders)
+    for one in recorders:
+        one.close()
+        assert one.trouble == ""
 
 
 @pytest.mark.parametrize(
