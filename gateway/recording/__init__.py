@@ -1,6 +1,7 @@
 """Recordings: every tick in an MCAP file, with ROS 2 views for other tools; and reading them back.
 
-Exports: `Recorder` (writes), `read_recording`, `Recording`, `Step` (read); `recover.recover` repairs a file.
+Exports: `Recorder` (writes), `prepare` (makes its start quick), `read_recording`, `Recording`, `Step` (read);
+`recover.recover` repairs a file.
 Must not import: `gateway.core.step`, `gateway.runtime` or anything that moves a robot.
 
 Rules. Recording never delays the robot: the loop queues values, one thread writes them. The ticks in a file
@@ -14,6 +15,6 @@ number of the tick. Chunks are lz4; everything can be read with `rosbags` as a b
 """
 
 from gateway.recording.reader import Recording, Step, read_recording
-from gateway.recording.writer import Recorder
+from gateway.recording.writer import Recorder, prepare
 
-__all__ = ["Recorder", "Recording", "Step", "read_recording"]
+__all__ = ["Recorder", "Recording", "Step", "prepare", "read_recording"]

@@ -121,6 +121,11 @@ def typestore() -> Typestore:
     return store
 
 
+@cache
+def _definition(store: Typestore, type_: str) -> str:
+    return store.generate_msgdef(type_, ros_version=2)[0]
+
+
 @dataclass(slots=True)
 class _MotorStatus:
     """Last reported values of a motor, at its joint's output shaft."""
@@ -150,7 +155,6 @@ class Views:
         self._mounts, self._wanted = dict(mounts or {}), wanted
         self._store = store or typestore()
         self._types: ros_messages.Types = self._store.types
-        self._definitions: dict[str, str] = {}
         self._layouts = ros_cdr.Layouts()
         self._topics: dict[tuple[str, str, bool], str] = {}
         """Topics of frames, by bus, direction and FD."""
@@ -186,13 +190,10 @@ class Views:
 
     def definition(self, type_: str) -> str:
         """Return the definition of a message type, with those of all types in it (ros2msg)."""
-        known = self._definitions.get(type_)
-        if known is None:
-            known = self._definitions[type_] = self._store.generate_msgdef(type_, ros_version=2)[0]
-        return known
+        return _definition(self._store, type_)
 
     def prepare(self) -> None:
-        """Prepare all message types now (0.1 s), which would otherwise delay the first messages."""
+        """Prepare all message types now (the first time 0.1 s): they would delay the first messages."""
         for type_ in (*_BY_STRUCT, *_BY_SERIALISER):
             self.definition(type_)
         for type_ in _BY_SERIALISER:

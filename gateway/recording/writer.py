@@ -43,6 +43,11 @@ CLOSE_TIMEOUT = 10.0
 """s that closing waits for a slow disk"""
 
 
+def prepare() -> None:
+    """Do now what only the first recording of a process has to do: it takes too long for a step."""
+    TickWriter(Path(os.devnull), "", environment.facts(), Views()).finish()
+
+
 class Recorder:
     """Queues ticks from the loop for the thread that writes them.
 
@@ -143,6 +148,7 @@ class Recorder:
 
     def _run(self) -> None:
         try:
+            self._syncer.start()  # here, since the loop must not wait for it
             self._write_until_closed()
         except Exception as error:  # noqa: BLE001 -- whatever it is, it is reported, and the robot continues
             self._report(f"the recording ends here: {self.path}: {error!r}; the robot continues")
@@ -177,6 +183,9 @@ class _Syncer:
         self._path, self._report = path, report
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="recorder-sync", daemon=True)
+
+    def start(self) -> None:
+        """Begin. Waits until the thread runs."""
         self._thread.start()
 
     def close(self) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
+from gateway import recording
 from gateway.core.clock import date, stopwatch
 from gateway.core.tick import Tick
 from gateway.errors import GatewayError
@@ -51,6 +52,7 @@ class SessionView:
         self._busy: dict[str, Nanos] = {}
         self._loads: dict[str, float] = {}
         self._since: Nanos = 0
+        recording.prepare()  # for who switches it on, while the robot moves
         self._view = View(
             [Scene(session.gateway, "live", self._facts)],
             where,

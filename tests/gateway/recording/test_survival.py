@@ -290,12 +290,16 @@ def test_syncing_to_disk_does_not_delay_the_writer(tmp_path: Path, monkeypatch: 
 def test_a_disk_that_reports_lost_data_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: int, reported: bool
 ) -> None:
+    asked = threading.Event()
+
     def sync(_descriptor: int) -> None:
+        asked.set()
         raise OSError(error, os.strerror(error))
 
     monkeypatch.setattr(writer, "SYNC_PERIOD", 0.001)
     monkeypatch.setattr(os, "fdatasync", sync)
     with Recorder(tmp_path / "a.mcap", little.ROBOT, {}) as recorder:
+        assert asked.wait(60)
         recorder._syncer._thread.join(60)
         assert not recorder._syncer._thread.is_alive()
     assert ("the disk reports lost data" in recorder.trouble) == reported

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from itertools import count
@@ -114,6 +116,31 @@ def test_a_recording_is_switched_on_and_off(watched: Watched) -> None:
     comparison = replay_recording(later)
     assert not comparison.ok
     assert "under way" in comparison.text()
+
+
+OPENED = """
+import sys
+import gateway
+from gateway.recording import environment
+from gateway.recording.ros_views import typestore
+with gateway.open_session("bench", simulated=True) as session:
+    session.view("0", steer=True)
+    environment.digest_of = type(typestore()).generate_msgdef = None
+    before = set(sys.modules)
+    session.start_recording("a.mcap")
+    print(*set(sys.modules) - before)
+    for _ in session.run(0.1):
+        pass
+"""
+
+
+def test_a_recording_that_is_switched_on_has_nothing_to_prepare(tmp_path: Path) -> None:
+    """What a process does only once would take tens of ms in a step."""
+    done = subprocess.run(
+        [sys.executable, "-c", OPENED], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout.strip()) == (0, ""), done
+    assert read_recording(tmp_path / "a.mcap").whole
 
 
 def test_a_view_that_may_not_steer(tmp_path: Path) -> None:
