@@ -127,8 +127,9 @@ class BaseBrain:
         self._accept(now, tasks, lost, waiting)
         if lost:
             self._halt(now, lost)
-            if self.navigator.busy:
-                self._status.add_note("warning", f"{self.navigator.drop()}: {lost}")
+            busy, dropped = self.navigator.busy, self.navigator.drop(now)
+            if busy:
+                self._status.add_note("warning", f"{dropped}: {lost}")
         if not waiting and not lost:
             twist = self._mission(now, health)
             self._plan(now, health)
@@ -210,7 +211,7 @@ class BaseBrain:
         reason = missions.request(task, self._body, self._joints.motors, may_not_move)
         if isinstance(task, msg.Drop) and self.navigator.goals:
             reason = ""
-            self._status.add_note("info", f"{self.navigator.drop()}: an operator sent drop")
+            self._status.add_note("info", f"{self.navigator.drop(now)}: an operator sent drop")
         if goes and not reason:
             self.navigator.given_up = ""
         self._settle(now, before)
@@ -226,7 +227,7 @@ class BaseBrain:
         """End what a mission has begun that does not run any more."""
         if before is Phase.RUNNING and self.missions.phase not in (Phase.RUNNING, Phase.DONE):
             self._joints.stand(now)
-            self.navigator.drop()
+            self.navigator.drop(now)
 
     def _beyond_reach(self, task: msg.Goal | msg.Drive) -> str:
         """Return why a goal can never be reached, whatever is found on the way; "" if it may be."""
@@ -278,7 +279,8 @@ class BaseBrain:
     def _systems(self) -> tuple[SystemState, ...]:
         """Return what perception, planning and control do, and why."""
         verdict, behaviour = self.perception.verdict, self.navigator.behaviour
-        perception = "waiting" if self.perception.estimate is None else verdict.trust.name.lower()
+        trust = verdict.trust.name.lower().replace("_", " ")
+        perception = "waiting" if self.perception.estimate is None else trust
         return (
             SystemState("perception", perception, verdict.reason),
             SystemState("planning", behaviour.state.value, behaviour.reason),
@@ -332,7 +334,7 @@ class BaseBrain:
         if want.goal is not None:
             navigator.go(now, want.goal, passing=want.passing)
         elif not want.keep and navigator.goals:
-            navigator.drop()
+            navigator.drop(now)
         if want.targets and (why := self._joints.reach(now, want.targets, round(want.seconds * SECOND))):
             missions.halt(why)
         self._settle(now, before)

@@ -149,7 +149,7 @@ class Navigator:
             self._note("info", f"goal {self.ended + len(self.goals)} accepted: {_text(task)}")
             return
         if self.goals:
-            self._note("warning", f"manual driving: {self.drop()}")
+            self._note("warning", f"manual driving: {self.drop(now)}")
         if self.drive is None:
             self._note("info", "manual driving")
         self.drive = task
@@ -165,9 +165,10 @@ class Navigator:
         else:
             self._begin_goal(now)
 
-    def drop(self) -> str:
-        """Drop every task; return in words what was dropped."""
+    def drop(self, now: Nanos) -> str:
+        """Drop every task, and end what is done about it; return in words what was dropped."""
         count = len(self.goals)
+        self.behaviour.update(now, {Fact.NO_GOAL}, "")
         self.goals, self.drive, self.motion = [], None, None
         self._drop_path()
         self._query, self.no_path_reason = None, ""

@@ -14,10 +14,12 @@ from math import hypot, inf, isfinite, nan
 import pytest
 
 from brain.base_brain import BaseBrain
-from brain.belief import BrainState, BrainTask, Pose
+from brain.belief import Belief, BrainState, BrainTask, Pose
 from brain.bodies.joints import Joints
 from brain.bodies.plane import arc, wrap
 from brain.brain import Brain, BrainSettings
+from brain.perception.consistency import Trust, Verdict
+from brain.planning.behaviours import Fact
 from brain.planning.costmap import PlannerSettings
 from protocols import messages as msg
 from protocols.messages import MILLISECOND, SECOND, Command, Mode, Nanos
@@ -338,6 +340,42 @@ def test_stop_disarms_at_once_and_release_does_not_resume() -> None:
     assert trip.go(ACROSS).reached == 1
 
 
+def base_of(trip: Trip) -> BaseBrain:
+    body = trip.brain._body
+    assert isinstance(body, BaseBrain)
+    return body
+
+
+def systems(belief: Belief) -> dict[str, tuple[str, str]]:
+    return {one.name: (one.state, one.reason) for one in belief.systems}
+
+
+def test_a_stop_and_a_lost_source_leave_planning_idle() -> None:
+    trip = driving()
+    assert systems(trip.brain.belief())["planning"] == ("following", "a path")
+    belief = trip.tick(stopped="stopped by the operator")
+    assert systems(belief)["planning"] == ("idle", "there is no goal")
+    trip = driving()
+    trip.office.silent = {"lidar"}
+    belief = trip.run(8.0, lambda b: b.state is BrainState.STOPPED)
+    assert systems(belief)["planning"] == ("idle", "there is no goal")
+
+
+def test_backing_off_ends_with_a_stop_and_does_not_go_on_after_it() -> None:
+    trip = driving()
+    base_of(trip).navigator.behaviour.update(trip.office.now, {Fact.STUCK}, "an obstacle")
+    trip.tick(stopped="stopped by the operator")
+    start = len(trip.log)
+    trip.run(0.2)
+    assert all(map(all_idle, trip.log[start:]))
+
+
+def test_the_verdict_is_named_as_in_the_documents() -> None:
+    trip = driving()
+    base_of(trip).perception.verdict = Verdict(Trust.TOO_SURE, "too sure: of x")
+    assert systems(trip.brain.belief())["perception"] == ("too sure", "too sure: of x")
+
+
 def test_a_motor_in_fault_stops_the_base() -> None:
     trip = driving()
     events = trip.office.step(trip.commands)
@@ -467,8 +505,7 @@ def test_belief_has_goal_path_and_version() -> None:
 
 def test_an_estimate_is_extrapolated_by_its_own_twist_up_to_a_limit() -> None:
     trip = driving()
-    body, estimate = trip.brain._body, trip.brain.belief().estimate
-    assert isinstance(body, BaseBrain)
+    body, estimate = base_of(trip), trip.brain.belief().estimate
     assert estimate is not None
     for late, span in ((0, 0.0), (40, 0.04), (100, 0.1), (900, 0.1)):
         there = body._pose(estimate.t + late * MILLISECOND)
