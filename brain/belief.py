@@ -150,4 +150,4 @@ class Belief:
     mission: MissionView | None = None
     """The present mission, or the last; None before the first"""
     systems: tuple[SystemState, ...] = ()
-    """Of perception, planning and control, where there is a base"""
+    """Of perception, planning and control"""
