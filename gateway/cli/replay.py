@@ -45,8 +45,6 @@ def add_arguments(parser: ArgumentParser) -> None:
 def run(options: Namespace) -> int:
     """Return 1 if a byte differs, or if the bag does not pass."""
     check_view(options)
-    if options.view is not None and not is_bag(options.file):
-        return show_recordings([options.file], options.view, tuple(options.origin), options.robot)
     if is_bag(options.file):
         if options.view is not None:
             raise UserError(f"{options.file} is another program's bag: --view is for recordings")
@@ -59,6 +57,10 @@ def run(options: Namespace) -> int:
         return 0 if evaluation.ok else 1
     if options.at_most is not None:
         raise UserError(f"{options.file} is a recording of this gateway: --at-most is for bags only")
+    if options.view is not None:
+        if options.report is not None:
+            raise UserError("--view shows the recording and writes no report: leave --report or --view away")
+        return show_recordings([options.file], options.view, tuple(options.origin), options.robot)
     if options.report is not None:
         check_report(options.report)
     recording = read_recording(options.file)

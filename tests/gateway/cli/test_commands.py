@@ -75,6 +75,8 @@ SEEDS = ("-1", "x", str(2**63), "1.5")
         ("replay no.mcap", "no.mcap"),
         *((f"replay no.mcap --at-most={m}", f"'{m}' is not a number of metres") for m in METRES),
         ("replay pyproject.toml", "not a recording of this gateway"),
+        ("replay no.mcap --view 0 --at-most 1", "--at-most is for bags only"),
+        ("replay no.mcap --view 0 --report a.html", "leave --report or --view away"),
         ("demo --robot bench --out {tmp}", "has no tour"),
         ("demo --robot bench --out {tmp} --goal 1,2", "--goal: 'bench' has no base to drive"),
         ("demo --out /proc/no", "--out /proc/no"),
