@@ -111,6 +111,11 @@ def test_every_command_is_tested_and_in_the_help() -> None:
     assert [row.split()[0] for row in help_text().splitlines()] == list(COMMANDS)
 
 
+def test_the_document_has_the_list_that_help_prints() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "watch-and-jog.md").read_text()
+    assert f"```text\n{help_text()}\n```" in page
+
+
 WRONG: list[tuple[Robot, str, str]] = [
     (DIFFBOT, "gaol 1 2", "did you mean 'goal'?"),
     (DIFFBOT, "jump", "no command 'jump': there is goal, drive, mission"),
