@@ -67,7 +67,9 @@ function answer({ ok, text }) {
 
 function state(message) {
   if (!robot) return;
-  const word = message.stop || message.stopped ? "stopped" : message.state;
+  const stopped = message.stop || message.stopped;
+  if (stopped) held.end();
+  const word = stopped ? "stopped" : message.state;
   say($("word"), word);
   $("word").dataset.state = word;
   say($("reason"), message.stopped || message.reason);
@@ -107,8 +109,8 @@ function lost(why, open) {
 
 // -- out ------------------------------------------------------------------------------------------
 
-function ask(line, take = answer) {
-  wire.ask(line, take);
+function ask(line) {
+  wire.ask(line);
 }
 
 function stop() {

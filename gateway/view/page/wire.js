@@ -1,12 +1,15 @@
-// The page's end of the wire: gateway/view/cockpit.py says what goes over it. Nothing is sent by itself.
+// The page's end of the wire: gateway/view/cockpit.py says what goes over it. Nothing is sent by itself, but that the
+// page is still there.
 
 const RETRY = 1000; // ms between attempts to connect
-const SILENT = 1500; // ms without a message after which a person is told
+const SILENT = 1500; // ms without a message after which a person is told,
+const DEAD = 5000; // and after which the connection is made anew
+const ALIVE = 2000; // ms between two messages that the page is still there
 
 export class Wire {
   // `on`: by the kind of a message, what takes (content, arrays' bytes); `lost`: takes why, or "" when it is back.
   constructor(path, on, lost) {
-    Object.assign(this, { path, on, lost, asked: new Map(), id: 0, heard: 0, why: null });
+    Object.assign(this, { path, on, lost, asked: new Map(), id: 0, alive: 0, why: null, known: false });
     this.connect();
     setInterval(() => this.watch(), 250);
   }
@@ -22,18 +25,25 @@ export class Wire {
     this.socket = new WebSocket(scheme + location.host + this.path + query);
     this.socket.binaryType = "arraybuffer";
     this.socket.onmessage = event => this.receive(event.data);
-    this.socket.onclose = event => {
-      this.asked.clear();
-      const why = event.reason ? `: ${event.reason}` : "";
-      this.tell(`Not connected${why}. The robot does not hear this page. Trying again …`);
-      setTimeout(() => this.connect(), RETRY);
-    };
+    this.socket.onclose = event => this.drop(event.reason);
+    this.heard = performance.now();
+  }
+
+  drop(reason) {
+    this.socket.onmessage = this.socket.onclose = null;
+    this.socket.close();
+    this.heard = performance.now();
+    this.asked.clear();
+    this.tell(`Not connected${reason && `: ${reason}`}. The robot receives nothing from this page. Trying again …` +
+      (this.known ? "" : " Open the address that the gateway printed, with its token."));
   }
 
   watch() {
     const silence = performance.now() - this.heard;
-    if (this.open && this.heard && silence > SILENT)
-      this.tell(`Nothing heard for ${Math.round(silence / 1000)} s: what is shown is old.`);
+    if (this.socket.onclose === null) {
+      if (silence > RETRY) this.connect();
+    } else if (silence > DEAD) this.drop("");
+    else if (this.open && silence > SILENT) this.tell("No data from the robot. What is shown is old.");
   }
 
   tell(why) {
@@ -42,7 +52,12 @@ export class Wire {
 
   receive(data) {
     this.heard = performance.now();
+    this.known = true;
     this.tell("");
+    if (this.heard - this.alive > ALIVE) {
+      this.alive = this.heard;
+      this.send({});
+    }
     let message, bytes;
     if (typeof data === "string") message = JSON.parse(data);
     else {
@@ -53,19 +68,22 @@ export class Wire {
     if (message.kind === "answer") {
       const take = this.asked.get(message.id);
       this.asked.delete(message.id);
-      (take || this.on.answer)(message);
+      (take ?? this.on.answer)(message);
     } else this.on[message.kind]?.(message, bytes);
   }
 
-  send(message) {
-    if (this.open) this.socket.send(JSON.stringify(message));
-    return this.open;
+  // While nothing comes from the robot, it would do later, and unseen, what is sent: then only what is `always` safe is.
+  send(message, always = false) {
+    const can = this.open && (always || !this.why);
+    if (can) this.socket.send(JSON.stringify(message));
+    return can;
   }
 
-  // Ask for something once; `take` gets the answer {ok, text}, if it is not for everybody.
-  ask(line, take) {
+  // Ask for something once; `take` gets the answer {ok, text}.
+  ask(line, take = this.on.answer) {
     const id = ++this.id;
-    if (this.send({ ask: line, id }) && take) this.asked.set(id, take);
+    if (this.send({ ask: line, id }, /^stop\b/.test(line))) this.asked.set(id, take);
+    else take({ ok: false, text: "not sent: no data from the robot" });
   }
 }
 
@@ -92,7 +110,7 @@ export class Held {
     if (!this.timer) return;
     clearInterval(this.timer);
     this.timer = 0;
-    this.wire.send({ held: "" });
+    this.wire.send({ held: "" }, true);
     this.ended();
   }
 }

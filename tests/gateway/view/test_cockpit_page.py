@@ -29,7 +29,7 @@ from tests.gateway.view.chromium import Chromium, Tab, chromium, wait
 
 PAGE = Path(__file__).parents[3] / "gateway" / "view" / "page"
 WATCH = """
-window.seen = { in: [], out: [], shift: 0 };
+window.seen = { in: [], out: [], alive: 0, shift: 0 };
 window.WebSocket = class extends WebSocket {
   constructor(...given) {
     super(...given);
@@ -37,13 +37,18 @@ window.WebSocket = class extends WebSocket {
       typeof data === "string" ? data
         : new TextDecoder().decode(new Uint8Array(data, 4, new DataView(data).getUint32(0, true))))]));
   }
-  send(message) { seen.out.push([performance.now(), JSON.parse(message)]); super.send(message); }
+  send(message) {
+    if (message === "{}") seen.alive++;
+    else seen.out.push([performance.now(), JSON.parse(message)]);
+    super.send(message);
+  }
 };
 window.addEventListener("pointerdown", ({ timeStamp }) => (seen.pressed = timeStamp), true);
 new PerformanceObserver(list => list.getEntries().forEach(one => (seen.shift += one.value)))
   .observe({ type: "layout-shift", buffered: true });
 """
-"""What came and went over the wire, with its time; and how much the layout has shifted."""
+"""What came and went over the wire, with its time; how often the page said no more than that it is there;
+and how much the layout has shifted."""
 
 
 class Robot:
@@ -276,6 +281,22 @@ def test_stop_is_heard_at_once_and_ends_what_is_held(tab: Tab, diffbot: Robot, h
     assert len(diffbot.asked("Release")) == 1
 
 
+@pytest.mark.parametrize("why", [{"stop": True, "stopped": "another page"}, {"stopped": "left: a fault"}])
+def test_a_stop_from_elsewhere_ends_what_is_held(browser: Chromium, fake: Fake, why: Any) -> None:
+    tab = fake.show(browser, hello())
+    tab.key("keyDown", "KeyW", "w")
+    fake.until(lambda: fake.received)
+    stopped = partial(fake.say, "state", **EMPTY | why)
+    fake.until(lambda: stopped() or fake.received[-1] == {"held": ""}, "the end of what is held")
+    assert tab.run("document.querySelector('#banner').hidden")  # it is no silence that has ended it
+    fake.say("state", **EMPTY)
+    fake.until(lambda: tab.run("document.querySelector('#word').dataset.state === 'ready'"))
+    assert sent(tab, "held")[-1] == ""  # the key is still down, in vain
+    tab.key("keyUp", "KeyW", "w")
+    tab.key("keyDown", "KeyW", "w")
+    assert sent(tab, "held")[-1] == "drive 0.500 0.000 0.000"
+
+
 def test_the_command_line_takes_spaces_and_answers(tab: Tab, diffbot: Robot) -> None:
     tab.run("document.querySelector('#line').focus()")
     for letter in "goal 1":
@@ -407,10 +428,7 @@ def test_bare_joints_are_moved_by_hand(browser: Chromium, bench: Robot) -> None:
 def test_a_button_that_is_pressed_twice_ends_what_it_holds(
     browser: Chromium, fake: Fake, second: str
 ) -> None:
-    tab = fake.open(browser)
-    fake.say("hello", **hello(joints=["arm"], base=False))
-    fake.say("state", **EMPTY)
-    fake.until(lambda: tab.run("Boolean(document.querySelector('.hold'))"))
+    tab = fake.show(browser, hello(joints=["arm"], base=False))
     x, y = tab.middle(".hold:nth-of-type(2)")
     tab.touch((x, y))
     if second == "finger":
@@ -520,13 +538,13 @@ HOSTILE = [
 ]
 EMPTY: dict[str, Any] = {
     "t": 1.0, "state": "ready", "reason": "", "stopped": "", "stop": False, "systems": [], "pose": None,
-    "covariance": None, "twist": None, "raw": None, "goal": None, "reached": 0, "path_version": 0,
-    "mission": None, "rejected": {}, "faults": [], "received": [],
+    "covariance": None, "twist": None, "raw": None, "goal": None, "mission": None, "faults": [],
+    "received": [],
 }  # fmt: skip
 
 
 class Fake:
-    """A server that says what a test wants, and keeps what it is sent. Polled while the test waits."""
+    """A server that says what a test wants, and keeps what it is asked. Polled while the test waits."""
 
     def __init__(self, port: int = 0, access: Access | None = None) -> None:
         self.server = Server(Address(port=port), access or Access(), pages(), {"/cockpit": ("",)})
@@ -536,7 +554,7 @@ class Fake:
     def poll(self) -> None:
         self.now += 1_000_000
         for _, messages in self.server.poll(self.now):
-            self.received += map(json.loads, messages)
+            self.received += filter(None, map(json.loads, messages))
         self.server.flush(self.now)
 
     def until(self, what: Callable[[], Any], name: str = "what is awaited") -> Any:
@@ -557,9 +575,17 @@ class Fake:
     def close(self) -> None:
         self.server.close()
 
-    def open(self, browser: Chromium, query: str = "") -> Tab:
-        tab = browser.open(f"http://{self.address}/{query}", before=WATCH)
+    def open(self, browser: Chromium, query: str = "", **size: int) -> Tab:
+        tab = browser.open(f"http://{self.address}/{query}", before=WATCH, **size)
         self.until(lambda: self.server.clients, "a connection")
+        return tab
+
+    def show(self, browser: Chromium, about: Any, **size: int) -> Tab:
+        """Open a page, and wait until it shows a robot of which a hello tells."""
+        tab = self.open(browser, **size)
+        self.say("hello", **about)
+        self.say("state", **EMPTY)
+        self.until(lambda: tab.run("document.querySelector('#word').dataset.state === 'ready'"))
         return tab
 
 
@@ -594,11 +620,7 @@ def hello(
         "mode": mode,
         "joints": [{"name": one, "moves": "joint"} | about for one in joints or []],
         "buses": [{"name": name, "kind": "can", "interface": name, "bitrate": 0}],
-        "sensors": [],
-        "body": name,
         "base": body if base else None,
-        "linkage": False,
-        "period": 0.005,
         "steer": mode == "live",
     }
 
@@ -642,10 +664,7 @@ def test_hostile_names_stay_text(browser: Chromium, fake: Fake) -> None:
 def test_a_lost_connection_is_shown_and_nothing_is_sent_by_itself_after_it(
     browser: Chromium, fake: Fake
 ) -> None:
-    tab = fake.open(browser)
-    fake.say("hello", **hello())
-    fake.say("state", **EMPTY)
-    fake.until(lambda: tab.run("!document.querySelector('#main').inert"))
+    tab = fake.show(browser, hello())
     tab.key("keyDown", "KeyW", "w")
     fake.until(
         lambda: len([one for one in fake.received if one == {"held": "drive 0.500 0.000 0.000"}]) > 2,
@@ -660,17 +679,64 @@ def test_a_lost_connection_is_shown_and_nothing_is_sent_by_itself_after_it(
         again.say("hello", **hello())
         again.say("state", **EMPTY)
         again.until(lambda: tab.run("document.querySelector('#banner').hidden"))
-        again.until(
-            lambda: tab.run("document.querySelector('#banner').textContent").startswith("Nothing heard"),
-            "silence",
-        )
-        assert again.received == []
         tab.key("keyUp", "KeyW", "w")
-        tab.click("#stop")  # which is tried all the same
-        again.until(lambda: again.received)
-        assert again.received == [{"ask": "stop an operator pressed STOP", "id": 1}]
+        assert again.received == []
         assert all("WebSocket connection" in one for one in tab.problems)
-        tab.problems.clear()
+        tab.close()
+
+
+def later(tab: Tab, s: float) -> None:
+    """Have the page's clock stand still, so many s later."""
+    tab.run(f"(t => {{ performance.now = () => t; }})(performance.now() + {1000 * s})")
+
+
+def test_while_nothing_comes_from_the_robot_only_a_stop_is_sent(browser: Chromium, fake: Fake) -> None:
+    tab = fake.show(browser, hello())
+    tab.key("keyDown", "KeyW", "w")
+    fake.until(lambda: fake.received)
+    later(tab, 2.0)
+    fake.until(lambda: tab.text("#banner") == "No data from the robot. What is shown is old.")
+    fake.until(lambda: fake.received[-1] == {"held": ""})
+    fake.received.clear()
+    tab.key("keyUp", "KeyW", "w")
+    tab.key("keyDown", "KeyA", "a")
+    tab.key("keyUp", "KeyA", "a")
+    tab.type("#line", "goal 1 1")
+    tab.until("document.querySelector('#log .refused').textContent.includes('not sent')")
+    tab.click("#record")
+    tab.click("#stop")  # which is tried all the same
+    fake.until(lambda: any("ask" in one for one in fake.received), "a stop")
+    asked = [one for one in fake.received if one != {"held": ""}]
+    assert [one["ask"] for one in asked] == ["stop an operator pressed STOP"]
+
+
+def test_a_connection_over_which_nothing_comes_is_made_anew(browser: Chromium, fake: Fake) -> None:
+    tab = fake.show(browser, hello())
+    (first,) = fake.server.clients
+    later(tab, 6.0)
+    fake.until(lambda: first not in fake.server.clients, "the end of the old connection")
+    assert tab.text("#banner").startswith("Not connected. The robot receives nothing from this page.")
+    assert tab.run("document.querySelector('#stop').disabled")
+    later(tab, 2.0)
+    fake.until(lambda: fake.server.clients, "a new connection")
+    fake.say("hello", **hello())
+    fake.say("state", **EMPTY)
+    fake.until(lambda: tab.run("document.querySelector('#banner').hidden"))
+
+
+def test_a_page_without_its_token_says_what_to_open(browser: Chromium) -> None:
+    refused = []
+
+    class Noted(Access):
+        def refused(self, path: str, host: str, origin: str | None) -> tuple[int, str]:
+            refused.append(path)
+            return super().refused(path, host, origin)
+
+    with closing(Fake(access=Noted(token="a token of 20 characters"))) as fake:
+        tab = browser.open(f"http://{fake.address}/")
+        fake.until(lambda: refused, "a connection without it")
+        tab.until("document.querySelector('#banner').textContent.includes('its token')")
+        tab.close()
 
 
 def test_the_controls_of_a_replay_ask_for_what_they_say(browser: Chromium, fake: Fake) -> None:
@@ -715,6 +781,12 @@ def test_the_controls_of_a_replay_ask_for_what_they_say(browser: Chromium, fake:
     ]
     assert fake.received == [{"play": one} for one in asked]
     assert tab.text("#difference") == "1.500 s, packets: the first that differs"
+
+
+def test_a_page_says_that_it_is_still_there(browser: Chromium, fake: Fake) -> None:
+    tab = fake.show(browser, hello())
+    fake.until(lambda: fake.say("state", **EMPTY) or tab.run("seen.alive") > 1)
+    assert fake.received == []
 
 
 def test_the_token_of_the_address_is_brought_along(browser: Chromium) -> None:
