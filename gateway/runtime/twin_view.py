@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
+from brain.belief import Belief, Estimate
 from gateway.buses.virtual import TwinWorld
-from gateway.core.clock import stopwatch
 from gateway.core.step import Gateway
+from gateway.core.tick import Inputs, Outputs, Tick
 from gateway.runtime.twin_process import Devices
+from gateway.sim.world import World
 from gateway.view import Access, Address, Scene, View
 from gateway.view.scene import Json
-from protocols.messages import MILLISECOND, SECOND, Nanos
+from protocols.messages import MILLISECOND, SECOND, Feedback, Nanos
 
 PERIOD: Nanos = 5 * MILLISECOND
 """Between two polls."""
+EXACT = np.zeros((3, 3))
+"""Covariance of the true pose."""
 
 
 @dataclass(slots=True)
@@ -23,14 +29,23 @@ class TwinScene(Scene):
 
     twins: TwinWorld | None = None
 
-    def at(self, now: Nanos) -> None:
-        """Show the world as it is at a time."""
-        self.now = now
+    def present(self) -> Tick:
+        """Return a tick that brings the true position and velocity of every shaft at the joint."""
+        shafts = {name: self._world.shaft(name) for name in self.robot.motors}
+        events = tuple(Feedback(name, self.now, *shaft) for name, shaft in shafts.items())
+        return Tick(0, self.now, Inputs(), Outputs(events=events))
+
+    def truth(self) -> Belief:
+        """Return the true pose as what is believed; none on a bench."""
+        if self._world.scene is None:
+            return self.belief
+        linear, lateral, angular = self._world.twist()
+        estimate = Estimate(self.now, self._world.truth(), linear, angular, EXACT, lateral)
+        return replace(self.belief, estimate=estimate)
 
     def hello(self) -> Json:
         """Return what does not change, and the walls in the world's frame."""
-        walls = [list(wall) for wall in self._world().world.outlines()]
-        return Scene.hello(self) | {"mode": "twin", "walls": walls}
+        return Scene.hello(self) | {"walls": [list(wall) for wall in self._world.outlines()]}
 
     def settings(self) -> list[Json]:
         """Return nothing: devices are configured by their host."""
@@ -41,18 +56,17 @@ class TwinScene(Scene):
         return {"t": self.now / SECOND, "rows": [self._shaft(name) for name in self.robot.motors]}
 
     def _shaft(self, name: str) -> list[Any]:
-        position, velocity = self._world().world.shaft(name)
+        position, velocity = self._world.shaft(name)
         return ["simulated", False, "", None, round(position, 5), round(velocity, 5), *[None] * 5, 0]
 
     def state(self) -> Json:
-        """Return the true pose."""
-        pose = self._world().world.truth()
-        base = {"pose": [pose.x, pose.y, pose.yaw]} if self.robot.brain.body.joints else {}
-        return Scene.state(self) | {"state": "simulated", "systems": [], "reason": "the true pose"} | base
+        """Return what else changes: the true pose."""
+        return Scene.state(self) | {"state": "simulated", "systems": [], "reason": "what is true"}
 
-    def _world(self) -> TwinWorld:
+    @property
+    def _world(self) -> World:
         assert self.twins is not None
-        return self.twins
+        return self.twins.world
 
 
 class TwinView:
@@ -62,7 +76,7 @@ class TwinView:
 
     def __init__(self, made: Devices, address: Address, access: Access) -> None:
         self._stats, self._last = made.stats, -PERIOD
-        self._scene = TwinScene(Gateway(made.robot), "live", self._facts, twins=made.twins)
+        self._scene = TwinScene(Gateway(made.robot), "twin", self._facts, twins=made.twins)
         self._view = View([self._scene], address, access)
         self.url = self._view.url
         self.close = self._view.close
@@ -71,10 +85,10 @@ class TwinView:
         """Answer pages, and show them the world. Never waits."""
         if now - self._last < PERIOD:
             return
-        self._last = now
-        self._scene.at(now)
-        self._view.poll(stopwatch())  # simulated devices take no instructions
-        self._view.show(stopwatch())
+        self._last = self._scene.now = now
+        self._view.poll(now)  # simulated devices take no instructions
+        self._view.take(self._scene.present(), self._scene.truth())
+        self._view.show(now)
 
     def _facts(self) -> Json:
         return {"ticks": 0, "sent": self._stats.sent, "longest": self._stats.late / MILLISECOND}

@@ -141,11 +141,7 @@ class Scene:
 
     def speed(self) -> float:
         """Return the speed [m/s] of the base in the plane; 0 of one that is fixed."""
-        if self._free is None:
-            return 0.0
-        start = int(self.model.jnt_dofadr[int(self.model.body_jntadr[self._base])])
-        vx, vy = self.data.qvel[start : start + 2].tolist()
-        return math.hypot(vx, vy)
+        return math.hypot(*self.twist()[:2])
 
     def pose(self) -> Pose:
         """Return the true pose, now."""
@@ -155,6 +151,17 @@ class Scene:
         else:
             x, y, _, w, i, j, k = data.qpos[base : base + 7].tolist()
         return Pose(x, y, math.atan2(2.0 * (w * k + i * j), 1.0 - 2.0 * (j * j + k * k)))
+
+    def twist(self) -> tuple[float, float, float]:
+        """Return how fast the base moves forward and to the left [m/s] and turns [rad/s], now; 0 of one that
+        is fixed."""
+        if self._free is None:
+            return 0.0, 0.0, 0.0
+        start = int(self.model.jnt_dofadr[int(self.model.body_jntadr[self._base])])
+        vx, vy, _, _, _, angular = self.data.qvel[start : start + 6].tolist()
+        yaw = self.pose().yaw
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        return vx * cos + vy * sin, vy * cos - vx * sin, angular
 
     def people(self) -> list[tuple[float, float, float]]:
         """Return x, y and radius [m] of everybody, now."""

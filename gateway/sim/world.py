@@ -98,6 +98,10 @@ class World:
         """Return the true pose in the world's frame (the origin, on a bench)."""
         return Pose(0.0, 0.0, 0.0) if self.scene is None else self.scene.pose()
 
+    def twist(self) -> tuple[float, float, float]:
+        """Return the true speeds forward and to the left [m/s], and of turning [rad/s]."""
+        return (0.0, 0.0, 0.0) if self.scene is None else self.scene.twist()
+
     def contacts(self) -> int:
         """Return how often walls and boxes (on a bench: hard stops) were touched so far."""
         return self._shafts.touches if self.scene is None else self.scene.touches

@@ -21,7 +21,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
-from gateway.core.tick import Inputs, Outputs, Tick
+from gateway.core.tick import Tick
 from gateway.recording.ros_views import TOPICS, View, Views, frame_topics, typestore
 from gateway.view import foxglove_wire as wire
 from gateway.view.cockpit import Act
@@ -31,12 +31,14 @@ from gateway.view.requests import Asking, Requests
 from gateway.view.scene import Json, Scene
 from gateway.view.server import Client, Message
 from protocols import messages as msg
-from protocols.messages import MILLISECOND, SECOND, Event, Instruction, Nanos
+from protocols.messages import MILLISECOND, SECOND, Instruction, Nanos
 
 EVENTS = frozenset(("/rosout", "/diagnostics"))
 """Topics of which a client gets every message,"""
 STATES = frozenset(TOPICS) - EVENTS - {"/scan", "/imu/data", "/fix", "/pose"}
 """and those of which it gets the newest."""
+TRUE = frozenset(("/odom", "/tf", "/tf_static", "/joint_states"))
+"""Topics of simulated devices: what is true, which no frame tells."""
 RECEIVED = {"/goal_pose": "PoseStamped", "/move_base_simple/goal": "PoseStamped", "/cmd_vel": "Twist"}
 """Topics that clients may publish, and the type (of geometry_msgs) of each."""
 FRAME = "odom"
@@ -83,9 +85,9 @@ class Foxglove:
         self._subscribers: dict[str, list[tuple[_Peer, int]]] = {}
         """By topic; topics without any are not in it."""
         self._store = typestore()
-        types = dict(TOPICS)
+        types = {topic: type_ for topic, type_ in TOPICS.items() if scene.kind != "twin" or topic in TRUE}
         for bus in scene.robot.buses.values():
-            if bus.kind != "serial":
+            if bus.kind != "serial" and scene.kind != "twin":
                 types |= frame_topics(bus.name, fd=bus.kind == "canfd")
         self._topics = dict(enumerate(types, 1))
         self._advertised = self._advertise(types)
@@ -267,15 +269,7 @@ class Foxglove:
         self._stale = False
         mounts = {name: sensor.mount for name, sensor in self.scene.robot.sensors.items()}
         self._views = Views(mounts, self._store, self._subscribers)
-        self._send(self._views.messages(self._present(), self.scene.belief))
-
-    def _present(self) -> Tick:
-        """Return a tick that brings the newest of everything."""
-        now = self.scene.now
-        events: list[Event] = list(self.scene.scans.values())
-        for name, joint in self.scene.gateway.joints.items():
-            events += [msg.State(name, now, joint.mode, joint.detail), joint.feedback, *joint.faults.values()]
-        return Tick(0, now, Inputs(), Outputs(events=tuple(events)))
+        self._send(self._views.messages(self.scene.present(), self.scene.belief))
 
     def _send(self, views: Sequence[View]) -> None:
         for view in views:

@@ -18,12 +18,13 @@ from brain.settings import AT_RUN_TIME, keys
 from gateway.core.joint import LEAST_SHARE, Joint
 from gateway.core.robot import Robot
 from gateway.core.step import Gateway
-from gateway.core.tick import Note, Tick
+from gateway.core.tick import Inputs, Note, Outputs, Tick
 from protocols import messages as msg
 from protocols.messages import MILLISECOND, SECOND, Command, Nanos
 
 Json: TypeAlias = dict[str, Any]
-Kind: TypeAlias = Literal["live", "replay"]
+Kind: TypeAlias = Literal["live", "replay", "twin"]
+"""A robot that can be asked; a recording; simulated devices, which have no robot to ask."""
 
 LIMITS = ("velocity", "acceleration", "torque")
 """Of a joint, that can be changed while it runs."""
@@ -79,6 +80,14 @@ class Scene:
         poses = self._track
         found = next((pose for now, pose in reversed(poses) if now <= t), poses[0][1] if poses else None)
         return [] if found is None else [[_number(v) for v in (found.x, found.y, found.yaw)]]
+
+    def present(self) -> Tick:
+        """Return a tick that brings the newest of everything."""
+        events: list[msg.Event] = list(self.scans.values())
+        for name, joint in self.gateway.joints.items():
+            state = msg.State(name, self.now, joint.mode, joint.detail)
+            events += [state, joint.feedback, *joint.faults.values()]
+        return Tick(0, self.now, Inputs(), Outputs(events=tuple(events)))
 
     def hello(self) -> Json:
         """Return what does not change: joints, buses, body, what the robot can be asked."""
