@@ -33,6 +33,14 @@ def test_each_name_is_there_and_documented(name: str) -> None:
             assert section in text, f"{name} has no {section}"
 
 
+def test_the_page_of_the_api_has_each_name() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "api.md").read_text()
+    whole = [module for module in gateway._MODULES if f"automodule:: {module}\n" in page]
+    one_by_one = {name for module, names in gateway._MODULES.items() if module not in whole for name in names}
+    assert {"protocols.messages", "gateway.errors"} <= set(whole)
+    assert {name for name in one_by_one if f":: {name}\n" not in page} == set()
+
+
 def test_the_typing_names_are_the_lazy_ones() -> None:
     source = Path(gateway.__file__).read_text()
     typed = {line.split(" as ")[1].strip() for line in source.splitlines() if line.startswith("    from ")}
