@@ -1,19 +1,21 @@
 // Driving by hand: keys and a stick, as long as they are held.
 
-import { $, typing } from "./elements.js";
+import { $ } from "./elements.js";
 
 const KEYS = {
   KeyW: [1, 0, 0], ArrowUp: [1, 0, 0], KeyS: [-1, 0, 0], ArrowDown: [-1, 0, 0],
   KeyA: [0, 1, 0], ArrowLeft: [0, 1, 0], KeyD: [0, -1, 0], ArrowRight: [0, -1, 0],
   KeyQ: [0, 0, 1], KeyE: [0, 0, -1],
 }; // forward, to the left, sideways to the left
-
+const TAKES_LETTERS = "input:not([type=range], [type=checkbox]), select";
+const TAKES_ARROWS = `${TAKES_LETTERS}, [type=range], #log, #rows, .scroll`; // they move it, or scroll it
 
 export class Drive {
   constructor(held) {
     Object.assign(this, { held, base: null, keys: new Set(), stick: [0, 0], pointer: null });
     const stick = $("stick");
     stick.addEventListener("pointerdown", event => this.grab(event));
+    stick.addEventListener("contextmenu", event => event.preventDefault());
     stick.addEventListener("pointermove", event => event.pointerId === this.pointer && this.drag(event));
     for (const type of ["pointerup", "pointercancel", "lostpointercapture"])
       stick.addEventListener(type, event => event.pointerId === this.pointer && this.letGo());
@@ -36,7 +38,8 @@ export class Drive {
       if (this.keys.delete(event.code)) this.change();
       return;
     }
-    if (typing(event.target) || event.ctrlKey || event.altKey || event.metaKey) return;
+    const taken = event.target.matches?.(event.code.startsWith("Arrow") ? TAKES_ARROWS : TAKES_LETTERS);
+    if (taken || event.ctrlKey || event.altKey || event.metaKey) return;
     event.preventDefault();
     if (event.repeat || (KEYS[event.code][2] && !this.base.max_lateral)) return;
     this.keys.add(event.code);

@@ -1,7 +1,6 @@
 // What makes elements. Text of the robot only ever becomes text: no markup is made of it.
 
 export const $ = id => document.getElementById(id);
-export const typing = element => element.matches?.("input, select, textarea");
 
 export function make(tag, properties = {}, ...children) {
   const element = Object.assign(document.createElement(tag), properties);

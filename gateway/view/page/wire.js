@@ -93,6 +93,10 @@ export class Held {
     Object.assign(this, { wire, timer: 0, line: null });
     for (const [target, type] of [[window, "blur"], [window, "pagehide"], [document, "visibilitychange"]])
       target.addEventListener(type, () => this.end());
+    // What may swallow the release of a key: a menu, a drag, and on macOS Cmd, while which no letter has one.
+    for (const type of ["contextmenu", "dragstart"])
+      window.addEventListener(type, event => event.defaultPrevented || this.end());
+    window.addEventListener("keydown", event => (event.metaKey || event.ctrlKey || event.altKey) && this.end());
   }
 
   // `line` returns what is held now: a line of the operator's language.

@@ -224,6 +224,46 @@ def test_a_key_drives_as_long_as_it_is_held(tab: Tab, diffbot: Robot) -> None:
     diffbot.stands()
 
 
+def event(name: str) -> str:
+    """Return what an event does of which the browser thinks that it has to do with the page."""
+    return f"document.body.dispatchEvent(new Event({name!r}, {{ bubbles: true }}))"
+
+
+@pytest.mark.parametrize("what", ["contextmenu", "dragstart", "Cmd"])
+def test_what_swallows_the_release_of_a_key_ends_what_is_held(
+    browser: Chromium, fake: Fake, what: str
+) -> None:
+    tab = fake.show(browser, hello())
+    tab.key("keyDown", "KeyW", "w")
+    if what == "Cmd":
+        tab.call("Input.dispatchKeyEvent", type="keyDown", code="MetaLeft", key="Meta", modifiers=4)
+    else:
+        tab.run(event(what))
+    assert sent(tab, "held")[-2:] == ["drive 0.500 0.000 0.000", ""]
+
+
+KEY_HAS_A_USE = [
+    ("#log", "ArrowUp"), ("#rows", "ArrowDown"), ("#speed", "ArrowRight"), ("#line", "KeyW"),
+    ("#quantity", "KeyS"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "where, code", [*KEY_HAS_A_USE, ("#speed", "KeyW"), ("#log", "KeyS"), ("#strafe", "KeyA")]
+)
+def test_a_key_drives_unless_it_has_a_use_where_the_focus_is(
+    browser: Chromium, fake: Fake, where: str, code: str
+) -> None:
+    tab = fake.show(browser, hello())
+    fake.say("settings", rows=[{"key": f"{number}", "value": 1.0, "file": 1.0} for number in range(20)])
+    fake.until(lambda: tab.run("document.querySelector('#rows').children.length"))
+    tab.run(f"document.querySelector('#settings').open = true, document.querySelector('{where}').focus()")
+    assert tab.run(f"document.activeElement.matches('{where}')")
+    tab.key("keyDown", code, code[-1].lower() if code.startswith("Key") else "")
+    tab.key("keyUp", code, code[-1].lower() if code.startswith("Key") else "")
+    assert bool(sent(tab, "held")) == ((where, code) not in KEY_HAS_A_USE)
+
+
 def test_the_stick_drives_as_long_as_it_is_held(tab: Tab, diffbot: Robot) -> None:
     x, y = tab.middle("#stick")
     tab.mouse("mousePressed", (x, y))
@@ -286,9 +326,8 @@ def test_a_stop_from_elsewhere_ends_what_is_held(browser: Chromium, fake: Fake, 
     tab = fake.show(browser, hello())
     tab.key("keyDown", "KeyW", "w")
     fake.until(lambda: fake.received)
-    stopped = partial(fake.say, "state", **EMPTY | why)
-    fake.until(lambda: stopped() or fake.received[-1] == {"held": ""}, "the end of what is held")
-    assert tab.run("document.querySelector('#banner').hidden")  # it is no silence that has ended it
+    fake.say("state", **EMPTY | why)
+    fake.until(lambda: fake.received[-1] == {"held": ""}, "the end of what is held")
     fake.say("state", **EMPTY)
     fake.until(lambda: tab.run("document.querySelector('#word').dataset.state === 'ready'"))
     assert sent(tab, "held")[-1] == ""  # the key is still down, in vain
@@ -543,6 +582,11 @@ EMPTY: dict[str, Any] = {
 }  # fmt: skip
 
 
+def later(tab: Tab, s: float) -> None:
+    """Have the page's clock stand still, so many s later."""
+    tab.run(f"(t => {{ performance.now = () => t; }})(performance.now() + {1000 * s})")
+
+
 class Fake:
     """A server that says what a test wants, and keeps what it is asked. Polled while the test waits."""
 
@@ -575,14 +619,16 @@ class Fake:
     def close(self) -> None:
         self.server.close()
 
-    def open(self, browser: Chromium, query: str = "", **size: int) -> Tab:
-        tab = browser.open(f"http://{self.address}/{query}", before=WATCH, **size)
+    def open(self, browser: Chromium, query: str = "", width: int = 1440) -> Tab:
+        tab = browser.open(f"http://{self.address}/{query}", width, before=WATCH)
         self.until(lambda: self.server.clients, "a connection")
         return tab
 
-    def show(self, browser: Chromium, about: Any, **size: int) -> Tab:
-        """Open a page, and wait until it shows a robot of which a hello tells."""
-        tab = self.open(browser, **size)
+    def show(self, browser: Chromium, about: Any, width: int = 1440) -> Tab:
+        """Open a page, and wait until it shows a robot of which a hello tells. Its clock stands still: how
+        long the test takes is no silence."""
+        tab = self.open(browser, width=width)
+        later(tab, 0.0)
         self.say("hello", **about)
         self.say("state", **EMPTY)
         self.until(lambda: tab.run("document.querySelector('#word').dataset.state === 'ready'"))
@@ -673,6 +719,7 @@ def test_a_lost_connection_is_shown_and_nothing_is_sent_by_itself_after_it(
     fake.close()
     tab.until("document.querySelector('#banner').hidden === false")
     assert "the gateway ends" in tab.text("#banner")
+    later(tab, 2.0)
     assert tab.run("document.querySelector('#main').inert && document.querySelector('#stop').disabled")
     with closing(Fake(fake.address.port)) as again:
         again.until(lambda: again.server.clients, "a new connection")
@@ -683,11 +730,6 @@ def test_a_lost_connection_is_shown_and_nothing_is_sent_by_itself_after_it(
         assert again.received == []
         assert all("WebSocket connection" in one for one in tab.problems)
         tab.close()
-
-
-def later(tab: Tab, s: float) -> None:
-    """Have the page's clock stand still, so many s later."""
-    tab.run(f"(t => {{ performance.now = () => t; }})(performance.now() + {1000 * s})")
 
 
 def test_while_nothing_comes_from_the_robot_only_a_stop_is_sent(browser: Chromium, fake: Fake) -> None:
@@ -785,7 +827,12 @@ def test_the_controls_of_a_replay_ask_for_what_they_say(browser: Chromium, fake:
 
 def test_a_page_says_that_it_is_still_there(browser: Chromium, fake: Fake) -> None:
     tab = fake.show(browser, hello())
-    fake.until(lambda: fake.say("state", **EMPTY) or tab.run("seen.alive") > 1)
+    before = tab.run("seen.alive")
+    for _ in range(2):
+        later(tab, 2.1)
+        fake.say("state", **EMPTY)
+        tab.until(f"seen.alive > {before}")
+        before += 1
     assert fake.received == []
 
 
