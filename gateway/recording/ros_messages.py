@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -39,6 +39,8 @@ class Message(Protocol):
 Types = Mapping[str, Callable[..., Message]]
 Floats = npt.NDArray[np.float64]
 
+UNKNOWN = -1
+"""A cell of an OccupancyGrid of which nothing is known."""
 _LOG_LEVELS = {"info": 20, "warning": 30, "error": 40}
 
 CAN_FRAME = "can_msgs/msg/Frame"
@@ -108,22 +110,34 @@ def goal_pose(types: Types, t: Nanos, goal: Goal) -> Message:
     return _pose_stamped(types, t, Pose(goal.x, goal.y, goal.yaw or 0.0))
 
 
+def percent(log_odds: npt.NDArray[Any]) -> npt.NDArray[np.int8]:
+    """Return the probability of being occupied, as an OccupancyGrid has it; unknown for log-odds 0."""
+    log_odds = log_odds.astype(np.float32, copy=False)
+    found = np.rint(50.0 + 50.0 * np.tanh(np.float32(0.5) * log_odds)).astype(np.int8)
+    found[log_odds == 0.0] = UNKNOWN
+    return found
+
+
 def occupancy(types: Types, t: Nanos, view: MapView) -> Message:
-    """Make nav_msgs/OccupancyGrid: percent, row by row from the lower left; -1 (unknown) for log-odds 0."""
-    log_odds = view.log_odds
-    rows, columns = log_odds.shape
-    percent = np.rint(50.0 + 50.0 * np.tanh(np.float32(0.5) * log_odds)).astype(np.int8)
-    percent[log_odds == 0.0] = -1
+    """Make nav_msgs/OccupancyGrid of a map."""
+    return grid(types, t, view.resolution, (view.origin_x, view.origin_y), percent(view.log_odds))
+
+
+def grid(
+    types: Types, t: Nanos, resolution: float, origin: tuple[float, float], cells: npt.NDArray[np.int8]
+) -> Message:
+    """Make nav_msgs/OccupancyGrid: percent, row by row from the lower left."""
+    rows, columns = cells.shape
     return types["nav_msgs/msg/OccupancyGrid"](
         header=header(types, t, WORLD),
         info=types["nav_msgs/msg/MapMetaData"](
             map_load_time=stamp(types, t),
-            resolution=float32(view.resolution),
+            resolution=float32(resolution),
             width=columns,
             height=rows,
-            origin=_pose(types, Pose(view.origin_x, view.origin_y, 0.0)),
+            origin=_pose(types, Pose(*origin, 0.0)),
         ),
-        data=percent.reshape(-1),
+        data=cells.reshape(-1),
     )
 
 

@@ -126,6 +126,12 @@ def _definition(store: Typestore, type_: str) -> str:
     return store.generate_msgdef(type_, ros_version=2)[0]
 
 
+def to_view(store: Typestore, topic: str, t: Nanos, message: Message) -> View:
+    """Return a message as it is sent, or stands in a file."""
+    type_ = message.__msgtype__
+    return View(topic, type_, _stamp(t), bytes(store.serialize_cdr(message, type_, little_endian=True)))
+
+
 @dataclass(slots=True)
 class _MotorStatus:
     """Last reported values of a motor, at its joint's output shaft."""
@@ -232,10 +238,7 @@ class Views:
         )
 
     def _view(self, topic: str, t: Nanos, message: Message) -> View:
-        type_ = message.__msgtype__
-        return View(
-            topic, type_, _stamp(t), bytes(self._store.serialize_cdr(message, type_, little_endian=True))
-        )
+        return to_view(self._store, topic, t, message)
 
     # -- frames and events ------------------------------------------------------------------------
 

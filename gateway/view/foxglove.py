@@ -22,9 +22,11 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from gateway.core.tick import Tick
-from gateway.recording.ros_views import TOPICS, View, Views, frame_topics, typestore
+from gateway.recording.ros_messages import grid
+from gateway.recording.ros_views import TOPICS, View, Views, frame_topics, to_view, typestore
 from gateway.view import foxglove_wire as wire
 from gateway.view.cockpit import Act
+from gateway.view.foxglove_map import Drawing
 from gateway.view.foxglove_services import SERVICES, word
 from gateway.view.foxglove_wire import ERROR, WARNING, WireError
 from gateway.view.requests import Asking, Requests
@@ -41,6 +43,7 @@ TRUE = frozenset(("/odom", "/tf", "/tf_static", "/joint_states"))
 """Topics of simulated devices: what is true, which no frame tells."""
 RECEIVED = {"/goal_pose": "PoseStamped", "/move_base_simple/goal": "PoseStamped", "/cmd_vel": "Twist"}
 """Topics that clients may publish, and the type (of geometry_msgs) of each."""
+MAP = "/map"
 FRAME = "odom"
 """In which goals are."""
 TIME_PERIOD: Nanos = 20 * MILLISECOND
@@ -84,6 +87,9 @@ class Foxglove:
         self._peers: dict[Client, _Peer] = {}
         self._subscribers: dict[str, list[tuple[_Peer, int]]] = {}
         """By topic; topics without any are not in it."""
+        self._wanted: set[str] = set()
+        """Of these, those whose messages are made of each tick: all but the map, which is drawn in slices."""
+        self._map = Drawing()
         self._store = typestore()
         types = {topic: type_ for topic, type_ in TOPICS.items() if scene.kind != "twin" or topic in TRUE}
         for bus in scene.robot.buses.values():
@@ -149,7 +155,7 @@ class Foxglove:
         if not 0 <= tick.now - self._time_at < TIME_PERIOD:
             self._time_at = tick.now
             self._send_time()
-        if self._views is not None and self._subscribers and self.scene.gateway is self._gateway:
+        if self._views is not None and self._wanted and self.scene.gateway is self._gateway:
             self._send(self._views.messages(tick, self.scene.belief))
 
     def show(self, now: Nanos, clients: Sequence[Client]) -> None:
@@ -167,6 +173,8 @@ class Foxglove:
                 self._begin_anew()
             if self._play is not None:
                 self._send_playback(sought=jumped)
+        if MAP in self._subscribers and not self._stale:
+            self._draw_map(now)
 
     def _enter(self, now: Nanos, client: Client) -> _Peer:
         """Greet a client."""
@@ -268,7 +276,8 @@ class Foxglove:
             self._send_time()
         self._stale = False
         mounts = {name: sensor.mount for name, sensor in self.scene.robot.sensors.items()}
-        self._views = Views(mounts, self._store, self._subscribers)
+        self._views = Views(mounts, self._store, self._wanted)
+        self._map.anew()
         self._send(self._views.messages(self.scene.present(), self.scene.belief))
 
     def _send(self, views: Sequence[View]) -> None:
@@ -278,6 +287,14 @@ class Foxglove:
                     peer.client.sample(view.topic, partial(wire.data, subscription, view.t, view.data))
                 elif view.topic in EVENTS or peer.client.stuck_since is None:
                     peer.client.send(wire.data(subscription, view.t, view.data))
+
+    def _draw_map(self, now: Nanos) -> None:
+        """Draw some of the map, and send it once it is whole."""
+        drawing, view = self._map, self.scene.belief.map
+        if view is not None and drawing.draw(now, self.scene.now, view):
+            layout = drawing.layout
+            message = grid(self._store.types, drawing.t, layout.resolution, layout.origin, drawing.cells)
+            self._send([to_view(self._store, MAP, drawing.t, message)])
 
     def _send_time(self) -> None:
         for client in self._peers:
@@ -297,6 +314,8 @@ class Foxglove:
             else:
                 peer.subscriptions[number] = topic
                 self._subscribers.setdefault(topic, []).append((peer, number))
+                if topic != MAP:
+                    self._wanted.add(topic)
                 self._stale = True
 
     def _unsubscribe(self, peer: _Peer, numbers: Sequence[int]) -> None:
@@ -307,6 +326,7 @@ class Foxglove:
                 self._subscribers[topic].remove((peer, number))
                 if not self._subscribers[topic]:
                     del self._subscribers[topic]
+                    self._wanted.discard(topic)
 
     # -- parameters -------------------------------------------------------------------------------
 
