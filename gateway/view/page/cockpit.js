@@ -40,7 +40,10 @@ function hello(message) {
   $("stopping").hidden = !live;
   $("record").hidden = $("mission-buttons").hidden = $("drop").hidden = !steer;
   $("ask").hidden = !live;
-  say($("hint"), steer ? "Click: goal. Drag: goal with heading. Right button or two fingers: move the map." : "Drag to move the map.");
+  say($("hint"), !steer ? "Drag to move the map." : matchMedia("(pointer: coarse)").matches
+    ? "After the flag, tap: goal; drag: goal with heading. Else one finger moves the map, two zoom."
+    : "Click: goal. Drag: goal with heading. Right button: move the map.");
+  $("aim").hidden = !steer;
   field.steer = steer;
   field.reset(base?.outline ?? [], message.walls ?? []);
   joints.reset(message.joints, steer);
@@ -131,6 +134,13 @@ for (const type of ["keydown", "keyup"])
     if (robot.mode === "live") stop();
     else if (robot.mode === "replay") replay.toggle();
   }, true);
+
+// STOP stands above a keyboard on the screen, and within what is seen of a page that is zoomed.
+for (const type of ["resize", "scroll"])
+  visualViewport.addEventListener(type, () => {
+    const covered = document.documentElement.clientHeight - visualViewport.offsetTop - visualViewport.height;
+    $("stopping").style.setProperty("--covered", `${Math.max(0, covered)}px`);
+  });
 
 $("drop").addEventListener("click", () => ask("drop"));
 $("clear").addEventListener("click", () => ask("clear all"));

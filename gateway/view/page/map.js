@@ -28,6 +28,7 @@ export class Field {
     $("nearer").addEventListener("click", () => this.zoom(1.4));
     $("wider").addEventListener("click", () => this.zoom(1 / 1.4));
     $("follow").addEventListener("click", () => this.following(!this.follow));
+    $("aim").addEventListener("click", () => this.aiming(!this.touchAims));
   }
 
   reset(outline, walls) {
@@ -310,6 +311,12 @@ export class Field {
     this.change();
   }
 
+  // Whether the next finger sets a goal: others move the map.
+  aiming(on) {
+    this.touchAims = on;
+    $("aim").setAttribute("aria-pressed", on);
+  }
+
   wheel(event) {
     event.preventDefault();
     this.zoom(Math.exp(-event.deltaY * (event.deltaMode ? 0.05 : 0.0015)), event);
@@ -319,7 +326,7 @@ export class Field {
     this.canvas.setPointerCapture(event.pointerId);
     this.pointers.set(event.pointerId, event);
     this.aim = null;
-    if (this.pointers.size === 1 && event.button === 0 && this.steer)
+    if (this.pointers.size === 1 && event.button === 0 && this.steer && (event.pointerType !== "touch" || this.touchAims))
       this.aim = { ...this.at(event), yaw: null, from: event };
     this.change();
   }
@@ -355,7 +362,9 @@ export class Field {
     this.pointers.delete(event.pointerId);
     const aim = this.aim;
     this.cancel();
-    if (aim && done) this.setGoal(aim.x, aim.y, aim.yaw);
+    if (!aim || !done) return;
+    this.aiming(false);
+    this.setGoal(aim.x, aim.y, aim.yaw);
   }
 
   cancel() {

@@ -169,7 +169,7 @@ class Chromium:
         tab.call("Emulation.setDeviceMetricsOverride", **size)
         if before:
             tab.call("Page.addScriptToEvaluateOnNewDocument", source=before)
-        tab.run(f"void (location = {json.dumps(url)})")  # does not wait for the server
+        tab.run(f"void setTimeout(() => {{ location = {json.dumps(url)} }})")  # does not wait for the server
         return tab
 
 

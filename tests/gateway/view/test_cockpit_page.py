@@ -116,9 +116,14 @@ def chrome(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium]:
 def browser(chrome: Chromium) -> Iterator[Chromium]:
     """Chromium, whose pages are closed after a test, and have complained of nothing."""
     yield chrome
-    chrome.call("Browser.getVersion")  # and with its answer comes what is still under way
-    problems = [problem for tab in chrome.tabs.values() for problem in tab.problems]
-    for tab in list(chrome.tabs.values()):
+    close_all(chrome)
+
+
+def close_all(browser: Chromium) -> None:
+    """Close its pages, which have complained of nothing."""
+    browser.call("Browser.getVersion")  # and with its answer comes what is still under way
+    problems = [problem for tab in browser.tabs.values() for problem in tab.problems]
+    for tab in list(browser.tabs.values()):
         tab.close()
     assert problems == []
 
@@ -249,7 +254,7 @@ KEY_HAS_A_USE = [
 
 
 @pytest.mark.parametrize(
-    "where, code", [*KEY_HAS_A_USE, ("#speed", "KeyW"), ("#log", "KeyS"), ("#strafe", "KeyA")]
+    ("where", "code"), [*KEY_HAS_A_USE, ("#speed", "KeyW"), ("#log", "KeyS"), ("#strafe", "KeyA")]
 )
 def test_a_key_drives_unless_it_has_a_use_where_the_focus_is(
     browser: Chromium, fake: Fake, where: str, code: str
@@ -446,6 +451,86 @@ def test_a_phone_shows_stop_always_and_nothing_beside_the_screen(
     assert tab.run("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
 
 
+def phone(tab: Tab, width: int = 390) -> None:
+    """Have a page on a phone."""
+    size = {"width": width, "height": 844, "deviceScaleFactor": 1, "mobile": True}
+    tab.call("Emulation.setDeviceMetricsOverride", **size)
+    tab.call("Emulation.setTouchEmulationEnabled", enabled=True)
+
+
+def test_stop_stands_above_what_covers_a_phone_s_screen(browser: Chromium, fake: Fake) -> None:
+    tab = fake.show(browser, hello())
+    phone(tab)
+    tab.until("document.querySelector('#stop').getBoundingClientRect().bottom > 800")
+    tab.call(
+        "Emulation.setPageScaleFactor", pageScaleFactor=2
+    )  # as a keyboard does: less of the page is seen
+    tab.until("visualViewport.height < 500")
+    tab.until(
+        "(({ top, bottom }, { offsetTop, height }) => top > offsetTop && bottom <= offsetTop + height)"
+        "(document.querySelector('#stop').getBoundingClientRect(), visualViewport)"
+    )
+
+
+def test_a_phone_does_not_zoom_into_a_field(browser: Chromium, fake: Fake) -> None:
+    tab = fake.show(browser, hello(joints=["arm"]))
+    phone(tab)
+    sizes = "[...document.querySelectorAll('input, select')].map(one => getComputedStyle(one).fontSize)"
+    tab.until(f"new Set({sizes}).size === 1")
+    assert tab.run(f"{sizes}[0]") == "16px"  # less, and iOS zooms
+
+
+def test_a_finger_moves_the_map_unless_a_goal_is_to_be_set(browser: Chromium, fake: Fake) -> None:
+    tab = fake.show(browser, hello())
+    phone(tab)
+    tab.until("document.querySelector('#aim').offsetWidth")
+    x, y = tab.middle("#canvas")
+    tab.touch((x, y))
+    tab.touch((x, y + 60))
+    tab.touch()
+    assert (
+        tab.run("document.querySelector('#follow').getAttribute('aria-pressed')") == "false"
+    )  # it has moved
+    assert sent(tab, "ask") == []
+    tab.run("document.querySelector('#aim').click()")
+    tab.touch((x, y))
+    tab.touch()
+    (goal,) = sent(tab, "ask")
+    assert [float(one) for one in goal.split()[1:]] == pytest.approx([0.0, 1.0], abs=0.02)
+    assert (
+        tab.run("document.querySelector('#aim').getAttribute('aria-pressed')") == "false"
+    )  # it was one goal
+    tab.touch((x, y))
+    tab.touch()
+    assert len(sent(tab, "ask")) == 1
+
+
+def test_on_a_phone_the_page_scrolls_beside_the_map(browser: Chromium, fake: Fake) -> None:
+    tab = fake.show(browser, hello())
+    phone(tab)
+    right = "document.querySelector('#canvas').getBoundingClientRect().right"
+    tab.until(f"innerWidth === 390 && {right} > 300 && {right} < 390 - 44")  # a finger's breadth
+
+
+def test_a_long_name_leaves_room_for_the_state(browser: Chromium, fake: Fake) -> None:
+    tab = fake.show(browser, hello("robot_of_the_second_floor_kitchen_2"), width=360)
+    assert tab.run("document.querySelector('#state').offsetWidth") > 120
+    later(tab, 2.0)
+    tab.until("!document.querySelector('#banner').hidden")
+    box = "document.querySelector('{}').getBoundingClientRect().{}"
+    assert tab.run(f"{box.format('#banner', 'top')} - {box.format('header', 'bottom')}") == 0.0
+
+
+@pytest.mark.parametrize("width", [320, 390, 768, 1024])
+def test_nothing_is_wider_than_the_window(browser: Chromium, fake: Fake, width: int) -> None:
+    tab = fake.show(browser, hello(joints=["shoulder", "elbow"], base=False), width=width)
+    assert tab.run("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
+    right = "getBoundingClientRect().right"
+    assert tab.run(
+        f"[...document.querySelectorAll('.joint')].every(one => one.{right} < one.closest('.panel').{right})"
+    )
+
+
 def test_bare_joints_are_moved_by_hand(browser: Chromium, bench: Robot) -> None:
     tab = opened(browser, bench.url)
     assert tab.run("document.querySelector('#map').hidden && document.querySelector('#drive').hidden")
@@ -636,9 +721,10 @@ class Fake:
 
 
 @pytest.fixture
-def fake() -> Iterator[Fake]:
+def fake(browser: Chromium) -> Iterator[Fake]:
     with closing(Fake()) as one:
         yield one
+        close_all(browser)  # before their server is gone
 
 
 def hello(
@@ -841,6 +927,7 @@ def test_the_token_of_the_address_is_brought_along(browser: Chromium) -> None:
         tab = fake.open(browser, "?token=a%20token%20%2B%20of%2020%20characters")
         fake.say("hello", **hello())
         fake.until(lambda: tab.text("#robot") == "fake")
+        close_all(browser)
 
 
 # -- without a browser -------------------------------------------------------------------------------
