@@ -126,7 +126,7 @@ $("stop").addEventListener("click", event => event.detail === 0 && stop()); // b
 twice($("release"), () => ask("release"));
 for (const type of ["keydown", "keyup"])
   window.addEventListener(type, event => {
-    const text = event.target.matches?.("input:not([type]), input[type=text]"); // the command line needs spaces
+    const text = event.target === $("line") && $("line").value; // the command line needs spaces between its words
     if (event.code !== "Space" || text) return;
     event.preventDefault();
     event.stopImmediatePropagation();

@@ -13,7 +13,7 @@ export class Field {
   // `setGoal` takes x, y and yaw (or null) of a goal that was clicked.
   constructor(setGoal) {
     Object.assign(this, { setGoal, canvas: $("canvas"), pen: $("canvas").getContext("2d"), steer: false });
-    Object.assign(this, { x: 0, y: 0, scale: 60, follow: true, pointers: new Map(), aim: null });
+    Object.assign(this, { x: 0, y: 0, scale: 60, follow: true, pointers: new Map(), aim: null, touchAims: false });
     this.reset([], []);
     new ResizeObserver(() => this.resize()).observe(this.canvas);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.paint());

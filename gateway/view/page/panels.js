@@ -173,7 +173,7 @@ export class Settings {
   }
 
   filter() {
-    const words = $("filter").value.toLowerCase().split(/\s+/);
+    const words = $("filter").value.toLowerCase().split(/[\s,]+/);
     let count = 0;
     for (const [key, { form }] of this.rows) {
       form.hidden = !words.every(word => key.toLowerCase().includes(word));

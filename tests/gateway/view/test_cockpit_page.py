@@ -355,6 +355,15 @@ def test_the_command_line_takes_spaces_and_answers(tab: Tab, diffbot: Robot) -> 
     assert diffbot.asked() == []
 
 
+def test_space_stops_once_a_line_was_sent(browser: Chromium, fake: Fake) -> None:
+    tab = fake.show(browser, hello())
+    tab.type("#line", "status")
+    assert tab.run("document.activeElement.id") == "line"
+    tab.key("keyDown", "Space", " ")
+    assert sent(tab, "ask") == ["status", "stop an operator pressed STOP"]
+    assert tab.run("document.querySelector('#line').value") == ""
+
+
 # -- what is shown -----------------------------------------------------------------------------------
 
 
@@ -390,6 +399,17 @@ def test_a_setting_is_changed_and_its_value_seen_back(tab: Tab, diffbot: Robot) 
     tab.type(f"{row} input", "99")  # more than the robot file allows: the browser tells, and nothing is sent
     assert not tab.run(f"document.querySelector('{row} input').validity.valid")
     assert len(diffbot.asked("Set")) == 3
+
+
+def test_settings_are_filtered_by_words_with_commas_between_them(browser: Chromium, fake: Fake) -> None:
+    tab = fake.show(browser, hello())
+    keys = ["pursuit.turn_gain", "pursuit.corner", "follow.corner"]
+    fake.say("settings", rows=[{"key": key, "value": 1.0, "file": 1.0} for key in keys])
+    tab.until("document.querySelector('#rows').children.length === 3")
+    tab.run("document.querySelector('#settings').open = true")
+    tab.type("#filter", "pursuit,corner", enter=False)  # a space would be a stop
+    shown = "[...document.querySelectorAll('#rows form:not([hidden]) .key')].map(one => one.textContent)"
+    assert tab.run(shown) == ["pursuit.corner"]
 
 
 def test_samples_come_as_often_as_the_loop_allows(tab: Tab, diffbot: Robot) -> None:
@@ -909,6 +929,29 @@ def test_the_controls_of_a_replay_ask_for_what_they_say(browser: Chromium, fake:
     ]
     assert fake.received == [{"play": one} for one in asked]
     assert tab.text("#difference") == "1.500 s, packets: the first that differs"
+
+
+def test_the_slider_of_a_replay_stays_where_it_was_put(browser: Chromium, fake: Fake) -> None:
+    playback = {"playing": False, "rate": 1.0, "length": 60.0, "prepared": 1.0, "differences": []}
+
+    def say(t: float, due: float) -> None:
+        at = {"t": t, "due": due, "under_way": t != due}
+        fake.say("state", **EMPTY | {"playback": playback | at, "recordings": 1})
+        tab.until(f"document.querySelector('#when').textContent.startsWith('{t:.2f}')")
+
+    tab = fake.show(browser, hello(mode="replay"))
+    say(1.0, 1.0)
+    tab.run("document.querySelector('#seek').focus()")
+    for code in ("ArrowRight", "ArrowRight", "ArrowLeft", "ArrowRight"):
+        tab.key("keyDown", code)
+        say(1.01, 1.01)  # which the gateway said before it heard of it
+    assert [one["seek"] for one in sent(tab, "play")] == [2.0, 3.0, 2.0, 3.0]
+    slider = "document.querySelector('#seek')"
+    for t in (1.02, 1.5, 1.8, 2.4):  # it is on its way
+        say(t, 3.0)
+        assert tab.run(f"{slider}.value") == "3"
+    say(3.1, 3.1)
+    assert tab.run(f"[{slider}.value, {slider}.getAttribute('aria-valuetext')]") == ["3.1", "3.10 of 60.00 s"]
 
 
 def test_a_page_says_that_it_is_still_there(browser: Chromium, fake: Fake) -> None:
