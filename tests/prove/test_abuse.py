@@ -152,6 +152,24 @@ def goals(address: Address, dice: random.Random, held: Held) -> Callable[[], int
     return flood
 
 
+def holds(address: Address, _dice: random.Random, held: Held) -> Callable[[], int]:
+    """Three pages that hold a drive as fast as they can."""
+    pages = [Browser(address) for _ in range(3)]
+    held += pages
+
+    def flood() -> int:
+        count = 0
+        for one in pages:
+            one.poll()
+            if one.open and len(one._out) < 1 << 16:
+                count += 50
+                for _ in range(50):
+                    one.send({"held": "drive 0.1 0.2"})
+        return count
+
+    return flood
+
+
 KINDS: tuple[Abuse, ...] = (
     nobody,
     computes,
@@ -161,6 +179,7 @@ KINDS: tuple[Abuse, ...] = (
     huge_messages,
     rubbish,
     goals,
+    holds,
 )
 
 
@@ -185,19 +204,30 @@ def ticks(path: Path) -> tuple[int, int]:
 def test_abuse_of_the_view_stops_neither_loop_nor_operator(kind: Abuse) -> None:
     with tempfile.TemporaryDirectory() as name, driving(Path(name)) as (robot, address):
         path = next(Path(name).rglob("*.sock"))
+        page = Browser(address)  # of an operator
+        while not page.open:
+            page.poll()
         ask(path, "goal 1.5 0.5")
         before, used, count = ticks(path), robot.processor_time(), 0
-        held: Held = []
+        held: Held = [page]
         go_on = kind(address, random.Random(7), held)
-        end = time.monotonic() + SECONDS
+        end, told = time.monotonic() + SECONDS, 0.0
         while time.monotonic() < end:
             count += go_on()
+            if time.monotonic() > told + 1.0:
+                page.send({})  # it is still there
+                told = time.monotonic()
+            page.poll()
             robot._read(0.0)
         after, used = ticks(path), robot.processor_time() - used
         asked = time.monotonic()
-        ask(path, "stop enough")
-        assert "enough" in ask(path, "status")
+        page.send({"ask": "stop enough"})
+        while not (seen := page.of("state")) or seen[-1]["stopped"] != "enough":
+            count += go_on()
+            page.poll()
+            assert time.monotonic() - asked < 60.0
         waited = time.monotonic() - asked
+        assert "enough" in ask(path, "status")
         status, text = robot.end(SIGTERM)
         for one in held:
             one.close()
@@ -205,7 +235,7 @@ def test_abuse_of_the_view_stops_neither_loop_nor_operator(kind: Abuse) -> None:
         made, missed = after[0] - before[0], after[1] - before[1]
         print(
             f"{kind.__name__}: {made} ticks, {missed} missed, {1e6 * used / made:.0f} µs of processor each,"
-            f" longest step {longest and longest[1]}, stop and status answered within"
+            f" longest step {longest and longest[1]}, stop of an operator's page shown there within"
             f" {1000 * waited:.0f} ms; {count} sent"
         )
         assert status == 0
