@@ -89,7 +89,7 @@ def live(
     time, also by a signal: the first takes the way out, the second ends the time to brake."""
     run = _Run(gateway, buses, clock, record, stats if stats is not None else LoopStats(), dry_run)
     try:
-        for now in moments(clock, gateway.robot.period, gateway.due, run.stats, run.answered):
+        for now in moments(clock, gateway.robot.period, gateway.due, run.stats, run.reader.answered):
             if reasons or (until is not None and now >= until):
                 break
             made = run.tick(now, poll())
@@ -98,6 +98,39 @@ def live(
             yield made
     finally:
         _leave(run, reasons)
+
+
+@dataclass(slots=True)
+class Reader:
+    """What is read for a gateway: at its steps, and between two while it awaits an answer."""
+
+    gateway: Gateway
+    buses: Mapping[str, Bus]
+    clock: Clock
+    errors: dict[str, Exception] | None = None
+    """As in `read`."""
+    states: list[tuple[str, BusState]] = field(default_factory=list)
+    packets: list[Packet] = field(default_factory=list)
+    """Read since the last step."""
+
+    def answered(self) -> bool | None:
+        """Read the buses; True if something has come while an answer is awaited, None if none is."""
+        if not self.gateway.awaiting():
+            return None
+        self._read(self.clock.now())
+        return bool(self.packets)
+
+    def _read(self, now: Nanos) -> None:
+        states, packets = read(self.buses, now, self.errors)
+        self.states += states
+        self.packets += packets
+
+    def inputs(self, now: Nanos, instructions: Sequence[Instruction] = ()) -> Inputs:
+        """Read the buses; return all that has come since the last step."""
+        self._read(now)
+        inputs = Inputs(tuple(self.states), tuple(self.packets), tuple(instructions))
+        self.states, self.packets = [], []
+        return inputs
 
 
 @dataclass(slots=True)
@@ -116,25 +149,14 @@ class _Run:
     """Whether the last step has raised: nothing of it can be trusted but joints and drivers."""
     errors: dict[str, Exception] = field(default_factory=dict)
     """The first exception of each bus."""
-    states: list[tuple[str, BusState]] = field(default_factory=list)
-    packets: list[Packet] = field(default_factory=list)
-    """Read since the last step."""
+    reader: Reader = field(init=False)
 
-    def answered(self) -> bool | None:
-        """Read the buses; True if something has come while an answer is awaited, None if none is."""
-        if not self.gateway.awaiting():
-            return None
-        self._read(self.clock.now())
-        return bool(self.packets)
-
-    def _read(self, now: Nanos) -> None:
-        states, packets = read(self.buses, now, self.errors)
-        self.states += states
-        self.packets += packets
+    def __post_init__(self) -> None:
+        self.reader = Reader(self.gateway, self.buses, self.clock, self.errors)
 
     def tick(self, now: Nanos, instructions: Sequence[Instruction]) -> Tick:
         """Read, step, write, record. What a bus raises is kept in `errors`."""
-        inputs = self._inputs(now, instructions)
+        inputs = self.reader.inputs(now, instructions)
         self.step_failed = True
         outputs = self.gateway.step(now, inputs)
         self.step_failed = False
@@ -151,13 +173,7 @@ class _Run:
 
     def last_frames(self, now: Nanos) -> None:
         """Read and write as `tick` does, without a step."""
-        self._write(now, self.gateway.leave(now, self._inputs(now)))
-
-    def _inputs(self, now: Nanos, instructions: Sequence[Instruction] = ()) -> Inputs:
-        self._read(now)
-        inputs = Inputs(tuple(self.states), tuple(self.packets), tuple(instructions))
-        self.states, self.packets = [], []
-        return inputs
+        self._write(now, self.gateway.leave(now, self.reader.inputs(now)))
 
     def _write(self, now: Nanos, packets: Sequence[Packet]) -> None:
         if not self.dry_run:
