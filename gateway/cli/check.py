@@ -5,8 +5,9 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 
 from gateway.cli import arguments
+from gateway.cli.terminal.progress import simulation
 from gateway.config import describe, load_robot
-from gateway.runtime.schedule import NotCounted, refuse_overload, table
+from gateway.runtime.schedule import COUNTING, NotCounted, refuse_overload, table
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -20,7 +21,9 @@ def run(options: Namespace) -> int:
     print(describe(robot))
     print()
     try:
-        print(table(refuse_overload(robot)))
+        with simulation(COUNTING) as simulated:
+            counted = refuse_overload(robot, simulated)
+        print(table(counted))
     except NotCounted as error:
         print(error)
     return 0

@@ -13,13 +13,14 @@ from brain.belief import BrainState
 from gateway.cli import arguments
 from gateway.cli.live import add_view, check_view, open_view, view_on_demand
 from gateway.cli.reports import add_report, reported
+from gateway.cli.terminal.progress import simulation
 from gateway.config import cannot, load_mission, load_robot, with_interfaces
 from gateway.core.robot import TWIN, Robot
 from gateway.core.step import LEFT_ARMED
 from gateway.errors import UserError
 from gateway.operator import Operator
 from gateway.runtime.process import request_realtime
-from gateway.runtime.schedule import NotCounted, refuse_overload
+from gateway.runtime.schedule import COUNTING, NotCounted, not_armed, refuse_overload
 from gateway.runtime.session import Session, open_session
 from gateway.runtime.status import status_text
 from protocols.messages import MILLISECOND, Goal, Instruction, Mission
@@ -55,10 +56,7 @@ def run(options: Namespace) -> int:
         raise UserError("--mission and --goal exclude each other: put the goals into the mission")
     goals = goals_of(options, robot)
     if any(bus.interface != TWIN for bus in robot.buses.values()):  # simulated ones show it by themselves
-        try:
-            refuse_overload(robot)
-        except NotCounted as error:
-            print(error, file=sys.stderr)
+        _check_load(robot)
     mission = load_mission(options.mission, robot) if options.mission else None
     if options.realtime is not None and (refused := request_realtime(options.realtime)):
         print(refused, file=sys.stderr)
@@ -75,6 +73,18 @@ def run(options: Namespace) -> int:
     if options.report is not None:
         print(f"report: {options.report}")
     return status
+
+
+def _check_load(robot: Robot) -> None:
+    """Raise UserError if a bus does not carry the robot; print which motors are not armed even on simulated
+    devices, or why nothing was counted."""
+    try:
+        with simulation(COUNTING) as simulated:
+            text = not_armed(refuse_overload(robot, simulated))
+    except NotCounted as error:
+        text = str(error)
+    if text:
+        print(text, file=sys.stderr)
 
 
 def goals_of(options: Namespace, robot: Robot) -> list[Goal]:

@@ -1,41 +1,62 @@
 """How much of its buses a robot takes: counted on its simulated devices, bit by bit.
 
-Rules. What driver and device exchange decides, not a table: the robot runs in virtual time, every motor
-commanded and at rest, on buses with true bit times. Twins answer at the world's steps, so an age or a latency
-may be a step longer than on the wire. A robot fits if no wire is full, no frame was dropped, every frame ends
-within the `command_timeout` of the bus's motors, every motor reports within its `feedback_timeout`, and all
-are armed.
+Rules. What driver and device exchange decides, not a table: the robot runs in virtual time as in the live
+loop, every motor commanded and at rest, on buses with true bit times, and is counted from when all motors
+are armed and have reported. Twins answer at the world's steps, so an age or a latency may be a step longer
+than on the wire. A robot fits if no wire is full, no frame was dropped, every frame ends within the
+`command_timeout` of the bus's motors, every motor reports within its `feedback_timeout`, and all are armed.
+Motors that are not armed at any rate up to its own are no matter of the buses: they are named, not refused.
 """
 
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Iterable, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field, fields, replace
 from math import floor
+from typing import TypeAlias
 
 from brain.bodies.body import Base
 from gateway import config
+from gateway.buses.frame_time import padded
 from gateway.buses.virtual import open_world
-from gateway.buses.virtual.bus import HOST
+from gateway.buses.virtual.bus import HOST, TwinBus
 from gateway.buses.virtual.medium import Transmission
 from gateway.config.robot_file import HIGHEST_RATE, LOWEST_RATE
 from gateway.core.clock import SimulatedClock
 from gateway.core.robot import TWIN, Motor, Robot
 from gateway.core.step import Gateway
-from gateway.core.tick import Inputs, Outputs
+from gateway.core.tick import Outputs
 from gateway.errors import UserError
-from gateway.runtime.loop import LoopStats, moments, read, write
+from gateway.runtime.loop import LoopStats, Reader, moments, write
 from gateway.sim import WorldError
-from protocols.frames import CanFrame
-from protocols.messages import SECOND, Drive, Feedback, Hold, Instruction, Nanos, Velocity
+from protocols.frames import CanFrame, Frame
+from protocols.messages import MILLISECOND, SECOND, Drive, Feedback, Hold, Instruction, Nanos, Velocity
+from protocols.plugin import FeedbackKind
 
-SETTLING: Nanos = 3 * SECOND // 2
-"""Time to find the devices, set them up and arm them."""
+SETTLING: Nanos = 5 * SECOND
+"""The longest time to find the devices, set them up and arm them;"""
+CROWDED: Nanos = SECOND // 2
+"""the time for which a wire must be full for it to end sooner, and"""
+LEAST: Nanos = 3 * CROWDED
+"""how soon it may end so."""
 FULL = 0.98
 """Share of the time from which on a wire is full."""
 WINDOW: Nanos = SECOND
-"""Time that is counted, after settling."""
+"""Time that is counted, after settling,"""
+GLANCE: Nanos = 300 * MILLISECOND
+"""and that which refutes most rates that do not fit."""
+FINENESS = 0.01
+"""Share of a rate to which the highest is found."""
+COUNTING = "load of the buses"
+"""The name of this work, for those who wait."""
+
+Simulated: TypeAlias = Callable[[Nanos], None]
+"""Is given the virtual time that has passed since it was last called, to show how far the work is."""
+
+
+def unseen(_: Nanos) -> None:
+    """Show nothing."""
 
 
 class NotCounted(UserError):
@@ -57,13 +78,13 @@ class BusSchedule:
     dropped: bool = False
     """Whether frames of the host were dropped."""
     frames: Counter[str] = field(default_factory=Counter)
-    """Frames per second by identifier (hexadecimal; "→" and "←" of serial bytes, from and to the host)."""
+    """Frames in the window by identifier (hexadecimal; "→" and "←" of serial bytes, from and to the host)."""
     ages: dict[str, Nanos] = field(default_factory=dict)
     """The longest age of each motor's feedback at a step."""
     unarmed: list[str] = field(default_factory=list)
-    """Motors that are commanded and not armed at the end, as those are whose reports come too late."""
+    """Motors that are commanded, and at the end are not armed or have never reported."""
     late: dict[str, Nanos] = field(default_factory=dict)
-    """Motors that reported too late, with the age that is allowed; 0: that did not report."""
+    """Motors that reported too late, with the age that is allowed."""
 
     @property
     def crowded(self) -> bool:
@@ -77,47 +98,87 @@ class BusSchedule:
 
 
 @dataclass(slots=True)
+class _Settling:
+    """When the counting begins."""
+
+    gateway: Gateway
+    buses: Mapping[str, TwinBus]
+    checked: Nanos = 0
+    busy: dict[str, Nanos] = field(default_factory=dict)
+    """Of each bus, when it was last checked."""
+
+    def ends(self, now: Nanos, reported: Iterable[str]) -> bool:
+        """True if all motors are armed and have reported, or that is not waited for any longer."""
+        joints, silent = self.gateway.joints, self.gateway.robot.motors.keys() - reported
+        if all(one.armed for one in joints.values()) and not any(map(self._reports, silent)):
+            return True
+        return now >= SETTLING or (self._is_full(now) and now >= LEAST)
+
+    def _reports(self, name: str) -> bool:
+        return self.gateway.robot.motors[name].spec.feedback is not FeedbackKind.NONE
+
+    def _is_full(self, now: Nanos) -> bool:
+        """True if a wire was full since the last check."""
+        if (passed := now - self.checked) < CROWDED:
+            return False
+        before, self.busy = self.busy, {name: bus.busy for name, bus in self.buses.items()}
+        self.checked = now
+        return any(busy - before.get(name, 0) >= FULL * passed for name, busy in self.busy.items())
+
+
+@dataclass(slots=True)
 class _Count:
     """What a run counts."""
 
     buses: dict[str, BusSchedule]
-    began: Nanos
-    sent: dict[str, deque[Nanos]] = field(default_factory=dict)
-    """By bus: when the frames were given that have not ended."""
+    window: Nanos
+    began: Nanos | None = None
+    """None while it settles."""
+    given: dict[str, dict[Frame, deque[Nanos]]] = field(default_factory=dict)
+    """By bus: the host's frames that have not ended, and when each was given."""
     last: dict[str, Nanos] = field(default_factory=dict)
     """By motor: time of the newest feedback."""
 
     def transmission(self, bus: str, one: Transmission) -> Iterable[Transmission]:
         """Count a frame that has ended."""
         count = self.buses[bus]
-        given = self.sent[bus].popleft() if one.sender == HOST and self.sent.get(bus) else None
-        if self.began <= one.t < self.began + WINDOW:
+        given = self.given.get(bus, {}).get(one.frame) if one.sender == HOST else None
+        taken = one.t - given.popleft() if given else 0
+        if self.began is not None and self.began < one.t <= self.began + self.window:
             arrow = "→" if one.sender == HOST else "←"
             frame = one.frame
             count.frames[str(frame).partition("#")[0] if isinstance(frame, CanFrame) else arrow] += 1
-            count.latency = max(count.latency, 0 if given is None else one.t - given)
+            count.latency = max(count.latency, taken)
         return (one,)
+
+    def dropped(self, bus: str) -> None:
+        """Count that frames were dropped: which of those that wait is unknown."""
+        self.given.pop(bus, None)
+        self.buses[bus].dropped |= self.began is not None
 
     def step(self, now: Nanos, outputs: Outputs, motors: Mapping[str, Motor]) -> None:
         """Count a step."""
         for packet in outputs.packets:
-            self.sent.setdefault(packet.bus, deque()).append(now)
+            frame = padded(packet.frame) if isinstance(packet.frame, CanFrame) else packet.frame
+            self.given.setdefault(packet.bus, {}).setdefault(frame, deque()).append(now)
         for event in outputs.events:
             if isinstance(event, Feedback):
                 self.last[event.motor] = max(event.t, self.last.get(event.motor, 0))
-        if now < self.began:
-            return
-        for name, motor in motors.items():
-            ages = self.buses[motor.bus].ages
-            ages[name] = max(ages.get(name, 0), now - self.last.get(name, 0))
+        for name in self.last if self.began is not None else ():
+            ages = self.buses[motors[name].bus].ages
+            ages[name] = max(ages.get(name, 0), now - self.last[name])
 
 
-def count_buses(robot: Robot, rate: float | None = None) -> list[BusSchedule]:
+def count_buses(
+    robot: Robot, rate: float | None = None, window: Nanos = WINDOW, simulated: Simulated = unseen
+) -> list[BusSchedule]:
     """Run a robot in virtual time, and count what is on its buses.
 
     Args:
         robot: its interfaces do not matter.
         rate: steps per second; None: as in the robot file.
+        window: time that is counted.
+        simulated: is shown how far it is.
 
     Returns:
         list[BusSchedule]: of every bus, in the order of the robot file.
@@ -126,85 +187,109 @@ def count_buses(robot: Robot, rate: float | None = None) -> list[BusSchedule]:
     if rate is not None:
         robot = replace(robot, period=round(SECOND / rate))
     gateway, world = Gateway(robot), open_world(robot, robot.seed)
-    count = _Count({name: BusSchedule(name) for name in robot.buses}, SETTLING)
+    count = _Count({name: BusSchedule(name) for name in robot.buses}, window)
     world.tamper.transmission = count.transmission
-    clock, commands, busy = SimulatedClock(), _commands(robot), dict[str, Nanos]()
-    for now in moments(clock, robot.period, gateway.due, LoopStats()):
-        states, packets = read(world.buses, now)
-        for name, bus in world.buses.items():
-            one = count.buses[name]
-            if now >= SETTLING:
-                one.load = (bus.busy - busy.setdefault(name, bus.busy)) / WINDOW
-                one.dropped = one.dropped or bus.full
-        if now >= SETTLING + WINDOW:
+    clock, commands, last, busy = SimulatedClock(), _commands(robot), 0, dict[str, Nanos]()
+    reader, settling = Reader(gateway, world.buses, clock), _Settling(gateway, world.buses)
+    for now in moments(clock, robot.period, gateway.due, LoopStats(), reader.answered):
+        inputs = reader.inputs(now, commands)
+        simulated(now - last)
+        last = now
+        if count.began is None and settling.ends(now, count.last):
+            count.began, busy = now, {name: bus.busy for name, bus in world.buses.items()}
+        if count.began is not None and now >= count.began + window:
             break
-        outputs = gateway.step(now, Inputs(tuple(states), tuple(packets), tuple(commands)))
+        outputs = gateway.step(now, inputs)
         count.step(now, outputs, robot.motors)
         write(world.buses, now, outputs.packets)
+        for name in (name for name, bus in world.buses.items() if bus.full):
+            count.dropped(name)
+    for name, bus in world.buses.items():
+        count.buses[name].load = (bus.busy - busy[name]) / (last - (count.began or 0))
     for name, motor in robot.motors.items():
         one = count.buses[motor.bus]
-        one.unarmed += [] if gateway.joints[name].armed else [name]
+        silent = name not in one.ages and motor.spec.feedback is not FeedbackKind.NONE
+        one.unarmed += [name] if silent or not gateway.joints[name].armed else []
         one.patience = min(one.patience, motor.joint.command_timeout)
-        allowed, age = motor.joint.feedback_timeout, one.ages.get(name)
-        if name not in count.last or age is None:
-            one.late[name] = 0
-        elif age > allowed:
+        allowed = motor.joint.feedback_timeout
+        if one.ages.get(name, 0) > allowed:
             one.late[name] = allowed
     return list(count.buses.values())
 
 
-def highest_rate(robot: Robot, counted: Sequence[BusSchedule]) -> float:
-    """Return the highest rate [Hz] at which the robot fits its buses; 0.0 if it does not at any.
+def lowest_rate(robot: Robot) -> float:
+    """Return the lowest rate [Hz] that the robot file may state: a command must not be too old before the
+    next."""
+    shortest = min((motor.joint.command_timeout for motor in robot.motors.values()), default=SECOND)
+    return max(LOWEST_RATE, float(SECOND // shortest + 1))
 
-    What a step sends, and is answered with, grows with the rate; the rest does not: a second count gives a
-    first guess, which is confirmed, or else halved in on."""
-    rate = SECOND / robot.period
-    busier = count_buses(robot, min(2.0 * rate, HIGHEST_RATE))
-    guess = HIGHEST_RATE
-    for one, more in zip(counted, busier, strict=True):
-        if not more.fits:
-            per_hertz = max((more.load - one.load) / rate, 1e-6)
-            guess = min(guess, rate + (1.0 - one.load) / per_hertz if one.fits else rate)
-    low, high = LOWEST_RATE, float(floor(guess))
-    if _fits(robot, high):
-        return high
-    if not _fits(robot, low):
-        return 0.0
-    while high - low > max(1.0, low / 100.0):
+
+def highest_rate(robot: Robot, fitting: float = 0.0, simulated: Simulated = unseen) -> float:
+    """Return the highest rate [Hz] at which the robot fits its buses; 0.0 if none was found.
+
+    `fitting`: a rate that is known to fit, if one is."""
+    if _fits(robot, HIGHEST_RATE, GLANCE, simulated) and _fits(robot, HIGHEST_RATE, WINDOW, simulated):
+        return HIGHEST_RATE
+    return _highest_between(robot, fitting, HIGHEST_RATE, simulated)
+
+
+def _highest_between(robot: Robot, fitting: float, high: float, simulated: Simulated) -> float:
+    """Return the highest rate that fits below one that does not: halved until one fits, then bisected, at a
+    glance; then lowered until it fits over the whole window."""
+    low, lowest = high, max(fitting, lowest_rate(robot))
+    while low > lowest:
+        low, high = max(float(floor(low / 2.0)), lowest), low
+        if low == fitting or _fits(robot, low, GLANCE, simulated):
+            break
+    else:
+        return fitting
+    while high - low > max(1.0, FINENESS * low):
         middle = float(floor((low + high) / 2.0))
-        low, high = (middle, high) if _fits(robot, middle) else (low, middle)
-    return low
+        low, high = (middle, high) if _fits(robot, middle, GLANCE, simulated) else (low, middle)
+    while low > lowest and not _fits(robot, low, WINDOW, simulated):
+        low = max(float(floor((1.0 - FINENESS) * low)), lowest)
+    return low if low > lowest or low == fitting or _fits(robot, low, WINDOW, simulated) else 0.0
 
 
-def _fits(robot: Robot, rate: float) -> bool:
-    return all(one.fits for one in count_buses(robot, rate))
+def _fits(robot: Robot, rate: float, window: Nanos, simulated: Simulated) -> bool:
+    return all(one.fits for one in count_buses(robot, rate, window, simulated))
 
 
-def refuse_overload(robot: Robot) -> list[BusSchedule]:
+def refuse_overload(robot: Robot, simulated: Simulated = unseen) -> list[BusSchedule]:
     """Return what was counted. Raises UserError if a bus does not carry the robot, with what would fit, and
     NotCounted."""
     try:
-        counted = count_buses(robot)
+        counted = count_buses(robot, None, WINDOW, simulated)
     except Exception as error:
         kind = "" if isinstance(error, WorldError) else f"{type(error).__name__}: "
         raise NotCounted(f"the load of the buses was not counted: {kind}{error}") from error
     full = [one for one in counted if not one.fits]
     if not full:
         return counted
-    rate, fits = SECOND / robot.period, highest_rate(robot, counted)
-    if not fits and not any(one.crowded for one in full):
-        return counted  # what is not armed at any rate has another reason than the wire
+    rate = SECOND / robot.period
+    lower = _highest_between(robot, 0.0, rate, simulated)
+    if not lower and not any(one.crowded for one in full):
+        return counted  # what is not armed at a lower rate either has another reason than the wire
     text = [f"{robot.name} does not fit its buses at {rate:g} steps per second:"]
     text += [f"  {one.bus}: {reason(one)}" for one in full]
     crowded = [one.bus for one in full if len(robot.devices_on(one.bus)) > 1]
-    lower = f"rate_hz = {fits:g}, the highest that fits" if fits else "no rate_hz fits"
-    slower = feedback_that_fits(robot, {one.bus for one in full})
-    ask = f"; or ask for feedback less often (feedback_ms = {slower} fits)" if slower else ""
-    split = f"; or split {', '.join(crowded)}: devices on a bus of their own" if crowded else ""
-    raise UserError("\n".join([*text, f"lower the rate ({lower}){ask}{split}; or raise the bit rate"]))
+    slower = feedback_that_fits(robot, {one.bus for one in full}, simulated)
+    ways = [f"lower the rate (rate_hz = {lower:g}, the highest that fits)"] if lower else []
+    ways += [f"ask for feedback less often (feedback_ms = {slower} fits)"] if slower else []
+    ways += [f"split {', '.join(crowded)}: devices on a bus of their own"] if crowded else []
+    none = "" if lower else "no lower rate_hz fits; "
+    raise UserError("\n".join([*text, none + "; or ".join([*ways, "raise the bit rate"])]))
 
 
-def feedback_that_fits(robot: Robot, buses: Set[str]) -> int:
+def not_armed(counted: Sequence[BusSchedule]) -> str:
+    """Return which motors are not armed, though their buses carry them; "" if none."""
+    if not (names := [name for one in counted for name in one.unarmed]):
+        return ""
+    within = f"within {SETTLING // SECOND} s, on simulated devices"
+    return f"not armed {within}: {', '.join(names)}; not for want of room on their buses: see their options"
+
+
+def feedback_that_fits(robot: Robot, buses: Set[str], simulated: Simulated = unseen) -> int:
     """Return a period for the option `feedback_ms` of the motors on these buses with which the robot fits at
     its rate: two, four or eight times the longest of them; 0 if none does, or none of them has the option."""
     asked = {
@@ -218,7 +303,8 @@ def feedback_that_fits(robot: Robot, buses: Set[str]) -> int:
             changed = {name: _asked_every(motor, milliseconds) for name, motor in asked.items()}
         except ValueError:  # more than a driver or a device can have
             return 0
-        if all(one.fits for one in count_buses(replace(robot, motors=robot.motors | changed))):
+        slower, rate = replace(robot, motors=robot.motors | changed), SECOND / robot.period
+        if _fits(slower, rate, GLANCE, simulated) and _fits(slower, rate, WINDOW, simulated):
             return milliseconds
     return 0
 
@@ -242,8 +328,8 @@ def reason(one: BusSchedule) -> str:
     if one.unarmed:
         reasons.append(f"not armed, though commanded: {', '.join(one.unarmed)}")
     for name, allowed in one.late.items():
-        age = f"is up to {one.ages[name] / 1e6:.1f} ms old; feedback_timeout allows {allowed / 1e6:g} ms"
-        reasons.append(f"the feedback of {name} {age if allowed else 'does not come'}")
+        age = f"is up to {one.ages[name] / 1e6:.1f} ms old"
+        reasons.append(f"the feedback of {name} {age}; feedback_timeout allows {allowed / 1e6:g} ms")
     return f"{min(one.load, 1.0):.0%} busy; " + "; ".join(reasons)
 
 
@@ -257,7 +343,7 @@ def table(counted: Sequence[BusSchedule]) -> str:
         lines.append(
             f"{one.bus:12} {one.load:6.1%} {frames:9} {ends:>15}   {ages + ' ms old' if ages else '-'}"
         )
-    return "\n".join(lines)
+    return "\n".join([*lines, *filter(None, [not_armed(counted)])])
 
 
 def _commands(robot: Robot) -> Sequence[Instruction]:

@@ -16,9 +16,11 @@ from pathlib import Path
 
 from gateway.config import load_robot, with_interfaces
 from gateway.core.clock import processor_time
+from gateway.core.robot import Robot
 from gateway.runtime.session import Session, open_session
 from protocols.messages import SECOND, Impedance, Nanos
 
+ROBOTS = Path(__file__).with_name("robots")
 SETTLED = 3 * SECOND // 2
 """Time to find the motors, set them up and arm them."""
 AMPLITUDE, FREQUENCY = 0.2, 0.5
@@ -42,22 +44,23 @@ def mark(session: Session) -> Mark:
     return Mark(time.time_ns(), session.stats.ticks, session.stats.missed, processor_time()[0])
 
 
+def springs(robot: Robot, now: Nanos) -> list[Impedance]:
+    """The set-points of a moment: each joint's own."""
+    phase = 2.0 * math.pi * FREQUENCY * now / SECOND
+    angles = {name: phase + number for number, name in enumerate(robot.motors)}
+    return [
+        Impedance(name, AMPLITUDE * math.sin(angle), 0.0, 0.0, STIFFNESS, DAMPING)
+        for name, angle in angles.items()
+    ]
+
+
 def main(arguments: Sequence[str]) -> int:
     """Run, and print both moments and what was counted between them."""
     path, rate, seconds, *buses = arguments
     robot = with_interfaces(load_robot(Path(path)), dict(one.split("=", 1) for one in buses))
     with open_session(replace(robot, period=round(SECOND / float(rate)))) as session:
-
-        def springs() -> list[Impedance]:
-            phase = 2.0 * math.pi * FREQUENCY * session.clock.now() / SECOND
-            angles = {name: phase + number for number, name in enumerate(robot.motors)}
-            return [
-                Impedance(name, AMPLITUDE * math.sin(angle), 0.0, 0.0, STIFFNESS, DAMPING)
-                for name, angle in angles.items()
-            ]
-
         began = None
-        with closing(session.run(poll=springs)) as ticks:
+        with closing(session.run(poll=lambda: springs(robot, session.clock.now()))) as ticks:
             for tick in ticks:
                 if began is None and tick.now >= SETTLED:
                     began, ends = mark(session), tick.now + round(float(seconds) * SECOND)

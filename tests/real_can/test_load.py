@@ -26,12 +26,12 @@ from protocols.messages import SECOND, Nanos
 from tests.real_can.candump import Seen, candump, parse
 from tests.real_can.pair import SHIPPED, connected
 from tests.real_can.programs import Program
+from tests.real_can.springs import ROBOTS
 
 SETTLED, END = 2, 7
 """s after the first step, between which is counted."""
 FEW = 2.0
 """Frames per second that an id may differ: those every 100 ms go out a step later on some clocks."""
-ROBOTS = Path(__file__).with_name("robots")
 SECONDS = "2"
 """That are counted of a run; a busy one takes minutes of the host."""
 BITS = re.compile(r"vcan0@\d+ +(\d+) +(\d+)")

@@ -7,7 +7,7 @@ seconds, so that what is quick prints nothing.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TextIO
 
@@ -73,3 +73,17 @@ def progress(what: str, total: float | None) -> Iterator[Progress]:
         yield shown
     finally:
         shown.clear()
+
+
+@contextmanager
+def simulation(what: str) -> Iterator[Callable[[Nanos], None]]:
+    """Show how much virtual time has passed while inside; yield what takes the time since its last call."""
+    passed: Nanos = 0
+    with progress(f"{what}, simulated seconds", None) as shown:
+
+        def advance(more: Nanos) -> None:
+            nonlocal passed
+            passed += more
+            shown.update(round(passed / SECOND, 1))
+
+        yield advance

@@ -13,7 +13,7 @@ import pytest
 
 import gateway as gw
 from gateway.cli.terminal import progress
-from gateway.cli.terminal.progress import Progress, duration, text
+from gateway.cli.terminal.progress import Progress, duration, simulation, text
 from protocols.messages import SECOND
 
 TEXTS = [
@@ -59,6 +59,18 @@ def test_how_often(is_terminal: bool, lines: int, monkeypatch: pytest.MonkeyPatc
     shown.clear()
     assert stream.getvalue().count("work: ") == lines
     assert stream.getvalue().endswith("\r\x1b[K" if is_terminal else "left\n")
+
+
+def test_virtual_time_is_added_up(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    now = 0
+    monkeypatch.setattr(progress, "stopwatch", lambda: now)
+    with simulation("load") as simulated:
+        simulated(SECOND // 4)
+        now = 12 * SECOND
+        simulated(2 * SECOND)
+    assert capsys.readouterr().err == "load, simulated seconds: 2.2 so far, 12 s\n"
 
 
 @pytest.fixture(scope="module")
