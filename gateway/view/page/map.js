@@ -7,6 +7,7 @@ const TRAIL = 6000; // points of the path driven
 const STEP = 0.03; // m between two of them
 const SEEN = 60; // of a cell's -127 to 127: certain enough for the full colour
 const CLICK = 8; // pixels: less is no drag
+const OLD = 2; // s: a scan that is older is not drawn
 const COLOURS = ["unknown", "free", "wall", "grid", "robot", "path", "trail", "raw", "scan", "goal"];
 
 export class Field {
@@ -32,7 +33,7 @@ export class Field {
   }
 
   reset(outline, walls) {
-    Object.assign(this, { outline, walls, tiles: new Map(), trail: [], rawTrail: [], path: [], scan: [], state: null });
+    Object.assign(this, { outline, walls, tiles: new Map(), trail: [], rawTrail: [], path: [], scans: [], state: null });
     this.change();
   }
 
@@ -53,11 +54,13 @@ export class Field {
   }
 
   takeScan(header, { buffer, offset }) {
-    this.scan = [];
+    this.scans = [];
     for (const lidar of header.lidars) {
       const ranges = new Float32Array(buffer, offset, lidar.count);
       offset += 4 * lidar.count;
       if (!lidar.poses.length) continue;
+      const points = [];
+      this.scans.push({ t: lidar.t, points });
       const [first, last] = lidar.poses; // the robot moves while the beam turns
       const turn = Math.atan2(Math.sin(last[2] - first[2]), Math.cos(last[2] - first[2]));
       ranges.forEach((range, i) => {
@@ -66,7 +69,7 @@ export class Field {
         const yaw = first[2] + share * turn;
         const [c, s] = [Math.cos(yaw), Math.sin(yaw)];
         const angle = yaw + lidar.yaw + lidar.min + i * lidar.step;
-        this.scan.push(first[0] + share * (last[0] - first[0]) + c * lidar.x - s * lidar.y + range * Math.cos(angle),
+        points.push(first[0] + share * (last[0] - first[0]) + c * lidar.x - s * lidar.y + range * Math.cos(angle),
           first[1] + share * (last[1] - first[1]) + s * lidar.x + c * lidar.y + range * Math.sin(angle));
       });
     }
@@ -132,6 +135,7 @@ export class Field {
   draw() {
     const { pen, state, colour } = this;
     if (!this.width) return;
+    if (this.ratio !== window.devicePixelRatio) return this.resize(); // the window was moved to another screen
     if (this.follow && state?.pose && !this.aim) [this.x, this.y] = state.pose;
     pen.setTransform(1, 0, 0, 1, 0, 0);
     pen.fillStyle = colour.unknown;
@@ -160,7 +164,9 @@ export class Field {
     this.line(this.trail, colour.trail, 2);
     pen.fillStyle = colour.scan;
     const dot = 2.5 * this.pixel;
-    for (let i = 0; i < this.scan.length; i += 2) pen.fillRect(this.scan[i] - dot / 2, this.scan[i + 1] - dot / 2, dot, dot);
+    for (const { t, points } of this.scans)
+      for (let i = 0; i < points.length && !(Math.abs(state?.t - t) > OLD); i += 2)
+        pen.fillRect(points[i] - dot / 2, points[i + 1] - dot / 2, dot, dot);
     if (state?.goal) this.drawGoal(...state.goal);
     if (state?.pose) this.drawRobot(state.pose, state.covariance);
     if (this.aim) this.drawGoal(this.aim.x, this.aim.y, this.aim.yaw);

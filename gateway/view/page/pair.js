@@ -5,3 +5,4 @@ for (const scene of ["1", "2"]) {
   query.set("scene", scene);
   document.body.append(Object.assign(document.createElement("iframe"), { src: `/?${query}`, title: `recording ${scene}` }));
 }
+document.querySelector("iframe").addEventListener("load", event => event.target.focus()); // so that keys act at once

@@ -29,7 +29,7 @@ export function showMission(mission) {
 
 let shown = "";
 export function showFaults(faults, clear) {
-  const all = JSON.stringify(faults);
+  const all = JSON.stringify([faults, Boolean(clear)]);
   if (all === shown) return;
   shown = all;
   $("clear").hidden = !clear || !faults.length;

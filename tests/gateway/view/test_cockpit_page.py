@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import struct
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -649,6 +650,7 @@ def test_two_recordings_are_played_beside_each_other(browser: Chromium, tmp_path
         tab = browser.open(url)
         each = f"{FRAMES}.map(page => page.querySelector('#%s').%s)"
         tab.until(f"{FRAMES}.length === 2")
+        tab.until("document.activeElement === document.querySelector('iframe')")  # keys act at once
         for page in (0, 1):
             tab.until(f"{FRAMES}[{page}].querySelector('#said')?.textContent === 'drive{page + 1}.mcap'")
             tab.until(f"{FRAMES}[{page}].querySelector('#prepared').textContent.startsWith('100 %')")
@@ -719,6 +721,13 @@ class Fake:
     def say(self, kind: str, **content: Any) -> None:
         for client in self.server.clients:
             client.send(json.dumps({"kind": kind} | content))
+        self.poll()
+
+    def say_bytes(self, header: Any, data: bytes) -> None:
+        head = json.dumps(header).encode()
+        head += b" " * (-len(head) % 4)
+        for client in self.server.clients:
+            client.send(struct.pack("<I", len(head)) + head + data)
         self.poll()
 
     def close(self) -> None:
@@ -811,6 +820,66 @@ def test_hostile_names_stay_text(browser: Chromium, fake: Fake) -> None:
         fake.until(partial(tab.run, shown))
         assert tab.run("document.querySelectorAll('body img, body script, body iframe').length") == 0
         assert tab.run("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
+
+
+@pytest.mark.parametrize(
+    ("state", "colour"),
+    [("lost", "bad"), ("doubtful", "warn"), ("too_sure", "warn"), ("waiting", "warn"), ("idle", "text")],
+)
+def test_what_is_wrong_stands_out(browser: Chromium, fake: Fake, state: str, colour: str) -> None:
+    tab = fake.show(browser, hello())
+    fake.say("state", **EMPTY | {"systems": [["perception", state, ""]]})
+    tab.until("document.querySelector('#systems .chip')")
+    chip, page = "getComputedStyle(document.querySelector('#systems .chip'))", "document.documentElement"
+    shown = tab.run(f"{chip}.color")
+    tab.run(f"{page}.style.color = 'var(--{colour})'")
+    assert shown == tab.run(f"getComputedStyle({page}).color")
+
+
+def test_a_robot_that_may_not_be_steered_any_more_has_no_button_for_its_fault(
+    browser: Chromium, fake: Fake
+) -> None:
+    fault = {"joint": "left", "name": "hot", "cause": "", "remedy": "", "code": 1}
+    tab = fake.show(browser, hello())
+    fake.say("state", **EMPTY | {"faults": [fault]})
+    tab.until("document.querySelector('.fault button')")
+    fake.say("hello", **hello() | {"steer": False})  # it was started anew
+    fake.say("state", **EMPTY | {"faults": [fault]})
+    tab.until("document.querySelector('.fault') && !document.querySelector('.fault button')")
+
+
+def dots(tab: Tab) -> int:
+    """Return how many pixels of the map are of a scan."""
+    script = """(canvas => {
+      const { width, height } = canvas;
+      const pen = new OffscreenCanvas(width, height).getContext("2d");
+      pen.drawImage(canvas, 0, 0);
+      const pixels = new Uint32Array(pen.getImageData(0, 0, width, height).data.buffer);
+      return pixels.filter(one => one === 0xff2a1ad1).length;
+    })(document.querySelector("#canvas"))"""
+    return int(tab.run(script))
+
+
+def test_a_scan_is_drawn_until_it_is_old(browser: Chromium, fake: Fake) -> None:
+    tab = fake.show(browser, hello())
+    lidar = {"x": 0.0, "y": 0.0, "yaw": 0.0, "min": 0.0, "step": 0.1, "count": 1, "near": 0.1, "far": 9.0}
+    header = {"kind": "scan", "lidars": [lidar | {"name": "lidar", "t": 1.0, "poses": [[0.0, 0.0, 0.0]] * 2}]}
+    fake.say_bytes(header, struct.pack("<f", 1.0))
+    wait(lambda: dots(tab) > 0, "a dot")
+    fake.say("state", **EMPTY | {"t": 2.9})
+    fake.say_bytes(header, struct.pack("<f", 1.0))  # the newest is sent over and over
+    tab.until("new Promise(requestAnimationFrame)")
+    assert dots(tab) > 0
+    fake.say("state", **EMPTY | {"t": 3.1})
+    wait(lambda: dots(tab) == 0, "no dot")
+
+
+def test_the_map_is_sharp_on_whatever_screen_the_window_is_moved_to(browser: Chromium, fake: Fake) -> None:
+    tab = fake.show(browser, hello())
+    size = {"width": 1440, "height": 900, "mobile": False}
+    tab.call("Emulation.setDeviceMetricsOverride", deviceScaleFactor=2, **size)
+    fake.say("state", **EMPTY)
+    tab.until("(c => c.width === 2 * c.clientWidth)(document.querySelector('#canvas'))")
 
 
 def test_a_lost_connection_is_shown_and_nothing_is_sent_by_itself_after_it(
@@ -932,14 +1001,14 @@ def test_the_controls_of_a_replay_ask_for_what_they_say(browser: Chromium, fake:
 
 
 def test_the_slider_of_a_replay_stays_where_it_was_put(browser: Chromium, fake: Fake) -> None:
-    playback = {"playing": False, "rate": 1.0, "length": 60.0, "prepared": 1.0, "differences": []}
+    tab = fake.show(browser, hello(mode="replay"))
+    playback: Any = {"playing": False, "rate": 1.0, "length": 60.0, "prepared": 1.0, "differences": []}
 
     def say(t: float, due: float) -> None:
         at = {"t": t, "due": due, "under_way": t != due}
         fake.say("state", **EMPTY | {"playback": playback | at, "recordings": 1})
         tab.until(f"document.querySelector('#when').textContent.startsWith('{t:.2f}')")
 
-    tab = fake.show(browser, hello(mode="replay"))
     say(1.0, 1.0)
     tab.run("document.querySelector('#seek').focus()")
     for code in ("ArrowRight", "ArrowRight", "ArrowLeft", "ArrowRight"):
@@ -982,6 +1051,12 @@ TEXT_ON = [
 ]  # fmt: skip
 
 
+def contrast(*colours: str) -> float:
+    """Return the contrast of two colours: WCAG 2.1."""
+    dark, light = sorted(map(luminance, colours))
+    return (light + 0.05) / (dark + 0.05)
+
+
 def luminance(colour: str) -> float:
     """Relative luminance of #rrggbb: WCAG 2.1."""
     parts = [int(colour[at : at + 2], 16) / 255 for at in (1, 3, 5)]
@@ -989,13 +1064,16 @@ def luminance(colour: str) -> float:
     return 0.2126 * r + 0.7152 * g + 0.0722 * b
 
 
-def test_colours_have_the_contrast_that_text_needs() -> None:
+def test_colours_have_the_contrast_that_they_need() -> None:
     blocks = re.findall(r":root \{(.*?)\}", (PAGE / "cockpit.css").read_text(), re.S)
     light, dark = (dict(re.findall(r"--([\w-]+): (#\w{6});", block)) for block in blocks)
     for colours in (light, dark):
         for text, back in [*TEXT_ON, ("#ffffff", "stop")]:
-            pair = sorted((luminance(colours.get(one, one)) for one in (text, back)), reverse=True)
-            assert (pair[0] + 0.05) / (pair[1] + 0.05) >= 4.5, (text, back)  # WCAG 2.1, 1.4.3: AA
+            assert contrast(colours.get(text, text), colours[back]) >= 4.5, (text, back)  # WCAG 2.1, 1.4.3
+        for what in ("wall", "robot", "path", "trail", "raw", "scan", "goal"):
+            for back in ("free", "unknown"):
+                on_map = colours[f"map-{what}"], colours[f"map-{back}"]
+                assert contrast(*on_map) >= 3.0, (what, back)  # 1.4.11: graphics
 
 
 def test_the_page_is_light_and_needs_no_other_server() -> None:
