@@ -2,9 +2,9 @@
 
 Rules. Opening raises a BusError with what is missing; afterwards nothing is raised, everything is reported as
 a BusState, once per change. Reading drains what is there, a bounded number of frames at a time, and never
-waits. Own frames are not received. What cannot be sent at once waits in a bounded queue in which a newer
-frame replaces an older one of the same id: no stale command is sent after a newer one was given. When the
-interface is lost, the queue is dropped; it is tried again once a second.
+waits. Own frames are not received. What cannot be sent at once waits in a bounded queue (`FrameQueue`): no
+stale command is sent after a newer one was given. When the interface is lost, the queue is dropped; it is
+tried again once a second.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class CanBus:
         """Whether the interface receives its own frames."""
         self._echoes: Counter[CanFrame] = Counter()
         """Own frames that will still be received."""
-        self._queue = FrameQueue()
+        self._queue = FrameQueue(settings.devices)
         self._states = StateTracker()
         self._timestamps = TimestampMapper()
         self._lost = 0
@@ -102,10 +102,7 @@ class CanBus:
         """Send frames, in order; those that the transmit queue has no room for wait."""
         assert not self._listen_only, f"{self.name} is listen-only"
         self._flush(now)
-        for frame in frames:
-            assert isinstance(frame, CanFrame), f"{self.name} is a CAN bus"
-            if self._queue or not self._send(frame, now):
-                self._queue.put(frame)
+        self._queue.give(frames, lambda frame: self._send(frame, now))
 
     def close(self) -> None:
         """Release the interface."""

@@ -3,50 +3,125 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
+from typing import TypeAlias
 
-from protocols.frames import CanFrame
+from protocols.frames import ID_BITS, CanFrame, Frame, IdMask, id_number
+from protocols.messages import MILLISECOND, Nanos
+from protocols.plugin import Spec
 
 MOST_WAITING = 256
 """CAN frames that may wait; beyond that the oldest is dropped."""
+TURN = 8
+"""CAN frames of one device that are sent before it is the next one's turn."""
+PATIENCE = 20 * MILLISECOND
+"""Longest time that a transmit queue may hold our frames before it is given no more."""
+
+Owner: TypeAlias = int | IdMask
+"""Whose turn it is to send: a device, by its place among those of the bus, or ids of several or of none."""
+Kind: TypeAlias = CanFrame | tuple[IdMask, bool]
+"""What frames have in common that replace each other: all, or ids, and whether they are remote."""
 
 
 class FrameQueue:
-    """CAN frames that wait to be sent, oldest first. A newer frame replaces an older one of the same id and
-    goes to the end: no stale command is sent after a newer one was given."""
+    """CAN frames that wait to be sent.
 
-    def __init__(self) -> None:
+    Rules. Frames that are given together never replace each other. Those given later replace what waits of
+    the same ids, so that no stale command is sent after a newer one was given; the devices' specs declare
+    which ids are the same, since some carry data (a torque). What is read-only replaces nothing but itself.
+    The frames of a device keep their order. Devices take turns, whatever replaces their frames, so that none
+    is starved where a bus is given too much for long."""
+
+    def __init__(self, devices: Iterable[Spec] = ()) -> None:
         self.dropped = 0
-        """Frames never sent: replaced by a newer one, too many, or the bus died."""
-        self._frames: dict[tuple[int, bool, bool], CanFrame] = {}
+        """Frames never sent: replaced by newer ones, too many, or the bus died."""
+        self._waiting: dict[Owner, list[tuple[Kind, CanFrame]]] = {}
+        """In the order of their turns: the first that has frames is the next."""
+        self._sent = 0
+        """Frames that it has sent in its turn."""
+        ids: dict[int, dict[int, tuple[Owner, Spec]]] = {}
+        for device, spec in enumerate(devices):
+            for number, mask in spec.sends:
+                alike = ids.setdefault(mask, {})
+                other, _ = alike.get(number & mask, (device, spec))
+                alike[number & mask] = device if other == device else (number & mask, mask), spec
+        self._ids = sorted(ids.items(), key=lambda each: -each[0].bit_count())
+        """By mask, the narrowest first, and by number: whose ids they are, and what they are."""
 
     def __len__(self) -> int:
-        return len(self._frames)
+        return sum(map(len, self._waiting.values()))
 
-    def put(self, frame: CanFrame) -> None:
-        """Append a frame."""
-        key = (frame.id, frame.extended, frame.remote)
-        self.dropped += self._frames.pop(key, None) is not None
-        self._frames[key] = frame
-        if len(self._frames) > MOST_WAITING:
-            del self._frames[next(iter(self._frames))]
-            self.dropped += 1
+    def give(self, frames: Sequence[Frame], send: Callable[[CanFrame], bool], *, wait: bool = False) -> None:
+        """Send frames, in order, until `send` returns False: that one and the rest wait.
+
+        All of them wait if something does already, or with `wait`."""
+        given = [frame for frame in frames if isinstance(frame, CanFrame)]
+        assert len(given) == len(frames), "a CAN bus carries CAN frames"
+        sent = 0
+        if not (wait or len(self)):
+            while sent < len(given) and send(given[sent]):
+                sent += 1
+        self._put(given[sent:])
 
     def drain(self, send: Callable[[CanFrame], bool]) -> None:
-        """Send what waits, oldest first, until `send` returns False: that frame remains the first.
+        """Send what waits until `send` returns False: that frame remains the first.
 
         `send` may clear this queue."""
-        while self._frames:
-            key, frame = next(iter(self._frames.items()))
-            del self._frames[key]
-            if not send(frame):
-                self._frames = {key: frame, **self._frames}
+        while (owner := self._next()) is not None:
+            frames = self._waiting[owner]
+            first = frames.pop(0)
+            if not send(first[1]):
+                frames.insert(0, first)
                 return
+            self._sent += 1
+            if self._waiting and (not frames or self._sent >= TURN):
+                self._sent = 0
+                self._waiting[owner] = self._waiting.pop(owner)
 
     def clear(self) -> None:
         """Drop everything."""
-        self.dropped += len(self._frames)
-        self._frames.clear()
+        self.dropped += len(self)
+        self._waiting.clear()
+        self._sent = 0
+
+    def _put(self, frames: Sequence[CanFrame]) -> None:
+        given = [(*self._place(frame), frame) for frame in frames]
+        replaced, before = {kind for _, kind, _ in given}, len(self)
+        for waiting in self._waiting.values():
+            waiting[:] = [each for each in waiting if each[0] not in replaced]
+        self.dropped += before - len(self)
+        for owner, kind, frame in given:
+            self._waiting.setdefault(owner, []).append((kind, frame))
+        while len(self) > MOST_WAITING and (first := self._next()) is not None:
+            del self._waiting[first][0]
+            self.dropped += 1
+
+    def _next(self) -> Owner | None:
+        """Return whose turn it is, None if nothing waits."""
+        return next((owner for owner, frames in self._waiting.items() if frames), None)
+
+    def _place(self, frame: CanFrame) -> tuple[Owner, Kind]:
+        """Return in whose turn a frame is sent, and its kind. One kind has one owner."""
+        number = id_number(frame)
+        for mask, alike in self._ids:
+            if number & mask in alike:
+                owner, spec = alike[number & mask]
+                return owner, frame if spec.read_only(frame) else ((number & mask, mask), frame.remote)
+        return (number, ID_BITS), ((number, ID_BITS), frame.remote)
+
+
+class Patience:
+    """Whether a transmit queue has held our frames for too long. Plain data."""
+
+    def __init__(self) -> None:
+        self._empty_at: Nanos = 0
+        """When it last held none."""
+
+    def is_over(self, now: Nanos, *, holds: bool) -> bool:
+        """True if it `holds` frames of ours, and has held some for longer than `PATIENCE`."""
+        if not holds:
+            self._empty_at = now
+        return now - self._empty_at > PATIENCE
 
 
 class ByteQueue:

@@ -8,7 +8,7 @@ dataclasses, so this file knows none of them by name. Files are TOML (toml.io, v
     name, rate_hz, world, plant, seed   the robot; `world` is the simulated world behind the twins, `plant`
                                         what the robot truly is in it
     [buses.NAME]                        kind, interface, bitrate and data_bitrate, or baudrate,
-                                        receive_filter, shared_bus
+                                        receive_filter, transmit_queue, shared_bus
     [motors.NAME]                       protocol, bus, address, and a joint's settings (gateway.core.joint)
     [motors.NAME.limits]                velocity, acceleration, torque, position, jerk
     [motors.NAME.loop]                  brain.control.pid.LoopSettings: its motions are reached by torque
@@ -134,10 +134,11 @@ def parse_robot(
     buses = {n: bus for n, bus in known.items() if bus}
     motors = {n: m for n, t in groups["motors"].items() if (m := read_motor(n, t, known, find, mistakes))}
     sensors = {n: s for n, t in groups["sensors"].items() if (s := read_sensor(n, t, known, find, mistakes))}
+    devices: list[BusDevice] = [*motors.values(), *sensors.values()]
     for n, bus in buses.items():
-        if groups["buses"][n].get("receive_filter") == "own":
-            devices: list[BusDevice] = [*motors.values(), *sensors.values()]
-            buses[n] = replace(bus, receive_filter=own_ids([one.spec for one in devices if one.bus == n]))
+        specs = tuple(one.spec for one in devices if one.bus == n)
+        own = own_ids(specs) if groups["buses"][n].get("receive_filter") == "own" else ()
+        buses[n] = replace(bus, receive_filter=own, devices=specs)
     if "brain" not in table:
         mistakes.add(("brain",), "missing; expected a table [brain] that names the body")
     motor_names, sensor_names = tuple(groups["motors"]), tuple(groups["sensors"])

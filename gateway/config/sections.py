@@ -16,7 +16,7 @@ from gateway.config.schema import build, keys
 from gateway.core.bounds import Bounds
 from gateway.core.joint import JointSettings
 from gateway.core.limits import Limits
-from gateway.core.robot import CLASSIC_ADAPTERS, TWIN, BusSettings, Motor, Sensor
+from gateway.core.robot import CLASSIC_ADAPTERS, TRANSMIT_QUEUE, TWIN, BusSettings, Motor, Sensor
 from protocols.frames import IdMask
 from protocols.messages import MILLISECOND, SECOND, Nanos
 from protocols.plugin import Device, Plugin, Spec, UnknownProtocol
@@ -34,6 +34,7 @@ class _Bus:
     data_bitrate: Annotated[int, Bounds(5_000, 20_000_000)] = 0
     baudrate: Annotated[int, Bounds(300, 50_000_000)] = 0
     receive_filter: Literal["all", "own"] = "all"
+    transmit_queue: Annotated[int, Bounds(1, 10_000)] = TRANSMIT_QUEUE
     shared_bus: Literal["unknown", "acknowledged"] = "unknown"
     """Whether the consequences of several protocols on one bus are known (gateway.config.validate)."""
 
@@ -65,7 +66,7 @@ _RATES = {"can": ("bitrate",), "canfd": ("bitrate", "data_bitrate"), "serial": (
 
 
 def read_bus(name: str, table: Table, mistakes: Mistakes) -> BusSettings | None:
-    """Read one bus; its receive filter needs the devices and is added later (`own_ids`)."""
+    """Read one bus; its devices, and its receive filter (`own_ids`), are added later."""
     at = ("buses", name)
     made = build(_Bus, table, at, mistakes)
     kind, interface = table.get("kind"), table.get("interface")
@@ -87,9 +88,19 @@ def read_bus(name: str, table: Table, mistakes: Mistakes) -> BusSettings | None:
     if made.receive_filter == "own" and kind == "serial":
         text = "a serial bus has no ids to filter; expected no key 'receive_filter'"
         mistakes.add((*at, "receive_filter"), text)
+    if "transmit_queue" in table and kind == "serial":
+        text = "a serial bus has no queue of CAN frames; expected no key 'transmit_queue'"
+        mistakes.add((*at, "transmit_queue"), text)
     rates = made.bitrate, made.data_bitrate, made.baudrate
     acknowledged = made.shared_bus == "acknowledged"
-    return BusSettings(name, made.kind, made.interface, *rates, acknowledged=acknowledged)
+    return BusSettings(
+        name,
+        made.kind,
+        made.interface,
+        *rates,
+        transmit_queue=made.transmit_queue,
+        acknowledged=acknowledged,
+    )
 
 
 def own_ids(specs: Collection[Spec]) -> tuple[IdMask, ...]:

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 TWIN = "twin"
 """The interface of a simulated bus: the world with the twins of its devices."""
+TRANSMIT_QUEUE = 100
+"""CAN frames: more than robots send in a step. (The kernel's own `txqueuelen` of a CAN interface is 10.)"""
 CLASSIC_ADAPTERS = ("dm-serial",)
 """Interfaces that carry classic CAN only."""
 
@@ -38,8 +40,12 @@ class BusSettings:
     """bit/s of a serial line; 0 on a CAN bus."""
     receive_filter: tuple[IdMask, ...] = ()
     """CAN ids to receive. (): all."""
+    transmit_queue: int = TRANSMIT_QUEUE
+    """CAN frames that the interface's transmit queue should hold, and a simulated one holds."""
     acknowledged: bool = False
     """Whether the robot file acknowledges what it means for several protocols to share this bus."""
+    devices: tuple[Spec, ...] = ()
+    """The specs of what is on it."""
 
 
 @dataclass(frozen=True, slots=True)

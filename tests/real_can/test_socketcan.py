@@ -11,7 +11,8 @@ import pytest
 
 from gateway.buses import Bus, open_bus
 from gateway.buses.netlink import Device
-from gateway.buses.socketcan.bus import FAST_POLL, PATIENCE, SocketcanBus
+from gateway.buses.queues import PATIENCE
+from gateway.buses.socketcan.bus import FAST_POLL, SocketcanBus
 from gateway.buses.states import CALM
 from gateway.core.clock import WallClock
 from gateway.core.robot import BusSettings

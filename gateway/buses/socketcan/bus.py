@@ -5,8 +5,8 @@ waits, and no stale command is sent after a newer one was given. Beyond that:
 - A frame has the kernel's timestamp, mapped onto our clock (timestamps.py). Own frames are not received;
   those of other processes on this machine are.
 - What the kernel has accepted and the controller has not sent is monitored: if some of it is older than
-  `PATIENCE`, no more is handed over until all of it has gone, and only the newest of each id waits here. So a
-  long transmit queue (`txqueuelen`) cannot fill with old commands while no node acknowledges.
+  `Patience` allows, no more is handed over until all of it has gone, and waits here (`FrameQueue`). So a long
+  transmit queue (`txqueuelen`) cannot fill with old commands while no node acknowledges.
 - While the bus is OFF or GONE nothing is kept for later. The socket stays open while the interface is down,
   so that nothing is lost when it comes up; only an interface that was removed needs a new one.
 - The state of the controller comes from its error frames and, where they may have been lost, from the kernel
@@ -25,7 +25,7 @@ from can.interfaces.socketcan import SocketcanBus as PythonCan
 from gateway.buses.error_frames import CanError, describe, kinds, state_of
 from gateway.buses.interfaces import check_fit, open_interface
 from gateway.buses.netlink import Device, Link, Status
-from gateway.buses.queues import FrameQueue
+from gateway.buses.queues import FrameQueue, Patience
 from gateway.buses.socketcan.raw_socket import OpenSocket, RawSocket
 from gateway.buses.states import StateTracker
 from gateway.buses.timestamps import TimestampMapper
@@ -33,18 +33,14 @@ from gateway.core.clock import Clock, WallClock
 from gateway.core.robot import BusSettings
 from gateway.errors import BusError
 from protocols.frames import BusState, CanFrame, Frame, Packet
-from protocols.messages import MILLISECOND, SECOND, Nanos
+from protocols.messages import SECOND, Nanos
 
 log = logging.getLogger("gateway")
 
 MOST_READ = 2048
 """Frames taken in by one read: more than a full bus of 1 Mbit/s carries in 0.1 s."""
-PATIENCE = 20 * MILLISECOND
-"""Longest time that the kernel may hold our frames before it is given no more."""
 SLOW_POLL, FAST_POLL = SECOND, SECOND // 10
 """Polling period of the interface's status: while it is there, and while it is gone."""
-SHORT_QUEUE = 100
-"""Frames; where the kernel's transmit queue is shorter and runs full, a longer one is proposed."""
 _FULL = (errno.ENOBUFS, errno.EAGAIN)
 _DOWN = (errno.ENETDOWN,)
 _REMOVED = (errno.ENODEV, errno.ENXIO, errno.EBADF)
@@ -98,7 +94,7 @@ class SocketcanBus:
         self._listen_only = listen_only
         self._states = StateTracker()
         self._timestamps = TimestampMapper()
-        self._queue = FrameQueue()
+        self._queue = FrameQueue(settings.devices)
         self._lost = 0
         """Frames that were refused, or given while the bus was dead."""
         self._earlier = (0, 0)
@@ -106,8 +102,7 @@ class SocketcanBus:
         self._poll_at: Nanos = 0
         self._pending = False
         """Whether the kernel may still hold frames of ours."""
-        self._empty_at: Nanos = 0
-        """When it last held none."""
+        self._patience = Patience()
         self._stuck = False
         self._logged: set[str] = set()
         self._missed_logged = 0
@@ -145,16 +140,11 @@ class SocketcanBus:
         """Send frames, in order; those that the transmit queue has no room for wait."""
         assert not self._listen_only, f"{self.name} is listen-only"
         self._flush(now)
-        for frame in frames:
-            assert isinstance(frame, CanFrame), f"{self.name} is a CAN bus"
-            if self._states.dead:
-                self._lost += 1
-            elif self._stuck or self._queue or not self._send(frame, now):
-                self._queue.put(frame)
+        self._queue.give(frames, lambda frame: self._send(frame, now), wait=self._stuck)
 
     def close(self) -> None:
         """Release the interface, after one more attempt to send what waits, the stop commands above all."""
-        self._hand_over(self._empty_at)
+        self._hand_over(0)
         self._drop_socket()
         self._device.close()
         self._poll_at = 1 << 63
@@ -163,7 +153,7 @@ class SocketcanBus:
 
     def _send(self, frame: CanFrame, now: Nanos) -> bool:
         """Send a frame; False if it has to wait, True if it was sent, refused, or lost with the interface."""
-        if self._socket is None:
+        if self._socket is None or self._states.dead:
             self._lost += 1
             return True
         try:
@@ -187,9 +177,7 @@ class SocketcanBus:
         """Check what the kernel holds of ours, and hand over what waits unless it is stuck."""
         if self._pending:
             self._pending = self._socket is not None and self._socket.queued() > 0
-        if not self._pending:
-            self._empty_at = now
-        self._stuck = now - self._empty_at > PATIENCE
+        self._stuck = self._patience.is_over(now, holds=self._pending)
         if not self._stuck:
             self._hand_over(now)
         if self._stuck or self._queue:
@@ -199,10 +187,10 @@ class SocketcanBus:
         self._queue.drain(lambda frame: self._send(frame, now))
 
     def _log_short_queue(self) -> None:
-        link = self._link
-        if link is not None and link.queue < SHORT_QUEUE:
+        link, wanted = self._link, self._settings.transmit_queue
+        if link is not None and link.queue < wanted:
             holds = f"the kernel's transmit queue of {link.name} holds {link.queue} frames"
-            longer = f"sudo ip link set {link.name} txqueuelen {SHORT_QUEUE}"
+            longer = f"sudo ip link set {link.name} txqueuelen {wanted}"
             self._log_once("queue", f"{holds}; for a longer one: {longer}")
 
     def _refused(self, kind: str, reason: str) -> None:

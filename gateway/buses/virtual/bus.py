@@ -3,11 +3,12 @@
 Rules. Time is virtual: reading a bus advances world, twins and media to `now`, in the world's steps. In each,
 first what has arrived is delivered; then every device runs, in the order of the robot file, with what its
 encoder or sensor measures; then the world moves under the torques. Frames take their time on the medium,
-contend by priority, and are timestamped when they end. A packet holds nothing but what a twin has sent, and a
-twin is given nothing but its own shaft or readings: the true pose does not come this way. Faults that a test
-or a campaign wants (disconnected, power-cycled and duplicate devices, another host, a lost interface) are
-methods of TwinWorld and TwinBus, false measurements, torques and transmissions the functions of `tamper`;
-nothing else makes them happen.
+contend by priority, and are timestamped when they end. What the host's transmit queue of a CAN bus has no
+room for waits as on a real one, and is handed over at the next read or write. A packet holds nothing but what
+a twin has sent, and a twin is given nothing but its own shaft or readings: the true pose does not come this
+way. Faults that a test or a campaign wants (disconnected, power-cycled and duplicate devices, another host, a
+lost interface) are methods of TwinWorld and TwinBus, false measurements, torques and transmissions the
+functions of `tamper`; nothing else makes them happen.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from heapq import heappop, heappush
 
 import numpy as np
 
+from gateway.buses.queues import FrameQueue, Patience
+from gateway.buses.states import StateTracker
 from gateway.buses.virtual.medium import BUS_OFF, ERROR_PASSIVE, Medium, Transmission
 from gateway.buses.virtual.tamper import Tamper
 from gateway.core.robot import TWIN, BusSettings, Motor, Robot, Sensor
@@ -26,7 +29,7 @@ from gateway.sim.files import STEP, BenchFile, SceneFile, ShaftFile
 from gateway.sim.load import load_plant, load_world
 from gateway.sim.shafts import Shaft
 from gateway.sim.world import World
-from protocols.frames import BusState, Frame, Packet
+from protocols.frames import BusState, CanFrame, Frame, Packet
 from protocols.messages import Event, Feedback, Nanos
 from protocols.plugin import Twin
 
@@ -80,14 +83,18 @@ class TwinBus:
         # Both directions of a serial line work at once; a CAN bus is one medium for all.
         self.from_devices = Medium(settings.baudrate) if serial else self._from_host
         self._world = world
-        self._states: list[BusState] = []
+        self._room = settings.transmit_queue
+        self._queue = FrameQueue(settings.devices)
+        self._patience = Patience()
+        self._stuck = False
+        self._states = StateTracker()
         self._packets: list[Packet] = []
         self._late: list[tuple[Nanos, int, Transmission]] = []
         """What `Tamper.transmission` lets arrive, by time; with a number, since frames have no order."""
         self._delayed = 0
-        self._full = self._gone = False
-        self._level = BusState.UP
-        """Up, error-passive or off, by the transmit error counter of the host's controller."""
+        self.full = False
+        """Whether frames of the host were dropped at its last write."""
+        self._gone = False
         self._from_host.destroyed = self._destroyed
 
     @property
@@ -95,32 +102,56 @@ class TwinBus:
         """Time during which the wire was not idle; of a serial line, its busier direction."""
         return max(self._from_host.busy, self.from_devices.busy)
 
-    @property
-    def full(self) -> bool:
-        """True while frames of the host are dropped."""
-        return self._full
-
     def read(self, now: Nanos) -> tuple[Sequence[BusState], Sequence[Packet]]:
         """Advance the world and all its twins to `now`; return what the host received."""
         self._world.advance(now)
-        states, self._states = self._states, []
+        self._flush(now)
         packets, self._packets = self._packets, []
-        return states, packets
+        return self._states.take(now), packets
 
     def write(self, now: Nanos, frames: Sequence[Frame]) -> None:
         """Queue frames; they are sent from `now` on, as the bus becomes idle."""
         self._world.advance(now)
         if self._gone:
             return
-        for frame in frames:
-            if not self._from_host.send(now, HOST, frame) and not self._full:
-                self._full = True
-                self._states.append(BusState.FULL)
+        if self.is_serial:
+            taken = [self._from_host.send(now, HOST, frame) for frame in frames]
+            self.full = not all(taken)
+            if self.full:
+                self._states.full(now)
+            return
+        self._flush(now)
+        dropped = self._queue.dropped
+        self._queue.give(frames, lambda frame: self._send(now, frame), wait=self._stuck)
+        self.full = self._queue.dropped > dropped
 
     def close(self) -> None:
         """Release the bus: what waits is not sent."""
         self._gone = True
+        self._drop()
+
+    def _flush(self, now: Nanos) -> None:
+        """Hand over what waits, unless what was handed over is stuck; on a serial line nothing waits here."""
+        if self.is_serial:
+            return
+        self._stuck = self._patience.is_over(now, holds=self._from_host.waiting(HOST) > 0)
+        if not self._stuck:
+            self._queue.drain(lambda frame: self._send(now, frame))
+        if self._stuck or self._queue:
+            self._states.full(now)
+
+    def _send(self, now: Nanos, frame: CanFrame) -> bool:
+        """Hand a frame over; False if there is no room for it."""
+        if self._from_host.waiting(HOST) >= self._room:
+            self._states.full(now)
+            return False
+        self._from_host.send(now, HOST, frame)
+        return True
+
+    def _drop(self) -> None:
+        """Drop what has not been sent."""
         self._from_host.drop(HOST)
+        self._queue.clear()
 
     def deliver(self, until: Nanos) -> None:
         """Deliver what arrives up to a time."""
@@ -132,9 +163,6 @@ class TwinBus:
                 self._arrive(transmission)
         while self._late and self._late[0][0] <= until:
             self._deliver(heappop(self._late)[2])
-        if self._full and not self._from_host.waiting(HOST):
-            self._full = False
-            self._states.append(BusState.UP)
         if self._from_host.errors:
             self._count_errors()
 
@@ -147,10 +175,11 @@ class TwinBus:
         level = (
             BusState.OFF if count >= BUS_OFF else BusState.PASSIVE if count >= ERROR_PASSIVE else BusState.UP
         )
-        if level is not self._level and not self._gone:
-            self._level = level
-            self._states.append(level)
-            self._gone = level is BusState.OFF
+        if not self._gone:
+            self._states.set(level)
+            if level is BusState.OFF:
+                self._gone = True
+                self._queue.clear()
 
     def _arrive(self, transmission: Transmission) -> None:
         tamper = self._world.tamper.transmission
@@ -180,16 +209,15 @@ class TwinBus:
     def lose(self, state: BusState = BusState.GONE) -> None:
         """The host's interface vanishes or, with OFF, goes bus-off: nothing is sent or received."""
         self._gone = True
-        self._from_host.drop(HOST)
+        self._drop()
         self._packets.clear()
-        self._states.append(state)
+        self._states.set(state)
 
     def restore(self) -> None:
         """The host's interface is back."""
-        self._from_host.drop(HOST)
-        self._gone = self._full = False
-        self._level = BusState.UP
-        self._states.append(BusState.BACK)
+        self._drop()
+        self._gone = False
+        self._states.set(BusState.BACK)
 
 
 class TwinWorld:

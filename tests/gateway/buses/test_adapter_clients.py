@@ -100,7 +100,7 @@ def test_the_host_never_waits_for_an_adapter_that_does_not_read(kind: str, adapt
             states += host.read(now)[0]
     assert states == [BusState.UP]
     assert 50 < len(received) < 5000
-    assert [int.from_bytes(frame.data, "big") for frame in received[-3:]] == [4997, 4998, 4999]
+    assert sorted(int.from_bytes(frame.data, "big") for frame in received[-3:]) == [4997, 4998, 4999]
 
 
 def test_an_adapter_that_vanishes_is_reported_and_reopened(

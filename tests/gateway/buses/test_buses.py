@@ -162,7 +162,7 @@ def test_a_full_queue_is_reported_once_and_the_newest_command_wins(
     assert frame.sent == []
     frame.failure = None
     bus.write(4, [CanFrame(3, b"after")])
-    assert frame.sent == [CanFrame(2, b"kept"), CanFrame(1, b"newest"), CanFrame(3, b"after")]
+    assert frame.sent == [CanFrame(1, b"newest"), CanFrame(2, b"kept"), CanFrame(3, b"after")]
     assert bus.dropped == 2
     assert bus.read(CALM) == ([], [])
     assert bus.read(3 + CALM) == ([BusState.UP], [])

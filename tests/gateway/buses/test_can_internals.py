@@ -1,4 +1,4 @@
-"""The parts of a CAN bus: states, transmit queue, timestamps, the kernel's structs and errors, rtnetlink."""
+"""The parts of a CAN bus: states, timestamps, the kernel's structs and errors, rtnetlink."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from can.interfaces.socketcan.socketcan import build_can_frame
 from gateway.buses.error_frames import BUS_OFF, CanError, describe, kinds, state_of
 from gateway.buses.frame_time import LENGTHS
 from gateway.buses.netlink import Device, Link, parse, request
-from gateway.buses.queues import MOST_WAITING, FrameQueue
 from gateway.buses.socketcan.raw_socket import pack, unpack
 from gateway.buses.states import CALM, StateTracker
 from gateway.buses.timestamps import OLDEST, TimestampMapper
@@ -92,33 +91,6 @@ def test_the_last_report_is_always_the_present_state() -> None:
             shown = UP if state is BACK else state
         assert shown is states.state, seed
         assert copy.deepcopy(states).take(now + CALM) == []
-
-
-def test_the_newest_frame_of_each_id_waits_at_the_end_of_the_queue_and_the_rest_is_counted() -> None:
-    queue, sent = FrameQueue(), list[CanFrame]()
-
-    def send(frame: CanFrame) -> bool:
-        sent.append(frame)
-        return True
-
-    for frame in [CanFrame(1, b"old"), CanFrame(2, b"a"), CanFrame(1, b"new"), CanFrame(1, remote=True)]:
-        queue.put(frame)
-    queue.put(CanFrame(1, b"29 bits", extended=True))
-    queue.drain(lambda _: False)
-    queue.drain(send)
-    assert sent == [
-        CanFrame(2, b"a"),
-        CanFrame(1, b"new"),
-        CanFrame(1, remote=True),
-        CanFrame(1, b"29 bits", extended=True),
-    ]
-    assert queue.dropped == 1
-    for number in range(MOST_WAITING + 3):
-        queue.put(CanFrame(number))
-    queue.drain(lambda frame: send(frame) and frame.id == 3)
-    assert sent[4:] == [CanFrame(3), CanFrame(4)]
-    queue.clear()
-    assert (len(queue), queue.dropped) == (0, 1 + MOST_WAITING + 2)
 
 
 # -- stamps ---------------------------------------------------------------------------------------

@@ -15,8 +15,9 @@ import pytest
 
 from gateway.buses.interfaces import check_fit, filters
 from gateway.buses.netlink import Device, Link, Status
+from gateway.buses.queues import PATIENCE
 from gateway.buses.socketcan import bus as socketcan
-from gateway.buses.socketcan.bus import FAST_POLL, MOST_READ, PATIENCE, SLOW_POLL, SocketcanBus
+from gateway.buses.socketcan.bus import FAST_POLL, MOST_READ, SLOW_POLL, SocketcanBus
 from gateway.buses.socketcan.raw_socket import pack
 from gateway.buses.states import CALM
 from gateway.core.clock import Clock, SimulatedClock, WallClock
@@ -151,7 +152,7 @@ def test_a_full_queue_keeps_the_newest_of_each_id_and_is_reported_once(
         states, _ = rig.bus.read(now)
         if states:
             break
-    expected = [*(CanFrame(number) for number in range(98)), CanFrame(99, b"newer"), CanFrame(98, b"newer")]
+    expected = [*(CanFrame(number) for number in range(98)), CanFrame(98, b"newer"), CanFrame(99, b"newer")]
     assert sent == [pack(frame) for frame in expected]
     assert rig.bus.dropped == 2
     assert states == [BusState.UP]

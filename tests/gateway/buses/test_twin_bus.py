@@ -344,6 +344,8 @@ def test_a_full_queue_reports_full_once_and_then_up() -> None:
     flood = [bytes([index % 256]) * 100 for index in range(300)]
     bus.write(0, flood)
     driven.run(100)
+    assert driven.states == [("motors", BusState.FULL)]
+    driven.run(1)
     assert driven.states == [("motors", BusState.FULL), ("motors", BusState.UP)]
 
 

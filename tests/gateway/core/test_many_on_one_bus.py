@@ -1,4 +1,5 @@
-"""Eight devices on one bus: one that is silent slows no other, nor does a wire that destroys frames."""
+"""Eight devices on one bus: one that is silent slows no other, nor does a wire that destroys frames, and all
+obey behind a transmit queue that is shorter than what a step sends."""
 
 from __future__ import annotations
 
@@ -24,27 +25,35 @@ OPTIONS = {
     "moteus": "timeout_ms = 100",
     "robstride": "",
     "vesc": "",
+    "myactuator": "",
+    "cubemars": "",
+    "robomaster": "[defaults.motors.loop]\nvelocity_gain = 0.3\nintegral_gain = 3.0\nintegral_most = 1.0",
 }
 """What each needs; polled wherever a device can be."""
+GEARS = {"odrive_can": 8.0, "robomaster": 19.2}
+RATES = {"robomaster": 100}
+"""Hz: beside eight that report a thousand times a second there is no room for more commands."""
 NAMES = tuple(f"m{number}" for number in range(1, 9))
 
 
-def eight(protocol: str) -> Robot:
+def eight(protocol: str, transmit_queue: int) -> Robot:
     """Eight motors of a protocol on one bus; one in fault stops none of the others."""
     fd = protocol == "moteus"
     return parse_robot(
         f"""\
 name = "eight"
+rate_hz = {RATES.get(protocol, 200)}
 world = "bench"
 [buses.can0]
 kind = "{"canfd" if fd else "can"}"
 bitrate = 1_000_000
 {"data_bitrate = 5_000_000" if fd else ""}
 interface = "twin"
+transmit_queue = {transmit_queue}
 [defaults.motors]
 protocol = "{protocol}"
 bus = "can0"
-gear = 1.0
+gear = {GEARS.get(protocol, 1.0)}
 sign = 1
 on_command_timeout = "idle"
 stop_action = "idle"
@@ -69,13 +78,21 @@ motors = {list(NAMES)}
 class Bench:
     """The eight, driven in virtual time; every motor holds, or turns slowly."""
 
-    def __init__(self, protocol: str) -> None:
-        self.robot = eight(protocol)
+    def __init__(self, protocol: str, transmit_queue: int = 100) -> None:
+        self.robot = eight(protocol, transmit_queue)
         self.gateway, self.clock = Gateway(self.robot), SimulatedClock()
         self.world: TwinWorld = open_world(self.robot, 1)
+        self.velocity: float | None = None
+        """rad/s of all motors; None: they hold, or turn slowly"""
+
+    def speeds(self) -> list[float]:
+        """rad/s of the true shafts"""
+        return [self.world.world.shaft(name)[1] for name in NAMES]
 
     def command(self, name: str) -> Command:
         """Return what keeps a motor armed."""
+        if self.velocity is not None:
+            return Velocity(name, self.velocity)
         return Hold(name) if Hold in self.robot.motors[name].spec.commands else Velocity(name, 0.5)
 
     def reports(self, seconds: float) -> tuple[dict[str, int], dict[str, Nanos]]:
@@ -133,3 +150,16 @@ def test_frames_that_are_destroyed_are_sent_again_and_stall_nobody(protocol: str
         assert number >= 0.97 * before[name], name
         assert age_after[name] <= age_before[name] + 3 * MILLISECOND, name
         assert bench.gateway.joints[name].armed
+
+
+@pytest.mark.parametrize("protocol", sampled(OPTIONS, 3))
+def test_behind_a_short_transmit_queue_all_stay_armed_and_obey_the_newest_command(protocol: str) -> None:
+    """A step sends up to sixteen frames, or more; ten fit, as in the kernel's queue unless it is set."""
+    bench = Bench(protocol, transmit_queue=10)
+    for velocity in (2.0, 0.0):
+        bench.velocity = velocity
+        bench.reports(5.0 if protocol == "cia402" else 3.0)
+        for name, joint in bench.gateway.joints.items():
+            assert joint.armed, name
+            assert not joint.faults
+        assert bench.speeds() == pytest.approx([velocity] * len(NAMES), abs=0.2 if velocity else 0.05)
