@@ -200,7 +200,9 @@ def _json(data: object) -> str:
 
 
 def _rows(title: str, rows: Iterable[tuple[str, str]], lines: Sequence[str]) -> str:
-    cells = "".join(f"<tr><th>{_text(name)}</th><td>{_text(value)}</td></tr>" for name, value in rows)
+    cells = "".join(
+        f"<tr><th scope='row'>{_text(name)}</th><td>{_text(value)}</td></tr>" for name, value in rows
+    )
     more = f"<pre>{_text(chr(10).join(lines))}</pre>" if lines else ""
     return f"<section><h2>{title}</h2><div class='wide'><table>{cells}</table></div>{more}</section>"
 
@@ -211,7 +213,7 @@ def _joints(collector: Collector) -> str:
     shown = [
         q for q in QUANTITIES if any(signals.get(group_of(joint.name), q, "measured") for joint in joints)
     ]
-    head = "".join(f"<th>{quantity} [{QUANTITIES[quantity]}]</th>" for quantity in shown)
+    head = "".join(f"<th scope='col'>{quantity} [{QUANTITIES[quantity]}]</th>" for quantity in shown)
     body = ""
     for joint in joints:
         ranges = [signals.get(group_of(joint.name), quantity, "measured") for quantity in shown]
@@ -221,10 +223,10 @@ def _joints(collector: Collector) -> str:
         )
         faults = "; ".join(fault.name for fault in joint.faults.values())
         mode = f"{joint.mode}{f': {faults}' if faults else ''}"
-        body += f"<tr><th>{_text(joint.name)}</th><td>{_text(mode)}</td>{cells}</tr>"
+        body += f"<tr><th scope='row'>{_text(joint.name)}</th><td>{_text(mode)}</td>{cells}</tr>"
     return (
         "<section><h2>Each joint</h2><div class='wide'><table class='grid'>"
-        f"<tr><th></th><th>at the end</th>{head}</tr>{body}</table></div></section>"
+        f"<tr><td></td><th scope='col'>at the end</th>{head}</tr>{body}</table></div></section>"
     )
 
 
@@ -240,7 +242,8 @@ def _log(collector: Collector) -> str:
     if left_out:
         rows.insert(len(collector.notes), f"<tr><td></td><td></td><td>… {left_out} notes more …</td></tr>")
     table = f"<table>{''.join(rows)}</table>" if rows else "<p>Nothing was noted.</p>"
-    return f"<section><h2>Log</h2><div class='wide log'>{table}</div></section>"
+    box = "class='wide log' role='region' aria-label='log' tabindex='0'"  # tabindex: scrolled by keys
+    return f"<section><h2>Log</h2><div {box}>{table}</div></section>"
 
 
 # -- the map --------------------------------------------------------------------------------------------
@@ -268,6 +271,7 @@ def _map_section(collector: Collector, facts: Facts) -> str:
     names = " ".join(f"<span class='{kind}'>{name}</span>" for kind, name in legend)
     return (
         f"<section><h2>Map</h2><p class='legend'>{names}</p>{_map(collector, facts.walls)}"
+        "<p class='hint'>On the map: drag to move, Ctrl and the wheel to zoom, double-click for all.</p>"
         f"{_arrivals(collector)}</section>"
     )
 
@@ -320,11 +324,11 @@ def _arrivals(collector: Collector) -> str:
         )
         yaw = "" if one.goal.yaw is None else f", {degrees(one.goal.yaw):.0f}°"
         rows += (
-            f"<tr><th>{number}</th><td>{one.goal.x:.2f}, {one.goal.y:.2f} m{yaw}</td>"
+            f"<tr><th scope='row'>{number}</th><td>{one.goal.x:.2f}, {one.goal.y:.2f} m{yaw}</td>"
             f"<td>{_seconds(one.t - collector.start)}</td><td>{off}</td></tr>"
         )
-    head = "<tr><th></th><th>goal</th><th>reached after</th><th>off by</th></tr>"
-    return f"<div class='wide'><table class='grid'>{head}{rows}</table></div>"
+    head = "".join(f"<th scope='col'>{title}</th>" for title in ("goal", "reached after", "off by"))
+    return f"<div class='wide'><table class='grid'><tr><td></td>{head}</tr>{rows}</table></div>"
 
 
 def _line(kind: str, points: Iterable[tuple[float, float]]) -> str:

@@ -48,6 +48,7 @@
       axes: [{ ...axis, size: 34, values: (_, ticks) => ticks.map((t) => t + " s") }, { ...axis, size: 58, values: (_, ticks) => ticks.map((v) => String(+v.toPrecision(6))) }],
       series: [{ label: "t", value: (_, t) => (t == null ? "–" : t + " s") }, ...series],
       cursor: { sync: { key: "time" }, points: { size: 5 } },
+      legend: { markers: { dash: (u, i) => (u.series[i].dash ? "dashed" : "solid") } },
       hooks: { setScale: [(u, key) => key === "x" && zoomAll(u)], setCursor: [(u) => show(u.data[0][u.cursor.idx])] },
     }, [data.times, ...plot.lines.map((line) => line.values)], into);
     const other = [...drawn.values()][0];
@@ -89,10 +90,10 @@
   }
 
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
-    const all = [...drawn.keys()];
-    for (const canvas of all) drawn.get(canvas).destroy();
-    drawn.clear();
-    for (const canvas of all) draw(canvas.plot, canvas);
+    for (const [canvas, old] of [...drawn]) {
+      draw(canvas.plot, canvas); // zoomed as the old one
+      old.destroy();
+    }
   });
 
   // -- the map: the robot at a time; the wheel zooms, dragging moves, a double click shows all again. While the

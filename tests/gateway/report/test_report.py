@@ -22,6 +22,7 @@ from gateway.report import Collector, Facts, write
 from gateway.report.page import page
 from gateway.report.series import INTERVALS, Signals
 from protocols.messages import MILLISECOND, SECOND
+from tests.gateway.view.chromium import chromium
 
 FACTS = Facts("run", ok=True, result="it ended well", rows=(("date", "today"),), figures=("goal 1: reached",))
 HOSTILE = (
@@ -130,6 +131,36 @@ def test_it_shows_the_drive(drive: tuple[Collector, Path]) -> None:
     assert shown.of("image")[0]["href"].startswith("data:image/png;base64,")  # type: ignore[union-attr]
     for text in ("it ended well", "goal 1: reached", "path driven", "NIS", "0.40, 0.10 m", "brain"):
         assert text in shown.text
+
+
+def test_tables_and_the_log_say_what_they_are(drive: tuple[Collector, Path]) -> None:
+    shown = Page(page(drive[0], FACTS))
+    assert {one.get("scope") for one in shown.of("th")} == {"row", "col"}
+    (log,) = (one for one in shown.of("div") if one.get("class") == "wide log")
+    assert log == {"class": "wide log", "role": "region", "aria-label": "log", "tabindex": "0"}
+    assert "Ctrl and the wheel to zoom" in shown.text
+
+
+def test_what_a_plot_is_zoomed_to_stays_when_it_gets_dark(
+    drive: tuple[Collector, Path], tmp_path: Path
+) -> None:
+    file = tmp_path / "drive.html"
+    write(file, drive[0], FACTS)
+    with chromium(tmp_path / "profile") as browser:
+        tab = browser.open("about:blank")
+        tab.call("Page.navigate", url=file.as_uri())
+        tab.until("document.querySelector('.u-over')")
+        x, y = tab.middle(".u-over")
+        tab.mouse("mousePressed", (x, y))
+        tab.mouse("mouseMoved", (x + 60, y))
+        tab.mouse("mouseReleased", (x + 60, y))
+        tab.run("document.querySelector('.u-over').old = true")
+        dark = {"name": "prefers-color-scheme", "value": "dark"}
+        tab.call("Emulation.setEmulatedMedia", features=[dark])
+        tab.until("!document.querySelector('.u-over').old")
+        left = "(b => [b.left + 2, b.top + 20])(document.querySelector('.u-over').getBoundingClientRect())"
+        tab.call("Input.dispatchMouseEvent", type="mouseMoved", x=tab.run(left)[0], y=tab.run(left)[1])
+        tab.until("parseFloat(document.querySelector('.u-value').textContent) > 1")
 
 
 def test_it_is_whole_in_itself_and_lets_no_other_script_run(drive: tuple[Collector, Path]) -> None:
