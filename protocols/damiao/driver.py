@@ -16,6 +16,7 @@ from protocols.damiao import table as dm
 from protocols.damiao.options import Options
 from protocols.frames import CanFrame, Frame
 from protocols.messages import Command, Feedback, Mode, Nanos
+from protocols.plugin import Device
 from protocols.toolkit.host import Host, Report
 from protocols.toolkit.mit import encoded
 from protocols.toolkit.motor_driver import MotorDriver, Rx
@@ -36,6 +37,20 @@ class DamiaoAdapter(RegisterAdapter):
     not_armed, duplicate = dm.NOT_ENABLED, dm.DUPLICATE
     registers, addresses = dm.REGISTERS, dm.ADDRESSES
     serial, save, turns, actions = "SN", dm.SAVE, "xout", dm.REQUESTS
+
+    def __init__(self) -> None:
+        self.replies: dict[int, str] = {}
+        """By the id of its answers: the motor's name."""
+
+    def own(self, device: Device) -> Motor:
+        reply = device.options.reply(device.address)
+        other = self.replies.setdefault(reply, device.name)
+        if other != device.name:
+            raise ValueError(
+                f"{other} and {device.name} would both answer by {reply:#05x}, and destroy each other's "
+                "frames: give each a reply_id (MST_ID) of its own"
+            )
+        return super().own(device)
 
     def expected(self, options: Options) -> Mapping[str, float]:
         return dm.ranges_of(options.model)
@@ -71,9 +86,9 @@ class DamiaoAdapter(RegisterAdapter):
 
     def _feedback(self, t: Nanos, frame: CanFrame, host: Host[Motor]) -> Report[Motor] | None:
         values = host.options.table.read("feedback", frame.data)
-        if values is None or values["status"] not in STATES:
+        if values is None:
             return None
-        status = values["status"]
+        status = values["status"] if values["status"] in STATES else dm.UNKNOWN
         mode, detail = STATES[status]
         position = None if host.options.position == "xout" else values["position"]
         hottest = float(max(values["mos"], values["rotor"]))

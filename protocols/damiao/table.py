@@ -32,7 +32,7 @@ REQUESTS: Mapping[type[Request], str] = {ClearFault: "clear", Zero: "zero"}
 OPERATIONS = {"read": 0x33, "write": 0x55, "save": 0xAA, "refresh": 0xCC}
 REPLIES = ("read", "write", "save")
 """Operations that have an answer of their own; the others are answered by a feedback."""
-DISABLED, ENABLED, LOST = 0, 1, 0xD
+DISABLED, ENABLED, LOST, UNKNOWN = 0, 1, 0xD, 0xF
 """Values of the status in a feedback; the others are faults."""
 
 # fmt: off
@@ -85,8 +85,9 @@ FAULTS: Mapping[int, FaultInfo] = {
     0xC: FaultInfo("rotor over-temperature", *_HOT),
     LOST: FaultInfo("communication lost", "no frame within TIMEOUT while enabled", "find the reason, clear"),
     0xE: FaultInfo("overload", "more load than the motor can turn", "take load off, then clear"),
+    UNKNOWN: FaultInfo("unknown fault", "it is of later firmware", "read it with the vendor's tool, clear"),
 }
-"""By status."""
+"""By status; one that is not listed is unknown."""
 NOT_ENABLED, DUPLICATE = 0x100, 0x101
 """Faults that the driver finds."""
 ALL_FAULTS: Mapping[int, FaultInfo] = {
