@@ -24,8 +24,8 @@ from protocols.toolkit.register_motor import Motor, RegisterAdapter
 from protocols.toolkit.table import Values
 
 MODES = {0: (Mode.READY, "reset"), 1: (Mode.INITIALISING, "calibration"), 2: (Mode.ARMED, "running")}
-MISSING = "missing"
-"""Under what is known: the number of a register that it must have, and has not."""
+MISSING, WARNINGS = "missing", "warnings"
+"""Under what is known: the number of a register that it must have, and has not; the bits of its warnings."""
 NEAR = 0.02
 """rad between the shaft and the set-point that a motor is enabled with"""
 
@@ -85,6 +85,7 @@ class RobStrideAdapter(RegisterAdapter):
             case "fault":
                 found = rs.faults_in_message(host.options.model, values["faults"])
                 mode = Mode.FAULT if found else None
+                host.own.put(t, WARNINGS, values["warnings"])
                 return (Report(host, address, mode, "fault", host.active | found),)
             case "register" | "version":
                 name, _ = rs.REGISTERS.value(values.get("number", 0), 0)
@@ -96,6 +97,7 @@ class RobStrideAdapter(RegisterAdapter):
     def _state(self, t: Nanos, host: Host[Motor], values: Values) -> Report[Motor]:
         host.own.reported(t)
         mode, detail = MODES[values["mode"]]
+        detail += rs.warnings_in_message(int(host.own.known.get(WARNINGS, 0)))
         # A status has fewer faults than a fault message, and does not take those back.
         faults = rs.faults_in_status(host.options.model, values["faults"])
         faults = faults.union(code for code in host.active if code >= rs.DETAIL) if host.active else faults

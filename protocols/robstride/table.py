@@ -150,6 +150,12 @@ def faults_in_message(model: str, word: int) -> frozenset[int]:
     return frozenset(DETAIL + bit for bit in bits)
 
 
+def warnings_in_message(word: int) -> str:
+    """Return the warnings in a fault message in words, to be put behind a state."""
+    warning = "over-temperature" if word & 1 else "one that the manual does not list"
+    return f", warning: {warning}" if word else ""
+
+
 # -- messages ------------------------------------------------------------------------------------------
 
 
