@@ -89,7 +89,7 @@ class Controller:
 
     def missing(self, t: Nanos) -> list[str]:
         """Return the messages that are needed and do not come, while others do."""
-        needed = ("STATUS_1", "STATUS_5", "state")
+        needed = ("STATUS_1", "STATUS_4", "STATUS_5", "state")
         return [name for name in needed if t - self.seen.get(name, self.since or t) > ABSENT]
 
     def without_timeout(self) -> bool:
@@ -175,7 +175,7 @@ class VescAdapter(Adapter[Controller]):
             return ()
         if missing := own.missing(host.received_at):
             deaf = "state" in missing
-            code, names = (vt.NO_ANSWER, "") if deaf else (vt.NO_STATUS, f"{' and '.join(missing)}: ")
+            code, names = (vt.NO_ANSWER, "") if deaf else (vt.NO_STATUS, f"{', '.join(missing)}: ")
             return host.trip(now, code, names + vt.ALL_FAULTS[code].cause)
         return host.trip(now, vt.NO_TIMEOUT) if own.without_timeout() else ()
 

@@ -49,7 +49,7 @@ def test_one_as_delivered_sends_no_status_messages_and_is_not_commanded() -> Non
     bench = rig(settings="{ status_messages = 0 }")
     bench.run(1.2)
     bench.run(1.0, Velocity("left", 5.0))
-    assert "STATUS_1 and STATUS_5: they are, until they are switched on" in told(bench)
+    assert "STATUS_1, STATUS_4, STATUS_5: they are, until they are switched on" in told(bench)
     assert "CAN Status Messages Rate 1" in told(bench)
     assert bench.velocity("left") == 0.0
 
