@@ -10,7 +10,7 @@ from PIL import Image
 
 from gateway import Goal
 from tests.gateway.view.chromium import Tab, chromium, wait
-from tests.gateway.view.test_cockpit_page import FRAMES, beside, opened, running
+from tests.gateway.view.test_cockpit_page import FRAMES, beside, opened, phone, running
 
 
 def main(folder: Path) -> None:
@@ -22,18 +22,12 @@ def main(folder: Path) -> None:
             tab.run("document.activeElement.blur()")
             wait(lambda: robot.look()["pose"][0] > 3.6, "being on the way")
             picture(tab, folder / "cockpit.png")
-            tab.call(
-                "Emulation.setDeviceMetricsOverride", width=390, height=844, deviceScaleFactor=1, mobile=True
-            )
+            phone(tab)
             wait(lambda: robot.look()["pose"][0] > 4.2, "being further on the way")
             picture(tab, folder / "cockpit-phone.png")
-            tab.call(
-                "Emulation.setDeviceMetricsOverride",
-                width=1440,
-                height=900,
-                deviceScaleFactor=1,
-                mobile=False,
-            )
+            size = {"width": 1440, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+            tab.call("Emulation.setDeviceMetricsOverride", **size)
+            tab.call("Emulation.setTouchEmulationEnabled", enabled=False)
             dark(tab)
             robot.do("provoke left")
             tab.until("document.querySelector('#faults article')")
