@@ -7,8 +7,8 @@ On a CAN bus nothing is addressed: a device obeys every frame with an id that it
 meant for. So two protocols may share no id, in either direction: a command would be obeyed by another device
 (0x080 addresses a whole bus in one protocol, and is a node's own in another), a report be taken for a command
 or for the report of another device, and two devices that send the same id at once destroy each other's
-frames. An 11-bit id and a 29-bit one of the same number are two ids. Devices of one protocol are its own
-matter.
+frames. An 11-bit id and a 29-bit one of the same number are two ids. What devices of one protocol are sent,
+and whose reports its driver tells apart, is its own matter; but none may obey what another one reports.
 """
 
 from __future__ import annotations
@@ -59,10 +59,9 @@ def check_devices(
 
 def _check_pair(first: BusDevice, at: Key, second: BusDevice, mistakes: Mistakes) -> None:
     """Check that two devices on one bus have different addresses, and do not use each other's ids."""
-    if first.plugin.name == second.plugin.name:
-        if first.device.address == second.device.address:
-            text = f"{first.name!r} has address {first.device.address} on bus {first.bus!r} too"
-            mistakes.add((*at, "address"), f"{text}; expected an address of its own")
+    if first.plugin.name == second.plugin.name and first.device.address == second.device.address:
+        text = f"{first.name!r} has address {first.device.address} on bus {first.bus!r} too"
+        mistakes.add((*at, "address"), f"{text}; expected an address of its own")
     elif text := id_conflict(first, second):
         remedy = "expected another address or bus, or an option that moves its ids"
         mistakes.add((*at, "address"), f"{text}; {remedy}")
@@ -245,18 +244,23 @@ MAX_LISTED = 4
 
 
 def id_conflict(first: BusDevice, second: BusDevice) -> str:
-    """Return what is wrong with two devices of different protocols on one bus, from the side of the second;
-    "" if nothing is."""
+    """Return what is wrong with the ids of two devices on one bus, from the side of the second; "" if nothing
+    is."""
     ours, theirs, name = second.spec, first.spec, repr(first.name)
-    obeyed, obeyed_there = _shared(_obeyed(ours), theirs.sends), _shared(_obeyed(theirs), ours.sends)
-    kinds = (
-        (_shared(_obeyed(ours), theirs.expects), f"it would obey what {name} reports there"),
-        (_shared(_obeyed(theirs), ours.expects), f"{name} would obey what it reports there"),
-        (_shared(obeyed, obeyed_there), "each would obey what the other is sent"),
-        (obeyed, f"it would obey what {name} is sent"),
-        (obeyed_there, f"{name} would obey what it is sent"),
-        (_shared(ours.expects, theirs.expects), "both report there"),
-    )
+    alike = first.plugin.name == second.plugin.name
+    common = _contained if alike else _shared
+    kinds = [
+        (common(_obeyed(ours), theirs.expects), f"it would obey what {name} reports there"),
+        (common(_obeyed(theirs), ours.expects), f"{name} would obey what it reports there"),
+    ]
+    if not alike:
+        obeyed, obeyed_there = _shared(_obeyed(ours), theirs.sends), _shared(_obeyed(theirs), ours.sends)
+        kinds += [
+            (_shared(obeyed, obeyed_there), "each would obey what the other is sent"),
+            (obeyed, f"it would obey what {name} is sent"),
+            (obeyed_there, f"{name} would obey what it is sent"),
+            (_shared(ours.expects, theirs.expects), "both report there"),
+        ]
     conflicts: list[str] = []
     seen: list[IdMask] = []
     for shared, why in kinds:
@@ -302,6 +306,13 @@ def _shared(some: Iterable[IdMask], others: Sequence[IdMask]) -> list[IdMask]:
     """Return the ids that both contain, each once."""
     both = {(a[0] | b[0], a[1] | b[1]) for a in some for b in others if overlap(a, b)}
     return sorted(ids for ids in both if not any(ids != wider and _contains(wider, ids) for wider in both))
+
+
+def _contained(some: Iterable[IdMask], others: Sequence[IdMask]) -> list[IdMask]:
+    """Return those of the others that are among some, whatever data they carry: what depends on that is for
+    the protocol to know."""
+    wider = tuple(some)
+    return [ids for ids in others if any(_contains(each, ids) for each in wider)]
 
 
 def _contains(wider: IdMask, ids: IdMask) -> bool:

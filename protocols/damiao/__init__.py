@@ -63,13 +63,17 @@ def configured(device: Device) -> dict[str, Setting]:
 
 
 def spec(device: Device) -> Spec:
-    """Return the contract of one motor. Raises ValueError if its address cannot be one."""
+    """Return the contract of one motor. Raises ValueError if its address, or the id of its answers, cannot be
+    one."""
     options: Options = device.options
+    reply = exact(options.reply(device.address))
+    if reply in options.table.ids("to_device", device.address):
+        raise ValueError(f"reply_id {options.reply_id:#05x} of {device.name}: the motor itself obeys that id")
     return can_motor(
         device,
         options.table,
         ADDRESSES,
-        expects=(exact(options.reply(device.address)),),
+        expects=(reply,),
         commands=COMMANDS[options.mode],
         requests=REQUESTS,
         ranges=ranges(options),

@@ -279,6 +279,37 @@ def test_all_of_them_at_once_in_the_order_of_the_file() -> None:
     ]
 
 
+@pytest.mark.parametrize(
+    ("protocol", "motor", "options", "expected"),
+    [
+        ("damiao", "left", "reply_id = 2", "0x002 (it would obey what 'left' reports there)"),
+        ("damiao", "right", "reply_id = 1", "0x001 ('left' would obey what it reports there)"),
+        ("damiao", "left", "reply_id = 0x102", "0x102 (it would obey what 'left' reports there)"),
+        ("damiao", "left", "reply_id = 0x12", "left and right would both answer by 0x012, and destroy"),
+        ("damiao", "left", "reply_id = 0x101", "reply_id 0x101 of left: the motor itself obeys that id"),
+        ("cubemars", "left", "reply_id = 2", "0x002 (it would obey what 'left' reports there)"),
+        ("vesc", "left", "host_id = 2", "0x00000802 (it would obey what 'left' reports there)"),
+    ],
+)
+def test_no_motor_may_obey_what_another_of_its_protocol_reports(
+    protocol: str, motor: str, options: str, expected: str
+) -> None:
+    usual = 'mode = "mit"' if protocol == "cubemars" else ""
+    text = changed('watchdog = "acknowledged"', usual, changed("odrive_can", protocol, BENCH))
+    assert mistakes_in(text) == []
+    (mistake,) = mistakes_in(
+        changed(f"[motors.{motor}]", f"[motors.{motor}]\noptions = {{ {options} }}", text)
+    )
+    assert expected in mistake
+
+
+def test_motors_of_one_protocol_may_report_by_one_id_where_they_name_themselves() -> None:
+    """In MIT mode these all answer by id 0, or each by its own."""
+    text = changed('watchdog = "acknowledged"', 'mode = "mit"', changed("odrive_can", "cubemars", BENCH))
+    assert mistakes_in(text) == []
+    assert mistakes_in(changed("address = 1", "address = 1\noptions = { reply_id = 1 }", text)) == []
+
+
 def test_what_a_driver_requires_of_its_devices_together_is_checked() -> None:
     text = resources.find("robots", "diffbot_cia402").read_text("utf-8")
     text = text.replace("sync_ms = 10", "sync_ms = 20", 1).replace("gear = 8.0", "gear = 0.0", 1)
@@ -477,7 +508,8 @@ def test_two_protocols_do_not_report_on_one_id() -> None:
         for number, motor in enumerate(motors.values())
     )
     conflict = "uses CAN ids of 'left' (odrive_can) on bus 'can0': 0x041 (both report there)"
-    assert id_conflict(left, right) == conflict
+    other = dataclasses.replace(right, plugin=dataclasses.replace(right.plugin, name="foreign"))
+    assert id_conflict(left, other) == conflict
 
 
 def test_vesc_and_robstride_share_a_bus_where_neither_scans() -> None:
