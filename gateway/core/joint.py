@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from math import inf
 from operator import attrgetter
 from typing import Annotated, Any, Literal, TypeAlias
 
@@ -92,6 +93,8 @@ FADING: Nanos = SECOND
 """In this time the torque that carries a load fades, when the load is lowered at the end of a run;"""
 LOWERING, LOWERED = 2500 * MILLISECOND, 0.05
 """after this time at most the joint is let go, or when it has come to rest: slower than that, in rad/s."""
+ROUNDING = 1e-9
+"""Share of a device's largest torque that is never asked for, lest it be refused after the gear."""
 LEAST_SHARE = 0.05
 """Of a limit in the robot file: the least that it may be set to while it runs."""
 
@@ -148,6 +151,10 @@ class Joint:
         self._supported = settings.commands(spec)
         self._loop = Loop() if settings.loop is not None and msg.Torque in spec.commands else None
         """In place of the device's own."""
+        able = spec.ranges.get("Torque.torque")
+        most = min(-able.low, able.high) if able else inf
+        self._strongest = settings.gear * most * (1.0 - ROUNDING)
+        """N·m at the output shaft that the device can be commanded"""
         self._holds_loads = "Hold.torque" in spec.ranges
         self._feeds_velocity = "Position.velocity" in spec.ranges
         """Whether Position takes the velocity on the way; else the device follows the position alone."""
@@ -353,9 +360,8 @@ class Joint:
         if isinstance(out, msg.Position):
             ahead = out.position - (measured.position or 0.0)
         dt = min(dt, self.settings.command_timeout / SECOND)
-        torque = loop.step(
-            ahead, out.velocity, measured.velocity or 0.0, out.torque, dt, limits.torque, settings
-        )
+        most = min(limits.torque, self._strongest)
+        torque = loop.step(ahead, out.velocity, measured.velocity or 0.0, out.torque, dt, most, settings)
         if self.mode is not Mode.ARMED:
             loop.reset()
             torque = 0.0

@@ -11,9 +11,9 @@ from gateway import config
 from gateway.config import resources
 from gateway.recording import read_recording
 from protocols.frames import CanFrame
-from protocols.messages import Goal, Mode, Position
+from protocols.messages import Goal, Mode, Position, Velocity
 from tests.gateway.cli.test_demo import gateway
-from tests.gateway.rig import Rig
+from tests.gateway.rig import BENCH, Rig
 
 ROBOTS = {
     "diffbot_cia402": {"cia402"},
@@ -73,6 +73,25 @@ def test_three_protocols_move_at_once_on_one_bus(name: str) -> None:
     for counters in counted.values():
         assert counters.malformed == 0
         assert min(counters.accepted, counters.ignored) > 100
+
+
+def test_a_loop_asks_for_no_more_torque_than_the_device_gives() -> None:
+    """C620: 6 N·m behind this gear, where the joint's limit is 10."""
+    text = BENCH.replace('"odrive_can"', '"robomaster"').replace("gear = 8.0", "gear = 19.2")
+    text = text.replace("acceleration = 60.0, torque = 2.0", "acceleration = 10000.0, torque = 10.0")
+    text = text.replace('watchdog = "acknowledged"', 'model = "C620"')
+    rig = Rig(text.replace("[motors.left]", "[defaults.motors.loop]\nvelocity_gain = 0.5\n[motors.left]"))
+    rig.run(0.5)
+    ticks = rig.run(0.5, Velocity("left", 15.0))
+    currents = [
+        int.from_bytes(packet.frame.data[:2], "big", signed=True)
+        for tick in ticks
+        for packet in tick.outputs.packets
+        if isinstance(packet.frame, CanFrame)
+    ]
+    assert max(currents) == 16384
+    assert rig.world.world.shaft("left")[1] == pytest.approx(15.0, rel=0.1)
+    assert not rig.gateway.joints["left"].faults
 
 
 def test_every_shipped_variant_of_the_demo_is_driven() -> None:
