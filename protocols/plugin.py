@@ -199,6 +199,8 @@ class Spec:
     obeys_also: tuple[IdMask, ...] = ()
     """Ids that the device obeys beside `sends`, from any sender. Other protocols on its bus must not use
     them."""
+    caution: str = ""
+    """What else a person must know of its options, printed at every start."""
 
 
 # -- what a plugin implements --------------------------------------------------------------------------

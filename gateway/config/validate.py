@@ -151,6 +151,7 @@ def check_bag(bag: BagTopics, body: Body, sensors: Collection[str], mistakes: Mi
 def cautions(robot: Robot) -> list[str]:
     """Return what the user must be warned of at every start, until the robot file acknowledges it."""
     notes = [f"{one.name}: {one.spec.watchdog.note}" for one in robot.devices() if one.spec.watchdog.note]
+    notes += [f"{one.name}: {one.spec.caution}" for one in robot.devices() if one.spec.caution]
     notes += [text for motor in robot.motors.values() for text in _out_of_range(motor)]
     notes += [text for motor in robot.motors.values() for text in _past_feedback(motor)]
     for bus in robot.buses.values():

@@ -21,6 +21,10 @@ NOTE = (
     "no timeout of its own is known: without its host the motor goes on with the last set-point. Write"
     ' watchdog = "acknowledged" under options'
 )
+SILENT = (
+    "in MIT mode it reports nothing before its first command, and gets none before it has reported: it cannot"
+    " start. If no other host drives it, write sole_host = true under options"
+)
 
 
 def ranges(options: Options) -> dict[str, Range]:
@@ -69,6 +73,7 @@ def spec(device: Device) -> Spec:
         watchdog=Watchdog(None, enabled=False, note="" if options.watchdog == "acknowledged" else NOTE),
         faults=cm.FAULTS,
         canonical=options.gains.canonical if mit else unchanged,
+        caution=SILENT if mit and not options.sole_host else "",
     )
 
 

@@ -73,6 +73,20 @@ def test_messages_of_the_other_mode_do_nothing() -> None:
         assert not plugin.decoder([device]).decode(0, frame)
 
 
+@pytest.mark.parametrize(
+    ("options", "starts"),
+    [('mode = "servo"', True), ('mode = "mit", sole_host = true', True), ('mode = "mit"', False)],
+)
+def test_a_motor_that_can_never_start_is_a_caution_with_the_option_to_set(options: str, starts: bool) -> None:
+    bench = rig(f"{options}, turns = true")
+    found = config.cautions(bench.robot)
+    assert [one.partition(":")[0] for one in found] == ([] if starts else ["left", "right"])
+    assert all("it cannot start" in one and "sole_host = true" in one for one in found)
+    bench.run(0.3)
+    bench.run(0.3, Velocity("left", 1.0))
+    assert (mode_of(bench) is Mode.ARMED) == starts
+
+
 def test_a_reply_with_the_motors_own_id_is_told_from_a_returned_command() -> None:
     """Address 1 at −12.4 rad: the first byte of the command is that of a reply of this motor."""
     device = Device("m", 1, Options(mode="mit", reply_id=1), plugin.settings())
