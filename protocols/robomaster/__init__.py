@@ -33,13 +33,13 @@ def spec(device: Device) -> Spec:
     options, settings = device.options, device.settings
     model = options.of_model
     addresses = range(1, model.last + 1)
-    sends = [exact(GROUPS[model.group_of(each)[0]]) for each in addresses if each == device.address]
+    sends = (exact(GROUPS[model.group_of(device.address)[0]]),) if device.address in addresses else ()
     timeout = settings.timeout_ms or options.timeout_ms
     return can_motor(
         device,
         TABLE,
         addresses,
-        sends=tuple(sends),
+        sends=sends,
         feedback=FeedbackKind.CYCLIC,
         commands=frozenset({msg.Idle, msg.Torque}),
         requests=frozenset({msg.ClearFault}),
