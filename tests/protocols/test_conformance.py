@@ -25,8 +25,9 @@ from tests.sampled import sampled
 
 INSTALLED, UNLOADABLE = load_all()
 NAMES = [clause.name for clause in CLAUSES]
-OURS = {"cia402", "moteus", "odrive_can", "plain"}
-PAGE = (Path(__file__).parents[2] / "docs" / "contract.md").read_text("utf-8")
+ROOT = Path(__file__).parents[2]
+OURS = {path.parent.name for path in (ROOT / "protocols").glob("*/driver.py")}
+PAGE = (ROOT / "docs" / "contract.md").read_text("utf-8")
 
 
 def clauses(names: Sequence[str]) -> list[Clause]:
@@ -69,6 +70,10 @@ def test_the_page_lists_every_clause() -> None:
     assert sorted(reported) == sorted(NAMES)
     assert f"The {len(NAMES)} clauses" in PAGE
     assert f"{len(BROKEN)} of them" in PAGE
+
+
+def test_the_page_lists_every_built_in_plugin() -> None:
+    assert sorted(re.findall(r"^\| `(\w+)` \| \d+ \|", PAGE, re.M)) == sorted(OURS)
 
 
 def test_every_built_in_plugin_is_installed() -> None:
