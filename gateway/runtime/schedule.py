@@ -36,6 +36,8 @@ from protocols.plugin import FeedbackKind
 
 SETTLING: Nanos = 5 * SECOND
 """The longest time to find the devices, set them up and arm them;"""
+REST: Nanos = 100 * MILLISECOND
+"""the time after that for what is under way;"""
 CROWDED: Nanos = SECOND // 2
 """the time for which a wire must be full for it to end sooner, and"""
 LEAST: Nanos = 3 * CROWDED
@@ -106,13 +108,18 @@ class _Settling:
     checked: Nanos = 0
     busy: dict[str, Nanos] = field(default_factory=dict)
     """Of each bus, when it was last checked."""
+    done: Nanos | None = None
+    """When all motors were armed and had reported."""
 
     def ends(self, now: Nanos, reported: Iterable[str]) -> bool:
-        """True if all motors are armed and have reported, or that is not waited for any longer."""
+        """True if all is at rest, or that is not waited for any longer."""
         joints, silent = self.gateway.joints, self.gateway.robot.motors.keys() - reported
-        if all(one.armed for one in joints.values()) and not any(map(self._reports, silent)):
-            return True
-        return now >= SETTLING or (self._is_full(now) and now >= LEAST)
+        if not (all(one.armed for one in joints.values()) and not any(map(self._reports, silent))):
+            self.done = None
+        elif self.done is None:
+            self.done = now
+        rests = self.done is not None and now - self.done >= REST
+        return rests or now >= SETTLING or (self._is_full(now) and now >= LEAST)
 
     def _reports(self, name: str) -> bool:
         return self.gateway.robot.motors[name].spec.feedback is not FeedbackKind.NONE
@@ -235,7 +242,7 @@ def highest_rate(robot: Robot, fitting: float = 0.0, simulated: Simulated = unse
 
 def _highest_between(robot: Robot, fitting: float, high: float, simulated: Simulated) -> float:
     """Return the highest rate that fits below one that does not: halved until one fits, then bisected, at a
-    glance; then lowered until it fits over the whole window."""
+    glance; then lowered, further each time, until it fits over the whole window."""
     low, lowest = high, max(fitting, lowest_rate(robot))
     while low > lowest:
         low, high = max(float(floor(low / 2.0)), lowest), low
@@ -243,12 +250,14 @@ def _highest_between(robot: Robot, fitting: float, high: float, simulated: Simul
             break
     else:
         return fitting
-    while high - low > max(1.0, FINENESS * low):
-        middle = float(floor((low + high) / 2.0))
+    while high - low > FINENESS * low and (middle := float(floor((low + high) / 2.0))) > low:
         low, high = (middle, high) if _fits(robot, middle, GLANCE, simulated) else (low, middle)
-    while low > lowest and not _fits(robot, low, WINDOW, simulated):
-        low = max(float(floor((1.0 - FINENESS) * low)), lowest)
-    return low if low > lowest or low == fitting or _fits(robot, low, WINDOW, simulated) else 0.0
+    less = FINENESS
+    while low != fitting and not _fits(robot, low, WINDOW, simulated):
+        if low <= lowest:
+            return 0.0
+        low, less = max(float(floor((1.0 - less) * low)), lowest), 2.0 * less
+    return low
 
 
 def _fits(robot: Robot, rate: float, window: Nanos, simulated: Simulated) -> bool:
@@ -285,8 +294,8 @@ def not_armed(counted: Sequence[BusSchedule]) -> str:
     """Return which motors are not armed, though their buses carry them; "" if none."""
     if not (names := [name for one in counted for name in one.unarmed]):
         return ""
-    within = f"within {SETTLING // SECOND} s, on simulated devices"
-    return f"not armed {within}: {', '.join(names)}; not for want of room on their buses: see their options"
+    what = f"not armed on simulated devices, though commanded: {', '.join(names)}"
+    return f"{what}; it is not for want of room on their buses"
 
 
 def feedback_that_fits(robot: Robot, buses: Set[str], simulated: Simulated = unseen) -> int:

@@ -97,6 +97,38 @@ def test_motors_that_fall_out_on_a_full_wire_are_refused_with_a_rate_that_is_acc
     refuse_overload(replace(robot, period=round(SECOND / rate)))
 
 
+@pytest.mark.parametrize("limit", [11.5, 12.5, 37.0, 99.9, 512.3, 900.0])
+@pytest.mark.parametrize("rate", [12.0, 60.0, 700.0, 1000.0])
+@pytest.mark.parametrize("hidden", [1.0, 0.9])
+def test_the_search_ends_just_below_the_limit(
+    limit: float, rate: float, hidden: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`hidden`: share of the limit beyond which only the whole window shows that a rate does not fit."""
+    tried: list[float] = []
+
+    def count(
+        robot: Robot, rate: float | None = None, window: Nanos = WINDOW, *_: object
+    ) -> list[BusSchedule]:
+        tried.append(rate or SECOND / robot.period)
+        return [
+            BusSchedule("can0", 1.0 if tried[-1] > (limit if window < WINDOW else hidden * limit) else 0.5)
+        ]
+
+    monkeypatch.setattr("gateway.runtime.schedule.count_buses", count)
+    robot = replace(load_robot("bench"), period=round(SECOND / rate))
+    if rate <= hidden * limit:
+        refuse_overload(robot)
+        assert highest_rate(robot, rate) >= rate
+    else:
+        with pytest.raises(UserError) as caught:
+            refuse_overload(robot)
+        if (lowest := lowest_rate(robot)) > hidden * limit:
+            assert "no lower rate_hz fits" in str(caught.value)
+        else:
+            assert max(lowest, 0.84 * limit - 1.0) <= proposed_rate(caught.value) <= hidden * limit
+    assert len(tried) < 25
+
+
 def test_no_rate_is_tried_at_which_a_command_would_be_too_old_before_the_next() -> None:
     robot = load_robot("bench")
     assert {motor.joint.command_timeout for motor in robot.motors.values()} == {SECOND // 10}
