@@ -12,7 +12,7 @@ to four bytes, then arrays one after the other. Each has a "kind":
 | note | text | at once | what happened, for a person |
 | answer | text | at once | to what was asked, with its `id`: `ok`, `text` |
 | path | binary | when it changes | `version`; float32 x, y [m] for each point |
-| scan | binary | every 100 ms | `lidars`: mount, `poses`, `min`, `step`, `count`, `near`, `far`; float32 |
+| scan | binary | every 100 ms | `lidars`: `t`, mount, `poses`, `min`, `step`, `count`, `near`, `far`; float32 |
 | tiles | binary | every 100 ms, if new | map: `resolution`, `corner`, `size`, `keys` (row, column); int8 |
 
 From the page, JSON as text: `{"ask": LINE, "id": N}`, a line of the operator's language; `{"held": LINE}`,
@@ -38,7 +38,7 @@ from gateway.core.tick import Tick
 from gateway.view.requests import SILENT, Answer, Asking, Requests
 from gateway.view.scene import Json, Scene, lidar_mounts, note
 from gateway.view.server import Client, Message
-from protocols.messages import MILLISECOND, Instruction, LaserScan, Nanos, Set
+from protocols.messages import MILLISECOND, SECOND, Instruction, LaserScan, Nanos, Set
 
 JOINTS_PERIOD: Nanos = 20 * MILLISECOND
 STATE_PERIOD: Nanos = 100 * MILLISECOND
@@ -232,6 +232,7 @@ def _lidar(scan: LaserScan, mount: tuple[float, float, float]) -> Json:
         "x": x,
         "y": y,
         "yaw": yaw,
+        "t": scan.t / SECOND,
         "min": scan.angle_min,
         "step": scan.angle_increment,
         "count": len(scan.ranges),
