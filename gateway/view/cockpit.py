@@ -12,7 +12,7 @@ to four bytes, then arrays one after the other. Each has a "kind":
 | note | text | at once | what happened, for a person |
 | answer | text | at once | to what was asked, with its `id`: `ok`, `text` |
 | path | binary | when it changes | `version`; float32 x, y [m] for each point |
-| scan | binary | every 100 ms | `lidars`: `t`, mount, `poses`, `min`, `step`, `count`, `near`, `far`; float32 |
+| scan | binary | every 100 ms | `lidars`: `t`, mount, `poses`, `min`, `step`, `count`, `near`, `far`: f32 |
 | tiles | binary | every 100 ms, if new | map: `resolution`, `corner`, `size`, `keys` (row, column); int8 |
 
 From the page, JSON as text: `{"ask": LINE, "id": N}`, a line of the operator's language; `{"held": LINE}`,
