@@ -16,8 +16,8 @@ judgement anew (lost feedback has a fault of its own). State is plain data.
                            a torque is commanded (old reports: it overshoots)
     torque (Torque)      10 % of the limit, and half of the set-point        following_time   NO_TORQUE
                            (it may be less where it drives a shaft at its limit of velocity)
-    position less the    as of position, and 50 ms of the velocity           40 ms            INCONSISTENT
-      velocity's integral  (with a memory of 1 s)
+    position less the    as of position, and 50 ms of the velocity, more     40 ms            INCONSISTENT
+      velocity's integral  where reports came late (with a memory of 1 s)
 
 `NOTICED_WITHIN` has the time of each fault. What cannot be noticed in the joint alone:
 
@@ -65,6 +65,8 @@ LONGEST_STEP: Nanos = 20 * MILLISECOND
 """What one step counts at most: a single look shows nothing that lasts."""
 GAP: Nanos = 100 * MILLISECOND
 """Without a report, or three of the device's own periods, if that is longer."""
+LATEST = 0.5
+"""s by which reports that came late have their stamps wrong, at most."""
 
 NOTICED_WITHIN: dict[str, Nanos] = {
     "stuck encoder": 500 * MILLISECOND,
@@ -117,6 +119,11 @@ class Following:
         """A position that wraps jumps by this."""
         self._slack = FLOOR * limits.velocity * SLACK + (2.0 * place.resolution / gear if place else 0.0)
         self._at: Nanos = 0
+        self._period = period
+        self._reported_at: Nanos | None = None
+        self._late = 0.0
+        """s by which reports came late, as remembered: on a busy machine those that follow catch up, with the
+        times at which they are read."""
         self.restart()
 
     def restart(self) -> None:
@@ -154,6 +161,11 @@ class Following:
         different positions."""
         if velocity is not None:
             self._new_velocity = (t, velocity)
+            if self._reported_at is not None and t > self._reported_at:
+                span = t - self._reported_at
+                late = min(LATEST, (span - self._period) / SECOND)
+                self._late = max(late, self._late * (1.0 - min(1.0, span / SECOND / MEMORY)))
+            self._reported_at = t
         if position is not None:
             self._new_position = (t, position)
 
@@ -192,7 +204,7 @@ class Following:
         wrong = position - travel - offset
         self._offset = offset + wrong * min(1.0, (t - self._position_at) / SECOND / MEMORY)
         self._position, self._position_at = position, t
-        if abs(wrong) <= self._slack + self._jitter * self._fastest:
+        if abs(wrong) <= self._slack + (self._jitter + self._late) * self._fastest:
             self._wrong_since = None
         elif self._wrong_since is None:
             self._wrong_since = t

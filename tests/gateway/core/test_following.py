@@ -270,6 +270,32 @@ def test_reports_that_were_read_late_and_all_at_once_are_no_fault(stall: int) ->
     assert fed.joint.faults == {}
 
 
+@pytest.mark.parametrize("stall", [60, 90, 150, 300])
+def test_reports_that_catch_up_over_some_steps_are_no_fault(stall: int) -> None:
+    """What sends them stood still, too: two come in each step, with the time at which they are read, until all
+    of the stall is made up for."""
+    fed, t = Fed(feedback_timeout=SECOND), 0.0
+    for _ in range(10):
+        fed.run(0.5, msg.Velocity("m", 8.0), partial(turning, t))
+        t += 0.5
+        fed.now += stall * MS
+        for _ in range(stall // 5):
+            for _ in range(2):
+                t += 0.005
+                fed.feed(*turning(t, 0.0))
+            fed.joint.command(fed.now, msg.Velocity("m", 8.0), stopped=False)
+            fed.now += STEP
+        assert fed.joint.faults == {}
+
+
+def test_a_jump_is_noticed_soon_after_a_stall() -> None:
+    fed = Fed(feedback_timeout=SECOND)
+    fed.run(0.5, CRAWL, lambda t: (t, 1.0))
+    fed.now += 90 * MS
+    fed.run(1.0, CRAWL, lambda t: (0.6 + t, 1.0))
+    assert fed.run(0.4, CRAWL, lambda t: (2.0 + t, 1.0)) == [INCONSISTENT]
+
+
 @pytest.mark.parametrize("request_", [msg.Zero("m"), msg.Home("m"), msg.Reboot("m")], ids=repr)
 def test_a_position_that_was_given_another_value_on_request_is_no_jump(request_: msg.Request) -> None:
     fed = Fed()
