@@ -210,7 +210,7 @@ class Keyframes:
                 self.drop(each)
 
     def get(self, frame: Frame) -> bytes | None:
-        """Return one as it was put; None if it is damaged, gone, or somebody else's: then it is dropped."""
+        """Return one as it was put; None if it is damaged, gone, or another user's: then it is dropped."""
         try:
             content = self._folder.read(frame.file)
         except OSError as error:
@@ -240,7 +240,7 @@ def folder_name(
 ) -> str | None:
     """Return a digest of all that a keyframe depends on; None if the recording cannot be read.
 
-    `facts` are those of this program (`environment.facts`); the sources of somebody's plugins are not among
+    `facts` are those of this program (`environment.facts`); the sources of others' plugins are not among
     them, and are read here."""
     digest = hashlib.blake2b(digest_size=_DIGEST)
     try:

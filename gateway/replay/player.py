@@ -206,7 +206,7 @@ class Player:
         return True
 
     def prepare(self, budget_ticks: int) -> float:
-        """Compare on, and keep keyframes on the way, while nobody asks for more: what is shown stays.
+        """Compare on, and keep keyframes on the way, while no more is asked for: what is shown stays.
 
         Args:
             budget_ticks: so many ticks at most.
@@ -271,7 +271,7 @@ class Player:
         saved = _Saved(self._ahead.played, step.place, self._compared, self._comparer)
         try:
             data = self._codec.dump(saved)
-        except Exception as error:  # noqa: BLE001 -- the state of somebody's plugin may hold anything
+        except Exception as error:  # noqa: BLE001 -- the state of a third party's plugin may hold anything
             log.info("keyframe not kept: %s", error)
             return
         self._frames.put(Frame(saved.played, step.tick.now), data)
@@ -320,7 +320,7 @@ class Player:
 
 @dataclass(frozen=True, slots=True)
 class Playback:
-    """How somebody wants to see a recording: which time at which time. Values; the caller has the clock."""
+    """How a recording is to be shown: which time at which time. Values; the caller has the clock."""
 
     position: Nanos
     """Time in the recording,"""

@@ -52,7 +52,7 @@ UNITS = {
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """What a report says of a run beside what its ticks show."""
+    """What a report states of a run beside what its ticks show."""
 
     what: str
     """The kind of run: "run", "demo", "replay" …"""

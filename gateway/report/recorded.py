@@ -85,7 +85,7 @@ def _collected(
 
 
 def recorded_facts(recording: Recording, comparison: Comparison) -> Facts:
-    """Return what the report of a replay says beside what the ticks show."""
+    """Return what the report of a replay states beside what the ticks show."""
     rows = [("recording", str(recording.path)), *versions(recording.facts)]
     return Facts("replay", comparison.ok, comparison.text(), tuple(rows))
 

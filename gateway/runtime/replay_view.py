@@ -43,7 +43,7 @@ class _Shown:
     player: Player
     scene: Scene = field(init=False)
     under_way: bool = False
-    """Whether it is on its way to where somebody sought, or stepped: until then, all stays as it was."""
+    """Whether it is on its way to where a page sought, or stepped: until then, all stays as it was."""
     passed: deque[tuple[Tick, Belief]] = field(default_factory=lambda: deque(maxlen=PASSED))
     """Of the way."""
     tick: Tick | None = None
@@ -126,7 +126,7 @@ class ReplayView:
         return now if busy else now + IDLE
 
     def _arrive(self) -> bool:
-        """Go on to where somebody sought, or stepped; return whether any recording is still under way."""
+        """Go on to where a page sought, or stepped; return whether any recording is still under way."""
         for number, one in enumerate(self._shown):
             for _ in range(SLICE if one.under_way else 0):
                 before = one.player.tick

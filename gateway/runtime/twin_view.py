@@ -1,4 +1,4 @@
-"""Simulated devices in the live view: the true pose, shafts and walls, which no frame tells."""
+"""Simulated devices in the live view: the true pose, shafts and walls, which are in no frame."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ EXACT = np.zeros((3, 3))
 
 @dataclass(slots=True)
 class TwinScene(Scene):
-    """The simulated world behind the devices. Its gateway is never stepped: it says what the robot is."""
+    """The simulated world behind the devices. Its gateway is never stepped: it holds what the robot is."""
 
     twins: TwinWorld | None = None
 

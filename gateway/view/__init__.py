@@ -1,4 +1,4 @@
-"""The live view: one port that a browser opens, polled by the loop. Read-only unless it is told to steer.
+"""The live view: one port that a browser opens, polled by the loop. Read-only unless it may steer.
 
 What a client asks is an operator's request: a line of the operator's language, part of the next tick, hence
 recorded, replayed, limited and guarded. `page/` has the page itself, and the plotting library uPlot with its

@@ -198,7 +198,7 @@ def _read(message: Message) -> Json | None:
 
 
 def _answer(client: Client, asked: Json, answer: Answer) -> None:
-    """Answer a page, if there is anything to tell, with its own number of what it asked."""
+    """Answer a page, if there is an answer, with its own number of what it asked."""
     if answer.text:
         number = asked.get("id")
         shown = number if isinstance(number, int) and abs(number) < 1 << 53 else None

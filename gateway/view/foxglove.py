@@ -1,7 +1,7 @@
 """The Foxglove app's end of the wire: the robot as ROS 2 topics, its settings as parameters, services.
 
 Spoken on "/" of the view's port, as `gateway.view.foxglove_wire` has it. Topics are those of a recording
-(`gateway.recording.ros_views`), and a message is made only if somebody has subscribed to its topic; who
+(`gateway.recording.ros_views`), and a message is made only if its topic has a subscriber; who
 subscribes gets what stays (map, path, mounts, joints) with the next tick, or at once if there is none.
 
 | topics | a slow client |
@@ -12,7 +12,7 @@ subscribes gets what stays (map, path, mounts, joints) with the next tick, or at
 
 Clients publish a goal or, for as long as they repeat it, a motion; they set parameters and call services. All
 that is an operator's request, as that of a page. Nothing here raises, whatever a client sends: what is wrong,
-or refused, is told to it.
+or refused, is sent to it as a status.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ EVENTS = frozenset(("/rosout", "/diagnostics"))
 STATES = frozenset(TOPICS) - EVENTS - {"/scan", "/imu/data", "/fix", "/pose"}
 """and those of which it gets the newest."""
 TRUE = frozenset(("/odom", "/tf", "/tf_static", "/joint_states"))
-"""Topics of simulated devices: what is true, which no frame tells."""
+"""Topics of simulated devices: what is true, which is in no frame."""
 RECEIVED = {"/goal_pose": "PoseStamped", "/move_base_simple/goal": "PoseStamped", "/cmd_vel": "Twist"}
 """Topics that clients may publish, and the type (of geometry_msgs) of each."""
 MAP = "/map"
@@ -64,11 +64,11 @@ class _Peer:
     channels: dict[int, tuple[str, str]] = field(default_factory=dict)
     """Topics that it publishes, and their encodings, by its ids."""
     parameters: set[str] = field(default_factory=set)
-    """Of which it is told each change."""
+    """Of which it is sent each change."""
     troubled: set[str] = field(default_factory=set)
     """Topics whose last message was refused."""
 
-    def tell(self, level: int, text: str, name: str = "") -> None:
+    def send_status(self, level: int, text: str, name: str = "") -> None:
         self.client.send(wire.status(level, text, name))
 
 
@@ -113,7 +113,7 @@ class Foxglove:
         self._values: dict[str, Json] | None = None
         """The parameters; None: they may have changed."""
         self._known: dict[str, Json] | None = None
-        """As their subscribers know them; None: nobody asked."""
+        """As their subscribers know them; None: there are none."""
         self._waiting: list[tuple[_Peer, Sequence[str], Mapping[str, float], object]] = []
         """Who is answered after the next step: parameters, values that were accepted, the request's id."""
 
@@ -130,7 +130,7 @@ class Foxglove:
                 elif message:
                     instructions += self._binary(now, peer, wire.read_binary(message))
             except WireError as error:
-                peer.tell(ERROR, f"Invalid message: {error}")
+                peer.send_status(ERROR, f"Invalid message: {error}")
         return instructions
 
     def leave(self, clients: Sequence[Client]) -> list[Instruction]:
@@ -237,7 +237,7 @@ class Foxglove:
             case "unadvertise":
                 self._unadvertised_by(peer, wire.ids(asked, "channelIds"))
             case "getParameters" if why := self._requests.refused(now, peer.asking, reads=True):
-                peer.tell(ERROR, why)
+                peer.send_status(ERROR, why)
             case "getParameters":
                 names, values = wire.names(asked, "parameterNames"), self._parameters()
                 _send_values(peer, values, names or list(values), asked.get("id"))
@@ -249,9 +249,9 @@ class Foxglove:
                 names = wire.names(asked, "parameterNames")
                 peer.parameters.difference_update(names or list(peer.parameters))
             case "subscribeConnectionGraph" | "unsubscribeConnectionGraph":
-                peer.tell(ERROR, "Server does not support connection graph capability")
+                peer.send_status(ERROR, "Server does not support connection graph capability")
             case "fetchAsset":
-                peer.tell(ERROR, "Server does not support assets capability")
+                peer.send_status(ERROR, "Server does not support assets capability")
             case op:
                 raise WireError(f"there is no op {op[:40]!r}")
         return ()
@@ -306,11 +306,11 @@ class Foxglove:
             number, channel = wire.number(one, "id"), wire.number(one, "channelId")
             topic = self._topics.get(channel)
             if topic is None:
-                peer.tell(ERROR, f"Unknown channel ID: {channel}")
+                peer.send_status(ERROR, f"Unknown channel ID: {channel}")
             elif topic in peer.subscriptions.values():
-                peer.tell(WARNING, f"Client is already subscribed to channel: {channel}")
+                peer.send_status(WARNING, f"Client is already subscribed to channel: {channel}")
             elif number in peer.subscriptions:
-                peer.tell(ERROR, f"Subscription ID was already used: {number}")
+                peer.send_status(ERROR, f"Subscription ID was already used: {number}")
             else:
                 peer.subscriptions[number] = topic
                 self._subscribers.setdefault(topic, []).append((peer, number))
@@ -338,14 +338,14 @@ class Foxglove:
         return self._values
 
     def _send_parameters(self) -> None:
-        """Answer who has set some, and tell subscribers what has changed."""
+        """Answer who has set some, and send subscribers what has changed."""
         if not self._waiting and (self._known is None or self._values is not None):
             return
         values, known = self._parameters(), self._known
         for peer, names, accepted, id_ in self._waiting:
             for name, value in accepted.items():
                 if name not in values or values[name]["value"] != value:
-                    peer.tell(WARNING, f"{name[:100]} is not set: /rosout tells why")
+                    peer.send_status(WARNING, f"{name[:100]} is not set: the reason is in /rosout")
             if id_ is not None:
                 _send_values(peer, values, names, id_)
         self._waiting.clear()
@@ -353,8 +353,8 @@ class Foxglove:
             self._known = values
             changed = [name for name, value in values.items() if known.get(name) != value]
             for peer in self._peers.values():
-                if told := [name for name in changed if name in peer.parameters]:
-                    _send_values(peer, values, told)
+                if shown := [name for name in changed if name in peer.parameters]:
+                    _send_values(peer, values, shown)
 
     def _set_parameters(
         self, now: Nanos, peer: _Peer, rows: Sequence[Json], id_: object
@@ -367,7 +367,7 @@ class Foxglove:
         for name, value in wanted.items():
             instruction, why = self._ask(now, peer, f"set {name} {value!r}")
             if instruction is None:
-                peer.tell(ERROR, f"{name[:100]} is not set: {why}")
+                peer.send_status(ERROR, f"{name[:100]} is not set: {why}")
                 break
             accepted[name] = instruction
         self._waiting.append((peer, list(wanted), {name: wanted[name] for name in accepted}, id_))
@@ -419,7 +419,7 @@ class Foxglove:
     def _advertised_by(self, peer: _Peer, rows: Sequence[Json]) -> None:
         """Take what a client will publish on."""
         if not self._publish:
-            peer.tell(ERROR, "Server does not support clientPublish capability")
+            peer.send_status(ERROR, "Server does not support clientPublish capability")
             return
         for one in rows:
             number, topic, encoding, name = (
@@ -428,23 +428,23 @@ class Foxglove:
             )
             expected, kind = RECEIVED.get(topic), name.rpartition("/")[2]
             if number in peer.channels:
-                peer.tell(WARNING, f"Client is already advertising channel: {number}")
+                peer.send_status(WARNING, f"Client is already advertising channel: {number}")
             elif len(peer.channels) >= MAX_CHANNELS:
-                peer.tell(ERROR, f"there are {MAX_CHANNELS} channels already")
+                peer.send_status(ERROR, f"there are {MAX_CHANNELS} channels already")
             elif expected is not None and (kind != expected or encoding not in wire.ENCODINGS):
-                peer.tell(ERROR, f"{topic}: {expected} in {' or '.join(wire.ENCODINGS)} is expected")
+                peer.send_status(ERROR, f"{topic}: {expected} in {' or '.join(wire.ENCODINGS)} is expected")
             else:
                 peer.channels[number] = (topic, encoding)
 
     def _unadvertised_by(self, peer: _Peer, numbers: Sequence[int]) -> None:
         for number in numbers:
             if peer.channels.pop(number, None) is None:
-                peer.tell(WARNING, f"Client is not advertising channel: {number}")
+                peer.send_status(WARNING, f"Client is not advertising channel: {number}")
 
     def _published(self, now: Nanos, peer: _Peer, asked: wire.Published) -> Sequence[Instruction]:
-        """Do what a client publishes, and tell it what is refused, until it is not any more."""
+        """Do what a client publishes, and report to it what is refused, until it is not any more."""
         if asked.channel not in peer.channels:
-            peer.tell(ERROR, f"Unknown channel ID: {asked.channel}")
+            peer.send_status(ERROR, f"Unknown channel ID: {asked.channel}")
             return ()
         topic, encoding = peer.channels[asked.channel]
         instructions: Sequence[Instruction] = ()
@@ -455,7 +455,7 @@ class Foxglove:
         name = topic[:100]
         if refused:
             peer.troubled.add(name)
-            peer.tell(ERROR, f"{name}: {refused}", name)
+            peer.send_status(ERROR, f"{name}: {refused}", name)
         elif name in peer.troubled:
             peer.troubled.remove(name)
             peer.client.send(wire.text("removeStatus", {"statusIds": [name]}))
@@ -488,7 +488,7 @@ class Foxglove:
 
     def _played(self, peer: _Peer, asked: wire.Play) -> None:
         if self._play is None:
-            peer.tell(ERROR, "Server does not support playback control capability")
+            peer.send_status(ERROR, "Server does not support playback control capability")
             return
         wanted: dict[str, object] = {}
         if asked.seek is not None:
@@ -497,11 +497,11 @@ class Foxglove:
             wanted["rate"] = asked.rate
         answer = self._play(wanted | {"playing": asked.playing})
         if not answer.ok:
-            peer.tell(ERROR, answer.text)
+            peer.send_status(ERROR, answer.text)
         self._send_playback(sought=asked.seek is not None, request=asked.request)
 
     def _send_playback(self, *, sought: bool, request: bytes = b"") -> None:
-        """Tell where the playback is, if it has changed or somebody asks."""
+        """Send where the playback is, if it has changed or on request."""
         facts = self._facts()
         ended = facts["due"] >= facts["length"] and not facts["playing"]
         state = wire.PLAYING if facts["playing"] else wire.ENDED if ended else wire.PAUSED

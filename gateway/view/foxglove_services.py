@@ -22,7 +22,7 @@ class Service:
     """Returns what the call asks, as a line; raises WireError."""
 
     def advertised(self, number: int) -> Json:
-        """Return it as clients are told it."""
+        """Return it as it is advertised to clients."""
         request = {
             "type": "object",
             "properties": {name: {"type": kind} for name, kind in self.fields.items()},

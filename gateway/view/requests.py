@@ -1,7 +1,7 @@
 """What the view's clients ask of a robot: lines of an operator's language → instructions of the next tick.
 
 Rules. A client that may not steer may only stop. What is held (a key, a stick, a jog) ends when its client
-does not repeat it for `HELD`, holds something else, or is gone; and with a stop, whoever asked for it: then
+does not repeat it for `HELD`, holds something else, or is gone; and with a stop, from wherever: then
 it must be let go before it is held again. A client has so many requests a second and in one poll, but a stop
 is always read. Nothing here raises, whatever a client sends.
 """
@@ -16,7 +16,7 @@ from protocols import messages as msg
 from protocols.messages import MILLISECOND, SECOND, Instruction, Nanos
 
 HELD: Nanos = 200 * MILLISECOND
-"""How long something counts as held after the last message that says so."""
+"""How long something counts as held after the last message about it."""
 PER_SECOND = 20
 """Requests of one client,"""
 AT_ONCE = 40
@@ -183,7 +183,7 @@ class Requests:
                 one.held = None
 
     def _never(self) -> str:
-        """Return why nobody may ask for anything but a stop; "" if they may."""
+        """Return why no client may ask for anything but a stop; "" if they may."""
         return NO_ROBOT if not self.live else READ_ONLY if not self.steer else ""
 
     def _stop(self, now: Nanos, one: Asking, line: str) -> tuple[Instruction | None, Answer]:

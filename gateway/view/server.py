@@ -85,7 +85,7 @@ class Client:
     """and what it speaks there."""
     open: bool = False
     """Whether it has become a client."""
-    heard: Nanos = 0
+    received_at: Nanos = 0
     """When it last sent a message."""
     inbox: list[Message] = field(default_factory=list)
     """What has come in this poll."""
@@ -116,7 +116,7 @@ class Client:
         self.samples[key] = message
 
     def end(self, code: int, reason: str) -> None:
-        """Close the connection, and tell why."""
+        """Close the connection with a reason."""
         if self.protocol.state is State.OPEN:
             self.protocol.send_close(code, reason[:120])
         self.samples.clear()
@@ -207,7 +207,7 @@ class Server:
                 self._send(now, client)
 
     def close(self) -> None:
-        """Tell every client that it ends, and close everything."""
+        """Send every client the end, and close everything."""
         for client in list(self._connections):
             client.end(1001, "the gateway ends")
             self._send(0, client)
@@ -220,7 +220,7 @@ class Server:
         for _ in range(MAX_ACCEPTED):
             try:
                 connection, _address = self._listener.accept()
-            except OSError:  # nobody waits, or it has gone again
+            except OSError:  # none waits, or it has gone again
                 return
             connection.setblocking(False)
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -267,7 +267,7 @@ class Server:
             response = self._upgrade(now, client, request, path, hosts[0], origins[0] if origins else None)
         client.protocol.send_response(response)
         client.open = response.status_code == 101
-        client.heard = now
+        client.received_at = now
 
     def _upgrade(
         self, now: Nanos, client: Client, request: Request, path: str, host: str, origin: str | None
@@ -290,8 +290,8 @@ class Server:
         client.protocol.available_subprotocols = [Subprotocol(spoken)] if spoken else None
         clients = self.clients
         if len(clients) >= MAX_CLIENTS:
-            silent = min(clients, key=lambda one: one.heard)
-            if now - silent.heard < SILENCE:
+            silent = min(clients, key=lambda one: one.received_at)
+            if now - silent.received_at < SILENCE:
                 return client.protocol.reject(503, f"there are {MAX_CLIENTS} clients already\n")
             silent.end(1013, f"there are more than {MAX_CLIENTS} clients, and this one was silent")
             self._send(now, silent)
@@ -353,7 +353,7 @@ def _on_frame(now: Nanos, client: Client, frame: Frame) -> None:
         return
     if frame.fin:
         data = b"".join(client.parts)
-        client.parts, client.heard = [], now
+        client.parts, client.received_at = [], now
         client.inbox.append(data.decode("utf-8", "replace") if client.text else data)
 
 

@@ -106,7 +106,7 @@ class View:
         self._server.flush(now)
 
     def close(self) -> None:
-        """Tell every client that it ends."""
+        """Send every client the end, and close the port."""
         self._server.close()
 
     def _clients(self, path: str) -> list[Client]:

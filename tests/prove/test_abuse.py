@@ -134,40 +134,34 @@ def rubbish(address: Address, dice: random.Random, held: Held) -> Callable[[], i
     return more
 
 
-def goals(address: Address, dice: random.Random, held: Held) -> Callable[[], int]:
-    """Three pages that ask for goals as fast as they can."""
+def flood(address: Address, held: Held, message: Callable[[], object]) -> Callable[[], int]:
+    """Three pages that send a message as fast as they can."""
     pages = [Browser(address) for _ in range(3)]
     held += pages
 
-    def flood() -> int:
+    def more() -> int:
         count = 0
         for one in pages:
             one.poll()
             if one.open and len(one._out) < 1 << 16:
                 count += 50
                 for _ in range(50):
-                    one.send({"ask": f"goal {dice.uniform(0.0, 1.0):.2f} {dice.uniform(-0.5, 0.5):.2f}"})
+                    one.send(message())
         return count
 
-    return flood
+    return more
+
+
+def goals(address: Address, dice: random.Random, held: Held) -> Callable[[], int]:
+    """Three pages that ask for goals as fast as they can."""
+    return flood(
+        address, held, lambda: {"ask": f"goal {dice.uniform(0.0, 1.0):.2f} {dice.uniform(-0.5, 0.5):.2f}"}
+    )
 
 
 def holds(address: Address, _dice: random.Random, held: Held) -> Callable[[], int]:
     """Three pages that hold a drive as fast as they can."""
-    pages = [Browser(address) for _ in range(3)]
-    held += pages
-
-    def flood() -> int:
-        count = 0
-        for one in pages:
-            one.poll()
-            if one.open and len(one._out) < 1 << 16:
-                count += 50
-                for _ in range(50):
-                    one.send({"held": "drive 0.1 0.2"})
-        return count
-
-    return flood
+    return flood(address, held, lambda: {"held": "drive 0.1 0.2"})
 
 
 KINDS: tuple[Abuse, ...] = (

@@ -1,8 +1,8 @@
 // The cockpit: what comes over the wire is handed to its panels, what a person does becomes lines of the operator's
-// language. The page knows nothing that the robot did not say, and sends nothing that nobody did.
+// language. The page knows nothing that the robot did not setText, and sends nothing that nobody did.
 
 import { Drive } from "./drive.js";
-import { $, number, say, twice } from "./elements.js";
+import { $, number, setText, twice } from "./elements.js";
 import { Joints } from "./joints.js";
 import { Field } from "./map.js";
 import { log, rewind, Settings, showBuses, showFaults, showMission, showSystems } from "./panels.js";
@@ -31,8 +31,8 @@ function hello(message) {
   const live = message.mode === "live";
   steer = live && message.steer;
   document.title = `${message.robot} – cockpit`;
-  say($("robot"), message.robot);
-  say($("mode"), live ? (steer ? "live" : "live, read-only") : message.mode);
+  setText($("robot"), message.robot);
+  setText($("mode"), live ? (steer ? "live" : "live, read-only") : message.mode);
   const { base } = message;
   document.body.classList.toggle("bare", !base);
   $("map").hidden = !base;
@@ -40,7 +40,7 @@ function hello(message) {
   $("stopping").hidden = !live;
   $("record").hidden = $("mission-buttons").hidden = $("drop").hidden = !steer;
   $("ask").hidden = !live;
-  say($("hint"), !steer ? "Drag to move the map." : matchMedia("(pointer: coarse)").matches
+  setText($("hint"), !steer ? "Drag to move the map." : matchMedia("(pointer: coarse)").matches
     ? "After the flag, tap: goal; drag: goal with heading. Else one finger moves the map, two zoom."
     : "Click: goal. Drag: goal with heading. Right button: move the map.");
   $("aim").hidden = !steer;
@@ -64,8 +64,8 @@ function note(message) {
 function answer({ ok, text }) {
   log(ok ? "answer" : "refused", text);
   if (ok && text.includes("\n")) return;
-  say($("said"), text);
-  $("said").className = ok ? "" : "bad";
+  setText($("answer"), text);
+  $("answer").className = ok ? "" : "bad";
 }
 
 function state(message) {
@@ -73,9 +73,9 @@ function state(message) {
   const stopped = message.stop || message.stopped;
   if (stopped) held.end();
   const word = stopped ? "stopped" : message.state;
-  say($("word"), word);
+  setText($("word"), word);
   $("word").dataset.state = word;
-  say($("reason"), message.stopped || message.reason);
+  setText($("reason"), message.stopped || message.reason);
   $("stop").classList.toggle("pressed", message.stop);
   $("release").hidden = !(message.stop && steer);
   showSystems(message.systems);
@@ -85,7 +85,7 @@ function state(message) {
   if (message.playback) {
     replay.take(message.playback);
     rewind(message.t);
-    say($("said"), message.recording);
+    setText($("answer"), message.recording);
   }
   $("both").hidden = !(message.recordings > 1) || query.has("scene");
   if (!robot.base) return;
@@ -93,20 +93,20 @@ function state(message) {
   const [x, y, yaw] = message.pose ?? [];
   const [linear, , lateral] = message.twist ?? [];
   const speed = message.twist ? `  ${number(lateral ? Math.hypot(linear, lateral) : linear, 2, "m/s")}` : "";
-  say($("pose"), message.pose ? `x ${number(x, 2)}  y ${number(y, 2)}  ${number((yaw * 180) / Math.PI, 0)}°${speed}` : "no pose yet");
+  setText($("pose"), message.pose ? `x ${number(x, 2)}  y ${number(y, 2)}  ${number((yaw * 180) / Math.PI, 0)}°${speed}` : "no pose yet");
 }
 
 function lost(why, open) {
   held.end();
-  say($("banner"), why);
+  setText($("banner"), why);
   $("banner").hidden = !why;
   document.body.classList.toggle("lost", Boolean(why));
   $("stop").disabled = Boolean(why) && !open;
-  say($("stop-how"), $("stop").disabled ? "not connected" : "space bar");
+  setText($("stop-how"), $("stop").disabled ? "not connected" : "space bar");
   if (why) $("release").hidden = true;
   $("main").inert = $("replay").inert = Boolean(why) && !open;
   if (!why) return;
-  say($("word"), open ? "silent" : "not connected");
+  setText($("word"), open ? "silent" : "not connected");
   delete $("word").dataset.state;
 }
 

@@ -15,7 +15,7 @@ export function button(text, act, properties = {}) {
 }
 
 // Set a text, only if it is another.
-export function say(element, text) {
+export function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 

@@ -1,6 +1,6 @@
 // The joints: values, the last 20 s of command and feedback, and how bare joints are moved by hand.
 
-import { $, button, holdable, make, number, say, twice } from "./elements.js";
+import { $, button, holdable, make, number, setText, twice } from "./elements.js";
 
 const SPAN = 20; // s
 const GAP = 1; // s without a value that are drawn as such
@@ -15,7 +15,7 @@ export class Joints {
   constructor(wire, held) {
     Object.assign(this, { wire, held, cards: [], times: [], drawn: 0 });
     $("quantity").addEventListener("change", () => this.draw());
-    $("jog").addEventListener("input", () => say($("jog-share"), `${$("jog").value} %`));
+    $("jog").addEventListener("input", () => setText($("jog-share"), `${$("jog").value} %`));
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
     this.seen = new IntersectionObserver(entries => {
       for (const entry of entries) this.cards[entry.target.dataset.row].visible = entry.isIntersecting;
@@ -149,13 +149,13 @@ export class Joints {
 
   show({ mode, clear, values }, row) {
     const [state, armed, kind, value] = row;
-    say(mode, armed && state !== "armed" ? `${state}, armed` : state);
+    setText(mode, armed && state !== "armed" ? `${state}, armed` : state);
     mode.dataset.state = state;
     const quantity = PLOTTED[kind];
-    say(values.command.previousSibling, quantity ? `→ ${kind}` : "command");
-    say(values.command, quantity ? number(value, 2, UNITS[quantity]) : kind || "–");
-    for (const [name, at, digits, unit] of VALUES) say(values[name], number(row[at], digits, unit));
-    say(values.feedback, row[10] === null ? "none yet" : row[10] > 9999 ? "long ago" : `${row[10]} ms ago`);
+    setText(values.command.previousSibling, quantity ? `→ ${kind}` : "command");
+    setText(values.command, quantity ? number(value, 2, UNITS[quantity]) : kind || "–");
+    for (const [name, at, digits, unit] of VALUES) setText(values[name], number(row[at], digits, unit));
+    setText(values.feedback, row[10] === null ? "none yet" : row[10] > 9999 ? "long ago" : `${row[10]} ms ago`);
     clear.hidden = !(row[11] && this.steer);
   }
 }

@@ -1,6 +1,6 @@
-// What the robot says of itself: the three systems, the mission, faults, buses, settings and the log.
+// What the robot reports of itself: the three systems, the mission, faults, buses, settings and the log.
 
-import { $, button, make, number, say } from "./elements.js";
+import { $, button, make, number, setText } from "./elements.js";
 
 const KEPT = 300; // lines of the log
 const MARKS = { info: "i", warning: "! warning", error: "✖ error", asked: "›", answer: "=", refused: "✖ refused" };
@@ -11,20 +11,20 @@ export function showSystems(systems) {
   rows($("systems"), systems, name => make("div", {}, make("dt", { textContent: name }), make("dd", {},
     make("span", { className: "chip" }), " ", make("span"))), (row, [, state, reason]) => {
     const [chip, why] = row.querySelectorAll("span");
-    say(chip, state);
+    setText(chip, state);
     chip.dataset.state = state;
-    say(why, reason);
+    setText(why, reason);
   });
 }
 
 export function showMission(mission) {
   $("mission").hidden = !mission;
   if (!mission) return;
-  say($("mission-name"), mission.name);
-  say($("mission-phase"), mission.phase);
+  setText($("mission-name"), mission.name);
+  setText($("mission-phase"), mission.phase);
   $("mission-phase").dataset.state = mission.phase;
   const step = mission.step ? `step ${mission.step} of ${mission.steps}: ${mission.text}` : `${mission.steps} steps`;
-  say($("mission-step"), mission.reason ? `${step} (${mission.reason})` : step);
+  setText($("mission-step"), mission.reason ? `${step} (${mission.reason})` : step);
 }
 
 let shown = "";
@@ -34,7 +34,7 @@ export function showFaults(faults, clear) {
   shown = all;
   $("clear").hidden = !clear || !faults.length;
   $("to-faults").hidden = !faults.length;
-  say($("to-faults"), `${faults.length} fault${faults.length > 1 ? "s" : ""}`);
+  setText($("to-faults"), `${faults.length} fault${faults.length > 1 ? "s" : ""}`);
   $("faults").replaceChildren(...faults.map(fault => {
     const code = fault.code > 0 ? `0x${fault.code.toString(16)}` : `${fault.code}`;
     const element = make("article", { className: "fault" },
@@ -61,22 +61,22 @@ export function showBuses(hello, state) {
       if (name) cells[1].append(make("span"), make("meter", { min: 0, max: 1, high: 0.7, optimum: 0, ariaLabel: `load of ${name}` }));
     }
     const trouble = name && !["up", "back", undefined].includes(state.bus_states?.[name]);
-    say(cells[0].lastChild, (one.protocol ?? bus.kind) + (trouble ? `, ${state.bus_states[name]}` : ""));
+    setText(cells[0].lastChild, (one.protocol ?? bus.kind) + (trouble ? `, ${state.bus_states[name]}` : ""));
     cells[0].lastChild.className = trouble ? "bad" : "dim";
     if (name) {
       cells[1].lastChild.value = load ?? 0;
-      say(cells[1].firstChild, load === undefined ? "–" : `${(100 * load).toFixed(1)} %`);
+      setText(cells[1].firstChild, load === undefined ? "–" : `${(100 * load).toFixed(1)} %`);
     }
-    ["accepted", "malformed", "ignored"].forEach((key, i) => say(cells[i + 2], `${one[key] ?? "–"}`));
+    ["accepted", "malformed", "ignored"].forEach((key, i) => setText(cells[i + 2], `${one[key] ?? "–"}`));
     cells[3].classList.toggle("bad", one.malformed > 0);
   });
-  say($("ticks"), `${state.ticks ?? "–"}`);
-  say($("sent"), `${state.sent ?? "–"}`);
-  say($("missed"), `${state.missed ?? "–"}`);
-  say($("longest"), number(state.longest, 2, "ms"));
-  say($("recording"), state.trouble ? `${state.recording}: ${state.trouble}` : state.recording || "off");
+  setText($("ticks"), `${state.ticks ?? "–"}`);
+  setText($("sent"), `${state.sent ?? "–"}`);
+  setText($("missed"), `${state.missed ?? "–"}`);
+  setText($("longest"), number(state.longest, 2, "ms"));
+  setText($("recording"), state.trouble ? `${state.recording}: ${state.trouble}` : state.recording || "off");
   $("record").setAttribute("aria-pressed", Boolean(state.recording));
-  say($("record"), state.recording ? "Stop recording" : "Record");
+  setText($("record"), state.recording ? "Stop recording" : "Record");
 }
 
 // Keep one row per item, made by the item's first value, and filled by all of it.
@@ -129,7 +129,7 @@ export class Settings {
       if (!edited()) input.value = input.defaultValue = short(row.value);
       form.classList.toggle("changed", row.value !== row.file);
       reset.hidden = row.value === row.file || !this.steer;
-      say(file, `robot file: ${short(row.file)}${bounds(row)}`);
+      setText(file, `robot file: ${short(row.file)}${bounds(row)}`);
     }
     this.filter();
   }
@@ -154,22 +154,22 @@ export class Settings {
     const { input, answer } = this.rows.get(key);
     input.defaultValue = input.value = value;
     answer.className = "";
-    say(answer, "…");
+    setText(answer, "…");
     this.wire.ask(`set ${key} ${value}`, ({ ok, text }) => {
-      if (!ok) this.say(key, text, "bad");
+      if (!ok) this.setText(key, text, "bad");
     });
   }
 
   // What became of it stands in a note of the robot's: "KEY = VALUE", or "set KEY: refused: why".
   note({ source, text }) {
     const [, key, ok, rest] = /^(?:set )?(\S+?)(?:( = )|: )(.*)$/s.exec(text) ?? [];
-    if (source === "operator" && this.rows.has(key)) this.say(key, ok ? `now ${rest}` : rest, ok ? "good" : "bad");
+    if (source === "operator" && this.rows.has(key)) this.setText(key, ok ? `now ${rest}` : rest, ok ? "good" : "bad");
   }
 
-  say(key, text, tone) {
+  setText(key, text, tone) {
     const { answer } = this.rows.get(key);
     answer.className = tone;
-    say(answer, text);
+    setText(answer, text);
   }
 
   filter() {
@@ -179,7 +179,7 @@ export class Settings {
       form.hidden = !words.every(word => key.toLowerCase().includes(word));
       count += !form.hidden;
     }
-    say($("count"), `${count} of ${this.rows.size}`);
+    setText($("count"), `${count} of ${this.rows.size}`);
   }
 }
 

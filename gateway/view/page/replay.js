@@ -1,6 +1,6 @@
 // A recording: played, paused, stepped, sought, with what differs from today's code.
 
-import { $, button, make, say } from "./elements.js";
+import { $, button, make, setText } from "./elements.js";
 
 const RATES = [0.1, 0.25, 0.5, 1, 2, 5, 10];
 const KEPT = 3; // states, 100 ms each, until what was sought is in them
@@ -45,30 +45,30 @@ export class Replay {
   take(playback) {
     this.playback = playback;
     const { playing, rate, t, due, length, prepared, differences, under_way } = playback;
-    say($("play"), playing ? "Pause" : "Play");
+    setText($("play"), playing ? "Pause" : "Play");
     if (document.activeElement !== $("rate")) $("rate").value = rate;
     $("seek").max = length;
     if (this.kept) this.kept--;
     else $("seek").value = under_way ? due : t;
     const when = `${t.toFixed(2)} of ${length.toFixed(2)} s${under_way ? " …" : ""}`;
-    say($("when"), when);
+    setText($("when"), when);
     $("seek").setAttribute("aria-valuetext", when);
     const found = differences.length;
-    say($("prepared"), `${Math.floor(100 * prepared)} % compared, ${found || "no"} difference${found === 1 ? "" : "s"}`);
+    setText($("prepared"), `${Math.floor(100 * prepared)} % compared, ${found || "no"} difference${found === 1 ? "" : "s"}`);
     $("ready").style.width = `${100 * prepared}%`;
     const marks = JSON.stringify([length, differences]);
     if (marks === this.marks) return;
     this.marks = marks;
     $("marks").replaceChildren(...differences.map(one => this.mark(one, length)));
     $("first").hidden = !differences.length;
-    say($("difference"), differences.length ? describe(differences[0]) : "");
+    setText($("difference"), differences.length ? describe(differences[0]) : "");
   }
 
   mark({ t, kind, text }, length) {
     const what = describe({ t, kind, text });
     const mark = button("", () => {
       this.seek(t);
-      say($("difference"), what);
+      setText($("difference"), what);
     }, { title: what, ariaLabel: `difference: ${what}` });
     mark.style.left = `${(100 * t) / (length || 1)}%`;
     return mark;

@@ -1,8 +1,8 @@
-// The page's end of the wire: gateway/view/cockpit.py says what goes over it. Nothing is sent by itself, but that the
+// The page's end of the wire: gateway/view/cockpit.py describes what goes over it. Nothing is sent by itself, but that the
 // page is still there.
 
 const RETRY = 1000; // ms between attempts to connect
-const SILENT = 1500; // ms without a message after which a person is told,
+const SILENT = 1500; // ms without a message after which a person is warned,
 const DEAD = 5000; // and after which the connection is made anew
 const ALIVE = 2000; // ms between two messages that the page is still there
 
@@ -26,36 +26,36 @@ export class Wire {
     this.socket.binaryType = "arraybuffer";
     this.socket.onmessage = event => this.receive(event.data);
     this.socket.onclose = event => this.drop(event.reason);
-    this.heard = performance.now();
+    this.receivedAt = performance.now();
   }
 
   drop(reason) {
     this.socket.onmessage = this.socket.onclose = null;
     this.socket.close();
-    this.heard = performance.now();
+    this.receivedAt = performance.now();
     this.asked.clear();
-    this.tell(`Not connected${reason && `: ${reason}`}. The robot receives nothing from this page. Trying again …` +
+    this.warn(`Not connected${reason && `: ${reason}`}. The robot receives nothing from this page. Trying again …` +
       (this.known ? "" : " Open the address that the gateway printed, with its token."));
   }
 
   watch() {
-    const silence = performance.now() - this.heard;
+    const silence = performance.now() - this.receivedAt;
     if (this.socket.onclose === null) {
       if (silence > RETRY) this.connect();
     } else if (silence > DEAD) this.drop("");
-    else if (this.open && silence > SILENT) this.tell("No data from the robot. What is shown is old.");
+    else if (this.open && silence > SILENT) this.warn("No data from the robot. What is shown is old.");
   }
 
-  tell(why) {
+  warn(why) {
     if (why !== this.why) this.lost((this.why = why), this.open);
   }
 
   receive(data) {
-    this.heard = performance.now();
+    this.receivedAt = performance.now();
     this.known = true;
-    this.tell("");
-    if (this.heard - this.alive > ALIVE) {
-      this.alive = this.heard;
+    this.warn("");
+    if (this.receivedAt - this.alive > ALIVE) {
+      this.alive = this.receivedAt;
       this.send({});
     }
     let message, bytes;
@@ -107,7 +107,7 @@ export class Held {
   }
 
   repeat() {
-    if (!this.wire.send({ held: this.line() })) this.end(); // what nobody hears does not begin later by itself
+    if (!this.wire.send({ held: this.line() })) this.end(); // what is not received does not begin later by itself
   }
 
   end() {

@@ -142,19 +142,19 @@ class Chromium:
         return answer["result"]
 
     def _note(self, event: Any) -> None:
-        tab, method, said = (
+        tab, method, given = (
             self.tabs.get(event.get("sessionId", "")),
             event.get("method"),
             event.get("params"),
         )
         if tab is None:
             return
-        if method == "Log.entryAdded" and said["entry"]["level"] in ("error", "warning"):
-            tab.problems.append(said["entry"]["text"])
+        if method == "Log.entryAdded" and given["entry"]["level"] in ("error", "warning"):
+            tab.problems.append(given["entry"]["text"])
         elif method == "Runtime.exceptionThrown":
-            tab.problems.append(json.dumps(said["exceptionDetails"]))
-        elif method == "Runtime.consoleAPICalled" and said["type"] in ("error", "warning", "assert"):
-            tab.problems.append(json.dumps(said["args"]))
+            tab.problems.append(json.dumps(given["exceptionDetails"]))
+        elif method == "Runtime.consoleAPICalled" and given["type"] in ("error", "warning", "assert"):
+            tab.problems.append(json.dumps(given["args"]))
 
     def open(self, url: str, width: int = 1440, height: int = 900, *, before: str = "") -> Tab:
         """Open a page; `before` is a script that runs before its own."""

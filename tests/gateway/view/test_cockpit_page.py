@@ -652,7 +652,7 @@ def test_two_recordings_are_played_beside_each_other(browser: Chromium, tmp_path
         tab.until(f"{FRAMES}.length === 2")
         tab.until("document.activeElement === document.querySelector('iframe')")  # keys act at once
         for page in (0, 1):
-            tab.until(f"{FRAMES}[{page}].querySelector('#said')?.textContent === 'drive{page + 1}.mcap'")
+            tab.until(f"{FRAMES}[{page}].querySelector('#answer')?.textContent === 'drive{page + 1}.mcap'")
             tab.until(f"{FRAMES}[{page}].querySelector('#prepared').textContent.startsWith('100 %')")
             tab.until(f"!{FRAMES}[{page}].querySelector('#first').hidden")
         ends = [f"{when[8:-2]} of {when[8:]}" for when in tab.run(each % ("when", "textContent"))]

@@ -326,7 +326,7 @@ def test_a_slow_client_gets_every_note_and_the_newest_of_the_rest(loop: Bench) -
     times = [t for t, _ in app.of("/odom")]
     estimate = loop.session.belief.estimate
     assert estimate is not None
-    assert 0 <= estimate.t - times[-1] < 20_000_000
+    assert 0 <= estimate.t - times[-1] <= 20_000_000  # what was sent in the last tick is not read yet
     assert max(b - a for a, b in pairwise(times)) > 10**9
     assert len(app.of("/can0/from_can_bus")) < frames
 
@@ -573,7 +573,7 @@ def test_a_parameter_out_of_its_bounds_stays(loop: Bench) -> None:
     app.send({"op": "setParameters", "parameters": [{"name": "left.limits.torque", "value": 9}], "id": "x"})
     loop.until(lambda: bool(app.op("parameterValues")))
     assert app.op("parameterValues")[0]["parameters"][0]["value"] == 2.0
-    assert app.statuses() == [(WARNING, "left.limits.torque is not set: /rosout tells why")]
+    assert app.statuses() == [(WARNING, "left.limits.torque is not set: the reason is in /rosout")]
 
 
 @pytest.mark.parametrize(
