@@ -272,8 +272,8 @@ def test_reports_that_were_read_late_and_all_at_once_are_no_fault(stall: int) ->
 
 @pytest.mark.parametrize("stall", [60, 90, 150, 300])
 def test_reports_that_catch_up_over_some_steps_are_no_fault(stall: int) -> None:
-    """What sends them stood still, too: two come in each step, with the time at which they are read, until all
-    of the stall is made up for."""
+    """What sends them stood still, too: two come in each step, with the time at which they are read, until
+    all of the stall is made up for."""
     fed, t = Fed(feedback_timeout=SECOND), 0.0
     for _ in range(10):
         fed.run(0.5, msg.Velocity("m", 8.0), partial(turning, t))
