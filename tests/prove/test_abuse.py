@@ -203,7 +203,7 @@ def test_abuse_of_the_view_stops_neither_loop_nor_operator(kind: Abuse) -> None:
             page.poll()
         ask(path, "goal 1.5 0.5")
         before, used, count = ticks(path), robot.processor_time(), 0
-        held: Held = [page]
+        held: Held = []
         go_on = kind(address, random.Random(7), held)
         end, told = time.monotonic() + SECONDS, 0.0
         while time.monotonic() < end:
@@ -223,7 +223,7 @@ def test_abuse_of_the_view_stops_neither_loop_nor_operator(kind: Abuse) -> None:
         waited = time.monotonic() - asked
         assert "enough" in ask(path, "status")
         status, text = robot.end(SIGTERM)
-        for one in held:
+        for one in (page, *held):
             one.close()
         longest = re.search(r"longest step ([\d.]+ ms)", text)
         made, missed = after[0] - before[0], after[1] - before[1]
