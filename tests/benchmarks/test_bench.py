@@ -1,7 +1,7 @@
 """The bench: that all of it is measured, that rivals do the same work, that the table tells what it should.
 
 No time is judged here. One quick run of the whole (with its processes and its recording, on a wall clock) is
-shared by the tests that look at its outcome.
+shared by the tests that look at its outcome; they are run by `./go prove`.
 """
 
 from __future__ import annotations
@@ -99,6 +99,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     return Run(status, "\n".join(said), json.loads(file.read_text(encoding="utf-8")))
 
 
+@pytest.mark.prove
 def test_every_row_is_there_once_and_in_order(run: Run) -> None:
     assert run.status == 0
     assert [row["what"] for row in run.rows] == [
@@ -125,6 +126,7 @@ def test_every_row_is_there_once_and_in_order(run: Run) -> None:
     ]
 
 
+@pytest.mark.prove
 def test_the_document_says_of_each_row_what_was_measured_or_why_not(run: Run) -> None:
     assert set(run.document) == {"format", "quick", "machine", "rows"}
     assert (run.document["format"], run.document["quick"]) == (1, True)
@@ -140,6 +142,7 @@ def test_the_document_says_of_each_row_what_was_measured_or_why_not(run: Run) ->
                 assert reported["samples"] >= 1
 
 
+@pytest.mark.prove
 def test_ratios_are_finite_and_theirs_by_ours(run: Run) -> None:
     ratios = [(row, other) for row in run.rows for other in row["beside"] if other["ratio"] is not None]
     assert len(ratios) >= 25
@@ -148,15 +151,18 @@ def test_ratios_are_finite_and_theirs_by_ours(run: Run) -> None:
         assert other["ratio"] == pytest.approx(other["theirs"]["median"] / row["ours"]["median"])
 
 
+@pytest.mark.prove
 def test_every_row_that_ran_stands_beside_something(run: Run) -> None:
     assert all(row["beside"] for row in run.rows if row["ours"] is not None)
 
 
+@pytest.mark.prove
 def test_every_target_of_the_project_is_judged(run: Run) -> None:
     assert {row["what"] for row in run.rows if row["target"]} == TARGETS
     assert all(row["target"]["met"] in (True, False) for row in run.rows if row["target"])
 
 
+@pytest.mark.prove
 def test_what_is_not_installed_is_told_by_name(run: Run) -> None:
     """scikit-image is no dependency of ours: it may be there or not, but it is always spoken of."""
     there = not measure.rival("skimage", "scikit-image").why_not
@@ -166,6 +172,7 @@ def test_what_is_not_installed_is_told_by_name(run: Run) -> None:
     assert there or all(other["not_run"] == "scikit-image is not installed" for other in others)
 
 
+@pytest.mark.prove
 def test_the_machine_is_told(run: Run) -> None:
     machine = run.document["machine"]
     assert {"python", "platform", "load average", "processors", "preemptions", "seconds"} <= set(machine)
@@ -173,6 +180,7 @@ def test_the_machine_is_told(run: Run) -> None:
     assert "--quick: these figures are rough" in run.printed
 
 
+@pytest.mark.prove
 def test_the_table_has_a_line_for_every_comparison(run: Run) -> None:
     table = run.printed.splitlines()
     for row in run.rows:

@@ -42,7 +42,7 @@ def summary(name: str, results: Sequence[Result]) -> str:
     return f"| `{name}` | {passed} | {failed} | {len(inapplicable)}: {', '.join(inapplicable)} |"
 
 
-SHARE = 4
+SHARE = 8
 """One in so many of a plugin's options (the models of a family, above all) is tried here."""
 
 
