@@ -225,7 +225,10 @@ class Session:
             return use(self._view)
         except Exception:
             log.exception("the live view has failed, and is closed")
-            self.close_view()
+            try:
+                self.close_view()
+            except Exception:  # what was held has its end already
+                log.exception("the live view could not be closed")
             return None
 
     def close(self) -> None:

@@ -209,7 +209,14 @@ def test_a_view_that_fails_is_closed_and_keeps_nothing_from_the_robot(
         def fail() -> list[Instruction]:
             raise ZeroDivisionError
 
+        close = view.close
+
+        def fail_to_close() -> None:
+            close()
+            raise OSError
+
         monkeypatch.setattr(view, "poll", fail)
+        monkeypatch.setattr(view, "close", fail_to_close)
         watched.until(lambda: stands(session))
         assert session.view_url == ""
         assert "the live view has failed" in caplog.text
