@@ -58,7 +58,10 @@ class Hold:
 
 @value
 class Position:
-    """Move to a position [rad], with feed-forward of velocity [rad/s] and torque [N·m]."""
+    """Move to a position [rad], with feed-forward of velocity [rad/s] and torque [N·m].
+
+    Given once, or again and again: come to rest there. Those that change step by step, with a velocity, are
+    samples of a trajectory: each is followed as it is given where the limits allow it."""
 
     motor: str
     position: float
@@ -173,6 +176,13 @@ class Home:
 
 
 @value
+class Confirm:
+    """The position that the motor reports is the true one: a person has looked, after it had jumped."""
+
+    motor: str
+
+
+@value
 class ReadParameter:
     """Read a parameter of the device, by the device's name for it."""
 
@@ -214,6 +224,7 @@ Request: TypeAlias = (
     | SetId
     | Zero
     | Home
+    | Confirm
     | ReadParameter
     | WriteParameter
     | Reboot

@@ -302,7 +302,7 @@ class Guard:
         if isinstance(one, msg.Torque):
             return None
         position, slack = bounds.at_joint(one, "position")
-        if not abs(limits.inside(position) - position) <= slack:  # NaN and infinities are not
+        if not self._leads_in(now, one, position, slack, measured.position):  # NaN and infinities do not
             return "position beyond the limit", f"{position:g}, limits {limits.position}"
         if isinstance(one, msg.Impedance):
             pull = bounds.pull(one, measured)
@@ -314,6 +314,22 @@ class Guard:
                     return None
             return "a jump of the position", f"{position:g} after {there:g}"
         return None
+
+    def _leads_in(
+        self,
+        now: Nanos,
+        one: msg.Position | msg.Impedance,
+        position: float,
+        slack: float,
+        measured: float | None,
+    ) -> bool:
+        """True if a position is within the range, or no farther out than the shaft, or the last set-point."""
+        bounds = self._motors[one.motor]
+        before = [bounds.limits.inside(position) if measured is None else measured]
+        last = self._last.get((one.motor, None))
+        if last is not None and now - last[0] <= GOES_ON and hasattr(last[1], "position"):
+            before.append(bounds.at_joint(last[1], "position")[0])
+        return any(abs(bounds.limits.led_in(position, each) - position) <= slack for each in before)
 
     def _before(
         self, now: Nanos, one: msg.Velocity | msg.Position, quantity: str, *measured: float

@@ -20,7 +20,8 @@ from brain.control.pid import Loop, LoopSettings
 from gateway.core import following
 from gateway.core.bounds import Bounds
 from gateway.core.following import Following
-from gateway.core.limits import Limits, Profile
+from gateway.core.limits import Limits, Profile, softened
+from gateway.core.reference import ANEW, Reference
 from protocols import messages as msg
 from protocols.messages import MILLISECOND, SECOND, Command, Mode, Nanos
 from protocols.plugin import FeedbackKind, Spec
@@ -28,6 +29,7 @@ from protocols.plugin import FeedbackKind, Spec
 JointEvent: TypeAlias = msg.Feedback | msg.State | msg.Fault
 
 FEEDBACK_LOST, DISARMED_ITSELF, ARMED_AGAINST_IDLE, STILL_ARMED = -1, -2, -3, -6
+UNREFERENCED, BEYOND_TRAVEL = -20, -21
 """Our own fault codes (-4 and -5: `gateway.core.step`; from -7 on: `gateway.core.following`)."""
 _OWN_FAULTS: dict[int, tuple[str, str, str]] = {
     FEEDBACK_LOST: (
@@ -70,13 +72,25 @@ _OWN_FAULTS: dict[int, tuple[str, str, str]] = {
         "supply, phases, a limit of the device's own that is lower than limits.torque",
         "find the cause",
     ),
+    UNREFERENCED: (
+        "its position is not known: {}",
+        "a turn that was lost with the supply, a restart, an encoder that starts at zero, or it was turned",
+        "zero it or home it, or look where it stands and confirm it",
+    ),
+    BEYOND_TRAVEL: (
+        "is beyond its end of travel: {}",
+        "a torque or a load drove it there, a slipping coupling, or wrong limits",
+        "bring it back within its range",
+    ),
 }
 """By code: name (with a detail), cause, remedy."""
-_NOT_OBEYING = frozenset(_OWN_FAULTS) - {FEEDBACK_LOST, DISARMED_ITSELF}
+_NOT_OBEYING = frozenset(_OWN_FAULTS) - {FEEDBACK_LOST, DISARMED_ITSELF, UNREFERENCED, BEYOND_TRAVEL}
 """With such a fault a device is sent Idle, whatever its stop action."""
 MAX_FAULTS = 64
 """Faults that latch, whatever a device reports; our own find room beside them."""
-_OWN_MOTION = frozenset({"Zero", "Home", "Reboot"})
+_REFERENCES = frozenset({"Zero", "Home"})
+"""Requests after which the position is known."""
+_OWN_MOTION = _REFERENCES | {"Reboot"}
 """Requests under which a device moves, or gives its position another value, by itself."""
 
 DISARMING: Nanos = 500 * MILLISECOND
@@ -158,6 +172,8 @@ class Joint:
         self._holds_loads = "Hold.torque" in spec.ranges
         self._feeds_velocity = "Position.velocity" in spec.ranges
         """Whether Position takes the velocity on the way; else the device follows the position alone."""
+        self._gains = spec.gains
+        """Of the spring and damper that the device makes of Position, Velocity and Hold"""
         self._replies_only = spec.feedback is FeedbackKind.REPLY
         self._ratio = settings.gear * settings.sign
         self._following = Following(
@@ -175,6 +191,19 @@ class Joint:
         """Whether any command but Idle has been sent: only then is the stop command sent."""
         self.refused = ""
         """Why the brain's last command was refused; "" if it was accepted."""
+        self._noted = ""
+        """The refusal that was last noted: a command is repeated at every step."""
+        self._reference = Reference(settings.limits, spec, settings.gear)
+        self._reading: tuple[Nanos, float] | None = None
+        """The newest position of this step, with its time."""
+        self._by_position = settings.limits.position is not None
+        """Whether it matters where its zero is: it has a range, or was commanded to positions."""
+        self._reach = settings.limits.margin
+        """rad: how far outside its range it may be."""
+        self._held: float | None = None
+        """rad, where the first of the present Holds was given."""
+        self._intended: Command = msg.Idle(name)
+        """The last command sent, before the spring that makes it was softened."""
         self._unreported: list[msg.Fault] = []
         self._command: Command | None = None
         """The brain's last accepted command."""
@@ -245,14 +274,27 @@ class Joint:
 
     def on_request(self, now: Nanos, request: msg.Request) -> None:
         """Note a request that is passed to the device."""
-        if type(request).__name__ in _OWN_MOTION:
-            self._own_motion = type(request).__name__, now
+        kind = type(request).__name__
+        if kind in _OWN_MOTION:
+            self._own_motion = kind, now
+        if kind in _REFERENCES:
+            self._reference.give_anew(now + HOMING_MOST)
 
-    def on_answer(self, request: str) -> None:
+    def on_answer(self, now: Nanos, request: str, *, done: bool) -> None:
         """Note the answer to a request of this name."""
         if self._own_motion is not None and self._own_motion[0] == request:
             self._own_motion = None
             self._following.forget_motion()
+        if request in _REFERENCES:
+            self._reference.give_anew(now + ANEW if done else now)
+            if done:
+                self.confirm()
+
+    def confirm(self) -> None:
+        """Take the reported position as the true one: it was zeroed, homed, or a person has looked."""
+        self._reference.confirm()
+        for key in [key for key in self.faults if key[0] == UNREFERENCED]:
+            del self.faults[key]
 
     def _on_feedback(self, event: msg.Feedback) -> msg.Feedback | None:
         ratio, old, t = self._ratio, self.feedback, event.t
@@ -272,6 +314,7 @@ class Joint:
             self._following.on_motion(t, position, velocity)
         if position is not None:
             self._position_at, self._position_lost = t, False
+            self._reading = t, position
         self.feedback = msg.Feedback(
             self.name,
             t,
@@ -302,6 +345,13 @@ class Joint:
         self._command = None
         self._profile.forget()
         self._following.restart()
+        self._reach = max(self.settings.limits.margin, self._outside())
+
+    def take_refused(self) -> str:
+        """Return why the brain's command is refused, if that is news; else ""."""
+        refused, before = self.refused, self._noted
+        self._noted, self.refused = refused, ""
+        return refused if refused != before else ""
 
     @property
     def sent(self) -> Command:
@@ -335,9 +385,12 @@ class Joint:
             limit = f"{self.settings.feedback_timeout / MILLISECOND:g} ms"
             self.latch(self._fault(now, FEEDBACK_LOST, limit))
         self._forget_lost_position()
+        self._check_reading(now)
         self._judge(now, stopped)
         self._check_idle(now)
-        out = self._limited(now, self._wanted(now, stopped, last, leaving), stopped)
+        wanted = self._wanted(now, stopped, last, leaving)
+        self._intended = self._limited(now, self._placed(now, wanted, stopped), stopped)
+        out = self._softened(self._intended)
         if isinstance(out, msg.Impedance) and not stopped:
             self._damping = out.damping
         if not isinstance(out, msg.Idle):
@@ -376,6 +429,62 @@ class Joint:
         self._profile.forget()
         self.refused = "its position is lost: the device no longer reports it"
 
+    # -- where it is ------------------------------------------------------------------------------
+
+    def _outside(self) -> float:
+        """Return how far outside its range it is [rad]."""
+        position = self.feedback.position
+        return 0.0 if position is None else self.settings.limits.outside(position)
+
+    def _check_reading(self, now: Nanos) -> None:
+        """Latch a fault if the position has jumped, or the shaft has left its range under a command."""
+        reading, self._reading = self._reading, None
+        if reading is not None and self._by_position:
+            t, position = reading
+            if wrong := self._reference.read(t, position, self.feedback.velocity or 0.0):
+                self.latch(self._fault(now, UNREFERENCED, wrong))
+        outside = self._outside()
+        if isinstance(self._out, msg.Idle) or not self.armed:
+            self._reach = max(self.settings.limits.margin, outside)
+        elif outside > self._reach and self._own_motion is None:
+            self._reach = outside
+            self.latch(self._fault(now, BEYOND_TRAVEL, self._place()))
+
+    def _place(self) -> str:
+        low, high = self.settings.limits.position or (-inf, inf)
+        return f"reads {self.feedback.position or 0.0:.4g} rad, limits [{low:g}, {high:g}]"
+
+    def _placed(self, now: Nanos, wanted: Command, stopped: bool) -> Command:
+        """Return what is wanted, if it is known where the joint is, and near enough to its range to begin."""
+        if stopped or self.faults or isinstance(wanted, msg.Idle):
+            return wanted
+        why = self._reference.lost and f"{self._reference.lost}: zero it or home it, or confirm it"
+        margin = self.settings.limits.margin
+        if not why and isinstance(self._out, msg.Idle) and self._outside() > margin:
+            why = (
+                f"{self._place()}: a turn lost? zero it or home it; if it is there, "
+                f"move it by hand to within {margin:g} rad of its range"
+            )
+        if not why:
+            self._by_position = self._by_position or isinstance(wanted, msg.Position | msg.Impedance)
+            return wanted
+        if self.settings.on_fault == "stop":  # others may depend on where it is
+            self.latch(self._fault(now, UNREFERENCED, why))
+        else:
+            self.refused = why
+        return self._hold() if self.armed and isinstance(self._out, msg.Hold) else msg.Idle(self.name)
+
+    def _softened(self, out: Command) -> Command:
+        """Return a command that the device makes a spring of, softened where that would pull too hard."""
+        if not isinstance(out, msg.Hold):
+            self._held = None
+        elif self._held is None:
+            self._held = self.feedback.position
+        if self._gains is None or not isinstance(out, msg.Position | msg.Velocity | msg.Hold):
+            return out
+        stiffness, damping = (gain * self._ratio * self._ratio for gain in self._gains)
+        return softened(out, self._held, stiffness, damping, self.feedback, self.settings.limits)
+
     def _judge(self, now: Nanos, stopped: bool) -> None:
         """Latch a fault if the motion is not what the last command was to make."""
         if self._own_motion is not None and now - self._own_motion[1] > HOMING_MOST:
@@ -384,7 +493,7 @@ class Joint:
         if age is None or self.mode is not Mode.ARMED or isinstance(self._out, msg.Idle):
             self._following.restart()
         elif self._own_motion is None and (
-            found := self._following.judge(now, self._out, self.feedback, age)
+            found := self._following.judge(now, self._intended, self.feedback, age)
         ):
             code, detail = found
             if stopped and isinstance(self._out, msg.Hold):
@@ -461,9 +570,10 @@ class Joint:
 
     def _accept(self, now: Nanos, new: Command) -> None:
         # One that was accepted before is as good now: a command never changes.
-        self.refused = "" if new is self._command else self._objection(new)
-        if not self.refused:
+        refused = "" if new is self._command else self._objection(new)
+        if not refused:
             self._command, self._command_at = new, now
+        self.refused = refused
 
     def _objection(self, new: Command) -> str:
         if type(new) not in self._supported:

@@ -1,8 +1,13 @@
 """Limits of a joint, and the set-points that keep them. At the output shaft, in SI.
 
-Rules. A set-point never jumps: it starts at the measured position, and moves within the limits of velocity,
-acceleration and, if there is one, jerk. The end of travel takes precedence over acceleration and jerk. Where
-the position of the shaft must be known and is not, nothing moves.
+Rules. A set-point never jumps: it starts at the measured position and velocity, and moves within the limits
+of velocity, acceleration and, if there is one, jerk. A shaft that is outside its range is led inwards from
+where it is, and no further out. The end of travel takes precedence over acceleration and jerk. Where the
+position of the shaft must be known and is not, nothing moves.
+
+A Position is a place to come to rest at; one that changes at every step, with the velocity that it has there,
+is a sample of a trajectory, which is followed as it is given where the limits allow it. A velocity without a
+change of the position means nothing.
 """
 
 from __future__ import annotations
@@ -21,6 +26,17 @@ FARTHEST = 1e5
 TAPER = 0.25
 """Share of the limit of velocity over which an accelerating torque falls to nothing at the limit: measured
 velocities are old."""
+SETTLING = 0.07
+"""s: a velocity nears its limit with this time constant, since a device's loops overshoot where an
+acceleration ends at once."""
+CATCHING_UP = 0.95
+"""Share of the limit of velocity that a way to a position takes: its loop catches up by turning faster."""
+REACHED = 1e-3
+"""Share of the limit of velocity within which it is reached."""
+LATEST_SAMPLE = 0.1
+"""s: positions that change less often than that are no trajectory."""
+EXACT = 1.0 + 1e-6
+"""By how much a trajectory may exceed a limit by rounding."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +53,8 @@ class Limits:
     """rad, lowest and highest; None for a wheel"""
     jerk: Annotated[float, Bounds(0.1, 1e7)] | None = None
     """rad/s³; None: not limited"""
+    margin: Annotated[float, Bounds(1e-3, 1.5)] = 0.1
+    """rad beyond the range from which a joint is led back: farther out, its position is taken to be wrong"""
 
     def __post_init__(self) -> None:
         if self.position is None:
@@ -53,6 +71,17 @@ class Limits:
             return position
         low, high = self.position
         return position if low <= position <= high else max(low, min(high, position))
+
+    def outside(self, position: float) -> float:
+        """Return how far outside the range a position is [rad]; 0 within."""
+        return abs(position - self.inside(position))
+
+    def led_in(self, position: float, before: float) -> float:
+        """Return the nearest position that is within the range, or no farther out than `before`."""
+        if self.position is None:
+            return position
+        low, high = self.position
+        return max(min(low, before), min(max(high, before), position))
 
     def torque_now(self, wanted: float, measured: Feedback) -> float:
         """Return a torque within its limit that accelerates no shaft beyond its velocity or end of travel."""
@@ -90,13 +119,19 @@ class Profile:
         self._velocity: float | None = None
         self._acceleration = 0.0
         """rad/s², where the jerk is limited"""
+        self._sample: Position | None = None
+        """The last position that was wanted,"""
+        self._age = 0.0
+        """its age [s],"""
+        self._apart = 0.0
+        """and the time [s] from the sample before; 0: it is not one of a trajectory."""
         self._plan: tuple[JointProfile, JointLimits, float] | None = None
         """The motion to a position with limited jerk, its limits, and how far it is [s]."""
 
     def forget(self) -> None:
         """Start the next set-point at the measured position and velocity."""
-        self._position = self._velocity = self._plan = None
-        self._acceleration = 0.0
+        self._position = self._velocity = self._plan = self._sample = None
+        self._acceleration = self._age = self._apart = 0.0
 
     def limited(self, wanted: Command, dt: float, measured: Feedback, limits: Limits) -> Command:
         """Return the command that is within the limits, `dt` seconds after the previous one."""
@@ -130,10 +165,10 @@ class Profile:
         if limits.jerk is not None:
             velocity = self._smooth(before, goal, dt, measured, limits)
         elif limits.position is None:
-            velocity = toward(before, goal, limits.acceleration * dt)
+            velocity = faster(before, goal, dt, limits)
         else:
             here = measured.position or 0.0
-            velocity = toward(before, limits.velocity_before_end(goal, here), limits.acceleration * dt)
+            velocity = faster(before, limits.velocity_before_end(goal, here), dt, limits)
             velocity = limits.velocity_before_end(velocity, here)
         self._position, self._velocity, self._plan = None, velocity, None
         return Velocity(wanted.motor, velocity, limits.torque_now(wanted.torque, measured))
@@ -163,30 +198,71 @@ class Profile:
         self._position, self._velocity, self._acceleration = motion.at(t + dt)
 
     def _position_command(self, wanted: Position, dt: float, measured: Feedback, limits: Limits) -> Position:
-        """Follow a trapezoidal profile from the measured position; one of seven parts if jerk is limited."""
+        """Follow a trajectory as it is given; else come to rest at a position, by a trapezoidal profile from
+        the measured one, or one of seven parts if jerk is limited."""
         if self._position is None or self._velocity is None:
-            self._position = measured.position or 0.0
-            self._velocity = clamp(measured.velocity or 0.0, limits.velocity)
-        if limits.jerk is not None:
-            self._follow_plan(limits.inside(wanted.position), dt, limits)
-            torque = limits.torque_now(wanted.torque, measured)
-            return Position(wanted.motor, limits.inside(self._position), self._velocity, torque)
-        rest = limits.inside(wanted.position) - self._position
-        move = velocity = 0.0
-        if rest or self._velocity:  # it is not there yet
-            # the highest speed from which the remaining distance, less this step's, is enough to stop
-            change = limits.acceleration * dt
-            reach = 0.5 * change
-            stopping = max(0.0, sqrt(reach * reach + 2.0 * limits.acceleration * abs(rest)) - reach)
-            speed = copysign(min(limits.velocity, stopping), rest)
-            velocity = toward(self._velocity, speed, change)
-            move = velocity * dt
-            if abs(move) >= abs(rest) and move * rest >= 0.0 and abs(velocity) <= 2.0 * change:
-                move, velocity = rest, 0.0
-        self._position, self._velocity = self._position + move, velocity
-        ahead = velocity if velocity else clamp(wanted.velocity, limits.velocity) if rest == 0.0 else 0.0
+            self._begin(measured, limits)
+        before = self._position or 0.0
+        place, moving = self._sampled(wanted, dt)
+        goal = limits.inside(place)
+        if dt and self._reaches(goal, moving, dt, limits):
+            self._acceleration = (moving - (self._velocity or 0.0)) / dt
+            self._position, self._velocity, self._plan = goal, moving, None
+        elif limits.jerk is not None:
+            self._follow_plan(goal, dt, limits)
+        else:
+            self._approach(goal, moving, dt, limits)
+        self._position = limits.led_in(self._position or 0.0, before)
         torque = limits.torque_now(wanted.torque, measured)
-        return Position(wanted.motor, limits.inside(self._position), ahead, torque)
+        return Position(wanted.motor, self._position, self._velocity or 0.0, torque)
+
+    def _begin(self, measured: Feedback, limits: Limits) -> None:
+        """Begin at the measured position and velocity; outside the range, with none that leads outwards."""
+        here, velocity = measured.position or 0.0, clamp(measured.velocity or 0.0, limits.velocity)
+        outwards = velocity * (here - limits.inside(here)) > 0.0
+        self._position, self._velocity = here, 0.0 if outwards else velocity
+
+    def _sampled(self, wanted: Position, dt: float) -> tuple[float, float]:
+        """Return position [rad] and velocity [rad/s] that a trajectory has now: those of its newest sample,
+        or a moment later; the position at rest, if it is none."""
+        last = self._sample
+        self._age += dt
+        if last is None or wanted.position != last.position:
+            apart = 0.0 if last is None else self._age
+            moves = last is not None and bool(last.velocity or wanted.velocity) and apart <= LATEST_SAMPLE
+            self._sample, self._apart, self._age = wanted, apart if moves else 0.0, 0.0
+        if self._age > self._apart:
+            return wanted.position, 0.0
+        return wanted.position + wanted.velocity * self._age, wanted.velocity if self._apart else 0.0
+
+    def _reaches(self, goal: float, velocity: float, dt: float, limits: Limits) -> bool:
+        """True if a sample can be reached in this step within the limits: it is followed as it is given."""
+        here, before = self._position or 0.0, self._velocity or 0.0
+        change = limits.acceleration * dt * EXACT
+        if not self._apart or abs(velocity) > limits.velocity or abs(velocity - before) > change:
+            return False
+        if limits.jerk is not None:
+            bend = (velocity - before) / dt - self._acceleration
+            if abs(bend) > limits.jerk * dt * EXACT:
+                return False
+        return abs(goal - here - 0.5 * (before + velocity) * dt) <= 0.5 * change * dt
+
+    def _approach(self, goal: float, velocity: float, dt: float, limits: Limits) -> None:
+        """Move on towards a position, to have there the velocity of a trajectory, or none."""
+        here, before = self._position or 0.0, self._velocity or 0.0
+        rest = goal - here
+        if not rest and not before and not velocity:
+            return
+        # the highest speed from which the remaining distance, less this step's, is enough to slow down
+        change = limits.acceleration * dt
+        reach = 0.5 * change
+        stopping = max(0.0, sqrt(reach * reach + 2.0 * limits.acceleration * abs(rest)) - reach)
+        wanted = clamp(velocity + copysign(stopping, rest), CATCHING_UP * limits.velocity)
+        now = faster(before, wanted, dt, limits)
+        move = now * dt
+        if not velocity and abs(move) >= abs(rest) and move * rest >= 0.0 and abs(now) <= 2.0 * change:
+            move, now = rest, 0.0
+        self._position, self._velocity = here + move, now
 
 
 def _spring(wanted: Impedance, measured: Feedback, limits: Limits) -> Impedance:
@@ -205,6 +281,36 @@ def _spring(wanted: Impedance, measured: Feedback, limits: Limits) -> Impedance:
     return Impedance(wanted.motor, position, velocity, share * torque, share * stiffness, share * damping)
 
 
+def softened(
+    wanted: Position | Velocity | Hold,
+    held: float | None,
+    stiffness: float,
+    damping: float,
+    measured: Feedback,
+    limits: Limits,
+) -> Command:
+    """Return what is wanted, or a softer spring where its own would pull with more than the limit of torque.
+
+    Args:
+        wanted: within the limits; the device makes a spring and damper of it.
+        held: where Hold is [rad].
+        stiffness, damping: of the device's own [N·m/rad, N·m·s/rad].
+        measured: where the shaft is.
+        limits: of the joint.
+    """
+    here = measured.position or 0.0
+    place = held if isinstance(wanted, Hold) else getattr(wanted, "position", None)
+    velocity = getattr(wanted, "velocity", 0.0)
+    spring = 0.0 if place is None else stiffness
+    goal = here if place is None else place
+    pull = wanted.torque + spring * (goal - here) + damping * (velocity - (measured.velocity or 0.0))
+    if abs(pull) <= limits.torque:
+        return wanted
+    share = limits.torque / abs(pull)
+    torque, spring, damper = (share * each for each in (wanted.torque, spring, damping))
+    return Impedance(wanted.motor, goal, velocity, torque, spring, damper)
+
+
 def _share(value: float, allowed: float) -> float:
     return allowed / value if value else 1.0
 
@@ -212,6 +318,17 @@ def _share(value: float, allowed: float) -> float:
 def clamp(value: float, limit: float) -> float:
     """Return the value within ± limit."""
     return limit if value > limit else -limit if value < -limit else value
+
+
+def faster(value: float, goal: float, dt: float, limits: Limits) -> float:
+    """Return a velocity `dt` seconds further on its way to a goal within the limits of velocity and
+    acceleration."""
+    step, most = limits.acceleration * dt, limits.velocity
+    if goal * value >= 0.0 and abs(goal) > abs(value):
+        left = most - abs(value)
+        if left > REACHED * most:
+            step = min(step, left * dt / (SETTLING + dt))
+    return toward(value, clamp(goal, most), step)
 
 
 def toward(value: float, goal: float, step: float) -> float:

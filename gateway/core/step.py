@@ -253,7 +253,7 @@ class Gateway:
     def _note_answer(self, event: Event) -> None:
         """Note the answer to a request; Done to a ClearFault also clears the joint."""
         if isinstance(event, msg.Done | msg.Refused) and event.name in self.joints:
-            self.joints[event.name].on_answer(event.request)
+            self.joints[event.name].on_answer(event.t, event.request, done=isinstance(event, msg.Done))
         match event:
             case msg.Done(_, request, name, detail):
                 if request == msg.ClearFault.__name__ and name in self.joints:
@@ -301,6 +301,8 @@ class Gateway:
                     self._note("info", "operator", text)
                 case msg.Set(key, value):
                     self._set(key, value)
+                case msg.Confirm(motor):
+                    self._confirm(now, motor)
                 case msg.Scan() | msg.SetId():
                     self._requests.append(one)
                 case _:
@@ -318,6 +320,16 @@ class Gateway:
             objection = f"{key!r} begins with none of {owners}"
         text = f"set {key}: refused: {objection}" if objection else f"{key} = {value:g}"
         self._note("warning" if objection else "info", "operator", text)
+
+    def _confirm(self, now: Nanos, motor: str) -> None:
+        """Take the reported position of a motor as the true one, and answer."""
+        if joint := self.joints.get(motor):
+            joint.confirm()
+            place = "nothing yet" if joint.feedback.position is None else f"{joint.feedback.position:.4g} rad"
+            self._late.append(msg.Done(now, msg.Confirm.__name__, motor, f"it reads {place}"))
+        else:
+            text = f"there is no motor {motor!r}; there are {', '.join(self.joints)}"
+            self._late.append(msg.Refused(now, msg.Confirm.__name__, motor, text))
 
     def _on_motor_request(self, now: Nanos, request: MotorRequest) -> None:
         """Queue a request for its driver, or answer it here if the motor's protocol does not have it."""
@@ -404,9 +416,8 @@ class Gateway:
         for level, text in self.brain.take_notes():
             self._note(level, "brain", text)
         for name, joint in self.joints.items():
-            if joint.refused:
-                self._note("error", name, f"command refused: {joint.refused}")
-                joint.refused = ""
+            if refused := joint.take_refused():
+                self._note("error", name, f"command refused: {refused}")
             for fault in joint.take_unreported():
                 cause = f"; likely cause: {fault.cause}" if fault.cause else ""
                 remedy = f"; {fault.remedy}" if fault.remedy else ""

@@ -353,6 +353,8 @@ COMMANDS: dict[str, _Command] = {
                     msg.Set, (_setting, _number)),
     "zero": _Command("MOTOR", "make the present position zero", msg.Zero, (_motor,)),
     "home": _Command("MOTOR", "run the device's own homing", msg.Home, (_motor,)),
+    "confirm": _Command("MOTOR", "the position it reports is the true one, after it had jumped",
+                        msg.Confirm, (_motor,)),
     "reboot": _Command("MOTOR", "restart the device", msg.Reboot, (_motor,)),
     "read": _Command("MOTOR PARAMETER", "read a parameter of the device by its own name",
                      msg.ReadParameter, (_motor, _text)),

@@ -9,7 +9,7 @@ from protocols.cubemars.options import Options, Settings
 from protocols.cubemars.twin import CubeMarsTwin, memory_of
 from protocols.frames import exact
 from protocols.messages import Command
-from protocols.plugin import Device, FeedbackKind, Plugin, Range, Spec, Watchdog, unchanged
+from protocols.plugin import Device, FeedbackKind, Plugin, Range, Spec, Watchdog
 from protocols.toolkit.assembly import can_motor, decoder_of, driver_of
 
 __all__ = ["plugin"]
@@ -72,7 +72,7 @@ def spec(device: Device) -> Spec:
         ranges=ranges(options),
         watchdog=Watchdog(None, enabled=False, note="" if options.watchdog == "acknowledged" else NOTE),
         faults=cm.FAULTS,
-        canonical=options.gains.canonical if mit else unchanged,
+        **options.gains.of_spec() if mit else {},
         caution=SILENT if mit and not options.sole_host else "",
     )
 

@@ -83,7 +83,7 @@ def spec(device: Device) -> Spec:
         configuration=configured(device),
         save=SAVE,
         receives_also=((REPLY_BASE, 0x7F0),),
-        canonical=options.gains.canonical,
+        **options.gains.of_spec() if options.mode == "mit" else {},
     )
 
 

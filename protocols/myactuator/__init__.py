@@ -53,7 +53,7 @@ def spec(device: Device) -> Spec:
     """Return the contract of one motor. Raises ValueError if its address cannot be one."""
     options: Options = device.options
     timeout = (options.timeout_ms or device.settings.timeout_ms) * MILLISECOND
-    extra = {"canonical": options.gains.canonical} if options.mode == "motion" else {}
+    extra = options.gains.of_spec() if options.mode == "motion" else {}
     return can_motor(
         device,
         options.table,

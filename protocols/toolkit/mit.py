@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
+from typing import Any
 
 from protocols import messages as msg
 from protocols.frames import CanFrame
@@ -126,6 +127,10 @@ class ImpedanceGains:
         if as_damped and abs(command.stiffness - self.stiffness) < step:
             return msg.Position(motor, command.position, velocity, torque)
         return command
+
+    def of_spec(self) -> dict[str, Any]:
+        """Return the fields of a `Spec` that these gains are."""
+        return {"canonical": self.canonical, "gains": (self.stiffness, self.damping)}
 
     def ranges(self) -> dict[str, Range]:
         """Return the ranges of all commands, as in `Spec.ranges`."""

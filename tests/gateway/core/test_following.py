@@ -302,7 +302,7 @@ def test_a_position_that_was_given_another_value_on_request_is_no_jump(request_:
     assert fed.run(0.5, msg.Hold("m"), lambda _: (5.0, 0.0)) == []
     fed.joint.on_request(fed.now, request_)
     assert fed.run(0.5, msg.Hold("m"), lambda _: (0.0, 0.0)) == []
-    fed.joint.on_answer(type(request_).__name__)
+    fed.joint.on_answer(fed.now, type(request_).__name__, done=True)
     assert fed.run(0.5, msg.Hold("m"), lambda _: (0.0, 0.0)) == []
     assert fed.run(0.5, msg.Hold("m"), lambda _: (5.0, 0.0)) == [INCONSISTENT]
 
@@ -312,7 +312,7 @@ def test_requests_that_are_refused_do_not_put_off_the_judgement() -> None:
     for _ in range(20):
         fed.joint.on_request(fed.now, msg.Zero("m"))
         fed.run(0.005, fast, lambda _: (fed.now / SECOND * 0.1, 0.1))
-        fed.joint.on_answer("Zero")
+        fed.joint.on_answer(fed.now, "Zero", done=False)
         faults = fed.run(0.045, fast, lambda _: (fed.now / SECOND * 0.1, 0.1))
     assert faults[:1] == [NOT_FOLLOWED]
 
