@@ -200,8 +200,8 @@ class Spec:
     """Ids that the device obeys beside `sends`, from any sender. Other protocols on its bus must not use
     them."""
     gains: tuple[float, float] | None = None
-    """Stiffness [N·m/rad] and damping [N·m·s/rad], if the device has Impedance and makes a spring and damper of
-    Position and Hold, and a damper of Velocity: their torque is limited as that of an Impedance is."""
+    """Stiffness [N·m/rad] and damping [N·m·s/rad], if the device has Impedance, and makes a spring and damper
+    of Position and Hold, and a damper of Velocity: their torque is limited as that of an Impedance is."""
     caution: str = ""
     """What else a person must know of its options, printed at every start."""
 

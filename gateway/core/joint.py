@@ -20,7 +20,7 @@ from brain.control.pid import Loop, LoopSettings
 from gateway.core import following
 from gateway.core.bounds import Bounds
 from gateway.core.following import Following
-from gateway.core.limits import Limits, Profile, softened
+from gateway.core.limits import Limits, Profile, Swing, softened
 from gateway.core.reference import ANEW, Reference
 from protocols import messages as msg
 from protocols.messages import MILLISECOND, SECOND, Command, Mode, Nanos
@@ -231,7 +231,8 @@ class Joint:
         """N·m·s/rad, of the last spring that was commanded"""
         self._carried = 0.0
         """N·m, when its load began to be lowered"""
-        self._profile = Profile()
+        self._profile = Profile(spec.feedback_period / SECOND)
+        self._swing = Swing(spec.feedback_period / SECOND)
 
     # -- from the device ----------------------------------------------------------------------
 
@@ -307,6 +308,8 @@ class Joint:
         velocity = None if velocity is None else velocity / ratio
         torque = None if torque is None else torque * ratio
         moved = msg.Feedback(event.motor, t, position, velocity, torque, current, voltage, temperature)
+        if velocity is not None:
+            self._swing.on_velocity(t, velocity)
         if position is None and velocity is None:
             t = old.t
         else:
@@ -603,7 +606,10 @@ class Joint:
             self._profile.forget()  # it starts at the position that the shaft has when the device is armed
         dt = max(0, min(now - self._out_at, self.settings.command_timeout)) / SECOND
         limits = self._stopping if stopped or self.faults else self.settings.limits
-        return self._profile.limited(wanted, dt, self.feedback, limits)
+        out = self._profile.limited(wanted, dt, self.feedback, limits)
+        if isinstance(out, msg.Torque):
+            out = msg.Torque(self.name, self._swing.within(out.torque, dt, limits.velocity))
+        return out
 
     def _at_rest(self, *kinds: type[msg.Torque | msg.Velocity]) -> Command:
         """Return the first of these commands that the device has, with the value 0, else Idle."""

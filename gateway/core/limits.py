@@ -19,13 +19,19 @@ from typing import Annotated
 from brain.control.joint_profile import JointLimits, JointState, fastest, velocity_step
 from brain.control.joint_profile import Profile as JointProfile
 from gateway.core.bounds import Bounds
-from protocols.messages import Command, Feedback, Hold, Idle, Impedance, Position, Torque, Velocity
+from protocols.messages import Command, Feedback, Hold, Idle, Impedance, Nanos, Position, Torque, Velocity
 
 FARTHEST = 1e5
 """rad: the farthest end of travel."""
 TAPER = 0.25
 """Share of the limit of velocity over which an accelerating torque falls to nothing at the limit: measured
 velocities are old."""
+BEGINNING = 0.1
+"""s in which a torque may grow to its limit, or ten reports: it is seen how fast a shaft gathers speed by it."""
+UNSEEN = 0.01
+"""s, beside the period of its reports, until it is seen what a torque has done."""
+FORGOTTEN = 0.9
+"""Of what a shaft did by a torque, per report: it may be held up now."""
 SETTLING = 0.07
 """s: a velocity nears its limit with this time constant, since a device's loops overshoot where an
 acceleration ends at once."""
@@ -112,9 +118,10 @@ class Limits:
 
 
 class Profile:
-    """The current set-point of a joint. Its state is plain data."""
+    """The current set-point of a joint whose device reports every `period` seconds. Its state is plain data."""
 
-    def __init__(self) -> None:
+    def __init__(self, period: float = 0.0) -> None:
+        self._beginning = max(BEGINNING, 10.0 * period)
         self._position: float | None = None
         self._velocity: float | None = None
         self._acceleration = 0.0
@@ -125,13 +132,15 @@ class Profile:
         """its age [s],"""
         self._apart = 0.0
         """and the time [s] from the sample before; 0: it is not one of a trajectory."""
+        self._begun = 0.0
+        """s since a torque is commanded"""
         self._plan: tuple[JointProfile, JointLimits, float] | None = None
         """The motion to a position with limited jerk, its limits, and how far it is [s]."""
 
     def forget(self) -> None:
         """Start the next set-point at the measured position and velocity."""
         self._position = self._velocity = self._plan = self._sample = None
-        self._acceleration = self._age = self._apart = 0.0
+        self._acceleration = self._age = self._apart = self._begun = 0.0
 
     def limited(self, wanted: Command, dt: float, measured: Feedback, limits: Limits) -> Command:
         """Return the command that is within the limits, `dt` seconds after the previous one."""
@@ -151,8 +160,11 @@ class Profile:
             case Position():
                 return self._position_command(wanted, dt, measured, limits)
             case Torque():
+                begun = self._begun + dt
                 self.forget()
-                return Torque(wanted.motor, limits.torque_now(wanted.torque, measured))
+                self._begun = begun
+                most = limits.torque * min(1.0, begun / self._beginning)
+                return Torque(wanted.motor, limits.torque_now(clamp(wanted.torque, most), measured))
             case Impedance():
                 self.forget()
                 return _spring(wanted, measured, limits)
@@ -263,6 +275,45 @@ class Profile:
         if not velocity and abs(move) >= abs(rest) and move * rest >= 0.0 and abs(now) <= 2.0 * change:
             move, now = rest, 0.0
         self._position, self._velocity = here + move, now
+
+
+class Swing:
+    """How fast a shaft gathers speed by the torques that it is given; they are limited before it is too fast.
+
+    What is measured is old: a light shaft passes its limit of velocity before that is reported. The torque given
+    since then is known, and what torque did to the velocity between two reports. State is plain data."""
+
+    def __init__(self, period: float) -> None:
+        self._period = period
+        """s between two reports of the device"""
+        self._velocity = 0.0
+        """rad/s, as last reported"""
+        self._reported_at: Nanos = 0
+        self._given = self._unseen = 0.0
+        """N·m·s: torque by time between the last two reports, and since the last"""
+        self._per_impulse = 0.0
+        """rad/s per N·m·s, as seen in the reports: the inverse of the inertia"""
+
+    def on_velocity(self, t: Nanos, velocity: float) -> None:
+        """Note what was measured at `t`: it shows what was given before the report that it follows."""
+        if t <= self._reported_at:
+            return
+        change, given = velocity - self._velocity, self._given
+        seen = change / given if change * given > 0.0 else 0.0
+        self._per_impulse = max(seen, FORGOTTEN * self._per_impulse)
+        self._given, self._unseen = self._unseen, 0.0
+        self._reported_at, self._velocity = t, velocity
+
+    def within(self, torque: float, dt: float, limit: float) -> float:
+        """Return a torque [N·m], given for the next `dt` seconds, by which the shaft stays within a limit of
+        velocity [rad/s] until that is seen."""
+        soon = self._velocity + self._per_impulse * (self._given + self._unseen)
+        room = max(0.0, limit - (soon if torque > 0.0 else -soon))
+        span = self._per_impulse * (self._period + UNSEEN)
+        if span * abs(torque) > room:
+            torque = copysign(room / span, torque)
+        self._unseen += torque * dt
+        return torque
 
 
 def _spring(wanted: Impedance, measured: Feedback, limits: Limits) -> Impedance:
