@@ -479,9 +479,7 @@ class Joint:
 
     def _softened(self, out: Command) -> Command:
         """Return a command that the device makes a spring of, softened where that would pull too hard."""
-        if not isinstance(out, msg.Hold):
-            self._held = None
-        elif self._held is None:
+        if not isinstance(out, msg.Hold) or self.mode is not Mode.ARMED or self._held is None:
             self._held = self.feedback.position
         if self._gains is None or not isinstance(out, msg.Position | msg.Velocity | msg.Hold):
             return out

@@ -27,11 +27,13 @@ TAPER = 0.25
 """Share of the limit of velocity over which an accelerating torque falls to nothing at the limit: measured
 velocities are old."""
 BEGINNING = 0.1
-"""s in which a torque may grow to its limit, or ten reports: it is seen how fast a shaft gathers speed by it."""
+"""s in which a torque may grow to its limit, or ten reports: so it is seen how fast a shaft gathers speed."""
 UNSEEN = 0.01
 """s, beside the period of its reports, until it is seen what a torque has done."""
 FORGOTTEN = 0.9
 """Of what a shaft did by a torque, per report: it may be held up now."""
+SOFTENED = 0.8
+"""Share of the limit of torque that a softened spring may give: measured velocities are old."""
 SETTLING = 0.07
 """s: a velocity nears its limit with this time constant, since a device's loops overshoot where an
 acceleration ends at once."""
@@ -118,9 +120,10 @@ class Limits:
 
 
 class Profile:
-    """The current set-point of a joint whose device reports every `period` seconds. Its state is plain data."""
+    """The current set-point of a joint. Its state is plain data."""
 
     def __init__(self, period: float = 0.0) -> None:
+        """Begin; `period`: s between two reports of the device."""
         self._beginning = max(BEGINNING, 10.0 * period)
         self._position: float | None = None
         self._velocity: float | None = None
@@ -280,8 +283,8 @@ class Profile:
 class Swing:
     """How fast a shaft gathers speed by the torques that it is given; they are limited before it is too fast.
 
-    What is measured is old: a light shaft passes its limit of velocity before that is reported. The torque given
-    since then is known, and what torque did to the velocity between two reports. State is plain data."""
+    What is measured is old: a light shaft passes its limit of velocity before that is reported. Known are the
+    torque given since then, and what torque did to the velocity between two reports. State is plain data."""
 
     def __init__(self, period: float) -> None:
         self._period = period
@@ -354,12 +357,17 @@ def softened(
     velocity = getattr(wanted, "velocity", 0.0)
     spring = 0.0 if place is None else stiffness
     goal = here if place is None else place
-    pull = wanted.torque + spring * (goal - here) + damping * (velocity - (measured.velocity or 0.0))
-    if abs(pull) <= limits.torque:
+    drag = damping * (velocity - (measured.velocity or 0.0))
+    pull = wanted.torque + spring * (goal - here)
+    if abs(drag + pull) <= limits.torque:
         return wanted
-    share = limits.torque / abs(pull)
-    torque, spring, damper = (share * each for each in (wanted.torque, spring, damping))
-    return Impedance(wanted.motor, goal, velocity, torque, spring, damper)
+    # what slows it down comes first: a spring without its damper would throw the shaft
+    most = SOFTENED * limits.torque
+    slowing = clamp(drag, most)
+    left = limits.torque_now(clamp(pull, most - copysign(slowing, pull * slowing)), measured)
+    share = _share(pull, left)
+    damper = damping * _share(drag, slowing)
+    return Impedance(wanted.motor, goal, velocity, share * wanted.torque, share * spring, damper)
 
 
 def _share(value: float, allowed: float) -> float:
