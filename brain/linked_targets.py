@@ -3,8 +3,9 @@
 Rules. The first target arms every joint: those without one hold where they are, against gravity. A joint goes
 limp only if an operator says Idle to it, if it is lost, or if the stop action disarmed it; nothing is armed
 by the release of a stop. Positions are reached at one time, within the body's limits of velocity,
-acceleration and jerk; every command has the torque that the motion takes. A joint that is given a torque
-pushes with it, and goes on to when it is commanded to hold: what is gripped stays gripped.
+acceleration and jerk; every command has the torque that the motion takes. Positions that are given step by
+step with a velocity are a trajectory: they are passed on as they are given, with that torque. A joint that is
+given a torque pushes with it, and goes on to when it is commanded to hold: what is gripped stays gripped.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from brain.health import HealthLevel, HealthSettings
 from brain.joint_targets import JointTargets
 from brain.status import StatusReporter
 from protocols.messages import (
+    MILLISECOND,
     SECOND,
     Command,
     Event,
@@ -41,6 +43,8 @@ AT_REST = 0.05
 """rad/s: a joint that is taken up from less starts at rest."""
 SAME = 1e-9
 """rad: a target that is given again"""
+APART: Nanos = 100 * MILLISECOND
+"""Positions that are given less often than that are no trajectory."""
 
 
 class LinkedTargets(JointTargets):
@@ -66,6 +70,10 @@ class LinkedTargets(JointTargets):
         """Where each joint holds that was commanded to hold."""
         self._grips: dict[str, float] = {}
         """Torque with which a joint goes on to push while it holds."""
+        self._sampled: dict[str, Nanos] = {}
+        """When each joint was last given a position"""
+        self._followed: set[str] = set()
+        """Joints that follow a trajectory."""
         self._profiles = Profiles(())
         self._since: Nanos = 0
         self._span: Nanos = 0
@@ -90,6 +98,19 @@ class LinkedTargets(JointTargets):
         if self._targets.get(task.motor) is not before:
             self._span = 0
             self._engage(task)
+            self._note_sample(now, task)
+
+    def _note_sample(self, now: Nanos, task: Command) -> None:
+        """Note whether a target is one of a trajectory's samples."""
+        last = self._sampled.pop(task.motor, None)
+        self._followed.discard(task.motor)
+        if not isinstance(task, Position) or task.motor not in self._joints:
+            return
+        self._sampled[task.motor] = now
+        most = self._limits[list(self._joints).index(task.motor)].velocity
+        if task.velocity and abs(task.velocity) <= most and last is not None and 0 < now - last <= APART:
+            near = abs(task.position - self._at(task.motor)) <= 1.5 * most * (now - last) / SECOND
+            self._followed |= {task.motor} if near else set()
 
     def reach(self, now: Nanos, targets: Sequence[Command], span: Nanos) -> str:
         """Take targets, positions to be reached together, in this time or more; return why not, or ""."""
@@ -180,6 +201,10 @@ class LinkedTargets(JointTargets):
             return tuple(Idle(motor) for motor in self.motors)
         self._plan(now)
         states = dict(zip(self._goals, self._profiles.at((now - self._since) / SECOND), strict=True))
+        for motor in self._followed:
+            target = self._targets[motor]
+            if isinstance(target, Position):
+                states[motor] = JointState(target.position, target.velocity)
         self._states = states
         self._arrive()
         free = [
@@ -205,6 +230,7 @@ class LinkedTargets(JointTargets):
 
     def _plan(self, now: Nanos) -> None:
         """Plan a motion of all joints that are held, if where one of them ends has changed."""
+        self._followed = {m for m in self._followed if now - self._sampled[m] <= APART}
         goals: dict[str, float] = {}
         for motor, limit, (low, high) in zip(self._joints, self._limits, self._body.ranges, strict=True):
             target = self._targets[motor]
@@ -216,7 +242,7 @@ class LinkedTargets(JointTargets):
                 self._holding.pop(motor, None)
             elif motor not in self._holding:
                 self._holding[motor] = stopping(self._state(motor), limit).goal
-            if isinstance(target, Position | Hold):
+            if isinstance(target, Position | Hold) and motor not in self._followed:
                 wanted = target.position if isinstance(target, Position) else self._holding[motor]
                 goals[motor] = max(low, min(high, wanted))
         if goals.keys() == self._goals.keys() and all(

@@ -39,6 +39,8 @@ SETTLING = 0.07
 acceleration ends at once."""
 CATCHING_UP = 0.95
 """Share of the limit of velocity that a way to a position takes: its loop catches up by turning faster."""
+SLOWER = 0.2
+"""Share of the limit of acceleration with which a trajectory is caught up with, where the jerk is limited."""
 REACHED = 1e-3
 """Share of the limit of velocity within which it is reached."""
 LATEST_SAMPLE = 0.1
@@ -223,7 +225,7 @@ class Profile:
         if dt and self._reaches(goal, moving, dt, limits):
             self._acceleration = (moving - (self._velocity or 0.0)) / dt
             self._position, self._velocity, self._plan = goal, moving, None
-        elif limits.jerk is not None:
+        elif limits.jerk is not None and not self._apart:
             self._follow_plan(goal, dt, limits)
         else:
             self._approach(goal, moving, dt, limits)
@@ -247,6 +249,7 @@ class Profile:
             moves = last is not None and bool(last.velocity or wanted.velocity) and apart <= LATEST_SAMPLE
             self._sample, self._apart, self._age = wanted, apart if moves else 0.0, 0.0
         if self._age > self._apart:
+            self._apart = 0.0
             return wanted.position, 0.0
         return wanted.position + wanted.velocity * self._age, wanted.velocity if self._apart else 0.0
 
@@ -271,9 +274,14 @@ class Profile:
         # the highest speed from which the remaining distance, less this step's, is enough to slow down
         change = limits.acceleration * dt
         reach = 0.5 * change
-        stopping = max(0.0, sqrt(reach * reach + 2.0 * limits.acceleration * abs(rest)) - reach)
+        slowing = limits.acceleration if limits.jerk is None else SLOWER * limits.acceleration
+        stopping = max(0.0, sqrt(reach * reach + 2.0 * slowing * abs(rest)) - reach)
         wanted = clamp(velocity + copysign(stopping, rest), CATCHING_UP * limits.velocity)
-        now = faster(before, wanted, dt, limits)
+        if limits.jerk is not None:
+            state = velocity_step(JointState(0.0, before, self._acceleration), wanted, dt, limits.profile())
+            now, self._acceleration, self._plan = state.velocity, state.acceleration, None
+        else:
+            now = faster(before, wanted, dt, limits)
         move = now * dt
         if not velocity and abs(move) >= abs(rest) and move * rest >= 0.0 and abs(now) <= 2.0 * change:
             move, now = rest, 0.0

@@ -262,3 +262,34 @@ def test_position_control_has_the_same_set_points() -> None:
     bench.step()
     bench.reach(elbow=2.0)
     assert set(map(type, bench.step().values())) == {Position}
+
+
+def test_a_trajectory_is_passed_on_as_it_is_given_and_ends_where_it_ended() -> None:
+    bench = Bench()
+    bench.reach(elbow=2.6)
+    bench.step(5)
+
+    def sample(n: int) -> Position:
+        return Position("elbow", 2.6 - 0.2 * (1.0 - math.cos(0.02 * n)), -0.8 * math.sin(0.02 * n))
+
+    for n in range(100):
+        bench.targets.request(bench.now, sample(n), "")
+        out = bench.step()["elbow"]
+        assert isinstance(out, Impedance)
+        if n > 1:
+            assert (out.position, out.velocity) == (sample(n).position, sample(n).velocity)
+    bench.step(400)
+    last = bench.out["elbow"]
+    assert isinstance(last, Impedance)
+    assert (last.position, last.velocity) == (pytest.approx(sample(99).position), 0.0)
+
+
+def test_positions_far_from_each_other_are_no_trajectory() -> None:
+    bench = Bench()
+    bench.reach(elbow=2.6)
+    bench.step(5)
+    for n in range(4):
+        bench.targets.request(bench.now, Position("elbow", 2.6 - 0.6 * n, -0.5), "")
+        out = bench.step()["elbow"]
+        assert isinstance(out, Impedance)
+        assert out.position == pytest.approx(2.6, abs=0.01)
