@@ -220,6 +220,7 @@ class Joint:
         self._own_motion: tuple[str, Nanos] | None = None
         """The request under which the device moves by itself, and since when."""
         self._received_at: Nanos | None = None
+        self._reports_since: Nanos | None = None
         self._position_at: Nanos | None = None
         self._position_lost = False
         """Whether the device moves on without reporting its position: that is beyond its range."""
@@ -314,6 +315,7 @@ class Joint:
             t = old.t
         else:
             self._received_at = t
+            self._reports_since = t if self._reports_since is None else self._reports_since
             self._following.on_motion(t, position, velocity)
         if position is not None:
             self._position_at, self._position_lost = t, False
@@ -463,6 +465,8 @@ class Joint:
             return wanted
         why = self._reference.lost and f"{self._reference.lost}: zero it or home it, or confirm it"
         margin = self.settings.limits.margin
+        if not why and self._by_position and self._measures_no_position(now):
+            why = "it reports no position, or one beyond what it measures: a turn lost? zero it or home it"
         if not why and isinstance(self._out, msg.Idle) and self._outside() > margin:
             why = (
                 f"{self._place()}: a turn lost? zero it or home it; if it is there, "
@@ -476,6 +480,12 @@ class Joint:
         else:
             self.refused = why
         return self._hold() if self.armed and isinstance(self._out, msg.Hold) else msg.Idle(self.name)
+
+    def _measures_no_position(self, now: Nanos) -> bool:
+        """Whether the device has reported its motion for a while, and never a position."""
+        since = self._reports_since
+        late = since is not None and now - since > self.settings.feedback_timeout
+        return late and self.feedback.position is None
 
     def _softened(self, out: Command) -> Command:
         """Return a command that the device makes a spring of, softened where that would pull too hard."""

@@ -37,7 +37,7 @@ SOFTENED = 0.8
 SETTLING = 0.07
 """s: a velocity nears its limit with this time constant, since a device's loops overshoot where an
 acceleration ends at once."""
-CATCHING_UP = 0.95
+CATCHING_UP = 0.9
 """Share of the limit of velocity that a way to a position takes: its loop catches up by turning faster."""
 SLOWER = 0.2
 """Share of the limit of acceleration with which a trajectory is caught up with, where the jerk is limited."""
