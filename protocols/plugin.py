@@ -199,6 +199,10 @@ class Spec:
     obeys_also: tuple[IdMask, ...] = ()
     """Ids that the device obeys beside `sends`, from any sender. Other protocols on its bus must not use
     them."""
+    scales: Mapping[str, str] = field(default_factory=dict)
+    """By option that decides what a number in a frame means (pole pairs, a model): how the driver learns of
+    the device that it is right; "": it does not, and a robot file that leaves it out is warned of. An option
+    whose default is 0 need not be here: there another one decides."""
     caution: str = ""
     """What else a person must know of its options, printed at every start."""
 

@@ -73,6 +73,7 @@ def spec(device: Device) -> Spec:
         watchdog=Watchdog(None, enabled=False, note="" if options.watchdog == "acknowledged" else NOTE),
         faults=cm.FAULTS,
         canonical=options.gains.canonical if mit else unchanged,
+        scales=dict.fromkeys(("model",) if mit else ("pole_pairs", "gear", "torque_constant"), ""),
         caution=SILENT if mit and not options.sole_host else "",
     )
 

@@ -84,6 +84,7 @@ def spec(device: Device) -> Spec:
         save=SAVE,
         receives_also=((REPLY_BASE, 0x7F0),),
         canonical=options.gains.canonical,
+        scales={"model": "the motor is asked for its ranges before it is enabled"},
     )
 
 
