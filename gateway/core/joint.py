@@ -74,6 +74,8 @@ _OWN_FAULTS: dict[int, tuple[str, str, str]] = {
 """By code: name (with a detail), cause, remedy."""
 _NOT_OBEYING = frozenset(_OWN_FAULTS) - {FEEDBACK_LOST, DISARMED_ITSELF}
 """With such a fault a device is sent Idle, whatever its stop action."""
+_BY_TORQUE = (msg.Position, msg.Velocity)
+"""What a loop of our own reaches by torque."""
 MAX_FAULTS = 64
 """Faults that latch, whatever a device reports; our own find room beside them."""
 _OWN_MOTION = frozenset({"Zero", "Home", "Reboot"})
@@ -90,7 +92,8 @@ AT_REST = 0.02
 REST_TIME: Nanos = 100 * MILLISECOND
 """if for this long: a wheel that slips stands for a moment, and is turned again by its base."""
 FADING: Nanos = SECOND
-"""In this time the torque that carries a load fades, when the load is lowered at the end of a run;"""
+"""In this time the torque that carries a load fades, when its device is taken over, and when it is lowered at
+the end of a run;"""
 LOWERING, LOWERED = 2500 * MILLISECOND, 0.05
 """after this time at most the joint is let go, or when it has come to rest: slower than that, in rad/s."""
 ROUNDING = 1e-9
@@ -135,7 +138,7 @@ class JointSettings:
     def commands(self, spec: Spec) -> frozenset[type[Command]]:
         """Return the commands that the joint takes of the brain: more than its device, with a loop."""
         by_torque = self.loop is not None and msg.Torque in spec.commands
-        return spec.commands | {msg.Position, msg.Velocity} if by_torque else spec.commands
+        return spec.commands | {*_BY_TORQUE} if by_torque else spec.commands
 
 
 class Joint:
@@ -158,6 +161,11 @@ class Joint:
         self._holds_loads = "Hold.torque" in spec.ranges
         self._feeds_velocity = "Position.velocity" in spec.ranges
         """Whether Position takes the velocity on the way; else the device follows the position alone."""
+        able_to_carry = {kind for kind in (msg.Hold, *_BY_TORQUE) if f"{kind.__name__}.torque" in spec.ranges}
+        self._carries = able_to_carry if self._loop is None else able_to_carry | {*_BY_TORQUE}
+        """Commands that take the torque of a load."""
+        self._taken_over: tuple[Nanos, float] = (0, 0.0)
+        """When a device was first commanded that ran already, and the torque that it gave then [N·m]."""
         self._replies_only = spec.feedback is FeedbackKind.REPLY
         self._ratio = settings.gear * settings.sign
         self._following = Following(
@@ -338,6 +346,7 @@ class Joint:
         self._judge(now, stopped)
         self._check_idle(now)
         out = self._limited(now, self._wanted(now, stopped, last, leaving), stopped)
+        out = self._with_load(now, out)
         if isinstance(out, msg.Impedance) and not stopped:
             self._damping = out.damping
         if not isinstance(out, msg.Idle):
@@ -349,6 +358,19 @@ class Joint:
                 self._idle_at = now
         dt, self._out, self._out_at = (now - self._out_at) / SECOND, out, now
         return self._at_device(out if self._loop is None else self._by_torque(out, dt, self._loop))
+
+    def _with_load(self, now: Nanos, out: Command) -> Command:
+        """Return a command with the torque that a running device gave when it was taken over, less and less
+        of it: a spring that begins where its load stands gives none, and drops it."""
+        if not isinstance(out, (msg.Hold, *_BY_TORQUE)):
+            return out
+        if not self.owned and self.armed:
+            self._taken_over = now, self.feedback.torque or 0.0
+        since, carried = self._taken_over
+        torque = carried * (1.0 - (now - since) / FADING)
+        if torque * carried <= 0.0 or out.torque or type(out) not in self._carries:
+            return out
+        return replace(out, torque=self.settings.limits.torque_now(torque, self.feedback))
 
     def _by_torque(self, out: Command, dt: float, loop: Loop) -> Command:
         """Return the torque with which a set-point is reached; any other command as it is."""
