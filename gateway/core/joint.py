@@ -194,6 +194,9 @@ class Joint:
         """When the first of the present Idles was sent."""
         self._idle_until: Nanos | None = None
         """When the last Idle was sent, if the device has not been disarmed since."""
+        self.driven_since: Nanos | None = None
+        """When the first of the present set-points was sent; None: none was, since Idle."""
+        self._armed_at: Nanos = 0
         self._disarmed = True
         """Whether the device has reported being disarmed since the last command but Idle."""
         self._own_motion: tuple[str, Nanos] | None = None
@@ -223,6 +226,8 @@ class Joint:
                 detail = f" ({event.detail})" if event.detail else ""
                 self.latch(self._fault(event.t, DISARMED_ITSELF, f"{event.mode}{detail}"))
             if event.mode is not Mode.OFFLINE:  # an offline device may still be armed
+                if event.mode is Mode.ARMED and not self.armed:
+                    self._armed_at = event.t
                 self.armed = event.mode is Mode.ARMED
                 self._disarmed = self._disarmed or not self.armed
             self.mode, self.detail = event.mode, event.detail
@@ -352,7 +357,9 @@ class Joint:
         if not isinstance(out, msg.Idle):
             self.owned = True
             self._disarmed = False
+            self.driven_since = now if self.driven_since is None else self.driven_since
         else:
+            self.driven_since = None
             self._idle_until = now if self.armed else None
             if not isinstance(self._out, msg.Idle):
                 self._idle_at = now
@@ -511,11 +518,22 @@ class Joint:
             wanted = self._at_rest(msg.Torque, msg.Velocity) if self._replies_only else msg.Idle(self.name)
         elif self._position_lost and isinstance(wanted, msg.Hold):
             wanted = self._at_rest(msg.Velocity)
-        if self.mode is not Mode.ARMED:
-            self._profile.forget()  # it starts at the position that the shaft has when the device is armed
+        if not self._is_known_to_obey:
+            self._profile.forget()  # it starts at the position that the shaft has then
         dt = max(0, min(now - self._out_at, self.settings.command_timeout)) / SECOND
         limits = self._stopping if stopped or self.faults else self.settings.limits
         return self._profile.limited(wanted, dt, self.feedback, limits)
+
+    @property
+    def _is_known_to_obey(self) -> bool:
+        """Whether it is armed, was sent a set-point, and has reported its motion since both."""
+        sent, received = self.driven_since, self._received_at
+        answered = sent is not None and received is not None and received > max(sent, self._armed_at)
+        return answered and self.mode is Mode.ARMED
+
+    def on_held_back(self) -> None:
+        """Note that the driver sends the device no set-point yet: it still prepares it."""
+        self.driven_since = None
 
     def _at_rest(self, *kinds: type[msg.Torque | msg.Velocity]) -> Command:
         """Return the first of these commands that the device has, with the value 0, else Idle."""

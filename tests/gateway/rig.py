@@ -52,7 +52,7 @@ class Rig:
     def __init__(self, text: str = BENCH, before: Rig | None = None) -> None:
         """`before`: a rig that is not stepped any more, in whose world this one goes on."""
         self.robot: Robot = config.parse_robot(text)
-        self.clock = before.clock if before else SimulatedClock()
+        self.clock: SimulatedClock = before.clock if before else SimulatedClock()
         self.world: TwinWorld = before.world if before else open_world(self.robot, self.robot.seed)
         self.gateway = Gateway(self.robot)
         self.stats = LoopStats()

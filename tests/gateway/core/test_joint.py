@@ -63,11 +63,11 @@ def joint(
     return Joint("m", JointSettings(limits, gear, sign, on_command_timeout, stop_action), spec())
 
 
-def armed(made: Joint, position: float = 0.0, velocity: float = 0.0) -> Joint:
-    """Give feedback and ARMED at t = 0."""
+def armed(made: Joint, position: float = 0.0, velocity: float = 0.0, t: Nanos = 0) -> Joint:
+    """Give feedback and ARMED."""
     ratio = made.settings.gear * made.settings.sign
-    made.on_event(msg.Feedback("m", 0, position * ratio, velocity * ratio))
-    made.on_event(msg.State("m", 0, Mode.ARMED))
+    made.on_event(msg.Feedback("m", t, position * ratio, velocity * ratio))
+    made.on_event(msg.State("m", t, Mode.ARMED))
     return made
 
 
@@ -274,6 +274,7 @@ def test_a_stop_brakes_with_the_robot_files_acceleration_not_with_one_that_was_s
     made = armed(joint(stop_action="brake"), velocity=5.0)
     assert made.change("acceleration", 2.5) == ""
     made.command(STEP, msg.Velocity("m", 5.0), stopped=False)
+    armed(made, velocity=5.0, t=STEP + 1)
     first, second = (made.command(step * STEP, None, stopped=True) for step in (2, 3))
     assert isinstance(first, msg.Velocity)
     assert isinstance(second, msg.Velocity)
@@ -299,7 +300,26 @@ def test_a_device_that_reports_only_what_it_is_commanded_is_first_commanded_to_g
         assert made.command(3 * STEP, None, stopped=True) == msg.Idle("m")
         armed(made)
         made.command(4 * STEP, msg.Velocity("m", 3.0), stopped=False)
+        armed(made, t=4 * STEP + 1)
         assert made.command(5 * STEP, None, stopped=False) == msg.Velocity("m", 0.25 + 0.25)
+
+
+def test_a_motion_begins_once_the_device_has_answered_a_set_point_that_it_was_sent() -> None:
+    made = armed(joint())
+    wanted = msg.Velocity("m", 5.0)
+    first = msg.Velocity("m", 0.25)
+    for step in range(1, 10):  # armed, and reporting: but its driver still prepares it
+        assert made.command(step * STEP, wanted, stopped=False) == first
+        made.on_held_back()
+        armed(made, t=step * STEP + 1)
+    assert [made.command(step * STEP, wanted, stopped=False) for step in (10, 11, 12)] == [first] * 3  # sent
+    armed(made, t=12 * STEP)
+    assert made.command(13 * STEP, wanted, stopped=False) == msg.Velocity("m", 0.5)
+    assert made.command(14 * STEP, wanted, stopped=False) == msg.Velocity("m", 0.75)
+
+
+def test_a_device_that_reports_only_what_it_is_commanded_and_takes_neither_is_not_commanded() -> None:
+    limits = JointSettings(Limits(10.0, 50.0, 2.0))
     made = Joint("m", limits, spec(msg.Idle, msg.Position, feedback=FeedbackKind.REPLY))
     assert made.command(STEP, msg.Position("m", 3.0), stopped=False) == msg.Idle("m")
 
