@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from math import inf
+from math import copysign, inf
 from operator import attrgetter
 from typing import Annotated, Any, Literal, TypeAlias
 
@@ -96,6 +96,8 @@ FADING: Nanos = SECOND
 the end of a run;"""
 LOWERING, LOWERED = 2500 * MILLISECOND, 0.05
 """after this time at most the joint is let go, or when it has come to rest: slower than that, in rad/s."""
+DOWNWARDS, CARRIED = 0.1, 0.05
+"""Shares of the limits: of the velocity at which a load is followed down, of a torque that carries none."""
 ROUNDING = 1e-9
 """Share of a device's largest torque that is never asked for, lest it be refused after the gear."""
 LEAST_SHARE = 0.05
@@ -121,8 +123,8 @@ class JointSettings:
     loop has failed."""
     unattended: Literal["held", "released"] = "held"
     """What becomes of the load when the gateway ends. "released": it is known that the device lets go of it
-    (its watchdog), and it may hold until then (stop_action). It is lowered first, against the damping of its
-    springs, where it was commanded by such (Impedance); the last command is Idle."""
+    (its watchdog), and it may hold until then (stop_action). It is let down first: against the damping of its
+    springs, or else slowly to where it pulls, if its torque is measured; the last command is Idle."""
     on_fault: Literal["stop", "continue"] = "stop"
     """Whether a fault or lost feedback of this joint stops the whole robot, or only this joint."""
     command_timeout: TimeoutNanos = 100 * MILLISECOND
@@ -134,6 +136,14 @@ class JointSettings:
     """Share of a set-point of velocity by which it need not be followed."""
     loop: LoopSettings | None = None
     """Positions and velocities are reached by torque, at every step; None: by the device's own loops."""
+
+    def lets_down(self, spec: Spec) -> bool:
+        """True if a load can be let down: by a spring, or by a velocity while its torque is measured."""
+        return msg.Impedance in spec.commands or self.turns_down(spec)
+
+    def turns_down(self, spec: Spec) -> bool:
+        """True if a load can be let down by a velocity."""
+        return msg.Velocity in spec.commands and "Feedback.torque" in spec.ranges
 
     def commands(self, spec: Spec) -> frozenset[type[Command]]:
         """Return the commands that the joint takes of the brain: more than its device, with a loop."""
@@ -209,8 +219,10 @@ class Joint:
         """When the stop command began to brake."""
         self._moved_at: Nanos = 0
         """When it was last not at rest, while braking."""
-        self._damping = 0.0
-        """N·m·s/rad, of the last spring that was commanded"""
+        spring = spec.canonical(msg.Position(name, 0.0)) if msg.Impedance in spec.commands else None
+        self._damping = spring.damping * self._ratio**2 if isinstance(spring, msg.Impedance) else 0.0
+        """N·m·s/rad, of the last spring that was commanded, before that of the device's own Position"""
+        self._turns_down = settings.turns_down(spec)
         self._carried = 0.0
         """N·m, when its load began to be lowered"""
         self._profile = Profile()
@@ -436,7 +448,8 @@ class Joint:
         """Whether its load is lowered when the run ends."""
         settings = self.settings
         released = settings.stop_action == "hold" and settings.unattended == "released"
-        return released and self.owned and self.armed and self._damping > 0.0
+        able = self._damping > 0.0 or self._turns_down
+        return released and self.owned and self.armed and able
 
     def _stop_command(self, now: Nanos, last: bool, leaving: bool) -> Command:
         if any(code in _NOT_OBEYING for code, _ in self.faults):
@@ -458,11 +471,14 @@ class Joint:
         return msg.Hold(self.name)
 
     def _lower(self, now: Nanos) -> Command:
-        """Return the next command of letting a load down: less and less torque, and damping; then Idle."""
+        """Return the next command of letting a load down: less and less torque, and damping; then Idle. A
+        device without springs follows the load down instead."""
         if self._braking is None:
-            self._braking, self._carried = now, self._hold().torque
-            self._moved_at = now + FADING
+            self._braking, self._carried = now, self._hold().torque or self.feedback.torque or 0.0
+            self._moved_at = now + FADING if self._damping else now - REST_TIME
         since, position = now - self._braking, self.feedback.position
+        if not self._damping:
+            return self._turn_down(now, since)
         if abs(self.feedback.velocity or 0.0) > LOWERED:
             self._moved_at = max(self._moved_at, now)
         down = since >= LOWERING or now - self._moved_at >= REST_TIME
@@ -470,6 +486,16 @@ class Joint:
             return msg.Idle(self.name)
         torque = self._carried * max(0.0, 1.0 - since / FADING)
         return msg.Impedance(self.name, position, 0.0, torque, 0.0, self._damping)
+
+    def _turn_down(self, now: Nanos, since: Nanos) -> Command:
+        """Return the next command of turning slowly to where a load pulls, until it is not carried any more;
+        then Idle."""
+        measured = self.feedback.torque or 0.0
+        if measured * self._carried > 0.0 and abs(measured) > CARRIED * self._file.torque:
+            self._moved_at = now
+        if since >= LOWERING or now - self._moved_at >= REST_TIME or self.feedback_lost(now):
+            return msg.Idle(self.name)
+        return msg.Velocity(self.name, -copysign(DOWNWARDS * self._file.velocity, self._carried))
 
     def _may_brake(self, now: Nanos) -> bool:
         if self.faults or self.feedback_lost(now):

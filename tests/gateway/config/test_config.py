@@ -637,6 +637,24 @@ def test_every_shipped_robot_states_its_scales(path: Path) -> None:
     assert not any(device.assumed for device in load_robot(path).devices())
 
 
+JOINTED = changed("torque = 2.0", "torque = 2.0\nposition = [-1.0, 1.0]")
+
+
+@pytest.mark.parametrize(
+    ("text", "starts"),
+    [
+        (JOINTED, 'left: by stop_action = "idle" nothing holds its load'),
+        (changed('stop_action = "idle"', 'stop_action = "brake"', JOINTED), 'left: by stop_action = "brake"'),
+        (changed('stop_action = "idle"', 'stop_action = "idle"\nunattended = "released"', JOINTED), ""),
+        (changed('stop_action = "idle"', 'stop_action = "hold"', JOINTED), ""),
+    ],
+)
+def test_a_joint_whose_load_falls_is_a_caution(text: str, starts: str) -> None:
+    found = cautions(parse_robot(text))
+    assert [one for one in found if not one.startswith(starts)] == []
+    assert len(found) == bool(starts)
+
+
 def mixed_cautions(text: str, **changes: Any) -> list[str]:
     """Return the cautions of a robot whose left motor has a foreign protocol, with ids of its own."""
     own: dict[str, Any] = {"sends": (exact(0x701),), "expects": (exact(0x700),), "receives_also": ()}
