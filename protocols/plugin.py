@@ -202,6 +202,10 @@ class Spec:
     gains: tuple[float, float] | None = None
     """Stiffness [N·m/rad] and damping [N·m·s/rad], if the device has Impedance, and makes a spring and damper
     of Position and Hold, and a damper of Velocity: their torque is limited as that of an Impedance is."""
+    scales: Mapping[str, str] = field(default_factory=dict)
+    """By option that decides what a number in a frame means (pole pairs, a model): how the driver learns of
+    the device that it is right; "": it does not, and a robot file that leaves it out is warned of. An option
+    whose default is 0 need not be here: there another one decides."""
     caution: str = ""
     """What else a person must know of its options, printed at every start."""
 

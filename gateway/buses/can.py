@@ -10,6 +10,7 @@ tried again once a second.
 from __future__ import annotations
 
 import errno
+import logging
 import select
 from collections import Counter
 from collections.abc import Sequence
@@ -17,17 +18,24 @@ from contextlib import suppress
 
 import can
 
+from gateway.buses.adapters.port import AdapterInterface
+from gateway.buses.adapters.slcan_client import SlcanInterface
 from gateway.buses.error_frames import CanError, state_of
 from gateway.buses.interfaces import open_interface
 from gateway.buses.python_can import frame_of, message_of
-from gateway.buses.queues import FrameQueue
+from gateway.buses.queues import STALE, FrameQueue
 from gateway.buses.states import StateTracker
 from gateway.buses.timestamps import TimestampMapper
 from gateway.core.clock import Clock, WallClock
 from gateway.core.robot import BusSettings
 from gateway.errors import BusError
 from protocols.frames import BusState, CanFrame, Frame, Packet
-from protocols.messages import SECOND, Nanos
+from protocols.messages import MILLISECOND, SECOND, Nanos
+
+log = logging.getLogger("gateway")
+
+Adapter = (AdapterInterface, SlcanInterface)
+"""Adapters on a serial port."""
 
 MOST_READ = 1024
 """Frames taken in by one read: more than a full bus of 1 Mbit/s carries in 0.1 s."""
@@ -130,6 +138,13 @@ class CanBus:
         return True
 
     def _flush(self, now: Nanos) -> None:
+        adapter = self._interface
+        if isinstance(adapter, Adapter) and adapter.port.purged(now):
+            log.warning(
+                "%s: its adapter took nothing for %d ms: what waited in the kernel was purged",
+                *(self.name, STALE // MILLISECOND),
+            )
+            self._states.full(now)
         self._queue.drain(lambda frame: self._send(frame, now))
 
     # -- receive ------------------------------------------------------------------------------
@@ -178,7 +193,7 @@ class CanBus:
         self._echoes.clear()
 
     def _lose(self, now: Nanos) -> None:
-        self._shut_down()
+        self._shut_down(lost=True)
         self._forget()
         self._reopen_at = now + REOPEN
         self._states.set(BusState.GONE)
@@ -191,9 +206,11 @@ class CanBus:
             self._interface = open_interface(self._settings, listen_only=self._listen_only)
             self._states.set(BusState.BACK)
 
-    def _shut_down(self) -> None:
+    def _shut_down(self, *, lost: bool = False) -> None:
         interface, self._interface = self._interface, None
         if interface is not None:
+            if lost and isinstance(interface, Adapter):
+                interface.port.drop()
             with suppress(can.CanError, OSError):  # an interface that has vanished cannot be shut down either
                 interface.shutdown()
 

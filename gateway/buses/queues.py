@@ -17,6 +17,9 @@ TURN = 8
 PATIENCE = 20 * MILLISECOND
 """Longest time that a transmit queue may hold our frames before it is given no more."""
 
+STALE = 100 * MILLISECOND
+"""Time without progress after which what a serial port holds of ours is old, and is purged."""
+
 Owner: TypeAlias = int | IdMask
 """Whose turn it is to send: a device, by its place among those of the bus, or ids of several or of none."""
 Kind: TypeAlias = CanFrame | tuple[IdMask, bool]
@@ -122,6 +125,24 @@ class Patience:
         if not holds:
             self._empty_at = now
         return now - self._empty_at > PATIENCE
+
+
+class Stall:
+    """Whether a port that bytes wait for takes none any more. Plain data."""
+
+    def __init__(self) -> None:
+        self._taken = 0
+        """Bytes that had left this machine when it was last seen to go on,"""
+        self._at: Nanos = 0
+        """and when that was."""
+
+    def is_stalled(self, now: Nanos, taken: int, *, waiting: bool) -> bool:
+        """True if bytes have waited for `STALE`, and none of them was taken. Then it is measured anew."""
+        going = taken != self._taken or not waiting
+        if going or now - self._at > STALE:
+            self._taken, self._at = taken, now
+            return not going
+        return False
 
 
 class ByteQueue:

@@ -2,13 +2,15 @@
 
 Rules. Opening raises a BusError with what is missing; afterwards nothing is raised, everything is reported as
 a BusState, once per change. Reading takes what is there as one packet and never waits. Writing never waits
-either: what the port does not take waits in a bounded queue. When the port is lost, the queue is dropped; the
+either: what the port does not take waits in a bounded queue. What waits, here and in the kernel, is dropped
+when the port takes nothing for `STALE`, and when it is lost, so that no old command goes out later; a lost
 port is tried again once a second.
 """
 
 from __future__ import annotations
 
 import errno
+import logging
 import os
 from collections.abc import Sequence
 from contextlib import suppress
@@ -16,11 +18,15 @@ from contextlib import suppress
 import serial
 from serial.tools.list_ports import comports
 
-from gateway.buses.queues import ByteQueue
+from gateway.buses import ports
+from gateway.buses.queues import STALE, ByteQueue, Stall
+from gateway.buses.states import CALM
 from gateway.core.robot import BusSettings
 from gateway.errors import BusError
 from protocols.frames import BusState, Frame, Packet
-from protocols.messages import SECOND, Nanos
+from protocols.messages import MILLISECOND, SECOND, Nanos
+
+log = logging.getLogger("gateway")
 
 MOST_READ = 65536
 """Bytes taken in by one read."""
@@ -46,6 +52,10 @@ class SerialBus:
         self._state = BusState.UP
         self._changes: list[BusState] = []
         self._reopen_at: Nanos = 0
+        self._stall = Stall()
+        self._written = 0
+        self._calm_at: Nanos = 0
+        """When a port that was purged counts as going on."""
 
     @property
     def dropped(self) -> int:
@@ -91,13 +101,38 @@ class SerialBus:
         else:
             port = self._port.fileno()
             try:
-                if not self._queue.drain(lambda data: os.write(port, data)):
+                empty = self._queue.drain(self._write)
+                self._check_stall(now, port, empty=empty)
+                if not empty:
                     return
             except OSError:
                 self._lose(now)
                 return
-        if self._state is BusState.FULL:
+        if self._state is BusState.FULL and now >= self._calm_at:
             self._report(BusState.UP)
+
+    def _write(self, data: bytes) -> int:
+        assert self._port is not None
+        taken = os.write(self._port.fileno(), data)
+        self._written += taken
+        return taken
+
+    def _check_stall(self, now: Nanos, port: int, *, empty: bool) -> None:
+        """Purge what waits if the port has stopped taking it."""
+        holds = ports.held(port)
+        if self._stall.is_stalled(now, self._written - holds, waiting=holds > 0 or not empty):
+            self._purge(port)
+            self._calm_at = now + CALM
+            self._report(BusState.FULL)
+
+    def _purge(self, port: int) -> None:
+        before = self.dropped
+        ports.purge(port)
+        self._queue.clear()
+        log.warning(
+            "%s: nothing was sent for %d ms: what waited was purged, %d messages here and all in the kernel",
+            *(self.name, STALE // MILLISECOND, self.dropped - before),
+        )
 
     def _report(self, state: BusState) -> None:
         after = BusState.UP if state is BusState.BACK else state
@@ -106,6 +141,8 @@ class SerialBus:
             self._state = after
 
     def _lose(self, now: Nanos) -> None:
+        if self._port is not None:
+            ports.purge(self._port.fileno())  # closing would wait for it
         self._close_port()
         self._queue.clear()
         self._reopen_at = now + REOPEN
@@ -129,9 +166,11 @@ class SerialBus:
 def _open(settings: BusSettings) -> serial.Serial:
     path = settings.interface.partition(":")[2]
     try:
-        return serial.Serial(path, settings.baudrate, timeout=0, write_timeout=0, exclusive=True)
+        port = serial.Serial(path, settings.baudrate, timeout=0, write_timeout=0, exclusive=True)
     except (OSError, ValueError) as error:
         raise BusError(_reason(settings, path, error)) from error
+    ports.purge(port.fileno())
+    return port
 
 
 def _reason(settings: BusSettings, path: str, error: OSError | ValueError) -> str:

@@ -130,7 +130,8 @@ def read_motor(
 ) -> Motor | None:
     """Read one motor; `buses` are those of the file."""
     at = ("motors", name)
-    connected = _connected(at, table, buses, find, "motor", mistakes)
+    gear = () if "gear" in table else (f"gear = {_STAND_IN.gear:g}",)
+    connected = _connected(at, table, buses, find, "motor", mistakes, gear)
     joint = build(JointSettings, table, at, mistakes, also=tuple(keys(_Connection)))
     return Motor(name, *connected, joint or _STAND_IN) if connected else None
 
@@ -152,8 +153,10 @@ def _connected(
     find: Find,
     kind: Literal["motor", "sensor"],
     mistakes: Mistakes,
-) -> tuple[str, Plugin, Device, Spec] | None:
-    """Read what a motor and a sensor share: bus, protocol, device with options and settings, spec."""
+    assumed: tuple[str, ...] = (),
+) -> tuple[str, Plugin, Device, Spec, tuple[str, ...]] | None:
+    """Read what a motor and a sensor share: bus, protocol, device with options and settings, spec, and the
+    scales that are assumed, beside those given."""
     own = {key: value for key, value in table.items() if key in keys(_Connection)}
     connection = build(_Connection, own, at, mistakes)
     name, bus = table.get("protocol"), table.get("bus")
@@ -185,4 +188,6 @@ def _connected(
     if spec.kind != kind:
         mistakes.add((*at, "protocol"), f"{name!r} is the protocol of a {spec.kind} here, expected a {kind}")
         return None
-    return connection.bus, protocol, device, spec
+    untold = [name for name, known_by in spec.scales.items() if not (known_by or name in connection.options)]
+    assumed += tuple(f"options.{name} = {shown(getattr(options, name))}" for name in untold)
+    return connection.bus, protocol, device, spec, assumed

@@ -152,6 +152,8 @@ def cautions(robot: Robot) -> list[str]:
     """Return what the user must be warned of at every start, until the robot file acknowledges it."""
     notes = [f"{one.name}: {one.spec.watchdog.note}" for one in robot.devices() if one.spec.watchdog.note]
     notes += [f"{one.name}: {one.spec.caution}" for one in robot.devices() if one.spec.caution]
+    notes += [text for one in robot.devices() for text in _assumed_scales(one)]
+    notes += [text for motor in robot.motors.values() for text in _falling_load(motor)]
     notes += [text for motor in robot.motors.values() for text in _out_of_range(motor)]
     notes += [text for motor in robot.motors.values() for text in _past_feedback(motor)]
     for bus in robot.buses.values():
@@ -159,6 +161,30 @@ def cautions(robot: Robot) -> list[str]:
             here = robot.devices_on(bus.name)
             notes += [*_fd_beside_classic(bus.name, here), *_mistakable_reports(here)]
     return [*notes, *_slow_joints(robot), *_feedback_always_late(robot), *_unused_sensors(robot)]
+
+
+def _assumed_scales(device: BusDevice) -> list[str]:
+    """Numbers that decide how fast or how strong it is, and that nobody has stated."""
+    if not device.assumed:
+        return []
+    are, them = ("are", "them") if len(device.assumed) > 1 else ("is", "it")
+    what = f"{', '.join(device.assumed)} {are} assumed"
+    return [f"{device.name}: {what}, and all that is measured and commanded hangs on {them}: state {them}"]
+
+
+def _falling_load(motor: Motor) -> list[str]:
+    """A joint with an end of travel, whose load falls at a stop or after the run; a wheel has no such end."""
+    joint = motor.joint
+    if joint.limits.position is None:
+        return []
+    if joint.stop_action != "hold" and joint.unattended == "held":
+        when = f'by stop_action = "{joint.stop_action}" nothing holds its load at a stop and after the run'
+        return [
+            f'{motor.name}: {when}: it falls; "hold", or unattended = "released" if that is known, and safe'
+        ]
+    if joint.stop_action == "hold" and joint.unattended == "released" and not joint.lets_down(motor.spec):
+        return [f"{motor.name}: its device cannot let a load down at the end of the run: what it holds falls"]
+    return []
 
 
 def _slow_joints(robot: Robot) -> list[str]:

@@ -190,6 +190,11 @@ class Guard:
         self._last |= last  # only now: frames of one step are compared with those of the steps before
         return passed, blocked
 
+    def drives(self, motor: str, since: Nanos) -> bool:
+        """True if a motor was sent a set-point, Hold among them, at this time or later."""
+        at, command = self._last.get((motor, None), (-1, msg.Idle(motor)))
+        return at >= since and not isinstance(command, msg.Idle)
+
     # -- whose it is --------------------------------------------------------------------------------
 
     def _concerned(self, bus: str, protocol: str, frame: Frame) -> list[str]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from math import inf
+from math import copysign, inf
 from operator import attrgetter
 from typing import Annotated, Any, Literal, TypeAlias
 
@@ -86,6 +86,8 @@ _OWN_FAULTS: dict[int, tuple[str, str, str]] = {
 """By code: name (with a detail), cause, remedy."""
 _NOT_OBEYING = frozenset(_OWN_FAULTS) - {FEEDBACK_LOST, DISARMED_ITSELF, UNREFERENCED, BEYOND_TRAVEL}
 """With such a fault a device is sent Idle, whatever its stop action."""
+_BY_TORQUE = (msg.Position, msg.Velocity)
+"""What a loop of our own reaches by torque."""
 MAX_FAULTS = 64
 """Faults that latch, whatever a device reports; our own find room beside them."""
 _REFERENCES = frozenset({"Zero", "Home"})
@@ -104,9 +106,12 @@ AT_REST = 0.02
 REST_TIME: Nanos = 100 * MILLISECOND
 """if for this long: a wheel that slips stands for a moment, and is turned again by its base."""
 FADING: Nanos = SECOND
-"""In this time the torque that carries a load fades, when the load is lowered at the end of a run;"""
+"""In this time the torque that carries a load fades, when its device is taken over, and when it is lowered at
+the end of a run;"""
 LOWERING, LOWERED = 2500 * MILLISECOND, 0.05
 """after this time at most the joint is let go, or when it has come to rest: slower than that, in rad/s."""
+DOWNWARDS, CARRIED = 0.1, 0.05
+"""Shares of the limits: of the velocity at which a load is followed down, of a torque that carries none."""
 ROUNDING = 1e-9
 """Share of a device's largest torque that is never asked for, lest it be refused after the gear."""
 LEAST_SHARE = 0.05
@@ -132,8 +137,8 @@ class JointSettings:
     loop has failed."""
     unattended: Literal["held", "released"] = "held"
     """What becomes of the load when the gateway ends. "released": it is known that the device lets go of it
-    (its watchdog), and it may hold until then (stop_action). It is lowered first, against the damping of its
-    springs, where it was commanded by such (Impedance); the last command is Idle."""
+    (its watchdog), and it may hold until then (stop_action). It is let down first: against the damping of its
+    springs, or else slowly to where it pulls, if its torque is measured; the last command is Idle."""
     on_fault: Literal["stop", "continue"] = "stop"
     """Whether a fault or lost feedback of this joint stops the whole robot, or only this joint."""
     command_timeout: TimeoutNanos = 100 * MILLISECOND
@@ -146,10 +151,18 @@ class JointSettings:
     loop: LoopSettings | None = None
     """Positions and velocities are reached by torque, at every step; None: by the device's own loops."""
 
+    def lets_down(self, spec: Spec) -> bool:
+        """True if a load can be let down: by a spring, or by a velocity while its torque is measured."""
+        return msg.Impedance in spec.commands or self.turns_down(spec)
+
+    def turns_down(self, spec: Spec) -> bool:
+        """True if a load can be let down by a velocity."""
+        return msg.Velocity in spec.commands and "Feedback.torque" in spec.ranges
+
     def commands(self, spec: Spec) -> frozenset[type[Command]]:
         """Return the commands that the joint takes of the brain: more than its device, with a loop."""
         by_torque = self.loop is not None and msg.Torque in spec.commands
-        return spec.commands | {msg.Position, msg.Velocity} if by_torque else spec.commands
+        return spec.commands | {*_BY_TORQUE} if by_torque else spec.commands
 
 
 class Joint:
@@ -174,6 +187,11 @@ class Joint:
         """Whether Position takes the velocity on the way; else the device follows the position alone."""
         self._gains = spec.gains
         """Of the spring and damper that the device makes of Position, Velocity and Hold"""
+        able_to_carry = {kind for kind in (msg.Hold, *_BY_TORQUE) if f"{kind.__name__}.torque" in spec.ranges}
+        self._carries = able_to_carry if self._loop is None else able_to_carry | {*_BY_TORQUE}
+        """Commands that take the torque of a load."""
+        self._taken_over: tuple[Nanos, float] = (0, 0.0)
+        """When a device was first commanded that ran already, and the torque that it gave then [N·m]."""
         self._replies_only = spec.feedback is FeedbackKind.REPLY
         self._ratio = settings.gear * settings.sign
         self._following = Following(
@@ -215,6 +233,9 @@ class Joint:
         """When the first of the present Idles was sent."""
         self._idle_until: Nanos | None = None
         """When the last Idle was sent, if the device has not been disarmed since."""
+        self.driven_since: Nanos | None = None
+        """When the first of the present set-points was sent; None: none was, since Idle."""
+        self._armed_at: Nanos = 0
         self._disarmed = True
         """Whether the device has reported being disarmed since the last command but Idle."""
         self._own_motion: tuple[str, Nanos] | None = None
@@ -228,8 +249,9 @@ class Joint:
         """When the stop command began to brake."""
         self._moved_at: Nanos = 0
         """When it was last not at rest, while braking."""
-        self._damping = 0.0
-        """N·m·s/rad, of the last spring that was commanded"""
+        self._damping = spec.gains[1] * self._ratio**2 if spec.gains else 0.0
+        """N·m·s/rad, of the last spring that was commanded, before that of the device's own Position"""
+        self._turns_down = settings.turns_down(spec)
         self._carried = 0.0
         """N·m, when its load began to be lowered"""
         self._profile = Profile(spec.feedback_period / SECOND)
@@ -246,6 +268,8 @@ class Joint:
                 detail = f" ({event.detail})" if event.detail else ""
                 self.latch(self._fault(event.t, DISARMED_ITSELF, f"{event.mode}{detail}"))
             if event.mode is not Mode.OFFLINE:  # an offline device may still be armed
+                if event.mode is Mode.ARMED and not self.armed:
+                    self._armed_at = event.t
                 self.armed = event.mode is Mode.ARMED
                 self._disarmed = self._disarmed or not self.armed
             self.mode, self.detail = event.mode, event.detail
@@ -394,19 +418,35 @@ class Joint:
         self._judge(now, stopped)
         self._check_idle(now)
         wanted = self._wanted(now, stopped, last, leaving)
-        self._intended = self._limited(now, self._placed(now, wanted, stopped), stopped)
+        out = self._limited(now, self._placed(now, wanted, stopped), stopped)
+        self._intended = self._with_load(now, out)
         out = self._softened(self._intended)
         if isinstance(out, msg.Impedance) and not stopped:
             self._damping = out.damping
         if not isinstance(out, msg.Idle):
             self.owned = True
             self._disarmed = False
+            self.driven_since = now if self.driven_since is None else self.driven_since
         else:
+            self.driven_since = None
             self._idle_until = now if self.armed else None
             if not isinstance(self._out, msg.Idle):
                 self._idle_at = now
         dt, self._out, self._out_at = (now - self._out_at) / SECOND, out, now
         return self._at_device(out if self._loop is None else self._by_torque(out, dt, self._loop))
+
+    def _with_load(self, now: Nanos, out: Command) -> Command:
+        """Return a command with the torque that a running device gave when it was taken over, less and less
+        of it: a spring that begins where its load stands gives none, and drops it."""
+        if not isinstance(out, (msg.Hold, *_BY_TORQUE)):
+            return out
+        if not self.owned and self.armed:
+            self._taken_over = now, self.feedback.torque or 0.0
+        since, carried = self._taken_over
+        torque = carried * (1.0 - (now - since) / FADING)
+        if torque * carried <= 0.0 or out.torque or type(out) not in self._carries:
+            return out
+        return replace(out, torque=self.settings.limits.torque_now(torque, self.feedback))
 
     def _by_torque(self, out: Command, dt: float, loop: Loop) -> Command:
         """Return the torque with which a set-point is reached; any other command as it is."""
@@ -527,7 +567,8 @@ class Joint:
         """Whether its load is lowered when the run ends."""
         settings = self.settings
         released = settings.stop_action == "hold" and settings.unattended == "released"
-        return released and self.owned and self.armed and self._damping > 0.0
+        able = self._damping > 0.0 or self._turns_down
+        return released and self.owned and self.armed and able
 
     def _stop_command(self, now: Nanos, last: bool, leaving: bool) -> Command:
         if any(code in _NOT_OBEYING for code, _ in self.faults):
@@ -549,11 +590,14 @@ class Joint:
         return msg.Hold(self.name)
 
     def _lower(self, now: Nanos) -> Command:
-        """Return the next command of letting a load down: less and less torque, and damping; then Idle."""
+        """Return the next command of letting a load down: less and less torque, and damping; then Idle. A
+        device without springs follows the load down instead."""
         if self._braking is None:
-            self._braking, self._carried = now, self._hold().torque
-            self._moved_at = now + FADING
+            self._braking, self._carried = now, self._hold().torque or self.feedback.torque or 0.0
+            self._moved_at = now + FADING if self._damping else now - REST_TIME
         since, position = now - self._braking, self.feedback.position
+        if not self._damping:
+            return self._turn_down(now, since)
         if abs(self.feedback.velocity or 0.0) > LOWERED:
             self._moved_at = max(self._moved_at, now)
         down = since >= LOWERING or now - self._moved_at >= REST_TIME
@@ -561,6 +605,16 @@ class Joint:
             return msg.Idle(self.name)
         torque = self._carried * max(0.0, 1.0 - since / FADING)
         return msg.Impedance(self.name, position, 0.0, torque, 0.0, self._damping)
+
+    def _turn_down(self, now: Nanos, since: Nanos) -> Command:
+        """Return the next command of turning slowly to where a load pulls, until it is not carried any more;
+        then Idle."""
+        measured = self.feedback.torque or 0.0
+        if measured * self._carried > 0.0 and abs(measured) > CARRIED * self._file.torque:
+            self._moved_at = now
+        if since >= LOWERING or now - self._moved_at >= REST_TIME or self.feedback_lost(now):
+            return msg.Idle(self.name)
+        return msg.Velocity(self.name, -copysign(DOWNWARDS * self._file.velocity, self._carried))
 
     def _may_brake(self, now: Nanos) -> bool:
         if self.faults or self.feedback_lost(now):
@@ -610,14 +664,25 @@ class Joint:
             wanted = self._at_rest(msg.Torque, msg.Velocity) if self._replies_only else msg.Idle(self.name)
         elif self._position_lost and isinstance(wanted, msg.Hold):
             wanted = self._at_rest(msg.Velocity)
-        if self.mode is not Mode.ARMED:
-            self._profile.forget()  # it starts at the position that the shaft has when the device is armed
+        if not self._is_known_to_obey:
+            self._profile.forget()  # it starts at the position that the shaft has then
         dt = max(0, min(now - self._out_at, self.settings.command_timeout)) / SECOND
         limits = self._stopping if stopped or self.faults else self.settings.limits
         out = self._profile.limited(wanted, dt, self.feedback, limits)
         if isinstance(out, msg.Torque):
             out = msg.Torque(self.name, self._swing.within(out.torque, dt, limits.velocity))
         return out
+
+    @property
+    def _is_known_to_obey(self) -> bool:
+        """Whether it is armed, was sent a set-point, and has reported its motion since both."""
+        sent, received = self.driven_since, self._received_at
+        answered = sent is not None and received is not None and received > max(sent, self._armed_at)
+        return answered and self.mode is Mode.ARMED
+
+    def on_held_back(self) -> None:
+        """Note that the driver sends the device no set-point yet: it still prepares it."""
+        self.driven_since = None
 
     def _at_rest(self, *kinds: type[msg.Torque | msg.Velocity]) -> Command:
         """Return the first of these commands that the device has, with the value 0, else Idle."""

@@ -57,6 +57,8 @@ class Motor:
     plugin: Plugin
     device: Device
     spec: Spec
+    assumed: tuple[str, ...]
+    """Scales that neither the robot file states nor the device tells: "options.pole_pairs = 7"."""
     joint: JointSettings
 
 
@@ -69,6 +71,8 @@ class Sensor:
     plugin: Plugin
     device: Device
     spec: Spec
+    assumed: tuple[str, ...]
+    """As of a motor."""
     mount: Mount
     """In the robot's frame: m, rad."""
     timeout: Nanos

@@ -361,6 +361,9 @@ class Gateway:
             events, frames = self._call(one, nothing, one.driver.send, now, [*asked, *given])
             self._late += events
             packets += self._out(now, one, frames)
+        for name, joint in self.joints.items():
+            if joint.driven_since is not None and not self.guard.drives(name, joint.driven_since):
+                joint.on_held_back()
         return packets
 
     def _out(self, now: Nanos, one: _BusDriver, frames: Sequence[Frame]) -> Iterable[Packet]:

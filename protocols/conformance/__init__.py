@@ -70,6 +70,8 @@ CLAUSES: tuple[Clause, ...] = (
            roundtrip.commands_arrive, ("numbers", "conversation")),
     Clause("measurements", "measurements arrive within the declared resolution, of the right device and time",
            roundtrip.measurements_arrive, ("numbers", "conversation")),
+    Clause("scales", "an option that decides what a number means is declared", roundtrip.scales_are_declared,
+           ("numbers",)),
     Clause("saturated", "a value beyond its range is not reported as measured",
            roundtrip.beyond_its_range_is_not_measured, ("numbers",)),
     Clause("bytes", "no bytes raise an exception, at either end", traffic.no_bytes_raise),

@@ -8,22 +8,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
-from typing import get_args
+from dataclasses import fields, replace
+from typing import Any, get_args
 
 from protocols import messages as msg
 from protocols.conformance import bench as tools
 from protocols.conformance.bench import ALPHA, NAMES, STEP, Bench
-from protocols.conformance.case import Case, Failure, Inapplicable
+from protocols.conformance.case import Case, Failure, Inapplicable, alternatives, valid
 from protocols.conformance.random import Random
 from protocols.frames import Frame
-from protocols.messages import SECOND, Command, Event, Message, Nanos, Obeyed
-from protocols.plugin import Range, Spec
+from protocols.messages import SECOND, Command, Event, Message, Mode, Nanos, Obeyed
+from protocols.plugin import Device, Range, Spec
 
 SANE = 1e5
 """rad, rad/s: no shaft is given more, whatever number a frame could carry."""
 UNREACHED = 1e30
 """rad, rad/s: the ends of floating-point numbers are beyond it, and no shaft gets there."""
+SCALED = 60
+"""Steps with each command, by which scales are found."""
 STEPS = 30
 """Steps within which a command must arrive."""
 
@@ -298,3 +300,80 @@ def _measurement(kind: type[msg.Measurement], sensor: str, t: Nanos, values: dic
 
 def _arrived(measured: Event, reported: Event, spec: Spec, now: Nanos) -> bool:
     return tools.same(measured, reported, spec.ranges) and now - 1000 * STEP <= reported.t <= now + STEP
+
+
+# -- scales ----------------------------------------------------------------------------------------------
+
+
+def scales_are_declared(case: Case) -> None:
+    """An option that scales what a number in a frame means is listed in the spec, or its default is 0."""
+    usual = case.plugin.spec(Device(ALPHA, case.addresses[0], case.plugin.options(), case.plugin.settings()))
+    if not case.whole and case.spec.scales == usual.scales:
+        raise Inapplicable("the same options are scales as by default")
+    steps = _conversation(case)
+    meant = _meant(case, case.options, steps)
+    for change in _other_scales(case.options):
+        (name,) = change
+        if name in case.spec.scales or not getattr(case.options, name):
+            continue
+        for options in valid(case.options, [change]):
+            if scaled := _scaled(meant, _meant(case, options, steps)):
+                why = f"depends on options.{name}, which is neither among the spec's scales nor 0 by default"
+                raise Failure(f"what a frame says of {scaled} {why}")
+
+
+def _other_scales(options: Any) -> Iterator[dict[str, object]]:  # noqa: ANN401 -- a dataclass of the plugin's
+    """Yield another value of each option that may be a scale: a number, or a Literal."""
+    yield from (dict([each]) for each in alternatives(options) if isinstance(each[1], str))
+    for each in fields(options):
+        value = getattr(options, each.name)
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            other = 2 * value if 2 * value <= each.metadata.get("high", math.inf) else value / 2
+            yield {each.name: type(value)(other)}
+
+
+def _conversation(case: Case) -> list[tuple[tools.Messages, tools.StepResult]]:
+    """Arm the devices, let them turn by each command, and return each step with its messages."""
+    bench, spec = case.start(), case.spec
+    for shaft in bench.shafts.values():
+        shaft.position, shaft.velocity = 0.7, 0.5
+    steps: list[tuple[tools.Messages, tools.StepResult]] = []
+    for kind in case.kinds:
+        numbers = [name for name, _ in tools.numbers(kind, spec.ranges)]
+        for at in range(tools.ARMING):
+            values = dict.fromkeys(numbers, 0.1 * math.sin(0.1 * at))
+            messages = [tools.build(kind, name, spec.ranges, values) for name in NAMES]
+            steps.append((messages, bench.step(messages)))
+            armed = all(bench.modes.get(name, Mode.ARMED) is Mode.ARMED for name in NAMES)
+            if armed and at > SCALED:
+                break
+    return steps or [((), step) for step in bench.steps(SCALED)]
+
+
+def _meant(
+    case: Case, options: object, steps: Sequence[tuple[tools.Messages, tools.StepResult]]
+) -> dict[str, dict[Nanos, float]]:
+    """Return the numbers in the frames of a conversation, as these options read them, by name and time."""
+    bench = tools.make_bench(case.plugin, options, case.addresses[:2], NAMES)
+    meant: dict[str, dict[Nanos, float]] = {}
+    up: Sequence[Frame] = ()
+    for messages, step in steps:
+        read = [event for frame in up for event in bench.driver.receive(step.now, frame)]
+        bench.driver.send(step.now, messages)  # what it asks was answered
+        obeyed = [message for frame in step.down for message in bench.decoder.decode(step.now, frame)]
+        for message in (*read, *obeyed):
+            if isinstance(message, msg.Feedback | msg.Velocity | msg.Torque):
+                for name in ("position", "velocity", "torque"):
+                    if number := getattr(message, name, None):
+                        meant.setdefault(f"{type(message).__name__}.{name}", {})[step.now] = number
+        up = step.up
+    return meant
+
+
+def _scaled(one: dict[str, dict[Nanos, float]], other: dict[str, dict[Nanos, float]]) -> str:
+    """Return a quantity of which most numbers are others, "" if there is none."""
+    for name in sorted(one.keys() & other.keys()):
+        ratios = sorted(one[name][t] / other[name][t] for t in one[name].keys() & other[name].keys())
+        if ratios and abs(ratios[len(ratios) // 2] - 1.0) > 0.01:
+            return name
+    return ""

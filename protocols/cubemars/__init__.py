@@ -73,6 +73,7 @@ def spec(device: Device) -> Spec:
         watchdog=Watchdog(None, enabled=False, note="" if options.watchdog == "acknowledged" else NOTE),
         faults=cm.FAULTS,
         **options.gains.of_spec() if mit else {},
+        scales=dict.fromkeys(("model",) if mit else ("pole_pairs", "gear", "torque_constant"), ""),
         caution=SILENT if mit and not options.sole_host else "",
     )
 

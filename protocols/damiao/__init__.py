@@ -84,6 +84,7 @@ def spec(device: Device) -> Spec:
         save=SAVE,
         receives_also=((REPLY_BASE, 0x7F0),),
         **options.gains.of_spec() if options.mode == "mit" else {},
+        scales={"model": "the motor is asked for its ranges before it is enabled"},
     )
 
 

@@ -21,6 +21,8 @@ COMMANDS: dict[str, frozenset[type[Command]]] = {
     "servo": mit.COMMANDS - {msg.Impedance},
     "motion": mit.COMMANDS,
 }
+SCALES = {"servo": ("torque_constant",), "motion": ("position_end", "velocity_end", "torque_end")}
+"""Options that decide what the numbers of a mode mean."""
 ANYBODY: IdMask = (0x140, EXTENDED_BIT | 0x7C0)
 """Ids of a scan."""
 ANSWERS: IdMask = (0x240, EXTENDED_BIT | 0x7C0)
@@ -66,6 +68,7 @@ def spec(device: Device) -> Spec:
         faults=rmd.FAULTS,
         receives_also=(ANSWERS,) if options.scan else (),
         obeys_also=(exact(rmd.ALL_MOTORS), exact(rmd.SET_ID)),
+        scales=dict.fromkeys(SCALES[options.mode], ""),
         **fed_by_any_frame(timeout or None),
         **extra,
     )

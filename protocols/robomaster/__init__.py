@@ -51,6 +51,7 @@ def spec(device: Device) -> Spec:
         ),
         expects=(exact(0x200 + device.address + model.feedback),),
         faults=FAULTS if options.error_byte else {},
+        scales={"model": ""},
     )
 
 

@@ -73,6 +73,7 @@ def spec(device: Device) -> Spec:
         save=rs.SAVE if rs.SAVE in has else "",
         receives_also=((EXTENDED_BIT | 0xFE, EXTENDED_BIT | 0x1F0000FF),) if options.scan else (),
         **options.gains.of_spec() if options.mode == "mit" else {},
+        scales={"model": ""},
         **fed_by_any_frame(round(options.timeout_ms * MILLISECOND)),
     )
 

@@ -52,6 +52,7 @@ def spec(device: Device) -> Spec:
         watchdog=Watchdog(timeout, enabled=True),
         faults=FAULTS,
         obeys_also=TABLE.ids("to_device", EVERY),
+        scales=dict.fromkeys(("pole_pairs", "torque_constant"), ""),
     )
 
 

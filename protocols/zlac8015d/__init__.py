@@ -64,6 +64,7 @@ def spec(device: Device) -> Spec:
         faults=z.FAULTS,
         parameters=tuple(configured),
         configuration=configured,
+        scales=dict.fromkeys(("steps_per_rpm", "counts"), ""),
     )
 
 

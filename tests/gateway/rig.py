@@ -49,10 +49,11 @@ WATCHED = BENCH.replace(
 class Rig:
     """One robot on twins. `run` goes on where the last one ended."""
 
-    def __init__(self, text: str = BENCH) -> None:
+    def __init__(self, text: str = BENCH, before: Rig | None = None) -> None:
+        """`before`: a rig that is not stepped any more, in whose world this one goes on."""
         self.robot: Robot = config.parse_robot(text)
-        self.clock = SimulatedClock()
-        self.world: TwinWorld = open_world(self.robot, self.robot.seed)
+        self.clock: SimulatedClock = before.clock if before else SimulatedClock()
+        self.world: TwinWorld = before.world if before else open_world(self.robot, self.robot.seed)
         self.gateway = Gateway(self.robot)
         self.stats = LoopStats()
         self.ticks: list[Tick] = []

@@ -12,6 +12,7 @@ from protocols.frames import CanFrame, Frame
 from protocols.messages import Command, Event, Message, Nanos
 from protocols.plain import table
 from protocols.plugin import Device
+from protocols.vesc import plugin as vesc
 from tests.protocols.broken import BROKEN, Sent, alters, found_by, motors
 from tests.protocols.broken_safety import Knowing
 from tests.protocols.plain.parts import decoded
@@ -46,6 +47,10 @@ BROKEN.append(
         ("commands",),
     )
 )
+
+# -- scales --------------------------------------------------------------------------------------------
+
+BROKEN.append((replace(vesc, name="AssumesItsScales", spec=with_spec(vesc, scales={})), ("scales",)))
 
 # -- replies -------------------------------------------------------------------------------------------
 

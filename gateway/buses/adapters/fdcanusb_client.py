@@ -42,7 +42,7 @@ class FdcanusbInterface(AdapterInterface):
 
     def __init__(self, channel: str, bitrate: int, data_bitrate: int = 0) -> None:
         """Open the port exclusively. Raises OSError or ValueError."""
-        super().__init__(channel, BAUDRATE)
+        super().__init__(channel, BAUDRATE, b"\n")
         self._protected = not _is_known(channel)
         """Whether our lines have checksums."""
         self._checked = False
@@ -57,7 +57,7 @@ class FdcanusbInterface(AdapterInterface):
         if not self._protected:  # a device on a UART has no bit rates of its own
             rates = (("can.bitrate", bitrate), ("can.fd_bitrate", data_bitrate))
             self._asked.extend((key, rate) for key, rate in rates if rate)
-            self._port.write(b"".join(b"conf get %s\n" % key.encode() for key, _ in self._asked))
+            self.port.write(b"".join(b"conf get %s\n" % key.encode() for key, _ in self._asked))
 
     def _encode(self, frame: CanFrame) -> bytes:
         return self._line(encode_send(frame))
@@ -106,7 +106,7 @@ class FdcanusbInterface(AdapterInterface):
         elif "checksum" in text.lower():
             self._protected = True
         elif text == NOT_ON:
-            self._port.write(self._line("can on"))
+            self.port.write(self._line("can on"))
         elif text not in self._logged and len(self._logged) < 16:
             self._logged.add(text)
             log.warning("%s replies: %s", self.channel_info, text)

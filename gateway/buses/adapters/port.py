@@ -9,8 +9,11 @@ from abc import abstractmethod
 import can
 import serial
 
+from gateway.buses import ports
 from gateway.buses.python_can import frame_of, message_of
+from gateway.buses.queues import Stall
 from protocols.frames import CanFrame
+from protocols.messages import Nanos
 
 MOST_READ = 65536
 """Bytes taken in at once."""
@@ -21,14 +24,19 @@ class AdapterPort:
 
     Raises can.CanOperationError if the adapter is gone."""
 
-    def __init__(self) -> None:
+    def __init__(self, end: bytes = b"") -> None:
         self.waiting = bytearray()
         """What the port has not taken."""
         self._fileno: int | None = None
+        self._end = end
+        """With which a line that was cut ends; empty: what is cut could be taken for another frame."""
+        self._written = 0
+        self._stall = Stall()
 
     def attach(self, fileno: int) -> None:
         """Begin to send, what waits first."""
         self._fileno = fileno
+        ports.purge(fileno)  # what a program before us has left
         self.write()
 
     def write(self, data: bytes = b"") -> None:
@@ -37,11 +45,32 @@ class AdapterPort:
         if self._fileno is None or not self.waiting:
             return
         try:
-            del self.waiting[: os.write(self._fileno, self.waiting)]
+            taken = os.write(self._fileno, self.waiting)
+            del self.waiting[:taken]
+            self._written += taken
         except BlockingIOError:
             return
         except OSError as error:
             raise can.CanOperationError(f"the adapter is gone: {error}") from error
+
+    def purged(self, now: Nanos) -> bool:
+        """Purge what waits, here and in the kernel, if the adapter has taken none of it for `STALE`; True if
+        it was. Where lines have no end, what is in the kernel stays there."""
+        if self._fileno is None:
+            return False
+        holds = ports.held(self._fileno)
+        waiting = holds > 0 or bool(self.waiting)
+        if not self._stall.is_stalled(now, self._written - holds, waiting=waiting) or not self._end:
+            return False
+        self.drop()
+        self.waiting += self._end
+        return True
+
+    def drop(self) -> None:
+        """Drop what waits: closing the port would wait for it."""
+        self.waiting.clear()
+        if self._fileno is not None:
+            ports.purge(self._fileno)
 
     def read(self, timeout: float | None) -> bytes:
         """Return what comes in within the timeout (in seconds; None: no limit)."""
@@ -66,12 +95,12 @@ class AdapterInterface(can.BusABC):
 
     Raises as python-can does: CanTimeoutError if it takes no more for now."""
 
-    def __init__(self, channel: str, baudrate: int) -> None:
-        """Open the port exclusively. Raises OSError or ValueError."""
+    def __init__(self, channel: str, baudrate: int, end: bytes = b"") -> None:
+        """Open the port exclusively; `end`: of a line. Raises OSError or ValueError."""
         self._serial = serial.Serial(channel, baudrate, timeout=0, write_timeout=0, exclusive=True)
-        self._port = AdapterPort()
+        self.port = AdapterPort(end)
         super().__init__(channel)
-        self._port.attach(self.fileno())
+        self.port.attach(self.fileno())
 
     @abstractmethod
     def _encode(self, frame: CanFrame) -> bytes:
@@ -96,16 +125,16 @@ class AdapterInterface(can.BusABC):
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002 -- it never waits
         """Send a frame, whole or not at all."""
-        self._port.write()
-        if self._port.waiting:
+        self.port.write()
+        if self.port.waiting:
             raise can.CanTimeoutError("the adapter takes no more")
-        self._port.write(self._encode(frame_of(msg)))
+        self.port.write(self._encode(frame_of(msg)))
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         """Return the next frame; None if there is none within the timeout."""
-        self._port.write()
+        self.port.write()
         frame = self._next_frame()
-        if frame is None and (data := self._port.read(timeout)):
+        if frame is None and (data := self.port.read(timeout)):
             self._feed(data)
             frame = self._next_frame()
         return (None if frame is None else message_of(frame)), False

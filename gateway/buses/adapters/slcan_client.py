@@ -26,13 +26,13 @@ class SlcanInterface(slcanBus):
         """Open the port exclusively, set the bit rates, open the channel (with L if `listen_only`).
 
         Raises CanError, OSError, or ValueError for a rate that the protocol has no command for."""
-        self._port = AdapterPort()
+        self.port = AdapterPort(b"\r")
         self._is_shutdown = True  # what has not been opened need not be shut down
         super().__init__(channel, bitrate=bitrate, sleep_after_open=0.0, timeout=0.0, listen_only=listen_only)
         try:
             # Nothing is sent before the port is ours: it would disturb the program that has it.
             self.serialPortOrig.exclusive = True
-            self._port.attach(self.serialPortOrig.fileno())
+            self.port.attach(self.serialPortOrig.fileno())
             if data_bitrate:
                 self.set_bitrate(bitrate, data_bitrate)
         except (can.CanError, OSError, ValueError):
@@ -50,19 +50,19 @@ class SlcanInterface(slcanBus):
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002 -- it never waits
         """Send a frame, whole or not at all."""
-        self._port.write()
-        if self._port.waiting:
+        self.port.write()
+        if self.port.waiting:
             raise can.CanTimeoutError("the adapter takes no more")
         super().send(msg, self.serialPortOrig.write_timeout)
 
     def _write(self, string: str) -> None:
-        self._port.write(string.encode() + self.LINE_TERMINATOR)
+        self.port.write(string.encode() + self.LINE_TERMINATOR)
 
     def _read(self, timeout: float | None) -> str | None:
         """Return the next relevant line; None if there is none within the timeout (in seconds)."""
-        self._port.write()
+        self.port.write()
         line = self._next_line()
-        if line is None and (data := self._port.read(timeout)):
+        if line is None and (data := self.port.read(timeout)):
             self._buffer += data
             line = self._next_line()
         return line

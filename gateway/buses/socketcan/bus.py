@@ -6,9 +6,11 @@ waits, and no stale command is sent after a newer one was given. Beyond that:
   those of other processes on this machine are.
 - What the kernel has accepted and the controller has not sent is monitored: if some of it is older than
   `Patience` allows, no more is handed over until all of it has gone, and waits here (`FrameQueue`). So a long
-  transmit queue (`txqueuelen`) cannot fill with old commands while no node acknowledges.
-- While the bus is OFF or GONE nothing is kept for later. The socket stays open while the interface is down,
-  so that nothing is lost when it comes up; only an interface that was removed needs a new one.
+  transmit queue (`txqueuelen`) cannot fill with old commands while no node acknowledges. Only root can purge
+  it: after a second it is said how many may wait, and in the end how late they went out.
+- While the bus is OFF or GONE nothing is kept for later: the kernel drops its queue, which is checked. The
+  socket stays open while the interface is down, so that nothing is lost when it comes up; only an interface
+  that was removed needs a new one.
 - The state of the controller comes from its error frames and, where they may have been lost, from the kernel
   (link.py): once a second, ten times a second while the interface is gone.
 """
@@ -33,7 +35,7 @@ from gateway.core.clock import Clock, WallClock
 from gateway.core.robot import BusSettings
 from gateway.errors import BusError
 from protocols.frames import BusState, CanFrame, Frame, Packet
-from protocols.messages import SECOND, Nanos
+from protocols.messages import MILLISECOND, SECOND, Nanos
 
 log = logging.getLogger("gateway")
 
@@ -100,10 +102,13 @@ class SocketcanBus:
         self._earlier = (0, 0)
         """Counters of earlier sockets: bad, missed."""
         self._poll_at: Nanos = 0
-        self._pending = False
-        """Whether the kernel may still hold frames of ours."""
+        self._pending = 0
+        """Frames of ours of which the kernel may still hold some."""
         self._patience = Patience()
         self._stuck = False
+        self._stuck_since: Nanos = 0
+        self._told = False
+        """Whether it has been said that they are stuck."""
         self._logged: set[str] = set()
         self._missed_logged = 0
         self._socket: RawSocket | None = RawSocket(opened)
@@ -170,18 +175,42 @@ class SocketcanBus:
             else:
                 self._refused(str(error.errno), f"{frame}: {error.strerror}")
         else:
-            self._pending = True
+            self._pending += 1
         return True
 
     def _flush(self, now: Nanos) -> None:
         """Check what the kernel holds of ours, and hand over what waits unless it is stuck."""
-        if self._pending:
-            self._pending = self._socket is not None and self._socket.queued() > 0
-        self._stuck = self._patience.is_over(now, holds=self._pending)
+        if self._pending and not self._queued():
+            self._on_emptied(now)
+        self._stuck = self._patience.is_over(now, holds=self._pending > 0)
         if not self._stuck:
+            self._stuck_since, self._told = now, False
             self._hand_over(now)
+        elif now - self._stuck_since > SECOND and not self._told:
+            self._told = True
+            self._log_stuck()
         if self._stuck or self._queue:
             self._states.full(now)
+
+    def _queued(self) -> bool:
+        """True if the kernel holds frames of ours, or its controller."""
+        return self._socket is not None and self._socket.queued() > 0
+
+    def _log_stuck(self) -> None:
+        held = f"up to {self._pending} frames wait in the kernel's queue"
+        name = self._settings.interface.partition(":")[2]
+        remedy = f"to purge them: sudo ip link set {name} down; sudo ip link set {name} up"
+        log.warning("%s: %s; nothing is added until they are gone; %s", self.name, held, remedy)
+
+    def _on_emptied(self, now: Nanos) -> None:
+        """Say what became of frames that waited in the kernel's queue, if that is news."""
+        held, self._pending = self._pending, 0
+        if self._states.dead:  # the kernel drops its queue with the bus
+            text = "%s: up to %d frames that waited in the kernel's queue were purged"
+            log.warning(text, self.name, held)
+        elif self._told:
+            waited = (now - self._stuck_since) // MILLISECOND
+            log.warning("%s: what waited in the kernel's queue went out, %d ms late", self.name, waited)
 
     def _hand_over(self, now: Nanos) -> None:
         self._queue.drain(lambda frame: self._send(frame, now))
@@ -239,7 +268,6 @@ class SocketcanBus:
         self._states.set(state)
         if self._states.dead and not was_dead:
             self._queue.clear()
-            self._pending = False
             if state is BusState.OFF:
                 self._log_restart()
 

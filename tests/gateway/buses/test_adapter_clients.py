@@ -29,6 +29,8 @@ FRAMES = [
 ]
 EMPTY = CanFrame(0x7FF)
 """An fdcanusb cannot send it."""
+KEPT = 4200
+"""Bytes that a pty has handed over already, so that they cannot be purged."""
 CLASSIC_FRAMES = [frame for frame in FRAMES if not frame.fd]
 
 pytestmark = pytest.mark.parametrize("kind", ["slcan", "fdcanusb", "dm-serial"])
@@ -101,6 +103,33 @@ def test_the_host_never_waits_for_an_adapter_that_does_not_read(kind: str, adapt
     assert states == [BusState.UP]
     assert 50 < len(received) < 5000
     assert sorted(int.from_bytes(frame.data, "big") for frame in received[-3:]) == [4997, 4998, 4999]
+
+
+def test_old_commands_do_not_go_out_when_an_adapter_goes_on(
+    kind: str, adapters: AdapterPty, caplog: pytest.LogCaptureFixture
+) -> None:
+    """It takes nothing for 2 s."""
+    received: list[int] = []
+    purges, purged_at = 0, 0
+    with closing(opened(kind, adapters.paths[0], settings_of(kind))) as host:
+        adapters.read(0)
+        for number in range(2000):
+            host.write(number * MILLISECOND, [CanFrame(0x100 + number % 3, number.to_bytes(8, "big"))])
+            host.read(number * MILLISECOND)
+            if caplog.text.count("was purged") > purges:
+                purges, purged_at = purges + 1, number
+        for turn in range(2000, 2200):
+            packets = adapters.read(turn * MILLISECOND)[1]
+            received += [
+                int.from_bytes(p.frame.data, "big") for p in packets if isinstance(p.frame, CanFrame)
+            ]
+            host.read(turn * MILLISECOND)
+    assert received[-3:] == [1997, 1998, 1999]
+    if kind == "dm-serial":  # without an end or a checksum: a packet that is cut could become another
+        assert sum(number < 1000 for number in received) > 400
+    else:
+        assert purged_at > 500
+        assert sum(number < purged_at for number in received) < KEPT // 20
 
 
 def test_an_adapter_that_vanishes_is_reported_and_reopened(

@@ -380,6 +380,29 @@ def test_a_line_that_is_not_read_drops_whole_messages_and_stays_in_step(
     assert 1000 - bus.dropped >= MOST_BYTES // 97
 
 
+def test_old_commands_do_not_go_out_when_a_line_goes_on(
+    line: tuple[int, SerialBus, BusSettings], caplog: pytest.LogCaptureFixture
+) -> None:
+    """A pty has handed over 4200 bytes already, which cannot be purged."""
+    device, bus, _ = line
+    purges, purged_at = 0, 0
+    for number in range(2000):
+        bus.write(number * MILLISECOND, [b"%020d\n" % number])
+        if caplog.text.count("was purged") > purges:
+            purges, purged_at = purges + 1, number
+    assert bus.read(2000 * MILLISECOND)[0][-1] is BusState.FULL
+    got = b""
+    with suppress(BlockingIOError):
+        while True:
+            got += os.read(device, 65536)
+    numbers = [int(each) for each in got.split(b"\n") if len(each) == 20]
+    assert numbers[-1] == 1999
+    assert purged_at > 500
+    assert sum(number < purged_at for number in numbers) < 4200 // 21
+    assert bus.dropped > 50
+    assert bus.read(4000 * MILLISECOND) == ([BusState.UP], [])
+
+
 def test_a_hang_up_is_reported_once_and_raises_nothing(line: tuple[int, SerialBus, BusSettings]) -> None:
     device, bus, _ = line
     os.close(device)

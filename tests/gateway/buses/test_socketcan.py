@@ -182,6 +182,55 @@ def test_nothing_is_added_to_what_the_kernel_holds_for_too_long(rig: Rig) -> Non
     assert rig.frame.recv(100) == pack(CanFrame(1, b"on"))
 
 
+def receive_all(end: socket.socket) -> list[bytes]:
+    received: list[bytes] = []
+    while True:
+        try:
+            received.append(end.recv(100))
+        except BlockingIOError:
+            return received
+
+
+def test_it_is_said_what_waits_in_the_kernel_and_how_late_it_went_out(
+    rig: Rig, caplog: pytest.LogCaptureFixture
+) -> None:
+    for tick in range(300):
+        rig.bus.write(tick * 5 * MILLISECOND, [CanFrame(1, bytes([tick % 256]))])
+        rig.bus.read(tick * 5 * MILLISECOND)
+    held = len(receive_all(rig.frame))
+    assert f"can0: up to {held} frames wait in the kernel's queue; nothing is added until" in caplog.text
+    assert "sudo ip link set can0 down; sudo ip link set can0 up" in caplog.text
+    rig.bus.read(1500 * MILLISECOND)
+    assert "what waited in the kernel's queue went out, 14" in caplog.text
+    assert len(caplog.records) == 2
+
+
+def test_what_the_kernel_drops_with_the_interface_is_counted(
+    rig: Rig, caplog: pytest.LogCaptureFixture
+) -> None:
+    rig.bus.write(0, [CanFrame(number) for number in range(3)])
+    rig.bus.read(0)
+    rig.kernel.status_ = Status(7, up=False, running=False)
+    receive_all(rig.frame)  # as the kernel does when an interface goes down
+    assert rig.bus.read(SECOND) == ([BusState.GONE], [])
+    assert "can0: up to 3 frames that waited in the kernel's queue were purged" in caplog.text
+    rig.kernel.status_ = Status(7, up=True, running=True)
+    rig.bus.read(2 * SECOND)
+    assert receive_all(rig.frame) == []
+
+
+def test_what_the_kernel_keeps_over_bus_off_goes_before_anything_else(rig: Rig) -> None:
+    rig.bus.write(0, [CanFrame(1, b"old")])
+    rig.frame.send(error_frame(0x040))
+    assert rig.bus.read(1) == ([BusState.OFF], [])
+    rig.frame.send(error_frame(0x100))
+    assert rig.bus.read(SECOND)[0] == [BusState.BACK, BusState.FULL]
+    rig.bus.write(SECOND, [CanFrame(1, b"arm")])
+    assert receive_all(rig.frame) == [pack(CanFrame(1, b"old"))]
+    rig.bus.read(SECOND + MILLISECOND)
+    assert receive_all(rig.frame) == [pack(CanFrame(1, b"arm"))]
+
+
 def test_error_frames_are_states_and_log_lines_and_never_data(
     rig: Rig, caplog: pytest.LogCaptureFixture
 ) -> None:

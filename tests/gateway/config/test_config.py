@@ -601,6 +601,60 @@ def test_cautions(text: str, starts: list[str]) -> None:
     assert all(one.startswith(start) for one, start in zip(found, starts, strict=True))
 
 
+SCALED = (
+    ("diffbot", "gear = 8.0", "gear = 1"),
+    ("diffbot_vesc", "pole_pairs = 15", "options.pole_pairs = 7"),
+    ("diffbot_vesc", "torque_constant = 0.5", "options.torque_constant = 0.05"),
+    ("diffbot_robstride", 'model = "RS02"', 'options.model = "RS02"'),
+    ("diffbot_robomaster", 'model = "C620"', 'options.model = "C620"'),
+    ("diffbot_cubemars", "pole_pairs = 21", "options.pole_pairs = 21"),
+    ("diffbot_cubemars", "gear = 9.0", "options.gear = 9.0"),
+    ("diffbot_cubemars", "torque_constant = 0.82", "options.torque_constant = 0.82"),
+    ("diffbot_myactuator", "torque_constant = 1.0", "options.torque_constant = 1.0"),
+    ("diffbot_zlac8015d", "steps_per_rpm = 1", "options.steps_per_rpm = 1"),
+    ("diffbot_zlac8015d", "counts = 4096", "options.counts = 4096"),
+)
+"""Robot, line of its left motor, and what is assumed without it."""
+
+
+@pytest.mark.parametrize(("robot", "line", "assumed"), SCALED, ids=[f"{r}-{x}" for r, x, _ in SCALED])
+def test_a_scale_that_nobody_states_is_a_caution(robot: str, line: str, assumed: str) -> None:
+    text = resources.find("robots", robot).read_text()
+    assert not [one for one in cautions(parse_robot(text)) if "is assumed" in one]
+    (found,) = [one for one in cautions(parse_robot(changed(line, "", text))) if "is assumed" in one]
+    assert found.startswith(f"left: {assumed} is assumed")
+
+
+def test_a_scale_that_the_device_tells_or_that_is_a_default_of_the_file_is_no_caution() -> None:
+    asked = changed('model = "4310"', "", resources.find("robots", "diffbot_damiao").read_text())
+    assert cautions(parse_robot(asked)) == []
+    everywhere = changed("gear = 8.0", "", ROVER, times=2) + "\n[defaults.motors]\ngear = 8.0\n"
+    assert cautions(parse_robot(everywhere)) == []
+
+
+@pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)
+def test_every_shipped_robot_states_its_scales(path: Path) -> None:
+    assert not any(device.assumed for device in load_robot(path).devices())
+
+
+JOINTED = changed("torque = 2.0", "torque = 2.0\nposition = [-1.0, 1.0]")
+
+
+@pytest.mark.parametrize(
+    ("text", "starts"),
+    [
+        (JOINTED, 'left: by stop_action = "idle" nothing holds its load'),
+        (changed('stop_action = "idle"', 'stop_action = "brake"', JOINTED), 'left: by stop_action = "brake"'),
+        (changed('stop_action = "idle"', 'stop_action = "idle"\nunattended = "released"', JOINTED), ""),
+        (changed('stop_action = "idle"', 'stop_action = "hold"', JOINTED), ""),
+    ],
+)
+def test_a_joint_whose_load_falls_is_a_caution(text: str, starts: str) -> None:
+    found = cautions(parse_robot(text))
+    assert [one for one in found if not one.startswith(starts)] == []
+    assert len(found) == bool(starts)
+
+
 def mixed_cautions(text: str, **changes: Any) -> list[str]:
     """Return the cautions of a robot whose left motor has a foreign protocol, with ids of its own."""
     own: dict[str, Any] = {"sends": (exact(0x701),), "expects": (exact(0x700),), "receives_also": ()}

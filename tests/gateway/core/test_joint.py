@@ -63,11 +63,11 @@ def joint(
     return Joint("m", JointSettings(limits, gear, sign, on_command_timeout, stop_action), spec())
 
 
-def armed(made: Joint, position: float = 0.0, velocity: float = 0.0) -> Joint:
-    """Give feedback and ARMED at t = 0."""
+def armed(made: Joint, position: float = 0.0, velocity: float = 0.0, t: Nanos = 0) -> Joint:
+    """Give feedback and ARMED."""
     ratio = made.settings.gear * made.settings.sign
-    made.on_event(msg.Feedback("m", 0, position * ratio, velocity * ratio))
-    made.on_event(msg.State("m", 0, Mode.ARMED))
+    made.on_event(msg.Feedback("m", t, position * ratio, velocity * ratio))
+    made.on_event(msg.State("m", t, Mode.ARMED))
     return made
 
 
@@ -104,7 +104,7 @@ def test_the_device_turns_gear_times_as_far_and_reversed_by_the_sign() -> None:
     made = armed(joint(gear=8.0, sign=-1), position=1.0)
     received = made.on_event(msg.Feedback("m", 0, position=-16.0, velocity=-8.0, torque=-0.25))
     assert received == msg.Feedback("m", 0, position=2.0, velocity=1.0, torque=2.0)
-    (out,) = drive(made, msg.Torque("m", 1.6), 1)
+    out = drive(made, msg.Torque("m", 1.6), 30)[-1]
     assert isinstance(out, msg.Torque)
     assert out.torque == pytest.approx(-0.2)
 
@@ -191,12 +191,30 @@ def test_a_velocity_towards_the_end_of_travel_brakes_before_it_and_stops_at_it()
 
 def test_torque_is_clamped_and_not_given_beyond_the_speed_limit_or_the_end_of_travel() -> None:
     made = armed(joint(position=(-1.0, 1.0)))
-    assert made.command(STEP, msg.Torque("m", 99.0), stopped=False) == msg.Torque("m", 2.0)
-    made.on_event(msg.Feedback("m", STEP, 0.5, 12.0))
-    assert made.command(2 * STEP, msg.Torque("m", 1.0), stopped=False) == msg.Torque("m", 0.0)
-    assert made.command(2 * STEP, msg.Torque("m", -1.0), stopped=False) == msg.Torque("m", -1.0)
-    made.on_event(msg.Feedback("m", 2 * STEP, 1.05, 0.0))
-    assert made.command(3 * STEP, msg.Torque("m", 1.0), stopped=False) == msg.Torque("m", 0.0)
+    grown = [c.torque for c in drive(made, msg.Torque("m", 99.0), 30) if isinstance(c, msg.Torque)]
+    assert max(b - a for a, b in pairwise(grown)) <= 0.1 + 1e-9  # to the limit in 0.1 s
+    assert grown[-1] == 2.0
+    now = 31 * STEP
+    made.on_event(msg.Feedback("m", now, 0.5, 12.0))
+    assert made.command(now, msg.Torque("m", 1.0), stopped=False) == msg.Torque("m", 0.0)
+    assert made.command(now, msg.Torque("m", -1.0), stopped=False) == msg.Torque("m", -1.0)
+    made.on_event(msg.Feedback("m", now + STEP, 1.05, 0.0))
+    assert made.command(now + STEP, msg.Torque("m", 1.0), stopped=False) == msg.Torque("m", 0.0)
+
+
+def test_a_light_shaft_is_given_less_torque_before_it_is_too_fast() -> None:
+    """It gathers 200 rad/s² per N·m, and reports every 10 ms what was true 5 ms ago; the limit is 10."""
+    made, speed, position, torque, reported = armed(joint()), 0.0, 0.0, 0.0, (0.0, 0.0)
+    for step in range(1, 200):
+        if step % 2 == 0:
+            made.on_event(msg.Feedback("m", step * STEP, *reported))
+        reported = position, speed
+        out = made.command(step * STEP, msg.Torque("m", 2.0), stopped=False)
+        speed += 200.0 * torque * STEP / SECOND
+        position += speed * STEP / SECOND
+        torque = out.torque if isinstance(out, msg.Torque) else 0.0
+        assert speed <= 1.02 * 10.0
+    assert speed > 0.9 * 10.0
 
 
 @pytest.mark.parametrize(
@@ -276,6 +294,7 @@ def test_a_stop_brakes_with_the_robot_files_acceleration_not_with_one_that_was_s
     made = armed(joint(stop_action="brake"), velocity=5.0)
     assert made.change("acceleration", 2.5) == ""
     made.command(STEP, msg.Velocity("m", 5.0), stopped=False)
+    armed(made, velocity=5.0, t=STEP + 1)
     first, second = (made.command(step * STEP, None, stopped=True) for step in (2, 3))
     assert isinstance(first, msg.Velocity)
     assert isinstance(second, msg.Velocity)
@@ -301,7 +320,26 @@ def test_a_device_that_reports_only_what_it_is_commanded_is_first_commanded_to_g
         assert made.command(3 * STEP, None, stopped=True) == msg.Idle("m")
         armed(made)
         made.command(4 * STEP, msg.Velocity("m", 3.0), stopped=False)
+        armed(made, t=4 * STEP + 1)
         assert made.command(5 * STEP, None, stopped=False) == msg.Velocity("m", 0.25 + 0.25)
+
+
+def test_a_motion_begins_once_the_device_has_answered_a_set_point_that_it_was_sent() -> None:
+    made = armed(joint())
+    wanted = msg.Velocity("m", 5.0)
+    first = msg.Velocity("m", 0.25)
+    for step in range(1, 10):  # armed, and reporting: but its driver still prepares it
+        assert made.command(step * STEP, wanted, stopped=False) == first
+        made.on_held_back()
+        armed(made, t=step * STEP + 1)
+    assert [made.command(step * STEP, wanted, stopped=False) for step in (10, 11, 12)] == [first] * 3  # sent
+    armed(made, t=12 * STEP)
+    assert made.command(13 * STEP, wanted, stopped=False) == msg.Velocity("m", 0.5)
+    assert made.command(14 * STEP, wanted, stopped=False) == msg.Velocity("m", 0.75)
+
+
+def test_a_device_that_reports_only_what_it_is_commanded_and_takes_neither_is_not_commanded() -> None:
+    limits = JointSettings(Limits(10.0, 50.0, 2.0))
     made = Joint("m", limits, spec(msg.Idle, msg.Position, feedback=FeedbackKind.REPLY))
     assert made.command(STEP, msg.Position("m", 3.0), stopped=False) == msg.Idle("m")
 

@@ -71,6 +71,7 @@ def test_a_stop_brakes_without_regard_to_the_jerk() -> None:
     smooth = replace(made.settings, limits=replace(made.settings.limits, jerk=100.0))
     made = armed(Joint("m", smooth, spec()), velocity=5.0)
     made.command(STEP, Velocity("m", 5.0), stopped=False)
+    armed(made, velocity=5.0, t=STEP + 1)
     first, second = (made.command(step * STEP, None, stopped=True) for step in (2, 3))
     assert isinstance(first, Velocity)
     assert isinstance(second, Velocity)
