@@ -33,12 +33,11 @@ def read_text(path: Path, most: int = MAX_SIZE) -> str:
     """Return the text of a file, which is UTF-8 and has at most so many characters.
 
     Raises ConfigError with what is wrong."""
-    mistakes = Mistakes(str(path), "")
+    mistakes, text = Mistakes(str(path), ""), None
     try:
-        if path.exists() and not path.is_file():
-            raise mistakes.fatal("is no file, but a folder, a pipe or a device: expected a text file")
-        with path.open(encoding="utf-8") as file:
-            text = file.read(most + 1)
+        if path.is_file() or not path.exists():  # a pipe would be waited for
+            with path.open(encoding="utf-8") as file:
+                text = file.read(most + 1)
     except OSError as error:
         raise mistakes.fatal(f"cannot be read: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
@@ -47,6 +46,8 @@ def read_text(path: Path, most: int = MAX_SIZE) -> str:
         raise mistakes.fatal(wrong, line) from error
     except ValueError as error:  # a path with a NUL
         raise mistakes.fatal(f"cannot be read: {error}") from error
+    if text is None:
+        raise mistakes.fatal("is no file, but a folder, a pipe or a device: expected a text file")
     if len(text) > most:
         raise mistakes.fatal(f"the file is too large: expected at most {most} characters")
     if (at := text.find("\0")) >= 0:
