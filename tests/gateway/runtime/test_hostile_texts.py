@@ -17,6 +17,7 @@ import gateway
 from gateway.config import load_mission, load_robot, parse_robot
 from gateway.errors import ConfigError, GatewayError, UserError
 from gateway.operator import Operator
+from gateway.operator.commands import RejectedLine, parse
 from gateway.runtime.configuration import read_dump
 from gateway.sim.load import load_plant, load_world
 from gateway.view import Address, parse_address
@@ -99,6 +100,15 @@ def test_every_file_is_refused_in_a_sentence_that_names_it(
             read(str(path))
         assert path.name[:20] in str(refused.value)
         assert str(refused.value).count("cannot be read") <= 1
+
+
+def test_an_operator_is_told_what_is_wrong_with_a_mission_file(tmp_path: Path) -> None:
+    robot = load_robot("bench")
+    for path in write_files(tmp_path / "files"):
+        told = parse(f"mission {path}", robot)
+        assert isinstance(told, RejectedLine)
+        assert path.name[:20] in told.reason
+        assert "defect" not in told.reason
 
 
 @pytest.mark.parametrize("wrong", FILES)
