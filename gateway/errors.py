@@ -1,7 +1,7 @@
 """Every exception that a user of the gateway has to handle, as one tree.
 
     GatewayError
-    ├── ConfigError          the robot file is wrong: every mistake in it, one line each
+    ├── ConfigError          a text file (robot, mission, world, plant, URDF, dump) is wrong: every mistake
     ├── ProtocolNotFound     no installed plugin has this name, or the plugin is broken
     ├── BusError             an interface cannot be opened, or cannot do what the robot file asks of it
     ├── RecordingError       a file cannot be written, or is no recording that this program can read
@@ -25,7 +25,7 @@ class GatewayError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Mistake:
-    """One mistake in a robot or world file."""
+    """One mistake in a text file."""
 
     file: str
     line: int
@@ -41,7 +41,7 @@ class Mistake:
 
 
 class ConfigError(GatewayError, ValueError):
-    """The robot file is wrong; `mistakes` lists everything, in the order of the file."""
+    """A text file is wrong, or cannot be read; `mistakes` lists everything, in the order of the file."""
 
     def __init__(self, mistakes: Sequence[Mistake]) -> None:
         self.mistakes = tuple(mistakes)

@@ -7,6 +7,7 @@ something differs, could not be read, or could not be restored.
 from __future__ import annotations
 
 import logging
+import os
 import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Iterable, Iterator, Sequence
@@ -18,6 +19,7 @@ from gateway.config import load_robot, with_interfaces
 from gateway.core.message_text import escaped
 from gateway.core.robot import TWIN, Robot
 from gateway.errors import UserError
+from gateway.recording.new_file import EXISTS, create_with
 from gateway.runtime import configuration
 from gateway.runtime.configuration import Difference, Interrupted, Motors, Readings
 from gateway.runtime.session import open_session
@@ -99,13 +101,13 @@ def _is_news(record: logging.LogRecord) -> bool:
 
 
 def _dump(robot: Robot, out: Path | None) -> int:
-    if out is not None and out.exists():
-        raise UserError(f"{out}: the file exists already; a dump is never overwritten")
+    if out is not None and os.path.lexists(out):
+        raise UserError(f"{out}: {EXISTS}")
     with _open(robot) as motors:
         readings = motors.read()
     if out is not None:
         try:
-            out.write_text(configuration.dump_text(robot, readings), encoding="utf-8")
+            create_with(out, configuration.dump_text(robot, readings).encode())
         except OSError as error:
             raise UserError(f"{out}: cannot be written: {error.strerror}") from error
     for name, one in readings.items():

@@ -6,6 +6,7 @@ Matplotlib is imported here only, and only when a picture is drawn.
 
 from __future__ import annotations
 
+from io import BytesIO
 from math import hypot
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +17,8 @@ from brain.belief import Pose
 from brain.bodies.plane import moved
 from gateway.cli.side_view import draw_linkage
 from gateway.cli.tour import Tour
+from gateway.errors import UserError
+from gateway.recording.new_file import replace_with
 from protocols.messages import SECOND
 
 if TYPE_CHECKING:
@@ -38,7 +41,7 @@ WINDOW = 4
 
 def draw(tour: Tour, file: Path) -> None:
     """Write a PNG: the map with the paths, or the joints, above; speed, bus load and age of feedback
-    below."""
+    below. Raises UserError if it cannot be written."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -58,7 +61,12 @@ def draw(tour: Tour, file: Path) -> None:
         if body is not None:
             draw_linkage(figure.add_subplot(grid[0]), body, tour)
         _joints(figure.add_subplot(grid[0:] if body is None else grid[1]), tour)
-    figure.savefig(file, dpi=110, metadata={"Software": None})
+    drawn = BytesIO()
+    figure.savefig(drawn, dpi=110, metadata={"Software": None})
+    try:
+        replace_with(file, drawn.getvalue())
+    except OSError as error:
+        raise UserError(f"{file}: {error.strerror}") from error
 
 
 def _map(axes: Axes, tour: Tour) -> None:

@@ -37,6 +37,8 @@ def check_report(file: Path) -> None:
     """Raise UserError if a report cannot be written there: a long run must not end in this surprise."""
     if file.is_dir() or not access(file if file.exists() else file.parent, W_OK):
         raise UserError(f"--report {file}: cannot be written; name a file in a folder that takes files")
+    if file.is_symlink():
+        raise UserError(f"--report {file}: is a link: name the file itself")
 
 
 @dataclass(slots=True)

@@ -19,7 +19,6 @@ on_failure = "skip"                 of any step: "stop", "skip", or steps that a
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -29,12 +28,12 @@ from brain.bodies.body import Base, Linkage
 from brain.planning.missions import why_not
 from gateway.config import resources
 from gateway.config.errors import Mistakes, shown, unknown
+from gateway.config.text import read_text, read_toml
 from gateway.core.robot import Robot
 from gateway.errors import UserError
 from protocols import messages as msg
 from protocols.messages import Command, Instruction, Mission, Step
 
-MAX_CHARACTERS = 200_000
 MAX_DEPTH = 8
 """Of steps within each other."""
 Table: TypeAlias = Mapping[str, object]
@@ -51,15 +50,11 @@ def load_mission(name: str | Path, robot: Robot | None = None) -> Mission:
         Mission: to be submitted to a session.
 
     Raises:
-        ConfigError: the file is wrong; it names every mistake.
+        ConfigError: the file is wrong or cannot be read; it names every mistake.
         UserError: there is no such file, or the robot cannot do it.
     """
     path = resources.find("missions", str(name))
-    try:
-        text = resources.read(path, MAX_CHARACTERS)
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"{path}: it cannot be read: {error}") from error
-    mission = parse_mission(text, str(path))
+    mission = parse_mission(read_text(path), str(path))
     if robot is not None and (wrong := cannot(mission, robot)):
         raise UserError(f"{path}: {robot.name!r} cannot do this: {wrong}")
     return mission
@@ -115,16 +110,8 @@ def parse_mission(text: str, file: str = "mission.toml") -> Mission:
         ConfigError: it is wrong, with every mistake.
     """
     mistakes = Mistakes(file, text)
-    if len(text) > MAX_CHARACTERS:
-        raise mistakes.fatal(f"more than {MAX_CHARACTERS} characters")
-    try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise mistakes.fatal(f"not TOML: {error}") from error
-    except RecursionError as error:
-        raise mistakes.fatal("tables or arrays nested too deep") from error
     reader = _Reader(mistakes, _step_lines(text))
-    mission = reader.mission(table, Path(file).stem)
+    mission = reader.mission(read_toml(text, mistakes), Path(file).stem)
     mistakes.check()
     return mission
 

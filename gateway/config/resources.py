@@ -14,8 +14,11 @@ def find(kind: Literal["robots", "worlds", "plants", "missions"], name: str) -> 
     """Return the file of that path, or the shipped one of that name. Raises UserError with what there is."""
     if is_path(name):
         path = Path(name)
-        if path.is_file():
-            return path
+        try:
+            if path.is_file():
+                return path
+        except OSError as error:  # a name that is too long, a folder that is closed to us
+            raise UserError(f"{name}: {error.strerror}") from error
         raise UserError(f"there is no file {name}")
     shipped = {p.stem: p for p in sorted(Path(str(files("gateway.fixtures") / kind)).glob("*.toml"))}
     if name in shipped:
@@ -32,11 +35,3 @@ def is_path(name: str) -> bool:
 def shipped(kind: str) -> Path:
     """Return the folder of the files of a kind that ship with the package."""
     return Path(str(files("gateway.fixtures") / kind))
-
-
-def read(path: Path, most: int) -> str:
-    """Return the text of a file, and of a very large one its beginning of `most` characters and one more.
-
-    Raises OSError or UnicodeDecodeError."""
-    with path.open(encoding="utf-8") as file:
-        return file.read(most + 1)

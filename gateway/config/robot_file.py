@@ -35,8 +35,9 @@ from brain.bodies.body import Body
 from brain.settings import BrainSettings
 from gateway.config import bodies, resources, validate
 from gateway.config.errors import Mistakes, shown, unknown
-from gateway.config.schema import MAX_SIZE, build, read_toml
+from gateway.config.schema import build
 from gateway.config.sections import Find, Table, check_interface, own_ids, read_bus, read_motor, read_sensor
+from gateway.config.text import read_text, read_toml
 from gateway.config.urdf import Description, with_files
 from gateway.core.bounds import Bounds
 from gateway.core.robot import BagTopics, BusDevice, Robot
@@ -82,12 +83,7 @@ def load_robot(robot: str | Path, find: Find = plugin.load) -> Robot:
     """
     path = resources.find("robots", robot) if isinstance(robot, str) else robot
     mistakes = Mistakes(str(path), "")
-    try:
-        text = resources.read(path, MAX_SIZE)
-    except (OSError, UnicodeDecodeError) as error:
-        mistakes.add((), f"cannot be read: {error}")
-        raise mistakes.error() from error
-    text = with_files(text, path, mistakes)
+    text = with_files(read_text(path), path, mistakes)
     mistakes.check()
     return parse_robot(text, str(path), find, with_world=True)
 

@@ -10,7 +10,6 @@ So a new setting in any of the dataclasses needs no change here.
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, Field, fields, is_dataclass
 from enum import Enum
@@ -30,54 +29,13 @@ class _Milliseconds:
     """The hint of a time: a number of milliseconds in the file, which becomes nanoseconds."""
 
 
-MAX_SIZE = 256 * 1024
-"""Characters of a file: its reading takes less than a second, whatever is in it."""
-_MAX_DEPTH = 32
-"""Tables and arrays inside each other; valid files need 5."""
-_MAX_VALUES = 10_000
-"""Keys, tables, and items of arrays."""
 MAX_NAMED = 500
 """Keys of a table whose keys are names: walls, shafts."""
-_PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+"""
-_DEEP_KEY = re.compile(rf"(?<![\w-])(?:{_PART}){{{_MAX_DEPTH}}}")
-"""A dotted key that makes so many tables: the parser's time grows with the square of their number."""
 NOTHING: Mapping[str, object] = MappingProxyType({})
 _INVALID = object()
 """Instead of a value that does not fit its hint."""
 _STAND_INS: dict[object, object] = {float: 1.0, int: 1, str: "x", bool: False}
 """Instead of a required value that is missing or invalid, for `__post_init__` to check the other fields."""
-
-
-def read_toml(text: str, mistakes: Mistakes) -> dict[str, Any]:
-    """Return the file as a table. Raises ConfigError if it is not TOML, too large, or nested too deeply."""
-    too_deep = "tables or arrays are nested too deeply"
-    if len(text) > MAX_SIZE:
-        raise mistakes.fatal(f"the file is too large: expected at most {MAX_SIZE} characters")
-    if _DEEP_KEY.search(text):
-        raise mistakes.fatal(too_deep)
-    try:
-        table = tomllib.loads(text)
-    except RecursionError as error:
-        raise mistakes.fatal(too_deep) from error
-    except ValueError as error:  # TOMLDecodeError, or an integer of thousands of digits
-        place = re.search(r"line (\d+)", str(error))
-        raise mistakes.fatal(f"not TOML: {error}", int(place[1]) if place else 0) from error
-    level: list[object] = [table]
-    count = 0
-    for _ in range(_MAX_DEPTH):
-        level = [one for inner in level for one in _items(inner)]
-        count += len(level)
-    if level:
-        raise mistakes.fatal(too_deep)
-    if count > _MAX_VALUES:
-        raise mistakes.fatal(f"the file has {count} keys and values: expected at most {_MAX_VALUES}")
-    return table
-
-
-def _items(value: object) -> list[object]:
-    if isinstance(value, dict):
-        return list(value.values())
-    return value if isinstance(value, list) else []
 
 
 def build(

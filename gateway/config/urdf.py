@@ -13,7 +13,6 @@ appended to it when it is loaded (table [files]), and read from there and from n
 from __future__ import annotations
 
 import math
-import tomllib
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -22,6 +21,8 @@ from brain.bodies.body import Body
 from brain.bodies.chain import at_rest
 from gateway.config import resources
 from gateway.config.errors import Mistakes, unknown
+from gateway.config.text import read_text, read_toml
+from gateway.errors import ConfigError
 
 Table: TypeAlias = dict[str, Any]
 QUOTES = "'''"
@@ -30,8 +31,8 @@ QUOTES = "'''"
 def with_files(text: str, path: Path, mistakes: Mistakes) -> str:
     """Return the text of a robot file with that of its URDF, if it names one and has none."""
     try:
-        table = tomllib.loads(text)
-    except (ValueError, RecursionError):
+        table = read_toml(text, Mistakes("", text))
+    except ConfigError:
         return text  # what is wrong is reported when it is parsed
     name = table.get("urdf")
     if not isinstance(name, str) or "files" in table:
@@ -39,12 +40,12 @@ def with_files(text: str, path: Path, mistakes: Mistakes) -> str:
     beside = path.parent / name
     try:
         found = beside if beside.is_file() else resources.shipped("robots") / name
-        content = resources.read(found, urdf.MOST_CHARACTERS)
-    except FileNotFoundError:
-        mistakes.add(("urdf",), f"there is no {name!r} beside the robot file, and none that ships")
-        return text
-    except (OSError, UnicodeDecodeError) as error:
-        mistakes.add(("urdf",), f"{name!r} cannot be read: {error}")
+        if not found.exists():
+            mistakes.add(("urdf",), f"there is no {name!r} beside the robot file, and none that ships")
+            return text
+        content = read_text(found, urdf.MOST_CHARACTERS)
+    except (OSError, ValueError) as error:  # a name that can be none of a file is one, too
+        mistakes.add(("urdf",), str(error))
         return text
     if QUOTES in content or '"' in name:
         mistakes.add(("urdf",), f"{name!r} has {QUOTES} in it, or a quote in its name: expected none")

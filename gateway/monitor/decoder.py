@@ -5,13 +5,14 @@ send. A device of a robot file is known from the start. Without a robot file, a 
 protocol has decoded `MIN_EVENTS` events of it, a motor's state among them; until then its events are guesses.
 The ids of a device that was found belong to it; all other ids are unknown. Faults have the texts of the
 device's protocol; they are past when it reports a state without fault. All values are at the joints' output
-shafts.
+shafts. A plugin that raises is named, and keeps nothing from the others.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 
 from gateway.buses.frame_time import frame_time
@@ -60,6 +61,8 @@ class BusMonitor:
         self.ids: dict[CanId, IdRecord] = {}
         self.notes: deque[Event] = deque(maxlen=MAX_NOTES)
         """Events of no device in particular: Found, Done, Refused."""
+        self.failures: dict[str, str] = {}
+        """What a plugin raised last, by protocol and bus."""
         self.found: dict[Place, DeviceRecord] = {}
         self._variants = {bus: [variant for variant in variants if variant.bus == bus] for bus in buses}
         self._best: dict[Place, DeviceRecord] = {}
@@ -76,7 +79,8 @@ class BusMonitor:
         """Take in a change of a bus."""
         self.buses[bus].state = BusState.UP if state is BusState.BACK else state
         for variant in self._variants[bus]:
-            variant.driver.bus(t, state)
+            with self._asking(variant):
+                variant.driver.bus(t, state)
 
     def decode(self, packet: Packet, *, sent: bool | None = None) -> DecodedPacket:
         """Return what a packet means; `sent`: whether the host sent it, None if that is not known."""
@@ -86,11 +90,16 @@ class BusMonitor:
         for variant in self._listening(packet.bus, self._owners_of(packet)):
             if not sent:
                 before = variant.driver.counters.accepted
-                events = variant.driver.receive(packet.t, packet.frame)
+                events: Sequence[Event] = ()
+                with self._asking(variant, decoded):
+                    events = tuple(variant.driver.receive(packet.t, packet.frame))
                 accepted = accepted or variant.driver.counters.accepted > before
                 self._on_events(variant, events, decoded)
             if sent is not False or isinstance(packet.frame, CanFrame):
-                self._on_commands(variant, variant.decoder.decode(packet.t, packet.frame), decoded)
+                obeyed: Sequence[Obeyed] = ()
+                with self._asking(variant, decoded):
+                    obeyed = tuple(variant.decoder.decode(packet.t, packet.frame))
+                self._on_commands(variant, obeyed, decoded)
         owners = self._owners_of(packet)  # one may have been found just now
         if accepted and len(owners) == 1:
             owners[0].received_at = packet.t
@@ -130,6 +139,17 @@ class BusMonitor:
                 head = f"{number:08X}" if extended else f"{number:03X}"
                 rates.append((" ".join([head, *one.kinds]), one.rate.per_second(now)))
         return rates or [(kind, rate.per_second(now)) for kind, rate in record.kinds.items()]
+
+    @contextmanager
+    def _asking(self, variant: ProtocolVariant, decoded: DecodedPacket | None = None) -> Iterator[None]:
+        """Note what a plugin raises: it keeps nothing from the others."""
+        try:
+            yield
+        except Exception as error:  # noqa: BLE001 -- a plugin may raise anything
+            text = f"{type(error).__name__}: {error}"
+            self.failures[f"{variant.protocol} on {variant.bus}"] = text
+            if decoded is not None:
+                decoded.failures.append(f"the protocol {variant.protocol} has failed: {text}")
 
     # -- counting -----------------------------------------------------------------------------
 

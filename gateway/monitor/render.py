@@ -53,6 +53,8 @@ def page(monitor: BusMonitor, now: Nanos, title: str) -> list[str]:
     blocks = [[title], _buses(monitor, now), _devices(monitor, now), _unknown(monitor, now)]
     if monitor.notes:
         blocks.append(["answers and discoveries:", *(f"  {message_text(event)}" for event in monitor.notes)])
+    failed = [f"  {name}: {text}" for name, text in monitor.failures.items()]
+    blocks.append(["defects of protocols, to be reported with these frames:", *failed] if failed else [])
     return [line for block in blocks if block for line in [*block, ""]][:-1]
 
 
@@ -216,7 +218,7 @@ def _meaning(decoded: DecodedPacket) -> str:
     texts = [_event(event) for event in decoded.events] + [
         message_text(command) for command in decoded.commands
     ]
-    texts += [f"{_event(event)} (a guess)" for event in decoded.guesses]
+    texts += [f"{_event(event)} (a guess)" for event in decoded.guesses] + decoded.failures
     return NEGATIVE_ZERO.sub("0", "; ".join(texts)) or ", ".join(decoded.names)
 
 

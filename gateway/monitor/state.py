@@ -163,3 +163,5 @@ class DecodedPacket:
     """Events, if it was sent by a device that has not been found yet."""
     names: tuple[str, ...] = ()
     """The devices to which its id belongs."""
+    failures: list[str] = field(default_factory=list)
+    """What plugins raised of it."""

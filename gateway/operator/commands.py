@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 from math import isfinite, radians
-from typing import Literal, TypeAlias
+from typing import Literal, TypeAlias, TypeVar
 
 from brain.bodies.body import Base
 from brain.planning.mission_steps import text
@@ -24,6 +24,7 @@ from gateway.core.robot import Robot
 from gateway.errors import ConfigError, UserError
 from protocols import messages as msg
 
+Result = TypeVar("Result")
 ALL = "all"
 """Instead of a motor's name in a request: every motor."""
 
@@ -59,10 +60,20 @@ def parse(line: str, robot: Robot, *, files: bool = True) -> msg.Instruction | Q
         return RejectedLine(f"{name} one that ships: files are for the gateway's own terminal")
     if command.of_base and (wrong := cannot(msg.Drive(0.0, 0.0), robot)):
         return RejectedLine(wrong)
+    usage = f"{name} {command.usage}".rstrip()
+    return safely(lambda: command.parse(texts, robot), f"; expected: {usage}")
+
+
+def safely(ask: Callable[[], Result], expected: str = "") -> Result | RejectedLine:
+    """Return what is asked, or why not: what an operator sends ends no run, nor does a defect in reading it.
+
+    `expected` follows what is wrong with an argument."""
     try:
-        return command.parse(texts, robot)
+        return ask()
     except _InvalidError as error:
-        return RejectedLine(f"{error}; expected: {name} {command.usage}".rstrip())
+        return RejectedLine(f"{error}{expected}")
+    except Exception as error:  # noqa: BLE001 -- the run goes on, with nothing done
+        return RejectedLine(f"nothing was done: a defect of the gateway, {type(error).__name__}: {error}")
 
 
 def command_of(line: str) -> str:
@@ -164,8 +175,8 @@ def _integer(base: Literal[10, 16]) -> Convert:
             value = int(text, base)
         except ValueError:
             raise _InvalidError(f"{text!r} is not a{' hexadecimal' if base == 16 else 'n'} integer") from None
-        if value < 0:
-            raise _InvalidError(f"{text!r} is negative")
+        if not 0 <= value < 1 << 64:
+            raise _InvalidError(f"{text!r} is {'negative' if value < 0 else 'longer than 64 bits'}")
         return value
 
     return convert

@@ -29,7 +29,7 @@ from pathlib import Path
 from gateway.core.message_text import escaped
 from gateway.core.robot import Robot
 from gateway.errors import OperatorError
-from gateway.operator.commands import Query, RejectedLine, help_text, parse
+from gateway.operator.commands import Query, RejectedLine, help_text, parse, safely
 from protocols.messages import Instruction
 
 MAX_READ = 4096
@@ -174,7 +174,8 @@ class Operator:
             case Query("help"):
                 answer(help_text())
             case Query(kind, text) if kind in answers:
-                answer(answers[kind](text))
+                told = safely(partial(answers[kind], text))
+                answer(told if isinstance(told, str) else told.reason)
             case Query():  # quit
                 self.leaving = True
                 answer("leaving")

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING
 import lz4.frame
 
 from gateway.recording.layout import MAGIC, Opcode
+from gateway.recording.new_file import create
 from protocols.messages import Nanos
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ UINT64 = 2**64 - 1
 
 
 class McapFile:
-    """Collects messages, and writes them on `flush`. Raises OSError as a file does.
+    """Collects messages, and writes them on `flush`, to a new file. Raises OSError as a file does.
 
     `broken`: a failed write could not be undone; the file must not be written to any more."""
 
@@ -72,7 +73,7 @@ class McapFile:
         """Log time and offset of the messages in the chunk, by channel."""
         self._from: Nanos = UINT64
         self._to: Nanos = 0
-        self._stream = path.open("wb", buffering=0)
+        self._stream = os.fdopen(create(path), "wb", buffering=0)
         try:
             self._append(MAGIC + _bytes(Header("ros2", library)))
         except OSError:

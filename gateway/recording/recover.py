@@ -19,6 +19,7 @@ from gateway.recording import tick_codec
 from gateway.recording.layout import MAGIC, Opcode
 from gateway.recording.mcap_file import McapFile
 from gateway.recording.mcap_records import FOOTER, MESSAGE_HEAD, Damage, Record, records
+from gateway.recording.new_file import EXISTS, publish
 from gateway.recording.reader import has_end, head, parse, read_recording
 from protocols.messages import Nanos, seconds
 
@@ -109,11 +110,17 @@ def recover(path: Path, target: Path) -> Recovery:
     Raises RecordingError if it is not a recording, or if the new file exists already or cannot be written."""
     has_end(path)
     head(path, whole=False)
-    if target.exists():
-        raise RecordingError(f"{target}: exists already; it is not overwritten")
+    if os.path.lexists(target):
+        raise RecordingError(f"{target}: {EXISTS}")
     found, part = Recovery(), target.with_name(target.name + ".part")
     try:
         copy = _Copy(path, part)
+    except FileExistsError as error:
+        wrong = "another recovery writes it, or was broken off: then remove it"
+        raise RecordingError(f"{part}: {wrong}") from error
+    except OSError as error:
+        raise RecordingError(f"{target}: cannot be written: {error.strerror}") from error
+    try:
         try:
             for record in _scanned(path, found):
                 copy.add(record)
@@ -121,7 +128,7 @@ def recover(path: Path, target: Path) -> Recovery:
         finally:
             copy.file.abandon()
         if found.ticks:
-            part.replace(target)
+            publish(part, target)
     except OSError as error:
         raise RecordingError(f"{target}: cannot be written: {error.strerror}") from error
     finally:

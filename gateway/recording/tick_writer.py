@@ -155,4 +155,5 @@ class TickWriter:
 
 
 def _not_created(path: Path, error: OSError) -> RecordingError:
-    return RecordingError(f"{path}: cannot be written: {error.strerror}")
+    exists = isinstance(error, FileExistsError)
+    return RecordingError(f"{path}: {'' if exists else 'cannot be written: '}{error.strerror}")

@@ -6,14 +6,16 @@ they differ, and with their unit.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from itertools import zip_longest
 
 import numpy as np
 
+from gateway.config.errors import Mistakes
+from gateway.config.text import read_toml
 from gateway.core.message_text import escaped, message_text
+from gateway.errors import ConfigError
 from protocols.messages import Message
 
 _DIGITS = (4, 6, 9, 17)
@@ -38,10 +40,12 @@ def settings(recorded: str, now: str, sides: tuple[str, str] = _SIDES) -> list[s
     """Return the keys in which two robot files differ, with both values; [] if they mean the same."""
     if recorded == now:
         return []
+    files = zip(sides, (recorded, now), strict=True)
     try:
-        return mappings(_flat(tomllib.loads(recorded)), _flat(tomllib.loads(now)), sides)
-    except tomllib.TOMLDecodeError as error:
+        one, two = (read_toml(text, Mistakes(side, text)) for side, text in files)
+    except ConfigError as error:
         return [f"the two files differ, and one of them cannot be read: {error}"]
+    return mappings(_flat(one), _flat(two), sides)
 
 
 def mappings(

@@ -26,6 +26,7 @@ from brain.belief import MapView, Pose
 from brain.bodies.body import Base
 from gateway.core.message_text import escaped
 from gateway.errors import UserError
+from gateway.recording.new_file import replace_with
 from gateway.report.collect import QUANTITIES, Collector, group_of
 from gateway.report.series import Track
 from protocols.messages import MILLISECOND, SECOND, Nanos
@@ -70,7 +71,7 @@ class Facts:
 def write(file: Path, collector: Collector, facts: Facts) -> None:
     """Write the report of a run; a file that exists is replaced. Raises UserError if it cannot be written."""
     try:
-        file.write_text(page(collector, facts), encoding="utf-8")
+        replace_with(file, page(collector, facts).encode(errors="replace"))
     except OSError as error:
         raise UserError(f"{file}: {error.strerror}") from error
 

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import resource
 import sqlite3
-import struct
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 from traceback import extract_tb
 from typing import TYPE_CHECKING
 
-from gateway.errors import BagError
+from gateway.errors import BagError, GatewayError
 from gateway.recording.layout import MAGIC, METADATA, Opcode
 from gateway.recording.mcap_records import MAX_EXPANSION, Damage, records
 
@@ -59,13 +58,13 @@ def _is_recording(path: Path) -> bool:
 @contextmanager
 def open_bag(path: Path) -> Iterator[AnyReader]:
     """Open a bag; any error of its reader becomes a BagError."""
-    _check_form(path)
     from rosbags.highlevel import AnyReader, AnyReaderError
     from rosbags.rosbag1 import ReaderError as Ros1Error
     from rosbags.rosbag2 import ReaderError as Ros2Error
     from rosbags.typesys import Stores, get_typestore
 
     try:
+        _check_form(path)
         # A ROS 1 bag contains the definitions of its types; some ROS 2 bags leave them to the reader.
         with (
             _limited_memory(path),
@@ -81,7 +80,9 @@ def open_bag(path: Path) -> Iterator[AnyReader]:
         ) from error
     except MemoryError as error:
         raise BagError(f"{path}: needs too much memory for its size: damaged, or made to do harm") from error
-    except DAMAGE as error:
+    except GatewayError:
+        raise
+    except Exception as error:  # of SQLite, YAML, a codec: whatever damaged bytes make a library raise
         raise BagError(f"{path}: damaged: {type(error).__name__}: {_line(error)}") from error
 
 
@@ -140,14 +141,3 @@ MAX_MEMORY = 512 * 1024 * 1024
 """Bytes that reading a bag may take, beside `MAX_EXPANSION` times its size."""
 MAX_LENGTH = 120
 """Characters of another library's error text that are shown."""
-DAMAGE = (
-    ArithmeticError,
-    EOFError,
-    LookupError,
-    OSError,
-    RuntimeError,
-    TypeError,
-    ValueError,
-    struct.error,
-)
-"""Errors that a reader of damaged bytes raises, beside its own."""

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import json
 import re
-import tomllib
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import isclose, isfinite
@@ -19,7 +18,8 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from brain.bodies import bare
-from gateway.config.errors import unknown
+from gateway.config.errors import Mistakes, unknown
+from gateway.config.text import MAX_SIZE, read_text, read_toml
 from gateway.core.clock import date
 from gateway.core.robot import Motor, Robot
 from gateway.core.tick import Tick
@@ -33,6 +33,8 @@ ANSWER: Nanos = 15 * SECOND
 """Time after which a request counts as not answered; drivers answer sooner (conformance: 8 s)."""
 READY: Nanos = 3 * SECOND
 """Time in which the motors may report their states."""
+DUMP = 8
+"""How often the usual size of a file a dump may be: a program writes it."""
 KNOWN = (Mode.READY, Mode.FAULT)
 """States in which a motor is written to."""
 UNITS = {"velocity": "rad/s", "torque": "N·m"}
@@ -298,13 +300,9 @@ def quoted(text: str) -> str:
 
 
 def read_dump(path: Path, robot: Robot) -> Readings:
-    """Read a dump of this robot. Raises UserError with all that is wrong with it."""
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:  # of TOML, UTF-8, or an integer of too many digits
-        raise UserError(f"{path}: is no TOML: {error}") from error
+    """Read a dump of this robot. Raises UserError or ConfigError with all that is wrong."""
+    text = read_text(path, DUMP * MAX_SIZE)
+    table = read_toml(text, Mistakes(str(path), text), DUMP)
     motors = table.get("motors")
     if not isinstance(motors, dict) or not isinstance(table.get("robot"), str):
         raise UserError(f"{path}: is no dump: `gateway motor dump ROBOT --out FILE` makes one")

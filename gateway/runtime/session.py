@@ -9,6 +9,7 @@ anything has moved.
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
@@ -158,15 +159,16 @@ class Session:
 
         Raises:
             RecordingError: it cannot be written.
-            UserError: it exists.
+            UserError: it exists, or a link of its name. The recording so far goes on.
         """
         from gateway.recording import Recorder
 
         _check_new(path)
-        self.stop_recording()
         mounts = {name: sensor.mount for name, sensor in self.robot.sensors.items()}
-        self.recorder = Recorder(Path(path), self.robot.text, {"date": date()}, mounts)
-        self._recorders.append(self.recorder)
+        recorder = Recorder(Path(path), self.robot.text, {"date": date()}, mounts)
+        self.stop_recording()
+        self.recorder = recorder
+        self._recorders.append(recorder)
 
     def stop_recording(self) -> None:
         """End the recording, if there is one. Does not wait for the disk."""
@@ -317,8 +319,8 @@ def open_session(
 
 
 def _check_new(path: Path | str) -> None:
-    if Path(path).exists():
-        raise UserError(f"{path}: the file exists already; a recording is never overwritten")
+    if os.path.lexists(path):
+        raise UserError(f"{path}: exists already; it is never overwritten")
 
 
 def _discard_stale(robot: Robot, buses: Mapping[str, Bus], clock: Clock) -> None:

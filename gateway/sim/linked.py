@@ -19,6 +19,7 @@ from brain.bodies import urdf
 from brain.perception.mount import Mount
 from gateway.config import resources
 from gateway.config.errors import unknown
+from gateway.config.text import read_text
 from gateway.sim import mjcf
 from gateway.sim.files import SceneFile, Start
 from gateway.sim.linked_file import LinkedFile
@@ -95,7 +96,7 @@ def _element(text: str) -> ET.Element:
 
 def _robot(plant: LinkedFile, start: Start, imus: dict[str, Mount]) -> mjcf.Robot:
     """Return the URDF's links as MJCF, with actuators for the motors, in their order."""
-    text = resources.read(find_urdf(plant.urdf), urdf.MOST_CHARACTERS)
+    text = read_text(find_urdf(plant.urdf), urdf.MOST_CHARACTERS)
     model = urdf.parse(text)
     moving = [name for name, joint in model.joints.items() if joint.moves]
     if wrong := [unknown("joint", name, moving) for name in plant.joints if name not in moving]:

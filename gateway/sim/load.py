@@ -8,7 +8,8 @@ from typing import Literal, TypeAlias, TypeVar
 
 from gateway.config import resources
 from gateway.config.errors import Mistakes, shown
-from gateway.config.schema import MAX_SIZE, build, read_toml
+from gateway.config.schema import build
+from gateway.config.text import read_text, read_toml
 from gateway.errors import ConfigError, Mistake, UserError
 from gateway.sim.files import BenchFile, SceneFile, WorldFile
 from gateway.sim.linked_file import LinkedFile
@@ -57,8 +58,10 @@ def parse_plant(text: str, source: str = "plant.toml") -> PlantFile:
 def _load(kind: Literal["worlds", "plants"], name_or_path: str | Path, parse: Parse[T]) -> T:
     try:
         path = resources.find(kind, str(name_or_path))
-        text = resources.read(path, MAX_SIZE)
-    except (UserError, OSError, UnicodeDecodeError) as error:
+        text = read_text(path)
+    except ConfigError as error:
+        raise WorldError(error.mistakes) from error
+    except UserError as error:
         raise WorldError.about(str(name_or_path), [f"cannot be read: {error}"]) from error
     return parse(text, str(path))
 

@@ -34,6 +34,7 @@ import numpy as np
 import numpy.typing as npt
 
 from brain.belief import MapView
+from gateway.config.text import read_json
 from gateway.core.tick import Tick
 from gateway.view.requests import SILENT, Answer, Asking, Requests
 from gateway.view.scene import Json, Scene, lidar_mounts, note
@@ -87,7 +88,7 @@ class Cockpit:
         instructions: list[Instruction] = []
         held: list[Json] = []
         for message in messages:
-            asked = _read(message)
+            asked = read_json(message)
             if asked is None:
                 client.end(1003, "JSON is expected: an object")
                 return instructions
@@ -186,15 +187,6 @@ class Cockpit:
             "reset": moved,
         }
         page.client.send(_binary("tiles", header, *(tile for _, tile in new)))
-
-
-def _read(message: Message) -> Json | None:
-    """Return the object that a message is; None: it is none."""
-    try:
-        asked = json.loads(message)
-    except (ValueError, RecursionError):  # no JSON, no UTF-8, or brackets without end
-        return None
-    return asked if isinstance(asked, dict) else None
 
 
 def _answer(client: Client, asked: Json, answer: Answer) -> None:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from math import atan2, isfinite
 from typing import Any, TypeAlias
 
+from gateway.config.text import read_json as json_object
 from gateway.view.scene import Json
 from protocols.messages import SECOND, Nanos
 
@@ -128,12 +129,9 @@ def read_text(message: str) -> Json:
 
 def read_json(message: str | bytes) -> Json:
     """Return a JSON object."""
-    try:
-        asked = json.loads(message)
-    except (ValueError, RecursionError):  # no JSON, no UTF-8, or brackets without end
-        raise WireError("JSON is expected") from None
-    if not isinstance(asked, dict):
-        raise WireError("an object is expected")
+    asked = json_object(message)
+    if asked is None:
+        raise WireError("an object in JSON is expected")
     return asked
 
 
@@ -220,13 +218,8 @@ def string(asked: Json, key: str) -> str:
 
 def real(found: object, key: str) -> float:
     """Return a finite number; of a truth value, 0 or 1."""
-    if isinstance(found, int | float):
-        try:
-            value = float(found)
-        except OverflowError:  # an integer of hundreds of digits
-            value = float("inf")
-        if isfinite(value):
-            return value
+    if isinstance(found, int | float) and isfinite(found):
+        return float(found)
     raise WireError(f"{key} must be a finite number")
 
 

@@ -7,7 +7,7 @@ cleared by ClearFault alone, by a rising edge of bit 7 of the controlword.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 from protocols import messages as msg
@@ -29,7 +29,8 @@ from protocols.cia402.polls import feedback
 from protocols.cia402.setpoints import Values
 from protocols.frames import CanFrame, Frame
 from protocols.messages import MILLISECOND, Command, Event, Nanos, Request
-from protocols.plugin import Device, FaultInfo
+from protocols.plugin import Device
+from protocols.toolkit.faults import Faults
 from protocols.toolkit.host import Host, Phase, Report, Timing
 from protocols.toolkit.motor_driver import ARMED, NEVER, Adapter, MotorDriver, Pending, Rx
 
@@ -50,21 +51,11 @@ DrivePending: TypeAlias = Pending[Drive]
 Cia402Driver: TypeAlias = MotorDriver[Drive]
 
 
-class _Faults(dict[int, FaultInfo]):
-    """What is known of any code."""
-
-    def __missing__(self, code: int) -> FaultInfo:
-        return fault_info(code)
-
-    def __deepcopy__(self, _: object) -> _Faults:
-        return self
-
-
 class Cia402Adapter(Adapter[Drive]):
     """What drives are sent, and what they report."""
 
     name = "cia402"
-    faults: Mapping[int, FaultInfo] = _Faults(FAULTS)
+    faults = Faults(FAULTS, fault_info)
     duplicate = DUPLICATE_NODE
     blind = True  # `ready` decides
     needs_idle = (msg.Reboot,)

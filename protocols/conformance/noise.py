@@ -29,6 +29,10 @@ STRANGE = tuple(
 """Numbers that are not finite, and the limits of integers."""
 
 
+SIZES = (*range(9), 12, 16, 20, 24, 32, 48, 64)
+"""Lengths of the data of CAN FD."""
+
+
 def frames(case: Case, count: int) -> list[Frame]:
     """Return this many frames, most of them like those of alpha, beta and their driver."""
     random, spec = case.random(), case.spec
@@ -65,6 +69,23 @@ def other_ids(case: Case) -> list[Frame]:
     some = [*up[:1], *valid[:1]]
     turned = [replace(frame, id=frame.id ^ 1 << bit) for frame in some for bit in range(29)]
     return [frame for frame in turned if not any_matches(known, frame)]
+
+
+def shapes(case: Case, ids: Sequence[IdMask]) -> list[Frame]:
+    """Return data of every length, none or one of its bits set, under each of these ids. (On a stream: valid
+    messages, since others fail their checksum.)"""
+    if case.spec.bus == "serial":
+        return valid_frames(case)
+    fd, random = case.spec.bus == "canfd", case.random()
+    frames: list[Frame] = []
+    for each in ids:
+        for size in SIZES if fd else range(9):
+            number = _one_of(*each, random)
+            id_, long = number & ~EXTENDED_BIT, number > 0x7FF
+            bits = range(8 * size) if size <= 8 else [random.below(8 * size) for _ in range(64)]
+            data = [bytes(size), *((1 << bit).to_bytes(size, "little") for bit in bits)]
+            frames += [CanFrame(id_, part, long, fd=fd) for part in data]
+    return frames
 
 
 def patched(frame: Frame, numbers: Sequence[bytes]) -> Iterator[Frame]:

@@ -7,13 +7,14 @@ from dataclasses import fields, replace
 
 from protocols.conformance import bench as tools
 from protocols.conformance import noise
-from protocols.conformance.bench import NAMES, START, Bench
+from protocols.conformance.bench import NAMES, START, STEP, Bench, Messages
 from protocols.conformance.case import Case, Failure, Inapplicable, counts, difference
 from protocols.conformance.random import Random
+from protocols.conformance.states import Situation, situations
 from protocols.frames import CanFrame, Frame
 from protocols.messages import Event, Feedback, Obeyed
 
-Feed = Callable[[Bench, Frame], object]
+Feed = Callable[[Bench, Frame, Messages], object]
 Received = tuple[list[Event], tuple[int, int, int]]
 """The events of a driver, and its counts: accepted, malformed, ignored."""
 COUNTED = "(accepted, malformed, ignored)"
@@ -27,48 +28,65 @@ SETTLED = 20
 """Steps after which a reader has dropped a message that did not end."""
 COMPARED = 5
 """Steps that are compared then."""
+ROUND = 16
+"""Frames that one driver gets before another one is in its place, which has learnt nothing of them."""
+MOST, FEW = 2000, 160
+"""Shapes of frames that are tried in a usual state, and in another."""
 
 
 # -- no bytes raise --------------------------------------------------------------------------------------
 
 
 def no_bytes_raise(case: Case) -> None:
-    """Driver, decoder and twin take any frame: random, cut, too long, of another kind; disarmed or armed."""
-    samples = noise.frames(case, case.share(500))
-    for start in (case.start, case.armed):
+    """Driver, decoder and twin take any frame, in every state: random, cut, too long, of another kind."""
+    random, spec = case.random(), case.spec
+    up, down = noise.shapes(case, spec.expects), random.shuffled(noise.shapes(case, spec.sends))[:MOST]
+    for situation in situations(case):
+        usual = situation.name in ("fresh", "armed")
+        series = noise.frames(case, case.share(500 if usual else 60))
         for receiver, feed in RECEIVERS:
-            bench = start()
-            if bench is None:
-                continue
-            for at, frame in enumerate(samples):
-                error = _raised(feed, bench, frame)
-                if error:
-                    raise _shortened(start, receiver, feed, samples[max(at - 7, 0) : at + 1], error)
+            _take(situation, receiver, feed, series)
+        for receiver, feed in RECEIVERS[1:]:
+            _take(situation, receiver, feed, down if usual else random.shuffled(down)[:FEW])
+        # A new driver knows least of what it receives: it gets every shape.
+        some = random.shuffled(up)[: len(up) if situation.name == "fresh" else case.share(FEW)]
+        for at in range(0, len(some), ROUND):
+            _take(situation, *RECEIVERS[0], some[at : at + ROUND])
+
+
+def _take(situation: Situation, receiver: str, feed: Feed, series: Sequence[Frame]) -> None:
+    """Give one end, in this state, a series of frames."""
+    bench = situation.again()
+    for at, frame in enumerate(series):
+        bench.now += STEP
+        error = _raised(feed, bench, frame, situation.told)
+        if error:
+            raise _shortened(situation, receiver, feed, series[max(at - 7, 0) : at + 1], error)
 
 
 def _shortened(
-    start: Callable[[], Bench | None], receiver: str, feed: Feed, series: list[Frame], error: str
+    situation: Situation, receiver: str, feed: Feed, series: Sequence[Frame], error: str
 ) -> Failure:
     """Return the failure, with the one frame that suffices, if one does."""
 
     def alone(frame: Frame) -> bool:
-        bench = start()
-        return bench is not None and bool(_raised(feed, bench, frame))
+        return bool(_raised(feed, situation.again(), frame, situation.told))
 
     if not alone(series[-1]):
-        return Failure(f"{receiver} raises {error} at the last of these", series)
-    return Failure(f"{receiver} raises {error}", (tools.shortest(series[-1], alone),))
+        return Failure(f"{receiver}, {situation.name}, raises {error} at the last of these", series)
+    return Failure(f"{receiver}, {situation.name}, raises {error}", (tools.shortest(series[-1], alone),))
 
 
-def _feed_driver(bench: Bench, frame: Frame) -> object:
-    return bench.driver.receive(bench.now, frame), bench.driver.send(bench.now, ()), bench.driver.due()
+def _feed_driver(bench: Bench, frame: Frame, told: Messages) -> object:
+    driver = bench.driver
+    return driver.receive(bench.now, frame), driver.send(bench.now, told), driver.due(), driver.awaits()
 
 
-def _feed_decoder(bench: Bench, frame: Frame) -> object:
+def _feed_decoder(bench: Bench, frame: Frame, _told: Messages) -> object:
     return bench.decoder.decode(bench.now, frame)
 
 
-def _feed_twin(bench: Bench, frame: Frame) -> object:
+def _feed_twin(bench: Bench, frame: Frame, _told: Messages) -> object:
     twin = bench.twins[0]
     twin.receive(bench.now, frame)
     return twin.step(bench.now, [Feedback(NAMES[0], bench.now, 0.0, 0.0)]), twin.due()
@@ -81,9 +99,9 @@ RECEIVERS: tuple[tuple[str, Feed], ...] = (
 )
 
 
-def _raised(feed: Feed, bench: Bench, frame: Frame) -> str:
+def _raised(feed: Feed, bench: Bench, frame: Frame, told: Messages) -> str:
     try:
-        feed(bench, frame)
+        feed(bench, frame, told)
     except Exception as error:  # noqa: BLE001 -- whatever a plugin raises here is the finding
         return f"{type(error).__name__}: {error}"
     return ""

@@ -14,6 +14,7 @@ from enum import IntEnum
 from typing import TypeAlias
 
 from protocols.plugin import FaultInfo
+from protocols.toolkit.faults import Faults
 
 Scale: TypeAlias = tuple[float, float, float, float]
 """The value of one count, by resolution: int8, int16, int32, binary32."""
@@ -146,13 +147,7 @@ FAULTS: Mapping[int, FaultInfo] = {
 NOT_ARMED, DUPLICATE_ID = 0x101, 0x100
 
 
-class _Reported(dict[int, FaultInfo]):
-    def __missing__(self, code: int) -> FaultInfo:
-        cause = "a code that this driver does not know: newer firmware?"
-        return FaultInfo(f"fault {code}", cause, "look it up in the vendor's register reference, then clear")
-
-
-REPORTED = _Reported(FAULTS)
+REPORTED = Faults(FAULTS)
 """Those of the device, of which newer firmware may have more, and one of the driver's."""
 REPORTED[NOT_ARMED] = FaultInfo("did not arm", "it replies, but did not enter position mode within a second",
     "look at it with the vendor's tool (tview), then clear")  # fmt: skip

@@ -21,7 +21,7 @@ from protocols.odrive_can.options import Options
 from protocols.odrive_can.table import ControlMode, InputMode
 from protocols.toolkit.duplicates import ShaftCheck, StateCheck
 from protocols.toolkit.motor_driver import NEVER
-from protocols.toolkit.table import Table, Values
+from protocols.toolkit.table import Decoded, Table, Values
 
 VERSION, HEARTBEAT, ESTIMATES = "Get_Version", "Heartbeat", "Get_Encoder_Estimates"
 SUPPLY = "Get_Bus_Voltage_Current"  # Both lines answer this alike, and do not send it cyclically by default.
@@ -63,6 +63,16 @@ class Identity:
         """Decode its frames as those of a line, known or not."""
         self.dialect = table.DIALECTS[line]
         self.table: Table = table.table_of(line, self.extended)
+
+    def decode_by_form(self, frame: CanFrame, heartbeat: Decoded) -> Decoded:
+        """Return a heartbeat as of the line whose form it has, and decode as that line from now on: only if
+        it is a whole one of that line, so that what is decoded is always of the line it is taken for."""
+        line = table.line_by_form(heartbeat.values)
+        better = table.table_of(line, self.extended).decode(frame, "from_device")
+        if better is None or not better.name:
+            return heartbeat
+        self.decode_as(line)
+        return better
 
     @property
     def as_expected(self) -> bool:

@@ -143,10 +143,8 @@ class OdriveAdapter(Adapter[Axis]):
 
     def _on_heartbeat(self, t: Nanos, host: OdriveHost, frame: CanFrame, decoded: Decoded) -> OdriveReport:
         axis = host.own
-        if not axis.identity.dialect.line:  # its form may be good enough to decode it
-            axis.identity.decode_as(table.line_by_form(decoded.values))
-            better = axis.identity.table.decode(frame, "from_device")
-            decoded = better if better is not None and better.name else decoded
+        if not axis.identity.dialect.line:
+            decoded = axis.identity.decode_by_form(frame, decoded)
         if decoded.values["Axis_Error"] & ~axis.errors & axis.identity.dialect.starting:
             host.forget(t)
             axis.forget(t)
@@ -311,7 +309,7 @@ class OdriveAdapter(Adapter[Axis]):
             case msg.WriteParameter(_, name) if beat and name not in axis.registers.by_name:
                 return pending.done(t, "sent; the device does not confirm it")
             case msg.ReadParameter(_, name) if identity.dialect.readable().get(name) == content.name:
-                value = content.values[name]
+                value = content.values.get(name)
                 if value is None:
                     return pending.refuse(t, "the device has no sensor for it")
                 return msg.Parameter(pending.name, t, name, float(value))

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from protocols.plugin import FaultInfo
+from protocols.toolkit.faults import Faults
 
 BASE_SHIFT = 48
 _PHRASES = {
@@ -199,18 +200,13 @@ _INVALID_STATE = AXIS.base + AXIS.bits["INVALID_STATE"]
 DEVICE05[_INVALID_STATE] = replace(DEVICE05[_INVALID_STATE], latching=False)
 
 
-class Faults(dict[int, FaultInfo]):
-    """Faults by code. A constant: also of bits that are not known to this driver."""
-
-    def __missing__(self, code: int) -> FaultInfo:
-        bit = code % (1 << BASE_SHIFT)
-        return FaultInfo(f"error bit 0x{bit:X}", "not known to this driver", "look it up for this firmware")
-
-    def __deepcopy__(self, memo: object) -> Faults:
-        return self
+def _bit(code: int) -> FaultInfo:
+    """Return what is known of a bit without a line."""
+    bit = code % (1 << BASE_SHIFT)
+    return FaultInfo(f"error bit 0x{bit:X}", "not known to this driver", "look it up for this firmware")
 
 
 FAULTS = Faults(
-    DEVICE06 | DEVICE05 | {PROCEDURE + n: info for n, info in RESULTS.faults.items()} | DRIVER.faults
+    DEVICE06 | DEVICE05 | {PROCEDURE + n: info for n, info in RESULTS.faults.items()} | DRIVER.faults, _bit
 )
 """Every fault by code, those of the driver too."""

@@ -15,6 +15,7 @@ from typing import Any, Generic, TypeVar
 
 from protocols.messages import MILLISECOND, Event, Fault, Feedback, Mode, Nanos, State
 from protocols.plugin import Device, FaultInfo
+from protocols.toolkit.faults import Faults
 
 Own = TypeVar("Own")
 """What a protocol itself records of a device."""
@@ -136,7 +137,7 @@ class Host(Generic[Own]):
         self.options: Any = device.options
         self.own = own
         self.timing = timing
-        self.faults = faults
+        self.faults = faults if isinstance(faults, Faults) else Faults(faults)
         self.latch = latch
         """A fault stays until ClearFault, whatever the device reports."""
         self.phase = Phase.FREE

@@ -184,7 +184,7 @@ class Adapter(Generic[Own]):
         if host is None or host.received_at is None or host.received_at <= pending.began:
             return "no reply of the device"
         if isinstance(pending.request, msg.ClearFault):
-            names = [self.faults[code].name for code in sorted(host.active)]
+            names = [host.faults[code].name for code in sorted(host.active)]
             host.report_again()
             return f"still in fault: {', '.join(names)}"
         if isinstance(pending.request, msg.Zero):

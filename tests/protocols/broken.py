@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, TypeAlias, TypeVar
 
 from protocols import messages as msg
-from protocols.conformance.bench import DriverWrapper, Messages
+from protocols.conformance.bench import DriverWrapper, Messages, data_of
 from protocols.frames import CanFrame, Frame
 from protocols.messages import Event, Message, Nanos, Obeyed
 from protocols.odrive_can import plugin as odrive
@@ -22,7 +22,7 @@ from protocols.plain import plugin, table
 from protocols.plain.driver import PlainAdapter
 from protocols.plain.twin import PlainDecoder, PlainTwin
 from protocols.plugin import Device, Plugin
-from protocols.toolkit.host import Report
+from protocols.toolkit.host import Phase, Report
 from protocols.toolkit.motor_driver import MotorDriver, Rx
 from protocols.toolkit.serial import Stream
 from tests.protocols.odrive_can.parts import OdriveDriver
@@ -206,6 +206,17 @@ class DecoderRaises(PlainDecoder):
 
 
 @found_by("bytes")
+class TakesAWholeHeartbeat(OdriveDriver):
+    """Takes a heartbeat with an error of one firmware for whole, before it knows the firmware."""
+
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        host = self.at.get(frame.id >> 5) if isinstance(frame, CanFrame) and frame.id & 0x1F == 1 else None
+        if host is not None and not host.own.identity.dialect.line and data_of(frame)[2:3] == b"\4":
+            data_of(frame)[7]
+        return super().receive(t, frame)
+
+
+@found_by("bytes")
 class DecoderFillsUp(PlainDecoder):
     """The decoder keeps what it does not understand, and has room for twenty."""
 
@@ -219,6 +230,29 @@ class DecoderFillsUp(PlainDecoder):
             if len(self._kept) > 20:
                 raise OverflowError("no room")
         return super().decode(t, frame)
+
+
+@found_by("bytes")
+class KnowsFivePhases(PlainDriver):
+    """Looks up what to do by a device's phase, in a table of those that it was tried in."""
+
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        tried = dict.fromkeys((Phase.FREE, Phase.ARMING, Phase.ARMED, Phase.RELEASING, Phase.FAULT))
+        for message in messages_in(frame):
+            host = self.at.get(message[table.ADDRESS])
+            if host is not None and host.once_commanded:
+                tried[host.phase]
+        return super().receive(t, frame)
+
+
+@found_by("bytes")
+class TwinRunsInFault(PlainTwin):
+    """Takes for granted that what sends commands to the device has seen its fault."""
+
+    def receive(self, t: Nanos, frame: Frame) -> None:
+        if self.fault and messages_in(frame):
+            raise RuntimeError("a command in fault")
+        super().receive(t, frame)
 
 
 @found_by("counts")

@@ -31,6 +31,7 @@ from protocols import messages as msg
 from protocols.conformance import bench as tools
 from protocols.conformance import noise
 from protocols.conformance.case import Case, variants
+from protocols.conformance.states import Situation, situations
 from protocols.frames import BusState, CanFrame, Frame, Packet
 from protocols.messages import MILLISECOND, Feedback
 from protocols.plain.table import ADDRESS, FRAMING
@@ -199,12 +200,18 @@ def _cases(name: str) -> list[Case]:
     return [Case(plugin, options, 1, tools.ADDRESSES) for options in variants(plugin)]
 
 
+@cache
+def _situations(name: str, number: int) -> list[Situation]:
+    return list(situations(_cases(name)[number]))
+
+
 def line(name: str, seed: int, count: int) -> None:
-    """Feed both ends of a protocol: driver, decoder and twins, new or armed. Raises what they raise."""
+    """Feed both ends of a protocol: driver, decoder and twins, in any state. Raises what they raise."""
     random = Random(seed)
-    case = random.choice(_cases(name))
+    chosen = random.randrange(len(_cases(name)))
+    case = _cases(name)[chosen]
     hostile = Hostile(noise.valid_frames(case), random)
-    bench = (random.random() < 0.7 and case.armed()) or case.start()
+    bench = random.choice(_situations(name, chosen)).again()
     commands = [tools.build(kind, name, case.spec.ranges) for kind in case.kinds[:2] for name in tools.NAMES]
     for number in range(count):
         frame = hostile.frame()

@@ -73,7 +73,7 @@ def test_restore_writes_with_yes_alone_and_leaves_what_is_protected(
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ("", "\n[x", "is no TOML"),
+        ("", "\n[x", "not TOML"),
         ('robot = "diffbot_damiao"', "", "is no dump"),
         (
             'robot = "diffbot_damiao"',
@@ -88,7 +88,7 @@ def test_restore_writes_with_yes_alone_and_leaves_what_is_protected(
         ('"UV_Value" = 15.0', '"UV_Value" = 1e999', "left.UV_Value: inf is no finite number"),
         ('"UV_Value" = 15.0', '"UV_Value" = true', "left.UV_Value: True is no finite number"),
         ('"UV_Value" = 15.0', '"UV_Value" = 9.0', "left.UV_Value: 9.0 is outside 10 … 3.40282e+38"),
-        ('"UV_Value" = 15.0', f'"UV_Value" = {"9" * 5000}', "is no TOML"),
+        ('"UV_Value" = 15.0', f'"UV_Value" = {"9" * 5000}', "not TOML"),
     ],
 )
 def test_a_dump_that_is_not_of_these_motors_is_refused_before_anything_is_written(
@@ -107,9 +107,9 @@ def test_a_dump_that_is_not_of_these_motors_is_refused_before_anything_is_writte
     [
         ("diff difbot", "did you mean 'diffbot'?"),
         ("diff bench no.toml", "no.toml: cannot be read: No such file or directory"),
-        ("diff bench .", "cannot be read: Is a directory"),
+        ("diff bench .", ".: is no file, but a folder"),
         ("dump bench --out /proc/x.toml", "/proc/x.toml: cannot be written"),
-        ("dump bench --out README.md", "README.md: the file exists already; a dump is never overwritten"),
+        ("dump bench --out README.md", "README.md: exists already; it is never overwritten"),
     ],
 )
 def test_wrong_use_is_answered_in_words(

@@ -356,7 +356,7 @@ def test_a_file_that_cannot_be_read_is_reported(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"cannot be read: .*No such file"):
         load_robot(tmp_path / "none.toml")
     (tmp_path / "bytes.toml").write_bytes(b"\xff\xfe")
-    with pytest.raises(ConfigError, match=r"bytes\.toml: cannot be read"):
+    with pytest.raises(ConfigError, match=r"bytes\.toml: is not UTF-8"):
         load_robot(tmp_path / "bytes.toml")
 
 

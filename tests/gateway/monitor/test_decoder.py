@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
@@ -19,7 +19,7 @@ from gateway.monitor.state import DecodedPacket, DeviceRecord, ProtocolVariant, 
 from protocols import messages as msg
 from protocols.conformance.bench import DriverWrapper, Messages
 from protocols.frames import BusState, CanFrame, Frame, Packet
-from protocols.messages import MILLISECOND, SECOND, Event, Mode, Nanos
+from protocols.messages import MILLISECOND, SECOND, Event, Mode, Nanos, Obeyed
 from protocols.odrive_can.table import table_of
 from protocols.plain import table
 from protocols.plugin import load_all
@@ -293,6 +293,40 @@ def test_no_traffic_raises(seed: int) -> None:
             render.line(monitor.decode(Packet(t * MILLISECOND, bus, raw)))
     page(monitor, 2 * SECOND)
     assert monitor.buses["can0"].packets.total == 500
+
+
+class Raises(ReceiveOnly):
+    """A driver that raises at every frame."""
+
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        raise KeyError("Motor_Error_Flag")
+
+    def bus(self, t: Nanos, state: BusState) -> None:
+        raise ZeroDivisionError
+
+
+class DecoderRaises:
+    """A decoder that raises while its result is read."""
+
+    def decode(self, t: Nanos, frame: Frame) -> Iterator[Obeyed]:
+        yield msg.Idle("left")
+        raise IndexError("no byte")
+
+
+def test_a_plugin_that_raises_is_named_and_the_others_go_on() -> None:
+    variants = list(of_plugins(CAN, PLUGINS))
+    odrives = [variant for variant in variants if variant.protocol == "odrive_can"]
+    for variant in odrives:
+        variant.driver, variant.decoder = Raises(variant.driver), DecoderRaises()  # type: ignore[assignment]
+    monitor = BusMonitor({"can0": CAN}, variants, 0, known=False)
+    monitor.on_state(0, "can0", BusState.BACK)
+    assert monitor.failures == {"odrive_can on can0": "ZeroDivisionError: "}
+    frame = odrive("Heartbeat", 1, 0, 8, 0, 0)
+    (decoded,) = decode(monitor, (MILLISECOND, frame))
+    assert "the protocol odrive_can has failed: KeyError: 'Motor_Error_Flag'" in render.line(decoded)
+    assert "the protocol odrive_can has failed: IndexError: no byte" in render.line(decoded)
+    assert "odrive_can on can0: IndexError: no byte" in page(monitor, MILLISECOND)
+    assert monitor.buses["can0"].packets.total == 1
 
 
 def test_a_flood_of_ids_does_not_fill_the_memory() -> None:

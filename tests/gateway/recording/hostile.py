@@ -68,6 +68,7 @@ class Forge:
     def make(self, number: int) -> Path:
         """Write a recording, over the one before."""
         random = Random(self._seed * 10**9 + number)
+        self.path.unlink(missing_ok=True)
         kind = KINDS[number % len(KINDS)]
         name = "diffbot" if random.random() < 0.2 else "bench"
         if kind in ("ticks", "structure", "robot"):

@@ -214,7 +214,7 @@ def test_the_command_recovers_and_reports_what_was_lost(
     assert "the file was not closed" in output
     assert raw_ticks(tmp_path / "a.recovered.mcap") == ticks
     assert main(["recover", str(recorded)]) == 2
-    assert "exists already; it is not overwritten" in capsys.readouterr().err
+    assert "exists already; it is never overwritten" in capsys.readouterr().err
 
 
 def test_a_whole_file_is_left_alone(

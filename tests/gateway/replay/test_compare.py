@@ -431,4 +431,5 @@ def test_settings_as_text() -> None:
         "m[left].g: 1.0 recorded, 2.0 now",
         "n[0].g: 1 recorded, 2 now",
     ]
-    assert "cannot be read" in diff.settings(old, "a = ")[0]
+    for wrong in ("a = ", f"a = {'9' * 5000}", "a = " + "[" * 10_000):
+        assert "cannot be read" in diff.settings(old, wrong)[0]

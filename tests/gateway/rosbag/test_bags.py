@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -328,6 +329,31 @@ def test_a_damaged_bag_is_read_or_refused_with_a_sentence(tmp_path: Path, kind: 
     assert refused > 6
     assert read_after_all > 0
     assert read(path, TOPICS, BODY).events
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_text_in_a_bag_that_is_no_utf_8_is_read_over_or_refused_with_a_sentence(
+    tmp_path: Path, kind: Kind
+) -> None:
+    """Names of topics, types, fields and formats, wherever they stand: in the files, in metadata.yaml."""
+    path = write(tmp_path / "x", drive(0.2), kind)
+    texts = re.compile(
+        rb"/odom|/imu/data|_msgs|cdr|base_link|float64|CREATE TABLE|sqlite3|mcap|topic|version|message"
+    )
+    refused = 0
+    for file in [path] if path.is_file() else sorted(path.iterdir()):
+        whole = file.read_bytes()
+        found = [match.start() + 2 for match in texts.finditer(whole)]
+        for place in found[:: max(len(found) // 12, 1)]:
+            file.write_bytes(whole[:place] + b"\xff" + whole[place + 1 :])
+            try:
+                bag = read(path, TOPICS, BODY)
+            except BagError as error:
+                refused += str(path) in str(error)
+            else:
+                assert evaluate(bag, ROVER).text()
+        file.write_bytes(whole)
+    assert refused > 2
 
 
 def test_a_stamp_far_away_harms_nothing_but_itself(tmp_path: Path) -> None:

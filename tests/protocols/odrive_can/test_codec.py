@@ -14,9 +14,11 @@ import pytest
 from numpy.random import PCG64, Generator
 from odrive_can.odrive import ODriveCAN
 
+from protocols import messages as msg
 from protocols.frames import CanFrame
 from protocols.odrive_can import plugin, table
 from protocols.odrive_can.table import FORMS, STATE_NAMES, table_of
+from protocols.plugin import Device
 from protocols.reference_vectors import vectors_of
 from protocols.toolkit.table import Row
 from tests.protocols.odrive_can.dbc import DBCS, MESSAGES, choices_of
@@ -38,6 +40,17 @@ def anew() -> Any:
 
 
 # -- the vendor's client, and what no package encodes -------------------------------------------------
+
+
+@pytest.mark.parametrize("data", ["000054007F0001", "00000400000000"])
+def test_a_cut_heartbeat_with_an_error_of_0_5_alone_does_not_decide_the_firmware(data: str) -> None:
+    device = Device("left", 1, plugin.options(), plugin.settings())
+    driver = plugin.driver([device])
+    events = driver.receive(0, CanFrame(0x021, bytes.fromhex(data)))
+    assert [type(event) for event in events] == [msg.State]
+    assert driver.counters.accepted == 1
+    whole = driver.receive(1, CanFrame(0x021, bytes.fromhex(data) + b"\0"))
+    assert {type(event) for event in whole} == {msg.Fault, msg.State}
 
 
 @pytest.mark.parametrize(

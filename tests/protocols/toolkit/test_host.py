@@ -109,6 +109,14 @@ def test_hold_is_where_the_first_of_the_present_holds_was_given() -> None:
     assert held == [1.0, 1.0, None, 3.0]
 
 
+def test_a_code_that_is_in_no_table_is_a_fault_with_its_number() -> None:
+    host = make()
+    (fault,) = host.on_report(0, Report(host, 1, faults=(4711,)))
+    assert isinstance(fault, Fault)
+    assert (fault.code, fault.name) == (4711, "fault 4711")
+    assert all((fault.cause, fault.remedy))
+
+
 def test_states_and_faults_are_reported_when_they_change() -> None:
     host = make(latch=True)
     script = [(Mode.READY, ()), (Mode.READY, ()), (Mode.FAULT, (7,)), (Mode.FAULT, (7,)), (Mode.READY, ())]

@@ -1,0 +1,26 @@
+"""The faults of a device by code: something is known of every code, since the wire may bring any."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from protocols.plugin import FaultInfo
+
+
+def unknown(code: int) -> FaultInfo:
+    """Return what is known of a code that is not in the device's table."""
+    return FaultInfo(f"fault {code}", "not known to this driver: newer firmware?", "look it up, then clear")
+
+
+class Faults(dict[int, FaultInfo]):
+    """The faults that are known, and what is said of any other code. A constant."""
+
+    def __init__(self, known: Mapping[int, FaultInfo], other: Callable[[int], FaultInfo] = unknown) -> None:
+        super().__init__(known)
+        self._other = other
+
+    def __missing__(self, code: int) -> FaultInfo:
+        return self._other(code)
+
+    def __deepcopy__(self, memo: object) -> Faults:
+        return self
