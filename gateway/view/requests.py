@@ -1,17 +1,20 @@
 """What the view's clients ask of a robot: lines of an operator's language → instructions of the next tick.
 
 Rules. A client that may not steer may only stop. What is held (a key, a stick, a jog) ends when its client
-does not repeat it for `HELD`, holds something else, or is gone; and with a stop, from wherever: then
-it must be let go before it is held again. A client has so many requests a second and in one poll, but a stop
-is always read. Nothing here raises, whatever a client sends.
+does not repeat it for `HELD`, holds something else, or is gone; and with a stop, from wherever, or when its
+link is slow: then it must be let go before it is held again. A link may bring what was held when it has long
+been let go; so each message has the newest time of ours that its client had (`heard`), after which it was
+sent: older than `FRESH`, or without one, it counts for nothing. A client has so many requests a second and in
+one poll, but a stop is always read. Nothing here raises, whatever a client sends.
 """
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, field, replace
 
 from gateway.core.robot import Robot
-from gateway.operator.commands import Query, RejectedLine, command_of, help_text, parse
+from gateway.operator.commands import FRESH, Query, RejectedLine, command_of, help_text, parse
 from protocols import messages as msg
 from protocols.messages import MILLISECOND, SECOND, Instruction, Nanos
 
@@ -28,7 +31,14 @@ HOLDS_PER_SECOND = 100
 MAX_LINE = 1000
 """Characters of a line."""
 READ_ONLY = "this view is read-only: start it with --steer"
+NO_TIME = "nothing is held without a time of the gateway's, which its client has just received"
+SLOW = (
+    "the link is slow: {age} ms there and back, and what is held counts up to {most} ms. Let go; drive by "
+    "cable or nearer to the robot, or give it a goal. STOP is obeyed, that much later"
+)
 NO_ROBOT = "no robot runs here: what is shown takes no requests, and cannot be stopped"
+
+log = logging.getLogger("gateway")
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +97,8 @@ class Asking:
     """Without another message; or, if it is barred, until when that lasts."""
     barred: bool = False
     """Whether what it holds counts for nothing until it lets go."""
+    slow: bool = False
+    """Whether its link is, as its log has it."""
 
 
 @dataclass(slots=True)
@@ -124,13 +136,16 @@ class Requests:
             return None, asked
         return asked, Answer(ok=True, text=f"accepted: {line}")
 
-    def hold(self, now: Nanos, one: Asking, line: str, count: int = 1) -> tuple[list[Instruction], Answer]:
+    def hold(
+        self, now: Nanos, one: Asking, line: str, heard: Nanos | None, count: int = 1
+    ) -> tuple[list[Instruction], Answer]:
         """Do what a line asks for as long as it is held; "" ends it. Only Drive and Velocity can be held.
 
         Args:
             now: the time of the poll.
             one: who asks.
             line: the newest of the messages of this poll.
+            heard: the newest time of ours that its client had when it sent this; None: none.
             count: how many there were.
         """
         if not line.strip():
@@ -143,9 +158,12 @@ class Requests:
         if not one.holds.take(now, count):
             one.barred, one.held_until = True, now + HELD
             return _end_of(one), Answer(ok=False, text="too many messages: what is held has ended")
-        if wrong := self._never() or (f"stopped: {self._stopped}" if self._stopped else ""):
+        stopped = f"stopped: {self._stopped}" if self._stopped else ""
+        if wrong := self._never() or stopped or _slow(now, one, heard):
             one.barred, one.held_until = True, now + HELD
-            return [], Answer(ok=False, text=wrong)
+            return _end_of(one), Answer(ok=False, text=wrong)
+        if heard is None or heard > now:
+            return _end_of(one), Answer(ok=False, text=NO_TIME)
         asked = self._parsed(line)
         if isinstance(asked, Answer):
             return _end_of(one), asked
@@ -206,6 +224,18 @@ class Requests:
                 return Answer(ok=False, text=f"{kind} is for the gateway's own terminal, and `gateway ask`")
             case instruction:
                 return instruction
+
+
+def _slow(now: Nanos, one: Asking, heard: Nanos | None) -> str:
+    """Return that the link is slow, which is logged once; "" if it is not, or nothing is known of it."""
+    age = 0 if heard is None else now - heard
+    was, one.slow = one.slow, age > FRESH
+    if not one.slow:
+        return ""
+    wrong = SLOW.format(age=age // MILLISECOND, most=FRESH // MILLISECOND)
+    if not was:
+        log.warning("live view: %s", wrong)
+    return wrong
 
 
 def _motor(held: Instruction | None) -> str | None:

@@ -22,7 +22,8 @@ from typing import Any
 import gateway
 from gateway.core.tick import Tick
 from gateway.operator.commands import parse
-from protocols.messages import Drive, Instruction, Nanos, Stop, Velocity
+from gateway.view import requests
+from protocols.messages import SECOND, Drive, Instruction, Nanos, Stop, Velocity
 
 
 class Robot:
@@ -96,7 +97,8 @@ class Robot:
 
 
 def main(name: str, *words: str) -> None:
-    """Run until standard input ends."""
+    """Run until standard input ends. What is held counts here however busy the machine is."""
+    requests.FRESH = 60 * SECOND
     os.set_blocking(0, False)
     with gateway.open_session(name) as session:
         robot = Robot(session)

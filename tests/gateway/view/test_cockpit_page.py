@@ -342,6 +342,27 @@ def test_a_stop_from_elsewhere_ends_what_is_held(browser: Chromium, fake: Fake, 
     assert sent(tab, "held")[-1] == "drive 0.500 0.000 0.000"
 
 
+def test_what_is_held_brings_the_gateways_newest_time_and_ends_once_that_is_too_old(
+    browser: Chromium, fake: Fake
+) -> None:
+    tab = fake.show(browser, hello())
+    drive = "drive 0.500 0.000 0.000"
+    tab.key("keyDown", "KeyW", "w")
+    for clock in (1234, 1300):
+        fake.say("joints", clock=clock, t=clock / 1e3, rows=[])
+        held = {"held": drive, "heard": clock}
+        fake.until(partial(lambda held: fake.received[-1] == held, held), "its time")
+    fake.say("answer", id=None, held=True, ok=False, text="the link is slow")
+    fake.until(lambda: fake.received[-1] == {"held": ""}, "the end of what is held")
+    assert tab.run("document.querySelector('#banner').checkVisibility()")
+    assert tab.text("#banner") == "the link is slow"
+    assert not tab.run("document.body.classList.contains('lost')")
+    tab.key("keyUp", "KeyW", "w")
+    tab.key("keyDown", "KeyW", "w")
+    assert sent(tab, "held")[-1] == drive
+    assert tab.run("document.querySelector('#banner').hidden")
+
+
 def test_the_command_line_takes_spaces_and_answers(tab: Tab, diffbot: Robot) -> None:
     tab.run("document.querySelector('#line').focus()")
     for letter in "goal 1":

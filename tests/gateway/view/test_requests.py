@@ -66,7 +66,7 @@ def test_who_may_not_steer_may_stop_and_nothing_else() -> None:
     assert requests.line(0, one, "stop")[0] == Stop("")
     for line in ("release", "goal 1 1", "set left.limits.velocity 3", "clear"):
         assert requests.line(0, one, line) == (None, requests.line(0, one, "release")[1])
-    assert requests.hold(0, one, "drive 0.1 0")[1].text == READ_ONLY
+    assert requests.hold(0, one, "drive 0.1 0", 0)[1].text == READ_ONLY
     assert requests.line(0, one, "help")[1].ok
 
 
@@ -116,13 +116,13 @@ def test_what_is_held_ends_without_its_client(robot: object, line: str, held: ob
     requests = Requests(robot, steer=True)  # type: ignore[arg-type]
     one = requests.enter()
     for t in (0, HELD, 2 * HELD):  # repeated in time
-        assert requests.hold(t, one, line)[0] == [held]
+        assert requests.hold(t, one, line, t)[0] == [held]
         assert requests.expired(t + HELD) == []
     assert requests.expired(3 * HELD + 1) == [end]
     assert requests.expired(4 * HELD) == []
-    assert requests.hold(5 * HELD, one, line)[0] == [held]
-    assert requests.hold(5 * HELD, one, "")[0] == [end]  # released
-    assert requests.hold(6 * HELD, one, line)[0] == [held]
+    assert requests.hold(5 * HELD, one, line, 5 * HELD)[0] == [held]
+    assert requests.hold(5 * HELD, one, "", 5 * HELD)[0] == [end]  # released
+    assert requests.hold(6 * HELD, one, line, 6 * HELD)[0] == [held]
     assert requests.leave(one) == [end]  # gone
     assert requests.expired(9 * HELD) == []
 
@@ -130,10 +130,10 @@ def test_what_is_held_ends_without_its_client(robot: object, line: str, held: ob
 def test_what_is_held_ends_with_what_is_held_next() -> None:
     requests = Requests(BENCH, steer=True)
     one = requests.enter()
-    assert requests.hold(0, one, "velocity left 2")[0] == [Velocity("left", 2.0)]
-    assert requests.hold(1, one, "velocity left 3")[0] == [Velocity("left", 3.0)]
-    assert requests.hold(2, one, "velocity right 2")[0] == [Velocity("left", 0.0), Velocity("right", 2.0)]
-    assert requests.hold(3, one, "goal 1 1")[0] == [Velocity("right", 0.0)]  # which cannot be held
+    assert requests.hold(0, one, "velocity left 2", 0)[0] == [Velocity("left", 2.0)]
+    assert requests.hold(1, one, "velocity left 3", 1)[0] == [Velocity("left", 3.0)]
+    assert requests.hold(2, one, "velocity right 2", 2)[0] == [Velocity("left", 0.0), Velocity("right", 2.0)]
+    assert requests.hold(3, one, "goal 1 1", 3)[0] == [Velocity("right", 0.0)]  # which cannot be held
     assert requests.ends() == []
 
 
@@ -141,31 +141,31 @@ def test_after_a_stop_it_must_be_let_go_before_it_is_held_again() -> None:
     requests = Requests(ROBOT, steer=True)
     holds, silent, lets_go = (requests.enter() for _ in range(3))
     for one in (holds, silent, lets_go):
-        assert requests.hold(0, one, "drive 0.3 0")[0] == [Drive(0.3, 0.0)]
+        assert requests.hold(0, one, "drive 0.3 0", 0)[0] == [Drive(0.3, 0.0)]
     requests.on_stop("another operator")
     assert requests.expired(10 * HELD) == []  # the stop has ended it
     for t in range(0, 10 * HELD, HELD // 2):
-        assert requests.hold(t, holds, "drive 0.3 0") == ([], SILENT)
+        assert requests.hold(t, holds, "drive 0.3 0", t) == ([], SILENT)
         requests.on_stop("another operator" if t < 5 * HELD else "")
-    assert requests.hold(10 * HELD, silent, "drive 0.3 0")[0] == [Drive(0.3, 0.0)]
-    assert requests.hold(10 * HELD, lets_go, "")[0] == []
-    assert requests.hold(10 * HELD, lets_go, "drive 0.3 0")[0] == [Drive(0.3, 0.0)]
+    assert requests.hold(10 * HELD, silent, "drive 0.3 0", 10 * HELD)[0] == [Drive(0.3, 0.0)]
+    assert requests.hold(10 * HELD, lets_go, "", 10 * HELD)[0] == []
+    assert requests.hold(10 * HELD, lets_go, "drive 0.3 0", 10 * HELD)[0] == [Drive(0.3, 0.0)]
 
 
 def test_nothing_is_held_while_it_is_stopped_and_that_is_answered_once() -> None:
     requests = Requests(ROBOT, steer=True)
     one = requests.enter()
     requests.on_stop("enough")
-    assert requests.hold(0, one, "drive 0.3 0") == ([], Answer(ok=False, text="stopped: enough"))
-    assert requests.hold(HELD // 2, one, "drive 0.3 0") == ([], SILENT)
+    assert requests.hold(0, one, "drive 0.3 0", 0) == ([], Answer(ok=False, text="stopped: enough"))
+    assert requests.hold(HELD // 2, one, "drive 0.3 0", HELD // 2) == ([], SILENT)
 
 
 def test_a_flood_holds_nothing_until_it_calms_down() -> None:
     requests = Requests(ROBOT, steer=True)
     one = requests.enter()
-    assert requests.hold(0, one, "drive 0.3 0", count=60)[0] == [Drive(0.3, 0.0)]
-    begun, answer = requests.hold(1, one, "drive 0.3 0", count=60)
+    assert requests.hold(0, one, "drive 0.3 0", 0, count=60)[0] == [Drive(0.3, 0.0)]
+    begun, answer = requests.hold(1, one, "drive 0.3 0", 1, count=60)
     assert (begun, answer.ok) == ([Drive(0.0, 0.0)], False)
     for t in range(1, 5):
-        assert requests.hold(t * HELD // 2, one, "drive 0.3 0", count=60)[0] == []
-    assert requests.hold(5 * SECOND, one, "drive 0.3 0")[0] == [Drive(0.3, 0.0)]
+        assert requests.hold(t * HELD // 2, one, "drive 0.3 0", t * HELD // 2, count=60)[0] == []
+    assert requests.hold(5 * SECOND, one, "drive 0.3 0", 5 * SECOND)[0] == [Drive(0.3, 0.0)]
