@@ -14,7 +14,8 @@ import logging
 from dataclasses import dataclass, field, replace
 
 from gateway.core.robot import Robot
-from gateway.operator.commands import FRESH, Query, RejectedLine, command_of, help_text, parse
+from gateway.operator import commands
+from gateway.operator.commands import Query, RejectedLine, command_of, help_text, parse
 from protocols import messages as msg
 from protocols.messages import MILLISECOND, SECOND, Instruction, Nanos
 
@@ -229,10 +230,10 @@ class Requests:
 def _slow(now: Nanos, one: Asking, heard: Nanos | None) -> str:
     """Return that the link is slow, which is logged once; "" if it is not, or nothing is known of it."""
     age = 0 if heard is None else now - heard
-    was, one.slow = one.slow, age > FRESH
+    was, one.slow = one.slow, age > commands.FRESH
     if not one.slow:
         return ""
-    wrong = SLOW.format(age=age // MILLISECOND, most=FRESH // MILLISECOND)
+    wrong = SLOW.format(age=age // MILLISECOND, most=commands.FRESH // MILLISECOND)
     if not was:
         log.warning("live view: %s", wrong)
     return wrong

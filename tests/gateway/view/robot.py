@@ -21,8 +21,8 @@ from typing import Any
 
 import gateway
 from gateway.core.tick import Tick
+from gateway.operator import commands
 from gateway.operator.commands import parse
-from gateway.view import requests
 from protocols.messages import SECOND, Drive, Instruction, Nanos, Stop, Velocity
 
 
@@ -98,7 +98,7 @@ class Robot:
 
 def main(name: str, *words: str) -> None:
     """Run until standard input ends. What is held counts here however busy the machine is."""
-    requests.FRESH = 60 * SECOND
+    commands.FRESH = 60 * SECOND
     os.set_blocking(0, False)
     with gateway.open_session(name) as session:
         robot = Robot(session)

@@ -117,13 +117,12 @@ class AppUser(Person):
 @pytest.fixture(params=[Person, AppUser])
 def person(request: pytest.FixtureRequest) -> Iterator[Person]:
     with bench() as loop, closing(Relay(loop.address)) as relay:
-        app = request.param is AppUser
-        client = App(relay.address) if app else Browser(relay.address)
+        client = App(relay.address) if request.param is AppUser else Browser(relay.address)
         loop.browsers.append(client)
         relay.accept()
         person: Person = request.param(loop, relay, client)
         person.run(0.2, held=False)
-        if app:
+        if isinstance(client, App):
             client.advertise("/cmd_vel", TWIST, "json")
         yield person
 
