@@ -23,11 +23,10 @@ from pathlib import Path
 from typing import Any, Self
 
 from protocols.messages import Nanos
+from tests.gateway.processes import PATIENCE
 
 NOTHING = -1
 """On the board before the first tick."""
-PATIENCE = 60.0
-"""s that a process may take to its first tick, on a machine that has other things to do"""
 
 
 def board(path: Path) -> memoryview:

@@ -72,7 +72,6 @@ async def session(device: FdcanusbDevice | PythonCanDevice) -> list[float]:
     return velocities
 
 
-@pytest.mark.timeout(240)
 @pytest.mark.parametrize(
     ("adapter", "opened"),
     [("fdcanusb", FdcanusbDevice), ("slcan", over_slcan)],

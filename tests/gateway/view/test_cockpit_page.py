@@ -26,6 +26,7 @@ from gateway.view.access import Access, Address
 from gateway.view.server import Server
 from gateway.view.view import pages
 from protocols.messages import SECOND
+from tests.gateway.processes import PATIENCE
 from tests.gateway.view.chromium import Chromium, Tab, chromium, wait
 
 PAGE = Path(__file__).parents[3] / "gateway" / "view" / "page"
@@ -91,7 +92,7 @@ class Robot:
 
     def end(self) -> None:
         """End it as one leaves a run."""
-        self.process.communicate(timeout=60)
+        self.process.communicate(timeout=PATIENCE)
 
 
 def standing(seen: Any) -> bool:
