@@ -15,8 +15,8 @@ to four bytes, then arrays one after the other. Each has a "kind":
 | scan | binary | every 100 ms | `lidars`: `t`, mount, `poses`, `min`, `step`, `count`, `near`, `far`: f32 |
 | tiles | binary | every 100 ms, if new | map: `resolution`, `corner`, `size`, `keys` (row, column); int8 |
 
-From the page, JSON as text: `{"ask": LINE, "id": N}`, a line of the operator's language;
-`{"held": LINE, "heard": N}`, the same for as long as it is repeated, with the newest `clock`;
+From the page, JSON as text: `{"ask": LINE, "id": N, "heard": N}`, a line of the operator's language, with the
+newest `clock`; `{"held": LINE, "heard": N}`, the same for as long as it is repeated;
 `{"record": true}`; `{"play": {…}}` in a replay; `{}`: still there. An `id` is an integer.
 Notes and answers are never dropped; of everything else, a slow page gets the newest.
 """
@@ -94,7 +94,7 @@ class Cockpit:
                 return instructions
             answer = SILENT
             if isinstance(line := asked.get("ask"), str):
-                instruction, answer = self._requests.line(now, page.asking, line)
+                instruction, answer = self._requests.line(now, page.asking, line, _heard(asked))
                 instructions += [] if instruction is None else [instruction]
             elif isinstance(asked.get("held"), str):
                 held.append(asked)

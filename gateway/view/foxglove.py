@@ -393,7 +393,7 @@ class Foxglove:
 
     def _ask(self, now: Nanos, peer: _Peer, line: str) -> tuple[Instruction | None, str]:
         """Return what a line asks, or None; and the answer."""
-        instruction, answer = self._requests.line(now, peer.asking, line)
+        instruction, answer = self._requests.line(now, peer.asking, line, peer.client.heard)
         return instruction, answer.text
 
     def _called(self, now: Nanos, peer: _Peer, asked: wire.Call) -> Instruction | None:

@@ -4,8 +4,10 @@ Rules. A client that may not steer may only stop. What is held (a key, a stick, 
 does not repeat it for `HELD`, holds something else, or is gone; and with a stop, from wherever, or when its
 link is slow: then it must be let go before it is held again. A link may bring what was held when it has long
 been let go; so each message has the newest time of ours that its client had (`heard`), after which it was
-sent: older than `FRESH`, or without one, it counts for nothing. A client has so many requests a second and in
-one poll, but a stop is always read. Nothing here raises, whatever a client sends.
+sent: older than `FRESH`, or without one, it counts for nothing. So does whatever was asked before its client
+could know of the newest stop: a release or a goal that is still under way must not undo it. A client has so
+many requests a second and in one poll, but a stop is always read. Nothing here raises, whatever a client
+sends.
 """
 
 from __future__ import annotations
@@ -37,6 +39,7 @@ SLOW = (
     "the link is slow: {age} ms there and back, and what is held counts up to {most} ms. Let go; drive by "
     "cable or nearer to the robot, or give it a goal. STOP is obeyed, that much later"
 )
+OVERTAKEN = "somebody pressed STOP while this was under way: look why, and ask again"
 NO_ROBOT = "no robot runs here: what is shown takes no requests, and cannot be stopped"
 
 log = logging.getLogger("gateway")
@@ -114,6 +117,10 @@ class Requests:
     asking: list[Asking] = field(default_factory=list)
     _stopped: str = ""
     """Why the robot is stopped; "": it is not."""
+    _pressed: Nanos = 0
+    """When somebody asked for a stop last, wherever."""
+    _polled: Nanos = 0
+    """When it was polled last."""
 
     def enter(self) -> Asking:
         """Return a new client."""
@@ -125,8 +132,12 @@ class Requests:
         self.asking.remove(one)
         return _end_of(one)
 
-    def line(self, now: Nanos, one: Asking, line: str) -> tuple[Instruction | None, Answer]:
-        """Return what a line asks of the robot, and the answer; None if that is nothing."""
+    def line(
+        self, now: Nanos, one: Asking, line: str, heard: Nanos | None
+    ) -> tuple[Instruction | None, Answer]:
+        """Return what a line asks of the robot, and the answer; None if that is nothing.
+
+        `heard`: as in `hold`."""
         word = command_of(line[:MAX_LINE])
         if word == "stop" and self.live:
             return self._stop(now, one, line)
@@ -135,6 +146,8 @@ class Requests:
         asked = self._parsed(line)
         if isinstance(asked, Answer):
             return None, asked
+        if (heard or 0) < self._pressed:
+            return None, Answer(ok=False, text=OVERTAKEN)
         return asked, Answer(ok=True, text=f"accepted: {line}")
 
     def hold(
@@ -186,16 +199,20 @@ class Requests:
         return ""
 
     def expired(self, now: Nanos) -> list[Instruction]:
-        """Return what ends that which is not held any more."""
+        """Return what ends that which is not held any more. Called in every poll."""
+        self._polled = now
         return [end for one in self.asking if now > one.held_until for end in _end_of(one)]
 
     def ends(self) -> list[Instruction]:
         """Return what ends all that is held."""
         return [end for one in self.asking for end in _end_of(one)]
 
-    def on_stop(self, reason: str) -> None:
-        """Take why the robot must not move, "" if it may. With that ends what is held."""
+    def on_stop(self, reason: str, *, pressed: bool = False) -> None:
+        """Take why the robot must not move, "" if it may. With that ends what is held.
+
+        `pressed`: somebody has just asked for it."""
         self._stopped = reason
+        self._pressed = self._polled if pressed else self._pressed
         if reason:
             for one in self.asking:
                 one.barred = one.barred or one.held is not None
@@ -206,7 +223,7 @@ class Requests:
         return NO_ROBOT if not self.live else READ_ONLY if not self.steer else ""
 
     def _stop(self, now: Nanos, one: Asking, line: str) -> tuple[Instruction | None, Answer]:
-        again, one.stopped = one.stopped == now, now
+        again, one.stopped, self._pressed = one.stopped == now, now, now
         asked = None if again else self._parsed(line[:MAX_LINE])
         return asked if isinstance(asked, msg.Stop) else None, Answer(ok=True, text="stopped")
 

@@ -84,7 +84,7 @@ export class Wire {
   // Ask for something once; `take` gets the answer {ok, text}.
   ask(line, take = this.on.answer) {
     const id = ++this.id;
-    if (this.send({ ask: line, id }, /^stop\b/.test(line))) this.asked.set(id, take);
+    if (this.send({ ask: line, id, heard: this.clock }, /^stop\b/.test(line))) this.asked.set(id, take);
     else take({ ok: false, text: "not sent: no data from the robot" });
   }
 }

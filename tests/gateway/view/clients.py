@@ -53,7 +53,10 @@ class Browser:
         return self.protocol.state is State.OPEN
 
     def send(self, message: object) -> None:
-        """Send text as it is, bytes as they are, anything else as JSON."""
+        """Send text as it is, bytes as they are, anything else as JSON; a line with the newest time of the
+        gateway's, as the page does."""
+        if isinstance(message, dict) and "ask" in message and (joints := self.of("joints")):
+            message |= {"heard": joints[-1].get("clock")}
         if isinstance(message, bytes):
             self.protocol.send_binary(message)
         else:
@@ -90,7 +93,7 @@ class Browser:
 
     def of(self, kind: str) -> list[Any]:
         """Return the messages of a kind so far."""
-        return [one for one in self.messages if one["kind"] == kind]
+        return [one for one in self.messages if one.get("kind") == kind]
 
     def close(self) -> None:
         self.socket.close()

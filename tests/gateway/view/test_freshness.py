@@ -14,8 +14,8 @@ import pytest
 
 from gateway.operator.commands import FRESH
 from gateway.view import Address
-from gateway.view.requests import HELD, NO_TIME
-from protocols.messages import MILLISECOND, SECOND, Drive, Nanos, Stop
+from gateway.view.requests import HELD, NO_TIME, OVERTAKEN
+from protocols.messages import MILLISECOND, SECOND, Drive, Nanos, Release, Stop
 from tests.gateway.view.clients import Browser, connected
 from tests.gateway.view.test_foxglove import TWIST, App, twist
 from tests.gateway.view.test_view import PERIOD, Bench, bench
@@ -91,6 +91,9 @@ class Person:
         self.client.send({"held": ""})
         self.released = self.loop.now
 
+    def stop(self) -> None:
+        self.client.send({"ask": "stop"})
+
     def refusals(self) -> list[str]:
         return [one["text"] for one in self.client.of("answer")]
 
@@ -109,6 +112,9 @@ class AppUser(Person):
 
     def let_go(self) -> None:
         self.released = self.loop.now
+
+    def stop(self) -> None:
+        self.client.call("/stop", b"{}")
 
     def refusals(self) -> list[str]:
         return [one["message"] for one in self.client.op("status")]
@@ -152,9 +158,9 @@ def test_what_is_held_over_a_slow_link_counts_for_nothing(
     assert refusal.removeprefix("/cmd_vel: ").startswith("the link is slow: ")
     (logged,) = [one.getMessage() for one in caplog.records]
     assert "live view: the link is slow: " in logged
-    person.client.send({"ask": "stop"})
+    person.stop()
     person.run(2.1, held=False)
-    assert isinstance(person, AppUser) or person.loop.asked(Stop)
+    assert person.loop.asked(Stop)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -186,6 +192,27 @@ def test_a_link_that_recovers_moves_again_once_it_is_held_anew(person: Person) -
     before = len(person.moved())
     person.run(1.0, held=True)
     assert len(person.moved()) - before > 15
+
+
+def test_a_release_that_is_under_way_when_another_stops_the_robot_releases_nothing() -> None:
+    with bench() as loop, closing(Relay(loop.address)) as relay:
+        far = Person(loop, relay, Browser(relay.address))
+        loop.browsers.append(far.client)
+        relay.accept()
+        near = loop.page()
+        far.run(0.2, held=False)
+        relay.there = SECOND
+        far.client.send({"ask": "release"})
+        far.client.send({"ask": "goal 1 1"})
+        far.run(0.5, held=False)
+        near.send({"ask": "stop"})
+        far.run(2.0, held=False)
+        assert [type(one) for _, one in loop.instructions] == [Stop]
+        assert [one["text"] for one in far.client.of("answer")] == [OVERTAKEN] * 2
+        relay.there = 0
+        far.client.send({"ask": "release"})
+        far.run(0.2, held=False)
+        assert [type(one) for _, one in loop.instructions] == [Stop, Release]
 
 
 @pytest.mark.parametrize("heard", [None, True, -1, 0.5, "1", 10**12, -(10**4000), 10**4000, [], {}])
