@@ -353,7 +353,7 @@ def test_no_crowd_keeps_a_stop_out(operator: Operator, flood: bytes) -> None:
         assert answers[0].startswith("accepted: stop now")
         assert len(operator._clients) <= MAX_CLIENTS
     finally:
-        asker.join(5.0)
+        asker.join(PATIENCE)
         for one in crowd:
             one.socket.close()
 

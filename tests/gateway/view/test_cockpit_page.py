@@ -916,9 +916,9 @@ def test_a_lost_connection_is_shown_and_nothing_is_sent_by_itself_after_it(
     fake.close()
     tab.until("document.querySelector('#banner').hidden === false")
     assert "the gateway ends" in tab.text("#banner")
-    later(tab, 2.0)
     assert tab.run("document.querySelector('#main').inert && document.querySelector('#stop').disabled")
     with closing(Fake(fake.address.port)) as again:
+        later(tab, 2.0)
         again.until(lambda: again.server.clients, "a new connection")
         again.say("hello", **hello())
         again.say("state", **EMPTY)
