@@ -346,7 +346,7 @@ def test_a_link_that_becomes_slow_while_a_key_is_held_ends_the_motion() -> None:
 def test_within_a_multiplexer_which_answers_in_place_of_the_terminal_nothing_is_opened(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("TMUX", "/tmp/tmux-0/default,1,0")
+    monkeypatch.setenv("TMUX", "default,1,0")
     with TerminalProcess(tmp_path, "jog", "left", "bench") as jog:
         status, text = jog.end()
     assert status == 2
