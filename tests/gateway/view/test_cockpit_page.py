@@ -692,6 +692,7 @@ def test_two_recordings_are_played_beside_each_other(browser: Chromium, tmp_path
         tab.until(f"{each % ('seek', 'value')}.every((value, i) => value > {begin}[i])")
         tab.run(click % "back")
         tab.until(f"{each % ('seek', 'value')}.every((value, i) => value === {begin}[i])")
+        close_all(browser)  # before their server is gone: they would look for it
 
 
 # -- what no robot says ------------------------------------------------------------------------------
