@@ -1,9 +1,15 @@
 """What did not run for want of something outside (a recording, a kernel's driver) is told last, by name.
 
-A test says so by skipping with a reason that begins with "NOT RUN: "."""
+A test says so by skipping with a reason that begins with "NOT RUN: ".
+
+`--shuffle SEED` and `--busy N` show that no test depends on the order, or on the schedule of the machine."""
 
 from __future__ import annotations
 
+import os
+import random
+import subprocess
+import sys
 from collections.abc import Iterator
 
 import pytest
@@ -21,6 +27,26 @@ def not_run(reasons: list[str]) -> list[str]:
     named = [reason for reason in reported if reason.startswith(PREFIX)]
     counts = {reason: named.count(reason) for reason in dict.fromkeys(named)}
     return [f"{reason} ({count} test{'s' * (count > 1)})" for reason, count in counts.items()]
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--shuffle", type=int, metavar="SEED", help="files, and the tests of each, in any order")
+    parser.addoption("--busy", type=int, default=0, metavar="N", help="beside N processes that compute")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    seed = config.getoption("--shuffle")
+    if seed is not None:
+        dice = random.Random(seed)
+        files = {path: dice.random() for path in dict.fromkeys(item.path for item in items)}
+        items.sort(key=lambda item: (files[item.path], dice.random()))
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Keep the machine busy, in the process that has the workers of pytest-xdist."""
+    for _ in range(0 if hasattr(config, "workerinput") else config.getoption("--busy")):
+        code = f"import os\nwhile os.getppid() == {os.getpid()}:\n    sum(range(10**6))"
+        config.add_cleanup(subprocess.Popen([sys.executable, "-c", code]).kill)
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)

@@ -2,23 +2,26 @@
 
 Rules. The motor goes through the gateway, its joint and the live loop like any other; the robot has this one
 motor only, so that no other is commanded. Its speed is a limit of its joint. Only read-only frames are sent
-before the first key. Nothing moves again by itself: after a fault the key must be pressed anew. However it
-ends (q, a signal, an exception, a closed terminal), the stop command is sent first, and then the terminal is
-restored.
+before the first key. A key counts only if it is known to be new: the terminal is asked again and again, and a
+key that follows its answer is no older than that question. Nothing moves again by itself: after a fault the
+key must be pressed anew. However it ends (q, a signal, an exception, a closed terminal), the stop command is
+sent first, and then the terminal is restored.
 """
 
 from __future__ import annotations
 
 import logging
+import os
 import sys
 from argparse import ArgumentParser, Namespace
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 
 from brain.bodies import bare
 from gateway.cli import arguments
-from gateway.cli.terminal.keys import HeldKey, Key, parse, press, raw_mode, read_keys, speed_share
+from gateway.cli.terminal.keys import HeldKey, Key, ask, parse, press, raw_mode, read_keys, speed_share
 from gateway.cli.terminal.screen import Line
 from gateway.config import load_robot, with_interfaces
 from gateway.config.errors import unknown
@@ -26,6 +29,7 @@ from gateway.core.joint import Joint
 from gateway.core.robot import Robot
 from gateway.errors import UserError
 from gateway.monitor.render import age_text, fault_text, feedback_texts
+from gateway.operator.commands import FRESH
 from gateway.runtime.session import Session, open_session
 from protocols.messages import MILLISECOND, ClearFault, Idle, Instruction, Nanos, Velocity
 
@@ -33,7 +37,17 @@ log = logging.getLogger("gateway")
 
 DEFAULT_SHARE = 0.05
 """Speed as a share of the joint's velocity limit, if none is given."""
+SLOW = (
+    "the link to this terminal is slow, or it does not answer: a key came %d ms after what it has answered, "
+    "and counts up to %d ms. Nothing turns: work nearer to the robot, or at its own console"
+)
 REFRESH_PERIOD: Nanos = 100 * MILLISECOND
+ASK_PERIOD: Nanos = 50 * MILLISECOND
+"""Between two questions to the terminal, at least."""
+MAX_ASKED = FRESH // ASK_PERIOD + 1
+"""Questions that are not answered yet, at most: more would not make a key new."""
+MULTIPLEXERS = {"TMUX": "tmux", "STY": "screen"}
+"""Programs that answer in place of the person's terminal, by the variables that they set."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -61,12 +75,17 @@ def run(options: Namespace) -> int:
     robot = single_motor(robot, options.motor, options.speed)
     if not sys.stdin.isatty():
         raise UserError("the motor turns as long as a key is held: standard input must be a terminal")
+    if within := [name for variable, name in MULTIPLEXERS.items() if os.environ.get(variable)]:
+        raise UserError(
+            f"the motor turns as long as a key is held, and within {within[0]} it is not known how late your "
+            f"keys come: run it outside {within[0]}, or use the cockpit's page"
+        )
     terminal = sys.stdin.fileno()
     with open_session(robot) as session:
         line = Line(sys.stdout)
         line.print_above(help_text(robot, options.motor))
         with raw_mode(terminal), log_above(line):
-            drive(session, options.motor, lambda: read_keys(terminal), line.draw)
+            drive(session, options.motor, lambda: read_keys(terminal), line.draw, lambda: ask(terminal))
         line.end()
     return 1 if session.joints[options.motor].faults or session.gateway.still_armed() else 0
 
@@ -109,6 +128,12 @@ class JogControl:
     _commanded: float | None = None
     """The last velocity that was commanded; None: none since the motor was disarmed."""
     _rest: bytes = b""
+    asked: deque[Nanos] = field(default_factory=deque)
+    """When the terminal was asked for the answers that have not come yet."""
+    _known: Nanos | None = None
+    """When it was asked for the newest answer that has come: a key that comes now was pressed later."""
+    _late: bool = False
+    """Whether the last key came too late to count."""
 
     def on_input(self, now: Nanos, data: bytes | None, blocked: bool) -> list[Instruction]:
         """Return the instructions of this step; `data` comes from the terminal, None if that is closed.
@@ -128,10 +153,16 @@ class JogControl:
             instructions.append(Velocity(self.motor, self.velocity))
         return instructions
 
+    def asks(self, now: Nanos) -> bool:
+        """Return whether the terminal is to be asked now."""
+        return not self.asked or (len(self.asked) < MAX_ASKED and now - self.asked[-1] >= ASK_PERIOD)
+
     def _press(self, now: Nanos, key: Key) -> Instruction | None:
         match key:
             case Key.FORWARD | Key.BACKWARD:
-                self.held = press(self.held, now, key.value)
+                self.held = HeldKey() if self._too_late(now) else press(self.held, now, key.value)
+            case Key.ANSWER if self.asked:
+                self._known = self.asked.popleft()
             case Key.DISARM:
                 self.held, self._commanded = HeldKey(), None
                 return Idle(self.motor)
@@ -141,16 +172,31 @@ class JogControl:
                 self.leaving = True
         return None
 
+    def _too_late(self, now: Nanos) -> bool:
+        """Return whether a key that comes now may have been pressed long ago; log that once."""
+        age = now - (self._known or 0)
+        was, self._late = self._late, self._known is None or age > FRESH
+        if self._late and not was:
+            log.warning(SLOW, age // MILLISECOND, FRESH // MILLISECOND)
+        return self._late
+
 
 def drive(
-    session: Session, motor: str, read: Callable[[], bytes | None], show: Callable[[str], None]
+    session: Session,
+    motor: str,
+    read: Callable[[], bytes | None],
+    show: Callable[[str], None],
+    ask: Callable[[], bool],
 ) -> None:
-    """Run the session on what `read` returns, until it is to be left; the stop command is sent at the end."""
+    """Run the session on what `read` returns, until it is to be left; the stop command is sent at the end.
+    `ask` asks the terminal for an answer, which comes among the keys, unless it returns False."""
     joint = session.joints[motor]
     control = JogControl(motor, joint.settings.limits.velocity)
 
     def poll() -> Sequence[Instruction]:
         now = session.clock.now()
+        if control.asks(now) and ask():
+            control.asked.append(now)
         blocked = bool(joint.faults or session.gateway.why_stopped()) or joint.feedback_lost(now)
         return control.on_input(now, read(), blocked)
 

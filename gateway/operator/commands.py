@@ -25,6 +25,9 @@ from gateway.errors import ConfigError, UserError
 from protocols import messages as msg
 
 Result = TypeVar("Result")
+FRESH: msg.Nanos = 300 * msg.MILLISECOND
+"""How long ago something that is held may have been asked for, as far as is known: at most the time there and
+back on a link."""
 ALL = "all"
 """Instead of a motor's name in a request: every motor."""
 

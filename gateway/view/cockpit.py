@@ -7,17 +7,18 @@ to four bytes, then arrays one after the other. Each has a "kind":
 |---|---|---|---|
 | hello | text | on opening | what does not change (`Scene.hello`), `steer` |
 | settings | text | with it, and after a change | what can be changed (`Scene.settings`) |
-| joints | text | every 20 ms | a row for each joint (`Scene.joints`) |
+| joints | text | every 20 ms | a row for each joint (`Scene.joints`); `clock`: when it was made [ms] |
 | state | text | every 100 ms | pose, states, goal, faults, buses … (`Scene.state`) |
 | note | text | at once | what happened, for a person |
-| answer | text | at once | to what was asked, with its `id`: `ok`, `text` |
+| answer | text | at once | to what was asked, with its `id`, or `held`: `ok`, `text` |
 | path | binary | when it changes | `version`; float32 x, y [m] for each point |
 | scan | binary | every 100 ms | `lidars`: `t`, mount, `poses`, `min`, `step`, `count`, `near`, `far`: f32 |
 | tiles | binary | every 100 ms, if new | map: `resolution`, `corner`, `size`, `keys` (row, column); int8 |
 
-From the page, JSON as text: `{"ask": LINE, "id": N}`, a line of the operator's language; `{"held": LINE}`,
-the same for as long as it is repeated; `{"record": true}`; `{"play": {…}}` in a replay; `{}`: still there.
-An `id` is an integer. Notes and answers are never dropped; of everything else, a slow page gets the newest.
+From the page, JSON as text: `{"ask": LINE, "id": N, "heard": N}`, a line of the operator's language, with the
+newest `clock`; `{"held": LINE, "heard": N}`, the same for as long as it is repeated;
+`{"record": true}`; `{"play": {…}}` in a replay; `{}`: still there. An `id` is an integer.
+Notes and answers are never dropped; of everything else, a slow page gets the newest.
 """
 
 from __future__ import annotations
@@ -94,7 +95,7 @@ class Cockpit:
                 return instructions
             answer = SILENT
             if isinstance(line := asked.get("ask"), str):
-                instruction, answer = self._requests.line(now, page.asking, line)
+                instruction, answer = self._requests.line(now, page.asking, line, _heard(asked))
                 instructions += [] if instruction is None else [instruction]
             elif isinstance(asked.get("held"), str):
                 held.append(asked)
@@ -104,9 +105,10 @@ class Cockpit:
                     answer = Answer(ok=False, text=why) if why else self._acts[key](asked[key])
             _answer(client, asked, answer)
         if held:
-            begun, answer = self._requests.hold(now, page.asking, held[-1]["held"], len(held))
+            newest = held[-1]
+            begun, answer = self._requests.hold(now, page.asking, newest["held"], _heard(newest), len(held))
             instructions += begun
-            _answer(client, held[-1], answer)
+            _answer(client, newest, answer)
         return instructions
 
     def leave(self, clients: Sequence[Client]) -> list[Instruction]:
@@ -132,7 +134,8 @@ class Cockpit:
         # Due at multiples of the period: a tick that is late must not make the next ones late.
         if now >= self._joints_due:
             self._joints_due = now - now % JOINTS_PERIOD + JOINTS_PERIOD
-            self._sample("joints", _once(lambda: _text("joints", self.scene.joints())))
+            clock = {"clock": now // MILLISECOND}
+            self._sample("joints", _once(lambda: _text("joints", clock | self.scene.joints())))
         if now >= self._state_due:
             self._state_due = now - now % STATE_PERIOD + STATE_PERIOD
             self._slow()
@@ -194,7 +197,14 @@ def _answer(client: Client, asked: Json, answer: Answer) -> None:
     if answer.text:
         number = asked.get("id")
         shown = number if isinstance(number, int) and abs(number) < 1 << 53 else None
-        client.send(_text("answer", {"id": shown, "ok": answer.ok, "text": answer.text}))
+        held = {"held": True} if "held" in asked else {}
+        client.send(_text("answer", {"id": shown, "ok": answer.ok, "text": answer.text} | held))
+
+
+def _heard(asked: Json) -> Nanos | None:
+    """Return the newest time of ours that a page had when it sent something; None: none."""
+    clock = asked.get("heard")
+    return clock * MILLISECOND if isinstance(clock, int) and clock >= 0 else None
 
 
 def _once(make: Callable[[], Message]) -> Callable[[], Message]:

@@ -11,8 +11,10 @@ subscribes gets what stays (map, path, mounts, joints) with the next tick, or at
 | all others | gets the newest |
 
 Clients publish a goal or, for as long as they repeat it, a motion; they set parameters and call services. All
-that is an operator's request, as that of a page. Nothing here raises, whatever a client sends: what is wrong,
-or refused, is sent to it as a status.
+that is an operator's request, as that of a page. A motion has no time of ours in it, but pings have, which
+every client's WebSocket answers by itself, in the order of what it sends: what comes after an answer was sent
+after that ping. Nothing here raises, whatever a client sends: what is wrong, or refused, is sent to it as a
+status.
 """
 
 from __future__ import annotations
@@ -47,6 +49,7 @@ MAP = "/map"
 FRAME = "odom"
 """In which goals are."""
 TIME_PERIOD: Nanos = 20 * MILLISECOND
+PING_PERIOD: Nanos = 50 * MILLISECOND
 SLOW_PERIOD: Nanos = 100 * MILLISECOND
 """Of looking for a change of the playback, and of beginning topics anew for who has subscribed."""
 MAX_CHANNELS = 100
@@ -107,7 +110,7 @@ class Foxglove:
         self._session = ""
         self._start: Nanos | None = None
         """Time of the beginning of a recording."""
-        self._time_at = self._slow_at = -SLOW_PERIOD
+        self._time_at = self._slow_at = self._ping_at = -SLOW_PERIOD
         self._playback: tuple[int, float] | None = None
         """State and rate, as clients know them."""
         self._values: dict[str, Json] | None = None
@@ -165,6 +168,10 @@ class Foxglove:
                 self._enter(now, client)
         if not clients:
             return
+        if self._publish and now - self._ping_at >= PING_PERIOD:
+            self._ping_at = now
+            for client in filter(lambda one: one.idle, clients):
+                client.ping(now)
         self._send_parameters()
         jumped = self.scene.gateway is not self._gateway
         if jumped or now - self._slow_at >= SLOW_PERIOD:
@@ -179,6 +186,7 @@ class Foxglove:
     def _enter(self, now: Nanos, client: Client) -> _Peer:
         """Greet a client."""
         peer = self._peers[client] = _Peer(client, self._requests.enter())
+        client.ping(now)  # answered before whatever is published
         robot = self.scene.robot.name
         self._session = self._session or f"{robot}-{now}"
         playing = self._play is not None and client.subprotocol == wire.SDK
@@ -385,7 +393,7 @@ class Foxglove:
 
     def _ask(self, now: Nanos, peer: _Peer, line: str) -> tuple[Instruction | None, str]:
         """Return what a line asks, or None; and the answer."""
-        instruction, answer = self._requests.line(now, peer.asking, line)
+        instruction, answer = self._requests.line(now, peer.asking, line, peer.client.heard)
         return instruction, answer.text
 
     def _called(self, now: Nanos, peer: _Peer, asked: wire.Call) -> Instruction | None:
@@ -472,7 +480,7 @@ class Foxglove:
             sideways = f" {lateral!r}" if lateral else ""
             moves = linear or lateral or angular
             line = f"drive {linear!r} {angular!r}{sideways}" if moves else ""
-            instructions, answer = self._requests.hold(now, peer.asking, line)
+            instructions, answer = self._requests.hold(now, peer.asking, line, peer.client.heard)
             return instructions, answer.text
         frame, x, y, yaw = wire.pose(encoding, payload)
         if frame.lstrip("/") not in ("", FRAME):

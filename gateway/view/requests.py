@@ -1,16 +1,22 @@
 """What the view's clients ask of a robot: lines of an operator's language → instructions of the next tick.
 
 Rules. A client that may not steer may only stop. What is held (a key, a stick, a jog) ends when its client
-does not repeat it for `HELD`, holds something else, or is gone; and with a stop, from wherever: then
-it must be let go before it is held again. A client has so many requests a second and in one poll, but a stop
-is always read. Nothing here raises, whatever a client sends.
+does not repeat it for `HELD`, holds something else, or is gone; and with a stop, from wherever, or when its
+link is slow: then it must be let go before it is held again. A link may bring what was held when it has long
+been let go; so each message has the newest time of ours that its client had (`heard`), after which it was
+sent: older than `FRESH`, or without one, it counts for nothing. So does whatever was asked before its client
+could know of the newest stop: a release or a goal that is still under way must not undo it. A client has so
+many requests a second and in one poll, but a stop is always read. Nothing here raises, whatever a client
+sends.
 """
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, field, replace
 
 from gateway.core.robot import Robot
+from gateway.operator import commands
 from gateway.operator.commands import Query, RejectedLine, command_of, help_text, parse
 from protocols import messages as msg
 from protocols.messages import MILLISECOND, SECOND, Instruction, Nanos
@@ -28,7 +34,15 @@ HOLDS_PER_SECOND = 100
 MAX_LINE = 1000
 """Characters of a line."""
 READ_ONLY = "this view is read-only: start it with --steer"
+NO_TIME = "nothing is held without a time of the gateway's, which its client has just received"
+SLOW = (
+    "the link is slow: {age} ms there and back, and what is held counts up to {most} ms. Let go; drive by "
+    "cable or nearer to the robot, or give it a goal. STOP is obeyed, that much later"
+)
+OVERTAKEN = "somebody pressed STOP while this was under way: look why, and ask again"
 NO_ROBOT = "no robot runs here: what is shown takes no requests, and cannot be stopped"
+
+log = logging.getLogger("gateway")
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +101,8 @@ class Asking:
     """Without another message; or, if it is barred, until when that lasts."""
     barred: bool = False
     """Whether what it holds counts for nothing until it lets go."""
+    slow: bool = False
+    """Whether its link is, as its log has it."""
 
 
 @dataclass(slots=True)
@@ -101,6 +117,10 @@ class Requests:
     asking: list[Asking] = field(default_factory=list)
     _stopped: str = ""
     """Why the robot is stopped; "": it is not."""
+    _pressed: Nanos = 0
+    """When somebody asked for a stop last, wherever."""
+    _polled: Nanos = 0
+    """When it was polled last."""
 
     def enter(self) -> Asking:
         """Return a new client."""
@@ -112,8 +132,12 @@ class Requests:
         self.asking.remove(one)
         return _end_of(one)
 
-    def line(self, now: Nanos, one: Asking, line: str) -> tuple[Instruction | None, Answer]:
-        """Return what a line asks of the robot, and the answer; None if that is nothing."""
+    def line(
+        self, now: Nanos, one: Asking, line: str, heard: Nanos | None
+    ) -> tuple[Instruction | None, Answer]:
+        """Return what a line asks of the robot, and the answer; None if that is nothing.
+
+        `heard`: as in `hold`."""
         word = command_of(line[:MAX_LINE])
         if word == "stop" and self.live:
             return self._stop(now, one, line)
@@ -122,15 +146,20 @@ class Requests:
         asked = self._parsed(line)
         if isinstance(asked, Answer):
             return None, asked
+        if (heard or 0) < self._pressed:
+            return None, Answer(ok=False, text=OVERTAKEN)
         return asked, Answer(ok=True, text=f"accepted: {line}")
 
-    def hold(self, now: Nanos, one: Asking, line: str, count: int = 1) -> tuple[list[Instruction], Answer]:
+    def hold(
+        self, now: Nanos, one: Asking, line: str, heard: Nanos | None, count: int = 1
+    ) -> tuple[list[Instruction], Answer]:
         """Do what a line asks for as long as it is held; "" ends it. Only Drive and Velocity can be held.
 
         Args:
             now: the time of the poll.
             one: who asks.
             line: the newest of the messages of this poll.
+            heard: the newest time of ours that its client had when it sent this; None: none.
             count: how many there were.
         """
         if not line.strip():
@@ -143,9 +172,12 @@ class Requests:
         if not one.holds.take(now, count):
             one.barred, one.held_until = True, now + HELD
             return _end_of(one), Answer(ok=False, text="too many messages: what is held has ended")
-        if wrong := self._never() or (f"stopped: {self._stopped}" if self._stopped else ""):
+        stopped = f"stopped: {self._stopped}" if self._stopped else ""
+        if wrong := self._never() or stopped or _slow(now, one, heard):
             one.barred, one.held_until = True, now + HELD
-            return [], Answer(ok=False, text=wrong)
+            return _end_of(one), Answer(ok=False, text=wrong)
+        if heard is None or heard > now:
+            return _end_of(one), Answer(ok=False, text=NO_TIME)
         asked = self._parsed(line)
         if isinstance(asked, Answer):
             return _end_of(one), asked
@@ -167,16 +199,20 @@ class Requests:
         return ""
 
     def expired(self, now: Nanos) -> list[Instruction]:
-        """Return what ends that which is not held any more."""
+        """Return what ends that which is not held any more. Called in every poll."""
+        self._polled = now
         return [end for one in self.asking if now > one.held_until for end in _end_of(one)]
 
     def ends(self) -> list[Instruction]:
         """Return what ends all that is held."""
         return [end for one in self.asking for end in _end_of(one)]
 
-    def on_stop(self, reason: str) -> None:
-        """Take why the robot must not move, "" if it may. With that ends what is held."""
+    def on_stop(self, reason: str, *, pressed: bool = False) -> None:
+        """Take why the robot must not move, "" if it may. With that ends what is held.
+
+        `pressed`: somebody has just asked for it."""
         self._stopped = reason
+        self._pressed = self._polled if pressed else self._pressed
         if reason:
             for one in self.asking:
                 one.barred = one.barred or one.held is not None
@@ -187,7 +223,7 @@ class Requests:
         return NO_ROBOT if not self.live else READ_ONLY if not self.steer else ""
 
     def _stop(self, now: Nanos, one: Asking, line: str) -> tuple[Instruction | None, Answer]:
-        again, one.stopped = one.stopped == now, now
+        again, one.stopped, self._pressed = one.stopped == now, now, now
         asked = None if again else self._parsed(line[:MAX_LINE])
         return asked if isinstance(asked, msg.Stop) else None, Answer(ok=True, text="stopped")
 
@@ -206,6 +242,18 @@ class Requests:
                 return Answer(ok=False, text=f"{kind} is for the gateway's own terminal, and `gateway ask`")
             case instruction:
                 return instruction
+
+
+def _slow(now: Nanos, one: Asking, heard: Nanos | None) -> str:
+    """Return that the link is slow, which is logged once; "" if it is not, or nothing is known of it."""
+    age = 0 if heard is None else now - heard
+    was, one.slow = one.slow, age > commands.FRESH
+    if not one.slow:
+        return ""
+    wrong = SLOW.format(age=age // MILLISECOND, most=commands.FRESH // MILLISECOND)
+    if not was:
+        log.warning("live view: %s", wrong)
+    return wrong
 
 
 def _motor(held: Instruction | None) -> str | None:

@@ -87,6 +87,10 @@ class Client:
     """Whether it has become a client."""
     received_at: Nanos = 0
     """When it last sent a message."""
+    answered: Nanos | None = None
+    """When the newest ping was sent that it has answered; None: it has answered none."""
+    heard: Nanos | None = None
+    """The same before the first message of the last poll in which it sent some: none of these is older."""
     inbox: list[Message] = field(default_factory=list)
     """What has come in this poll."""
     parts: list[bytes] = field(default_factory=list)
@@ -109,6 +113,12 @@ class Client:
                 self.protocol.send_text(message.encode())
             else:
                 self.protocol.send_binary(message)
+            self.collect()
+
+    def ping(self, now: Nanos) -> None:
+        """Ask for an answer, which every client's WebSocket gives by itself."""
+        if self.open and self.protocol.state is State.OPEN:
+            self.protocol.send_ping(now.to_bytes(8))
             self.collect()
 
     def sample(self, key: str, message: Callable[[], Message]) -> None:
@@ -343,7 +353,10 @@ class Server:
 
 
 def _on_frame(now: Nanos, client: Client, frame: Frame) -> None:
-    """Put messages together; pings were answered by the protocol."""
+    """Put messages together, and take answers to pings; pings were answered by the protocol."""
+    if frame.opcode is Opcode.PONG:
+        client.answered = int.from_bytes(frame.data)
+        return
     if frame.opcode in (Opcode.TEXT, Opcode.BINARY):
         client.text = frame.opcode is Opcode.TEXT
         client.parts = [bytes(frame.data)]
@@ -354,6 +367,7 @@ def _on_frame(now: Nanos, client: Client, frame: Frame) -> None:
     if frame.fin:
         data = b"".join(client.parts)
         client.parts, client.received_at = [], now
+        client.heard = client.heard if client.inbox else client.answered
         client.inbox.append(data.decode("utf-8", "replace") if client.text else data)
 
 

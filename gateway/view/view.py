@@ -14,7 +14,7 @@ from gateway.view.foxglove_wire import SUBPROTOCOLS
 from gateway.view.requests import Requests
 from gateway.view.scene import Scene
 from gateway.view.server import Client, Page, Server
-from protocols.messages import Instruction, Nanos
+from protocols.messages import Instruction, Nanos, Stop
 
 COCKPIT = "/cockpit"
 """Path of the cockpit's WebSocket; of the second scene "/cockpit/2"."""
@@ -94,7 +94,8 @@ class View:
         """Take a tick of one of the scenes: its notes are sent at once, all else when it is due."""
         self._scenes[scene].observe(tick, belief)
         if scene == 0:
-            self._requests.on_stop(self._scenes[0].gateway.why_stopped())
+            pressed = any(isinstance(one, Stop) for one in tick.inputs.instructions)
+            self._requests.on_stop(self._scenes[0].gateway.why_stopped(), pressed=pressed)
         for speaker in self._speakers.values():
             if speaker.scene is self._scenes[scene]:
                 speaker.take(tick)

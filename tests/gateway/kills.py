@@ -32,7 +32,7 @@ class Outcome:
     lost: Nanos
     """Time between the last tick given to the recorder and the last one recovered."""
     queued: Nanos
-    """Time that the recorder waited for a processor, in the last 150 ms before the kill."""
+    """Time that its threads waited for a processor, in the last 150 ms before the kill."""
 
 
 def one_kill(runs: Runs, folder: Path, seed: int, number: int) -> Outcome:
@@ -60,10 +60,10 @@ def one_kill(runs: Runs, folder: Path, seed: int, number: int) -> Outcome:
 
 
 def _checked(outcome: Outcome) -> Outcome:
-    """Check that at most 100 ms are lost, and the time that the recorder waited for a processor."""
+    """Check that at most 100 ms are lost, and the time that its threads waited for a processor."""
     lost, queued = outcome.lost / MILLISECOND, outcome.queued / MILLISECOND
     assert outcome.lost <= PROMISE + outcome.queued, (
-        f"{lost:.1f} ms are lost, and the recorder waited for a processor only {queued:.1f} ms of it"
+        f"{lost:.1f} ms are lost, and its threads waited for a processor only {queued:.1f} ms of it"
     )
     return outcome
 

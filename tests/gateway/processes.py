@@ -17,8 +17,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Self
 
-PATIENCE = 60.0
-"""s; the machine may have other things to do"""
+PATIENCE = 600.0
+"""s that a test waits for anything: against hanging only, the machine may have other things to do."""
 
 
 def eventually(condition: Callable[[], bool], seconds: float = PATIENCE) -> bool:
@@ -116,11 +116,15 @@ class Process:
             data = b""
         self.text += self._decode(data)
         self._ended = not data
+        self._got(data)
         return not self._ended
+
+    def _got(self, data: bytes) -> None:
+        """See what it has printed."""
 
 
 class TerminalProcess(Process):
-    """The same on a terminal of its own."""
+    """The same on a terminal of its own, which answers when it is asked for its state (DSR of ECMA-48)."""
 
     def __init__(self, folder: Path, *arguments: str) -> None:
         self._master, self.terminal = pty.openpty()
@@ -136,6 +140,10 @@ class TerminalProcess(Process):
 
     def send_keys(self, keys: bytes) -> None:
         os.write(self._master, keys)
+
+    def _got(self, data: bytes) -> None:
+        with suppress(OSError):  # it is closed
+            os.write(self._master, b"\x1b[0n" * data.count(b"\x1b[5n"))
 
     def hang_up(self) -> None:
         """Close the terminal."""

@@ -23,11 +23,10 @@ from pathlib import Path
 from typing import Any, Self
 
 from protocols.messages import Nanos
+from tests.gateway.processes import PATIENCE
 
 NOTHING = -1
 """On the board before the first tick."""
-PATIENCE = 60.0
-"""s that a process may take to its first tick, on a machine that has other things to do"""
 
 
 def board(path: Path) -> memoryview:
@@ -96,12 +95,12 @@ class Killed:
     last: Nanos
     """and its last."""
     queued: Nanos
-    """How long, in its last 150 ms, the recorder's threads were ready to run and the machine did not let
-    them: a busy machine's doing, as the kernel accounts it."""
+    """How long, in its last 150 ms, its threads were ready to run and the machine did not let them, one of
+    which may have had what others waited for: a busy machine's doing, as the kernel accounts it."""
 
 
 def _watch(pid: int, span: float) -> Nanos:
-    """Let a process run for `span` s; return how long its threads but the first queued in the last 150 ms."""
+    """Let a process run for `span` s; return how long its threads queued in the last 150 ms."""
     end = time.monotonic() + span
     samples: list[tuple[float, int]] = []
     while True:
@@ -115,12 +114,11 @@ def _watch(pid: int, span: float) -> Nanos:
 
 
 def _queued(pid: int) -> Nanos:
-    """Return how long a process's threads but the first were ready to run and did not (sched-stats.rst)."""
+    """Return how long a process's threads were ready to run and did not (sched-stats.rst)."""
     total = 0
     for task in Path(f"/proc/{pid}/task").iterdir():
-        if int(task.name) != pid:
-            with suppress(OSError):  # it has just ended
-                total += int((task / "schedstat").read_text().split()[1])
+        with suppress(OSError):  # it has just ended
+            total += int((task / "schedstat").read_text().split()[1])
     return total
 
 

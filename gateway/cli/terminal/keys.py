@@ -1,4 +1,4 @@
-"""Keys of a terminal, and how long one is held. Pure except `raw_mode` and `read_keys`.
+"""Keys of a terminal, and how long one is held. Pure except `raw_mode`, `read_keys` and `ask`.
 
 Rules. A terminal does not report that a key is released: it sends the key once, again after a delay, and
 then at a high rate. So a key counts as held for `FIRST_HOLD` after it was pressed, and moves at `CREEP_SHARE`
@@ -6,6 +6,9 @@ of the speed; once it has repeated it counts as held for `REPEAT_HOLD` after eac
 speed. A tap is a short slow move, a held key one motion without a gap, and releasing it stops within
 `REPEAT_HOLD`. Sources of the times: X server 660 ms and 25 per second (xset(1)), Linux console 250 ms and
 10.9 per second (kbdrate(8)).
+
+Nor does it report when a key was pressed, and a link may bring it late. But it answers when it is asked for
+its state, in the order of its keys: what comes after an answer was typed after the question.
 """
 
 from __future__ import annotations
@@ -27,6 +30,8 @@ REPEAT_HOLD: Nanos = 150 * MILLISECOND
 CREEP_SHARE = 0.25
 """Share of the speed while it is not known whether a key is held or was tapped."""
 MAX_READ = 4096
+QUESTION = b"\x1b[5n"
+"""DSR of ECMA-48: every terminal answers, its person's own, at the far end of whatever link."""
 
 
 class Key(Enum):
@@ -37,6 +42,8 @@ class Key(Enum):
     DISARM = " "
     CLEAR = "c"
     LEAVE = "q"
+    ANSWER = "\x1b[0n"
+    """No key: the terminal's answer to `QUESTION`."""
 
 
 KEYS: dict[bytes, Key] = {
@@ -45,6 +52,7 @@ KEYS: dict[bytes, Key] = {
     b" ": Key.DISARM,
     b"c": Key.CLEAR,
     **dict.fromkeys((b"q", b"Q"), Key.LEAVE),
+    b"\x1b[0n": Key.ANSWER,
 }
 """Arrows in both modes of a terminal (ECMA-48 CUU CUD CUF CUB; DEC application mode), and characters."""
 
@@ -122,3 +130,11 @@ def read_keys(terminal: int) -> bytes | None:
         return os.read(terminal, MAX_READ) or None
     except OSError:
         return None
+
+
+def ask(terminal: int) -> bool:
+    """Ask the terminal for an answer, if it takes the question at once; return whether it does."""
+    try:
+        return bool(select.select([], [terminal], [], 0)[1]) and os.write(terminal, QUESTION) == len(QUESTION)
+    except OSError:
+        return False

@@ -13,7 +13,7 @@ const query = new URLSearchParams(location.search);
 const on = { hello, settings, note, state, answer, joints: m => joints.take(m), path: (m, b) => field.takePath(m, b),
   scan: (m, b) => field.takeScan(m, b), tiles: (m, b) => field.takeTiles(m, b) };
 const wire = new Wire(query.get("scene") === "2" ? "/cockpit/2" : "/cockpit", on, lost);
-const held = new Held(wire);
+const held = new Held(wire, refused);
 const drive = new Drive(held);
 const field = new Field((x, y, yaw) =>
   ask(`goal ${x.toFixed(3)} ${y.toFixed(3)}` + (yaw === null ? "" : ` ${((yaw * 180) / Math.PI).toFixed(1)}`)));
@@ -61,8 +61,12 @@ function note(message) {
   table.note(message);
 }
 
-function answer({ ok, text }) {
+function answer({ ok, text, held: ofHeld }) {
   log(ok ? "answer" : "refused", text);
+  if (ofHeld && !ok) {
+    held.end();
+    refused(text);
+  }
   if (ok && text.includes("\n")) return;
   setText($("answer"), text);
   $("answer").className = ok ? "" : "bad";
@@ -96,10 +100,18 @@ function state(message) {
   setText($("pose"), message.pose ? `x ${number(x, 2)}  y ${number(y, 2)}  ${number((yaw * 180) / Math.PI, 0)}°${speed}` : "no pose yet");
 }
 
-function lost(why, open) {
-  held.end();
+function refused(why) {
+  if (!wire.why) banner(why);
+}
+
+function banner(why) {
   setText($("banner"), why);
   $("banner").hidden = !why;
+}
+
+function lost(why, open) {
+  held.end();
+  banner(why);
   document.body.classList.toggle("lost", Boolean(why));
   $("stop").disabled = Boolean(why) && !open;
   setText($("stop-how"), $("stop").disabled ? "not connected" : "space bar");

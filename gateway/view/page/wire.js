@@ -27,6 +27,7 @@ export class Wire {
     this.socket.onmessage = event => this.receive(event.data);
     this.socket.onclose = event => this.drop(event.reason);
     this.receivedAt = performance.now();
+    this.clock = undefined; // of the gateway, newest
   }
 
   drop(reason) {
@@ -65,6 +66,7 @@ export class Wire {
       message = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
       bytes = { buffer: data, offset: 4 + length };
     }
+    this.clock = message.clock ?? this.clock;
     if (message.kind === "answer") {
       const take = this.asked.get(message.id);
       this.asked.delete(message.id);
@@ -82,15 +84,17 @@ export class Wire {
   // Ask for something once; `take` gets the answer {ok, text}.
   ask(line, take = this.on.answer) {
     const id = ++this.id;
-    if (this.send({ ask: line, id }, /^stop\b/.test(line))) this.asked.set(id, take);
+    if (this.send({ ask: line, id, heard: this.clock }, /^stop\b/.test(line))) this.asked.set(id, take);
     else take({ ok: false, text: "not sent: no data from the robot" });
   }
 }
 
-// Something that is asked for as long as it is held. The robot ends it 200 ms after the last message.
+// Something that is asked for as long as it is held. The robot ends it 200 ms after the last message, and refuses a
+// message that was sent long ago, as the newest of its own times in it shows.
 export class Held {
-  constructor(wire) {
-    Object.assign(this, { wire, timer: 0, line: null });
+  // `refused`: takes why the robot ended it, or "" when something is held anew.
+  constructor(wire, refused) {
+    Object.assign(this, { wire, refused, timer: 0, line: null });
     for (const [target, type] of [[window, "blur"], [window, "pagehide"], [document, "visibilitychange"]])
       target.addEventListener(type, () => this.end());
     // What may swallow the release of a key: a menu, a drag, and on macOS Cmd, while which no letter has one.
@@ -102,12 +106,13 @@ export class Held {
   // `line` returns what is held now: a line of the operator's language.
   begin(line, ended = () => {}) {
     this.end();
+    this.refused("");
     Object.assign(this, { line, ended, timer: setInterval(() => this.repeat(), 50) });
     this.repeat();
   }
 
   repeat() {
-    if (!this.wire.send({ held: this.line() })) this.end(); // what is not received does not begin later by itself
+    if (!this.wire.send({ held: this.line(), heard: this.wire.clock })) this.end(); // what is not received does not begin later by itself
   }
 
   end() {

@@ -9,6 +9,7 @@ import re
 import select
 import signal
 import termios
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -21,7 +22,16 @@ import pytest
 from brain.belief import Belief
 from gateway import config
 from gateway.buses.virtual.bus import open_world
-from gateway.cli.jog import DEFAULT_SHARE, JogControl, drive, log, log_above, single_motor, status_line
+from gateway.cli.jog import (
+    DEFAULT_SHARE,
+    MULTIPLEXERS,
+    JogControl,
+    drive,
+    log,
+    log_above,
+    single_motor,
+    status_line,
+)
 from gateway.cli.terminal.keys import (
     CREEP_SHARE,
     FIRST_HOLD,
@@ -41,6 +51,7 @@ from gateway.core.robot import Robot
 from gateway.core.step import Gateway
 from gateway.core.tick import Tick
 from gateway.errors import UserError
+from gateway.operator.commands import FRESH
 from gateway.runtime.process import signals
 from gateway.runtime.session import Session
 from protocols.messages import MILLISECOND, SECOND, ClearFault, Command, Idle, Instruction, Nanos, Velocity
@@ -48,6 +59,13 @@ from tests.gateway.processes import Process, TerminalProcess
 from tests.gateway.rig import BENCH, sent_commands
 
 MS = MILLISECOND
+
+
+@pytest.fixture(autouse=True)
+def no_multiplexer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Be outside tmux and screen, wherever the tests are run."""
+    for variable in MULTIPLEXERS:
+        monkeypatch.delenv(variable, raising=False)
 
 
 # -- keys -------------------------------------------------------------------------------------------
@@ -137,6 +155,13 @@ def velocity(share: float) -> list[Instruction]:
     return [Velocity("left", 2.0 * share)]
 
 
+def answered() -> JogControl:
+    """Return a control whose terminal has answered at once."""
+    control = JogControl("left", 2.0, asked=deque([0]))
+    control.on_input(0, b"\x1b[0n", blocked=False)
+    return control
+
+
 @pytest.mark.parametrize(
     "steps",
     [
@@ -167,7 +192,7 @@ def velocity(share: float) -> list[Instruction]:
     ids=["only changes after the first key", "space disarms", "blocked, it needs a new key"],
 )
 def test_instructions(steps: list[tuple[Nanos, bytes, bool, list[Instruction]]]) -> None:
-    control = JogControl("left", 2.0)
+    control = answered()
     for now, data, blocked, expected in steps:
         assert control.on_input(now, data, blocked) == expected
     assert not control.leaving
@@ -175,7 +200,7 @@ def test_instructions(steps: list[tuple[Nanos, bytes, bool, list[Instruction]]])
 
 @pytest.mark.parametrize("data", [b"q", None])
 def test_q_and_a_closed_terminal_stop_and_leave(data: bytes | None) -> None:
-    control = JogControl("left", 2.0)
+    control = answered()
     control.on_input(0, b"++", blocked=False)
     assert control.on_input(1, data, blocked=False) == velocity(0.0)
     assert control.leaving
@@ -229,18 +254,28 @@ class Jogged:
         self.ticks = self.made.kept = []
         self.keys = [(round(t * SECOND), typed) for t, typed in keys]
         self.shown: list[str] = []
+        self.answers: list[Nanos] = []
+        """When the terminal answers."""
+        self.delay: Nanos = 0
+        """Of the link to it, there and back; `keys` come as they come."""
         self.at: dict[Nanos, Callable[[], None]] = {}
 
     def typed(self) -> bytes | None:
         now = self.clock.now()
         for t in [t for t in self.at if t <= now]:
             self.at.pop(t)()
+        answers = b"\x1b[0n" * sum(t <= now for t in self.answers)
+        self.answers = [t for t in self.answers if t > now]
         come = b"".join(typed for t, typed in self.keys if t <= now)
         self.keys = [(t, typed) for t, typed in self.keys if t > now]
-        return come if come or self.keys else None
+        return answers + come if come or self.keys else None
+
+    def ask(self) -> bool:
+        self.answers.append(self.clock.now() + self.delay)
+        return True
 
     def drive(self) -> Jogged:
-        drive(self.made, "left", self.typed, self.shown.append)
+        drive(self.made, "left", self.typed, self.shown.append, self.ask)
         return self
 
     def obeyed(self) -> list[tuple[Nanos, Command]]:
@@ -284,6 +319,38 @@ def test_the_motor_alone_turns_and_only_while_a_key_is_held() -> None:
 def test_a_tap_backwards_is_a_small_turn_back() -> None:
     jogged = Jogged([(0.5, b"-"), (3.0, b"q")], speed=2.0).drive()
     assert jogged.turned() == pytest.approx(-2.0 * CREEP_SHARE * FIRST_HOLD / SECOND, abs=0.05)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.1, 0.2, 2.0, 60.0])
+def test_keys_that_come_late_turn_nothing(delay: float, caplog: pytest.LogCaptureFixture) -> None:
+    """Held from 0.5 to 2.5 s; over a link of this delay there and back. 60 s: the terminal never answers."""
+    come = min(1.0, delay / 2)
+    jogged = Jogged([*held(b"+", 0.5 + come, 2.5 + come), (4.0, b"q")])
+    jogged.delay = round(delay * SECOND)
+    jogged.drive()
+    turning = [t for t, c in jogged.obeyed() if isinstance(c, Velocity) and c.velocity]
+    assert bool(turning) == (delay < 0.3)
+    assert all(t < (2.5 + come) * SECOND + REPEAT_HOLD + 50 * MS for t in turning)
+    slow = [one.getMessage() for one in caplog.records if "slow" in one.getMessage()]
+    assert len(slow) == (delay > 0.3), slow
+
+
+def test_a_link_that_becomes_slow_while_a_key_is_held_ends_the_motion() -> None:
+    jogged = Jogged([*held(b"+", 0.5, 4.0), (5.0, b"q")])
+    jogged.at[2 * SECOND] = lambda: setattr(jogged, "delay", SECOND)
+    jogged.drive()
+    turning = [t for t, c in jogged.obeyed() if isinstance(c, Velocity) and c.velocity]
+    assert 2 * SECOND < max(turning) < 2 * SECOND + FRESH + 100 * MS
+
+
+def test_within_a_multiplexer_which_answers_in_place_of_the_terminal_nothing_is_opened(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TMUX", "default,1,0")
+    with TerminalProcess(tmp_path, "jog", "left", "bench") as jog:
+        status, text = jog.end()
+    assert status == 2
+    assert "outside tmux" in text
 
 
 @contextmanager

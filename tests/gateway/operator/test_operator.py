@@ -25,6 +25,7 @@ from gateway.operator import Operator, ask, socket_path
 from gateway.operator.commands import COMMANDS, Query, RejectedLine, help_text, parse
 from gateway.operator.server import MAX_CLIENTS, MAX_LINE, MAX_LINES, socket_folder
 from protocols import messages as msg
+from tests.gateway.processes import PATIENCE
 
 DIFFBOT = load_robot("diffbot")
 BENCH, ARM = load_robot("bench"), load_robot("arm")
@@ -333,7 +334,7 @@ def test_clients_that_vanish_or_never_read_affect_no_other(operator: Operator, c
 def test_no_crowd_keeps_a_stop_out(operator: Operator, flood: bytes) -> None:
     """Idle, or sending without end: each is answered, and no poll takes more lines than declared."""
     answers: list[str] = []
-    asker = threading.Thread(target=lambda: answers.append(ask(operator.path, "stop now")))
+    asker = threading.Thread(target=lambda: answers.append(ask(operator.path, "stop now", PATIENCE)))
     crowd: list[Client] = []
     stopped, polls = False, 0
     try:
@@ -352,7 +353,7 @@ def test_no_crowd_keeps_a_stop_out(operator: Operator, flood: bytes) -> None:
         assert answers[0].startswith("accepted: stop now")
         assert len(operator._clients) <= MAX_CLIENTS
     finally:
-        asker.join(5.0)
+        asker.join(PATIENCE)
         for one in crowd:
             one.socket.close()
 
@@ -425,9 +426,9 @@ def test_ask_returns_the_answer(operator: Operator) -> None:
     robot = threading.Thread(target=loop)
     robot.start()
     try:
-        assert ask(operator.path, "status") == "all is well\nreally"
-        assert ask(operator.path, "goal 1 2") == "accepted: goal 1 2\noperator: so be it"
-        assert "did you mean 'goal'" in ask(operator.path, "gaol 1 2")
+        assert ask(operator.path, "status", PATIENCE) == "all is well\nreally"
+        assert ask(operator.path, "goal 1 2", PATIENCE) == "accepted: goal 1 2\noperator: so be it"
+        assert "did you mean 'goal'" in ask(operator.path, "gaol 1 2", PATIENCE)
     finally:
         enough.set()
         robot.join()

@@ -377,7 +377,6 @@ def test_output_that_nobody_reads_any_more_ends_the_run_safely(
     assert sessions[0].gateway.still_armed() == []
 
 
-@pytest.mark.timeout(60)
 def test_a_terminal_that_takes_no_output_delays_nothing() -> None:
     """Ctrl-S: a line of the log that waited for the terminal would keep the motors turning."""
     master, slave = pty.openpty()

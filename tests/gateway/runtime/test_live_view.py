@@ -177,7 +177,7 @@ def jogged(session: Session) -> Watched:
     watched = Watched(session)
 
     def turns() -> bool:
-        watched.page.send({"held": "velocity left 2"})
+        watched.page.hold("velocity left 2")
         feedback = session.joints["left"].feedback
         return feedback is not None and (feedback.velocity or 0.0) > 1.0
 

@@ -305,7 +305,6 @@ def invited(twin: Process, *more: str) -> list[str]:
     return [*shlex.split(line[1]), *more]
 
 
-@pytest.mark.timeout(240)
 @pytest.mark.parametrize(("name", "adapter"), [("diffbot", "slcan"), ("diffbot_damiao", "dm-serial")])
 def test_two_processes_reach_a_goal_and_the_recording_replays(
     folder: Path, capsys: pytest.CaptureFixture[str], name: str, adapter: str
@@ -334,7 +333,6 @@ def test_two_processes_reach_a_goal_and_the_recording_replays(
     assert "the same, byte for byte" in capsys.readouterr().out
 
 
-@pytest.mark.timeout(240)
 def test_the_first_frame_goes_out_within_three_seconds_also_if_it_is_recorded(folder: Path) -> None:
     """Of the processor's time: what else the machine does is not ours to judge."""
     clock = WallClock()
@@ -377,7 +375,6 @@ async def drive(channel: str, twin: Process) -> list[float]:
     return reported
 
 
-@pytest.mark.timeout(240)
 def test_the_vendors_client_then_typed_lines_then_the_twin_goes_and_comes_back(folder: Path) -> None:
     devices_of = ["twin", str(folder / "bench.toml"), "-v", "--link", str(folder / "ports")]
     with Process(folder / "run", *devices_of) as twin:
@@ -413,7 +410,6 @@ def test_the_vendors_client_then_typed_lines_then_the_twin_goes_and_comes_back(f
             assert "Traceback" not in text
 
 
-@pytest.mark.timeout(240)
 def test_motors_of_a_host_that_was_killed_are_stopped_by_their_watchdog(tmp_path: Path) -> None:
     (tmp_path / "rig.toml").write_text(patient(WATCHED))
     with Process(tmp_path, "twin", str(tmp_path / "rig.toml"), "-v") as twin:

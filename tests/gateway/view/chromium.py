@@ -17,13 +17,13 @@ from typing import Any
 import pytest
 from websockets.sync.client import ClientConnection, connect
 
+from tests.gateway.processes import PATIENCE
+
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
 OPTIONS = [f"--{option}" for option in (
     "headless=new", "no-sandbox", "disable-dev-shm-usage", "disable-gpu", "no-first-run", "disable-sync",
     "disable-quic", "disable-background-networking", "disable-component-update", "remote-debugging-port=0",
 )]  # fmt: skip
-PATIENCE = 30.0
-"""s that a test waits for anything, of a machine that may be busy."""
 
 
 def program() -> str:

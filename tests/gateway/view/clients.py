@@ -31,8 +31,7 @@ class Browser:
         subprotocols: Sequence[str] = (),
         max_size: int | None = None,
     ) -> None:
-        self.socket = socket.create_connection((address.host, address.port))
-        self.socket.setblocking(False)
+        self.socket = connected(address)
         self.protocol = ClientProtocol(
             parse_uri(f"ws://{host or address}{path}"),
             origin=None if origin is None else Origin(origin),
@@ -54,11 +53,18 @@ class Browser:
         return self.protocol.state is State.OPEN
 
     def send(self, message: object) -> None:
-        """Send text as it is, bytes as they are, anything else as JSON."""
+        """Send text as it is, bytes as they are, anything else as JSON; a line with the newest time of the
+        gateway's, as the page does."""
+        if isinstance(message, dict) and "ask" in message and (joints := self.of("joints")):
+            message |= {"heard": joints[-1].get("clock")}
         if isinstance(message, bytes):
             self.protocol.send_binary(message)
         else:
             self.protocol.send_text((message if isinstance(message, str) else json.dumps(message)).encode())
+
+    def hold(self, line: str) -> None:
+        """Hold what a line asks, as the page does."""
+        self.send({"held": line, "heard": self.of("joints")[-1]["clock"]})
 
     def write(self, data: bytes) -> None:
         """Send bytes that are no message."""
@@ -87,7 +93,7 @@ class Browser:
 
     def of(self, kind: str) -> list[Any]:
         """Return the messages of a kind so far."""
-        return [one for one in self.messages if one["kind"] == kind]
+        return [one for one in self.messages if one.get("kind") == kind]
 
     def close(self) -> None:
         self.socket.close()
@@ -110,12 +116,20 @@ class Browser:
             self.code, self.reason = self.protocol.close_rcvd.code, self.protocol.close_rcvd.reason
 
 
-def get(address: Address, request: bytes) -> socket.socket:
-    """Send a request, and return the connection."""
+def connected(address: Address) -> socket.socket:
+    """Return a connection that never waits, not even for an acknowledgement before it sends (Nagle): that
+    comes by the machine's clock, while the loop counts its own."""
     connection = socket.create_connection((address.host, address.port))
     connection.setblocking(False)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return connection
+
+
+def get(address: Address, request: bytes) -> socket.socket:
+    """Send a request, and return the connection."""
+    connection = connected(address)
     connection.sendall(request)
     return connection
 
 
-__all__ = ["Browser", "Headers", "Request", "get"]
+__all__ = ["Browser", "Headers", "Request", "connected", "get"]

@@ -7,7 +7,7 @@ ends the run.
 |---|---|
 | look | the true pose, the joints' velocities, and what the robot was asked, with the number of the tick |
 | provoke MOTOR | the first fault that the device's specification lists |
-| rest | releases, clears and drops what there is; then as look |
+| rest | releases, clears, drops and idles what there is; then as look |
 | forget | what it was asked is forgotten |
 """
 
@@ -21,8 +21,9 @@ from typing import Any
 
 import gateway
 from gateway.core.tick import Tick
+from gateway.operator import commands
 from gateway.operator.commands import parse
-from protocols.messages import Drive, Instruction, Nanos, Stop, Velocity
+from protocols.messages import SECOND, Drive, Instruction, Nanos, Stop, Velocity
 
 
 class Robot:
@@ -81,6 +82,8 @@ class Robot:
             self.lines += ["release"] * bool(session.gateway.stopped)
             self.lines += ["clear all"] * bool(session.gateway.in_fault())
             self.lines += ["drop"] * (session.gateway.belief().goal is not None)
+            bare = session.robot.brain.body.bare
+            self.lines += [f"idle {name}" for name, joint in session.joints.items() if bare and joint.armed]
         if words[0] == "forget":
             self.asked.clear()
         speeds = {name: joint.feedback.velocity for name, joint in session.joints.items()}
@@ -96,7 +99,8 @@ class Robot:
 
 
 def main(name: str, *words: str) -> None:
-    """Run until standard input ends."""
+    """Run until standard input ends. What is held counts here however busy the machine is."""
+    commands.FRESH = 60 * SECOND
     os.set_blocking(0, False)
     with gateway.open_session(name) as session:
         robot = Robot(session)

@@ -26,6 +26,7 @@ from gateway.view.access import Access, Address
 from gateway.view.server import Server
 from gateway.view.view import pages
 from protocols.messages import SECOND
+from tests.gateway.processes import PATIENCE
 from tests.gateway.view.chromium import Chromium, Tab, chromium, wait
 
 PAGE = Path(__file__).parents[3] / "gateway" / "view" / "page"
@@ -91,7 +92,7 @@ class Robot:
 
     def end(self) -> None:
         """End it as one leaves a run."""
-        self.process.communicate(timeout=60)
+        self.process.communicate(timeout=PATIENCE)
 
 
 def standing(seen: Any) -> bool:
@@ -340,6 +341,27 @@ def test_a_stop_from_elsewhere_ends_what_is_held(browser: Chromium, fake: Fake, 
     tab.key("keyUp", "KeyW", "w")
     tab.key("keyDown", "KeyW", "w")
     assert sent(tab, "held")[-1] == "drive 0.500 0.000 0.000"
+
+
+def test_what_is_held_brings_the_gateways_newest_time_and_ends_once_that_is_too_old(
+    browser: Chromium, fake: Fake
+) -> None:
+    tab = fake.show(browser, hello())
+    drive = "drive 0.500 0.000 0.000"
+    tab.key("keyDown", "KeyW", "w")
+    for clock in (1234, 1300):
+        fake.say("joints", clock=clock, t=clock / 1e3, rows=[])
+        held = {"held": drive, "heard": clock}
+        fake.until(partial(lambda held: fake.received[-1] == held, held), "its time")
+    fake.say("answer", id=None, held=True, ok=False, text="the link is slow")
+    fake.until(lambda: fake.received[-1] == {"held": ""}, "the end of what is held")
+    assert tab.run("document.querySelector('#banner').checkVisibility()")
+    assert tab.text("#banner") == "the link is slow"
+    assert not tab.run("document.body.classList.contains('lost')")
+    tab.key("keyUp", "KeyW", "w")
+    tab.key("keyDown", "KeyW", "w")
+    assert sent(tab, "held")[-1] == drive
+    assert tab.run("document.querySelector('#banner').hidden")
 
 
 def test_the_command_line_takes_spaces_and_answers(tab: Tab, diffbot: Robot) -> None:
@@ -670,6 +692,7 @@ def test_two_recordings_are_played_beside_each_other(browser: Chromium, tmp_path
         tab.until(f"{each % ('seek', 'value')}.every((value, i) => value > {begin}[i])")
         tab.run(click % "back")
         tab.until(f"{each % ('seek', 'value')}.every((value, i) => value === {begin}[i])")
+        close_all(browser)  # before their server is gone: they would look for it
 
 
 # -- what no robot says ------------------------------------------------------------------------------
@@ -894,9 +917,9 @@ def test_a_lost_connection_is_shown_and_nothing_is_sent_by_itself_after_it(
     fake.close()
     tab.until("document.querySelector('#banner').hidden === false")
     assert "the gateway ends" in tab.text("#banner")
-    later(tab, 2.0)
     assert tab.run("document.querySelector('#main').inert && document.querySelector('#stop').disabled")
     with closing(Fake(fake.address.port)) as again:
+        later(tab, 2.0)
         again.until(lambda: again.server.clients, "a new connection")
         again.say("hello", **hello())
         again.say("state", **EMPTY)

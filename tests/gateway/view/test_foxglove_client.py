@@ -18,14 +18,14 @@ import pytest
 import gateway
 from brain.belief import Belief
 from gateway.core.tick import Tick
+from gateway.operator import commands
 from gateway.recording.ros_views import TOPICS
-from protocols.messages import Drive, Goal, LaserScan, Set, Stop
+from protocols.messages import SECOND, Drive, Goal, LaserScan, Set, Stop
+from tests.gateway.processes import PATIENCE
 
 CLIENT = Path(__file__).parent / "foxglove_client" / "client.cjs"
 MODULES = Path(__file__).parents[3] / "out" / "foxglove_client" / "node_modules"
 INSTALL = "install nodejs and npm, then bash tests/gateway/view/foxglove_client/install"
-SECONDS = 120.0
-"""After which it is given up."""
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,8 @@ class Seen:
 
     def __init__(self) -> None:
         self.asked: list[Any] = []
-        self.poses: dict[int, tuple[float, float]] = {}
+        self.poses: set[tuple[int, float, float]] = set()
+        """With their times, at which there may be two: one is corrected by what comes later."""
         self.scans: dict[int, LaserScan] = {}
         self.turned = 0.0
         """The highest angular velocity while the client drove, rad/s."""
@@ -51,11 +52,12 @@ class Seen:
         self.asked += tick.inputs.instructions
         self.scans |= {one.t: one for one in tick.outputs.events if isinstance(one, LaserScan)}
         if belief.estimate is not None:
-            self.poses[belief.estimate.t] = belief.estimate.pose.x, belief.estimate.pose.y
+            self.poses.add((belief.estimate.t, belief.estimate.pose.x, belief.estimate.pose.y))
             self.turned = max(self.turned, belief.estimate.angular)
 
 
-def test_foxgloves_own_client(node: str, tmp_path: Path) -> None:
+def test_foxgloves_own_client(node: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(commands, "FRESH", 60 * SECOND)  # a machine that is busy is no slow link
     seen, out = Seen(), tmp_path / "out"
     with gateway.open_session("diffbot", seed=1) as session, out.open("wb") as file:
         session.watch(seen.take)
@@ -68,7 +70,7 @@ def test_foxgloves_own_client(node: str, tmp_path: Path) -> None:
             env=os.environ | {"NODE_PATH": str(MODULES)},
         )
         try:
-            for _ in session.run(seconds=SECONDS):
+            for _ in session.run(seconds=PATIENCE):
                 if client.poll() is not None:
                     break
         finally:
@@ -86,7 +88,7 @@ def test_foxgloves_own_client(node: str, tmp_path: Path) -> None:
     first = {one["topic"]: one for one in reversed(of["message"])}
     odom = first["/odom"]
     position = odom["content"]["pose"]["pose"]["position"]
-    assert (position["x"], position["y"]) == seen.poses[odom["t"]]
+    assert (odom["t"], position["x"], position["y"]) in seen.poses
     stamp = odom["content"]["header"]["stamp"]
     assert stamp["sec"] * 10**9 + stamp["nanosec"] == odom["t"]
     scan = first["/scan"]["content"]

@@ -72,7 +72,6 @@ async def call_other(client: ODriveCAN, name: str, args: tuple[Any, ...]) -> Non
         await answer
 
 
-@pytest.mark.timeout(30)
 def test_the_client_drives_the_twin() -> None:
     twin = Twin06(device(address=NODE, settings=SETTINGS), 0)
     assert hold("odrive-can-client", twin, drive) == RUN

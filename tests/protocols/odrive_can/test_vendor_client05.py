@@ -72,7 +72,6 @@ async def fail_and_recover(session: Session[Twin05]) -> None:
     await session.arm_again()
 
 
-@pytest.mark.timeout(30)
 def test_the_client_drives_the_twin_of_0_5(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(odrive_can.odrive, "dbc", get_dbc("odrive-cansimple-0.5.6"))
     twin = Twin05(device(address=NODE, settings=SETTINGS, options=Options(firmware="0.5")), 0)
