@@ -26,6 +26,7 @@ from gateway.config.mission import load_mission
 from gateway.core.clock import stopwatch
 from gateway.errors import UserError
 from gateway.runtime.session import Session, open_session
+from gateway.runtime.timing import SLOW
 from protocols.messages import SECOND, Goal, Mission, Nanos
 
 GOAL_TIMEOUT: Nanos = 240 * SECOND
@@ -120,7 +121,7 @@ def _do(mission: Mission, session: Session, tour: Tour, shown: Progress) -> None
                 printed = stopwatch()
                 doing = f"step {view.step} of {view.steps}: {view.text}" if view else ""
                 shown.clear()
-                print(f"{_progress(tour.belief, tick.now)}  {doing}", flush=True)
+                print(f"{_progress(session, tour.belief, tick.now)}  {doing}", flush=True)
             if view is not None:
                 shown.update(_steps_done(view))
             stopped = session.gateway.why_stopped()
@@ -148,7 +149,7 @@ def _follow(session: Session, tour: Tour, shown: Progress) -> None:
                 sent = tick.now
             if stopwatch() - printed > PROGRESS_PERIOD:
                 printed = stopwatch()
-                where = _progress(tour.belief, tick.now)
+                where = _progress(session, tour.belief, tick.now)
                 shown.clear()
                 print(f"{where}  goals {tour.belief.reached}/{len(goals)}", flush=True)
             shown.update(_way_done(tour))
@@ -189,7 +190,7 @@ def _print_costs(session: Session, simulated: float, took: Nanos) -> None:
     print(f"memory: at most {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
 
 
-def _progress(belief: Belief, now: Nanos) -> str:
+def _progress(session: Session, belief: Belief, now: Nanos) -> str:
     """Return where it is and how it goes, in one line."""
     estimate = belief.estimate
     where = ""
@@ -197,4 +198,6 @@ def _progress(belief: Belief, now: Nanos) -> str:
         x, y, yaw = estimate.pose.x, estimate.pose.y, degrees(estimate.pose.yaw)
         where = f"at {x:6.2f}, {y:6.2f} m, {yaw:4.0f}°, {estimate.linear:5.2f} m/s"
     why = f" ({belief.reason})" if belief.reason else ""
-    return f"{now / SECOND:6.1f} s  {belief.state:<12} {where}{why}"
+    pace = session.stats.pace
+    slow = f"  slow motion: {pace:.2f} of real time" if pace < SLOW else ""
+    return f"{now / SECOND:6.1f} s  {belief.state:<12} {where}{why}{slow}"

@@ -13,6 +13,10 @@ from protocols.messages import Nanos
 
 MAX_SPREAD: Nanos = 5_000
 """Two clocks that are read one after the other within this time count as read together."""
+MADE_UP: Nanos = 50_000_000
+"""What a paced clock makes up for: a hiccup of the machine is none of the world's."""
+REST: Nanos = 100_000
+"""A paced clock that is late sleeps this long all the same: recorder and other processes have work, too."""
 
 
 class Clock(Protocol):
@@ -68,6 +72,30 @@ class SimulatedClock:
     def wait(self, until: Nanos) -> None:
         """Advance to `until`."""
         self._now = max(self._now, until)
+
+
+class PacedClock:
+    """The clock of a world that is simulated in this process: at most as fast as the machine's.
+
+    It advances only by `wait`, as a simulated one does: so the world moves by one period between two steps,
+    however long they take. Where that is longer than the period it is slow motion, and nothing is missed."""
+
+    def __init__(self, machine: Clock | None = None) -> None:
+        self._now: Nanos = 0
+        self.machine: Clock = machine or WallClock()
+        """The clock that it follows."""
+        self._behind: Nanos = 0
+
+    def now(self) -> Nanos:
+        """Return the time up to which the clock has advanced."""
+        return self._now
+
+    def wait(self, until: Nanos) -> None:
+        """Advance to `until`, when the machine's clock has come as far; after a short rest if it is late."""
+        self._now = max(self._now, until)
+        self.machine.wait(max(self._now + self._behind, self.machine.now() + REST))
+        late = self.machine.now() - self._now - self._behind
+        self._behind += max(0, late - MADE_UP)
 
 
 def date() -> str:

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 from gateway.buses import Bus
 from gateway.core.clock import Clock
-from gateway.runtime.loop import LoopStats, moments, read, write
+from gateway.runtime.loop import moments, read, write
+from gateway.runtime.timing import LoopStats
 from protocols.frames import BusState, Packet
 from protocols.messages import MILLISECOND, SECOND, Nanos
 
