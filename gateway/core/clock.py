@@ -15,8 +15,9 @@ MAX_SPREAD: Nanos = 5_000
 """Two clocks that are read one after the other within this time count as read together."""
 MADE_UP: Nanos = 50_000_000
 """What a paced clock makes up for: a hiccup of the machine is none of the world's."""
-REST: Nanos = 100_000
-"""A paced clock that is late sleeps this long all the same: recorder and other processes have work, too."""
+AWAKE, REST = 100_000_000, 100_000
+"""A paced clock that is late for so long [ns] sleeps for a moment [ns] all the same: with real-time priority
+nothing else would run. To sleep more often would give the processor away whenever it was granted."""
 
 
 class Clock(Protocol):
@@ -85,17 +86,22 @@ class PacedClock:
         self.machine: Clock = machine or WallClock()
         """The clock that it follows."""
         self._behind: Nanos = 0
+        self._slept: Nanos = 0
 
     def now(self) -> Nanos:
         """Return the time up to which the clock has advanced."""
         return self._now
 
     def wait(self, until: Nanos) -> None:
-        """Advance to `until`, when the machine's clock has come as far; after a short rest if it is late."""
+        """Advance to `until`, when the machine's clock has come as far; at once if it is late."""
         self._now = max(self._now, until)
-        self.machine.wait(max(self._now + self._behind, self.machine.now() + REST))
-        late = self.machine.now() - self._now - self._behind
-        self._behind += max(0, late - MADE_UP)
+        now, due = self.machine.now(), self._now + self._behind
+        if due <= now and now - self._slept >= AWAKE:
+            due = now + REST
+        if due > now:
+            self.machine.wait(due)
+            now = self._slept = self.machine.now()
+        self._behind += max(0, now - self._now - self._behind - MADE_UP)
 
 
 def date() -> str:
