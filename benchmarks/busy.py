@@ -1,12 +1,11 @@
 """What a busy machine does to a run, and what helps: figures for docs/real-time.md.
 
-    python -m benchmarks.busy stop [--busy 20]        the demo's robot with its page: its pace, and how long a stop takes
+    python -m benchmarks.busy stop [--busy 20]        a robot of twins with its page: pace, and time to stop
     python -m benchmarks.busy realtime [--busy 8]     ticks missed on real buses, without and with --realtime
 
-Rules. Busy processes only count, at ordinary priority. The gateway runs as a user starts it. A stop is timed by
-a page: from asking for it until the page is shown that it is in force, which the robot was then one step ago.
-For missed ticks the devices are a process of their own (`gateway twin`), always with real-time priority: what
-is measured is the host alone.
+Rules. Busy processes only count, at ordinary priority. The gateway runs as a user starts it. A stop is timed
+by a page: from asking for it until the page is shown that it is in force. For missed ticks the devices are a
+process of their own (`gateway twin`), always with real-time priority: what is measured is the host alone.
 """
 
 from __future__ import annotations
@@ -88,8 +87,8 @@ def stop(count: int, seconds: float) -> None:
             demo.look()
         state = page.browser.of("state")[-1]
         page.browser.close()
-        print(f"{count} busy processes: shown after {shown / SECOND:.2f} s; {state['ticks']} ticks, ", end="")
-        print(f"{state['t']:.1f} s of the world in {began.now() / SECOND:.1f} s, pace {state['pace']}; ", end="")
+        print(f"{count} busy processes: shown after {shown / SECOND:.2f} s; {state['ticks']} ticks,")
+        print(f"{state['t']:.1f} s of the world in {began.now() / SECOND:.1f} s, pace {state['pace']},")
         print(f"longest step {state['longest']:.0f} ms")
         times = sorted(t / MILLISECOND for t in took)
         print(f"{len(took)} stops: median {times[len(times) // 2]:.0f} ms, longest {times[-1]:.0f} ms")

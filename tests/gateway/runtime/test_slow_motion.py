@@ -4,14 +4,21 @@ is served. The machine is a clock, too: it moves by what a step is said to take.
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
 import pytest
 
+from brain.belief import Belief
+from gateway.buses.virtual import open_world
+from gateway.config import load_robot
 from gateway.core.clock import AWAKE, MADE_UP, REST, PacedClock, SimulatedClock
+from gateway.core.step import Gateway
+from gateway.core.tick import Tick
 from gateway.recording import read_recording
+from gateway.runtime.loop import live
 from gateway.runtime.session import Session, open_session
 from gateway.runtime.status import status_text
 from gateway.view.server import MAX_CLIENTS
@@ -130,6 +137,37 @@ def test_slow_motion_is_told_once_and_at_the_end_and_in_the_status(
     assert f"at {share:.2f} of real time" in told[1]
     assert "end other processes" in told[0]
     assert "slow motion" in status_text(bench)
+
+
+# -- real buses ------------------------------------------------------------------------------------
+
+
+def told(caplog: pytest.LogCaptureFixture, seconds: float, late: range) -> list[str]:
+    """Return what a run whose clock does not wait logs of that; steps of these numbers take 12 ms of 5."""
+    robot, clock = load_robot("bench"), SimulatedClock()
+
+    def work(tick: Tick, belief: Belief) -> None:
+        clock.wait(clock.now() + (12 * MS if tick.number in late else MS))
+
+    caplog.clear()
+    buses = open_world(robot, 1).buses
+    with closing(live(Gateway(robot), buses, clock, record=work, until=round(seconds * SECOND))) as ticks:
+        for _ in ticks:
+            pass
+    return [record.message for record in caplog.records if "missed" in record.message]
+
+
+def test_missed_ticks_are_told_once_they_exceed_one_percent_and_at_the_end(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    assert told(caplog, 3.0, range(100, 103)) == []
+    (once,) = told(caplog, 12.0, range(100, 115))
+    assert once.startswith("21 of ")  # more than 1 % of 10 s
+    assert "other processes had the processor" in once
+    assert "--realtime" in once
+    first, summary = told(caplog, 3.0, range(100, 2000))
+    assert first.startswith("21 of ")
+    assert re.match(r"in this run: \d{3} of \d{3} ticks missed \(\d\d%\); the longest step", summary)
 
 
 # -- the page --------------------------------------------------------------------------------------
