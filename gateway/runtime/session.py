@@ -336,16 +336,14 @@ def _discard_stale(robot: Robot, buses: Mapping[str, Bus], clock: Clock) -> None
 def _open_buses(
     robot: Robot, clock: Clock, seed: int | None, stack: ExitStack
 ) -> tuple[dict[str, Bus], TwinWorld | None]:
-    twins = None
+    twins, simulated = None, dict[str, Bus]()
     if any(bus.interface == TWIN for bus in robot.buses.values()):
-        from gateway.buses.virtual.bus import open_world
+        from gateway.buses.virtual import beside_real, open_world
 
         twins = open_world(robot, robot.seed if seed is None else seed)
+        simulated = beside_real.buses(twins) if isinstance(clock, WallClock) else {**twins.buses}
     buses: dict[str, Bus] = {}
     for name, settings in robot.buses.items():
-        if settings.interface == TWIN and twins is not None:
-            buses[name] = twins.buses[name]
-        else:
-            buses[name] = open_bus(settings, clock)
+        buses[name] = simulated[name] if name in simulated else open_bus(settings, clock)
         stack.callback(buses[name].close)
     return buses, twins

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from brain.belief import Belief
-from gateway.buses.virtual import open_world
+from gateway.buses.virtual import beside_real, open_world
 from gateway.config import load_robot
 from gateway.core.clock import AWAKE, MADE_UP, REST, PacedClock, SimulatedClock
 from gateway.core.step import Gateway
@@ -168,6 +168,21 @@ def test_missed_ticks_are_told_once_they_exceed_one_percent_and_at_the_end(
     first, summary = told(caplog, 3.0, range(100, 2000))
     assert first.startswith("21 of ")
     assert re.match(r"in this run: \d{3} of \d{3} ticks missed \(\d\d%\); the longest step", summary)
+
+
+def test_twins_beside_real_buses_do_bounded_work_and_are_read_in_the_loops_time() -> None:
+    """A sleep of 10 s had to be made up for by the whole world, in one step."""
+    robot = load_robot("bench")
+    world = open_world(robot, 1)
+    bus, before = beside_real.buses(world)["can0"], 0
+    last = 0
+    for now in (*range(0, 200 * MS, 5 * MS), 10 * SECOND, *range(10 * SECOND, 11 * SECOND, 25 * MS)):
+        _, packets = bus.read(now)
+        assert all(max(last, now - MADE_UP) <= packet.t <= now for packet in packets)
+        assert world.world.now - before <= MADE_UP
+        before, last = world.world.now, now
+    assert packets
+    assert world.world.now == pytest.approx(11 * SECOND - (10 * SECOND - 195 * MS - MADE_UP), abs=30 * MS)
 
 
 # -- the page --------------------------------------------------------------------------------------
