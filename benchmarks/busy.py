@@ -95,15 +95,32 @@ def stop(count: int, seconds: float) -> None:
         demo.end(signal.SIGTERM)
 
 
+def realtime(count: int, seconds: float) -> None:
+    """Print what a run on the devices of another process missed beside busy processes, without and with
+    --realtime."""
+    with TemporaryDirectory() as folder, ExitStack() as stack:
+        devices = stack.enter_context(Process(Path(folder), "twin", "diffbot", "--realtime=50"))
+        line = re.search(r"(?m)^  gateway (run .*)$", devices.until("gateway run "))
+        assert line is not None
+        stack.enter_context(busy(count))
+        for how in ([], ["--realtime"]):
+            arguments = [*line[1].split(), "--goal", "3,0.5", "--seconds", f"{seconds}", *how]
+            with Process(Path(folder), *arguments) as host:
+                status, text = host.end()
+            print(f"{count} busy processes, {' '.join(how) or 'without'}: exit status {status}")
+            print("\n".join(one for one in text.splitlines() if re.search("ticks|fault|real time", one)))
+        print(devices.end(signal.SIGTERM)[1].splitlines()[-1])
+
+
 def main() -> None:
     """Measure what is asked for."""
     parser = argparse.ArgumentParser(prog="benchmarks.busy")
     parser.add_argument("what", choices=["stop", "realtime"])
     parser.add_argument("--busy", type=int)
-    parser.add_argument("--seconds", type=float, default=30.0)
+    parser.add_argument("--seconds", type=float)
     options = parser.parse_args()
-    if options.what == "stop":
-        stop(20 if options.busy is None else options.busy, options.seconds)
+    measure, count, seconds = (stop, 20, 30.0) if options.what == "stop" else (realtime, 8, 3.0)
+    measure(options.busy or count, options.seconds or seconds)
 
 
 if __name__ == "__main__":

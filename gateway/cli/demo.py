@@ -25,6 +25,7 @@ from gateway.config import load_robot
 from gateway.config.mission import load_mission
 from gateway.core.clock import stopwatch
 from gateway.errors import UserError
+from gateway.runtime.realtime import realtime, wished
 from gateway.runtime.session import Session, open_session
 from gateway.runtime.timing import SLOW
 from protocols.messages import SECOND, Goal, Mission, Nanos
@@ -50,6 +51,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--robot", default="diffbot", metavar="ROBOT", help="another robot file")
     add_report(parser)
     arguments.add_seed(parser)
+    arguments.add_realtime(parser)
     arguments.add_goal(parser, "drive here, instead of the world's tour")
     parser.add_argument("--mission", metavar="FILE", help="do this mission, instead of the world's tour")
     add_view(parser)
@@ -59,6 +61,7 @@ def run(options: Namespace) -> int:
     """Return 1 unless the true pose was near every goal, or the mission is done, and every motor is disarmed
     or holds."""
     check_view(options)
+    wish = wished(options.realtime)
     robot = load_robot(options.robot)
     try:
         options.out.mkdir(parents=True, exist_ok=True)
@@ -77,7 +80,7 @@ def run(options: Namespace) -> int:
         began = stopwatch()
         metres = round(sum(_straight(goals)), 1)
         what, total = ("tour, metres", metres) if mission is None else ("mission, steps", len(mission.steps))
-        with progress(what, total) as shown:
+        with progress(what, total) as shown, realtime(wish, robot):
             (_follow if mission is None else partial(_do, mission))(session, tour, shown)
         took = stopwatch() - began
         done = tour.done if mission else tour.near == len(goals)
