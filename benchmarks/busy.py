@@ -106,9 +106,9 @@ def realtime(count: int, seconds: float) -> None:
         for how in ([], ["--realtime"]):
             arguments = [*line[1].split(), "--goal", "3,0.5", "--seconds", f"{seconds}", *how]
             with Process(Path(folder), *arguments) as host:
-                status, text = host.end()
-            print(f"{count} busy processes, {' '.join(how) or 'without'}: exit status {status}")
-            print("\n".join(one for one in text.splitlines() if re.search("ticks|fault|real time", one)))
+                text = host.end()[1]
+            print(f"{count} busy processes, {' '.join(how) or 'without'}:")
+            print("\n".join(one for one in text.splitlines() if re.search("ticks|fault|lost|stopped", one)))
         print(devices.end(signal.SIGTERM)[1].splitlines()[-1])
 
 

@@ -195,18 +195,20 @@ def _lowered(thread: int, policy: int, parameter: os.sched_param) -> None:
 def interrupts(name: str, sys: Path = Path("/sys"), proc: Path = Path("/proc")) -> list[int]:
     """Return the interrupts of a network interface or a serial port: by its name, else of the controller
     (PCI, USB host) that it hangs on."""
-    named: set[int] = set()
+    found: set[int] = set()
+    known = [sys / "class" / kind / name for kind in ("net", "tty")]
+    for place in filter(Path.exists, known):
+        device = (place / "device").resolve()
+        found |= _named(name, proc) or next(filter(None, map(_of_device, [device, *device.parents])), set())
+    return sorted(found)
+
+
+def _named(name: str, proc: Path) -> set[int]:
+    """Return the interrupts that a driver has requested by the interface's name."""
     with suppress(OSError):
-        for line in (proc / "interrupts").read_text().splitlines():
-            number, _, rest = line.strip().partition(":")
-            if number.isdigit() and name in re.split(r"[\s,]+", rest):
-                named.add(int(number))
-    for kind in ("net", "tty"):
-        device = sys / "class" / kind / name / "device"
-        if not named and device.exists():
-            places = [device.resolve(), *device.resolve().parents]
-            named = next(filter(None, map(_of_device, places)), set())
-    return sorted(named)
+        lines = [line.strip().partition(":") for line in (proc / "interrupts").read_text().splitlines()]
+        return {int(number) for number, _, rest in lines if name in re.split(r"[\s,]+", rest)}
+    return set()
 
 
 def _of_device(place: Path) -> set[int]:

@@ -118,7 +118,7 @@ class Timing:
         """Return how many ticks were missed, the longest step, and what to do about it."""
         stats, ticks = self._stats, (now - since.loop) // self._period + 1
         late = stats.missed - since.missed
-        if stats.longest_work > self._period:
+        if 2 * stats.longest_work > stats.longest_step:
             remedy = "the step is too long for this machine: lower rate_hz, or give the brain less to do"
         else:
             remedy = "other processes had the processor: end them, lower rate_hz, or run with --realtime"

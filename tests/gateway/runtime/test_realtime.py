@@ -137,7 +137,8 @@ def test_interrupts_of_an_adapter_are_its_own_by_name_else_its_controllers(tmp_p
     ):
         (sys / "class" / kind / name).mkdir(parents=True)
         (sys / "class" / kind / name / "device").symlink_to(sys / device)
-    (sys / "class/net/vcan0").mkdir()
+    for name in ("can1", "vcan0"):
+        (sys / "class/net" / name).mkdir()
     proc.mkdir()
     (proc / "interrupts").write_text(TABLE)
     found = {

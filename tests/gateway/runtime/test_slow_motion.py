@@ -21,6 +21,7 @@ from gateway.recording import read_recording
 from gateway.runtime.loop import live
 from gateway.runtime.session import Session, open_session
 from gateway.runtime.status import status_text
+from gateway.runtime.timing import LoopStats
 from gateway.view.server import MAX_CLIENTS
 from protocols.messages import MILLISECOND, SECOND, Nanos, Release, Velocity
 from tests.gateway.runtime.test_live_view import address_of
@@ -142,17 +143,21 @@ def test_slow_motion_is_told_once_and_at_the_end_and_in_the_status(
 # -- real buses ------------------------------------------------------------------------------------
 
 
-def told(caplog: pytest.LogCaptureFixture, seconds: float, late: range) -> list[str]:
-    """Return what a run whose clock does not wait logs of that; steps of these numbers take 12 ms of 5."""
-    robot, clock = load_robot("bench"), SimulatedClock()
+def told(caplog: pytest.LogCaptureFixture, seconds: float, late: range, work: Nanos = 0) -> list[str]:
+    """Return what a run whose clock does not wait logs of that; steps of these numbers take 12 ms of 5.
 
-    def work(tick: Tick, belief: Belief) -> None:
+    `work`: computing in the longest step, which took 100 s."""
+    robot, clock = load_robot("bench"), SimulatedClock()
+    stats = LoopStats(longest_step=100 * SECOND, longest_work=work)
+
+    def record(tick: Tick, belief: Belief) -> None:
         clock.wait(clock.now() + (12 * MS if tick.number in late else MS))
 
     caplog.clear()
     buses = open_world(robot, 1).buses
-    with closing(live(Gateway(robot), buses, clock, record=work, until=round(seconds * SECOND))) as ticks:
-        for _ in ticks:
+    run = live(Gateway(robot), buses, clock, record=record, until=round(seconds * SECOND), stats=stats)
+    with closing(run):
+        for _ in run:
             pass
     return [record.message for record in caplog.records if "missed" in record.message]
 
@@ -165,8 +170,9 @@ def test_missed_ticks_are_told_once_they_exceed_one_percent_and_at_the_end(
     assert once.startswith("21 of ")  # more than 1 % of 10 s
     assert "other processes had the processor" in once
     assert "--realtime" in once
-    first, summary = told(caplog, 3.0, range(100, 2000))
+    first, summary = told(caplog, 3.0, range(100, 2000), work=60 * SECOND)
     assert first.startswith("21 of ")
+    assert "the step is too long" in first
     assert re.match(r"in this run: \d{3} of \d{3} ticks missed \(\d\d%\); the longest step", summary)
 
 
