@@ -229,8 +229,8 @@ def test_abuse_of_the_view_stops_neither_loop_nor_operator(kind: Abuse) -> None:
         made = after - before
         print(
             f"{kind.__name__}: {made / SECONDS:.0f} of 200 ticks a second, {1e6 * used / made:.0f} µs of"
-            f" processor each, longest step {longest and longest[1]}, stop of an operator's page shown there within"
-            f" {1000 * waited:.0f} ms; {count} sent"
+            f" processor each, longest step {longest and longest[1]}, stop of an operator's page shown there"
+            f" within {1000 * waited:.0f} ms; {count} sent"
         )
         assert status == 0
         assert "Traceback" not in text
