@@ -50,7 +50,12 @@ def add_seed(parser: ArgumentParser) -> None:
 def add_realtime(parser: ArgumentParser) -> None:
     """Add --realtime."""
     parser.add_argument(
-        "--realtime", type=int, metavar="PRIORITY", help="request SCHED_FIFO with this priority"
+        "--realtime",
+        nargs="?",
+        const="",
+        metavar="PRIORITY[,cpu=N][,required]",
+        help="while it runs, have real-time priority (default: 40), locked memory and the processor that is "
+        "named; with 'required' do not begin without them",
     )
 
 

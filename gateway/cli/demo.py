@@ -25,7 +25,9 @@ from gateway.config import load_robot
 from gateway.config.mission import load_mission
 from gateway.core.clock import stopwatch
 from gateway.errors import UserError
+from gateway.runtime.realtime import realtime, wished
 from gateway.runtime.session import Session, open_session
+from gateway.runtime.timing import SLOW
 from protocols.messages import SECOND, Goal, Mission, Nanos
 
 GOAL_TIMEOUT: Nanos = 240 * SECOND
@@ -49,6 +51,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--robot", default="diffbot", metavar="ROBOT", help="another robot file")
     add_report(parser)
     arguments.add_seed(parser)
+    arguments.add_realtime(parser)
     arguments.add_goal(parser, "drive here, instead of the world's tour")
     parser.add_argument("--mission", metavar="FILE", help="do this mission, instead of the world's tour")
     add_view(parser)
@@ -58,6 +61,7 @@ def run(options: Namespace) -> int:
     """Return 1 unless the true pose was near every goal, or the mission is done, and every motor is disarmed
     or holds."""
     check_view(options)
+    wish = wished(options.realtime)
     robot = load_robot(options.robot)
     try:
         options.out.mkdir(parents=True, exist_ok=True)
@@ -76,7 +80,7 @@ def run(options: Namespace) -> int:
         began = stopwatch()
         metres = round(sum(_straight(goals)), 1)
         what, total = ("tour, metres", metres) if mission is None else ("mission, steps", len(mission.steps))
-        with progress(what, total) as shown:
+        with progress(what, total) as shown, realtime(wish, robot):
             (_follow if mission is None else partial(_do, mission))(session, tour, shown)
         took = stopwatch() - began
         done = tour.done if mission else tour.near == len(goals)
@@ -120,7 +124,7 @@ def _do(mission: Mission, session: Session, tour: Tour, shown: Progress) -> None
                 printed = stopwatch()
                 doing = f"step {view.step} of {view.steps}: {view.text}" if view else ""
                 shown.clear()
-                print(f"{_progress(tour.belief, tick.now)}  {doing}", flush=True)
+                print(f"{_progress(session, tour.belief, tick.now)}  {doing}", flush=True)
             if view is not None:
                 shown.update(_steps_done(view))
             stopped = session.gateway.why_stopped()
@@ -148,7 +152,7 @@ def _follow(session: Session, tour: Tour, shown: Progress) -> None:
                 sent = tick.now
             if stopwatch() - printed > PROGRESS_PERIOD:
                 printed = stopwatch()
-                where = _progress(tour.belief, tick.now)
+                where = _progress(session, tour.belief, tick.now)
                 shown.clear()
                 print(f"{where}  goals {tour.belief.reached}/{len(goals)}", flush=True)
             shown.update(_way_done(tour))
@@ -189,7 +193,7 @@ def _print_costs(session: Session, simulated: float, took: Nanos) -> None:
     print(f"memory: at most {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
 
 
-def _progress(belief: Belief, now: Nanos) -> str:
+def _progress(session: Session, belief: Belief, now: Nanos) -> str:
     """Return where it is and how it goes, in one line."""
     estimate = belief.estimate
     where = ""
@@ -197,4 +201,6 @@ def _progress(belief: Belief, now: Nanos) -> str:
         x, y, yaw = estimate.pose.x, estimate.pose.y, degrees(estimate.pose.yaw)
         where = f"at {x:6.2f}, {y:6.2f} m, {yaw:4.0f}°, {estimate.linear:5.2f} m/s"
     why = f" ({belief.reason})" if belief.reason else ""
-    return f"{now / SECOND:6.1f} s  {belief.state:<12} {where}{why}"
+    pace = session.stats.pace
+    slow = f"  slow motion: {pace:.2f} of real time" if pace < SLOW else ""
+    return f"{now / SECOND:6.1f} s  {belief.state:<12} {where}{why}{slow}"

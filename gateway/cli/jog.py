@@ -30,6 +30,7 @@ from gateway.core.robot import Robot
 from gateway.errors import UserError
 from gateway.monitor.render import age_text, fault_text, feedback_texts
 from gateway.operator.commands import FRESH
+from gateway.runtime.realtime import realtime, wished
 from gateway.runtime.session import Session, open_session
 from protocols.messages import MILLISECOND, ClearFault, Idle, Instruction, Nanos, Velocity
 
@@ -67,10 +68,12 @@ def add_arguments(parser: ArgumentParser) -> None:
         metavar="RAD_PER_S",
         help="rad/s (default: 5 %% of the joint's velocity limit)",
     )
+    arguments.add_realtime(parser)
 
 
 def run(options: Namespace) -> int:
     """Return 1 if the motor is left in fault or armed."""
+    wish = wished(options.realtime)
     robot = with_interfaces(load_robot(options.robot), dict(options.bus))
     robot = single_motor(robot, options.motor, options.speed)
     if not sys.stdin.isatty():
@@ -84,7 +87,7 @@ def run(options: Namespace) -> int:
     with open_session(robot) as session:
         line = Line(sys.stdout)
         line.print_above(help_text(robot, options.motor))
-        with raw_mode(terminal), log_above(line):
+        with raw_mode(terminal), log_above(line), realtime(wish, robot, line.print_above):
             drive(session, options.motor, lambda: read_keys(terminal), line.draw, lambda: ask(terminal))
         line.end()
     return 1 if session.joints[options.motor].faults or session.gateway.still_armed() else 0

@@ -19,7 +19,7 @@ from gateway.core.robot import TWIN, Robot
 from gateway.core.step import LEFT_ARMED
 from gateway.errors import UserError
 from gateway.operator import Operator
-from gateway.runtime.process import request_realtime
+from gateway.runtime.realtime import realtime, wished
 from gateway.runtime.schedule import COUNTING, NotCounted, not_armed, refuse_overload
 from gateway.runtime.session import Session, open_session
 from gateway.runtime.status import status_text
@@ -51,6 +51,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 def run(options: Namespace) -> int:
     """Return 1 if a motor was left in fault or armed, or a goal or the mission was not done."""
     check_view(options)
+    wish = wished(options.realtime)
     robot = with_interfaces(load_robot(options.robot), dict(options.bus))
     if options.mission and options.goal:
         raise UserError("--mission and --goal exclude each other: put the goals into the mission")
@@ -58,8 +59,6 @@ def run(options: Namespace) -> int:
     if any(bus.interface != TWIN for bus in robot.buses.values()):  # simulated ones show it by themselves
         _check_load(robot)
     mission = load_mission(options.mission, robot) if options.mission else None
-    if options.realtime is not None and (refused := request_realtime(options.realtime)):
-        print(refused, file=sys.stderr)
     with (
         open_session(robot, simulated=options.fast, record=options.record, seed=options.seed) as session,
         Operator(robot) as operator,
@@ -67,7 +66,8 @@ def run(options: Namespace) -> int:
     ):
         open_view(session, options)
         session.submit(*goals, *([mission] if mission else []))
-        status = _drive(session, operator, options, mission)
+        with realtime(wish, robot):
+            status = _drive(session, operator, options, mission)
         ending.ok = status == 0
     print_recording(session)
     if options.report is not None:

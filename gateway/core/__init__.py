@@ -3,7 +3,7 @@
     step     Gateway, decoder_of            tick    Inputs, Outputs, Note, Tick
     joint    Joint, JointSettings           robot   Robot, Motor, Sensor, BusSettings
     limits   Limits, Profile                bounds  Bounds, for configuration dataclasses
-    clock    WallClock, SimulatedClock: the only file that reads the time
+    clock    WallClock, PacedClock, SimulatedClock: the only file that reads the time
 
 Must not import buses, recordings, simulation, operator or runtime. Nothing is imported here: the values and
 the clock are also used where the brain and numpy, which `step` needs, are not.

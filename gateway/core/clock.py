@@ -13,6 +13,11 @@ from protocols.messages import Nanos
 
 MAX_SPREAD: Nanos = 5_000
 """Two clocks that are read one after the other within this time count as read together."""
+MADE_UP: Nanos = 50_000_000
+"""What a paced clock makes up for: a hiccup of the machine is none of the world's."""
+AWAKE, REST = 100_000_000, 100_000
+"""A paced clock that is late for so long [ns] sleeps for a moment [ns] all the same: with real-time priority
+nothing else would run. To sleep more often would give the processor away whenever it was granted."""
 
 
 class Clock(Protocol):
@@ -68,6 +73,35 @@ class SimulatedClock:
     def wait(self, until: Nanos) -> None:
         """Advance to `until`."""
         self._now = max(self._now, until)
+
+
+class PacedClock:
+    """The clock of a world that is simulated in this process: at most as fast as the machine's.
+
+    It advances only by `wait`, as a simulated one does: so the world moves by one period between two steps,
+    however long they take. Where that is longer than the period it is slow motion, and nothing is missed."""
+
+    def __init__(self, machine: Clock | None = None) -> None:
+        self._now: Nanos = 0
+        self.machine: Clock = machine or WallClock()
+        """The clock that it follows."""
+        self._behind: Nanos = 0
+        self._slept: Nanos = 0
+
+    def now(self) -> Nanos:
+        """Return the time up to which the clock has advanced."""
+        return self._now
+
+    def wait(self, until: Nanos) -> None:
+        """Advance to `until`, when the machine's clock has come as far; at once if it is late."""
+        self._now = max(self._now, until)
+        now, due = self.machine.now(), self._now + self._behind
+        if due <= now and now - self._slept >= AWAKE:
+            due = now + REST
+        if due > now:
+            self.machine.wait(due)
+            now = self._slept = self.machine.now()
+        self._behind += max(0, now - self._now - self._behind - MADE_UP)
 
 
 def date() -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from gateway import recording
-from gateway.core.clock import date, stopwatch
+from gateway.core.clock import Clock, PacedClock, date, stopwatch
 from gateway.core.tick import Tick
 from gateway.errors import GatewayError
 from gateway.view import Access, Address, Scene, View
@@ -23,10 +23,12 @@ if TYPE_CHECKING:
     from gateway.core.robot import Robot
     from gateway.core.step import Gateway
     from gateway.recording import Recorder
-    from gateway.runtime.loop import LoopStats
+    from gateway.runtime.timing import LoopStats
 
 LOAD_PERIOD: Nanos = SECOND // 2
 """Over which the load of a bus is averaged, at least."""
+MAX_POLLS = 16
+"""Polls in one step of a loop in slow motion: it steps less often, and clients are to wait no longer."""
 
 
 class Viewed(Protocol):
@@ -34,6 +36,7 @@ class Viewed(Protocol):
 
     robot: Robot
     gateway: Gateway
+    clock: Clock
     stats: LoopStats
     recorder: Recorder | None
 
@@ -52,6 +55,10 @@ class SessionView:
         self._busy: dict[str, Nanos] = {}
         self._loads: dict[str, float] = {}
         self._since: Nanos = 0
+        paced = session.clock if isinstance(session.clock, PacedClock) else None
+        self._now = paced.machine.now if paced else stopwatch
+        self._most = MAX_POLLS if paced else 1
+        self._polled: Nanos = 0
         recording.prepare()  # for who switches it on, while the robot moves
         self._view = View(
             [Scene(session.gateway, "live", self._facts)],
@@ -64,8 +71,11 @@ class SessionView:
         self.ends, self.close = self._view.ends, self._view.close
 
     def poll(self) -> list[Instruction]:
-        """Return what is asked of the robot. Never waits."""
-        return self._view.poll(stopwatch())
+        """Return what is asked of the robot: as many polls as there were periods since. Never waits."""
+        now = self._now()
+        due = (now - self._polled) // self._session.robot.period
+        self._polled = now
+        return [one for _ in range(max(1, min(due, self._most))) for one in self._view.poll(now)]
 
     def take(self, tick: Tick, belief: Belief) -> None:
         """Show a tick."""
@@ -74,7 +84,7 @@ class SessionView:
             self._loads = {bus: (t - self._busy.get(bus, 0)) / span for bus, t in busy.items()}
             self._busy, self._since = busy, tick.now
         self._view.take(tick, belief)
-        self._view.show(stopwatch())
+        self._view.show(self._now())
 
     def _facts(self) -> Json:
         stats, recorder = self._session.stats, self._session.recorder
@@ -82,6 +92,8 @@ class SessionView:
             "ticks": stats.ticks,
             "missed": stats.missed,
             "longest": stats.longest_step / MILLISECOND,
+            "pace": round(stats.pace, 2),
+            "timing": stats.trouble,
             "sent": stats.sent,
             "load": {bus: round(load, 4) for bus, load in self._loads.items()},
             "recording": str(recorder.path) if recorder is not None else "",

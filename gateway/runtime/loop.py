@@ -2,8 +2,8 @@
 
 Rules. The loop owns what the step must not: buses, clock, recorder, operator. It is a generator of ticks, so
 that a caller can watch and stop it; wrap it in `contextlib.closing`, since closing it takes the way out.
-Deadlines are absolute; one that was missed is counted and reported, never caught up. Between them there is a
-step when a driver is due, or when an answer comes that it awaits.
+Deadlines are absolute; one that was missed is counted and reported, never caught up; on a paced clock none
+is missed. Between them there is a step when a driver is due, or when an answer comes that it awaits.
 
 The way out (`_leave`) is the same whatever the reason: a signal, a caller that is done or raises, an
 exception in the step, a bus, the recorder or the operator. First the stop action, for the joints' braking
@@ -29,6 +29,7 @@ from gateway.core.joint import DISARMING
 from gateway.core.robot import Robot
 from gateway.core.step import LEFT_ARMED, Gateway
 from gateway.core.tick import Inputs, Note, Tick
+from gateway.runtime.timing import LoopStats, Timing
 from protocols.frames import BusState, Packet
 from protocols.messages import MILLISECOND, SECOND, Instruction, Leave, Nanos
 
@@ -47,22 +48,6 @@ MIN_STEP = MILLISECOND
 
 Record: TypeAlias = Callable[[Tick, Belief], None]
 """Where ticks go. Never waits for a disk in real time."""
-
-
-@dataclass(slots=True)
-class LoopStats:
-    """What a live loop counts."""
-
-    ticks: int = 0
-    missed: int = 0
-    """Deadlines that passed while a step was still running."""
-    longest_step: Nanos = 0
-    sent: int = 0
-    """Packets"""
-    received: int = 0
-    """Packets"""
-    busy: dict[str, Nanos] = field(default_factory=dict)
-    """By bus: transmission time of everything sent and received."""
 
 
 def no_instructions() -> Sequence[Instruction]:
@@ -88,16 +73,22 @@ def live(
     writing to the buses. Ticks are numbered on from `stats.ticks`. `reasons` to leave may be added at any
     time, also by a signal: the first takes the way out, the second ends the time to brake."""
     run = _Run(gateway, buses, clock, record, stats if stats is not None else LoopStats(), dry_run)
+    timing = Timing(run.stats, gateway.robot.period, clock)
     try:
         for now in moments(clock, gateway.robot.period, gateway.due, run.stats, run.reader.answered):
             if reasons or (until is not None and now >= until):
                 break
+            timing.begin()
             made = run.tick(now, poll())
             for error in run.errors.values():
                 raise error
+            if trouble := timing.end(now):
+                log.warning("%s", trouble)
             yield made
     finally:
         _leave(run, reasons)
+        if trouble := timing.summary():
+            log.warning("in this run: %s", trouble)
 
 
 @dataclass(slots=True)
@@ -168,7 +159,7 @@ class _Run:
             record(made, self.gateway.belief())
         self.record = record
         _log_notes(outputs.notes, self.leaving)
-        _count(self.stats, self.gateway.robot, made, self.clock.now() - now)
+        _count(self.stats, self.gateway.robot, made)
         return made
 
     def last_frames(self, now: Nanos) -> None:
@@ -311,8 +302,7 @@ def _log_notes(notes: Sequence[Note], leaving: bool) -> None:
         log.log(logging.DEBUG if leaving else _LEVELS[note.level], "%s: %s", note.source, note.text)
 
 
-def _count(stats: LoopStats, robot: Robot, tick: Tick, took: Nanos) -> None:
-    stats.longest_step = max(stats.longest_step, took)
+def _count(stats: LoopStats, robot: Robot, tick: Tick) -> None:
     stats.sent += len(tick.outputs.packets)
     stats.received += len(tick.inputs.packets)
     for packet in (*tick.inputs.packets, *tick.outputs.packets):

@@ -1,9 +1,8 @@
-"""What a process needs around a loop: signals, a quiet garbage collector, real-time priority."""
+"""What a process needs around a loop: signals, a quiet garbage collector."""
 
 from __future__ import annotations
 
 import gc
-import os
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -47,17 +46,3 @@ def quiet_collector() -> Iterator[None]:
         yield
     finally:
         gc.unfreeze()
-
-
-def request_realtime(priority: int) -> str:
-    """Request the scheduling policy SCHED_FIFO; return "" if granted, else why not and what to do."""
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-    except PermissionError:
-        return (
-            f"real-time priority {priority} was not allowed: run with CAP_SYS_NICE, or add "
-            f"'@realtime - rtprio {priority}' to /etc/security/limits.conf for your group"
-        )
-    except OSError as error:
-        return f"real-time priority {priority} was not granted: {error}"
-    return ""

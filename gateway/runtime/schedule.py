@@ -28,7 +28,8 @@ from gateway.core.robot import TWIN, Motor, Robot
 from gateway.core.step import Gateway
 from gateway.core.tick import Outputs
 from gateway.errors import UserError
-from gateway.runtime.loop import LoopStats, Reader, moments, write
+from gateway.runtime.loop import Reader, moments, write
+from gateway.runtime.timing import LoopStats
 from gateway.sim import WorldError
 from protocols.frames import CanFrame, Frame
 from protocols.messages import MILLISECOND, SECOND, Drive, Feedback, Hold, Instruction, Nanos, Velocity

@@ -1,24 +1,29 @@
 """The serving loop: simulate the devices behind real buses, for another program to drive.
 
-Rules. As in the live loop, buses and clock are the loop's own, and it yields what happened. The world keeps
-pace with the clock: what a late iteration has missed is made up for, and what was received is handed to the
-devices at its own time, as far as that is known.
+Rules. As in the live loop, buses and clock are the loop's own, and it yields what happened. A real host waits
+for no world: so this one keeps pace with the clock. What was missed is made up for, in slices, so that an
+iteration is short whatever happened before it, and what was received is handed to the devices at its own
+time, as far as that is known. A world that is too far behind stands still instead.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass
 
 from gateway.buses import Bus
 from gateway.core.clock import Clock
-from gateway.runtime.loop import LoopStats, moments, read, write
+from gateway.runtime.loop import moments, read, write
+from gateway.runtime.timing import LoopStats
 from protocols.frames import BusState, Packet
 from protocols.messages import MILLISECOND, SECOND, Nanos
 
 PERIOD: Nanos = MILLISECOND
+MADE_UP: Nanos = 100 * MILLISECOND
+"""What one iteration makes up for at most: steps of the world."""
 STALL: Nanos = SECOND // 2
-"""A serving loop that did not run for longer than this does not make up for it."""
+"""A world that is further behind the clock does not make up for it."""
 
 
 @dataclass(slots=True)
@@ -30,9 +35,9 @@ class ServeStats:
     sent: int = 0
     """Packets"""
     late: Nanos = 0
-    """The longest time that the world had to make up for at once."""
+    """The longest time that the world was behind the clock."""
     stalled: Nanos = 0
-    """How long the world stood still because this process did."""
+    """How long the world stood still because this process did, or could not keep up."""
     dropped: int = 0
     """Packets received meanwhile, which no device obeyed."""
 
@@ -47,7 +52,7 @@ class ServeTick:
     received: tuple[Packet, ...]
     sent: tuple[Packet, ...]
     stalled_for: Nanos = 0
-    """How long the world stood still just before; what was received meanwhile was dropped."""
+    """How long the world stood still; what was received meanwhile was dropped."""
 
 
 def serve(
@@ -61,31 +66,38 @@ def serve(
 ) -> Generator[ServeTick]:
     """Carry what the outer buses receive to the simulated world, and back, until `until` or until closed.
 
-    If this process did not run for longer than `STALL`, the world has stood still with it, and what was
-    received meanwhile is dropped: devices that were off obey no old commands. `age` is the world's own time
-    now, if it has run already."""
+    If the world is further behind than `STALL`, it has stood still for that time, and what was received
+    meanwhile is dropped: devices that were off obey no old commands. `age` is the world's own time now, if it
+    has run already."""
     stats = stats if stats is not None else ServeStats()
-    last = clock.now()
+    reached = last = clock.now()
     behind = 0 if age is None else last - age
+    waiting: deque[tuple[Nanos, Packet]] = deque()
     for now in moments(clock, PERIOD, lambda: None, LoopStats()):
         if until is not None and now >= until:
             return
         states, packets = read(buses, now)
-        stalled = now - last if now - last > STALL else 0
+        waiting += _arrivals(packets, last, now)
+        stalled = now - reached if now - reached > STALL else 0
         if stalled:
             behind += stalled
             stats.stalled += stalled
-            stats.dropped += len(packets)
-            packets = []
-        stats.late = max(stats.late, now - last - stalled)
-        for t, packet in _arrivals(packets, last, now):
+            stats.dropped += len(waiting)
+            waiting.clear()
+            reached = now
+        stats.late = max(stats.late, now - reached)
+        reached = min(now, reached + MADE_UP)
+        received: list[Packet] = []
+        while waiting and waiting[0][0] <= reached:
+            t, packet = waiting.popleft()
             world_buses[packet.bus].write(t - behind, (packet.frame,))
-        _, sent = read(world_buses, now - behind)
+            received.append(packet)
+        _, sent = read(world_buses, reached - behind)
         write(buses, now, sent)
-        stats.received += len(packets)
+        stats.received += len(received)
         stats.sent += len(sent)
         last = now
-        yield ServeTick(now, tuple(states), tuple(packets), tuple(sent), stalled)
+        yield ServeTick(now, tuple(states), tuple(received), tuple(sent), stalled)
 
 
 def _arrivals(packets: Sequence[Packet], last: Nanos, now: Nanos) -> list[tuple[Nanos, Packet]]:

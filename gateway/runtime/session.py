@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, TypeVar
 from brain.belief import Belief, Pose
 from gateway import config
 from gateway.buses import Bus, open_bus
-from gateway.core.clock import Clock, SimulatedClock, WallClock, date
+from gateway.core.clock import Clock, PacedClock, SimulatedClock, WallClock, date
 from gateway.core.joint import Joint
 from gateway.core.robot import TWIN, Robot
 from gateway.core.step import Gateway
@@ -27,6 +27,7 @@ from gateway.core.tick import Tick
 from gateway.errors import UserError
 from gateway.runtime import loop
 from gateway.runtime.process import quiet_collector, signals
+from gateway.runtime.timing import LoopStats
 from protocols.messages import SECOND, Goal, Instruction, Release
 
 if TYPE_CHECKING:
@@ -52,7 +53,7 @@ class Session:
     twins: TwinWorld | None
     """The simulated world behind the buses whose interface is "twin"; None if there is none."""
     recorder: Recorder | None = None
-    stats: loop.LoopStats = field(default_factory=loop.LoopStats)
+    stats: LoopStats = field(default_factory=LoopStats)
     reasons: list[str] = field(default_factory=list)
     """Why the run is to end before its time: `leave`."""
     _watchers: list[loop.Record] = field(default_factory=list)
@@ -282,7 +283,7 @@ def open_session(
     Args:
         robot: a `Robot`, or what `load_robot` takes.
         simulated: run in simulated time, as fast as the machine can; every bus must be a twin. Otherwise in
-            real time.
+            real time; where every bus is a twin, in slow motion if the machine cannot keep up.
         record: the recording to write (an MCAP file that must not exist yet).
         seed: of the simulated world's noise; None: the robot file's.
 
@@ -302,7 +303,7 @@ def open_session(
         raise UserError(f"simulated time needs a simulated world: {', '.join(real)} is on a real interface")
     if record is not None:
         _check_new(record)
-    clock = SimulatedClock() if simulated else WallClock()
+    clock: Clock = SimulatedClock() if simulated else WallClock() if real else PacedClock()
     reasons: list[str] = []
     with ExitStack() as stack:
         stack.enter_context(signals(reasons.append, suspend=False))
@@ -337,16 +338,14 @@ def _discard_stale(robot: Robot, buses: Mapping[str, Bus], clock: Clock) -> None
 def _open_buses(
     robot: Robot, clock: Clock, seed: int | None, stack: ExitStack
 ) -> tuple[dict[str, Bus], TwinWorld | None]:
-    twins = None
+    twins, simulated = None, dict[str, Bus]()
     if any(bus.interface == TWIN for bus in robot.buses.values()):
-        from gateway.buses.virtual.bus import open_world
+        from gateway.buses.virtual import beside_real, open_world
 
         twins = open_world(robot, robot.seed if seed is None else seed)
+        simulated = beside_real.buses(twins) if isinstance(clock, WallClock) else {**twins.buses}
     buses: dict[str, Bus] = {}
     for name, settings in robot.buses.items():
-        if settings.interface == TWIN and twins is not None:
-            buses[name] = twins.buses[name]
-        else:
-            buses[name] = open_bus(settings, clock)
+        buses[name] = simulated[name] if name in simulated else open_bus(settings, clock)
         stack.callback(buses[name].close)
     return buses, twins

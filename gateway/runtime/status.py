@@ -39,6 +39,8 @@ def status_text(session: Session) -> str:
         lines += _joint(joint, now)
     lines += _counters(gateway)
     lines.append(f"ticks: {session.stats.ticks}, {session.stats.missed} missed")
+    if session.stats.trouble:
+        lines.append(f"timing: {session.stats.trouble}")
     if (recorder := session.recorder) is not None:
         lost = f", {recorder.lost} ticks lost: {recorder.trouble}" if recorder.trouble else ""
         lines.append(f"recording: {recorder.path}{lost}")

@@ -2,8 +2,8 @@
 
 Rules. Simulated devices must not answer where there may be real ones: the robot given has no interface of
 its file any more (`without_interfaces`), only those that the command line names, and any other bus gets
-pseudo-terminals. The world runs in wall time and keeps pace with it, or logs that it does not; changes of the
-buses and of the motors' states are logged.
+pseudo-terminals. The world runs in wall time and keeps pace with it, or stands still and logs it; changes of
+the buses and of the motors' states are logged.
 """
 
 from __future__ import annotations
@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("gateway")
 
+STILL_PERIOD: Nanos = 10 * SECOND
+"""Between two lines that the devices stood still, at least."""
+
 
 @dataclass(slots=True)
 class Devices:
@@ -48,6 +51,9 @@ class Devices:
     stats: ServeStats = field(default_factory=ServeStats)
     leaving: str = ""
     """The signal that ends it; "" if none came."""
+    _still: Nanos = 0
+    """How long the devices stood still, that is not logged yet."""
+    _told_at: Nanos = -STILL_PERIOD
 
     def serve(self, seconds: float | None = None, watch: Callable[[Nanos], None] | None = None) -> None:
         """Serve until a signal comes, or for this time. `watch` is called at every iteration."""
@@ -67,11 +73,14 @@ class Devices:
             log.log(level, "%s", text)
         for name, state in moment.states:
             log.warning("%s: %s", name, self._text(name, state))
-        if moment.stalled_for:
-            seconds = moment.stalled_for / SECOND
+        self._still += moment.stalled_for
+        if self._still and moment.now >= self._told_at + STILL_PERIOD:
             log.warning(
-                "this process stood still for %.1f s, and its devices with it: they received nothing", seconds
+                "the devices stood still for %.1f s, and received nothing meanwhile: this process was "
+                "stopped, or the machine is too busy for it (end other processes, or use --realtime)",
+                self._still / SECOND,
             )
+            self._still, self._told_at = 0, moment.now
 
     def _text(self, bus: str, state: BusState) -> str:
         text = (_PTY_TEXTS if bus in self.offered else _BUS_TEXTS).get(state, f"is {state}")

@@ -13,7 +13,8 @@ from gateway.core.guard import decoder_of
 from gateway.core.robot import Robot
 from gateway.core.step import Gateway
 from gateway.core.tick import Note, Tick
-from gateway.runtime.loop import LoopStats, Record, live
+from gateway.runtime.loop import Record, live
+from gateway.runtime.timing import LoopStats
 from protocols.messages import SECOND, Command, Instruction, Nanos
 
 BENCH = """

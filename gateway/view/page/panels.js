@@ -74,6 +74,10 @@ export function showBuses(hello, state) {
   setText($("sent"), `${state.sent ?? "–"}`);
   setText($("missed"), `${state.missed ?? "–"}`);
   setText($("longest"), number(state.longest, 2, "ms"));
+  setText($("timing"), state.timing === undefined ? "–" : state.timing || "in time");
+  $("timing").classList.toggle("bad", Boolean(state.timing));
+  $("pace").hidden = !(state.pace < 0.9);
+  setText($("pace"), `slow motion: ${number(state.pace, 2)} of real time`);
   setText($("recording"), state.trouble ? `${state.recording}: ${state.trouble}` : state.recording || "off");
   $("record").setAttribute("aria-pressed", Boolean(state.recording));
   setText($("record"), state.recording ? "Stop recording" : "Record");

@@ -61,7 +61,7 @@ def test_a_command_shows_its_page_and_ends_as_without(
         plain.until(begun)
         with closing(greeted(address(shown.until(begun, "/\n")))) as client:
             assert client.of("hello")[0]["mode"] == mode
-            for one in (plain, shown):
+            for one in (shown, plain):  # while nobody reads the page
                 ended, text = one.end(signal.SIGINT)
                 assert ended == status, text
                 assert "leaving: SIGINT" in text

@@ -14,7 +14,8 @@ from gateway.core.clock import SimulatedClock
 from gateway.core.robot import Robot
 from gateway.core.step import Gateway
 from gateway.core.tick import Inputs
-from gateway.runtime.loop import LoopStats, moments, read, write
+from gateway.runtime.loop import moments, read, write
+from gateway.runtime.timing import LoopStats
 from protocols.messages import MILLISECOND, SECOND, Command, Feedback, Hold, Nanos, Velocity
 from tests.sampled import sampled
 

@@ -18,6 +18,7 @@ from gateway.core.step import Gateway
 from gateway.core.tick import Inputs, Outputs
 from gateway.recording import read_recording
 from gateway.runtime import loop
+from gateway.runtime.timing import LoopStats
 from protocols.messages import MILLISECOND, SECOND, Goal, Idle, Mode, Nanos, Velocity
 from tests.gateway.processes import Process
 from tests.gateway.rig import BENCH, Rig, sent_commands
@@ -29,7 +30,7 @@ def stepped(
     count: int, due: Callable[[], Nanos | None], work: Iterable[Nanos] = ()
 ) -> tuple[list[Nanos], int]:
     """Return the first moments to step at, and the deadlines missed; the steps take as long as `work`."""
-    clock, stats = SimulatedClock(), loop.LoopStats()
+    clock, stats = SimulatedClock(), LoopStats()
     moments: list[Nanos] = []
     for now, took in zip(loop.moments(clock, 5 * MS, due, stats), chain(work, repeat(0)), strict=False):
         moments.append(now)
@@ -59,7 +60,7 @@ def test_a_driver_that_is_always_due_does_not_keep_the_loop_busy() -> None:
 
 def test_an_answer_that_is_awaited_gets_a_step_of_its_own() -> None:
     clock, moments = SimulatedClock(), []
-    for now in loop.moments(clock, 10 * MS, lambda: None, loop.LoopStats(), lambda: clock.now() >= 3 * MS):
+    for now in loop.moments(clock, 10 * MS, lambda: None, LoopStats(), lambda: clock.now() >= 3 * MS):
         moments.append(now)
         if len(moments) == 4:
             break

@@ -33,7 +33,7 @@ from gateway.errors import BusError
 from gateway.recording import read_recording
 from gateway.runtime.device_log import DeviceLog
 from gateway.runtime.loop import live
-from gateway.runtime.serve import ServeStats, ServeTick, serve
+from gateway.runtime.serve import MADE_UP, ServeStats, ServeTick, serve
 from gateway.runtime.twin_process import devices, without_interfaces
 from protocols.frames import BusState, CanFrame, Frame, Packet
 from protocols.messages import MILLISECOND, SECOND, Mode, Nanos, Velocity
@@ -71,6 +71,7 @@ class ServedBench:
     def __init__(self) -> None:
         self.clock = SimulatedClock()
         twins = open_world(config.parse_robot(BENCH), 1)
+        self.world = twins.world
         self.bus = Script()
         self.stats = ServeStats()
         self._serving = serve(twins.buses, {"can0": self.bus}, self.clock, stats=self.stats)
@@ -134,6 +135,33 @@ def test_a_process_that_stood_still_makes_up_for_nothing_and_obeys_nothing_old(s
     served.ask_version(served.clock.now())
     assert len(answers(served.run(5))) == 1  # and goes on as if nothing had been
     assert sum(tick.stalled_for for tick in served.run(100)) == 0
+
+
+def test_one_iteration_makes_up_for_a_slice_and_what_was_received_waits_for_its_time(
+    served: ServedBench,
+) -> None:
+    start = served.clock.now()
+    served.clock.wait(start + 3 * MADE_UP + 50 * MS)
+    served.ask_version(start + 250 * MS)
+    ticks = served.run(5)
+    assert [len(answers([tick])) for tick in ticks] == [0, 0, 1, 0, 0]
+    assert 250 * MS <= answers(ticks)[0] - start <= 253 * MS
+    assert (served.stats.stalled, served.stats.received) == (0, 1)
+
+
+@pytest.mark.parametrize("cost", [0.5, 3.0, 40.0])
+def test_a_machine_that_does_not_keep_up_bounds_what_an_iteration_does(
+    served: ServedBench, cost: float
+) -> None:
+    """A step of the world costs so much of the time that it is to fill: all of it had to be made up for."""
+    before, most = served.world.now, 0
+    for _ in range(100):
+        served.run(1)
+        moved, before = served.world.now - before, served.world.now
+        most = max(most, moved)
+        served.clock.wait(served.clock.now() + round(cost * moved))
+    assert most <= MADE_UP
+    assert (served.stats.stalled > 0) == (cost > 1.0)
 
 
 def test_states_of_the_outer_bus_are_passed_on_and_nothing_else(served: ServedBench) -> None:

@@ -859,6 +859,20 @@ def test_what_is_wrong_stands_out(browser: Chromium, fake: Fake, state: str, col
     assert shown == tab.run(f"getComputedStyle({page}).color")
 
 
+def test_slow_motion_is_shown_beside_the_mode_and_what_to_do_with_the_loop(
+    browser: Chromium, fake: Fake
+) -> None:
+    tab = fake.show(browser, hello())
+    assert not tab.run("document.querySelector('#pace').checkVisibility()")
+    fake.say("state", **EMPTY | {"pace": 0.07, "timing": "end other processes"})
+    tab.until("document.querySelector('#pace').checkVisibility()")
+    assert "slow motion: 0.07" in tab.run("document.querySelector('#pace').textContent")
+    assert tab.run("document.querySelector('#timing').textContent") == "end other processes"
+    fake.say("state", **EMPTY | {"pace": 1.0, "timing": ""})
+    tab.until("!document.querySelector('#pace').checkVisibility()")
+    assert tab.run("document.querySelector('#timing').textContent") == "in time"
+
+
 def test_a_robot_that_may_not_be_steered_any_more_has_no_button_for_its_fault(
     browser: Chromium, fake: Fake
 ) -> None:
