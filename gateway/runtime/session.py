@@ -79,10 +79,11 @@ class Session:
         self._submitted += instructions
 
     def leave(self, reason: str) -> None:
-        """End the run before its time, as a signal does: with the stop action, the second time at once.
+        """End the run before its time, as a signal does: with the stop action. The second time hurries, a
+        third within a second of it lets go of the motors at once.
 
         Args:
-            reason: for the log. Nothing that follows the second changes anything.
+            reason: for the log. What comes within one period counts once.
         """
         self.reasons.append(reason)
 
