@@ -409,7 +409,8 @@ class Joint:
         since let go it would fall."""
         if self._lowers or self.settings.stop_action != "brake":
             return self.braking_time
-        speed = max(abs(self.feedback.velocity or 0.0), abs(getattr(self._out, "velocity", 0.0)))
+        wanted = self._out.velocity if isinstance(self._out, msg.Velocity) else 0.0
+        speed = max(abs(self.feedback.velocity or 0.0), abs(wanted))
         return round(1.5 * speed / self._file.acceleration * SECOND) + REST_TIME
 
     @property

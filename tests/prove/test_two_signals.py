@@ -34,5 +34,7 @@ def test_after_two_signals_nothing_turns_faster_than_after_one(tmp_path: Path) -
     count = 200 * len(PAIRS)
     done = Campaign("two_signals_speeds", count).run(partial(compare, str(tmp_path / "rig.toml")))
     turning = [speed for _, _, speed in done.values() if speed > 1.0]
-    print(f"{count} pairs of signals, {len(turning)} to motors that turned, at up to {max(turning):.1f} rad/s")
+    print(
+        f"{count} pairs of signals, {len(turning)} while the motors turned, at up to {max(turning):.1f} rad/s"
+    )
     assert len(turning) > count / 2

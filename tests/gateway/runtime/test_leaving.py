@@ -28,7 +28,8 @@ from gateway.core.tick import Inputs, Note, Tick
 from gateway.operator import Operator
 from gateway.recording import Recorder
 from gateway.recording.tick_writer import TickWriter
-from gateway.runtime import loop
+from gateway.runtime import loop, process
+from gateway.runtime.process import signals
 from protocols.messages import MILLISECOND, SECOND, Idle, Leave, Mode, Nanos, Velocity
 from tests.gateway import little
 from tests.gateway.rig import BENCH, Rig, sent_commands
@@ -236,7 +237,7 @@ def test_a_motor_that_is_about_to_arm_when_the_run_is_left_does_not_stay_armed(r
 
 # -- a session ---------------------------------------------------------------------------------------------
 
-SIGNALS = ["SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP"]
+SIGNALS = ["SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP", "SIGUSR1"]
 
 
 def kill(name: str) -> None:
@@ -283,6 +284,39 @@ def test_signals_are_reasons_to_leave_from_the_opening_to_the_close(
 def turn(session: gw.Session) -> None:
     if session.joints["left"].mode is Mode.READY:
         session.submit(Velocity("left", 5.0))
+
+
+NUMBERS = {process.signal_name(number): number for number in signal.valid_signals()}
+TABLES = (process.WAY_OUT, process.IGNORED, process.BEYOND, process.HARMLESS)
+
+
+def test_every_signal_stands_in_one_table_or_is_a_real_time_signal() -> None:
+    named = [name for table in TABLES for name in table]
+    assert sorted(named) == sorted(name for name in NUMBERS if not name.startswith("SIGRT"))
+
+
+@pytest.mark.parametrize("name", sorted(NUMBERS.keys() - process.BEYOND.keys() - set(process.HARMLESS)))
+def test_every_signal_that_would_end_a_process_is_a_reason_or_is_ignored(name: str) -> None:
+    received: list[str] = []
+    before = signal.signal(NUMBERS[name], signal.SIG_DFL)
+    try:
+        with signals(received.append, suspend=False):
+            os.kill(os.getpid(), NUMBERS[name])
+        assert received == ([] if name in process.IGNORED else [name])
+        assert signal.getsignal(NUMBERS[name]) is signal.SIG_DFL
+    finally:
+        signal.signal(NUMBERS[name], before)
+
+
+def test_a_handler_that_a_program_has_set_for_its_own_signals_stays() -> None:
+    received: list[str] = []
+    before = signal.signal(signal.SIGUSR2, lambda *_: received.append("its own"))
+    try:
+        with signals(received.append, suspend=False):
+            kill("SIGUSR2")
+    finally:
+        signal.signal(signal.SIGUSR2, before)
+    assert received == ["its own"]
 
 
 def test_a_bus_that_cannot_be_closed_keeps_no_other_open_and_the_recording_is_whole(

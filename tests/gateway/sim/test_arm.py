@@ -92,7 +92,12 @@ def left(*ticks_of_reasons: int) -> list[float]:
         session.submit(Mission("out", (MoveTool(0.376, 0.0, 0.2, (0.0, np.pi, 0.0)),)))
         run(ticks, 1.5)
         heights = session.recorder = Heights(session)  # type: ignore[assignment]
-        session.watch(lambda *_: [session.leave("go") for at in ticks_of_reasons if at == len(heights.z)])
+
+        def take(*_: object) -> None:
+            if len(heights.z) in ticks_of_reasons:
+                session.leave("sooner")
+
+        session.watch(take)
         session.leave("it is to end")
         assert not list(ticks)
         for joint in session.joints.values():
