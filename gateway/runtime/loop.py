@@ -29,6 +29,7 @@ from gateway.core.joint import DISARMING
 from gateway.core.robot import Robot
 from gateway.core.step import LEFT_ARMED, Gateway
 from gateway.core.tick import Inputs, Note, Tick
+from gateway.runtime.watchdog import Watchdog
 from protocols.frames import BusState, Packet
 from protocols.messages import MILLISECOND, SECOND, Instruction, Leave, Nanos
 
@@ -65,6 +66,8 @@ class LoopStats:
     """Packets"""
     busy: dict[str, Nanos] = field(default_factory=dict)
     """By bus: transmission time of everything sent and received."""
+    stalled: str = ""
+    """Why the loop has left: it stood for so long that the watchdog has stopped the motors; "" if not."""
 
 
 def no_instructions() -> Sequence[Instruction]:
@@ -83,14 +86,16 @@ def live(
     stats: LoopStats | None = None,
     dry_run: bool = False,
     reasons: Sequence[str] = (),
+    watchdog: Watchdog | None = None,
 ) -> Generator[Tick]:
     """Step the gateway at its period, and when a driver is due, until `until`, a reason, or until closed.
 
     `poll` returns what an operator has asked for since the last step. With `dry_run`, everything is done but
     writing to the buses. Ticks are numbered on from `stats.ticks`. `reasons` to leave may be added at any
     time, also by a signal: the first takes the way out, the second hurries, and a third soon after ends the
-    time to brake."""
-    run = _Run(gateway, buses, clock, record, stats if stats is not None else LoopStats(), dry_run)
+    time to brake. `watchdog` is told at every step that the loop goes on, and when it has left."""
+    stats = stats if stats is not None else LoopStats()
+    run = _Run(gateway, buses, clock, record, stats, dry_run, None if dry_run else watchdog)
     try:
         for now in moments(clock, gateway.robot.period, gateway.due, run.stats, run.reader.answered):
             if reasons or (until is not None and now >= until):
@@ -98,9 +103,14 @@ def live(
             made = run.tick(now, poll())
             for error in run.errors.values():
                 raise error
+            if stats.stalled:
+                log.error("%s", stats.stalled)
+                break
             yield made
     finally:
         _leave(run, reasons)
+        if run.watchdog is not None:
+            run.watchdog.rest()
 
 
 @dataclass(slots=True)
@@ -147,6 +157,7 @@ class _Run:
     """None after it has raised."""
     stats: LoopStats
     dry_run: bool
+    watchdog: Watchdog | None = None
     leaving: bool = False
     step_failed: bool = False
     """Whether the last step has raised: nothing of it can be trusted but joints and drivers."""
@@ -181,6 +192,8 @@ class _Run:
     def _write(self, now: Nanos, packets: Sequence[Packet]) -> None:
         if not self.dry_run:
             write(self.buses, now, packets, self.errors)
+        if self.watchdog is not None:
+            self.stats.stalled = self.watchdog.beat(self.gateway) or self.stats.stalled
 
 
 @dataclass(slots=True)

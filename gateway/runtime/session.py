@@ -26,6 +26,7 @@ from gateway.core.tick import Tick
 from gateway.errors import UserError
 from gateway.runtime import loop
 from gateway.runtime.process import quiet_collector, signals
+from gateway.runtime.watchdog import Watchdog, covered
 from protocols.messages import SECOND, Goal, Instruction, Release
 
 if TYPE_CHECKING:
@@ -54,6 +55,8 @@ class Session:
     stats: loop.LoopStats = field(default_factory=loop.LoopStats)
     reasons: list[str] = field(default_factory=list)
     """Why the run is to end before its time: `leave`."""
+    watchdog: Watchdog | None = None
+    """The process that sends the stop action if this one dies; None if there is none."""
     _watchers: list[loop.Record] = field(default_factory=list)
     _view: SessionView | None = None
     _recorders: list[Recorder] = field(default_factory=list)
@@ -141,6 +144,7 @@ class Session:
             stats=self.stats,
             dry_run=dry_run,
             reasons=self.reasons,
+            watchdog=self.watchdog,
         )
         try:
             with closing(ticks):
@@ -305,8 +309,12 @@ def open_session(
     reasons: list[str] = []
     with ExitStack() as stack:
         stack.enter_context(signals(reasons.append, suspend=False))
+        watchdog = _start_watchdog(robot, clock, stack)
         buses, twins = _open_buses(robot, clock, seed, stack)
-        session = Session(robot, Gateway(robot), clock, buses, twins, reasons=reasons)
+        if watchdog is not None and (why := watchdog.ready()):
+            log.warning("no watchdog process, and if this one dies, none stops the motors: %s", why)
+            watchdog = None
+        session = Session(robot, Gateway(robot), clock, buses, twins, reasons=reasons, watchdog=watchdog)
         stack.callback(session.close)
         if record is not None:
             session.start_recording(record)
@@ -315,6 +323,15 @@ def open_session(
         stack.enter_context(quiet_collector())
         _discard_stale(robot, buses, clock)
         yield session
+
+
+def _start_watchdog(robot: Robot, clock: Clock, stack: ExitStack) -> Watchdog | None:
+    """Start the watchdog process, if it can stop a motor. It begins while the rest is opened."""
+    if not covered(robot):
+        return None
+    watchdog = Watchdog(robot, clock)
+    stack.callback(watchdog.close)
+    return watchdog
 
 
 def _check_new(path: Path | str) -> None:

@@ -115,7 +115,7 @@ class Line:
             self._stream.flush()
 
 
-def is_writable(stream: TextIO) -> bool:
+def is_writable(stream: TextIO | Unblocked) -> bool:
     """True if what is written would be taken at once, as of a stream that is no file."""
     if isinstance(stream, Unblocked):
         return stream.idle
