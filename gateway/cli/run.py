@@ -14,7 +14,7 @@ from gateway.cli import arguments
 from gateway.cli.live import add_view, check_view, open_view, view_on_demand
 from gateway.cli.reports import add_report, reported
 from gateway.cli.terminal.progress import simulation
-from gateway.config import cannot, if_it_dies, load_mission, load_robot, with_interfaces
+from gateway.config import IF_IT_DIES, cannot, if_it_dies, load_mission, load_robot, with_interfaces
 from gateway.core.robot import TWIN, Robot
 from gateway.core.step import LEFT_ARMED
 from gateway.errors import UserError
@@ -100,7 +100,7 @@ def _drive(session: Session, operator: Operator, options: Namespace, mission: Mi
     name = operator.path.stem
     print(f"{session.robot.name} is running; type help here, or: gateway ask {name} help", flush=True)
     if session.twins is None and not options.dry_run:
-        print("if the gateway dies or hangs:", *if_it_dies(session.robot), sep="\n  ", flush=True)
+        print(f"{IF_IT_DIES}:", *if_it_dies(session.robot), sep="\n  ", flush=True)
 
     def poll() -> Sequence[Instruction]:
         instructions = operator.poll(lambda: status_text(session), partial(view_on_demand, session))

@@ -20,6 +20,9 @@ FD_BITS = 32, 100
 """Bits of such a frame of CAN FD with bit rate switching: at the bus's bit rate, and at that of its data."""
 
 
+IF_IT_DIES = "what stops it if the gateway dies or hangs"
+
+
 def describe(robot: Robot) -> str:
     """Describe a robot in words, as `gateway check` prints it.
 
@@ -44,7 +47,8 @@ def describe(robot: Robot) -> str:
     if robot.bag is not None:
         blocks.append(_table("bag", "topic", rows=[[name, topic] for topic, name in robot.bag.parts()]))
     if robot.motors:
-        blocks.append("\n  ".join(["if the gateway dies or hangs:", *if_it_dies(robot)]))
+        stopped = [[name, _stopped_by(robot, motor)] for name, motor in robot.motors.items()]
+        blocks.append(_table("motor", IF_IT_DIES, rows=stopped))
     notes = cautions(robot)
     blocks.append("\n  ".join(["cautions:", *notes]) if notes else "no cautions")
     return "\n\n".join(blocks)
@@ -62,16 +66,15 @@ def _stopped_by(robot: Robot, motor: Motor) -> str:
     bus, watchdog = robot.buses[motor.bus], motor.spec.watchdog
     means = []
     if watchdog.enabled and watchdog.timeout is not None:
-        means.append(f"its own watchdog stops it after {watchdog.timeout / MILLISECOND:g} ms")
+        means.append(f"its own watchdog after {watchdog.timeout / MILLISECOND:g} ms")
     if bus.shareable:
         limit = f"{robot.stall_timeout / MILLISECOND:g} ms"
-        means.append(f"the watchdog process sends its stop action, at once or, if it hangs, after {limit}")
+        means.append(f"the watchdog process at once, or after {limit} if it hangs")
     if means:
         return "; ".join(means)
-    where = f"{bus.interface} is open to one process only"
     if bus.interface == TWIN:
-        where = "a real bus may be open to one process only (socketcan is not)"
-    return f"NOTHING stops it: it has no watchdog that is on, and {where}"
+        return "NOTHING, unless its bus can be shared (socketcan): its own watchdog is off"
+    return f"NOTHING: its own watchdog is off, and {bus.interface} cannot be shared"
 
 
 _MOTOR_HEADS = ("protocol", "bus", "address", "ids sent", "ids expected", "reports", "device's watchdog")

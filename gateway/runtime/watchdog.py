@@ -170,8 +170,9 @@ def _of_joint(now: Nanos, joint: Joint) -> State:
     sent = joint.sent
     changing = now // CHANGING if joint.armed is isinstance(sent, Idle) else 0
     held: State = ()
-    if joint.settings.stop_action == "hold" and joint.armed:
-        limits = joint.settings.limits
+    settings = joint.settings
+    if joint.armed and settings.stop_action == "hold" and settings.unattended == "held":
+        limits = settings.limits
         place = (joint.feedback.position or 0.0) / (PLACE * limits.velocity)
         held = round(place), round(getattr(sent, "torque", 0.0) / (LOAD * limits.torque))
     return joint.name, joint.armed, joint.mode, type(sent), tuple(joint.faults), changing, held

@@ -139,15 +139,14 @@ def test_the_limit_has_bounds(value: int, right: bool) -> None:
 
 
 def test_what_stops_each_motor_is_told() -> None:
-    nothing = "left, right: NOTHING stops it: it has no watchdog that is on, and "
-    assert if_it_dies(parse_robot(BENCH)) == [
-        f"{nothing}a real bus may be open to one process only (socketcan is not)"
-    ]
+    simulated = "NOTHING, unless its bus can be shared (socketcan): its own watchdog is off"
+    assert if_it_dies(parse_robot(BENCH)) == [f"left, right: {simulated}"]
     serial = with_interfaces(parse_robot(BENCH), {"can0": "slcan:/dev/ttyACM0"})
-    assert if_it_dies(serial) == [f"{nothing}slcan:/dev/ttyACM0 is open to one process only"]
+    alone = "NOTHING: its own watchdog is off, and slcan:/dev/ttyACM0 cannot be shared"
+    assert if_it_dies(serial) == [f"left, right: {alone}"]
     assert (covered(serial), covered(on_shared(BENCH))) == ([], ["left", "right"])
-    own = "its own watchdog stops it after 200 ms"
-    ours = "the watchdog process sends its stop action, at once or, if it hangs, after 500 ms"
+    own = "its own watchdog after 200 ms"
+    ours = "the watchdog process at once, or after 500 ms if it hangs"
     assert if_it_dies(on_shared(WATCHED)) == [f"left, right: {own}; {ours}"]
 
 
@@ -173,7 +172,7 @@ def robot(devices: Program, tmp_path: Path) -> Iterator[tuple[Program, Program, 
     (tmp_path / "rig.toml").write_text(ROBOT)
     mark = len(devices.text)
     with Program(tmp_path, "run", str(tmp_path / "rig.toml"), "--bus", f"can0={SHARED}", "-v") as run:
-        run.until("left: ready", "right: ready", "the watchdog process sends its stop action")
+        run.until("left: ready", "right: ready", "left, right: the watchdog process at once")
         run.ask("rig", "velocity left 5")
         run.until("left: armed")
         assert eventually(lambda: last_mode(devices, mark) == "armed")
