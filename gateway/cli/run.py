@@ -99,7 +99,7 @@ def _drive(session: Session, operator: Operator, options: Namespace, mission: Mi
     """Carry the operator's instructions to the robot, and its notes to the operator."""
     name = operator.path.stem
     print(f"{session.robot.name} is running; type help here, or: gateway ask {name} help", flush=True)
-    if session.twins is None and not options.dry_run:
+    if any(bus.interface != TWIN for bus in session.robot.buses.values()) and not options.dry_run:
         print(f"{IF_IT_DIES}:", *if_it_dies(session.robot), sep="\n  ", flush=True)
 
     def poll() -> Sequence[Instruction]:

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 log = logging.getLogger("gateway")
 _Result = TypeVar("_Result")
 
+NO_WATCHDOG = "no watchdog process, and if this one dies, none stops the motors: %s"
 MAX_STALE_READS = 100
 """Of one bus, before a run begins."""
 
@@ -312,7 +313,7 @@ def open_session(
         watchdog = _start_watchdog(robot, clock, stack)
         buses, twins = _open_buses(robot, clock, seed, stack)
         if watchdog is not None and (why := watchdog.ready()):
-            log.warning("no watchdog process, and if this one dies, none stops the motors: %s", why)
+            log.warning(NO_WATCHDOG, why)
             watchdog = None
         session = Session(robot, Gateway(robot), clock, buses, twins, reasons=reasons, watchdog=watchdog)
         stack.callback(session.close)
@@ -329,7 +330,11 @@ def _start_watchdog(robot: Robot, clock: Clock, stack: ExitStack) -> Watchdog | 
     """Start the watchdog process, if it can stop a motor. It begins while the rest is opened."""
     if not covered(robot):
         return None
-    watchdog = Watchdog(robot, clock)
+    try:
+        watchdog = Watchdog(robot, clock)
+    except OSError as error:
+        log.warning(NO_WATCHDOG, error)
+        return None
     stack.callback(watchdog.close)
     return watchdog
 

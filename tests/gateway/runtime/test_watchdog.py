@@ -17,6 +17,7 @@ import pytest
 import gateway as gw
 from gateway.cli.jog import single_motor
 from gateway.config import if_it_dies, parse_robot, with_interfaces
+from gateway.core.clock import WallClock
 from gateway.core.guard import decoder_of
 from gateway.errors import ConfigError
 from gateway.runtime.watchdog import Watchdog, covered
@@ -153,6 +154,13 @@ def test_what_stops_each_motor_is_told() -> None:
 # -- the process -------------------------------------------------------------------------------------------
 
 
+def test_a_process_that_cannot_open_its_bus_says_why_and_ends() -> None:
+    absent = with_interfaces(parse_robot(BENCH), {"can0": "socketcan:nosuch0"})
+    watchdog = Watchdog(absent, WallClock())
+    assert "bus 'can0' cannot be opened as 'socketcan:nosuch0'" in watchdog.ready()
+    assert watchdog._process.returncode == 1
+
+
 @pytest.fixture(scope="module")
 def devices(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Program]:
     folder = tmp_path_factory.mktemp("twin")
@@ -196,7 +204,7 @@ def gone(pid: int) -> bool:
 
 
 @pytest.mark.timeout(240)
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSEGV])
+@pytest.mark.parametrize("number", sampled([signal.SIGKILL, signal.SIGSEGV], 2))
 def test_a_loop_that_is_killed_leaves_no_motor_armed(
     robot: tuple[Program, Program, int], number: signal.Signals
 ) -> None:
