@@ -64,8 +64,8 @@ if TYPE_CHECKING:
     from gateway.replay import replay_recording as replay_recording
     from gateway.report import draw_map as draw_map
     from gateway.report import write_report as write_report
-    from gateway.runtime import Session as Session
-    from gateway.runtime import open_session as open_session
+    from gateway.runtime.session import Session as Session
+    from gateway.runtime.session import open_session as open_session
     from protocols.frames import BusState as BusState
     from protocols.frames import CanFrame as CanFrame
     from protocols.frames import Packet as Packet
@@ -127,7 +127,7 @@ _MODULES = {
     "gateway.recording": ("Recording", "read_recording"),
     "gateway.replay": ("Comparison", "replay_recording"),
     "gateway.report": ("draw_map", "write_report"),
-    "gateway.runtime": ("Session", "open_session"),
+    "gateway.runtime.session": ("Session", "open_session"),
     "protocols.frames": ("BusState", "CanFrame", "Packet"),
     "protocols.messages": (
         "ClearFault",

@@ -15,12 +15,14 @@ import errno
 import logging
 import os
 import sys
-from contextlib import redirect_stderr, redirect_stdout
+from collections.abc import Sequence
+from contextlib import ExitStack, redirect_stderr, redirect_stdout
 from importlib import import_module
 from pathlib import Path
 from typing import TextIO, cast
 
 from gateway.cli.arguments import add_verbosity
+from gateway.cli.terminal.output import Unblocked, unblocked
 from gateway.cli.terminal.screen import Escaping, is_writable
 from gateway.core.message_text import escaped
 from gateway.errors import GatewayError
@@ -43,16 +45,23 @@ COMMANDS = {
     "protocols": "list the installed protocols, check one, or start a new one",
     "ask": "send a line to a running robot, as on its terminal",
 }
+LIVE = ("demo", "run", "twin", "jog", "motor")
+"""Those that must not wait for who reads their output: a robot would wait with them."""
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the `gateway` command and return its exit status."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # equal bytes ask for one order of sums
-    with Path(os.devnull).open("w") as nothing:  # for a stream that was closed before we began
-        out, err = (cast("TextIO", Escaping(stream or nothing)) for stream in (sys.stdout, sys.stderr))
+    given = sys.argv[1:] if arguments is None else arguments
+    with Path(os.devnull).open("w") as nothing, ExitStack() as stack:
+        streams: Sequence[TextIO] = [stream or nothing for stream in (sys.stdout, sys.stderr)]
+        stack.callback(_forget_unread, *streams)
+        if given and given[0] in LIVE:
+            streams = cast("Sequence[TextIO]", stack.enter_context(unblocked(*streams)))
+        out, err = (cast("TextIO", Escaping(stream)) for stream in streams)
         with redirect_stdout(out), redirect_stderr(err):
             try:
-                return _main(sys.argv[1:] if arguments is None else arguments)
+                return _main(given)
             except KeyboardInterrupt:  # outside of a session, where nothing is open
                 print("gateway: interrupted", file=sys.stderr)
                 return INTERRUPTED
@@ -73,8 +82,6 @@ def _main(arguments: list[str]) -> int:
         return 1  # the reader of our output has gone, or its terminal was closed, which is not our error
     else:
         return status
-    finally:
-        _flush()
 
 
 def parser(command: str = "") -> argparse.ArgumentParser:
@@ -102,8 +109,9 @@ class LogHandler(logging.StreamHandler[TextIO]):
     """Writes to a stream, and never waits for it: neither for a stopped terminal, nor for a full pipe."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write a record, or leave it out if the stream takes nothing."""
-        if is_writable(self.stream):
+        """Write a record, or leave it out if the stream takes nothing and does not queue it."""
+        stream = getattr(self.stream, "terminal", self.stream)
+        if isinstance(stream, Unblocked) or is_writable(stream):
             super().emit(record)
 
     def format(self, record: logging.LogRecord) -> str:
@@ -111,9 +119,9 @@ class LogHandler(logging.StreamHandler[TextIO]):
         return escaped(super().format(record), keep="\n" if record.exc_info else "")
 
 
-def _flush() -> None:
+def _forget_unread(*streams: TextIO) -> None:
     """Write out what is buffered, or drop it where nothing reads it any more (a pipe or terminal closed)."""
-    for stream in (sys.stdout, sys.stderr):
+    for stream in streams:
         try:
             stream.flush()
         except OSError:

@@ -14,7 +14,7 @@ from gateway.cli import arguments
 from gateway.cli.live import add_view, check_view, open_view, view_on_demand
 from gateway.cli.reports import add_report, reported
 from gateway.cli.terminal.progress import simulation
-from gateway.config import cannot, load_mission, load_robot, with_interfaces
+from gateway.config import IF_IT_DIES, cannot, if_it_dies, load_mission, load_robot, with_interfaces
 from gateway.core.robot import TWIN, Robot
 from gateway.core.step import LEFT_ARMED
 from gateway.errors import UserError
@@ -49,7 +49,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def run(options: Namespace) -> int:
-    """Return 1 if a motor was left in fault or armed, or a goal or the mission was not done."""
+    """Return 1 if a motor was left in fault or armed, something asked for was not done, or the loop hung."""
     check_view(options)
     wish = wished(options.realtime)
     robot = with_interfaces(load_robot(options.robot), dict(options.bus))
@@ -99,6 +99,8 @@ def _drive(session: Session, operator: Operator, options: Namespace, mission: Mi
     """Carry the operator's instructions to the robot, and its notes to the operator."""
     name = operator.path.stem
     print(f"{session.robot.name} is running; type help here, or: gateway ask {name} help", flush=True)
+    if any(bus.interface != TWIN for bus in session.robot.buses.values()) and not options.dry_run:
+        print(f"{IF_IT_DIES}:", *if_it_dies(session.robot), sep="\n  ", flush=True)
 
     def poll() -> Sequence[Instruction]:
         instructions = operator.poll(lambda: status_text(session), partial(view_on_demand, session))
@@ -134,7 +136,7 @@ def _drive(session: Session, operator: Operator, options: Namespace, mission: Mi
     if view is not None:
         print(f"mission {view.name}: {view.phase}{f': {view.reason}' * bool(view.reason)}")
     undone = session.belief.reached < len(options.goal) or (mission and (not view or view.phase != "done"))
-    return 1 if faults or left or undone else 0
+    return 1 if faults or left or undone or stats.stalled else 0
 
 
 def _all_done(session: Session, goals: int, mission: Mission | None) -> bool:

@@ -6,15 +6,17 @@ recordings, simulation or the runtime.
 
 from __future__ import annotations
 
-from gateway.config.describe import describe
+from gateway.config.describe import IF_IT_DIES, describe, if_it_dies
 from gateway.config.mission import cannot, load_mission, parse_mission
 from gateway.config.robot_file import load_robot, parse_robot, with_interfaces
 from gateway.config.validate import cautions
 
 __all__ = [
+    "IF_IT_DIES",
     "cannot",
     "cautions",
     "describe",
+    "if_it_dies",
     "load_mission",
     "load_robot",
     "parse_mission",

@@ -7,7 +7,7 @@ from dataclasses import fields
 from math import inf
 
 from gateway.config.validate import cautions
-from gateway.core.robot import BusDevice, BusSettings, Motor, Robot, Sensor
+from gateway.core.robot import TWIN, BusDevice, BusSettings, Motor, Robot, Sensor
 from protocols.frames import IdMask
 from protocols.messages import MILLISECOND, SECOND
 from protocols.plugin import FeedbackKind
@@ -20,6 +20,9 @@ FD_BITS = 32, 100
 """Bits of such a frame of CAN FD with bit rate switching: at the bus's bit rate, and at that of its data."""
 
 
+IF_IT_DIES = "what stops it if the gateway dies or hangs"
+
+
 def describe(robot: Robot) -> str:
     """Describe a robot in words, as `gateway check` prints it.
 
@@ -27,7 +30,7 @@ def describe(robot: Robot) -> str:
         robot: what `load_robot` returned.
 
     Returns:
-        str: buses, motors, sensors and brain as tables, and every caution.
+        str: buses, motors, sensors and brain as tables, what stops its motors if we die, and every caution.
     """
     world = f"world {robot.world}, seed {robot.seed}" if robot.world else "no world"
     blocks = [
@@ -43,9 +46,35 @@ def describe(robot: Robot) -> str:
     blocks.append(_brain(robot))
     if robot.bag is not None:
         blocks.append(_table("bag", "topic", rows=[[name, topic] for topic, name in robot.bag.parts()]))
+    if robot.motors:
+        stopped = [[name, _stopped_by(robot, motor)] for name, motor in robot.motors.items()]
+        blocks.append(_table("motor", IF_IT_DIES, rows=stopped))
     notes = cautions(robot)
     blocks.append("\n  ".join(["cautions:", *notes]) if notes else "no cautions")
     return "\n\n".join(blocks)
+
+
+def if_it_dies(robot: Robot) -> list[str]:
+    """Return what stops the motors of a robot if its gateway dies or hangs, a line each for those alike."""
+    alike: dict[str, list[str]] = {}
+    for name, motor in robot.motors.items():
+        alike.setdefault(_stopped_by(robot, motor), []).append(name)
+    return [f"{', '.join(names)}: {what}" for what, names in alike.items()]
+
+
+def _stopped_by(robot: Robot, motor: Motor) -> str:
+    bus, watchdog = robot.buses[motor.bus], motor.spec.watchdog
+    means = []
+    if watchdog.enabled and watchdog.timeout is not None:
+        means.append(f"its own watchdog after {watchdog.timeout / MILLISECOND:g} ms")
+    if bus.shareable:
+        limit = f"{robot.stall_timeout / MILLISECOND:g} ms"
+        means.append(f"the watchdog process at once, or after {limit} if it hangs")
+    if means:
+        return "; ".join(means)
+    if bus.interface == TWIN:
+        return "NOTHING, unless its bus can be shared (socketcan): its own watchdog is off"
+    return f"NOTHING: its own watchdog is off, and {bus.interface} cannot be shared"
 
 
 _MOTOR_HEADS = ("protocol", "bus", "address", "ids sent", "ids expected", "reports", "device's watchdog")

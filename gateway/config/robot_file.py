@@ -40,10 +40,10 @@ from gateway.config.sections import Find, Table, check_interface, own_ids, read_
 from gateway.config.text import read_text, read_toml
 from gateway.config.urdf import Description, with_files
 from gateway.core.bounds import Bounds
-from gateway.core.robot import BagTopics, BusDevice, Robot
+from gateway.core.robot import STALL_TIMEOUT, BagTopics, BusDevice, Robot
 from gateway.errors import UserError
 from protocols import plugin
-from protocols.messages import SECOND
+from protocols.messages import MILLISECOND, SECOND, Nanos
 
 GROUPS = ("buses", "motors", "sensors")
 SECTIONS = (*GROUPS, "defaults", "brain", "bag", "files")
@@ -65,6 +65,8 @@ class _Top:
     plant: str | None = None
     urdf: str | None = None
     seed: Annotated[int, Bounds(0, 2**32 - 1)] = 0
+    stall_timeout: Annotated[Nanos, Bounds(100 * MILLISECOND, 2 * SECOND)] = STALL_TIMEOUT
+    """How long the loop may stand before the watchdog process sends the stop action."""
 
 
 def load_robot(robot: str | Path, find: Find = plugin.load) -> Robot:
@@ -144,12 +146,15 @@ def parse_robot(
 
     period = round(SECOND / top.rate_hz) if top else 0
     validate.check_devices(buses, motors, sensors, period, mistakes)
+    if top is not None:
+        validate.check_stall_timeout(top.stall_timeout, period, mistakes)
     if bag is not None and brain is not None:
         validate.check_bag(bag, brain.body, sensor_names, mistakes)
     mistakes.check()
     if top is None or brain is None:
         raise AssertionError("a section is missing, and no mistake was added")
-    return Robot(top.name, text, period, top.world, top.seed, buses, motors, sensors, brain, bag, top.plant)
+    named = top.name, text, period, top.world, top.seed
+    return Robot(*named, buses, motors, sensors, brain, bag, top.plant, top.stall_timeout)
 
 
 def with_interfaces(robot: Robot, interfaces: Mapping[str, str]) -> Robot:

@@ -26,6 +26,8 @@ from protocols.plugin import FeedbackKind, Spec
 
 HOUR = 3600.0
 """s: a joint that gets to the end of its device's positions later, at full speed, is not warned of."""
+STALLED_PERIODS = 4
+"""Of the robot: a loop that stands for less is late."""
 _CARRIES = {"can": ("can", "canfd"), "canfd": ("canfd",), "serial": ("serial",)}
 """Kinds of bus that carry a device's frames: a classic CAN device also works on a CAN FD bus."""
 
@@ -101,6 +103,14 @@ def _check_motor(at: Key, motor: Motor, period: Nanos, mistakes: Mistakes) -> No
             mistakes.add(
                 (*at, key), f"found {timeout / MILLISECOND:g} ms, but {every}; expected more than that"
             )
+
+
+def check_stall_timeout(timeout: Nanos, period: Nanos, mistakes: Mistakes) -> None:
+    """Check that a loop that is late by a few periods does not count as standing."""
+    if timeout < STALLED_PERIODS * period:
+        least = f"{STALLED_PERIODS} periods of the robot, {STALLED_PERIODS * period / MILLISECOND:g} ms"
+        text = f"found {timeout / MILLISECOND:g} ms, expected at least {least}"
+        mistakes.add(("stall_timeout_ms",), text)
 
 
 def check_body(

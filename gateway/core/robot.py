@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 from gateway.core.joint import JointSettings
 from gateway.vision.detectors import Detectors
 from protocols.frames import IdMask
-from protocols.messages import Nanos
+from protocols.messages import MILLISECOND, Nanos
 from protocols.plugin import Device, Plugin, Spec
 
 if TYPE_CHECKING:
@@ -22,6 +22,10 @@ TRANSMIT_QUEUE = 100
 """CAN frames: more than robots send in a step. (The kernel's own `txqueuelen` of a CAN interface is 10.)"""
 CLASSIC_ADAPTERS = ("dm-serial",)
 """Interfaces that carry classic CAN only."""
+SHAREABLE = ("socketcan", "udp_multicast")
+"""Interfaces that several processes of a machine can use at once; a port is one process's alone."""
+STALL_TIMEOUT: Nanos = 500 * MILLISECOND
+"""How long the loop may stand, if the robot file does not say."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +50,11 @@ class BusSettings:
     """Whether the robot file acknowledges what it means for several protocols to share this bus."""
     devices: tuple[Spec, ...] = ()
     """The specs of what is on it."""
+
+    @property
+    def shareable(self) -> bool:
+        """Whether another process of this machine can send on it, too."""
+        return self.interface.partition(":")[0] in SHAREABLE
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,6 +156,8 @@ class Robot:
     """Topics of a foreign bag; None if the file has no table [bag]."""
     plant: str | None = None
     """What the robot truly is in a simulated scene: a shipped plant's name or a file's path."""
+    stall_timeout: Nanos = STALL_TIMEOUT
+    """How long the loop may stand before the watchdog process sends the stop action."""
 
     def devices(self) -> list[BusDevice]:
         """Return all devices, in the order of the file: motors first, then sensors."""

@@ -9,6 +9,7 @@ keeps nothing from the others. Nothing was received, or measured, later than now
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from math import isfinite
@@ -91,6 +92,10 @@ class Gateway:
                 self._drivers.append(_BusDriver(bus, plugin.name, motors, plugin.driver(devices)))
         self._on_bus = {bus: [one for one in self._drivers if one.bus == bus] for bus in robot.buses}
         self.guard = Guard(robot)
+        self._values: list[object] = [
+            each for motor in robot.motors.values() for each in (motor.spec, motor.device, motor.joint)
+        ]
+        """What is never changed, hence not copied."""
         self._now: Nanos = 0
         """Time of the last step."""
         self._requests: list[Request] = []
@@ -160,14 +165,27 @@ class Gateway:
             self._receive(now, inputs.packets)
         commands: dict[str, Command] = {}
         for name, joint in self.joints.items():
-            try:
-                commands[name] = joint.command(now, None, stopped=True, last=True)
-            except Exception as error:  # noqa: BLE001 -- whatever has failed, the others get theirs
-                commands[name] = msg.Idle(name)
-                self._note(
-                    "error", name, f"Idle in place of its stop action: {type(error).__name__}: {error}"
-                )
+            commands[name], failure = _last_command(now, joint)
+            if failure:
+                self._note("error", name, f"Idle in place of its stop action: {failure}")
         return tuple(self._send(now, commands))
+
+    def rehearse(self, now: Nanos, bus: str, protocol: str) -> tuple[Packet, ...]:
+        """Return what `leave` would have one driver send now, for others to send if we cannot: all of it
+        happens to copies.
+
+        Args:
+            now: the time of the step [ns].
+            bus: the driver's bus.
+            protocol: the driver's protocol.
+        """
+        (one,) = (each for each in self._on_bus[bus] if each.protocol == protocol)
+        own = {name: joint for name, joint in self.joints.items() if name in one.motors}
+        given = one.driver, own, self.guard
+        driver, joints, guard = copy.deepcopy(given, {id(each): each for each in self._values})
+        _, frames = driver.send(now, [_last_command(now, joint)[0] for joint in joints.values()])
+        passed, _ = guard.check(now, bus, protocol, frames, self.joints | joints, stopped=True)
+        return tuple(Packet(now, bus, frame) for frame in passed)
 
     def due(self) -> Nanos | None:
         """Return when a driver next has to send by itself; None if none has to."""
@@ -427,6 +445,14 @@ class Gateway:
                 self._note("error", name, f"fault: {fault.name}{cause}{remedy}")
         notes, self._notes = tuple(self._notes), []
         return notes
+
+
+def _last_command(now: Nanos, joint: Joint) -> tuple[Command, str]:
+    """Return a joint's stop command when nothing will follow; Idle if it fails, with the reason."""
+    try:
+        return joint.command(now, None, stopped=True, last=True), ""
+    except Exception as error:  # noqa: BLE001 -- whatever has failed, the others get theirs
+        return msg.Idle(joint.name), f"{type(error).__name__}: {error}"
 
 
 def _is_for(request: Request, driver: _BusDriver) -> bool:

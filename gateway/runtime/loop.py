@@ -8,14 +8,14 @@ is missed. Between them there is a step when a driver is due, or when an answer 
 The way out (`_leave`) is the same whatever the reason: a signal, a caller that is done or raises, an
 exception in the step, a bus, the recorder or the operator. First the stop action, for the joints' braking
 time at most; then Idle; then motors that still report being armed are noted and logged. Nothing interrupts
-it: a second reason only ends the time to brake. What fails in it is logged, and does not keep the frames
-from the rest. After a failed step, joints and drivers alone give the frames.
+it: a second reason hurries (`Joint.hurried_braking_time`), and is never worse than one; only a third, within
+a second of the second, ends the time to brake. What fails in it is logged, and does not keep the frames from
+the rest. After a failed step, joints and drivers alone give the frames.
 """
 
 from __future__ import annotations
 
 import logging
-import math
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -30,6 +30,7 @@ from gateway.core.robot import Robot
 from gateway.core.step import LEFT_ARMED, Gateway
 from gateway.core.tick import Inputs, Note, Tick
 from gateway.runtime.timing import LoopStats, Timing
+from gateway.runtime.watchdog import Watchdog
 from protocols.frames import BusState, Packet
 from protocols.messages import MILLISECOND, SECOND, Instruction, Leave, Nanos
 
@@ -41,6 +42,8 @@ LONGEST_BRAKING: Nanos = 3 * SECOND
 """Bound of the time to brake, whatever the joints ask for."""
 DISARM_TIMEOUT: Nanos = DISARMING
 """How long leaving waits, after the time to brake, for the devices to report that they are disarmed."""
+IMPATIENCE: Nanos = SECOND
+"""A reason to leave that comes this soon after the one before, if that was not the first, is meant."""
 SETTLING: Nanos = 150 * MILLISECOND
 """Motors that have been commanded are watched for this time at least: one may be about to arm."""
 MIN_STEP = MILLISECOND
@@ -66,13 +69,16 @@ def live(
     stats: LoopStats | None = None,
     dry_run: bool = False,
     reasons: Sequence[str] = (),
+    watchdog: Watchdog | None = None,
 ) -> Generator[Tick]:
     """Step the gateway at its period, and when a driver is due, until `until`, a reason, or until closed.
 
     `poll` returns what an operator has asked for since the last step. With `dry_run`, everything is done but
     writing to the buses. Ticks are numbered on from `stats.ticks`. `reasons` to leave may be added at any
-    time, also by a signal: the first takes the way out, the second ends the time to brake."""
-    run = _Run(gateway, buses, clock, record, stats if stats is not None else LoopStats(), dry_run)
+    time, also by a signal: the first takes the way out, the second hurries, and a third soon after ends the
+    time to brake. `watchdog` is told at every step that the loop goes on, and when it has left."""
+    stats = stats if stats is not None else LoopStats()
+    run = _Run(gateway, buses, clock, record, stats, dry_run, None if dry_run else watchdog)
     timing = Timing(run.stats, gateway.robot.period, clock)
     try:
         for now in moments(clock, gateway.robot.period, gateway.due, run.stats, run.reader.answered):
@@ -84,9 +90,14 @@ def live(
                 raise error
             if trouble := timing.end(now):
                 log.warning("%s", trouble)
+            if stats.stalled:
+                log.error("%s", stats.stalled)
+                break
             yield made
     finally:
         _leave(run, reasons)
+        if run.watchdog is not None:
+            run.watchdog.rest()
         if trouble := timing.summary():
             log.warning("in this run: %s", trouble)
 
@@ -135,6 +146,7 @@ class _Run:
     """None after it has raised."""
     stats: LoopStats
     dry_run: bool
+    watchdog: Watchdog | None = None
     leaving: bool = False
     step_failed: bool = False
     """Whether the last step has raised: nothing of it can be trusted but joints and drivers."""
@@ -169,6 +181,34 @@ class _Run:
     def _write(self, now: Nanos, packets: Sequence[Packet]) -> None:
         if not self.dry_run:
             write(self.buses, now, packets, self.errors)
+        if self.watchdog is not None:
+            self.stats.stalled = self.watchdog.beat(self.gateway) or self.stats.stalled
+
+
+@dataclass(slots=True)
+class _Urgency:
+    """How often a run was asked to end. What comes within one period counts once: a terminal that closes and
+    its shell both send SIGHUP, and a supervisor SIGTERM besides."""
+
+    reasons: Sequence[str]
+    times: list[Nanos] = field(default_factory=list)
+    _seen: int = 0
+
+    def rises(self, now: Nanos) -> bool:
+        """Look at the reasons; True if there is a new one."""
+        new = len(self.reasons) > self._seen
+        if new:
+            self._seen = len(self.reasons)
+            self.times.append(now)
+        return new
+
+    @property
+    def hurried(self) -> bool:
+        return len(self.times) > 1
+
+    @property
+    def at_once(self) -> bool:
+        return len(self.times) > 2 and self.times[-1] - self.times[-2] <= IMPATIENCE
 
 
 def _leave(run: _Run, reasons: Sequence[str]) -> None:
@@ -176,16 +216,14 @@ def _leave(run: _Run, reasons: Sequence[str]) -> None:
     gateway, clock, known = run.gateway, run.clock, set(run.errors)
     joints = gateway.joints.values()
     braking = min(LONGEST_BRAKING, max((joint.braking_time for joint in joints), default=0))
-    phases = (  # the instruction, the longest time, and how many reasons it outlasts
-        (Leave(LEFT), braking, 1),
-        (Leave(LEFT, at_once=True), DISARM_TIMEOUT, math.inf),
-    )
     settled = clock.now() + (SETTLING if any(joint.owned for joint in joints) else 0)
+    urgency = _Urgency(reasons)
+    urgency.rises(clock.now())
     done = False
-    for instruction, longest, outlasts in phases:
+    for at_once, longest in ((False, braking), (True, DISARM_TIMEOUT)):
         end = clock.now() + longest
-        instructions: tuple[Instruction, ...] = (instruction,)
-        while not done and len(reasons) <= outlasts and (instructions or clock.now() < end):
+        instructions: tuple[Instruction, ...] = (Leave(LEFT, at_once=at_once),)
+        while not done and (at_once or not urgency.at_once) and (instructions or clock.now() < end):
             first, run.leaving = not run.leaving, True
             _tick_of_leaving(run, instructions)
             instructions = ()
@@ -194,14 +232,23 @@ def _leave(run: _Run, reasons: Sequence[str]) -> None:
             done = not gateway.still_armed() and clock.now() >= settled
             if not done:
                 clock.wait(clock.now() + gateway.robot.period)
-        if not done and len(reasons) > outlasts:
-            log.warning("leaving at once: %s", reasons[1])
+            now = clock.now()
+            if urgency.rises(now) and urgency.hurried and not at_once:
+                left = max((joint.hurried_braking_time for joint in joints), default=0)
+                end = min(end, now + left)
+                log.warning(_URGENCY[urgency.at_once], reasons[-1])
     if still := gateway.still_armed():
         _tick_of_leaving(run, (Leave(LEFT, at_once=True, last=True),))
     for name in still:
         log.critical("%s: %s", name, LEFT_ARMED)
     for name in run.errors.keys() - known:
         log.error("%s: %r", name, run.errors[name])
+
+
+_URGENCY = {
+    False: "leaving sooner: %s; once more within a second lets go of the motors at once",
+    True: "leaving at once: %s",
+}
 
 
 def _tick_of_leaving(run: _Run, instructions: Sequence[Instruction]) -> None:

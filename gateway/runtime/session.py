@@ -28,6 +28,7 @@ from gateway.errors import UserError
 from gateway.runtime import loop
 from gateway.runtime.process import quiet_collector, signals
 from gateway.runtime.timing import LoopStats
+from gateway.runtime.watchdog import Watchdog, covered
 from protocols.messages import SECOND, Goal, Instruction, Release
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 log = logging.getLogger("gateway")
 _Result = TypeVar("_Result")
 
+NO_WATCHDOG = "no watchdog process, and if this one dies, none stops the motors: %s"
 MAX_STALE_READS = 100
 """Of one bus, before a run begins."""
 
@@ -56,6 +58,8 @@ class Session:
     stats: LoopStats = field(default_factory=LoopStats)
     reasons: list[str] = field(default_factory=list)
     """Why the run is to end before its time: `leave`."""
+    watchdog: Watchdog | None = None
+    """The process that sends the stop action if this one dies; None if there is none."""
     _watchers: list[loop.Record] = field(default_factory=list)
     _view: SessionView | None = None
     _recorders: list[Recorder] = field(default_factory=list)
@@ -81,10 +85,11 @@ class Session:
         self._submitted += instructions
 
     def leave(self, reason: str) -> None:
-        """End the run before its time, as a signal does: with the stop action, the second time at once.
+        """End the run before its time, as a signal does: with the stop action. The second time hurries, a
+        third within a second of it lets go of the motors at once.
 
         Args:
-            reason: for the log. Nothing that follows the second changes anything.
+            reason: for the log. What comes within one period counts once.
         """
         self.reasons.append(reason)
 
@@ -142,6 +147,7 @@ class Session:
             stats=self.stats,
             dry_run=dry_run,
             reasons=self.reasons,
+            watchdog=self.watchdog,
         )
         try:
             with closing(ticks):
@@ -307,8 +313,12 @@ def open_session(
     reasons: list[str] = []
     with ExitStack() as stack:
         stack.enter_context(signals(reasons.append, suspend=False))
+        watchdog = _start_watchdog(robot, clock, stack)
         buses, twins = _open_buses(robot, clock, seed, stack)
-        session = Session(robot, Gateway(robot), clock, buses, twins, reasons=reasons)
+        if watchdog is not None and (why := watchdog.ready()):
+            log.warning(NO_WATCHDOG, why)
+            watchdog = None
+        session = Session(robot, Gateway(robot), clock, buses, twins, reasons=reasons, watchdog=watchdog)
         stack.callback(session.close)
         if record is not None:
             session.start_recording(record)
@@ -317,6 +327,19 @@ def open_session(
         stack.enter_context(quiet_collector())
         _discard_stale(robot, buses, clock)
         yield session
+
+
+def _start_watchdog(robot: Robot, clock: Clock, stack: ExitStack) -> Watchdog | None:
+    """Start the watchdog process, if it can stop a motor. It begins while the rest is opened."""
+    if not covered(robot):
+        return None
+    try:
+        watchdog = Watchdog(robot, clock)
+    except OSError as error:
+        log.warning(NO_WATCHDOG, error)
+        return None
+    stack.callback(watchdog.close)
+    return watchdog
 
 
 def _check_new(path: Path | str) -> None:

@@ -45,6 +45,8 @@ class LoopStats:
     """Of a paced clock over the machine's, in the last second: below `SLOW` it is slow motion."""
     trouble: str = ""
     """How the loop does not keep its time, and what to do; "" if it does."""
+    stalled: str = ""
+    """Why the loop has left: it stood for so long that the watchdog has stopped the motors; "" if not."""
 
 
 @dataclass(slots=True)

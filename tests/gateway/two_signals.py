@@ -1,7 +1,9 @@
-"""Two signals to a robot that drives, at random distances: no motor is left armed. Real processes.
+"""Two signals to a robot that drives, at random distances: no motor is left armed, and none turns for longer
+than after one signal.
 
-Shared by the sample, the campaign, and the tests on a real CAN: `run` is a `gateway run` on the same bus as
-`twin`, a `gateway twin` that reports the changes of its motors' modes. It is the devices that are judged."""
+Shared by the sample, the campaign, and the tests on a real CAN. In real processes, `run` is a `gateway run`
+on the same bus as `twin`, a `gateway twin` that reports the changes of its motors' modes: it is the devices
+that are judged. How fast the shafts turn is judged in simulated time (`speeds_after`)."""
 
 from __future__ import annotations
 
@@ -9,12 +11,17 @@ import os
 import re
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 from numpy.random import PCG64, Generator
 
+import gateway as gw
+from gateway.buses.virtual.bus import TwinBus
 from gateway.core.step import LEFT_ARMED
+from gateway.core.tick import Tick
+from protocols.messages import MILLISECOND, SECOND, Mode, Nanos, Velocity
 from tests.gateway.rig import BENCH
 from tests.real_can.programs import Program
 
@@ -41,8 +48,8 @@ class Outcome:
     """and from there to the second."""
     armed: bool
     """Whether a motor had reported armed when the first came."""
-    at_once: bool
-    """Whether the second ended the time to brake;"""
+    hurried: bool
+    """Whether the second came while the motors braked;"""
     closed: bool
     """whether it came when everything was closed."""
     unreported: bool
@@ -74,7 +81,7 @@ def one_run(start: Callable[[], Program], twin: Program, seed: int, number: int)
     assert status == 0 or closed or known, f"{text}\nexit status {status}"
     settled(twin, mark)
     return Outcome(
-        (first, second), waited, between, armed, "leaving at once" in text, closed, LEFT_ARMED in text
+        (first, second), waited, between, armed, "leaving sooner" in text, closed, LEFT_ARMED in text
     )
 
 
@@ -95,11 +102,64 @@ def settled(twin: Program, mark: int) -> None:
 
 def summary(outcomes: list[Outcome]) -> str:
     """Return the outcomes as text."""
-    armed, at_once, closed, unreported = (
-        sum(getattr(one, name) for one in outcomes) for name in ("armed", "at_once", "closed", "unreported")
+    armed, hurried, closed, unreported = (
+        sum(getattr(one, name) for one in outcomes) for name in ("armed", "hurried", "closed", "unreported")
     )
     return (
         f"{len(outcomes)} runs of two signals: every motor disarmed at the end; {armed} with motors armed at "
-        f"the first, {at_once} in which the second ended the time to brake, {closed} in which it came when "
+        f"the first, {hurried} in which the second came while they braked, {closed} in which it came when "
         f"all was closed, {unreported} whose devices reported it late"
     )
+
+
+# -- in simulated time -------------------------------------------------------------------------------------
+
+PAIRS = list(product((signal.SIGINT, signal.SIGTERM, signal.SIGHUP), repeat=2))
+WATCHED: Nanos = 3 * SECOND
+"""How long the shafts are watched after the first signal."""
+JITTER = 0.2
+"""rad/s by which two runs may differ at a moment: a period later, the shaft is so much slower."""
+
+
+def speeds_after(path: str, waited: Nanos, signals: Sequence[tuple[Nanos, signal.Signals]]) -> list[float]:
+    """Send signals to a run on twins, each so long after the first moment, which comes `waited` after both
+    motors were commanded; return the larger of the true speeds [rad/s] every 10 ms from the first on."""
+    with gw.open_session(path, simulated=True) as session:
+        assert session.twins is not None
+        assert session.twins.world is not None
+        world, buses, speeds = session.twins.world, session.twins.buses, list[float]()
+        commanded: list[Nanos] = []
+        left = list(signals)
+
+        def take(tick: Tick, _: object) -> None:
+            if not commanded and all(joint.mode is Mode.READY for joint in session.joints.values()):
+                commanded.append(tick.now)
+                session.submit(*(Velocity(motor, SPEED) for motor in MOTORS))
+            while commanded and left and tick.now >= commanded[0] + waited + left[0][0]:
+                os.kill(os.getpid(), left.pop(0)[1])
+            if session.reasons:
+                speeds.append(max(abs(world.shaft(motor)[1]) for motor in MOTORS))
+
+        session.watch(take)
+        list(session.run(10.0))
+        assert session.reasons
+        assert session.gateway.still_armed() == []
+        while len(speeds) * session.robot.period < WATCHED:
+            session.clock.wait(session.clock.now() + session.robot.period)
+            for bus in buses.values():
+                TwinBus.read(bus, session.clock.now())
+            speeds.append(max(abs(world.shaft(motor)[1]) for motor in MOTORS))
+    return speeds[:: 10 * MILLISECOND // session.robot.period]
+
+
+def compare(path: str, seed: int, number: int) -> tuple[float, float, float]:
+    """Send one signal, and two of a pair of kinds at a random distance; check that the second makes nothing
+    worse. Return when the first came, and the second after it [s], and the speed at the first [rad/s]."""
+    generator = Generator(PCG64([seed, number]))
+    waited, between = (round(generator.uniform(0.0, most) * SECOND) for most in (1.0, 1.0))
+    first, second = PAIRS[number % len(PAIRS)]
+    one = speeds_after(path, waited, [(0, first)])
+    two = speeds_after(path, waited, [(0, first), (between, second)])
+    worst = max(b - a for a, b in zip(one, two, strict=True))
+    assert worst <= JITTER, f"{first.name}, {between / SECOND} s later {second.name}: {worst} rad/s faster"
+    return waited / SECOND, between / SECOND, one[0]

@@ -119,7 +119,8 @@ def raw_mode(terminal: int) -> Iterator[None]:
         yield
     finally:
         with suppress(termios.error):  # the terminal itself may be gone
-            termios.tcsetattr(terminal, termios.TCSAFLUSH, before)
+            termios.tcflush(terminal, termios.TCIFLUSH)
+            termios.tcsetattr(terminal, termios.TCSANOW, before)  # TCSAFLUSH waits for one that is stopped
 
 
 def read_keys(terminal: int) -> bytes | None:

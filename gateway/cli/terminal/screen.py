@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any, TextIO
 
+from gateway.cli.terminal.output import Unblocked
 from gateway.core.message_text import escaped
 
 ENTER, LEAVE = "\x1b[?1049h\x1b[?25l", "\x1b[?25h\x1b[?1049l"
@@ -114,8 +115,10 @@ class Line:
             self._stream.flush()
 
 
-def is_writable(stream: TextIO) -> bool:
-    """True if a write would not block, as for a stream that is no file."""
+def is_writable(stream: TextIO | Unblocked) -> bool:
+    """True if what is written would be taken at once, as of a stream that is no file."""
+    if isinstance(stream, Unblocked):
+        return stream.idle
     try:
         return bool(select.select([], [stream.fileno()], [], 0)[1])
     except (OSError, ValueError):

@@ -24,12 +24,13 @@ from gateway.cli.jog import single_motor
 from gateway.cli.main import LogHandler, main
 from gateway.core.joint import Joint
 from gateway.core.step import LEFT_ARMED, Gateway
-from gateway.core.tick import Inputs, Note
+from gateway.core.tick import Inputs, Note, Tick
 from gateway.operator import Operator
 from gateway.recording import Recorder
 from gateway.recording.tick_writer import TickWriter
-from gateway.runtime import loop
-from protocols.messages import MILLISECOND, Idle, Leave, Mode, Nanos, Velocity
+from gateway.runtime import loop, process
+from gateway.runtime.process import signals
+from protocols.messages import MILLISECOND, SECOND, Idle, Leave, Mode, Nanos, Velocity
 from tests.gateway import little
 from tests.gateway.rig import BENCH, Rig, sent_commands
 from tests.sampled import sampled
@@ -135,15 +136,17 @@ def lose_writes(bus: Bus, count: float) -> None:
 REASONS = [
     # the reasons to leave, by the time [ms] after the run was left; how long the motors are braked [ms]
     ([0], (900, 1100)),
-    ([0, 50], (50, 60)),
-    ([0, 50, 55, 60, 500], (50, 60)),
-    ([0, 0], (0, 0)),
-    ([0, 0, 0], (0, 0)),
+    ([0, 50], (900, 1100)),
+    ([0, 500], (900, 1100)),
+    ([0, 1, 2], (900, 1100)),  # within a period: one act
+    ([0, 50, 100], (100, 110)),
+    ([0, 50, 100, 105, 500], (100, 110)),
+    ([0, 50, 1055], (900, 1100)),
 ]
 
 
 @pytest.mark.parametrize(("times", "braked"), REASONS, ids=lambda value: str(value))
-def test_a_second_reason_ends_the_time_to_brake_and_others_change_nothing(
+def test_a_second_reason_is_never_worse_than_one_and_a_third_ends_the_time_to_brake(
     times: list[int], braked: tuple[int, int], turning: Rig
 ) -> None:
     began = turning.clock.now()
@@ -163,6 +166,23 @@ def test_a_second_reason_ends_the_time_to_brake_and_others_change_nothing(
     assert last[-1].now - idle <= loop.DISARM_TIMEOUT
     assert modes(turning) == READY
     assert turning.gateway.still_armed() == []
+
+
+def test_a_second_reason_shortens_the_braking_of_a_motor_that_does_not_come_to_rest(turning: Rig) -> None:
+    """Its velocity, as reported, does not change; one reason alone waits for twice the time it needs."""
+    left = turning.gateway.joints["left"]
+    turning.reasons.append("enough")
+
+    def hurry(tick: Tick, _: object) -> None:
+        if tick.now >= began + 20 * MS and len(turning.reasons) == 1:
+            turning.reasons.append("now")
+
+    began, turning.record = turning.clock.now(), hurry
+    assert left.braking_time == 2 * SECOND  # from its limit of 20 rad/s
+    assert left.hurried_braking_time == pytest.approx(1.6 * SECOND, rel=0.05)  # from 10 rad/s
+    lose_writes(turning.world.buses["can1"], float("inf"))
+    last = turning.run(10.0)
+    assert last[-1].now - began < 1.6 * SECOND + loop.DISARM_TIMEOUT + 50 * MS
 
 
 @pytest.mark.parametrize("braking", [None, 10**15])
@@ -217,7 +237,7 @@ def test_a_motor_that_is_about_to_arm_when_the_run_is_left_does_not_stay_armed(r
 
 # -- a session ---------------------------------------------------------------------------------------------
 
-SIGNALS = ["SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP"]
+SIGNALS = ["SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP", "SIGUSR1"]
 
 
 def kill(name: str) -> None:
@@ -266,6 +286,39 @@ def turn(session: gw.Session) -> None:
         session.submit(Velocity("left", 5.0))
 
 
+NUMBERS = {process.signal_name(number): number for number in signal.valid_signals()}
+TABLES = (process.WAY_OUT, process.IGNORED, process.BEYOND, process.HARMLESS)
+
+
+def test_every_signal_stands_in_one_table_or_is_a_real_time_signal() -> None:
+    named = [name for table in TABLES for name in table]
+    assert sorted(named) == sorted(name for name in NUMBERS if not name.startswith("SIGRT"))
+
+
+@pytest.mark.parametrize("name", sorted(NUMBERS.keys() - process.BEYOND.keys() - set(process.HARMLESS)))
+def test_every_signal_that_would_end_a_process_is_a_reason_or_is_ignored(name: str) -> None:
+    received: list[str] = []
+    before = signal.signal(NUMBERS[name], signal.SIG_DFL)
+    try:
+        with signals(received.append, suspend=False):
+            os.kill(os.getpid(), NUMBERS[name])
+        assert received == ([] if name in process.IGNORED else [name])
+        assert signal.getsignal(NUMBERS[name]) is signal.SIG_DFL
+    finally:
+        signal.signal(NUMBERS[name], before)
+
+
+def test_a_handler_that_a_program_has_set_for_its_own_signals_stays() -> None:
+    received: list[str] = []
+    before = signal.signal(signal.SIGUSR2, lambda *_: received.append("its own"))
+    try:
+        with signals(received.append, suspend=False):
+            kill("SIGUSR2")
+    finally:
+        signal.signal(signal.SIGUSR2, before)
+    assert received == ["its own"]
+
+
 def test_a_bus_that_cannot_be_closed_keeps_no_other_open_and_the_recording_is_whole(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -297,7 +350,7 @@ def test_a_run_that_is_left_at_once_is_replayed_to_the_same_bytes(tmp_path: Path
         record = session.gateway.belief
 
         def belief() -> Any:
-            if session.reasons and session.stats.ticks == 420:
+            if session.reasons and session.stats.ticks in (420, 440):
                 session.leave("and now at once")
             return record()
 
@@ -311,7 +364,7 @@ def test_a_run_that_is_left_at_once_is_replayed_to_the_same_bytes(tmp_path: Path
     leaves = [
         (tick.number, each) for tick in ticks for each in tick.inputs.instructions if isinstance(each, Leave)
     ]
-    assert leaves == [(400, Leave(loop.LEFT)), (420, Leave(loop.LEFT, at_once=True))]
+    assert leaves == [(400, Leave(loop.LEFT)), (440, Leave(loop.LEFT, at_once=True))]
     assert gw.replay_recording(gw.read_recording(path)).ok
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import gateway as gw
-from gateway.runtime import Session
+from gateway.runtime.session import Session
 
 
 def turning(session: Session) -> None:
