@@ -2,8 +2,8 @@
 
 Rules. Between two scans the wheels tell how the lidar has moved. That tells a defect from a place:
 
-    frozen    not one bit of a range changes that should have, by `FROZEN` in sum: the surface at a beam's
-              end, from the beams beside it, tells by how much (along a wall not at all)
+    frozen    not one bit of a range changes in `CONFIRM` scans that should have, by `FROZEN` in sum: the
+              surface at a beam's end, from the beams beside it, tells by how much (along a wall not at all)
     hanging   a range below `NEAR` stays within `SPREAD` though the lidar has gone `GONE` or turned `TURNED`,
               and what it showed first is not there any more, where another beam looks: a cable or dirt in
               view. Whoever goes along so near, and so steadily, looks the same. What ends within the
@@ -29,8 +29,8 @@ from brain.perception.body_scan import Bools
 from brain.perception.mount import Mount
 from protocols.messages import SECOND, LaserScan, Nanos
 
-FROZEN = 0.05
-"""m"""
+FROZEN, STEPS = 0.15, 3.0
+"""m, and at least so many of the lidar's own steps"""
 NEAR, SPREAD, BEYOND = 0.6, 0.05, 0.2
 """m; farther than what was there, by the last, another beam ends"""
 GONE, TURNED = 0.4, 0.8
@@ -44,7 +44,7 @@ SECTOR = 0.7
 SURELY = 0.8
 """Share of the largest range, below which a return is not lost by noise."""
 CONFIRM = 3
-"""Scans in a row in which a sector is blind"""
+"""Scans in a row in which a range is as before, or a sector is blind"""
 BESIDE = 0.035
 """rad to each side of a beam: from there comes the slope of the surface,"""
 STEEP = 3.0
@@ -62,8 +62,10 @@ class _Seen:
     """Of the lidar, by dead reckoning; its yaw is the robot's"""
     ranges: Floats
     read: Bools
+    equal: Floats
+    """Number of scans since a range last changed,"""
     due: Floats
-    """m by which a range should have changed since it last did"""
+    """and m by which it should have"""
     first: Floats
     """m, the range with which a near one is compared,"""
     where: Floats
@@ -100,17 +102,21 @@ class Beams:
         nothing, far = np.zeros(count, dtype=np.bool_), ranges >= scan.range_max
         ranges = np.where(read, ranges, 0.0)
         before, where = self._seen, _where(place, beams, ranges)
-        now = _Seen(scan.t, place, ranges, read, np.zeros(count), ranges, where, nothing, nothing)
+        zeros = np.zeros(count)
+        now = _Seen(scan.t, place, ranges, read, zeros, zeros, ranges, where, nothing, nothing)
         self._seen = now
         if count < 2 or before is None or len(before.ranges) != count or scan.t - before.t > LONGEST:
             return ""
-        change = _expected(before, place, beams, scan.angle_increment)
-        now.due = np.where(ranges == before.ranges, before.due + change, 0.0)
+        same = read & (ranges == before.ranges)
+        now.equal = np.where(same, before.equal + 1.0, 0.0)
+        now.due = np.where(same, before.due + _expected(before, place, beams, scan.angle_increment), 0.0)
+        least = max(FROZEN, STEPS * _step(ranges))
+        frozen = (now.equal >= CONFIRM) & (np.abs(now.due) > least)
         self._look_for_hanging(before, now, scan, mount, np.where(far, np.inf, ranges))
         turn = abs(wrap(place.yaw - before.place.yaw))
         _look_for_blind(before, now, SECTOR + turn, scan)
         for bad, least, what in (
-            (read & (np.abs(now.due) > FROZEN), WIDE, "repeat their readings while the base moves"),
+            (frozen, WIDE, "repeat their readings while the base moves"),
             (now.hangs, NARROW, "see something near that moves with the lidar"),
             (now.blind & (now.scans >= CONFIRM), SECTOR, "have lost their returns, all at once"),
         ):
@@ -146,6 +152,12 @@ class Beams:
         return outside
 
 
+def _step(ranges: Floats) -> float:
+    """Return the resolution [m] that the ranges of a scan show."""
+    steps = np.diff(np.sort(ranges))
+    return float(steps.min(where=steps > 1e-9, initial=1.0))
+
+
 def _where(place: Pose, beams: Floats, ranges: Floats) -> Floats:
     """Return where each beam ends, and the lidar's place: 5 × n."""
     c, s = math.cos(place.yaw), math.sin(place.yaw)
@@ -162,8 +174,7 @@ def _seen_beyond(dx: Floats, dy: Floats, yaw: float, beams: Floats, scan: LaserS
     numbers = np.rint(angles % math.tau / scan.angle_increment).astype(np.intp)
     looked = numbers < count
     beyond = ranges[np.where(looked, numbers, 0)] > np.hypot(dx, dy)[:, None] + BEYOND
-    free: Bools = (looked & beyond).all(axis=1)
-    return free
+    return np.asarray((looked & beyond).all(axis=1))
 
 
 def _sense(beams: Floats) -> float:

@@ -260,9 +260,7 @@ class Gateway:
                 joint.latch(msg.Fault(name, t, OTHER_HOST, "another host commands it", cause, remedy))
             elif joint is not None and name not in self._other_hosts:
                 self._other_hosts.add(name)
-                self._note(
-                    "warning", name, f"another host commands it: {frame}; end it before you command"
-                )
+                self._note("warning", name, f"another host commands it: {frame}; end it before you command")
 
     def _on_events(self, now: Nanos, events: Iterable[Event]) -> list[Event]:
         """Pass the events of motors through their joints; return what goes on to the brain."""

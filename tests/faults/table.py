@@ -38,7 +38,13 @@ class Fault:
     """What has it: only robots with such a device are given it."""
     notice: float | None
     shows: Literal[
-        "at once", "in motion", "in turning", "if it strays", "if commanded", "if it was commanded"
+        "at once",
+        "in motion",
+        "once it has moved",
+        "in turning",
+        "if it strays",
+        "if commanded",
+        "if it was commanded",
     ] = "at once"
     why: str = ""
     """Why it is not noticed."""
@@ -425,11 +431,11 @@ FAULTS: tuple[Fault, ...] = (
     Fault("lidar: 90 % without a reading", ranges(
         lambda run, scan: [0.0 if run.random.below(10) else each for each in scan.ranges]), "lidar", 1.0),
     Fault("lidar frozen", reading(same_again), "lidar", 0.7, "in motion"),
-    Fault("lidar: front quarter frozen", quarter(lambda memory, beam, true: memory.setdefault(str(beam), true)),
-          "lidar", 0.7, "in motion"),
+    Fault("lidar: front quarter frozen", quarter(
+        lambda memory, beam, true: memory.setdefault(str(beam), true)), "lidar", 0.8, "in motion"),
     Fault("lidar: front quarter blind", quarter(lambda *_: 0.0), "lidar", 0.7),
     Fault("lidar: front quarter at maximum", quarter(lambda *_: math.inf), "lidar", 0.7),
-    Fault("lidar: a phantom at 0.25 m", phantom, "lidar", 1.0, "in motion"),
+    Fault("lidar: a phantom at 0.25 m", phantom, "lidar", 0.5, "once it has moved"),
     Fault("lidar silent", reading(silent), "lidar", 0.6),
     Fault("IMU: bias of 0.3 rad/s", gyro(lambda rate: rate + 0.3), "imu", 1.2, suspects=EITHER),
     Fault("IMU constant", reading(same_again), "imu", 0.5),
@@ -443,7 +449,7 @@ FAULTS: tuple[Fault, ...] = (
     Fault("stamps 1 h late, then silence", stamps(3600 * SECOND, True), "motor", 0.5, "if commanded",
           free="target"),
     Fault("operator's abuse", abuse, "motor", None, lasts=2.5, why="it is no fault", harmless=True),
-    Fault("set-points replayed", replayed, "motor", 0.3, "if commanded", free="all"),
+    Fault("set-points replayed", replayed, "motor", 0.7, "if commanded", free="all"),
     Fault("a second gateway", second_gateway, "motor", 1.0, "if it strays", free="all"),
 )  # fmt: skip
 
