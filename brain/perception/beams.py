@@ -123,8 +123,8 @@ class Beams:
             found = int(np.count_nonzero(bad))
             if found >= max(FEW, least / scan.angle_increment):
                 x, y = beams[:, bad].sum(axis=1)
-                about = math.degrees(math.atan2(y, x))
-                return f"{found} of {count} beams, about {about:.0f}° from ahead, {what}"
+                about = round(math.degrees(math.atan2(y, x)))
+                return f"{found} of {count} beams, about {about}° from ahead, {what}"
         return ""
 
     def _look_for_hanging(
