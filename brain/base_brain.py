@@ -58,7 +58,7 @@ class BaseBrain:
         timeouts: Mapping[str, Nanos],
     ) -> None:
         self._settings, self._body = settings, body
-        self.perception = Perception(body, dict(sensors), settings.perception)
+        self.perception = Perception(body, dict(sensors), settings.perception, settings.stop.self_seen)
         self.navigator = Navigator(body, settings.planner, settings.behaviour)
         self.missions = Missions()
         self._zone = StopZone(body, self.perception.mounts, settings.stop)

@@ -19,6 +19,11 @@ Declared: after these faults a base with wheels, gyro, and a lidar of at least 1
 begins to stand within this time, or way; a contradiction drops the tasks 1 s later.
 
     lidar: frozen; returns from fewer than 15 % of its rays   0.6 s
+    lidar: 40° or more lose their returns at once (blind, or  0.8 s
+        at their maximum)
+    lidar: 10° or more frozen, seeing what is on the way      0.5 m driven; 0.6 rad turned, and 0.4 s
+    lidar: what hangs within 0.6 m, 6° wide or more (before   0.4 m driven past it, or 0.8 rad turned, and
+        that the base slows and stands, as before anything)     0.4 s
     lidar: turned by 5° or more, shifted by 0.5 m, ranges     0.4 s
         off by 0.5 m, most rays past what was there
     lidar: mounted otherwise from the start: 180°; 0.5 m      0.4 m driven; 0.4 rad turned
@@ -42,7 +47,8 @@ after 1 m):
     IMU: silent or constant, where a lidar matches            half of its timeout; 0.4 s
 
 Not noticed, since nothing shows it: swapped wheels or a reversed gyro on a straight way; a lidar turned by
-180° where the place looks the same; one mounted wrong by less than 1.5° or 0.05 m; a bias below 0.08 rad/s, a
+180° where the place looks the same; a sector of it that never had a return, or is frozen along a wall (open
+ground, and the wall, look the same); one mounted wrong by less than 1.5° or 0.05 m; a bias below 0.08 rad/s, a
 jump of it below 0.05 rad/s, and any slip below a third of the way, which the filter learns; without a lidar,
 wheels that turn on the spot or are both at another scale, and a gyro's bias under way; without a gyro and a
 lidar, all of these.

@@ -59,6 +59,19 @@ def any_matches(choices: Iterable[IdMask], frame: CanFrame | int) -> bool:
     return any((number ^ ids) & mask == 0 for ids, mask in choices)
 
 
+class IdSet:
+    """Many ids, to be looked up quickly: by mask."""
+
+    def __init__(self, choices: Iterable[IdMask]) -> None:
+        self._by_mask: dict[int, set[int]] = {}
+        for number, mask in choices:
+            self._by_mask.setdefault(mask, set()).add(number & mask)
+
+    def __contains__(self, number: int) -> bool:
+        """True if a number, with the bit of its format, is among them."""
+        return any(number & mask in values for mask, values in self._by_mask.items())
+
+
 def overlap(one: IdMask, other: IdMask) -> bool:
     """True if there is an id that both contain."""
     return (one[0] ^ other[0]) & one[1] & other[1] == 0

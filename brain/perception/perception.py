@@ -22,6 +22,7 @@ from brain.belief import Estimate, Floats, Pose
 from brain.bodies.body import Base
 from brain.bodies.plane import wrap
 from brain.checks import within
+from brain.perception.beams import Beams
 from brain.perception.body_scan import BodyScan, Bools, to_body
 from brain.perception.consistency import OUTLIER, Agreement, Consistency, Verdict
 from brain.perception.engine import pose_part
@@ -108,7 +109,10 @@ class _Part:
 class Perception:
     """Estimate, map and verdict. Plain data: a deep copy continues exactly as the original."""
 
-    def __init__(self, body: Base, mounts: Mapping[str, Mount], settings: PerceptionSettings) -> None:
+    def __init__(
+        self, body: Base, mounts: Mapping[str, Mount], settings: PerceptionSettings, self_seen: float = 0.0
+    ) -> None:
+        """`self_seen`: m about the footprint, within which a beam ends at the robot's own body."""
         self.body = body
         self.settings = settings
         self.map = Map(settings.map)
@@ -128,6 +132,8 @@ class Perception:
         self._vertical = {name: mount.rotation()[2] for name, mount in mounts.items()}
         self._last_scan: dict[str, tuple[Nanos, Floats]] = {}
         """Time and ranges of the newest scan."""
+        self._self_seen = self_seen
+        self._beams: dict[str, Beams] = {}
         self._last_imu: dict[str, tuple[Imu, int]] = {}
         """First reading of a row of equal ones, and how many they are."""
         self._scans: deque[LaserScan] = deque()
@@ -291,7 +297,7 @@ class Perception:
             first, count = imu, 0
         self._last_imu[imu.sensor] = first, count + 1
         constant = count + 1 >= CONSTANT_COUNT and imu.t - first.t >= CONSTANT_FOR
-        self._set_absent(imu.sensor, CONSTANT if constant else "")
+        self._set_absent(imu.sensor, CONSTANT if constant else "", CONSTANT)
         return constant
 
     # -- lidar ---------------------------------------------------------------------------------
@@ -313,16 +319,19 @@ class Perception:
             reason = f"{returns} of {len(ranges)} rays have returns" if few else ""
             if returns and last is not None and np.array_equal(ranges, last[1], equal_nan=True):
                 reason = CONSTANT
-            self._set_absent(scan.sensor, reason)
+            elif not reason:
+                beams = self._beams.setdefault(scan.sensor, Beams(self.body.outline, self._self_seen))
+                reason = beams.observe(scan, ranges, self.mounts[scan.sensor], Pose(*self._filter.state.raw))
+            self._set_absent(scan.sensor, reason, "too few returns" if few else "some beams do not measure")
             if returns and not reason:
                 self._scans.append(scan)
             if len(self._scans) > SCANS_WAITING:
                 self._count(self._scans.popleft().sensor, "too many are waiting")
 
-    def _set_absent(self, name: str, reason: str) -> None:
+    def _set_absent(self, name: str, reason: str, kind: str) -> None:
         if reason:
             self.absent[name] = reason
-            self._count(name, "too few returns" if reason != CONSTANT else CONSTANT)
+            self._count(name, kind if reason != CONSTANT else CONSTANT)
         else:
             self.absent.pop(name, None)
 

@@ -104,9 +104,12 @@ def read_bus(name: str, table: Table, mistakes: Mistakes) -> BusSettings | None:
 
 
 def own_ids(specs: Collection[Spec]) -> tuple[IdMask, ...]:
-    """Return the receive filter "own": what the devices of a bus send, and what their drivers understand of
-    others. Empty if nothing is expected: then everything is received."""
-    return tuple(sorted({ids for spec in specs for ids in (*spec.expects, *spec.receives_also)}))
+    """Return the receive filter "own": what the devices of a bus send, what their drivers understand of
+    others, and what another host would send to them. Empty if nothing is expected: then everything is
+    received."""
+    if not any(spec.expects or spec.receives_also for spec in specs):
+        return ()
+    return tuple(sorted({ids for spec in specs for ids in (*spec.expects, *spec.receives_also, *spec.sends)}))
 
 
 def check_interface(interface: str, kind: str, at: Key, mistakes: Mistakes) -> None:

@@ -37,6 +37,11 @@ SPRING_ERROR = 0.05
 """Share of the limit by which the torque of a spring may be wrong: its gains are rounded, too."""
 
 
+def text_of(frame: Frame) -> str:
+    """Return a frame in candump's notation, bytes in hexadecimal."""
+    return str(frame) if isinstance(frame, CanFrame) else frame.hex().upper()
+
+
 @dataclass(frozen=True, slots=True)
 class Blocked:
     """A frame that was not sent."""
@@ -52,8 +57,7 @@ class Blocked:
     @property
     def text(self) -> str:
         """The rule, the numbers and the frame."""
-        frame = str(self.frame) if isinstance(self.frame, CanFrame) else self.frame.hex().upper()
-        return f"{self.rule}{f' ({self.detail})' if self.detail else ''}: {frame}"
+        return f"{self.rule}{f' ({self.detail})' if self.detail else ''}: {text_of(self.frame)}"
 
 
 Objection: TypeAlias = tuple[str, str]
@@ -194,6 +198,17 @@ class Guard:
         """True if a motor was sent a set-point, Hold among them, at this time or later."""
         at, command = self._last.get((motor, None), (-1, msg.Idle(motor)))
         return at >= since and not isinstance(command, msg.Idle)
+
+    def overhear(self, t: Nanos, bus: str, frame: Frame) -> list[Obeyed]:
+        """Return what a frame of another host makes the devices do, but for reading and disarming. It leaves
+        no trace: what is sent is judged by what we have sent."""
+        receivers = self._receivers[bus]
+        try:
+            obeyed = receivers.decode(t, frame)
+        except Exception:  # noqa: BLE001 -- a plugin's; a frame that cannot be read commands nothing
+            obeyed = ()
+        receivers.take_back(frame)
+        return [one for one in obeyed if not isinstance(one, (*READS, msg.Idle))]
 
     # -- whose it is --------------------------------------------------------------------------------
 

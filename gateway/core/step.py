@@ -10,18 +10,18 @@ keeps nothing from the others. Nothing was received, or measured, later than now
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
 
 from brain.belief import Belief, BrainTask
 from brain.brain import Brain
-from gateway.core.guard import Blocked, Guard
+from gateway.core.guard import Blocked, Guard, text_of
 from gateway.core.joint import Joint
 from gateway.core.tick import Inputs, Note, Outputs
 from protocols import messages as msg
-from protocols.frames import BusState, Frame, Packet
+from protocols.frames import BusState, CanFrame, Frame, IdMask, IdSet, Packet, id_number
 from protocols.messages import Command, Event, Instruction, Mode, Nanos, Request, Task
 from protocols.plugin import Driver, RxCounters
 
@@ -41,6 +41,10 @@ FRAME_BLOCKED = -4
 """Our own fault code: the guard has held back a frame to the device."""
 DRIVER_FAILED = -5
 """Our own fault code: the driver of the device has raised an exception."""
+OTHER_HOST = -11
+"""Our own fault code: another host commands the device."""
+OVERHEARD = 8
+"""Most frames of other hosts that a step reads, by bus."""
 
 LEFT_ARMED = "still armed: cut its supply"
 """The note on a motor that still reports being armed when the run has been left."""
@@ -91,6 +95,10 @@ class Gateway:
                 motors = frozenset(one.name for one in devices if one.name in self.joints)
                 self._drivers.append(_BusDriver(bus, plugin.name, motors, plugin.driver(devices)))
         self._on_bus = {bus: [one for one in self._drivers if one.bus == bus] for bus in robot.buses}
+        self._only_sent = {bus: (IdSet(sent), IdSet(received)) for bus, sent, received in _ids(robot)}
+        """By CAN bus: the ids to its devices, and those that they or others answer with."""
+        self._other_hosts: set[str] = set()
+        """The motors that another host commands, and that are not ours: each is noted once."""
         self.guard = Guard(robot)
         self._values: list[object] = [
             each for motor in robot.motors.values() for each in (motor.spec, motor.device, motor.joint)
@@ -240,13 +248,37 @@ class Gateway:
     def _receive(self, now: Nanos, packets: Sequence[Packet]) -> list[Event]:
         events = self._on_events(now, self._late)
         self._late = []
+        heard = dict.fromkeys(self._only_sent, 0)
         for packet in packets:
             t = min(packet.t, now)
+            if self._is_of_another_host(packet) and heard[packet.bus] < OVERHEARD:
+                heard[packet.bus] += 1
+                self._overhear(t, packet)
             for one in self._on_bus[packet.bus]:
                 received = self._call(one, _NOTHING, one.driver.receive, t, packet.frame)
                 if received:
                     events += self._on_events(now, received)
         return events
+
+    def _is_of_another_host(self, packet: Packet) -> bool:
+        """True if only a host sends such a frame: ours are not received."""
+        if not isinstance(packet.frame, CanFrame):
+            return False
+        number, (sent, received) = id_number(packet.frame), self._only_sent[packet.bus]
+        return number in sent and number not in received
+
+    def _overhear(self, t: Nanos, packet: Packet) -> None:
+        """Latch a fault of the motors that are ours and that another host commands; note the others."""
+        frame = text_of(packet.frame)
+        for one in self.guard.overhear(t, packet.bus, packet.frame):
+            joint = self.joints.get(name := getattr(one, "motor", ""))
+            if joint is not None and joint.owned:
+                cause = f"a second gateway, a tool or a replay sends {frame}"
+                remedy = "end the other program, then clear the fault"
+                joint.latch(msg.Fault(name, t, OTHER_HOST, "another host commands it", cause, remedy))
+            elif joint is not None and name not in self._other_hosts:
+                self._other_hosts.add(name)
+                self._note("warning", name, f"another host commands it: {frame}; end it before you command")
 
     def _on_events(self, now: Nanos, events: Iterable[Event]) -> list[Event]:
         """Pass the events of motors through their joints; return what goes on to the brain."""
@@ -453,6 +485,14 @@ def _last_command(now: Nanos, joint: Joint) -> tuple[Command, str]:
         return joint.command(now, None, stopped=True, last=True), ""
     except Exception as error:  # noqa: BLE001 -- whatever has failed, the others get theirs
         return msg.Idle(joint.name), f"{type(error).__name__}: {error}"
+
+
+def _ids(robot: Robot) -> Iterator[tuple[str, list[IdMask], list[IdMask]]]:
+    """Yield each bus with the ids to its devices, and those that they or others answer with."""
+    for bus, settings in robot.buses.items():
+        specs = settings.devices
+        received = [ids for spec in specs for ids in (*spec.expects, *spec.receives_also)]
+        yield bus, [ids for spec in specs for ids in spec.sends], received
 
 
 def _is_for(request: Request, driver: _BusDriver) -> bool:

@@ -19,6 +19,8 @@ METADATA = "motor_gateway"
 """Name of the metadata with format and digest of the robot file."""
 FACTS = "facts"
 """Name of the metadata with versions, processor and so on."""
+RECOVERED = "recovered"
+"""Name of additional metadata of a recovered file: its source, and what was lost."""
 
 
 class Opcode:

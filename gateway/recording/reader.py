@@ -20,6 +20,7 @@ from gateway.recording.layout import (
     MAGIC,
     METADATA,
     READABLE,
+    RECOVERED,
     ROBOT_FILE,
     Opcode,
     digest,
@@ -42,9 +43,9 @@ _VIEW = 200
 """Bytes of memory of a view, beside its data"""
 
 if TYPE_CHECKING:
-    from mcap.records import Attachment, Channel, Header, Metadata, Schema, Statistics
+    from mcap.records import Attachment, Channel, Header, Metadata, MetadataIndex, Schema, Statistics
 
-    R = TypeVar("R", Attachment, Channel, Header, Metadata, Schema, Statistics)
+    R = TypeVar("R", Attachment, Channel, Header, Metadata, MetadataIndex, Schema, Statistics)
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +98,8 @@ class Recording:
     """Number of ticks by its index; None without an index."""
     end: Nanos
     """Time of its last tick: by its index, or by the heads of its chunks."""
+    recovered: bool = False
+    """True if `gateway recover` has made it of a file that was cut off or damaged."""
 
     @property
     def ticks(self) -> Iterator[Tick]:
@@ -129,11 +132,11 @@ def read_recording(path: Path | str) -> Recording:
     whole = has_end(path)
     format_, robot_text, facts = head(path, whole)
     robot_text = robot_text if format_ == FORMAT else modernised(robot_text)
-    indexed, end = _indexed(path) if whole else (None, None)
+    indexed, end, recovered = _indexed(path) if whole else (None, None, False)
     if end is None:
         with path.open("rb") as file:
             end = newest_time(file)
-    return Recording(path, format_, robot_text, facts, whole, indexed, end)
+    return Recording(path, format_, robot_text, facts, whole, indexed, end, recovered)
 
 
 def has_end(path: Path) -> bool:
@@ -210,12 +213,14 @@ def head(path: Path, whole: bool) -> tuple[str, str, dict[str, str]]:
     return format_, robot.decode(errors="surrogateescape"), metadata.get(FACTS, {})
 
 
-def _indexed(path: Path) -> tuple[int, Nanos] | tuple[None, None]:
-    """Return the number of ticks that the index counts, and the time of the last; None if it does not."""
-    from mcap.records import Channel, Statistics
+def _indexed(path: Path) -> tuple[int | None, Nanos | None, bool]:
+    """Return the number of ticks that the index counts, and the time of the last (None if it does not); and
+    whether the file was recovered."""
+    from mcap.records import Channel, MetadataIndex, Statistics
 
     ticks: set[int] = set()
     found: Statistics | None = None
+    recovered = False
     with path.open("rb") as file:
         for record in summary(file):
             if record.opcode == Opcode.CHANNEL:
@@ -223,9 +228,12 @@ def _indexed(path: Path) -> tuple[int, Nanos] | tuple[None, None]:
                 ticks |= {channel.id} if channel.topic == tick_codec.TOPIC else set()
             elif record.opcode == Opcode.STATISTICS:
                 found = parse(path, Statistics, record)
+            elif record.opcode == Opcode.METADATA_INDEX:
+                recovered |= parse(path, MetadataIndex, record).name == RECOVERED
     if found is None:
-        return None, None
-    return sum(found.channel_message_counts.get(channel, 0) for channel in ticks), found.message_end_time
+        return None, None, recovered
+    count = sum(found.channel_message_counts.get(channel, 0) for channel in ticks)
+    return count, found.message_end_time, recovered
 
 
 def _records(path: Path, whole: bool, start: int = len(MAGIC)) -> Iterator[Record]:

@@ -16,15 +16,13 @@ from pathlib import Path
 
 from gateway.errors import RecordingError
 from gateway.recording import tick_codec
-from gateway.recording.layout import MAGIC, Opcode
+from gateway.recording.layout import MAGIC, RECOVERED, Opcode
 from gateway.recording.mcap_file import McapFile
 from gateway.recording.mcap_records import FOOTER, MESSAGE_HEAD, Damage, Record, records
 from gateway.recording.new_file import EXISTS, publish
 from gateway.recording.reader import has_end, head, parse, read_recording
 from protocols.messages import Nanos, seconds
 
-RECOVERED = "recovered"
-"""Name of additional metadata of a recovered file: its source, and what was lost."""
 CHUNK_SIZE = 512 * 1024
 MAX_LISTED = 1000
 """Gaps"""

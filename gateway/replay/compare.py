@@ -99,6 +99,10 @@ class Comparison:
     """What has changed since the recording."""
     texts_compared: bool = True
     """False for a recording of format 1: see above."""
+    cut: bool = False
+    """True if the recording has no end: what followed its last tick is not known."""
+    recovered: bool = False
+    """True if it is what could be recovered of another."""
 
     @property
     def first(self) -> Difference | None:
@@ -134,9 +138,13 @@ class Comparison:
         compared = [counts]
         if not self.texts_compared:
             compared.append("texts for people were left out: they were worded differently in format 1")
+        if self.recovered:
+            compared.append("it was recovered: what had been cut off or damaged is not in it")
         if self.ok:
             return "\n".join(["the same, byte for byte", *compared])
-        lines = ["NOT the same", *self.objections()]
+        objections = self.objections()
+        merely_cut = self.cut and len(objections) == 1
+        lines = ["the same up to its end, which is missing" if merely_cut else "NOT the same", *objections]
         if self.differing:
             lines.append(f"the packets of {self.differing} ticks differ in all")
         lines += [f"likely cause: {cause}" for cause in self.causes]
@@ -264,6 +272,8 @@ class Comparer:
             self.in_order(),
             tuple(causes),
             self._texts,
+            not self._recording.whole,
+            self._recording.recovered,
         )
 
     def in_order(self) -> tuple[Difference, ...]:

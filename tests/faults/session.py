@@ -254,6 +254,8 @@ class Run:
         match self.fault.shows:
             case "in motion":
                 return strays or any(abs(each) > MOVING for each in wanted)
+            case "once it has moved":
+                return self.result.distance > 0.5
             case "in turning":
                 left, right = map(self._wanted, self.wheels)
                 return abs(left - right) > 1.5

@@ -39,6 +39,8 @@ class WatchedBus:
     """What the stamps of the received packets are wrong by."""
     tap: list[Packet] | None = None
     """Where everything received is put, for another host on the bus."""
+    sent: list[tuple[Nanos, Frame]] | None = None
+    """Where everything sent is put, with its time, for another host that replays it."""
     setpoints: dict[str, msg.Command] = field(default_factory=dict)
     """What the device last obeys of it, by motor,"""
     driven_at: dict[str, Nanos] = field(default_factory=dict)
@@ -58,6 +60,8 @@ class WatchedBus:
 
     def write(self, now: Nanos, frames: Sequence[Frame]) -> None:
         """Judge what the devices would obey, and pass it on."""
+        if self.sent is not None:
+            self.sent += [(now, frame) for frame in frames]
         for frame in frames:
             for message in self.decoder.decode(now, frame):
                 if isinstance(message, msg.Command | msg.Arm):

@@ -17,7 +17,7 @@ from gateway.core.step import Gateway
 from gateway.core.tick import Inputs
 from protocols import messages as msg
 from protocols.conformance.random import Random
-from protocols.frames import BusState, CanFrame, Packet
+from protocols.frames import BusState, CanFrame, Frame, Packet
 from protocols.messages import MILLISECOND, SECOND, Feedback, Instruction, LaserScan, Nanos
 from tests.faults.session import Result, Run
 from tests.faults.start import PHASES, Warm
@@ -38,7 +38,13 @@ class Fault:
     """What has it: only robots with such a device are given it."""
     notice: float | None
     shows: Literal[
-        "at once", "in motion", "in turning", "if it strays", "if commanded", "if it was commanded"
+        "at once",
+        "in motion",
+        "once it has moved",
+        "in turning",
+        "if it strays",
+        "if commanded",
+        "if it was commanded",
     ] = "at once"
     why: str = ""
     """Why it is not noticed."""
@@ -204,6 +210,20 @@ def second_gateway(run: Run) -> None:
     run.each = each
 
 
+def replayed(run: Run) -> None:
+    """Let another host send again what ours has sent, a while later."""
+    bus, late = run.at.buses[run.bus], run.random.below(400) * MILLISECOND + 100 * MILLISECOND
+    waiting: list[tuple[Nanos, Frame]] = []
+    bus.sent = waiting
+
+    def each(now: Nanos) -> Sequence[Instruction]:
+        while waiting and now - waiting[0][0] >= late:
+            run.world.buses[run.bus].intrude(now, "other host", [waiting.pop(0)[1]])
+        return ()
+
+    run.each = each
+
+
 # -- sensors -----------------------------------------------------------------------------------------------
 
 
@@ -236,6 +256,33 @@ def turned(degrees: float) -> Inject:
         return scan.ranges[-beams:] + scan.ranges[:-beams]
 
     return ranges(change)
+
+
+def sector(width: float, change: Callable[[Run, Memory, int, float], float], about: float = 0.0) -> Inject:
+    """Change what the beams of a sector read [rad, from ahead], by the beam's number and the true range."""
+
+    def changed(run: Run, scan: LaserScan, memory: Memory) -> LaserScan:
+        found = list(scan.ranges)
+        for beam, true in enumerate(scan.ranges):
+            if (
+                abs(math.remainder(scan.angle_min + beam * scan.angle_increment - about, math.tau))
+                < width / 2
+            ):
+                found[beam] = min(change(run, memory, beam, true), scan.range_max)
+        return replace(scan, ranges=tuple(found))
+
+    return reading(changed)
+
+
+def quarter(change: Callable[[Memory, int, float], float]) -> Inject:
+    """Change what the front quarter of a lidar reads."""
+    return sector(math.pi / 2, lambda _run, memory, beam, true: change(memory, beam, true))
+
+
+def phantom(run: Run) -> None:
+    """Hang something before the lidar, 20° wide, on any side."""
+    side = run.random.uniform(-math.pi, math.pi)
+    sector(math.radians(20.0), lambda run, *_: 0.25 + run.random.uniform(-0.01, 0.01), side)(run)
 
 
 def gyro(change: Callable[[float], float]) -> Inject:
@@ -363,7 +410,11 @@ FAULTS: tuple[Fault, ...] = (
     Fault("encoders swapped", swapped, "wheel", 1.0, "in turning", suspects=EITHER),
     Fault("no torque", torque(lambda _given: 0.0), "motor", 0.6, "if it strays"),
     Fault("weak motor, 30 %", torque(lambda given: 0.3 * given), "motor", 0.6, "if it strays"),
+    Fault("half torque", torque(lambda given: 0.5 * given), "motor", 0.6, "if it strays"),
     Fault("runaway", runaway, "motor", 0.5, "if commanded", free="target"),
+    Fault("commands 300 ms late", frames(
+        lambda _run, one: later(one, 300 * MILLISECOND) if one.sender == HOST else (one,), 60.0),
+        "motor", 1.0, "if it strays"),
     # buses
     Fault("bus-off, back after 0.5 s", lost(BusState.OFF, 0.5), "motor", 0.1),
     Fault("bus gone, back after 0.5 s", lost(BusState.GONE, 0.5), "motor", 0.1),
@@ -380,6 +431,11 @@ FAULTS: tuple[Fault, ...] = (
     Fault("lidar: 90 % without a reading", ranges(
         lambda run, scan: [0.0 if run.random.below(10) else each for each in scan.ranges]), "lidar", 1.0),
     Fault("lidar frozen", reading(same_again), "lidar", 0.7, "in motion"),
+    Fault("lidar: front quarter frozen", quarter(
+        lambda memory, beam, true: memory.setdefault(str(beam), true)), "lidar", 0.8, "in motion"),
+    Fault("lidar: front quarter blind", quarter(lambda *_: 0.0), "lidar", 0.7),
+    Fault("lidar: front quarter at maximum", quarter(lambda *_: math.inf), "lidar", 0.7),
+    Fault("lidar: a phantom at 0.25 m", phantom, "lidar", 0.5, "once it has moved"),
     Fault("lidar silent", reading(silent), "lidar", 0.6),
     Fault("IMU: bias of 0.3 rad/s", gyro(lambda rate: rate + 0.3), "imu", 1.2, suspects=EITHER),
     Fault("IMU constant", reading(same_again), "imu", 0.5),
@@ -393,6 +449,7 @@ FAULTS: tuple[Fault, ...] = (
     Fault("stamps 1 h late, then silence", stamps(3600 * SECOND, True), "motor", 0.5, "if commanded",
           free="target"),
     Fault("operator's abuse", abuse, "motor", None, lasts=2.5, why="it is no fault", harmless=True),
+    Fault("set-points replayed", replayed, "motor", 0.7, "if commanded", free="all"),
     Fault("a second gateway", second_gateway, "motor", 1.0, "if it strays", free="all"),
 )  # fmt: skip
 

@@ -15,7 +15,8 @@ from rosbags.highlevel import AnyReader
 from gateway.cli.main import main
 from gateway.errors import RecordingError
 from gateway.recording import read_recording, tick_codec
-from gateway.recording.recover import RECOVERED, is_whole, recover
+from gateway.recording.layout import RECOVERED
+from gateway.recording.recover import is_whole, recover
 from protocols.messages import seconds
 from tests.gateway import little
 from tests.gateway.kills import raw_ticks, read_by_rosbags

@@ -17,6 +17,7 @@ from gateway.config import parse_robot
 from gateway.core.message_text import message_text
 from gateway.core.tick import Inputs, Note, Outputs, Tick
 from gateway.recording import Recorder, environment, read_recording, tick_codec
+from gateway.recording.recover import recover
 from gateway.recording.tick_codec import CHAIN_START, DigestChain
 from gateway.recording.tick_codec import encode as encode_tick
 from gateway.replay import Comparison, compare, diff, replay_recording
@@ -132,6 +133,20 @@ def test_a_cut_recording_is_compared_and_not_good(recorded: Path, tmp_path: Path
     assert 0 < result.ticks < 300
     assert [d.kind for d in result.differences] == ["recording"]
     assert "it was cut; all before was compared" in result.text()
+    assert result.text().startswith("the same up to its end, which is missing\n")
+    assert not result.ok
+    altered = compared(tmp_path / "cut.mcap", Little(gain=2.1))
+    assert altered.text().startswith("NOT the same\n")
+
+
+def test_a_recovered_recording_is_good_and_says_so(recorded: Path, tmp_path: Path) -> None:
+    data = recorded.read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(data[: len(data) // 2])
+    recover(tmp_path / "cut.mcap", tmp_path / "whole.mcap")
+    result = compared(tmp_path / "whole.mcap")
+    assert result.ok
+    assert "it was recovered: what had been cut off or damaged is not in it" in result.text()
+    assert "recovered" not in compared(recorded).text()
 
 
 def test_a_damaged_recording_leaves_ticks_over(recorded: Path, tmp_path: Path) -> None:
