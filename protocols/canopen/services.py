@@ -63,6 +63,10 @@ class NmtCommand(IntEnum):
     RESET_COMMUNICATION = 0x82
 
 
+NMT_STATE = "NMT state"
+"""The parameter that an NMT command changes."""
+
+
 class NmtState(IntEnum):
     """NMT states in a heartbeat. INITIALISING is the boot-up message."""
 

@@ -72,6 +72,7 @@ def spec(device: Device) -> Spec:
         ranges=ranges(options),
         watchdog=Watchdog(None, enabled=False, note="" if options.watchdog == "acknowledged" else NOTE),
         faults=cm.FAULTS,
+        set_up={"exit": (1.0,)} if mit else {},
         canonical=options.gains.canonical if mit else unchanged,
         caution=SILENT if mit and not options.sole_host else "",
     )
