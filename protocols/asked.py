@@ -90,6 +90,8 @@ class _Given:
     """What the device was told last,"""
     place: float | None = None
     """and where it is held, since it is to stand."""
+    start: float | None = None
+    """Where it was then."""
     recent: list[tuple[Nanos, Command]] = field(default_factory=list)
     """The commands before, with the times at which the next was given."""
     asked: dict[str, list[Nanos]] = field(default_factory=dict)
@@ -106,6 +108,13 @@ class _Given:
         number: float = getattr(one, name)
         absolute, relative = self.errors.get((type(one), name), (0.0, ROUNDED))
         return abs(number - value) <= 2.0 * (absolute + relative * abs(value)) + 1e-9
+
+    def was(self, now: Nanos, one: Command, name: str) -> bool:
+        """True if the device had this number in a command of this type a short time ago."""
+        return any(
+            now - until <= DELAYS and type(each) is type(one) and self.close(one, name, getattr(each, name))
+            for until, each in self.recent
+        )
 
     def under_way(self, now: Nanos, kind: type[object]) -> bool:
         """True if a request of this type is."""
@@ -151,14 +160,16 @@ class Asked:
         other = type(device.command) is not type(before)
         device.since = now if other else device.since
         if other or not _stands(before):
-            device.place = None
+            device.place = device.start = None
 
     def answer(self, event: Event) -> None:
         """Note the answer to a request: it is not under way any more."""
         if not isinstance(event, msg.Done | msg.Refused | msg.Parameter):
             return
-        read = isinstance(event, msg.Parameter)
-        kind, name = ("ReadParameter", event.motor) if read else (event.request, event.name)
+        if isinstance(event, msg.Parameter):
+            kind, name = msg.ReadParameter.__name__, event.motor
+        else:
+            kind, name = event.request, event.name
         device = self._devices.get(name)
         if device is not None and (under_way := device.asked.get(kind)):
             answered = device.answered.get(kind, 0) + 1
@@ -167,12 +178,14 @@ class Asked:
                 answered = 0
             device.answered[kind] = answered
 
-    def passed(self, one: Obeyed) -> None:
+    def passed(self, one: Obeyed, reported: Reported) -> None:
         """Note what a device has been told."""
         if isinstance(one, msg.COMMANDS) and (device := self._devices.get(one.motor)) is not None:
             device.before = one
-            if _stands(device.command) and device.place is None:
-                device.place = getattr(one, "position", None)
+            if not reported.armed:
+                device.place = None
+            elif _stands(device.command):
+                device.place = getattr(one, "position", device.place)
 
     # -- what may be told ---------------------------------------------------------------------------
 
@@ -225,6 +238,7 @@ class Asked:
             case msg.Home() if device.under_way(now, msg.Zero):
                 return None  # some take their zero by homing where they stand
         if isinstance(one, msg.COMMANDS):
+            device.start = reported.position if device.start is None else device.start
             return _objection_to_command(now, device, one, reported, NUMBERS[type(one)])
         return None if device.under_way(now, type(one)) else (NOT_MADE, type(one).__name__)
 
@@ -295,25 +309,27 @@ def _objection_to_command(
             continue
         if last is not None and (changing or name == "position") and device.close(one, name, last):
             continue
-        if alike and any(
-            now - until <= DELAYS and type(each) is type(one) and device.close(one, name, getattr(each, name))
-            for until, each in (() if _stands(command) else device.recent)
-        ):
+        if (name == "position" or (alike and not _stands(command))) and device.was(now, one, name):
             continue
-        if name == "position" and _is_there(device, one, value, reported):
+        if changing and name == "torque" and abs(value) <= 1.05 * (abs(has or 0.0) + abs(last or 0.0)):
+            continue  # some devices add a feed-forward, which follows the mode
+        if name == "position" and _is_there(now, device, one, value, reported):
             continue
         return NOT_COMMANDED, f"{type(one).__name__} with a {name} of {value:g}, and it has {device.raw}"
     return None
 
 
-def _is_there(device: _Given, one: Command, value: float, reported: Reported) -> bool:
+def _is_there(now: Nanos, device: _Given, one: Command, value: float, reported: Reported) -> bool:
     """True if a position is where the device is: it begins there, or is held there."""
     place = reported.position
     if place is None or not reported.armed:
         return True
     if isinstance(device.command, msg.Position | msg.Impedance):
         return False
-    if _stands(device.command):
-        return device.place is None or device.close(one, "position", device.place)
+    stands = _stands(device.command)
+    if stands and (device.place is None or device.close(one, "position", device.place)):
+        return True
     ahead = abs(getattr(device.command, "velocity", 0.0)) * LATENCY / SECOND
-    return abs(value - place) <= ahead + NEAR
+    if stands and now - device.since > CHANGES:
+        return False
+    return any(abs(value - each) <= ahead + NEAR for each in (place, device.start) if each is not None)

@@ -192,8 +192,8 @@ class Guard:
                 continue
             receivers.keep(now, frame)
             for one in obeyed:
-                self._asked.passed(one)
                 if isinstance(one, msg.COMMANDS):
+                    self._asked.passed(one, self._reported(joints.get(one.motor)))
                     last[one.motor, type(one)] = last[one.motor, None] = (now, one)
             passed.append(frame)
         self._last |= last  # only now: frames of one step are compared with those of the steps before
@@ -261,9 +261,14 @@ class Guard:
             return "arming against a stop or a fault", next(iter(joint.faults), ("", ""))[1]
         if isinstance(one, SET_POINTS) and (found := self._outside(now, one, joint)) is not None:
             return found
+        return self._asked.objection(now, one, self._reported(joint), ours)
+
+    def _reported(self, joint: Joint | None) -> Reported:
+        """Return what a device reports, at its own shaft."""
+        if joint is None:
+            return Reported()
         place = joint.feedback.position
-        place = None if place is None else place * self._motors[joint.name].ratio
-        return self._asked.objection(now, one, Reported(joint.armed, place), ours)
+        return Reported(joint.armed, None if place is None else place * self._motors[joint.name].ratio)
 
     def _outside(self, now: Nanos, one: SetPoint, joint: Joint) -> Objection | None:
         """Return which number of a set-point is beyond the limits of the robot file."""

@@ -34,6 +34,7 @@ from protocols.frames import EXTENDED_BIT, exact
 from protocols.messages import MILLISECOND, Command, Request
 from protocols.plugin import (
     DRIVER_WRITES,
+    Declared,
     Device,
     Driver,
     FeedbackKind,
@@ -136,7 +137,7 @@ def set_up(device: Device) -> Written:
     found = co.declared((write.key, write.value) for write in Known(device.options, device.address).all_writes())
     found[co.title(co.CONSUMER_HEARTBEAT)] = (0.0, *found.get(co.title(co.CONSUMER_HEARTBEAT), ()))
     states = (float(NmtState.OPERATIONAL), float(NmtState.PRE_OPERATIONAL))
-    sent = {SYNC: (0.0,), HEARTBEAT: states, NMT_STATE: states[:1], co.title(o.MODE): MODES}
+    sent: dict[str, tuple[Declared, ...]] = {SYNC: (0.0,), HEARTBEAT: states, NMT_STATE: states[:1], co.title(o.MODE): MODES}
     sent[co.title(o.TARGET_POSITION)] = ((-(2.0**31), 2.0**31),)
     for key in o.TARGETS - {o.TARGET_POSITION}:
         sent[co.title(key)] = (0.0,)

@@ -103,6 +103,8 @@ class Memory:
         """The one after it."""
         self.homing_requested = False
         """The firmware is to begin homing."""
+        self._latched: dict[Key, int] = {}
+        """What waits for the next SYNC."""
         self.units = twin_units(self.values)
         self._mode_before = self.mode
 
@@ -153,6 +155,8 @@ class Memory:
             self._start()
             return (msg.Reboot(self.motor),)
         if received.command is None:
+            if received.sync:
+                self._latched.clear()
             obeyed = self._on_written(received.written) if received.written else ()
             return obeyed or (self._waits(received.latched) if received.latched else ())
         obeyed = list(self.lose_connection()) if received.command in DISCONNECTS else []
@@ -197,8 +201,9 @@ class Memory:
     def _waits(self, latched: Mapping[Key, int]) -> Sequence[Obeyed]:
         """Return what the next SYNC makes of set-points: their numbers, and a controlword and a mode."""
         values = self.values
-        before = {key: values[key] for key in latched if key in values}
-        values.update(latched)
+        self._latched |= latched
+        before = {key: values[key] for key in self._latched if key in values}
+        values.update(self._latched)
         names = {NUMBER_OF[key] for key in latched if key in NUMBER_OF}
         found = [each for each in waiting(*self.command()) if each.parameter.partition(".")[2] in names]
         kept = [

@@ -18,7 +18,7 @@ from protocols.conformance.bench import ALPHA, NAMES, Bench, Messages
 from protocols.conformance.case import Case, Failure, Inapplicable
 from protocols.conformance.fault_injection import moving, resting
 from protocols.frames import CanFrame, Frame, any_matches, malformed
-from protocols.messages import Event, Mode, Nanos
+from protocols.messages import Event, Mode, Nanos, Obeyed
 from protocols.plugin import CommandDecoder, Spec
 
 MOVED, STANDS, RELEASED = 60, 40, 80
@@ -68,14 +68,16 @@ class Watched(tools.DriverWrapper):
             raise Failure(f"not a frame of this bus: {wrong}", (frame,), messages)
         obeyed = list(self.decoder.decode(now, frame))
         for one in obeyed:
-            name = getattr(one, "motor", "")
-            reported = Reported(self.modes.get(name) is Mode.ARMED, self.places.get(name))
-            if found := self.asked.objection(now, one, reported, self.specs):
+            if found := self.asked.objection(now, one, self._reported(one), self.specs):
                 raise Failure(f"{found[0]}: {found[1]}", (frame,), messages)
         for one in obeyed:
-            self.asked.passed(one)
+            self.asked.passed(one, self._reported(one))
         if not obeyed and not self._is_read_only(frame):
             raise Failure("neither read-only nor decoded as anything", (frame,), messages)
+
+    def _reported(self, one: Obeyed) -> Reported:
+        name = getattr(one, "motor", "")
+        return Reported(self.modes.get(name) is Mode.ARMED, self.places.get(name))
 
     def _is_read_only(self, frame: Frame) -> bool:
         listening = [

@@ -21,7 +21,7 @@ from protocols.plugin import Device
 from protocols.toolkit.firmware import ServoFirmware, milliseconds
 from protocols.toolkit.mit import commanded
 from protocols.toolkit.servo import Gains
-from protocols.toolkit.table import Decoded
+from protocols.toolkit.table import Decoded, Values
 
 
 @dataclass(slots=True)
@@ -62,7 +62,7 @@ class Motor:
         obeyed = (goal,) if self.enabled else waiting(self.options.gains.canonical(goal))
         return *self._limits(name, values), *obeyed
 
-    def _goal(self, name: str, values: Mapping[str, float]) -> Command:
+    def _goal(self, name: str, values: Values) -> Command:
         """Return what a set-point commands."""
         if name == "MIT":
             return commanded(self.name, values)

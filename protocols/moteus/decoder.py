@@ -164,7 +164,7 @@ class Memory:
         command = self._meaning(Mode.TIMEOUT if lost else self.mode)
         return (command,) if lost or isinstance(command, msg.Idle) else (msg.Arm(self.motor), command)
 
-    def besides(self, command: Command | Request) -> Sequence[msg.WriteParameter]:
+    def besides(self, command: Obeyed) -> Sequence[msg.WriteParameter]:
         """Return what the last command says beside its numbers that is not as the options have it."""
         if self.mode not in SENT:
             return (msg.WriteParameter(self.motor, "mode", float(self.mode)),)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from math import tau
-from struct import pack
+from struct import pack, unpack
 from typing import NoReturn
 
 import pytest
@@ -91,10 +92,34 @@ class Situation:
     before_ago: Nanos = 5 * MILLISECOND
     """this long before."""
     measured: dict[str, float] = field(default_factory=dict)
+    has: Sequence[Command] | None = None
+    """What the driver was given in this step; None: what the frame makes the device do."""
     coasted: float = 0.0
     """rad/s, with which it turned before it was armed,"""
     coasted_ago: Nanos = 200 * MILLISECOND
     """this long before."""
+
+
+def commanded_by(frame: Frame) -> Sequence[Command]:
+    """Return the command, at the device's shaft, of which an ODrive's driver makes this frame."""
+    if not isinstance(frame, CanFrame) or frame.id >> 5 not in (LEFT, RIGHT):
+        return ()
+    motor, data = {LEFT: "left", RIGHT: "right"}[frame.id >> 5], frame.data.ljust(8, b"\0")
+    match frame.id & 0x1F:
+        case 0x0B:
+            kinds = {1: msg.Torque(motor, 0.0), 2: msg.Velocity(motor, 0.0), 3: msg.Position(motor, 0.0)}
+            return [kinds[data[0]]]
+        case 0x07 if data[0] == 8:
+            return [msg.Velocity(motor, 0.0)]
+        case 0x0C:
+            turns, ahead, torque = unpack("<fhh", data)
+            return [msg.Position(motor, turns * tau, ahead * 0.001 * tau, torque * 0.001)]
+        case 0x0D:
+            turns, torque = unpack("<ff", data)
+            return [msg.Velocity(motor, turns * tau, torque)]
+        case 0x0E:
+            return [msg.Torque(motor, unpack("<f", data[:4])[0])]
+    return ()
 
 
 def verdict(situation: Situation, frame: Frame) -> str:
@@ -122,8 +147,12 @@ def blocked_of(situation: Situation, frame: Frame) -> Blocked | None:
     for request in situation.asked:
         guard.ask(now - situation.asked_ago, request)
     past = now - situation.before_ago
-    before = guard.check(past, "can0", "odrive_can", situation.before, joints, stopped=False)
-    assert before == (list(situation.before), [])
+    for sent in situation.before:
+        for command in commanded_by(sent):
+            guard.ask(past, command)
+        assert guard.check(past, "can0", "odrive_can", [sent], joints, stopped=False) == ([sent], [])
+    for command in situation.has if situation.has is not None else commanded_by(frame):
+        guard.ask(now, command)
     passed, blocked = guard.check(now, "can0", "odrive_can", [frame], joints, situation.stopped)
     assert len(passed) + len(blocked) == 1
     return blocked[0] if blocked else None
@@ -142,7 +171,8 @@ AGAINST = "arming against a stop or a fault"
 TOO_FAST = "velocity beyond the limit"
 TOO_FAR = "position beyond the limit"
 TOO_STRONG = "torque beyond the limit"
-NO_SET_UP = "not read-only, and its device was not commanded"
+NOT_COMMANDED = "a set-point that was not commanded"
+NOT_DECLARED = "a setting that was neither asked for nor declared"
 JERKS = "acceleration beyond the limit"
 JUMPS = "a jump of the position"
 
@@ -169,12 +199,13 @@ CASES: list[tuple[str, Situation, Frame, str]] = [
     ("arming before any command", FRESH, arm(LEFT), NOT_OURS),
     ("Idle before any command", FRESH, IDLE, NOT_OURS),
     ("Idle, after the operator's stop", asked(msg.Stop(), 0, FRESH), IDLE, ""),
-    ("set-up before any command", FRESH, mode(LEFT, 2), NO_SET_UP),
-    ("set-up while a scan is asked for", asked(msg.Scan("can0"), 0, FRESH), mode(LEFT, 2), NO_SET_UP),
+    ("set-up before any command", FRESH, mode(LEFT, 2), NOT_OURS),
+    ("set-up while a scan is asked for", asked(msg.Scan("can0"), 0, FRESH), mode(LEFT, 2), NOT_OURS),
     ("an address unasked", OURS, SET_ID, NOT_MADE),
-    ("an address", asked(msg.SetId("can0", 7, 9), 0, FRESH), SET_ID, ""),
+    ("an address", asked(msg.SetId("can0", 0x385F34733301, 9), 0, FRESH), SET_ID, ""),
+    ("another address", asked(msg.SetId("can0", 0x385F34733301, 8), 0, FRESH), SET_ID, NOT_MADE),
     ("the address of a stranger", asked(msg.SetId("can0", 7, 9), 0, FRESH), SET_ANOTHER, ""),
-    ("that, unasked", FRESH, SET_ANOTHER, NO_SET_UP),
+    ("that, unasked", FRESH, SET_ANOTHER, NOT_MADE),
     ("set-up of a commanded device", OURS, mode(LEFT, 2), ""),
     ("to no device of the robot", OURS, arm(ABSENT), "not a frame to any device of this driver"),
     ("arming a commanded device", OURS, arm(LEFT), ""),
