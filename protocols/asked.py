@@ -217,7 +217,7 @@ class Asked:
         return None if any(self._objection(now, each, reported) is None for each in others) else found
 
     def _objection(self, now: Nanos, one: Obeyed, reported: Reported) -> Objection | None:
-        if isinstance(one, READS | msg.Idle):
+        if isinstance(one, READS):
             return None
         if isinstance(one, msg.SetId):
             ids = [(each.serial, each.address) for at, each in self._ids if now - at <= UNDER_WAY]
@@ -228,6 +228,8 @@ class Asked:
         if device is None:
             return "a command to a device that is not a motor of this robot", name
         match one:
+            case msg.Idle():
+                return None
             case msg.Arm():
                 return (NOT_TO_ARM, "") if isinstance(device.command, msg.Idle) else None
             case msg.WriteParameter(_, parameter, value):

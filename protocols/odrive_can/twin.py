@@ -207,8 +207,8 @@ class Memory:
             return ()
         if state != CLOSED_LOOP or self.fault:
             self.disarm()
-            if state in table.PROCEDURES - {table.HOMING}:
-                return (msg.WriteParameter(self.motor, "Axis_Requested_State", state),)
+            if state not in (table.IDLE, CLOSED_LOOP, table.HOMING):
+                return (msg.WriteParameter(self.motor, "Axis_Requested_State", float(state)),)
             return (msg.Home(self.motor),) if state == table.HOMING else (msg.Idle(self.motor),)
         if not self.armed or self.line == "0.5":  # 0.5.x leaves closed loop and enters it again
             # On arming in position control the firmware takes the present position as its input

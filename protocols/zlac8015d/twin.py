@@ -90,6 +90,8 @@ class Half:
             self.target = value
         elif key == z.SET_POINT:
             self.target = z.part(value, self.side)
+        elif key in ((z.TARGET, side) for side in z.SIDES):
+            return ()
         elif key != z.MODE:
             return (msg.WriteParameter(self.motor, title(key), float(value)),)
         moves = self._moves()

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from math import tau
+from math import pi, tau
+from pathlib import Path
 from struct import pack, unpack
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import pytest
 
@@ -18,6 +20,7 @@ from gateway.core.tick import Inputs
 from protocols import messages as msg
 from protocols.frames import CanFrame, Frame, Packet
 from protocols.messages import MILLISECOND, SECOND, Command, Mode, Nanos, Request
+from protocols.toolkit.mit import commanded
 from tests.gateway.rig import BENCH, Rig, notes_in, sent_commands
 from tests.sampled import sampled
 
@@ -297,10 +300,12 @@ def test_a_blocked_frame_leaves_no_trace_and_does_not_hold_back_the_next() -> No
     joints = {name: Joint(name, motor.joint, motor.spec) for name, motor in robot.motors.items()}
     joints["left"].owned = True
     wanted = [mode(LEFT, 2), arm(LEFT), velocity(RIGHT, 1.0), mode(RIGHT, 1), velocity(LEFT, 1.0)]
+    for command in commanded_by(wanted[4]):
+        guard.ask(now, command)
     passed, blocked = guard.check(now, "can0", "odrive_can", wanted, joints, stopped=False)
     assert passed == [wanted[0], wanted[1], wanted[4]]
     assert [each.motors for each in blocked] == [("right",), ("right",)]
-    assert blocked[0].text == f"not read-only, and its device was not commanded (right): {wanted[2]}"
+    assert blocked[0].text == f"{NOT_OURS} (WriteParameter): {wanted[2]}"
     decoder = decoder_of(robot, "can0")
     for frame in passed:
         decoder.decode(now, frame)
@@ -350,6 +355,8 @@ def test_a_spring_pulls_within_the_limit_of_torque(
     gains = {"stiffness": stiffness / 4.0, "damping": damping / 4.0, "torque": torque / -2.0}
     spring = table.encode("MIT", 1, position=(here + lead) * -2.0, velocity=velocity_there * -2.0, **gains)
     frames = [table.encode("enable", 1), spring]
+    values = table.decode(spring, "to_device")
+    guard.ask(now, commanded("left", values.values if values else {}))
     _, blocked = guard.check(now, "can0", "damiao", frames, {"left": joint}, stopped=False)
     assert [each.rule for each in blocked] == ([] if passes else ["torque of the spring beyond the limit"])
 
@@ -368,6 +375,7 @@ def test_what_arms_both_motors_of_a_drive_may_turn_the_commanded_one_alone() -> 
     guard, now = Guard(robot), SECOND
     joints = {name: Joint(name, motor.joint, motor.spec) for name, motor in robot.motors.items()}
     joints["left"].owned = True
+    guard.ask(now, msg.Velocity("left", 10 * pi / 30.0))
     address = robot.motors["left"].device.address & 0x7F
 
     def write(index: int, sub: int, value: int, size: int) -> CanFrame:
@@ -391,7 +399,7 @@ def test_on_a_serial_line_what_is_not_read_only_is_for_all() -> None:
     robot = config.load_robot("diffbot")
     passed, (blocked,) = Guard(robot).check(0, "sensors", "plain", [b"noise"], {}, stopped=False)
     assert passed == []
-    assert blocked.text == "not read-only, and its device was not commanded (lidar, imu): 6E6F697365"
+    assert blocked.text == "not read-only, and nothing that was asked for or declared (lidar, imu): 6E6F697365"
 
 
 def test_a_command_to_a_strange_name_does_not_go_out(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -562,3 +570,31 @@ def test_a_packet_from_the_future_was_received_now() -> None:
         assert gateway.joints["left"].feedback.t == min(t, now)
         now += 5 * MILLISECOND
     assert gateway.joints["left"].feedback_lost(now + 101 * MILLISECOND)
+
+
+# -- what nobody asked for ---------------------------------------------------------------------------------
+
+UNASKED: list[dict[str, Any]] = json.loads((Path(__file__).parent / "unasked.json").read_text("utf-8"))
+"""Frames by robot: gains, limits, ids, calibrations, restarts, set-points of other modes, wrong kinds of frame."""
+
+
+@pytest.mark.parametrize("name", sampled(list(dict.fromkeys(each["robot"] for each in UNASKED)), 4))
+def test_what_nobody_asked_for_is_blocked_driving_and_stopped(name: str) -> None:
+    rig = Rig(config.load_robot(name).text)
+    motor = next(iter(rig.robot.motors.values()))
+    driving = msg.Velocity("left", 3.0) if name == "bench" else msg.Goal(1.5, 0.0)
+    for _ in range(30):
+        rig.run(0.05, driving)
+    joints, guard = rig.gateway.joints, rig.gateway.guard
+    assert any(joint.armed for joint in joints.values())
+    for stopped in (False, True):
+        if stopped:
+            rig.run(1.0, msg.Stop())
+        for each in UNASKED:
+            if each["robot"] != name:
+                continue
+            data, fd = bytes.fromhex(each["data"]), each.get("fd", False)
+            frame = CanFrame(int(each["id"], 16), data, each["extended"], fd=fd)
+            passed, _ = guard.check(rig.ticks[-1].now, motor.bus, motor.plugin.name, [frame], joints, stopped)
+            assert not passed, (each["name"], "stopped" if stopped else "driving")
+    assert not any(joint.faults for joint in joints.values())
