@@ -187,6 +187,20 @@ class Asked:
             elif _stands(device.command):
                 device.place = getattr(one, "position", device.place)
 
+    def stands(self, motor: str) -> bool:
+        """True if a device is to be disarmed, or to come to rest."""
+        return _stands(self._devices[motor].command)
+
+    def moves_on(self, motor: str) -> bool:
+        """True if a device is to stand, and was told last to turn, or to push."""
+        device = self._devices[motor]
+        command, told = device.command, device.before
+        if told is None or isinstance(told, msg.Idle) or not _stands(command):
+            return False
+        if isinstance(command, msg.Idle):
+            return True
+        return any(getattr(told, name, 0.0) for name in ("velocity", *(["torque"] * isinstance(told, msg.Torque))))
+
     # -- what may be told ---------------------------------------------------------------------------
 
     def is_asked(self, now: Nanos, motor: str, kinds: Iterable[type[object]]) -> bool:

@@ -202,6 +202,9 @@ class Spec:
     set_up: Written = field(default_factory=dict)
     """What the driver writes to the device unasked, before it arms it or with its set-points. The guard passes
     nothing else that nobody asked for."""
+    stop: tuple[Frame, ...] = ()
+    """Frames that disarm the device whatever it does, the gentlest first: the gateway sends them itself, one
+    after the other, if the driver does not stop a device that is to stand."""
     writes: Mapping[type[Request], Written] = field(default_factory=dict)
     """What it writes, beside that, while one of these requests is under way."""
     decoded: Callable[[str], str] = as_it_is

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 GOES_ON: Nanos = SECOND
 """How long after a set-point, or after coasting, a motor may be commanded to go on from there: a driver that
 changes the mode, or that arms at rest, sends other set-points in between."""
+STOPS_WITHIN: Nanos = 250 * MILLISECOND
+"""Time in which a driver must have passed on that a device is to stand. Then the device's own stop is sent."""
 LATENCY: Nanos = 50 * MILLISECOND
 """What a device obeys may be this much ahead of what it last obeyed: a joint's set-point moves on while the
 device is being armed, and while a set-point waits for its SYNC."""
@@ -135,6 +137,9 @@ class Guard:
         """What the devices have received: the frames that were passed."""
         self._last: dict[tuple[str, type[Command] | None], tuple[Nanos, Command]] = {}
         """The last set-point that each motor was sent: of each type, and (None) of any."""
+        self._unstopped: dict[str, tuple[Nanos, int]] = {}
+        """Devices that are to stand, and were told otherwise: since when, or since the last stop of their own;
+        and how many of these were sent."""
         self._coasting: dict[str, tuple[Nanos, float]] = {}
         """The velocity [rad/s] at which each motor was last seen not armed."""
         self._asked = Asked({name: motor.spec for name, motor in robot.motors.items()})
@@ -196,8 +201,30 @@ class Guard:
                     self._asked.passed(one, self._reported(joints.get(one.motor)))
                     last[one.motor, type(one)] = last[one.motor, None] = (now, one)
             passed.append(frame)
+        for frame in self._stops(now, bus, protocol, joints):
+            receivers.keep(now, frame)
+            passed.append(frame)
         self._last |= last  # only now: frames of one step are compared with those of the steps before
         return passed, blocked
+
+    def _stops(self, now: Nanos, bus: str, protocol: str, joints: Mapping[str, Joint]) -> Iterator[Frame]:
+        """Yield the devices' own stops of those that are armed, are to stand, and were told otherwise for too
+        long: their driver does not stop them."""
+        for name, spec in self._specs[bus, protocol].items():
+            joint = joints.get(name)
+            if joint is None or not (joint.owned and joint.armed and spec.stop and self._asked.stands(name)):
+                self._unstopped.pop(name, None)
+                continue
+            since, sent = self._unstopped.get(name, (now, 0))
+            if not sent and not self._asked.moves_on(name):
+                self._unstopped.pop(name, None)
+            elif now - since < STOPS_WITHIN or sent == len(spec.stop):
+                self._unstopped[name] = since, sent
+            else:
+                self._unstopped[name] = now, sent + 1
+                for one in self._receivers[bus].decode(now, spec.stop[sent]):
+                    self._asked.passed(one, self._reported(joint))
+                yield spec.stop[sent]
 
     def _unfit(self, bus: str, protocol: str, frame: Frame) -> Objection | None:
         """Return why a frame cannot be one of this driver's, whatever is in it."""

@@ -187,6 +187,7 @@ def spec(device: Device) -> Spec:
         parameters=("6041", "6064"),
         configuration=configured(options, settings),
         set_up=set_up(device),
+        stop=(cs.disable(node),),
         writes=dict.fromkeys((msg.Home, msg.Zero), HOMING),
         decoded=decoded,
         save="save",

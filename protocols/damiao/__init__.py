@@ -82,6 +82,7 @@ def spec(device: Device) -> Spec:
         parameters=tuple(REGISTERS.by_name),
         configuration=configured(device),
         set_up=declared(DamiaoAdapter().written(options)),
+        stop=(ANY.encode("disable", device.address),),
         save=SAVE,
         receives_also=((REPLY_BASE, 0x7F0),),
         canonical=options.gains.canonical,

@@ -17,7 +17,7 @@ from protocols.moteus.codec import ADDRESS_MAX, BROADCAST, reply_id
 from protocols.moteus.decoder import MoteusDecoder
 from protocols.moteus.driver import MoteusAdapter, Options
 from protocols.moteus.loops import COUNTED, Settings
-from protocols.moteus.messages import names
+from protocols.moteus.messages import STOP, names
 from protocols.moteus.table import FAULTS, UUID_MASK, decoded
 from protocols.moteus.twin import MoteusTwin
 from protocols.plugin import Device, Plugin, Range, Setting, Spec, Watchdog
@@ -107,6 +107,7 @@ def spec(device: Device) -> Spec:
         faults=FAULTS,
         parameters=("mode", "voltage"),
         configuration=IDENTITY,
+        stop=(codec.make_frame(codec.command_id(device.address, host, prefix), STOP),),
         set_up={name: ((0.0, most),) for name, most in options.most.items()},
         decoded=decoded,
         obeys_also=tuple((prefix << 16 | to, DESTINATION) for to in (device.address, BROADCAST)),

@@ -72,6 +72,7 @@ def spec(device: Device) -> Spec:
         parameters=tuple(name for name in has if name != rs.SAVE),
         configuration=configured(device),
         set_up={**declared(RobStrideAdapter().written(options)), **SET_POINTS},
+        stop=(rs.ANY.encode("disable", device.address),),
         save=rs.SAVE if rs.SAVE in has else "",
         receives_also=((EXTENDED_BIT | 0xFE, EXTENDED_BIT | 0x1F0000FF),) if options.scan else (),
         canonical=options.gains.canonical,

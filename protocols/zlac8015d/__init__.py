@@ -65,6 +65,7 @@ def spec(device: Device) -> Spec:
         parameters=tuple(configured),
         configuration=configured,
         set_up=set_up(node, options),
+        stop=(services.disable(node),),
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from math import pi, tau
@@ -19,7 +20,8 @@ from gateway.core.step import DRIVER_FAILED, FRAME_BLOCKED, Gateway
 from gateway.core.tick import Inputs
 from protocols import messages as msg
 from protocols.frames import CanFrame, Frame, Packet
-from protocols.messages import MILLISECOND, SECOND, Command, Mode, Nanos, Request
+from protocols.conformance.bench import DriverWrapper, Messages
+from protocols.messages import MILLISECOND, SECOND, Command, Event, Mode, Nanos, Request
 from protocols.toolkit.mit import commanded
 from tests.gateway.rig import BENCH, Rig, notes_in, sent_commands
 from tests.sampled import sampled
@@ -598,3 +600,44 @@ def test_what_nobody_asked_for_is_blocked_driving_and_stopped(name: str) -> None
             passed, _ = guard.check(rig.ticks[-1].now, motor.bus, motor.plugin.name, [frame], joints, stopped)
             assert not passed, (each["name"], "stopped" if stopped else "driving")
     assert not any(joint.faults for joint in joints.values())
+
+
+# -- a driver that does not pass on a stop -------------------------------------------------------------------
+
+
+@dataclass
+class Deaf(DriverWrapper):
+    """A driver that goes on with the last set-point that it was given before it went deaf."""
+
+    deaf: bool = False
+    last: tuple[Command | Request, ...] = ()
+
+    def send(self, now: Nanos, messages: Messages) -> tuple[Sequence[Event], Sequence[Frame]]:
+        """Encode what was given last."""
+        self.last = self.last if self.deaf else tuple(messages)
+        return self.driver.send(now, self.last)
+
+
+@pytest.mark.parametrize("action", ["idle", "brake"])
+@pytest.mark.parametrize(
+    "name", sampled([*(each for each in ROBOTS if each.startswith("diffbot_")), "diffbot"], 5)
+)
+def test_nothing_drives_a_shaft_on_though_its_driver_ignores_the_stop(name: str, action: str) -> None:
+    text = re.sub(r'(stop_action = )"\w+"', rf'\1"{action}"', config.load_robot(name).text)
+    rig = Rig(text)
+    deaf: list[Deaf] = []
+    for one in rig.gateway._drivers:
+        if one.motors:
+            deaf.append(Deaf(one.driver))
+            object.__setattr__(one, "driver", deaf[-1])
+    rig.run(1.5, msg.Goal(3.0, 0.0))
+    motors = list(rig.gateway.joints)
+    assert min(abs(rig.velocity(motor)) for motor in motors) > 1.0
+    for each in deaf:
+        each.deaf = True
+    speeds = []
+    for _ in range(3):
+        rig.run(0.5, msg.Stop())
+        speeds.append([abs(rig.velocity(motor)) for motor in motors])
+    assert not any(joint.armed for joint in rig.gateway.joints.values())
+    assert speeds[2] < speeds[1] < speeds[0]  # nothing drives it any more
