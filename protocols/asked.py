@@ -55,11 +55,11 @@ NUMBERS: Mapping[type[Command], tuple[str, ...]] = {
 _KINDS = {f"{kind.__name__}.{name}": (kind, name) for kind, names in NUMBERS.items() for name in names}
 
 
-def waiting(*commands: Command) -> tuple[msg.WriteParameter, ...]:
+def waiting(*commands: Command) -> tuple[msg.Kept, ...]:
     """Return what set-points are to a device that keeps them, and is not armed as far as a command decoder
-    knows: parameters, named as in `Spec.ranges`."""
+    knows."""
     return tuple(
-        msg.WriteParameter(each.motor, f"{type(each).__name__}.{name}", getattr(each, name))
+        msg.Kept(each.motor, f"{type(each).__name__}.{name}", getattr(each, name))
         for each in commands
         for name in NUMBERS[type(each)]
     )
@@ -199,7 +199,9 @@ class Asked:
             return False
         if isinstance(command, msg.Idle):
             return True
-        return any(getattr(told, name, 0.0) for name in ("velocity", *(["torque"] * isinstance(told, msg.Torque))))
+        return any(
+            getattr(told, name, 0.0) for name in ("velocity", *(["torque"] * isinstance(told, msg.Torque)))
+        )
 
     # -- what may be told ---------------------------------------------------------------------------
 
@@ -246,8 +248,10 @@ class Asked:
                 return None
             case msg.Arm():
                 return (NOT_TO_ARM, "") if isinstance(device.command, msg.Idle) else None
-            case msg.WriteParameter(_, parameter, value):
-                written = _is_declared(now, device, one, reported) or _is_to_write(now, device, one)
+            case msg.WriteParameter(_, parameter, value) | msg.Kept(_, parameter, value):
+                if _is_declared(now, device, parameter, value, reported):
+                    return None
+                written = _is_to_write(now, device, parameter, value)
                 return None if written else (NOT_DECLARED, f"{parameter} = {value:g}")
             case msg.Reboot() if now <= device.saves:
                 return None  # saving its configuration restarts it
@@ -259,13 +263,13 @@ class Asked:
         return None if device.under_way(now, type(one)) else (NOT_MADE, type(one).__name__)
 
 
-def _is_declared(now: Nanos, device: _Given, one: msg.WriteParameter, reported: Reported) -> bool:
+def _is_declared(now: Nanos, device: _Given, name: str, value: float, reported: Reported) -> bool:
     """True if the spec declares that this is written: by itself, or for a request that is under way."""
-    spec, name = device.spec, one.parameter
+    spec = device.spec
     declared = [*spec.set_up.get(name, ()), *((name,) if name in _KINDS else ())]
     for kind, written in spec.writes.items():
         declared += written.get(name, ()) if name in written and device.under_way(now, kind) else ()
-    return any(_fits(now, device, each, one.value, reported) for each in declared)
+    return any(_fits(now, device, each, value, reported) for each in declared)
 
 
 def _fits(now: Nanos, device: _Given, declared: Declared, value: float, reported: Reported) -> bool:
@@ -287,12 +291,12 @@ def _holds(now: Nanos, device: _Given, number: str, value: float, reported: Repo
     return _objection_to_command(now, device, made, reported, (name,)) is None
 
 
-def _is_to_write(now: Nanos, device: _Given, one: msg.WriteParameter) -> bool:
+def _is_to_write(now: Nanos, device: _Given, name: str, value: float) -> bool:
     """True if this was asked to be written: the parameter and the value."""
-    asked = device.values.get(one.parameter)
+    asked = device.values.get(name)
     if asked is None or not device.under_way(now, msg.WriteParameter):
         return False
-    return abs(one.value - asked) <= ROUNDED * abs(asked)
+    return abs(value - asked) <= ROUNDED * abs(asked)
 
 
 def _errors(spec: Spec) -> dict[tuple[type[Command], str], tuple[float, float]]:
@@ -327,7 +331,7 @@ def _objection_to_command(
             continue
         if (name == "position" or (alike and not _stands(command))) and device.was(now, one, name):
             continue
-        if changing and name == "torque" and abs(value) <= 1.05 * (abs(has or 0.0) + abs(last or 0.0)):
+        if changing and name == "torque" and device.close(one, name, (has or 0.0) + (last or 0.0)):
             continue  # some devices add a feed-forward, which follows the mode
         if name == "position" and _is_there(now, device, one, value, reported):
             continue

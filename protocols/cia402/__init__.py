@@ -134,10 +134,17 @@ HOMING: Written = {co.title(o.MODE): (float(Mode.HM),), co.title(o.HOMING_METHOD
 
 def set_up(device: Device) -> Written:
     """Return what is written to a drive unasked; what a controlword, a mode and set-points make it do, beside."""
-    found = co.declared((write.key, write.value) for write in Known(device.options, device.address).all_writes())
+    found = co.declared(
+        (write.key, write.value) for write in Known(device.options, device.address).all_writes()
+    )
     found[co.title(co.CONSUMER_HEARTBEAT)] = (0.0, *found.get(co.title(co.CONSUMER_HEARTBEAT), ()))
     states = (float(NmtState.OPERATIONAL), float(NmtState.PRE_OPERATIONAL))
-    sent: dict[str, tuple[Declared, ...]] = {SYNC: (0.0,), HEARTBEAT: states, NMT_STATE: states[:1], co.title(o.MODE): MODES}
+    sent: dict[str, tuple[Declared, ...]] = {
+        SYNC: (0.0,),
+        HEARTBEAT: states,
+        NMT_STATE: states[:1],
+        co.title(o.MODE): MODES,
+    }
     sent[co.title(o.TARGET_POSITION)] = ((-(2.0**31), 2.0**31),)
     for key in o.TARGETS - {o.TARGET_POSITION}:
         sent[co.title(key)] = (0.0,)

@@ -160,10 +160,10 @@ class Memory:
             obeyed = self._on_written(received.written) if received.written else ()
             return obeyed or (self._waits(received.latched) if received.latched else ())
         obeyed = list(self.lose_connection()) if received.command in DISCONNECTS else []
-        if received.command is NmtCommand.RESET_COMMUNICATION:
-            obeyed.append(msg.Reboot(self.motor))
-        obeyed.append(msg.WriteParameter(self.motor, NMT_STATE, float(self.node.nmt)))
-        return obeyed
+        resets = received.command is NmtCommand.RESET_COMMUNICATION
+        kind = msg.WriteParameter if received.changed or resets else msg.Kept
+        obeyed.append(kind(self.motor, NMT_STATE, float(self.node.nmt)))
+        return [*obeyed, msg.Kept(self.motor, "NMT reset communication", 1.0)] if resets else obeyed
 
     def lose_connection(self) -> Sequence[Obeyed]:
         """React to a lost host as object 6007 demands; the fault of option 1 is the firmware's part."""
@@ -193,10 +193,10 @@ class Memory:
         obeyed += found if self.enabled else waiting(*found)
         # What else it keeps of these: nothing of it acts by itself.
         if o.CONTROLWORD in acting and not (obeyed and self.enabled):
-            obeyed.append(self._written(o.CONTROLWORD))
+            obeyed.append(self._kept(o.CONTROLWORD))
         if o.MODE in acting and (changed or not obeyed):
-            obeyed.append(self._written(o.MODE))
-        return obeyed or [self._written(key) for key in acting]
+            obeyed.append(self._kept(o.MODE))
+        return obeyed or [self._kept(key) for key in acting]
 
     def _waits(self, latched: Mapping[Key, int]) -> Sequence[Obeyed]:
         """Return what the next SYNC makes of set-points: their numbers, and a controlword and a mode."""
@@ -205,14 +205,18 @@ class Memory:
         before = {key: values[key] for key in self._latched if key in values}
         values.update(self._latched)
         names = {NUMBER_OF[key] for key in latched if key in NUMBER_OF}
-        found = [each for each in waiting(*self.command()) if each.parameter.partition(".")[2] in names]
+        found = [each for each in waiting(*self.command()) if each.name.partition(".")[2] in names]
         kept = [
-            self._written(key)
+            self._kept(key)
             for key, value in latched.items()
             if key == o.CONTROLWORD or (key == o.MODE and value != before.get(key))
         ]
         values.update(before)
-        return [*found, *kept] or (msg.WriteParameter(self.motor, SYNC, 0.0),)
+        return [*found, *kept] or (msg.Kept(self.motor, SYNC, 0.0),)
+
+    def _kept(self, key: Key) -> msg.Kept:
+        """Return that an object was written which acts with others."""
+        return msg.Kept(self.motor, title(key), float(self.values[key]))
 
     def _written(self, key: Key) -> msg.WriteParameter:
         """Return that an object was written; by its name, with 1, if that was a signature."""
@@ -305,7 +309,7 @@ class Cia402Decoder:
         """Return what a host sends to all drives: it makes none do anything but go on."""
         match services.decode(frame):
             case services.Sync():
-                return (msg.WriteParameter(self._first, SYNC, 0.0),)
+                return (msg.Kept(self._first, SYNC, 0.0),)
             case services.Heartbeat(node, state) if node == self._host:
-                return (msg.WriteParameter(self._first, HEARTBEAT, float(state)),)
+                return (msg.Kept(self._first, HEARTBEAT, float(state)),)
         return ()

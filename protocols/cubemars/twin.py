@@ -49,14 +49,14 @@ class Memory:
                 return msg.Arm(motor), msg.Torque(motor, 0.0)
             case "exit":
                 was, self.entered = self.entered, False
-                again = () if self.options.sole_host else (msg.WriteParameter(motor, "exit", 1.0),)
+                again = () if self.options.sole_host else (msg.Kept(motor, "exit", 1.0),)
                 return (msg.Idle(motor),) if was else again
             case "set zero" | "SET_ORIGIN_HERE":
                 return (msg.Zero(motor),)
             case "control":
                 five = commanded(motor, values)
                 return (five,) if self.entered else waiting(self.options.gains.canonical(five))
-        unused = () if self._is_sent(decoded) else (msg.WriteParameter(motor, decoded.name, 1.0),)
+        unused = () if self._is_sent(decoded) else (msg.Kept(motor, decoded.name, 1.0),)
         return *unused, *self._drive(decoded.name, values["value"], values.get("fastest", math.inf))
 
     def _is_sent(self, decoded: Decoded) -> bool:

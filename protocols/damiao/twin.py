@@ -77,7 +77,7 @@ class Motor:
         """Return what limits the way to a position, where that is not as the options have it."""
         stated = {"fastest": self.options.max_velocity, "force": self.options.max_force}
         return [
-            msg.WriteParameter(self.name, f"{name} {each}", values[each])
+            msg.Kept(self.name, f"{name} {each}", values[each])
             for each, own in stated.items()
             if each in values and not math.isclose(values[each], own, rel_tol=1e-3)
         ]

@@ -18,7 +18,7 @@ from protocols.moteus.decoder import MoteusDecoder
 from protocols.moteus.driver import MoteusAdapter, Options
 from protocols.moteus.loops import COUNTED, Settings
 from protocols.moteus.messages import STOP, names
-from protocols.moteus.table import FAULTS, UUID_MASK, decoded
+from protocols.moteus.table import FAULTS, UUID_MASK, beside, decoded
 from protocols.moteus.twin import MoteusTwin
 from protocols.plugin import Device, Plugin, Range, Setting, Spec, Watchdog
 from protocols.toolkit.assembly import can_motor, driver_of
@@ -108,7 +108,7 @@ def spec(device: Device) -> Spec:
         parameters=("mode", "voltage"),
         configuration=IDENTITY,
         stop=(codec.make_frame(codec.command_id(device.address, host, prefix), STOP),),
-        set_up={name: ((0.0, most),) for name, most in options.most.items()},
+        set_up={beside(name): ((0.0, most),) for name, most in options.most.items()},
         decoded=decoded,
         obeys_also=tuple((prefix << 16 | to, DESTINATION) for to in (device.address, BROADCAST)),
         receives_also=((reply_id(0, host, prefix), reply_id(0, 0x7F, 0x1FFF) | codec.REPLY_BIT | 0x80),),

@@ -46,11 +46,13 @@ COMMAND_NAMES: Mapping[int, str] = {
 """The command register in which a number is kept: those of stay-within are other numbers of the same."""
 BRIEF = 0.001
 """s: a watchdog timeout below, or a negative one, is over before the command is executed."""
-SENT = frozenset({Mode.STOPPED, Mode.POSITION, Mode.STAY_WITHIN, Mode.ZERO_VELOCITY, Mode.BRAKE, Mode.TIMEOUT})
+SENT = frozenset(
+    {Mode.STOPPED, Mode.POSITION, Mode.STAY_WITHIN, Mode.ZERO_VELOCITY, Mode.BRAKE, Mode.TIMEOUT}
+)
 """Modes that are sent here, or that stand for one."""
 OTHERS = tuple(
     f"command_{name}"
-    for name in "timeout position_max_torque stop_position ignore_position_bounds".split()
+    for name in ["timeout", "position_max_torque", "stop_position", "ignore_position_bounds"]
     + ["fixed_voltage_override", "fixed_current_override"]
 )
 """What a command says beside its numbers,"""
@@ -164,18 +166,20 @@ class Memory:
         command = self._meaning(Mode.TIMEOUT if lost else self.mode)
         return (command,) if lost or isinstance(command, msg.Idle) else (msg.Arm(self.motor), command)
 
-    def besides(self, command: Obeyed) -> Sequence[msg.WriteParameter]:
+    def besides(self, command: Obeyed) -> Sequence[msg.Kept]:
         """Return what the last command says beside its numbers that is not as the options have it."""
         if self.mode not in SENT:
-            return (msg.WriteParameter(self.motor, "mode", float(self.mode)),)
+            return (msg.Kept(self.motor, "mode", float(self.mode)),)
         if self.mode not in (Mode.POSITION, Mode.STAY_WITHIN):
             return ()
         if self.mode == Mode.STAY_WITHIN or isinstance(command, msg.Impedance):
             names = OTHERS  # a trajectory is none of theirs, and their gains are their numbers
         else:
-            names = (*OTHERS, *TRAJECTORY) if isinstance(command, msg.Torque) else (*OTHERS, *TRAJECTORY, *GAINS)
+            names = (
+                (*OTHERS, *TRAJECTORY) if isinstance(command, msg.Torque) else (*OTHERS, *TRAJECTORY, *GAINS)
+            )
         return [
-            msg.WriteParameter(self.motor, name, self.command[name])
+            msg.Kept(self.motor, tb.beside(name), self.command[name])
             for name in names
             if not _is_same(self.command[name], self.own[name])
         ]
@@ -252,7 +256,9 @@ class MoteusDecoder:
                 if memory.chosen:
                     obeyed += _refused(memory.motor, frame.data)
                 else:  # for another device, which is asked for its id
-                    obeyed += [each for each in memory.stranger().obey(frame.data) if isinstance(each, msg.SetId)]
+                    obeyed += [
+                        each for each in memory.stranger().obey(frame.data) if isinstance(each, msg.SetId)
+                    ]
         return obeyed
 
 
@@ -261,15 +267,15 @@ def _answers(done: Request | Subframe) -> bool:
     return isinstance(done, Subframe) and done.code != TO_DEVICE
 
 
-def _as_setting(motor: str, done: Request | Subframe) -> Request:
+def _as_setting(motor: str, done: Request | Subframe) -> Obeyed:
     """Return a line of the console that is not known as a setting: it may be anything."""
-    return msg.WriteParameter(motor, f"console: {done.data!r}", 1.0) if isinstance(done, Subframe) else done
+    return msg.Kept(motor, f"console: {done.data!r}", 1.0) if isinstance(done, Subframe) else done
 
 
-def _refused(motor: str, data: bytes) -> Iterator[msg.WriteParameter]:
+def _refused(motor: str, data: bytes) -> Iterator[msg.Kept]:
     """Yield the registers that a frame writes, and that the map which is known here does not let be written."""
     known = {tb.MODE, *tb.ACTIONS, *tb.UUID_MASK, *COMMAND_NAMES}
     for subframe in codec.parse(data)[0]:
         for register, value in subframe.quantities() if subframe.code == WRITE else ():
             if register not in known:
-                yield msg.WriteParameter(motor, tb.name_of(register), nan if value is None else value)
+                yield msg.Kept(motor, tb.name_of(register), nan if value is None else value)

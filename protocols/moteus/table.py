@@ -110,6 +110,11 @@ def register_of(parameter: str) -> int:
     return number if 0 <= number <= 0x7FFF else -1
 
 
+def beside(register: str) -> str:
+    """Return the name of a command register where it is written with a command, and is none of its numbers."""
+    return f"{register} of a command"
+
+
 def decoded(parameter: str) -> str:
     """Return the name that the command decoder has for a parameter, as `Spec.decoded` does."""
     register = register_of(parameter)

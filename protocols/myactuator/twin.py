@@ -49,9 +49,9 @@ class Memory:
                 return msg.Idle(name), msg.ClearFault(name)
             case "release brake":
                 self.released = True
-                return (msg.WriteParameter(name, "release brake", 1.0),)
+                return (msg.Kept(name, "release brake", 1.0),)
             case "set timeout":
-                return (msg.WriteParameter(name, "set timeout", float(values["value"])),)
+                return (msg.Kept(name, "set timeout", float(values["value"])),)
             case "lock brake" if self.options.brake:
                 self.lock()
                 return (msg.Idle(name),)
@@ -69,7 +69,7 @@ class Memory:
                 goal = msg.Position(name, math.radians(values["position"]))
                 own = decoded.name == "position" and values["fastest"] == self.options.fastest
                 # Never sent here: beside it, what is unusual.
-                other = () if own else (msg.WriteParameter(name, decoded.name, float(values["fastest"])),)
+                other = () if own else (msg.Kept(name, decoded.name, float(values["fastest"])),)
                 return msg.Arm(name), *other, goal
             case "motion":
                 return msg.Arm(name), commanded(name, values)

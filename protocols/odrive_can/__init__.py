@@ -123,7 +123,9 @@ def spec(device: Device) -> Spec:
         ),
         set_up={
             "Control_Mode": CONTROL_MODES,
-            "Input_Mode": tuple(float(InputMode[each.upper()]) for each in ("passthrough", options.position_input)),
+            "Input_Mode": tuple(
+                float(InputMode[each.upper()]) for each in ("passthrough", options.position_input)
+            ),
         },
         configuration={} if line_of(device) == "0.5" else configured(options, settings),
         save="" if line_of(device) == "0.5" else table.SAVE,

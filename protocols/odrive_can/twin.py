@@ -225,7 +225,7 @@ class Memory:
             self.position = None
         self.control_mode, self.input_mode = control_mode, input_mode
         modes = {"Control_Mode": control_mode, "Input_Mode": input_mode}
-        written = [msg.WriteParameter(self.motor, name, float(mode)) for name, mode in modes.items()]
+        written = [msg.Kept(self.motor, name, float(mode)) for name, mode in modes.items()]
         return *self._command(), *written
 
     def _assign(self, node: int, serial: int) -> Sequence[Obeyed]:

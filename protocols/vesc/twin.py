@@ -37,7 +37,7 @@ class Motor:
         """Return what the controller does on this message."""
         if decoded.address not in (self.address, vt.EVERY) or "value" not in decoded.values:
             return ()
-        unused = () if decoded.name in vt.SENT else (msg.WriteParameter(self.name, decoded.name, 1.0),)
+        unused = () if decoded.name in vt.SENT else (msg.Kept(self.name, decoded.name, 1.0),)
         return *unused, *self._does(decoded)
 
     def _does(self, decoded: Decoded) -> Sequence[Obeyed]:

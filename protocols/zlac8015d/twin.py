@@ -75,7 +75,7 @@ class Half:
             self.enter(z.OFF)
             return received, (msg.Idle(self.motor), msg.Reboot(self.motor))
         if received.command is not None:
-            return received, (msg.WriteParameter(self.motor, NMT_STATE, float(self.node.nmt)),)
+            return received, (msg.Kept(self.motor, NMT_STATE, float(self.node.nmt)),)
         return received, [each for key in received.written for each in self._on_written(key)]
 
     def enter(self, state: int) -> None:
@@ -93,10 +93,10 @@ class Half:
         elif key in ((z.TARGET, side) for side in z.SIDES):
             return ()
         elif key != z.MODE:
-            return (msg.WriteParameter(self.motor, title(key), float(value)),)
+            return (msg.Kept(self.motor, title(key), float(value)),)
         moves = self._moves()
         obeyed = (moves,) if self.state == z.ENABLED else waiting(moves)
-        return obeyed if key != z.MODE else (*obeyed, msg.WriteParameter(self.motor, title(key), float(value)))
+        return obeyed if key != z.MODE else (*obeyed, msg.Kept(self.motor, title(key), float(value)))
 
     def _moves(self) -> msg.Velocity:
         steps = self.target if self.node.dictionary.values[z.MODE] == z.VELOCITY_MODE else 0
@@ -112,7 +112,7 @@ class Half:
             return (*cleared, moves) if before in ENERGISED else (msg.Arm(self.motor), moves)
         if before in ENERGISED or demand == z.DISABLE:
             return *cleared, msg.Idle(self.motor)
-        return cleared or (msg.WriteParameter(self.motor, title(z.CONTROL), float(word)),)
+        return cleared or (msg.Kept(self.motor, title(z.CONTROL), float(word)),)
 
 
 class ZlacDecoder:

@@ -23,7 +23,9 @@ class Meddles(DriverWrapper):
     def send(self, now: Nanos, messages: Messages) -> tuple[Sequence[Event], Sequence[Frame]]:
         """Encode, and meddle."""
         events, frames = self.driver.send(now, messages)
-        commanded = any(isinstance(each, msg.COMMANDS) and not isinstance(each, msg.Idle) for each in messages)
+        commanded = any(
+            isinstance(each, msg.COMMANDS) and not isinstance(each, msg.Idle) for each in messages
+        )
         return events, [*frames, self.more] if commanded else frames
 
 

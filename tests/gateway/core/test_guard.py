@@ -19,8 +19,8 @@ from gateway.core.joint import Joint
 from gateway.core.step import DRIVER_FAILED, FRAME_BLOCKED, Gateway
 from gateway.core.tick import Inputs
 from protocols import messages as msg
-from protocols.frames import CanFrame, Frame, Packet
 from protocols.conformance.bench import DriverWrapper, Messages
+from protocols.frames import CanFrame, Frame, Packet
 from protocols.messages import MILLISECOND, SECOND, Command, Event, Mode, Nanos, Request
 from protocols.toolkit.mit import commanded
 from tests.gateway.rig import BENCH, Rig, notes_in, sent_commands
@@ -401,7 +401,9 @@ def test_on_a_serial_line_what_is_not_read_only_is_for_all() -> None:
     robot = config.load_robot("diffbot")
     passed, (blocked,) = Guard(robot).check(0, "sensors", "plain", [b"noise"], {}, stopped=False)
     assert passed == []
-    assert blocked.text == "not read-only, and nothing that was asked for or declared (lidar, imu): 6E6F697365"
+    assert (
+        blocked.text == "not read-only, and nothing that was asked for or declared (lidar, imu): 6E6F697365"
+    )
 
 
 def test_a_command_to_a_strange_name_does_not_go_out(monkeypatch: pytest.MonkeyPatch) -> None:
