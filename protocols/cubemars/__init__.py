@@ -59,6 +59,8 @@ def spec(device: Device) -> Spec:
     """Return the contract of one motor. Raises ValueError if its address cannot be one."""
     options: Options = device.options
     mit = options.mode == "mit"
+    release = cm.MIT.encode("exit", device.address) if mit else None
+    release = release or cm.SERVO.encode("SET_CURRENT", device.address, value=0.0)
     status = exact(cm.STATUS | device.address, extended=True)
     return can_motor(
         device,
@@ -74,6 +76,8 @@ def spec(device: Device) -> Spec:
         faults=cm.FAULTS,
         **options.gains.of_spec() if mit else {},
         scales=dict.fromkeys(("model",) if mit else ("pole_pairs", "gear", "torque_constant"), ""),
+        set_up={"exit": (1.0,)} if mit else {},
+        stop=(release,),
         caution=SILENT if mit and not options.sole_host else "",
     )
 

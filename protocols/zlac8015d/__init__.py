@@ -23,7 +23,7 @@ from protocols.plugin import (
 )
 from protocols.toolkit.assembly import driver_of
 from protocols.zlac8015d import table as z
-from protocols.zlac8015d.driver import EXPECTED, RPDO, ZlacAdapter
+from protocols.zlac8015d.driver import EXPECTED, RPDO, ZlacAdapter, set_up
 from protocols.zlac8015d.options import Options, Settings
 from protocols.zlac8015d.twin import ZlacDecoder, ZlacTwin
 
@@ -65,6 +65,8 @@ def spec(device: Device) -> Spec:
         parameters=tuple(configured),
         configuration=configured,
         scales=dict.fromkeys(("steps_per_rpm", "counts"), ""),
+        set_up=set_up(node, options),
+        stop=(services.disable(node),),
     )
 
 
