@@ -74,7 +74,7 @@ LATEST = 0.5
 NOTICED_WITHIN: dict[str, Nanos] = {
     "stuck encoder": 500 * MILLISECOND,
     "frozen feedback": 500 * MILLISECOND,
-    "jumping encoder": 400 * MILLISECOND,
+    "jumping encoder": 450 * MILLISECOND,
     "scaled position": 500 * MILLISECOND,
     "reversed encoder": 400 * MILLISECOND,
     "no torque": 1500 * MILLISECOND,

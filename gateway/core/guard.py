@@ -225,7 +225,7 @@ class Guard:
         except Exception:  # noqa: BLE001 -- a plugin's; a frame that cannot be read commands nothing
             obeyed = ()
         receivers.take_back(frame)
-        return [one for one in obeyed if not isinstance(one, (*READS, msg.Idle))]
+        return [one for one in obeyed if not isinstance(one, READS | msg.Idle)]
 
     def _stops(self, now: Nanos, bus: str, protocol: str, joints: Mapping[str, Joint]) -> Iterator[Frame]:
         """Yield the devices' own stops of those that are armed, are to stand, and were told otherwise for too

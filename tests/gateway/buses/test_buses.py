@@ -24,7 +24,7 @@ from gateway.core.clock import SimulatedClock, WallClock
 from gateway.core.robot import BusSettings
 from gateway.errors import BusError
 from protocols.frames import BusState, CanFrame, Packet
-from protocols.messages import SECOND
+from protocols.messages import MILLISECOND, SECOND
 from tests.gateway.buses.adapter_helpers import wait_for_input
 
 CAN = BusSettings("can0", "can", "virtual:test_buses", bitrate=500_000)

@@ -18,7 +18,8 @@ from gateway.core.clock import SimulatedClock
 from gateway.core.robot import Robot
 from gateway.core.step import Gateway
 from gateway.core.tick import Inputs
-from gateway.runtime.loop import LoopStats, moments, read, write
+from gateway.runtime.loop import moments, read, write
+from gateway.runtime.timing import LoopStats
 from protocols import messages as msg
 from protocols.conformance.random import Random
 from protocols.messages import SECOND, Command, Instruction
