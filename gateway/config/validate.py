@@ -192,9 +192,13 @@ def _falling_load(motor: Motor) -> list[str]:
         return [
             f'{motor.name}: {when}: it falls; "hold", or unattended = "released" if that is known, and safe'
         ]
+    notes: list[str] = []
+    if joint.stop_action == "hold" and joint.on_command_timeout == "idle":
+        when = 'when its commands end its load falls, by on_command_timeout = "idle"'
+        notes.append(f'{motor.name}: it holds at a stop, but {when}; "hold" there, too')
     if joint.stop_action == "hold" and joint.unattended == "released" and not joint.lets_down(motor.spec):
-        return [f"{motor.name}: its device cannot let a load down at the end of the run: what it holds falls"]
-    return []
+        notes.append(f"{motor.name}: its device cannot let a load down: after the run what it holds falls")
+    return notes
 
 
 def _slow_joints(robot: Robot) -> list[str]:

@@ -423,3 +423,24 @@ def test_a_long_queue_of_the_kernel_does_not_fill_with_old_commands(
     newest = received[-1].frame
     assert isinstance(newest, CanFrame)
     assert newest.data == (399).to_bytes(2, "big")
+
+
+@pytest.mark.controllers
+def test_what_waits_in_the_kernel_goes_with_the_interface(
+    controllers: Controllers, opened: Open, caplog: pytest.LogCaptureFixture
+) -> None:
+    """An interface that goes down and comes up delivers nothing from before; it is said how much that was."""
+    one, other = controllers(1_000_000)
+    bus, far = opened(settings(one)), opened(settings(other))
+    with slow(one, frames=1000):
+        bus.write(CLOCK.now(), [CanFrame(number) for number in range(60)])
+        ip("link", "set", one, "down")
+        reported(bus, SECOND // 2)
+        before = receive(far, 60, SECOND // 5)
+        ip("link", "set", one, "up")
+        reported(bus, SECOND // 2)
+        bus.write(CLOCK.now(), [CanFrame(0x700)])
+        after = receive(far, 60, SECOND // 2)
+    assert len(before) < 30
+    assert frames_of(after) == [CanFrame(0x700)]
+    assert f"{bus.name}: up to 60 frames that waited in the kernel's queue were purged" in caplog.text

@@ -646,7 +646,11 @@ JOINTED = changed("torque = 2.0", "torque = 2.0\nposition = [-1.0, 1.0]")
         (JOINTED, 'left: by stop_action = "idle" nothing holds its load'),
         (changed('stop_action = "idle"', 'stop_action = "brake"', JOINTED), 'left: by stop_action = "brake"'),
         (changed('stop_action = "idle"', 'stop_action = "idle"\nunattended = "released"', JOINTED), ""),
-        (changed('stop_action = "idle"', 'stop_action = "hold"', JOINTED), ""),
+        (
+            changed('stop_action = "idle"', 'stop_action = "hold"', JOINTED),
+            "left: it holds at a stop, but when",
+        ),
+        (changed('"idle"', '"hold"', JOINTED, times=2), ""),
     ],
 )
 def test_a_joint_whose_load_falls_is_a_caution(text: str, starts: str) -> None:
