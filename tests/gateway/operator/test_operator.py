@@ -74,6 +74,7 @@ LINES: list[tuple[Robot, str, msg.Instruction | Query | None]] = [
     (DIFFBOT, "estop all", msg.Estop("all")),
     (DIFFBOT, "set brain.pursuit.lookahead 0.4", msg.Set("brain.pursuit.lookahead", 0.4)),
     (DIFFBOT, "set left.limits.velocity 5", msg.Set("left.limits.velocity", 5.0)),
+    (DIFFBOT, "confirm left", msg.Confirm("left")),
     (DIFFBOT, "reboot right", msg.Reboot("right")),
     (DIFFBOT, "zero right", msg.Zero("right")),
     (DIFFBOT, "home right", msg.Home("right")),
