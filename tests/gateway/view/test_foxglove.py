@@ -715,7 +715,7 @@ def test_a_pose_is_a_goal(shared: Bench, app: App, topic: str, encoding: str, fr
     [
         (pose("base_link", 1.0, 0.0, 0.0)[0], "a goal is in the frame 'odom', not in 'base_link'"),
         (pose("map", 1.0, 0.0, 0.0)[0], "a goal is in the frame 'odom', not in 'map'"),
-        (b"{", "JSON is expected"),
+        (b"{", "JSON is expected: an object"),
         (b'{"pose": 7}', "pose must be an object"),
         (b'{"pose": {"position": {"x": "1"}}}', "x must be a finite number"),
         (b'{"pose": {"position": {"x": Infinity}}}', "x must be a finite number"),
