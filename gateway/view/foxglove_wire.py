@@ -131,7 +131,7 @@ def read_json(message: str | bytes) -> Json:
     """Return a JSON object."""
     asked = json_object(message)
     if asked is None:
-        raise WireError("an object in JSON is expected")
+        raise WireError("JSON is expected: an object")
     return asked
 
 
@@ -218,8 +218,13 @@ def string(asked: Json, key: str) -> str:
 
 def real(found: object, key: str) -> float:
     """Return a finite number; of a truth value, 0 or 1."""
-    if isinstance(found, int | float) and isfinite(found):
-        return float(found)
+    if isinstance(found, int | float):
+        try:
+            value = float(found)
+        except OverflowError:  # an integer of hundreds of digits
+            value = float("inf")
+        if isfinite(value):
+            return value
     raise WireError(f"{key} must be a finite number")
 
 

@@ -335,9 +335,9 @@ def test_a_slow_client_gets_every_note_and_the_newest_of_the_rest(loop: Bench) -
 
 CHANNEL = '{"id":1,"topic":"/x","encoding":"json","schemaName":"X"}'
 WRONG: list[tuple[Any, tuple[int, str] | None]] = [
-    ("{", (ERROR, "Invalid message: JSON is expected")),
-    ("[]", (ERROR, "Invalid message: an object is expected")),
-    ("[" * 60000, (ERROR, "Invalid message: JSON is expected")),
+    ("{", (ERROR, "Invalid message: JSON is expected: an object")),
+    ("[]", (ERROR, "Invalid message: JSON is expected: an object")),
+    ("[" * 60000, (ERROR, "Invalid message: JSON is expected: an object")),
     ('{"op": 1}', (ERROR, "Invalid message: an op is expected")),
     ('{"op":"fly"}', (ERROR, "Invalid message: there is no op 'fly'")),
     ("{}", (ERROR, "Invalid message: an op is expected")),
@@ -623,7 +623,7 @@ CALLS: list[tuple[str, bytes, type[Instruction] | None, str]] = [
     ("/goal", b'{"x": 1}', None, "y must be a finite number"),
     ("/goal", b'{"x": 1, "y": 2, "z": 3}', None, "there is no field 'z'"),
     ("/goal", b'{"x": 1, "y": NaN}', None, "y must be a finite number"),
-    ("/goal", b"[1, 2]", None, "an object is expected"),
+    ("/goal", b"[1, 2]", None, "JSON is expected: an object"),
     ("/goal", b"\xff", None, "JSON is expected"),
     ("/ask", b'{"line": "goal 2 1 90"}', Goal, "accepted: goal 2 1 90"),
     ("/ask", b'{"line": "fly"}', None, "no command 'fly'"),
@@ -715,7 +715,7 @@ def test_a_pose_is_a_goal(shared: Bench, app: App, topic: str, encoding: str, fr
     [
         (pose("base_link", 1.0, 0.0, 0.0)[0], "a goal is in the frame 'odom', not in 'base_link'"),
         (pose("map", 1.0, 0.0, 0.0)[0], "a goal is in the frame 'odom', not in 'map'"),
-        (b"{", "JSON is expected"),
+        (b"{", "JSON is expected: an object"),
         (b'{"pose": 7}', "pose must be an object"),
         (b'{"pose": {"position": {"x": "1"}}}', "x must be a finite number"),
         (b'{"pose": {"position": {"x": Infinity}}}', "x must be a finite number"),
