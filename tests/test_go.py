@@ -224,7 +224,8 @@ def clone(tmp_path_factory: pytest.TempPathFactory) -> Clone:
     return Clone(tmp_path_factory.mktemp("go") / "my clone")
 
 
-def test_help_sets_nothing_up(clone: Clone) -> None:
+def test_help_sets_nothing_up(tmp_path: Path) -> None:
+    clone = Clone(tmp_path / "new clone")
     for words in ((), ("--help",), ("-h",)):
         done = clone.go(*words)
         assert done.returncode == 0
@@ -235,6 +236,7 @@ def test_help_sets_nothing_up(clone: Clone) -> None:
 
 
 def test_first_word_sets_up_and_hands_on(clone: Clone, tmp_path: Path) -> None:
+    shutil.rmtree(clone.root / ".venv", ignore_errors=True)
     (tmp_path / "gateway.py").write_text("raise SystemExit('shadowed')")
     first = clone.go("run", "a robot.toml", "--fast", cwd=tmp_path, PYTHONPATH=str(tmp_path), PIP_USER="1")
     assert "setting up .venv" in first.stderr, first.stderr
@@ -247,7 +249,7 @@ def test_first_word_sets_up_and_hands_on(clone: Clone, tmp_path: Path) -> None:
 
 
 def test_the_set_up_shows_what_it_does(clone: Clone) -> None:
-    clone.stamp.unlink()
+    clone.stamp.unlink(missing_ok=True)
     shown = clone.go("run").stderr
     assert shown.index("setting up .venv (once") < shown.index("./go: installing 0 packages ...")
     assert shown.index("installing the project ...") < shown.index("set up in ")

@@ -26,6 +26,7 @@ from gateway.errors import BusError
 from protocols.frames import BusState, CanFrame, Packet
 from protocols.messages import MILLISECOND, SECOND
 from tests.gateway.buses.adapter_helpers import wait_for_input
+from tests.gateway.processes import PATIENCE
 
 CAN = BusSettings("can0", "can", "virtual:test_buses", bitrate=500_000)
 T = TypeVar("T")
@@ -33,7 +34,7 @@ T = TypeVar("T")
 
 def poll(look: Callable[[], T]) -> T:
     """Look until there is something: a pty hands bytes over in the kernel's own time."""
-    end = time.monotonic() + 60.0  # against hanging
+    end = time.monotonic() + PATIENCE
     while time.monotonic() < end:
         if seen := look():
             return seen
