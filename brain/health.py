@@ -49,9 +49,9 @@ after 1 m):
 Not noticed, since nothing shows it: swapped wheels or a reversed gyro on a straight way; a lidar turned by
 180° where the place looks the same; a sector of it that never had a return, or is frozen along a wall (open
 ground, and the wall, look the same); one mounted wrong by less than 1.5° or 0.05 m; a bias below 0.08 rad/s,
-a jump of it below 0.05 rad/s, and any slip below a third of the way, which the filter learns; without a lidar,
-wheels that turn on the spot or are both at another scale, and a gyro's bias under way; without a gyro and a
-lidar, all of these.
+a jump of it below 0.05 rad/s, and any slip below a third of the way, which the filter learns; without a
+lidar, wheels that turn on the spot or are both at another scale, and a gyro's bias under way; without a gyro
+and a lidar, all of these.
 """
 
 from __future__ import annotations

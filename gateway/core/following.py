@@ -25,8 +25,8 @@ judgement anew (lost feedback has a fault of its own). State is plain data.
                          (gyro, lidar) shows it; scaled in the position only, it is inconsistent
     weak motor           as long as it follows, such as at half of its torque; a torque that the device only
                          calculates shows nothing
-    late commands        a device that obeys 0.3 s late, while its set-points stay as they are: it does as it
-                         should. Once they change it does not follow; one that only replies falls silent
+    late commands        as long as the set-points stay as they are: it does what it should. Once they change
+                         it does not follow; a device that only replies falls silent
     no torque in Torque  if the device reports what it should give: a shaft that stands may be blocked
     slow motion          below 2.5 % of the limit of velocity, and moves of position below its bound
     two motors swapped   each follows its own set-points: the base's motion shows it
