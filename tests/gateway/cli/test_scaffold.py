@@ -45,8 +45,9 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Site:
 
 
 @pytest.mark.parametrize("bus", BUSES)
-def test_it_is_a_whole_small_distribution(written: dict[Bus, Path], bus: Bus) -> None:
-    name, folder = f"a1_{bus}", written[bus]
+def test_it_is_a_whole_small_distribution(tmp_path: Path, bus: Bus) -> None:
+    name = f"a1_{bus}"
+    folder = scaffold.new(name, bus, tmp_path).folder
     found = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
     inside = {*scaffold.PACKAGE, "py.typed"}
     assert found == {"pyproject.toml", "tests/test_contract.py", *(f"{name}/{file}" for file in inside)}
