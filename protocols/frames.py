@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from enum import StrEnum
 from typing import TypeAlias
 
@@ -66,6 +66,31 @@ def overlap(one: IdMask, other: IdMask) -> bool:
 
 Frame: TypeAlias = CanFrame | bytes
 """One CAN frame, or any run of serial bytes (a piece of a stream, cut anywhere)."""
+
+
+FD_LENGTHS = frozenset({*range(9), 12, 16, 20, 24, 32, 48, 64})
+"""Data bytes that a frame of CAN FD can have."""
+
+
+def malformed(frame: Frame, kind: str) -> str:
+    """Return why a frame cannot be sent on a bus of this kind ("can", "canfd" or "serial"); "" if it can."""
+    if not isinstance(frame, CanFrame):
+        return "" if kind == "serial" else "bytes on a CAN bus"
+    if kind == "serial":
+        return "a CAN frame on a serial line"
+    if not 0 <= frame.id <= (0x1FFF_FFFF if frame.extended else 0x7FF):
+        return f"an id of more than {29 if frame.extended else 11} bits"
+    if frame.fd:
+        if kind != "canfd":
+            return "a frame of CAN FD on a classic bus"
+        return "a remote frame of CAN FD" if frame.remote else _wrong_length(frame.data, FD_LENGTHS)
+    if frame.brs or (frame.remote and frame.data):
+        return "a bit-rate switch in a classic frame" if frame.brs else "a remote frame with data"
+    return _wrong_length(frame.data, range(9))
+
+
+def _wrong_length(data: bytes, lengths: Container[int]) -> str:
+    return "" if len(data) in lengths else f"{len(data)} bytes of data"
 
 
 @value

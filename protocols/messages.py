@@ -231,7 +231,19 @@ class Arm:
     motor: str
 
 
-Obeyed: TypeAlias = Command | Request | Arm
+@value
+class Kept:
+    """A device keeps or does something by this frame that is neither a command nor a request: a set-point
+    that waits until it is armed, a mode, a message of the vendor's. Only ever decoded, never sent; it is held
+    against `Spec.set_up`."""
+
+    motor: str
+    name: str
+    """Of a number of a command as in `Spec.ranges` ("Velocity.velocity"), of a parameter, or of a message."""
+    value: float
+
+
+Obeyed: TypeAlias = Command | Request | Arm | Kept
 """What a command decoder makes of a frame: if it arms, Arm first, then what the device obeys from then on."""
 
 

@@ -21,7 +21,7 @@ from enum import StrEnum
 from importlib.metadata import EntryPoint, distributions, entry_points
 from itertools import groupby
 from math import inf
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, TypeAlias
 
 from protocols.frames import BusState, Frame, IdMask
 from protocols.messages import Command, Event, Nanos, Obeyed, Request, Torque
@@ -144,6 +144,21 @@ class Setting:
     """One unit of the parameter at the device's shaft, in the limit's unit in SI."""
 
 
+Declared: TypeAlias = float | tuple[float, float] | tuple[float, type[Command]] | str
+"""A value; the lowest and the highest one; a value that goes with this command alone; or the number of the
+command that it is, as in `Spec.ranges`: "Velocity.velocity"."""
+Written: TypeAlias = Mapping[str, tuple[Declared, ...]]
+"""What is written, by the name in the WriteParameter or Kept that the command decoder makes of it: a
+parameter's, or the vendor's name of a message that is none."""
+ANY: tuple[tuple[float, float]] = ((-inf, inf),)
+"""Any value but NaN."""
+
+
+def as_it_is(parameter: str) -> str:
+    """Return the name: the device has one for each parameter."""
+    return parameter
+
+
 def unchanged(command: Command) -> Command:
     """Return the command: to the device, no two commands are the same."""
     return command
@@ -184,6 +199,17 @@ class Spec:
     """Parameters that ReadParameter reads, by the device's names for them: all, or some of each kind."""
     configuration: Mapping[str, Setting] = field(default_factory=dict)
     """By parameter: what is configured on the device, all of which ReadParameter reads."""
+    set_up: Written = field(default_factory=dict)
+    """What the driver writes to the device unasked, before it arms it or with its set-points. The guard
+    passes nothing else that nobody asked for."""
+    stop: tuple[Frame, ...] = ()
+    """Frames that disarm the device whatever it does, the gentlest first: the gateway sends them itself, one
+    after the other, if the driver does not stop a device that is to stand."""
+    writes: Mapping[type[Request], Written] = field(default_factory=dict)
+    """What it writes, beside that, while one of these requests is under way."""
+    decoded: Callable[[str], str] = as_it_is
+    """The name that the command decoder has for a parameter of WriteParameter, where a device has several for
+    one. A function of a module."""
     save: str = ""
     """The parameter that saves the configuration when 1 is written; "": none is needed, or there is none."""
     canonical: Callable[[Command], Command] = unchanged

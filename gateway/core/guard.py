@@ -12,22 +12,23 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias, get_args
+from typing import TYPE_CHECKING
 
 from gateway.core.joint import Joint
 from protocols import messages as msg
-from protocols.frames import CanFrame, Frame, any_matches
-from protocols.messages import MILLISECOND, SECOND, Command, Nanos, Obeyed, Request
+from protocols.asked import READS, SET_POINTS, Asked, Objection, Reported, SetPoint
+from protocols.frames import CanFrame, Frame, any_matches, malformed
+from protocols.messages import MILLISECOND, SECOND, Command, Event, Nanos, Obeyed, Request
 from protocols.plugin import CommandDecoder
 
 if TYPE_CHECKING:
     from gateway.core.robot import Motor, Robot
 
-REQUEST_LASTS: Nanos = 60 * SECOND
-"""How long after a request its frames may be sent: homing takes its time."""
 GOES_ON: Nanos = SECOND
 """How long after a set-point, or after coasting, a motor may be commanded to go on from there: a driver that
 changes the mode, or that arms at rest, sends other set-points in between."""
+STOPS_WITHIN: Nanos = 250 * MILLISECOND
+"""Time in which a driver must have passed on that a device is to stand; then its own stop is sent."""
 LATENCY: Nanos = 50 * MILLISECOND
 """What a device obeys may be this much ahead of what it last obeyed: a joint's set-point moves on while the
 device is being armed, and while a set-point waits for its SYNC."""
@@ -56,10 +57,6 @@ class Blocked:
         return f"{self.rule}{f' ({self.detail})' if self.detail else ''}: {frame}"
 
 
-Objection: TypeAlias = tuple[str, str]
-"""The rule that is broken, and the numbers."""
-
-
 class _Receivers:
     """Command decoders of the devices on a bus: a frame is decoded by those only that listen to its id."""
 
@@ -75,7 +72,8 @@ class _Receivers:
         """The decoders as they were some frames ago,"""
         self._since: list[list[tuple[Nanos, Frame]]] = [[] for _ in devices]
         """and the frames that each was given since, and that were kept."""
-        self._ids = [(*spec.sends, *spec.obeys_also) for spec, _ in devices]
+        self._specs = [spec for spec, _ in devices]
+        self._ids = [(*spec.sends, *spec.obeys_also) for spec in self._specs]
         self._by_id: dict[tuple[int, bool], list[int]] = {}
         """The decoders by the id of a frame and its format: filled as ids are used."""
 
@@ -100,6 +98,11 @@ class _Receivers:
             self._decoders[number] = copy.deepcopy(self._before[number])
             for t, before in self._since[number]:
                 self._decoders[number].decode(t, before)
+
+    def read_only(self, frame: Frame) -> bool:
+        """True if a frame changes nothing in any device that listens to it, and one does."""
+        numbers = self._listening(frame)
+        return bool(numbers) and all(self._specs[number].read_only(frame) for number in numbers)
 
     def _listening(self, frame: Frame) -> Sequence[int]:
         if not isinstance(frame, CanFrame):
@@ -128,19 +131,27 @@ class Guard:
             for plugin, devices in robot.by_protocol(bus)
         }
         """By bus and protocol, then by device."""
+        self._kinds = {key: next(iter(specs.values())).bus for key, specs in self._specs.items()}
+        """What bus each driver writes for."""
         self._receivers = {bus: _Receivers(robot, bus) for bus in robot.buses}
         """What the devices have received: the frames that were passed."""
         self._last: dict[tuple[str, type[Command] | None], tuple[Nanos, Command]] = {}
         """The last set-point that each motor was sent: of each type, and (None) of any."""
+        self._unstopped: dict[str, tuple[Nanos, int]] = {}
+        """Devices that are to stand, and were told otherwise: since when, or since their last own stop;
+        and how many of these were sent."""
         self._coasting: dict[str, tuple[Nanos, float]] = {}
         """The velocity [rad/s] at which each motor was last seen not armed."""
-        self._asked: dict[tuple[str, type[Request]], Nanos] = {}
-        """When each request was last passed on to a driver, by motor (or bus) and type."""
+        self._asked = Asked({name: motor.spec for name, motor in robot.motors.items()})
+        """What the drivers were given."""
 
-    def ask(self, now: Nanos, request: Request) -> None:
-        """Note a request that a driver is given: its frames are asked for. Stop is asked of every device."""
-        about = getattr(request, "motor", getattr(request, "bus", ""))
-        self._asked[about, type(request)] = now
+    def ask(self, now: Nanos, message: Command | Request) -> None:
+        """Note what a driver is given: its frames are asked for. Stop is asked of every device."""
+        self._asked.give(now, message)
+
+    def answer(self, event: Event) -> None:
+        """Note what a driver has reported: a request that is answered is not under way any more."""
+        self._asked.answer(event)
 
     def check(
         self,
@@ -173,8 +184,10 @@ class Guard:
             obeyed: Sequence[Obeyed] = ()
             objection: Objection | None
             try:
-                obeyed = receivers.decode(now, frame)
-                objection = self._objection(now, bus, protocol, frame, obeyed, joints, stopped)
+                objection = self._unfit(bus, protocol, frame)
+                if objection is None:
+                    obeyed = receivers.decode(now, frame)
+                    objection = self._objection(now, bus, protocol, frame, obeyed, joints, stopped)
             except Exception as error:  # noqa: BLE001 -- a plugin's: what cannot be read must not go out
                 objection = "its decoder failed", f"{type(error).__name__}: {error}"
             if objection is not None:
@@ -185,10 +198,38 @@ class Guard:
             receivers.keep(now, frame)
             for one in obeyed:
                 if isinstance(one, msg.COMMANDS):
+                    self._asked.passed(one, self._reported(joints.get(one.motor)))
                     last[one.motor, type(one)] = last[one.motor, None] = (now, one)
+            passed.append(frame)
+        for frame in self._stops(now, bus, protocol, joints):
+            receivers.keep(now, frame)
             passed.append(frame)
         self._last |= last  # only now: frames of one step are compared with those of the steps before
         return passed, blocked
+
+    def _stops(self, now: Nanos, bus: str, protocol: str, joints: Mapping[str, Joint]) -> Iterator[Frame]:
+        """Yield the devices' own stops of those that are armed, are to stand, and were told otherwise for too
+        long: their driver does not stop them."""
+        for name, spec in self._specs[bus, protocol].items():
+            joint = joints.get(name)
+            if joint is None or not (joint.owned and joint.armed and spec.stop and self._asked.stands(name)):
+                self._unstopped.pop(name, None)
+                continue
+            since, sent = self._unstopped.get(name, (now, 0))
+            if not sent and not self._asked.moves_on(name):
+                self._unstopped.pop(name, None)
+            elif now - since < STOPS_WITHIN or sent == len(spec.stop):
+                self._unstopped[name] = since, sent
+            else:
+                self._unstopped[name] = now, sent + 1
+                for one in self._receivers[bus].decode(now, spec.stop[sent]):
+                    self._asked.passed(one, self._reported(joint))
+                yield spec.stop[sent]
+
+    def _unfit(self, bus: str, protocol: str, frame: Frame) -> Objection | None:
+        """Return why a frame cannot be one of this driver's, whatever is in it."""
+        wrong = malformed(frame, self._kinds[bus, protocol])
+        return ("not a frame of this bus", wrong) if wrong else None
 
     # -- whose it is --------------------------------------------------------------------------------
 
@@ -204,16 +245,9 @@ class Guard:
         found = named or self._concerned(bus, protocol, frame)
         return tuple(name for name in found if name in self._motors)
 
-    def _was_asked(self, now: Nanos, about: str, kind: type[Request]) -> bool:
-        at = self._asked.get((about, kind))
-        return at is not None and now - at <= REQUEST_LASTS
-
     def _is_ours(self, now: Nanos, joint: Joint) -> bool:
         """True if we have commanded the device, or an operator has asked something of it."""
-        if joint.owned:
-            return True
-        asked = (self._was_asked(now, joint.name, kind) for kind in ASKED)
-        return any(asked) or self._was_asked(now, "", msg.Stop)
+        return joint.owned or self._asked.is_asked(now, joint.name, ASKED) or self._asked.is_to_stop(now)
 
     # -- what it would do ---------------------------------------------------------------------------
 
@@ -227,57 +261,42 @@ class Guard:
         joints: Mapping[str, Joint],
         stopped: bool,
     ) -> Objection | None:
-        ours: list[str] = []
+        named = dict.fromkeys(getattr(one, "motor", "") for one in obeyed)
+        ours = [name for name in named if name in joints and self._is_ours(now, joints[name])]
         for one in obeyed:
-            joint = joints.get(getattr(one, "motor", ""))
-            if joint is not None and self._is_ours(now, joint):
-                ours.append(joint.name)
-        for one in obeyed:
-            name = getattr(one, "motor", "")
-            if name not in ours:
-                if isinstance(one, READS):
-                    continue  # it only reads
-                if isinstance(one, msg.SetId):
-                    if not self._was_asked(now, bus, msg.SetId):
-                        return "a request that was not made", "SetId"
-                    continue
-                if name not in joints:
-                    return "a command to a device that is not a motor of this robot", name
-                if not (ours and _is_at_rest(one)):
-                    return "a command to a device that was not commanded", type(one).__name__
-            found = self._objection_to(now, one, joints[name], ours, stopped)
+            found = self._objection_to(now, one, joints.get(getattr(one, "motor", "")), ours, stopped)
             if found is not None:
                 return found
-        if obeyed or any(spec.read_only(frame) for spec in self._specs[bus, protocol].values()):
+        if obeyed or self._receivers[bus].read_only(frame):
             return None
         concerned = self._concerned(bus, protocol, frame)
-        if any(name in joints and self._is_ours(now, joints[name]) for name in concerned):
-            return None
-        if self._was_asked(now, bus, msg.SetId):
-            return None
         if not concerned:
             return "not a frame to any device of this driver", ""
-        return "not read-only, and its device was not commanded", ", ".join(concerned)
+        return "not read-only, and nothing that was asked for or declared", ", ".join(concerned)
 
     def _objection_to(
-        self, now: Nanos, one: Obeyed, joint: Joint, ours: Sequence[str], stopped: bool
+        self, now: Nanos, one: Obeyed, joint: Joint | None, ours: Sequence[str], stopped: bool
     ) -> Objection | None:
-        match one:
-            case msg.Velocity() | msg.Position() | msg.Torque() | msg.Impedance():
-                return self._outside(now, one, joint)
-            case msg.Arm():
-                if (stopped or joint.faults) and not joint.armed:
-                    return "arming against a stop or a fault", next(iter(joint.faults), ("", ""))[1]
-            case msg.Idle() | msg.Hold():
-                pass
-            case msg.ReadParameter() | msg.WriteParameter():
-                pass  # a driver sets up the device that it commands
-            case msg.Reboot() if self._was_asked(now, joint.name, msg.WriteParameter):
-                pass  # saving its configuration restarts it
-            case _:
-                if not any(self._was_asked(now, name, type(one)) for name in ours):
-                    return "a request that was not made", type(one).__name__
-        return None
+        if joint is None:
+            return self._asked.objection(now, one, Reported())
+        if joint.name not in ours and not isinstance(one, READS):
+            stranger = isinstance(one, msg.Kept) and self._asked.is_id(now, one.name, one.value)
+            if not stranger and not (ours and _is_at_rest(one)):
+                return "a command to a device that was not commanded", type(one).__name__
+            if isinstance(one, (*msg.COMMANDS, msg.Arm)):
+                return None
+        if isinstance(one, msg.Arm) and (stopped or joint.faults) and not joint.armed:
+            return "arming against a stop or a fault", next(iter(joint.faults), ("", ""))[1]
+        if isinstance(one, SET_POINTS) and (found := self._outside(now, one, joint)) is not None:
+            return found
+        return self._asked.objection(now, one, self._reported(joint), ours)
+
+    def _reported(self, joint: Joint | None) -> Reported:
+        """Return what a device reports, at its own shaft."""
+        if joint is None:
+            return Reported()
+        place = joint.feedback.position
+        return Reported(joint.armed, None if place is None else place * self._motors[joint.name].ratio)
 
     def _outside(self, now: Nanos, one: SetPoint, joint: Joint) -> Objection | None:
         """Return which number of a set-point is beyond the limits of the robot file."""
@@ -331,9 +350,6 @@ class Guard:
             yield coasting[1], bounds.changing(0)
 
 
-SetPoint: TypeAlias = msg.Velocity | msg.Position | msg.Torque | msg.Impedance
-SET_POINTS = get_args(SetPoint)
-READS = (msg.Scan, msg.ReadParameter)
 ASKED: tuple[type[Request], ...] = (
     msg.ClearFault,
     msg.Estop,
@@ -355,7 +371,8 @@ class _Bounds:
 
     def __init__(self, motor: Motor) -> None:
         self.limits, self.timeout = motor.joint.limits, motor.joint.command_timeout
-        self._ratio = motor.joint.gear * motor.joint.sign
+        self.ratio = motor.joint.gear * motor.joint.sign
+        """Of the device's shaft to the joint's."""
         self._errors: dict[tuple[type[Command], str], tuple[float, float]] = {}
         """Of the encoding of each quantity of each set-point: absolute, and relative."""
         for kind in SET_POINTS:
@@ -368,7 +385,7 @@ class _Bounds:
         encoding."""
         value: float = getattr(one, quantity, 0.0)
         absolute, relative = self._errors[type(one), quantity]
-        error, ratio = absolute + relative * abs(value), self._ratio
+        error, ratio = absolute + relative * abs(value), self.ratio
         if quantity == "torque":
             return value * ratio, 1e-9 + abs(error * ratio)
         return value / ratio, 1e-9 + abs(error / ratio)
@@ -379,7 +396,7 @@ class _Bounds:
 
     def pull(self, one: msg.Impedance, measured: msg.Feedback) -> float:
         """Return the torque [N·m] of a spring and damper at the measured position and velocity."""
-        position = (measured.position or 0.0) * self._ratio
-        velocity = (measured.velocity or 0.0) * self._ratio
+        position = (measured.position or 0.0) * self.ratio
+        velocity = (measured.velocity or 0.0) * self.ratio
         spring = one.stiffness * (one.position - position) + one.damping * (one.velocity - velocity)
-        return (one.torque + spring) * self._ratio
+        return (one.torque + spring) * self.ratio

@@ -252,6 +252,7 @@ class Gateway:
 
     def _note_answer(self, event: Event) -> None:
         """Note the answer to a request; Done to a ClearFault also clears the joint."""
+        self.guard.answer(event)
         if isinstance(event, msg.Done | msg.Refused) and event.name in self.joints:
             self.joints[event.name].on_answer(event.request)
         match event:
@@ -342,11 +343,11 @@ class Gateway:
         packets: list[Packet] = []
         for one in self._drivers:
             asked = [request for request in requests if _is_for(request, one)]
-            for request in asked:
-                self.guard.ask(now, request)
-            given = [command for name, command in commands.items() if name in one.motors]
+            given = [*asked, *(command for name, command in commands.items() if name in one.motors)]
+            for each in given:
+                self.guard.ask(now, each)
             nothing = _NOTHING, _NO_FRAMES
-            events, frames = self._call(one, nothing, one.driver.send, now, [*asked, *given])
+            events, frames = self._call(one, nothing, one.driver.send, now, given)
             self._late += events
             packets += self._out(now, one, frames)
         return packets

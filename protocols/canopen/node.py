@@ -12,8 +12,8 @@ change of a state object, or of any object if there is no event timer.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 from protocols.canopen import objects as o
 from protocols.canopen import services
@@ -46,6 +46,8 @@ class Received:
 
     written: Sequence[Key] = ()
     """The objects that it wrote, all at the same time."""
+    latched: Mapping[Key, int] = field(default_factory=dict)
+    """What waits for a SYNC."""
     command: NmtCommand | None = None
     changed: bool = False
     """The NMT state is another one than before."""
@@ -121,18 +123,19 @@ class Node:
         return Received(() if key is None else (key,), response=response)
 
     def _on_rpdos(self, t: Nanos, indices: Sequence[int], data: bytes) -> Received | None:
-        written: list[Key] = []
+        written, latched = list[Key](), dict[Key, int]()
         for index in indices if self.nmt is NmtState.OPERATIONAL else ():
             packing = self.dictionary.active(index)
             values = packing.unpack(data) if packing else None
-            if values is None:
+            if packing is None or values is None:
                 continue
             self.received[index] = t
             if is_synchronous(self.dictionary.values[index, o.TRANSMISSION]):
                 self.latched[index] = values
+                latched |= zip((each.key for each in packing.entries), values, strict=False)
             else:
                 written += self._take(index, values)
-        return Received(written) if written else None
+        return Received(written, latched) if written or latched else None
 
     def _take(self, index: int, values: Sequence[int]) -> list[Key]:
         """Write the values of an RPDO to the dictionary; return the objects that accepted them."""

@@ -57,6 +57,14 @@ def title(key: Key) -> str:
     return f"{key[0]:04X}:{key[1]:02X}" if key[1] else f"{key[0]:04X}"
 
 
+def declared(writes: Iterable[tuple[Key, int]]) -> dict[str, tuple[float, ...]]:
+    """Return objects and values that are written, as `Spec.set_up` has them."""
+    found: dict[str, tuple[float, ...]] = {}
+    for key, value in writes:
+        found[title(key)] = (*found.get(title(key), ()), float(value))
+    return found
+
+
 def to_bytes(type_: Type, value: int) -> bytes:
     """Encode a value. ValueError if it is outside the type."""
     if not type_.low <= value <= type_.high:

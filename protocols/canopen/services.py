@@ -48,6 +48,11 @@ def sdo_tx_id(node: int) -> int:
     return SDO_TX_BASE + node
 
 
+def disable(node: int) -> CanFrame:
+    """Return the frame that writes a drive's controlword (6040), by SDO: disable voltage."""
+    return CanFrame(sdo_rx_id(node), bytes.fromhex("2B40600000000000"))
+
+
 def sdo_rx_id(node: int) -> int:
     """Return the identifier of SDO requests to a device."""
     return SDO_RX_BASE + node
@@ -61,6 +66,10 @@ class NmtCommand(IntEnum):
     ENTER_PRE_OPERATIONAL = 0x80
     RESET_NODE = 0x81
     RESET_COMMUNICATION = 0x82
+
+
+NMT_STATE = "NMT state"
+"""The parameter that an NMT command changes."""
 
 
 class NmtState(IntEnum):

@@ -17,21 +17,24 @@ from protocols.canopen import names
 from protocols.canopen import objects as co
 from protocols.canopen import services as cs
 from protocols.canopen.objects import PDO_NUMBERS, Key, Type
+from protocols.canopen.services import NMT_STATE, NmtState
 from protocols.cia402 import objects as o
 from protocols.cia402.driver import Cia402Adapter
 from protocols.cia402.faults import FAULTS
-from protocols.cia402.memory import Cia402Decoder
-from protocols.cia402.objects import OBJECTS
+from protocols.cia402.memory import HEARTBEAT, SYNC, Cia402Decoder
+from protocols.cia402.objects import OBJECTS, decoded
 from protocols.cia402.options import Options
-from protocols.cia402.profile import supports
+from protocols.cia402.profile import Mode, supports
 from protocols.cia402.setpoints import FAMILIES
 from protocols.cia402.settings import SETTING_OBJECTS, Settings, units_of_settings
+from protocols.cia402.setup import Known
 from protocols.cia402.twin import Cia402Twin
 from protocols.cia402.units import READ
 from protocols.frames import EXTENDED_BIT, exact
 from protocols.messages import MILLISECOND, Command, Request
 from protocols.plugin import (
     DRIVER_WRITES,
+    Declared,
     Device,
     Driver,
     FeedbackKind,
@@ -40,6 +43,7 @@ from protocols.plugin import (
     Setting,
     Spec,
     Watchdog,
+    Written,
 )
 from protocols.toolkit.assembly import driver_of
 from protocols.toolkit.options import configuration
@@ -121,6 +125,32 @@ def configured(options: Options, settings: Settings) -> dict[str, Setting]:
     return found
 
 
+MODES = tuple(
+    (float(mode), kind) for kind, families in FAMILIES.items() for family in families for mode in family[1:]
+)
+HOMING: Written = {co.title(o.MODE): (float(Mode.HM),), co.title(o.HOMING_METHOD): ((-128.0, 127.0),)}
+"""What homing writes: Zero its own method, then that of before."""
+
+
+def set_up(device: Device) -> Written:
+    """Return what is written to a drive unasked. What a controlword makes it do is decoded beside."""
+    found = co.declared(
+        (write.key, write.value) for write in Known(device.options, device.address).all_writes()
+    )
+    found[co.title(co.CONSUMER_HEARTBEAT)] = (0.0, *found.get(co.title(co.CONSUMER_HEARTBEAT), ()))
+    states = (float(NmtState.OPERATIONAL), float(NmtState.PRE_OPERATIONAL))
+    sent: dict[str, tuple[Declared, ...]] = {
+        SYNC: (0.0,),
+        HEARTBEAT: states,
+        NMT_STATE: states[:1],
+        co.title(o.MODE): MODES,
+    }
+    sent[co.title(o.TARGET_POSITION)] = ((-(2.0**31), 2.0**31),)
+    for key in o.TARGETS - {o.TARGET_POSITION}:
+        sent[co.title(key)] = (0.0,)
+    return {**found, **sent, co.title(o.CONTROLWORD): ((0.0, 65535.0),)}
+
+
 def spec(device: Device) -> Spec:
     """Return the contract of one drive. ValueError if its address is not possible."""
     options, settings, node = device.options, device.settings, device.address
@@ -163,6 +193,10 @@ def spec(device: Device) -> Spec:
         faults=FAULTS,
         parameters=("6041", "6064"),
         configuration=configured(options, settings),
+        set_up=set_up(device),
+        stop=(cs.disable(node),),
+        writes=dict.fromkeys((msg.Home, msg.Zero), HOMING),
+        decoded=decoded,
         save="save",
         receives_also=((cs.SDO_TX_BASE, any_node), (cs.HEARTBEAT_BASE, any_node), *other_producer),
     )

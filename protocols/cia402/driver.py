@@ -23,7 +23,7 @@ from protocols.cia402 import objects as o
 from protocols.cia402 import setup
 from protocols.cia402.drive import FAULTY, Drive
 from protocols.cia402.faults import DUPLICATE_NODE, FAULTS, HOMING_FAILED, fault_info
-from protocols.cia402.objects import OBJECTS
+from protocols.cia402.objects import OBJECTS, SIGNATURES
 from protocols.cia402.options import Options
 from protocols.cia402.polls import feedback
 from protocols.cia402.setpoints import Values
@@ -38,8 +38,6 @@ TIMEOUT = 2000 * MILLISECOND
 CLEAR_TIMEOUT, CLEAR_AGAIN = 3000 * MILLISECOND, 10 * MILLISECOND
 REBOOT_TIMEOUT, REBOOT_AGAIN = 8000 * MILLISECOND, 2000 * MILLISECOND
 SAVING = 6000 * MILLISECOND
-SIGNATURES = {"save": (co.STORE, b"save"), "load": (co.RESTORE, b"load")}
-"""Parameters that are written with 1: all is saved, or at the next restart as delivered."""
 TWICE = "every request is answered twice (by two devices, or to two hosts)"
 DRIVER_OBJECTS = frozenset({o.CONTROLWORD, o.MODE, *o.TARGETS, co.CONSUMER_HEARTBEAT})
 """Objects that only the driver itself writes, like the PDO parameters."""

@@ -15,14 +15,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from protocols import messages as msg
+from protocols.asked import waiting
 from protocols.canopen import objects as co
-from protocols.canopen import sdo
+from protocols.canopen import sdo, services
 from protocols.canopen.dictionary import Dictionary, pdo_defaults
 from protocols.canopen.node import Node, Received
 from protocols.canopen.objects import Key, title
-from protocols.canopen.services import NmtCommand
+from protocols.canopen.services import NMT_STATE, NmtCommand
 from protocols.cia402 import objects as o
-from protocols.cia402.objects import OBJECTS, TARGETS
+from protocols.cia402.objects import OBJECTS, SIGNATURES, TARGETS
 from protocols.cia402.profile import POWERED, Control, Demand, Mode, PowerState, demand_of, supports
 from protocols.cia402.settings import LOWEST, ONLY, SETTING_OBJECTS, Settings, twin_units
 from protocols.cia402.state_machine import HOLDING_QUICK_STOPS, next_state
@@ -31,8 +32,14 @@ from protocols.frames import Frame
 from protocols.messages import Command, Nanos, Obeyed
 from protocols.plugin import Device
 
-NMT_STATE = "NMT state"
-"""The parameter that an NMT command changes."""
+SYNC, HEARTBEAT = "SYNC", "heartbeat"
+"""What stands for these of the host."""
+NUMBER_OF: Mapping[Key, str] = {
+    o.TARGET_POSITION: "position",
+    **dict.fromkeys((o.TARGET_VELOCITY, o.VELOCITY_OFFSET), "velocity"),
+    **dict.fromkeys((o.TARGET_TORQUE, o.TORQUE_OFFSET), "torque"),
+}
+"""The number of a command that each set-point is."""
 DISCONNECTS = (NmtCommand.STOP, NmtCommand.RESET_COMMUNICATION)
 """With these the host is lost, to a drive that gives torque: the reaction is in 6007."""
 MODES = {int(mode): mode for mode in Mode}
@@ -96,6 +103,8 @@ class Memory:
         """The one after it."""
         self.homing_requested = False
         """The firmware is to begin homing."""
+        self._latched: dict[Key, int] = {}
+        """What waits for the next SYNC."""
         self.units = twin_units(self.values)
         self._mode_before = self.mode
 
@@ -146,11 +155,15 @@ class Memory:
             self._start()
             return (msg.Reboot(self.motor),)
         if received.command is None:
-            return self._on_written(received.written) if received.written else ()
+            if received.sync:
+                self._latched.clear()
+            obeyed = self._on_written(received.written) if received.written else ()
+            return obeyed or (self._waits(received.latched) if received.latched else ())
         obeyed = list(self.lose_connection()) if received.command in DISCONNECTS else []
-        if received.changed or received.command is NmtCommand.RESET_COMMUNICATION:
-            obeyed.append(msg.WriteParameter(self.motor, NMT_STATE, float(self.node.nmt)))
-        return obeyed
+        resets = received.command is NmtCommand.RESET_COMMUNICATION
+        kind = msg.WriteParameter if received.changed or resets else msg.Kept
+        obeyed.append(kind(self.motor, NMT_STATE, float(self.node.nmt)))
+        return [*obeyed, msg.Kept(self.motor, "NMT reset communication", 1.0)] if resets else obeyed
 
     def lose_connection(self) -> Sequence[Obeyed]:
         """React to a lost host as object 6007 demands; the fault of option 1 is the firmware's part."""
@@ -165,19 +178,53 @@ class Memory:
 
     def _on_written(self, keys: Sequence[Key]) -> Sequence[Obeyed]:
         """React to objects that were written at the same time."""
-        if self.mode is not self._mode_before:
+        changed = self.mode is not self._mode_before
+        if changed:
             self._mode_before, self.goal, self.next_goal = self.mode, None, None
         acting = [key for key in keys if key in TARGETS or key in (o.CONTROLWORD, o.MODE)]
-        obeyed: list[Obeyed] = [
-            msg.WriteParameter(self.motor, title(key), float(self.values[key]))
-            for key in keys
-            if key not in acting
-        ]
+        obeyed: list[Obeyed] = [self._written(key) for key in keys if key not in acting]
         if any(key in READ for key in keys):
             self.units = twin_units(self.values)
         if o.CONTROLWORD in acting:
             obeyed += self._on_controlword(self.values[o.CONTROLWORD])
-        return obeyed + list(self.command()) if self.enabled and acting else obeyed
+        if not acting:
+            return obeyed
+        found = self.command()
+        obeyed += found if self.enabled else waiting(*found)
+        # What else it keeps of these: nothing of it acts by itself.
+        if o.CONTROLWORD in acting and not (obeyed and self.enabled):
+            obeyed.append(self._kept(o.CONTROLWORD))
+        if o.MODE in acting and (changed or not obeyed):
+            obeyed.append(self._kept(o.MODE))
+        return obeyed or [self._kept(key) for key in acting]
+
+    def _waits(self, latched: Mapping[Key, int]) -> Sequence[Obeyed]:
+        """Return what the next SYNC makes of set-points: their numbers, and a controlword and a mode."""
+        values = self.values
+        self._latched |= latched
+        before = {key: values[key] for key in self._latched if key in values}
+        values.update((key, each) for key, each in self._latched.items() if key != o.MODE or each in MODES)
+        names = {NUMBER_OF[key] for key in latched if key in NUMBER_OF}
+        found = [each for each in waiting(*self.command()) if each.name.partition(".")[2] in names]
+        kept = [
+            self._kept(key)
+            for key, value in latched.items()
+            if key == o.CONTROLWORD or (key == o.MODE and value != before.get(key))
+        ]
+        values.update(before)
+        return [*found, *kept] or (msg.Kept(self.motor, SYNC, 0.0),)
+
+    def _kept(self, key: Key) -> msg.Kept:
+        """Return that an object was written which acts with others."""
+        return msg.Kept(self.motor, title(key), float(self.values[key]))
+
+    def _written(self, key: Key) -> msg.WriteParameter:
+        """Return that an object was written; by its name, with 1, if that was a signature."""
+        value = self.values[key]
+        for name, (signed, text) in SIGNATURES.items():
+            if key == signed and value == int.from_bytes(text, "little"):
+                return msg.WriteParameter(self.motor, name, 1.0)
+        return msg.WriteParameter(self.motor, title(key), float(value))
 
     def _on_controlword(self, control: int) -> Sequence[Obeyed]:
         before, self.control = self.control, control
@@ -248,6 +295,7 @@ class Cia402Decoder:
 
     def __init__(self, devices: Sequence[Device]) -> None:
         self.memories = [Memory(device, instant=True) for device in devices]
+        self._first, self._host = devices[0].name, devices[0].options.host_id
 
     def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
         """Return the commands and requests that the devices would obey; [] if none would do anything."""
@@ -255,4 +303,13 @@ class Cia402Decoder:
         for memory in self.memories:
             received = memory.node.receive(t, frame)
             obeyed += [] if received is None else memory.obey(received)
-        return obeyed
+        return obeyed or self._of_all(frame)
+
+    def _of_all(self, frame: Frame) -> Sequence[Obeyed]:
+        """Return what a host sends to all drives: it makes none do anything but go on."""
+        match services.decode(frame):
+            case services.Sync():
+                return (msg.Kept(self._first, SYNC, 0.0),)
+            case services.Heartbeat(node, state) if node == self._host:
+                return (msg.Kept(self._first, HEARTBEAT, float(state)),)
+        return ()

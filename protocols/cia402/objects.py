@@ -8,7 +8,8 @@ Source: CiA 402-2 (indices, types and units as in ros-industrial/ros2_canopen@6a
 
 from __future__ import annotations
 
-from protocols.canopen.objects import Access, Key, Object, Objects, Type
+from protocols.canopen import objects as co
+from protocols.canopen.objects import Access, Key, Object, Objects, Type, title
 
 _ROWS: list[Object] = []
 
@@ -102,3 +103,11 @@ TARGETS = frozenset({TARGET_POSITION, TARGET_VELOCITY, TARGET_TORQUE, VELOCITY_O
 """The set-points of an enabled drive."""
 
 OBJECTS = Objects(_ROWS)
+SIGNATURES: dict[str, tuple[Key, bytes]] = {"save": (co.STORE, b"save"), "load": (co.RESTORE, b"load")}
+"""Parameters that are written with 1: all is saved, or at the next restart as delivered."""
+
+
+def decoded(parameter: str) -> str:
+    """Return the name that the command decoder has for a parameter, as `Spec.decoded` does."""
+    key = None if parameter in SIGNATURES else OBJECTS.find(parameter)
+    return parameter if key is None else title(key)

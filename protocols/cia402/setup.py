@@ -10,11 +10,13 @@ Source: CiA 301 (identity object 1018, PDO parameters), CiA 402-2 (608F, 6091, 6
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from protocols.canopen import mapping
 from protocols.canopen import objects as co
 from protocols.canopen.mapping import Kind, Pdo, Setup, Write, default_id
 from protocols.canopen.objects import Key, Type, from_bytes
-from protocols.canopen.pdo import EVENT, entry
+from protocols.canopen.pdo import EVENT, NO_RTR, encode_entry, entry
 from protocols.cia402 import objects as o
 from protocols.cia402 import units
 from protocols.cia402.objects import OBJECTS
@@ -176,6 +178,20 @@ class Known:
         if options.watchdog_ms:
             plan.append(Write(co.CONSUMER_HEARTBEAT, options.host_id << 16 | options.watchdog_ms))
         return Setup(OBJECTS, plan)
+
+    def all_writes(self) -> Iterator[Write]:
+        """Yield what `setup` may write to a drive, whatever it has."""
+        options = self.options
+        yield Write(co.PRODUCER_HEARTBEAT, options.heartbeat_ms)
+        if options.watchdog_ms:
+            yield Write(co.CONSUMER_HEARTBEAT, options.host_id << 16 | options.watchdog_ms)
+        for pdo in self.wanted() if options.mapping == "auto" else ():
+            for before in (0, NO_RTR):
+                yield from mapping.writes(pdo, before)
+            _, mapped = mapping.parameters(pdo.kind, pdo.number)
+            for number in range(1, len(pdo.entries) + 1):  # objects that a drive lacks are left out
+                yield Write((mapped, 0), number)
+                yield from (Write((mapped, number), encode_entry(each)) for each in pdo.entries)
 
     def adopt(self, setup: Setup) -> None:
         """Record what a setup that is done has configured."""

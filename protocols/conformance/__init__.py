@@ -20,6 +20,7 @@ from typing import Literal, TypeAlias
 from zlib import crc32
 
 from protocols.conformance import (
+    asked,
     duplicates,
     faults,
     losses,
@@ -80,6 +81,8 @@ CLAUSES: tuple[Clause, ...] = (
            passivity.foreign_traffic_changes_nothing),
     Clause("passive", "until commanded, only read-only frames are sent",
            passivity.uncommanded_is_read_only, ("conversation",)),
+    Clause("asked", "only what is read-only, commanded, requested or declared as set-up is sent",
+           asked.only_what_was_asked, ("conversation",)),
     Clause("declared", "only frames of the declared kinds and ids are sent",
            passivity.only_declared_frames, ("conversation",)),
     Clause("finite", "numbers that are not finite or out of range are neither sent nor reported",

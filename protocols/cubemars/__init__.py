@@ -59,6 +59,8 @@ def spec(device: Device) -> Spec:
     """Return the contract of one motor. Raises ValueError if its address cannot be one."""
     options: Options = device.options
     mit = options.mode == "mit"
+    release = cm.MIT.encode("exit", device.address) if mit else None
+    release = release or cm.SERVO.encode("SET_CURRENT", device.address, value=0.0)
     status = exact(cm.STATUS | device.address, extended=True)
     return can_motor(
         device,
@@ -72,6 +74,8 @@ def spec(device: Device) -> Spec:
         ranges=ranges(options),
         watchdog=Watchdog(None, enabled=False, note="" if options.watchdog == "acknowledged" else NOTE),
         faults=cm.FAULTS,
+        set_up={"exit": (1.0,)} if mit else {},
+        stop=(release,),
         canonical=options.gains.canonical if mit else unchanged,
         caution=SILENT if mit and not options.sole_host else "",
     )

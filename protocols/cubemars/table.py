@@ -77,6 +77,8 @@ SERVO = Table(
 )
 """The messages of servo mode: share of the voltage, A, electrical rpm and its change in a second, degrees of
 the output shaft."""
+SENT = frozenset({"SET_CURRENT", "SET_RPM"})
+"""Set-points that are sent here, beside SET_POS_SPD."""
 MIT = mit_table(*MODELS["AK80-9"])
 """For what is the same in all models."""
 DEGREE = math.pi / 180.0

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from protocols import messages as msg
+from protocols.asked import waiting
 from protocols.cubemars import table as cm
 from protocols.cubemars.options import Options, Settings
 from protocols.frames import Frame
@@ -48,12 +49,23 @@ class Memory:
                 return msg.Arm(motor), msg.Torque(motor, 0.0)
             case "exit":
                 was, self.entered = self.entered, False
-                return (msg.Idle(motor),) if was else ()
+                again = () if self.options.sole_host else (msg.Kept(motor, "exit", 1.0),)
+                return (msg.Idle(motor),) if was else again
             case "set zero" | "SET_ORIGIN_HERE":
                 return (msg.Zero(motor),)
             case "control":
-                return (commanded(motor, values),) if self.entered else ()
-        return self._drive(decoded.name, values["value"], values.get("fastest", math.inf))
+                five = commanded(motor, values)
+                return (five,) if self.entered else waiting(self.options.gains.canonical(five))
+        unused = () if self._is_sent(decoded) else (msg.Kept(motor, decoded.name, 1.0),)
+        return *unused, *self._drive(decoded.name, values["value"], values.get("fastest", math.inf))
+
+    def _is_sent(self, decoded: Decoded) -> bool:
+        """True for a message that is sent here; a position with the options' limits."""
+        if decoded.name != "SET_POS_SPD":
+            return decoded.name in cm.SENT
+        options, values = self.options, decoded.values
+        limits = {"fastest": options.max_velocity, "ramp": options.max_acceleration}
+        return all(abs(values[each] - own / options.erpm) <= 5.001 for each, own in limits.items())
 
     def _drive(self, name: str, value: float, fastest: float) -> Sequence[Obeyed]:
         """Return what the motor does on a set-point of servo mode."""

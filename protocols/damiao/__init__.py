@@ -12,7 +12,7 @@ from protocols.frames import exact
 from protocols.messages import MILLISECOND, Command
 from protocols.plugin import DRIVER_WRITES, Device, Plugin, Range, Setting, Spec, Watchdog
 from protocols.toolkit import mit
-from protocols.toolkit.assembly import can_motor, decoder_of, driver_of
+from protocols.toolkit.assembly import can_motor, declared, decoder_of, driver_of
 from protocols.toolkit.options import configuration
 from protocols.toolkit.table import BINARY32
 
@@ -81,6 +81,8 @@ def spec(device: Device) -> Spec:
         faults=FAULTS,
         parameters=tuple(REGISTERS.by_name),
         configuration=configured(device),
+        set_up=declared(DamiaoAdapter().written(options)),
+        stop=(ANY.encode("disable", device.address),),
         save=SAVE,
         receives_also=((REPLY_BASE, 0x7F0),),
         canonical=options.gains.canonical,

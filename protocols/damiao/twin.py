@@ -6,12 +6,14 @@ do is ours: the manual gives their gains, not their form.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from protocols import messages as msg
+from protocols.asked import waiting
 from protocols.damiao import table as dm
-from protocols.damiao.options import Settings
+from protocols.damiao.options import Options, Settings
 from protocols.damiao.table import REGISTERS
 from protocols.frames import Frame
 from protocols.messages import Command, Mode, Nanos, Obeyed
@@ -19,7 +21,7 @@ from protocols.plugin import Device
 from protocols.toolkit.firmware import ServoFirmware, milliseconds
 from protocols.toolkit.mit import commanded
 from protocols.toolkit.servo import Gains
-from protocols.toolkit.table import Decoded
+from protocols.toolkit.table import Decoded, Values
 
 
 @dataclass(slots=True)
@@ -28,6 +30,7 @@ class Motor:
 
     name: str
     address: int
+    options: Options
     registers: dict[str, float]
     enabled: bool = False
     fastest: float = 1.0
@@ -53,14 +56,31 @@ class Motor:
                 return (msg.ClearFault(motor),)
             case "zero":
                 return (msg.Zero(motor),)
-        if not self.enabled or self.ignores(name):
+        if self.ignores(name):
             return ()
+        goal = self._goal(name, values)
+        obeyed = (goal,) if self.enabled else waiting(self.options.gains.canonical(goal))
+        return *self._limits(name, values), *obeyed
+
+    def _goal(self, name: str, values: Values) -> Command:
+        """Return what a set-point commands."""
         if name == "MIT":
-            return (commanded(motor, values),)
+            return commanded(self.name, values)
         if name == "VEL":
-            return (msg.Velocity(motor, values["velocity"]),)
-        self.fastest, self.force = abs(values["fastest"]), values.get("force", 1.0)
-        return (msg.Position(motor, values["position"]) if self.fastest and self.force else msg.Hold(motor),)
+            return msg.Velocity(self.name, values["velocity"])
+        if self.enabled:
+            self.fastest, self.force = abs(values["fastest"]), values.get("force", 1.0)
+        moves = values["fastest"] and values.get("force", 1.0)
+        return msg.Position(self.name, values["position"]) if moves else msg.Hold(self.name)
+
+    def _limits(self, name: str, values: Mapping[str, float]) -> Sequence[Obeyed]:
+        """Return what limits the way to a position, where that is not as the options have it."""
+        stated = {"fastest": self.options.max_velocity, "force": self.options.max_force}
+        return [
+            msg.Kept(self.name, f"{name} {each}", values[each])
+            for each, own in stated.items()
+            if each in values and not math.isclose(values[each], own, rel_tol=1e-3)
+        ]
 
     def _at_rest(self) -> Command:
         """Return what the motor does when it is enabled, before a set-point."""
@@ -94,7 +114,7 @@ def motor_of(device: Device) -> Motor:
     registers |= settings.registers
     registers |= {"ESC_ID": device.address, "MST_ID": device.options.reply(device.address), "VBus": 24.0}
     registers |= {"SN": settings.serial or 0xDA310000 + device.address}
-    return Motor(device.name, device.address, registers)
+    return Motor(device.name, device.address, device.options, registers)
 
 
 class DamiaoTwin(ServoFirmware):

@@ -17,8 +17,8 @@ from protocols.moteus.codec import ADDRESS_MAX, BROADCAST, reply_id
 from protocols.moteus.decoder import MoteusDecoder
 from protocols.moteus.driver import MoteusAdapter, Options
 from protocols.moteus.loops import COUNTED, Settings
-from protocols.moteus.messages import names
-from protocols.moteus.table import FAULTS
+from protocols.moteus.messages import STOP, names
+from protocols.moteus.table import FAULTS, UUID_MASK, beside, decoded
 from protocols.moteus.twin import MoteusTwin
 from protocols.plugin import Device, Plugin, Range, Setting, Spec, Watchdog
 from protocols.toolkit.assembly import can_motor, driver_of
@@ -61,7 +61,15 @@ class ReadOnly:
         if not isinstance(frame, CanFrame) or frame.remote or frame.id not in self.ids:
             return False
         subframes, well_formed = codec.parse(frame.data)
-        return well_formed and all(subframe.code == codec.READ for subframe in subframes)
+        return well_formed and all(map(_only_reads, subframes))
+
+
+def _only_reads(subframe: codec.Subframe) -> bool:
+    """True for a query, and for the UUID of whom it is for."""
+    masks = range(subframe.register, subframe.register + len(subframe.raw))
+    return subframe.code == codec.READ or (
+        subframe.code == codec.WRITE and bool(masks) and all(each in UUID_MASK for each in masks)
+    )
 
 
 def _exact(number: int) -> IdMask:
@@ -99,6 +107,9 @@ def spec(device: Device) -> Spec:
         faults=FAULTS,
         parameters=("mode", "voltage"),
         configuration=IDENTITY,
+        stop=(codec.make_frame(codec.command_id(device.address, host, prefix), STOP),),
+        set_up={beside(name): ((0.0, most),) for name, most in options.most.items()},
+        decoded=decoded,
         obeys_also=tuple((prefix << 16 | to, DESTINATION) for to in (device.address, BROADCAST)),
         receives_also=((reply_id(0, host, prefix), reply_id(0, 0x7F, 0x1FFF) | codec.REPLY_BIT | 0x80),),
     )

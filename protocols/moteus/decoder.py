@@ -14,9 +14,11 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Iterator, Mapping, Sequence
+from copy import copy
 from math import inf, isclose, isfinite, isnan, nan, tau
 
 from protocols import messages as msg
+from protocols.asked import set_id
 from protocols.frames import CanFrame, Frame
 from protocols.messages import Command, Nanos, Obeyed, Request
 from protocols.moteus import codec
@@ -45,6 +47,18 @@ COMMAND_NAMES: Mapping[int, str] = {
 """The command register in which a number is kept: those of stay-within are other numbers of the same."""
 BRIEF = 0.001
 """s: a watchdog timeout below, or a negative one, is over before the command is executed."""
+SENT = frozenset(
+    {Mode.STOPPED, Mode.POSITION, Mode.STAY_WITHIN, Mode.ZERO_VELOCITY, Mode.BRAKE, Mode.TIMEOUT}
+)
+"""Modes that are sent here, or that stand for one."""
+_OTHERS = "timeout position_max_torque stop_position ignore_position_bounds"
+_OTHERS += " fixed_voltage_override fixed_current_override"
+OTHERS = tuple(f"command_{name}" for name in _OTHERS.split())
+"""What a command says beside its numbers,"""
+TRAJECTORY = "command_velocity_limit", "command_accel_limit"
+"""and that of position control;"""
+GAINS = "command_kp_scale", "command_kd_scale", "command_ilimit_scale"
+"""and its gains, where they are no numbers of the command."""
 COMMANDED = frozenset(Mode) - {Mode.FAULT, *tb.RISING}
 """A command of another mode is accepted, and ignored."""
 
@@ -58,6 +72,8 @@ class Memory:
         self.motor, self.address, self.uuid = device.name, device.address, uuid
         self.prefix: int = device.options.can_prefix
         self.gains: tuple[float, float] = device.options.gains
+        self.own: dict[str, float] = DEFAULTS | device.options.stated
+        """The command registers as they are in all commands of the driver."""
         self.within: tuple[float, float] = (device.options.within_min, device.options.within_max)
         self.command = {**DEFAULTS}
         self.mode: int = Mode.STOPPED  # as last commanded
@@ -133,6 +149,16 @@ class Memory:
             elif text:
                 yield Subframe(TO_DEVICE, 1, data=text.encode())
 
+    def stranger(self) -> Memory:
+        """Return a device of which no UUID is known, to read what is not for this one."""
+        other = copy(self)
+        other.become_unknown()
+        return other
+
+    def become_unknown(self) -> None:
+        """Forget the UUID; what is commanded from now on is this object's own."""
+        self.command, self.uuid = {**self.command}, b""
+
     def begins(self) -> Sequence[Obeyed]:
         """Return the command that the last frame began, if it did. In timeout a device is not armed: it is in
         a fault, in which it damps."""
@@ -142,6 +168,24 @@ class Memory:
         lost = self.mode == Mode.TIMEOUT or (self.mode in WATCHDOG_MODES and timeout < BRIEF)
         command = self._meaning(Mode.TIMEOUT if lost else self.mode)
         return (command,) if lost or isinstance(command, msg.Idle) else (msg.Arm(self.motor), command)
+
+    def besides(self, command: Obeyed) -> Sequence[msg.Kept]:
+        """Return what the last command says beside its numbers that is not as the options have it."""
+        if self.mode not in SENT:
+            return (msg.Kept(self.motor, "mode", float(self.mode)),)
+        if self.mode not in (Mode.POSITION, Mode.STAY_WITHIN):
+            return ()
+        if self.mode == Mode.STAY_WITHIN or isinstance(command, msg.Impedance):
+            names = OTHERS  # a trajectory is none of theirs, and their gains are their numbers
+        else:
+            names = (
+                (*OTHERS, *TRAJECTORY) if isinstance(command, msg.Torque) else (*OTHERS, *TRAJECTORY, *GAINS)
+            )
+        return [
+            msg.Kept(self.motor, tb.beside(name), self.command[name])
+            for name in names
+            if not _is_same(self.command[name], self.own[name])
+        ]
 
     def _meaning(self, mode: int) -> Command | Request:
         """Return what the command registers amount to now."""
@@ -209,6 +253,34 @@ class MoteusDecoder:
         for memory in self._memories:
             if isinstance(frame, CanFrame) and memory.is_addressed(frame):
                 done = memory.obey(frame.data)
-                at_once = [each for each in done if not isinstance(each, Subframe)]
-                obeyed += [*memory.begins(), *at_once]
+                at_once = [_as_setting(memory.motor, each) for each in done if not _answers(each)]
+                begun = memory.begins()
+                obeyed += [*begun, *(memory.besides(begun[-1]) if begun else ()), *at_once]
+                if memory.chosen:
+                    obeyed += _refused(memory.motor, frame.data)
+                else:  # for another device, which is asked for its id
+                    obeyed += [
+                        msg.Kept(memory.motor, set_id(each.serial), float(each.address))
+                        for each in memory.stranger().obey(frame.data)
+                        if isinstance(each, msg.SetId)
+                    ]
         return obeyed
+
+
+def _answers(done: Request | Subframe) -> bool:
+    """True if a frame made a device only answer."""
+    return isinstance(done, Subframe) and done.code != TO_DEVICE
+
+
+def _as_setting(motor: str, done: Request | Subframe) -> Obeyed:
+    """Return a line of the console that is not known as a setting: it may be anything."""
+    return msg.Kept(motor, f"console: {done.data!r}", 1.0) if isinstance(done, Subframe) else done
+
+
+def _refused(motor: str, data: bytes) -> Iterator[msg.Kept]:
+    """Yield the registers that a frame writes, and that are none to be written as far as is known here."""
+    known = {tb.MODE, *tb.ACTIONS, *tb.UUID_MASK, *COMMAND_NAMES}
+    for subframe in codec.parse(data)[0]:
+        for register, value in subframe.quantities() if subframe.code == WRITE else ():
+            if register not in known:
+                yield msg.Kept(motor, tb.name_of(register), nan if value is None else value)

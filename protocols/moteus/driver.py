@@ -94,6 +94,22 @@ class Options:
         """Stiffness [N·m/rad] and damping [N·m·s/rad] at scale 1; 0: not known."""
         return self.kp / tau, self.kd / tau
 
+    @property
+    def stated(self) -> dict[str, float]:
+        """The registers that are the same in all commands of position control and stay-within."""
+        limits = {
+            "command_position_max_torque": self.max_torque,
+            "command_velocity_limit": self.velocity_limit / tau,
+            "command_accel_limit": self.acceleration_limit / tau,
+        }
+        return {n: each for n, each in limits.items() if each} | {"command_timeout": self.timeout_ms / 1000}
+
+    @property
+    def most(self) -> dict[str, float]:
+        """The highest values of the limits in commands, which may be lowered by request."""
+        limits = {tb.NAMES[number]: (getattr(self, name), unit) for number, (name, unit) in LIMITS.items()}
+        return {name: (most or 1e6) / unit for name, (most, unit) in limits.items()}
+
     def setpoints(self) -> mt.Setpoints:
         """Return what is the same in all commands."""
         limits = (self.max_torque, self.velocity_limit / tau, self.acceleration_limit / tau)
@@ -285,7 +301,7 @@ class MoteusAdapter(Adapter[Motor]):
     ) -> Pending[Motor] | str:
         if host is None:
             return self._for_all(now, request, driver)
-        register, data = register_of(getattr(request, "parameter", "")), b""
+        register, data = tb.register_of(getattr(request, "parameter", "")), b""
         match request:
             case msg.ClearFault():
                 host.own.identify(now)
@@ -421,13 +437,3 @@ def _identity(reply: codec.Reply) -> tuple[int | None, str]:
     digits = uuid.hex()
     printed = "-".join((digits[:8], digits[8:12], digits[12:16], digits[16:20], digits[20:]))
     return codec.serial_of(uuid), f"UUID {printed}"
-
-
-def register_of(parameter: str) -> int:
-    """Return a register by the vendor's name (mode, motor_temperature, …) or number (0x058, 88); or −1."""
-    known = NUMBERS.get(parameter.lower())
-    try:
-        number = int(parameter, 0) if known is None else known
-    except ValueError:
-        return -1
-    return number if 0 <= number <= 0x7FFF else -1

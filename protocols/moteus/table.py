@@ -95,6 +95,32 @@ RISING = (Mode.ENABLING, Mode.CALIBRATING, Mode.CALIBRATION_COMPLETE)
 _MODE_NAMES = {int(mode): mode.name.lower().replace("_", " ") for mode in Mode}
 
 
+def name_of(register: int) -> str:
+    """Return the name of a register, or its number if it has none."""
+    return NAMES.get(register, f"0x{register:03X}")
+
+
+def register_of(parameter: str) -> int:
+    """Return a register by the vendor's name (mode, motor_temperature, …) or number (0x058, 88); or −1."""
+    known = NUMBERS.get(parameter.lower())
+    try:
+        number = int(parameter, 0) if known is None else known
+    except ValueError:
+        return -1
+    return number if 0 <= number <= 0x7FFF else -1
+
+
+def beside(register: str) -> str:
+    """Return the name of a command register that is written with a command, and is none of its numbers."""
+    return f"{register} of a command"
+
+
+def decoded(parameter: str) -> str:
+    """Return the name that the command decoder has for a parameter, as `Spec.decoded` does."""
+    register = register_of(parameter)
+    return parameter if register < 0 else name_of(register)
+
+
 def mode_name(mode: int) -> str:
     """Return the vendor's name of a mode."""
     return _MODE_NAMES.get(mode, f"mode {mode}")

@@ -64,6 +64,11 @@ def spec(device: Device) -> Spec:
         ranges=ranges(options),
         feedback=FeedbackKind.REPLY,
         faults=rmd.FAULTS,
+        stop=(rmd.ANY.encode("shutdown", device.address),),
+        set_up={
+            "set timeout": (float(options.timeout_ms),) if options.timeout_ms else (),
+            "release brake": (1.0,) if options.brake else (),
+        },
         receives_also=(ANSWERS,) if options.scan else (),
         obeys_also=(exact(rmd.ALL_MOTORS), exact(rmd.SET_ID)),
         **fed_by_any_frame(timeout or None),

@@ -196,8 +196,7 @@ class RmdAdapter(Adapter[Motor]):
                 return rmd.ANY.encode("speed", address, value=math.degrees(velocity))
         held = host.position if host.held is None else host.held
         position: Any = getattr(command, "position", held)
-        fastest = max(1, round(math.degrees(options.max_velocity)))  # 0 would be no limit
-        return rmd.ANY.encode("position", address, fastest=fastest, position=math.degrees(position))
+        return rmd.ANY.encode("position", address, fastest=options.fastest, position=math.degrees(position))
 
     def release(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
         names = ("shutdown", "lock brake") if host.options.brake else ("shutdown",)

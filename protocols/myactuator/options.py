@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -48,6 +49,11 @@ class Options:
     def __post_init__(self) -> None:
         late = 0 < self.timeout_ms < self.offline_ms
         check_bounds(self, ("timeout_ms must not be less than offline_ms" if late else "",))
+
+    @property
+    def fastest(self) -> int:
+        """Degrees per second on the way to a Position: 0 would be no limit."""
+        return max(1, round(math.degrees(self.max_velocity)))
 
     @property
     def table(self) -> Table:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from protocols import messages as msg
+from protocols.asked import waiting
 from protocols.frames import Frame
 from protocols.messages import MILLISECOND, Nanos, Obeyed
 from protocols.myactuator import table as rmd
@@ -48,12 +49,14 @@ class Memory:
                 return msg.Idle(name), msg.ClearFault(name)
             case "release brake":
                 self.released = True
-                return ()
+                return (msg.Kept(name, "release brake", 1.0),)
+            case "set timeout":
+                return (msg.Kept(name, "set timeout", float(values["value"])),)
             case "lock brake" if self.options.brake:
                 self.lock()
                 return (msg.Idle(name),)
             case "torque" if not self.released:  # alone of all set-points it does not open the brake
-                return ()
+                return waiting(msg.Torque(name, values["value"] * self.options.torque_constant))
         self.released = self.released or decoded.name in ("motion", *rmd.SET_POINTS)
         match decoded.name:
             case "stop":
@@ -63,7 +66,11 @@ class Memory:
             case "speed":
                 return msg.Arm(name), msg.Velocity(name, math.radians(values["value"]))
             case "position" | "single turn" | "increment":  # the last from where it stands
-                return msg.Arm(name), msg.Position(name, math.radians(values["position"]))
+                goal = msg.Position(name, math.radians(values["position"]))
+                own = decoded.name == "position" and values["fastest"] == self.options.fastest
+                # Never sent here: beside it, what is unusual.
+                other = () if own else (msg.Kept(name, decoded.name, float(values["fastest"])),)
+                return msg.Arm(name), *other, goal
             case "motion":
                 return msg.Arm(name), commanded(name, values)
         return ()

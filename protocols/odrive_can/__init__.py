@@ -15,8 +15,9 @@ from protocols import messages as msg
 from protocols.frames import EXTENDED_BIT
 from protocols.messages import SECOND
 from protocols.odrive_can import errors, table
-from protocols.odrive_can.driver import OdriveAdapter
+from protocols.odrive_can.driver import MODES, OdriveAdapter
 from protocols.odrive_can.options import Options, Settings, configured, line_of
+from protocols.odrive_can.table import IDLE, ControlMode, InputMode
 from protocols.odrive_can.twin import OdriveTwin, Twin05, Twin06, memory
 from protocols.plugin import (
     CommandDecoder,
@@ -63,6 +64,10 @@ REQUESTS: frozenset[type[msg.Request]] = frozenset(
         msg.ReadParameter,
         msg.WriteParameter,
     }
+)
+CONTROL_MODES = tuple(
+    (float(MODES.get(kind, ControlMode.POSITION)), kind)
+    for kind in (msg.Velocity, msg.Torque, msg.Position, msg.Hold)
 )
 NOT_WITH_POSITIONS = {
     "pos_filter": {"Position.torque"},
@@ -112,6 +117,16 @@ def spec(device: Device) -> Spec:
         holds_unattended=not settings.enable_watchdog,
         faults=errors.DEVICE05 if line_of(device) == "0.5" else errors.DEVICE06,
         parameters=("Bus_Voltage", "Iq_Measured"),
+        stop=tuple(
+            tables[0].encode(name, address, **values)
+            for name, values in (("Set_Axis_State", {"Axis_Requested_State": IDLE}), ("Estop", {}))
+        ),
+        set_up={
+            "Control_Mode": CONTROL_MODES,
+            "Input_Mode": tuple(
+                float(InputMode[each.upper()]) for each in ("passthrough", options.position_input)
+            ),
+        },
         configuration={} if line_of(device) == "0.5" else configured(options, settings),
         save="" if line_of(device) == "0.5" else table.SAVE,
         receives_also=((0x06, 0x1F), (0x01, 0x1F)),

@@ -18,6 +18,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from protocols import messages as msg
+from protocols.asked import set_id, waiting
 from protocols.frames import CanFrame, Frame
 from protocols.messages import SECOND, Nanos, Obeyed
 from protocols.odrive_can import errors, table
@@ -121,20 +122,22 @@ class Memory:
             inputs = tuple(value if follows else 0.0 for value, follows in followed)
         return inputs[ControlMode.POSITION - control :]
 
-    def _command(self) -> Sequence[msg.Command]:
-        """Return the command that mode and inputs amount to now; none if they change nothing."""
+    def _command(self) -> Sequence[Obeyed]:
+        """Return the command that mode and inputs amount to now; none if they change nothing. While it is not
+        armed they wait."""
         control = self.control
         inputs = self._inputs(control)
         fault = self._fault_of(inputs)
         if fault and (self.armed or fault != NOT_A_NUMBER):
             self.disarm()
             return (msg.Idle(self.motor),)
-        if not self.armed or not FOLLOWED[self.input_mode][ControlMode.POSITION - control]:
+        if not FOLLOWED[self.input_mode][ControlMode.POSITION - control]:
             return ()
-        if control is ControlMode.POSITION and self.position is None:
-            return (msg.Hold(self.motor),)
         *turns, torque = inputs
-        return (COMMANDS[control](self.motor, *[each * math.tau for each in turns], torque),)
+        goal: msg.Command = msg.Hold(self.motor)
+        if control is not ControlMode.POSITION or self.position is not None:
+            goal = COMMANDS[control](self.motor, *[each * math.tau for each in turns], torque)
+        return (goal,) if self.armed else waiting(goal)
 
     def addressed(self, decoded: Decoded) -> bool:
         """True if a message is for this axis."""
@@ -157,13 +160,15 @@ class Memory:
         match name.removesuffix(" (0.5.x)"):
             case "Set_Input_Pos":
                 self.position, self.velocity, self.torque = values.values()
-                return self._command()
+                kept: msg.Command = msg.Position(motor, self.position * math.tau)
+                return self._command() or waiting(kept)
             case "Set_Input_Vel":
                 self.velocity, self.torque = values.values()
-                return self._command()
+                kept = msg.Velocity(motor, self.velocity * math.tau, self.torque)
+                return self._command() or waiting(kept)
             case "Set_Input_Torque":
                 self.torque = values["Input_Torque"]
-                return self._command()
+                return self._command() or waiting(msg.Torque(motor, self.torque))
             case "Set_Controller_Mode":
                 return self._set_mode(*values.values())
             case "Set_Axis_State":
@@ -202,8 +207,8 @@ class Memory:
             return ()
         if state != CLOSED_LOOP or self.fault:
             self.disarm()
-            if state in table.PROCEDURES - {table.HOMING}:
-                return (msg.WriteParameter(self.motor, "Axis_Requested_State", state),)
+            if state in table.STATE_NAMES.keys() - {table.IDLE, CLOSED_LOOP, table.HOMING}:
+                return (msg.WriteParameter(self.motor, "Axis_Requested_State", float(state)),)
             return (msg.Home(self.motor),) if state == table.HOMING else (msg.Idle(self.motor),)
         if not self.armed or self.line == "0.5":  # 0.5.x leaves closed loop and enters it again
             # On arming in position control the firmware takes the present position as its input
@@ -219,7 +224,9 @@ class Memory:
         if control_mode >= ControlMode.POSITION and not goes_on:
             self.position = None
         self.control_mode, self.input_mode = control_mode, input_mode
-        return self._command()
+        modes = {"Control_Mode": control_mode, "Input_Mode": input_mode}
+        written = [msg.Kept(self.motor, name, float(mode)) for name, mode in modes.items()]
+        return *self._command(), *written
 
     def _assign(self, node: int, serial: int) -> Sequence[Obeyed]:
         """Apply an assignment: take the node id, or vacate it if another gets it."""
@@ -230,8 +237,8 @@ class Memory:
         elif node == self.node != BROADCAST:
             self.node = BROADCAST
         else:
-            return ()
-        return (msg.SetId("", self.serial, self.node),)
+            return (msg.Kept(self.motor, set_id(serial), float(node)),)
+        return (msg.SetId("", serial, node),)
 
 
 def memory(device: Device, node: int | None = None, endpoints: Mapping[int, int] | None = None) -> Memory:

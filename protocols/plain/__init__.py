@@ -91,6 +91,7 @@ def spec(device: Device) -> Spec:
         faults=table.FAULTS if motor else {},
         parameters=Settings.__slots__ if motor else (),
         configuration=configured(settings) if motor else {},
+        stop=(table.encode(device.address, msg.Idle(device.name)),) if motor else (),
     )
 
 

@@ -8,7 +8,7 @@ from protocols.messages import MILLISECOND
 from protocols.plugin import Device, FeedbackKind, Plugin, Range, Spec, Watchdog
 from protocols.robomaster.driver import RoboMasterAdapter
 from protocols.robomaster.options import Options, Settings
-from protocols.robomaster.table import FAULTS, GROUPS, RPM, TABLE
+from protocols.robomaster.table import FAULTS, GROUPS, RPM, SLOTS, TABLE
 from protocols.robomaster.twin import RoboMasterTwin, motor_of
 from protocols.toolkit.assembly import can_motor, decoder_of, driver_of
 
@@ -33,13 +33,15 @@ def spec(device: Device) -> Spec:
     options, settings = device.options, device.settings
     model = options.of_model
     addresses = range(1, model.last + 1)
-    sends = (exact(GROUPS[model.group_of(device.address)[0]]),) if device.address in addresses else ()
+    group = model.group_of(device.address)[0] if device.address in addresses else next(iter(GROUPS))
+    still = TABLE.encode(group, **dict.fromkeys(SLOTS, 0))
     timeout = settings.timeout_ms or options.timeout_ms
     return can_motor(
         device,
         TABLE,
         addresses,
-        sends=sends,
+        sends=(exact(GROUPS[group]),),
+        stop=(still,),
         feedback=FeedbackKind.CYCLIC,
         commands=frozenset({msg.Idle, msg.Torque}),
         requests=frozenset({msg.ClearFault}),

@@ -11,7 +11,7 @@ from protocols.robstride.driver import RobStrideAdapter
 from protocols.robstride.options import STORED, Options, Settings
 from protocols.robstride.twin import RobStrideTwin, memory_of
 from protocols.toolkit import mit
-from protocols.toolkit.assembly import can_motor, decoder_of, driver_of, fed_by_any_frame
+from protocols.toolkit.assembly import can_motor, declared, decoder_of, driver_of, fed_by_any_frame
 from protocols.toolkit.options import configuration
 from protocols.toolkit.table import BINARY32
 
@@ -22,6 +22,7 @@ COMMANDS: dict[str, frozenset[type[Command]]] = {
     "speed": frozenset({msg.Idle, msg.Velocity}),
     "position": frozenset({msg.Idle, msg.Hold, msg.Position}),
 }
+SET_POINTS = {"loc_ref": ("Position.position",), "spd_ref": ("Velocity.velocity",)}
 REQUESTS = frozenset({msg.ClearFault, msg.Zero, msg.ReadParameter, msg.WriteParameter})
 TURNS = Range(-1e5, 1e5, 1e-6, BINARY32)
 """Position in a register, which counts turns."""
@@ -70,6 +71,8 @@ def spec(device: Device) -> Spec:
         faults=rs.faults_of(options.model),
         parameters=tuple(name for name in has if name != rs.SAVE),
         configuration=configured(device),
+        set_up={**declared(RobStrideAdapter().written(options)), **SET_POINTS},
+        stop=(rs.ANY.encode("disable", device.address),),
         save=rs.SAVE if rs.SAVE in has else "",
         receives_also=((EXTENDED_BIT | 0xFE, EXTENDED_BIT | 0x1F0000FF),) if options.scan else (),
         canonical=options.gains.canonical,

@@ -12,11 +12,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from protocols import messages as msg
+from protocols.asked import waiting
 from protocols.frames import CanFrame, Frame
 from protocols.messages import Command, Mode, Nanos, Obeyed
 from protocols.plugin import Device
 from protocols.robstride import table as rs
-from protocols.robstride.options import STORED, Settings
+from protocols.robstride.options import STORED, Options, Settings
 from protocols.toolkit.firmware import ServoFirmware, milliseconds
 from protocols.toolkit.mit import commanded
 from protocols.toolkit.servo import Gains
@@ -32,7 +33,7 @@ class Memory:
 
     name: str
     address: int
-    model: str
+    options: Options
     registers: dict[str, float]
     enabled: bool = False
 
@@ -51,8 +52,9 @@ class Memory:
                 return (msg.Zero(motor),)
             case "save":
                 return (msg.WriteParameter(motor, rs.SAVE, 1.0),)
-            case "control" if self.enabled and not self.registers["run_mode"]:
-                return (commanded(motor, values),)
+            case "control" if not self.registers["run_mode"]:
+                five = commanded(motor, values)
+                return (five,) if self.enabled else waiting(self.options.gains.canonical(five))
             case "write":
                 return self._write(*rs.REGISTERS.value(values["number"], values["value"]))
         return ()
@@ -66,7 +68,7 @@ class Memory:
 
     def _goal(self) -> Command:
         """Return what the set-point in its registers makes it do."""
-        mode, ends = int(self.registers["run_mode"]), rs.MODELS[self.model]
+        mode, ends = int(self.registers["run_mode"]), rs.MODELS[self.options.model]
         value = self.registers[rs.SET_POINT[mode]] if mode in rs.SET_POINT else 0.0
         match mode:
             case 1 | 5:
@@ -85,7 +87,7 @@ def memory_of(device: Device) -> Memory:
     stored["limit_torque"] = settings.limit_torque or ends.torque
     stored["limit_cur"] = settings.limit_cur or ends.current
     stored[ends.timeout] = round(settings.timeout_ms * rs.PER_MS)
-    return Memory(device.name, device.address, model, registers | stored)
+    return Memory(device.name, device.address, device.options, registers | stored)
 
 
 class RobStrideTwin(ServoFirmware):

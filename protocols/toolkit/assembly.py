@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import fields, is_dataclass
 from typing import Any, Protocol
 
 from protocols.frames import Frame, IdMask
 from protocols.messages import COMMANDS, MILLISECOND, Command, Nanos, Obeyed, Scan
-from protocols.plugin import CommandDecoder, Device, Driver, FeedbackKind, Spec, Watchdog, unchanged
+from protocols.plugin import CommandDecoder, Device, Driver, FeedbackKind, Spec, Watchdog, Written, unchanged
 from protocols.toolkit.motor_driver import Adapter, MotorDriver, may_scan
 from protocols.toolkit.table import Decoded, Table
 
@@ -50,6 +50,11 @@ def can_motor(
         "stop_clears_faults": False,
     }
     return Spec(**usual | others)
+
+
+def declared(values: Mapping[str, float]) -> Written:
+    """Return values as `Spec.set_up` has them."""
+    return {name: (value,) for name, value in values.items()}
 
 
 def fed_by_any_frame(timeout: Nanos | None) -> dict[str, Any]:

@@ -51,6 +51,7 @@ def spec(device: Device) -> Spec:
         ranges=ranges(options),
         watchdog=Watchdog(timeout, enabled=True),
         faults=FAULTS,
+        stop=(TABLE.encode("SET_CURRENT", device.address, value=0.0),),
         obeys_also=TABLE.ids("to_device", EVERY),
     )
 

@@ -31,6 +31,8 @@ SETTERS: Mapping[str, tuple[int, float]] = {
 }
 """Number of a message with one number, and the unit of it: share of the voltage or of the largest current,
 A, ERPM, degrees."""
+SENT = frozenset({"SET_CURRENT", "SET_RPM"})
+"""Those that are sent here."""
 TUNNELLED = dict(enumerate([*list(SETTERS)[:5], "SET_CURRENT_HANDBRAKE"], 5))
 """The same as commands of the serial protocol, by their numbers there, which fit into a short buffer."""
 SHORT_BUFFER, PING, PONG = 8, 17, 18

@@ -37,6 +37,10 @@ class Motor:
         """Return what the controller does on this message."""
         if decoded.address not in (self.address, vt.EVERY) or "value" not in decoded.values:
             return ()
+        unused = () if decoded.name in vt.SENT else (msg.Kept(self.name, decoded.name, 1.0),)
+        return *unused, *self._does(decoded)
+
+    def _does(self, decoded: Decoded) -> Sequence[Obeyed]:
         name, value, options = self.name, decoded.values["value"], self.options
         torque = value * options.torque_constant
         match decoded.name.removeprefix("COMM_"):

@@ -23,7 +23,7 @@ from protocols.plugin import (
 )
 from protocols.toolkit.assembly import driver_of
 from protocols.zlac8015d import table as z
-from protocols.zlac8015d.driver import EXPECTED, RPDO, ZlacAdapter
+from protocols.zlac8015d.driver import EXPECTED, RPDO, ZlacAdapter, set_up
 from protocols.zlac8015d.options import Options, Settings
 from protocols.zlac8015d.twin import ZlacDecoder, ZlacTwin
 
@@ -64,6 +64,8 @@ def spec(device: Device) -> Spec:
         faults=z.FAULTS,
         parameters=tuple(configured),
         configuration=configured,
+        set_up=set_up(node, options),
+        stop=(services.disable(node),),
     )
 
 

@@ -244,6 +244,15 @@ class Drive:
         return known
 
 
+def set_up(node: int, options: Options) -> dict[str, tuple[float, ...]]:
+    """Return what is written to a drive, as `Spec.set_up` has it."""
+    plan = [(write.key, write.value) for write in Drive(node, options, z.SIDES).setup.plan]
+    words = [(z.CONTROL, word) for word in (z.SHUTDOWN, z.SWITCH_ON)]
+    return o.declared((*plan, *words)) | {
+        services.NMT_STATE: (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
+    }
+
+
 class ZlacAdapter(Adapter[Motor]):
     """What the drives of a bus are sent, and what they report."""
 

@@ -12,11 +12,12 @@ import math
 from collections.abc import Mapping, Sequence
 
 from protocols import messages as msg
+from protocols.asked import waiting
 from protocols.canopen import services
 from protocols.canopen.dictionary import Dictionary, pdo_defaults
 from protocols.canopen.node import Node, Received, Sender
-from protocols.canopen.objects import DEVICE_TYPE, Key, Type
-from protocols.canopen.services import NODE_MASK, NmtCommand
+from protocols.canopen.objects import DEVICE_TYPE, Key, Type, title
+from protocols.canopen.services import NMT_STATE, NODE_MASK, NmtCommand
 from protocols.frames import CanFrame, Frame
 from protocols.messages import MILLISECOND, Event, Mode, Nanos, Obeyed
 from protocols.plugin import Device
@@ -72,7 +73,9 @@ class Half:
             return None, ()
         if received.command in (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):
             self.enter(z.OFF)
-            return received, (msg.Idle(self.motor),)
+            return received, (msg.Idle(self.motor), msg.Reboot(self.motor))
+        if received.command is not None:
+            return received, (msg.Kept(self.motor, NMT_STATE, float(self.node.nmt)),)
         return received, [each for key in received.written for each in self._on_written(key)]
 
     def enter(self, state: int) -> None:
@@ -87,9 +90,13 @@ class Half:
             self.target = value
         elif key == z.SET_POINT:
             self.target = z.part(value, self.side)
-        elif key != z.MODE:
+        elif key in ((z.TARGET, side) for side in z.SIDES):
             return ()
-        return (self._moves(),) if self.state == z.ENABLED else ()
+        elif key != z.MODE:
+            return (msg.Kept(self.motor, title(key), float(value)),)
+        moves = self._moves()
+        obeyed = (moves,) if self.state == z.ENABLED else waiting(moves)
+        return obeyed if key != z.MODE else (*obeyed, msg.Kept(self.motor, title(key), float(value)))
 
     def _moves(self) -> msg.Velocity:
         steps = self.target if self.node.dictionary.values[z.MODE] == z.VELOCITY_MODE else 0
@@ -103,7 +110,9 @@ class Half:
         if self.state in ENERGISED:
             moves = self._moves() if self.state == z.ENABLED else msg.Velocity(self.motor, 0.0)
             return (*cleared, moves) if before in ENERGISED else (msg.Arm(self.motor), moves)
-        return (*cleared, msg.Idle(self.motor)) if before in ENERGISED or demand == z.DISABLE else cleared
+        if before in ENERGISED or demand == z.DISABLE:
+            return *cleared, msg.Idle(self.motor)
+        return cleared or (msg.Kept(self.motor, title(z.CONTROL), float(word)),)
 
 
 class ZlacDecoder:

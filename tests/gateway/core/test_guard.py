@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import json
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from math import tau
-from struct import pack
-from typing import NoReturn
+from math import pi, tau
+from pathlib import Path
+from struct import pack, unpack
+from typing import Any, NoReturn
 
 import pytest
 
@@ -15,8 +19,10 @@ from gateway.core.joint import Joint
 from gateway.core.step import DRIVER_FAILED, FRAME_BLOCKED, Gateway
 from gateway.core.tick import Inputs
 from protocols import messages as msg
+from protocols.conformance.bench import DriverWrapper, Messages
 from protocols.frames import CanFrame, Frame, Packet
-from protocols.messages import MILLISECOND, SECOND, Command, Mode, Nanos, Request
+from protocols.messages import MILLISECOND, SECOND, Command, Event, Mode, Nanos, Request
+from protocols.toolkit.mit import commanded
 from tests.gateway.rig import BENCH, Rig, notes_in, sent_commands
 from tests.sampled import sampled
 
@@ -91,10 +97,35 @@ class Situation:
     before_ago: Nanos = 5 * MILLISECOND
     """this long before."""
     measured: dict[str, float] = field(default_factory=dict)
+    has: Sequence[Command] | None = None
+    """What the driver was given in this step; None: what the frame makes the device do."""
     coasted: float = 0.0
     """rad/s, with which it turned before it was armed,"""
     coasted_ago: Nanos = 200 * MILLISECOND
     """this long before."""
+
+
+def commanded_by(frame: Frame) -> Sequence[Command]:
+    """Return the command, at the device's shaft, of which an ODrive's driver makes this frame."""
+    if not isinstance(frame, CanFrame) or frame.id >> 5 not in (LEFT, RIGHT):
+        return ()
+    motor, data = {LEFT: "left", RIGHT: "right"}[frame.id >> 5], frame.data.ljust(8, b"\0")
+    match frame.id & 0x1F:
+        case 0x0B:
+            kinds: dict[int, Command] = {1: msg.Torque(motor, 0.0), 2: msg.Velocity(motor, 0.0)}
+            kinds[3] = msg.Position(motor, 0.0)
+            return [kinds[data[0]]]
+        case 0x07 if data[0] == 8:
+            return [msg.Velocity(motor, 0.0)]
+        case 0x0C:
+            turns, ahead, torque = unpack("<fhh", data)
+            return [msg.Position(motor, turns * tau, ahead * 0.001 * tau, torque * 0.001)]
+        case 0x0D:
+            turns, torque = unpack("<ff", data)
+            return [msg.Velocity(motor, turns * tau, torque)]
+        case 0x0E:
+            return [msg.Torque(motor, unpack("<f", data[:4])[0])]
+    return ()
 
 
 def verdict(situation: Situation, frame: Frame) -> str:
@@ -122,8 +153,12 @@ def blocked_of(situation: Situation, frame: Frame) -> Blocked | None:
     for request in situation.asked:
         guard.ask(now - situation.asked_ago, request)
     past = now - situation.before_ago
-    before = guard.check(past, "can0", "odrive_can", situation.before, joints, stopped=False)
-    assert before == (list(situation.before), [])
+    for sent in situation.before:
+        for command in commanded_by(sent):
+            guard.ask(past, command)
+        assert guard.check(past, "can0", "odrive_can", [sent], joints, stopped=False) == ([sent], [])
+    for command in situation.has if situation.has is not None else commanded_by(frame):
+        guard.ask(now, command)
     passed, blocked = guard.check(now, "can0", "odrive_can", [frame], joints, situation.stopped)
     assert len(passed) + len(blocked) == 1
     return blocked[0] if blocked else None
@@ -142,7 +177,8 @@ AGAINST = "arming against a stop or a fault"
 TOO_FAST = "velocity beyond the limit"
 TOO_FAR = "position beyond the limit"
 TOO_STRONG = "torque beyond the limit"
-NO_SET_UP = "not read-only, and its device was not commanded"
+NOT_COMMANDED = "a set-point that was not commanded"
+NOT_DECLARED = "a setting that was neither asked for nor declared"
 JERKS = "acceleration beyond the limit"
 JUMPS = "a jump of the position"
 
@@ -162,6 +198,11 @@ def asked(request: Request, ago: Nanos = 0, situation: Situation = OURS) -> Situ
     return replace(situation, asked=(request,), asked_ago=ago)
 
 
+def having(command: Command) -> Situation:
+    """Turning at 1 rad/s, and given this, at the device's shaft."""
+    return replace(turning(1.0, velocity(LEFT, 1.0)), has=(command,))
+
+
 COASTED = replace(turning(), coasted=12.0)
 AT_ONE = moving(0.0, position(LEFT, 1.0))
 CASES: list[tuple[str, Situation, Frame, str]] = [
@@ -169,12 +210,13 @@ CASES: list[tuple[str, Situation, Frame, str]] = [
     ("arming before any command", FRESH, arm(LEFT), NOT_OURS),
     ("Idle before any command", FRESH, IDLE, NOT_OURS),
     ("Idle, after the operator's stop", asked(msg.Stop(), 0, FRESH), IDLE, ""),
-    ("set-up before any command", FRESH, mode(LEFT, 2), NO_SET_UP),
-    ("set-up while a scan is asked for", asked(msg.Scan("can0"), 0, FRESH), mode(LEFT, 2), NO_SET_UP),
+    ("set-up before any command", FRESH, mode(LEFT, 2), NOT_OURS),
+    ("set-up while a scan is asked for", asked(msg.Scan("can0"), 0, FRESH), mode(LEFT, 2), NOT_OURS),
     ("an address unasked", OURS, SET_ID, NOT_MADE),
-    ("an address", asked(msg.SetId("can0", 7, 9), 0, FRESH), SET_ID, ""),
+    ("an address", asked(msg.SetId("can0", 0x385F34733301, 9), 0, FRESH), SET_ID, ""),
+    ("another address", asked(msg.SetId("can0", 0x385F34733301, 8), 0, FRESH), SET_ID, NOT_MADE),
     ("the address of a stranger", asked(msg.SetId("can0", 7, 9), 0, FRESH), SET_ANOTHER, ""),
-    ("that, unasked", FRESH, SET_ANOTHER, NO_SET_UP),
+    ("that, unasked", FRESH, SET_ANOTHER, NOT_OURS),
     ("set-up of a commanded device", OURS, mode(LEFT, 2), ""),
     ("to no device of the robot", OURS, arm(ABSENT), "not a frame to any device of this driver"),
     ("arming a commanded device", OURS, arm(LEFT), ""),
@@ -218,6 +260,14 @@ CASES: list[tuple[str, Situation, Frame, str]] = [
     ("within the range", moving(1.9), position(RIGHT, -2.0), ""),
     ("out of the range", moving(1.9), position(RIGHT, -2.01), TOO_FAR),
     ("back into the range", moving(9.0), position(RIGHT, -2.0), ""),
+    ("the last velocity, to be idle", having(msg.Idle("left")), velocity(LEFT, 1.0), NOT_COMMANDED),
+    ("slower than it, to be idle", having(msg.Idle("left")), velocity(LEFT, 0.9), NOT_COMMANDED),
+    ("at rest, to be idle", having(msg.Idle("left")), velocity(LEFT, 0.0), ""),
+    ("the last velocity, to hold", having(msg.Hold("left")), velocity(LEFT, 1.0), NOT_COMMANDED),
+    ("the last velocity, to brake", having(msg.Velocity("left", 0.0)), velocity(LEFT, 1.0), NOT_COMMANDED),
+    ("another velocity", having(msg.Velocity("left", 8.0)), velocity(LEFT, 1.1), NOT_COMMANDED),
+    ("another mode", having(msg.Velocity("left", 8.0)), mode(LEFT, 1), NOT_DECLARED),
+    ("arming, to be idle", having(msg.Idle("left")), arm(LEFT), "arming a motor that is to be idle"),
     ("feed-forward too fast", moving(), position(LEFT, 0.0, -LIMIT - 0.1), TOO_FAST),
 ]  # fmt: skip
 
@@ -266,10 +316,12 @@ def test_a_blocked_frame_leaves_no_trace_and_does_not_hold_back_the_next() -> No
     joints = {name: Joint(name, motor.joint, motor.spec) for name, motor in robot.motors.items()}
     joints["left"].owned = True
     wanted = [mode(LEFT, 2), arm(LEFT), velocity(RIGHT, 1.0), mode(RIGHT, 1), velocity(LEFT, 1.0)]
+    for command in commanded_by(wanted[4]):
+        guard.ask(now, command)
     passed, blocked = guard.check(now, "can0", "odrive_can", wanted, joints, stopped=False)
     assert passed == [wanted[0], wanted[1], wanted[4]]
     assert [each.motors for each in blocked] == [("right",), ("right",)]
-    assert blocked[0].text == f"not read-only, and its device was not commanded (right): {wanted[2]}"
+    assert blocked[0].text == f"{NOT_OURS} (Kept): {wanted[2]}"
     decoder = decoder_of(robot, "can0")
     for frame in passed:
         decoder.decode(now, frame)
@@ -319,6 +371,8 @@ def test_a_spring_pulls_within_the_limit_of_torque(
     gains = {"stiffness": stiffness / 4.0, "damping": damping / 4.0, "torque": torque / -2.0}
     spring = table.encode("MIT", 1, position=(here + lead) * -2.0, velocity=velocity_there * -2.0, **gains)
     frames = [table.encode("enable", 1), spring]
+    values = table.decode(spring, "to_device")
+    guard.ask(now, commanded("left", values.values if values else {}))
     _, blocked = guard.check(now, "can0", "damiao", frames, {"left": joint}, stopped=False)
     assert [each.rule for each in blocked] == ([] if passes else ["torque of the spring beyond the limit"])
 
@@ -337,6 +391,7 @@ def test_what_arms_both_motors_of_a_drive_may_turn_the_commanded_one_alone() -> 
     guard, now = Guard(robot), SECOND
     joints = {name: Joint(name, motor.joint, motor.spec) for name, motor in robot.motors.items()}
     joints["left"].owned = True
+    guard.ask(now, msg.Velocity("left", 10 * pi / 30.0))
     address = robot.motors["left"].device.address & 0x7F
 
     def write(index: int, sub: int, value: int, size: int) -> CanFrame:
@@ -360,7 +415,9 @@ def test_on_a_serial_line_what_is_not_read_only_is_for_all() -> None:
     robot = config.load_robot("diffbot")
     passed, (blocked,) = Guard(robot).check(0, "sensors", "plain", [b"noise"], {}, stopped=False)
     assert passed == []
-    assert blocked.text == "not read-only, and its device was not commanded (lidar, imu): 6E6F697365"
+    assert (
+        blocked.text == "not read-only, and nothing that was asked for or declared (lidar, imu): 6E6F697365"
+    )
 
 
 def test_a_command_to_a_strange_name_does_not_go_out(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -531,3 +588,71 @@ def test_a_packet_from_the_future_was_received_now() -> None:
         assert gateway.joints["left"].feedback.t == min(t, now)
         now += 5 * MILLISECOND
     assert gateway.joints["left"].feedback_lost(now + 101 * MILLISECOND)
+
+
+# -- what nobody asked for ---------------------------------------------------------------------------------
+
+UNASKED: list[dict[str, Any]] = json.loads((Path(__file__).parent / "unasked.json").read_text("utf-8"))
+"""Frames by robot: gains, limits, ids, calibrations, restarts, other modes, wrong kinds of frame."""
+
+
+@pytest.mark.parametrize("name", sampled(list(dict.fromkeys(each["robot"] for each in UNASKED)), 4))
+def test_what_nobody_asked_for_is_blocked_driving_and_stopped(name: str) -> None:
+    rig = Rig(config.load_robot(name).text)
+    motor = next(iter(rig.robot.motors.values()))
+    driving = msg.Velocity("left", 3.0) if name == "bench" else msg.Goal(1.5, 0.0)
+    for _ in range(30):
+        rig.run(0.05, driving)
+    joints, guard = rig.gateway.joints, rig.gateway.guard
+    assert any(joint.armed for joint in joints.values())
+    for stopped in (False, True):
+        if stopped:
+            rig.run(1.0, msg.Stop())
+        for each in UNASKED:
+            if each["robot"] != name:
+                continue
+            data, fd = bytes.fromhex(each["data"]), each.get("fd", False)
+            frame = CanFrame(int(each["id"], 16), data, each["extended"], fd=fd)
+            passed, _ = guard.check(rig.ticks[-1].now, motor.bus, motor.plugin.name, [frame], joints, stopped)
+            assert not passed, (each["name"], "stopped" if stopped else "driving")
+    assert not any(joint.faults for joint in joints.values())
+
+
+# -- a driver that does not pass on a stop -------------------------------------------------------------------
+
+
+@dataclass
+class Deaf(DriverWrapper):
+    """A driver that goes on with the last set-point that it was given before it went deaf."""
+
+    deaf: bool = False
+    last: tuple[Command | Request, ...] = ()
+
+    def send(self, now: Nanos, messages: Messages) -> tuple[Sequence[Event], Sequence[Frame]]:
+        """Encode what was given last."""
+        self.last = self.last if self.deaf else tuple(messages)
+        return self.driver.send(now, self.last)
+
+
+@pytest.mark.parametrize("action", ["idle", "brake"])
+@pytest.mark.parametrize(
+    "name", sampled([*(each for each in ROBOTS if each.startswith("diffbot_")), "diffbot"], 5)
+)
+def test_nothing_drives_a_shaft_on_though_its_driver_ignores_the_stop(name: str, action: str) -> None:
+    text = re.sub(r'(stop_action = )"\w+"', rf'\1"{action}"', config.load_robot(name).text)
+    rig = Rig(text)
+    deaf: list[Deaf] = []
+    for one in rig.gateway._drivers:
+        if one.motors:
+            deaf.append(Deaf(one.driver))
+            object.__setattr__(one, "driver", deaf[-1])
+    rig.run(1.5, msg.Goal(3.0, 0.0))
+    motors = list(rig.gateway.joints)
+    assert min(abs(rig.velocity(motor)) for motor in motors) > 1.0
+    for each in deaf:
+        each.deaf = True
+    speeds = []
+    for _ in range(3):
+        rig.run(0.5, msg.Stop())
+        speeds.append([abs(rig.velocity(motor)) for motor in motors])
+    assert speeds[2] < speeds[1] < speeds[0]  # nothing drives it any more
