@@ -1,9 +1,9 @@
 """What a driver may tell its devices: what it was given, and the set-up that its spec declares.
 
 Rules. It is an allow-list. A device may be disarmed, and come to rest; it may be given the command that its
-driver has for it, in the numbers of that command; what a request that is under way asks for; and the values of
-`Spec.set_up`. The guard holds every frame against it, and so does the contract. Limits are not looked at here.
-Numbers are at the device's shaft.
+driver has for it, in the numbers of that command; what a request that is under way asks for; and what
+`Spec.set_up` declares. The guard holds every frame against it, and so does the contract. Limits are not
+looked at here. Numbers are at the device's shaft.
 """
 
 from __future__ import annotations
@@ -65,6 +65,11 @@ def waiting(*commands: Command) -> tuple[msg.Kept, ...]:
     )
 
 
+def set_id(serial: int) -> str:
+    """Return what stands for the address of another device, in a frame that is not obeyed by those known."""
+    return f"SetId {serial:X}"
+
+
 class Reported(NamedTuple):
     """What a device reports."""
 
@@ -106,8 +111,24 @@ class _Given:
     def close(self, one: Command, name: str, value: float) -> bool:
         """True if a number of a command is this one, but for its encoding."""
         number: float = getattr(one, name)
-        absolute, relative = self.errors.get((type(one), name), (0.0, ROUNDED))
-        return abs(number - value) <= 2.0 * (absolute + relative * abs(value)) + 1e-9
+        off = abs(number - value)
+        # A number of one command may reach the device, in between, in the encoding of another.
+        return off <= 1e-9 or any(
+            off <= 2.0 * self.error(type(each), name, value) + 1e-9
+            for each in (one, self.command, self.before)
+            if each is not None
+        )
+
+    def error(self, kind: type[Command], name: str, value: float) -> float:
+        """Return by how much the encoding of a number of a command may be wrong."""
+        absolute, relative = self.errors.get((kind, name), (0.0, ROUNDED))
+        return absolute + relative * abs(value)
+
+    def most_torque(self, one: Command, has: float, last: float) -> float:
+        """Return what a torque and the feed-forward of a command before add up to, at most."""
+        before: list[float] = [abs(getattr(each, "torque", 0.0)) for _, each in self.recent]
+        error, _ = self.errors.get((type(one), "torque"), (0.0, 0.0))
+        return max(abs(has), *before, 0.0) + abs(last) + 2.0 * error
 
     def was(self, now: Nanos, one: Command, name: str) -> bool:
         """True if the device had this number in a command of this type a short time ago."""
@@ -232,6 +253,11 @@ class Asked:
         others = (replace(alike, motor=name) for name in beside if name != alike.motor)
         return None if any(self._objection(now, each, reported) is None for each in others) else found
 
+    def is_id(self, now: Nanos, name: str, address: float) -> bool:
+        """True if another device is to get this address."""
+        ids = (each for at, each in self._ids if now - at <= UNDER_WAY)
+        return any((set_id(each.serial), each.address) == (name, address) for each in ids)
+
     def _objection(self, now: Nanos, one: Obeyed, reported: Reported) -> Objection | None:
         if isinstance(one, READS):
             return None
@@ -251,7 +277,7 @@ class Asked:
             case msg.WriteParameter(_, parameter, value) | msg.Kept(_, parameter, value):
                 if _is_declared(now, device, parameter, value, reported):
                     return None
-                written = _is_to_write(now, device, parameter, value)
+                written = _is_to_write(now, device, parameter, value) or self.is_id(now, parameter, value)
                 return None if written else (NOT_DECLARED, f"{parameter} = {value:g}")
             case msg.Reboot() if now <= device.saves:
                 return None  # saving its configuration restarts it
@@ -331,7 +357,7 @@ def _objection_to_command(
             continue
         if (name == "position" or (alike and not _stands(command))) and device.was(now, one, name):
             continue
-        if changing and name == "torque" and device.close(one, name, (has or 0.0) + (last or 0.0)):
+        if changing and name == "torque" and abs(value) <= device.most_torque(one, has or 0.0, last or 0.0):
             continue  # some devices add a feed-forward, which follows the mode
         if name == "position" and _is_there(now, device, one, value, reported):
             continue

@@ -244,9 +244,9 @@ class Arm:
 
 @value
 class Kept:
-    """A device keeps or does something by this frame that is neither a command nor a request: a set-point that
-    waits until it is armed, a mode, a message of the vendor's. Only ever decoded, never sent; what it is worth
-    is held against `Spec.set_up`."""
+    """A device keeps or does something by this frame that is neither a command nor a request: a set-point
+    that waits until it is armed, a mode, a message of the vendor's. Only ever decoded, never sent; it is held
+    against `Spec.set_up`."""
 
     motor: str
     name: str

@@ -148,8 +148,8 @@ Declared: TypeAlias = float | tuple[float, float] | tuple[float, type[Command]] 
 """A value; the lowest and the highest one; a value that goes with this command alone; or the number of the
 command that it is, as in `Spec.ranges`: "Velocity.velocity"."""
 Written: TypeAlias = Mapping[str, tuple[Declared, ...]]
-"""What is written, by the name in the WriteParameter that the command decoder makes of it: a parameter's, or the
-vendor's name of a message that is none."""
+"""What is written, by the name in the WriteParameter or Kept that the command decoder makes of it: a
+parameter's, or the vendor's name of a message that is none."""
 ANY: tuple[tuple[float, float]] = ((-inf, inf),)
 """Any value but NaN."""
 
@@ -200,8 +200,8 @@ class Spec:
     configuration: Mapping[str, Setting] = field(default_factory=dict)
     """By parameter: what is configured on the device, all of which ReadParameter reads."""
     set_up: Written = field(default_factory=dict)
-    """What the driver writes to the device unasked, before it arms it or with its set-points. The guard passes
-    nothing else that nobody asked for."""
+    """What the driver writes to the device unasked, before it arms it or with its set-points. The guard
+    passes nothing else that nobody asked for."""
     stop: tuple[Frame, ...] = ()
     """Frames that disarm the device whatever it does, the gentlest first: the gateway sends them itself, one
     after the other, if the driver does not stop a device that is to stand."""

@@ -56,6 +56,7 @@ CONTRACT = (
     "protocols.messages",
     "protocols.frames",
     "protocols.plugin",
+    "protocols.asked",
     "protocols.reference_vectors",
     "protocols.canopen",
     "protocols.toolkit",

@@ -28,7 +28,7 @@ GOES_ON: Nanos = SECOND
 """How long after a set-point, or after coasting, a motor may be commanded to go on from there: a driver that
 changes the mode, or that arms at rest, sends other set-points in between."""
 STOPS_WITHIN: Nanos = 250 * MILLISECOND
-"""Time in which a driver must have passed on that a device is to stand. Then the device's own stop is sent."""
+"""Time in which a driver must have passed on that a device is to stand; then its own stop is sent."""
 LATENCY: Nanos = 50 * MILLISECOND
 """What a device obeys may be this much ahead of what it last obeyed: a joint's set-point moves on while the
 device is being armed, and while a set-point waits for its SYNC."""
@@ -142,7 +142,7 @@ class Guard:
         self._last: dict[tuple[str, type[Command] | None], tuple[Nanos, Command]] = {}
         """The last set-point that each motor was sent: of each type, and (None) of any."""
         self._unstopped: dict[str, tuple[Nanos, int]] = {}
-        """Devices that are to stand, and were told otherwise: since when, or since the last stop of their own;
+        """Devices that are to stand, and were told otherwise: since when, or since their last own stop;
         and how many of these were sent."""
         self._coasting: dict[str, tuple[Nanos, float]] = {}
         """The velocity [rad/s] at which each motor was last seen not armed."""
@@ -300,7 +300,8 @@ class Guard:
         if joint is None:
             return self._asked.objection(now, one, Reported())
         if joint.name not in ours and not isinstance(one, READS):
-            if not (ours and _is_at_rest(one)):
+            stranger = isinstance(one, msg.Kept) and self._asked.is_id(now, one.name, one.value)
+            if not stranger and not (ours and _is_at_rest(one)):
                 return "a command to a device that was not commanded", type(one).__name__
             if isinstance(one, (*msg.COMMANDS, msg.Arm)):
                 return None

@@ -219,6 +219,8 @@ class BusMonitor:
         self, variant: ProtocolVariant, commands: Sequence[Obeyed], decoded: DecodedPacket
     ) -> None:
         for command in commands:
+            if isinstance(command, msg.Kept):
+                continue  # nothing comes of it yet
             device = variant.devices.get(_name_in(command))
             if device is None:
                 if command not in decoded.commands:

@@ -133,7 +133,7 @@ HOMING: Written = {co.title(o.MODE): (float(Mode.HM),), co.title(o.HOMING_METHOD
 
 
 def set_up(device: Device) -> Written:
-    """Return what is written to a drive unasked; what a controlword, a mode and set-points make it do, beside."""
+    """Return what is written to a drive unasked. What a controlword makes it do is decoded beside."""
     found = co.declared(
         (write.key, write.value) for write in Known(device.options, device.address).all_writes()
     )

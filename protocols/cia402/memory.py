@@ -203,7 +203,7 @@ class Memory:
         values = self.values
         self._latched |= latched
         before = {key: values[key] for key in self._latched if key in values}
-        values.update(self._latched)
+        values.update((key, each) for key, each in self._latched.items() if key != o.MODE or each in MODES)
         names = {NUMBER_OF[key] for key in latched if key in NUMBER_OF}
         found = [each for each in waiting(*self.command()) if each.name.partition(".")[2] in names]
         kept = [

@@ -18,6 +18,7 @@ from copy import copy
 from math import inf, isclose, isfinite, isnan, nan, tau
 
 from protocols import messages as msg
+from protocols.asked import set_id
 from protocols.frames import CanFrame, Frame
 from protocols.messages import Command, Nanos, Obeyed, Request
 from protocols.moteus import codec
@@ -50,11 +51,9 @@ SENT = frozenset(
     {Mode.STOPPED, Mode.POSITION, Mode.STAY_WITHIN, Mode.ZERO_VELOCITY, Mode.BRAKE, Mode.TIMEOUT}
 )
 """Modes that are sent here, or that stand for one."""
-OTHERS = tuple(
-    f"command_{name}"
-    for name in ["timeout", "position_max_torque", "stop_position", "ignore_position_bounds"]
-    + ["fixed_voltage_override", "fixed_current_override"]
-)
+_OTHERS = "timeout position_max_torque stop_position ignore_position_bounds"
+_OTHERS += " fixed_voltage_override fixed_current_override"
+OTHERS = tuple(f"command_{name}" for name in _OTHERS.split())
 """What a command says beside its numbers,"""
 TRAJECTORY = "command_velocity_limit", "command_accel_limit"
 """and that of position control;"""
@@ -153,8 +152,12 @@ class Memory:
     def stranger(self) -> Memory:
         """Return a device of which no UUID is known, to read what is not for this one."""
         other = copy(self)
-        other.command, other.uuid = {**self.command}, b""
+        other.become_unknown()
         return other
+
+    def become_unknown(self) -> None:
+        """Forget the UUID; what is commanded from now on is this object's own."""
+        self.command, self.uuid = {**self.command}, b""
 
     def begins(self) -> Sequence[Obeyed]:
         """Return the command that the last frame began, if it did. In timeout a device is not armed: it is in
@@ -257,7 +260,9 @@ class MoteusDecoder:
                     obeyed += _refused(memory.motor, frame.data)
                 else:  # for another device, which is asked for its id
                     obeyed += [
-                        each for each in memory.stranger().obey(frame.data) if isinstance(each, msg.SetId)
+                        msg.Kept(memory.motor, set_id(each.serial), float(each.address))
+                        for each in memory.stranger().obey(frame.data)
+                        if isinstance(each, msg.SetId)
                     ]
         return obeyed
 
@@ -273,7 +278,7 @@ def _as_setting(motor: str, done: Request | Subframe) -> Obeyed:
 
 
 def _refused(motor: str, data: bytes) -> Iterator[msg.Kept]:
-    """Yield the registers that a frame writes, and that the map which is known here does not let be written."""
+    """Yield the registers that a frame writes, and that are none to be written as far as is known here."""
     known = {tb.MODE, *tb.ACTIONS, *tb.UUID_MASK, *COMMAND_NAMES}
     for subframe in codec.parse(data)[0]:
         for register, value in subframe.quantities() if subframe.code == WRITE else ():

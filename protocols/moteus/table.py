@@ -112,7 +112,7 @@ def register_of(parameter: str) -> int:
 
 
 def beside(register: str) -> str:
-    """Return the name of a command register where it is written with a command, and is none of its numbers."""
+    """Return the name of a command register that is written with a command, and is none of its numbers."""
     return f"{register} of a command"
 
 

@@ -18,7 +18,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from protocols import messages as msg
-from protocols.asked import waiting
+from protocols.asked import set_id, waiting
 from protocols.frames import CanFrame, Frame
 from protocols.messages import SECOND, Nanos, Obeyed
 from protocols.odrive_can import errors, table
@@ -207,7 +207,7 @@ class Memory:
             return ()
         if state != CLOSED_LOOP or self.fault:
             self.disarm()
-            if state not in (table.IDLE, CLOSED_LOOP, table.HOMING):
+            if state in table.STATE_NAMES.keys() - {table.IDLE, CLOSED_LOOP, table.HOMING}:
                 return (msg.WriteParameter(self.motor, "Axis_Requested_State", float(state)),)
             return (msg.Home(self.motor),) if state == table.HOMING else (msg.Idle(self.motor),)
         if not self.armed or self.line == "0.5":  # 0.5.x leaves closed loop and enters it again
@@ -236,6 +236,8 @@ class Memory:
             self.node = node
         elif node == self.node != BROADCAST:
             self.node = BROADCAST
+        else:
+            return (msg.Kept(self.motor, set_id(serial), float(node)),)
         return (msg.SetId("", serial, node),)
 
 

@@ -6,9 +6,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
+from protocols import messages as msg
 from protocols.conformance.bench import Shaft
 from protocols.frames import CanFrame
-from protocols.messages import MILLISECOND, Command, Event, Feedback, Nanos, Request, State
+from protocols.messages import MILLISECOND, Command, Event, Feedback, Nanos, Obeyed, Request, State
 from protocols.plugin import Device, Driver, Twin
 
 DriverKind = TypeVar("DriverKind", bound=Driver)
@@ -89,3 +90,8 @@ def of(kind: type[EventKind], events: Sequence[Event]) -> list[EventKind]:
 def modes(events: Sequence[Event], motor: str = "left") -> list[str]:
     """Return the modes that a motor reported, in order."""
     return [state.mode.value for state in of(State, events) if state.motor == motor]
+
+
+def acts(obeyed: Sequence[Obeyed]) -> list[Obeyed]:
+    """Return what a device does now: without what it keeps."""
+    return [each for each in obeyed if not isinstance(each, msg.Kept)]

@@ -14,6 +14,7 @@ from tests.protocols.message_samples import VECTORS, message_of
 
 KINDS: tuple[Any, ...] = get_args(Message)
 SAMPLES: list[Message] = [*(message_of(row) for row in VECTORS["packed"]), messages.Arm("m")]
+SAMPLES.append(messages.Kept("m", "a mode", 1.0))
 
 
 def test_there_is_a_sample_of_every_message() -> None:

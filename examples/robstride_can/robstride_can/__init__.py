@@ -5,7 +5,7 @@ from __future__ import annotations
 from protocols import messages as msg
 from protocols.messages import COMMANDS, MILLISECOND
 from protocols.plugin import Device, FeedbackKind, Plugin, Range, Spec, Watchdog
-from protocols.toolkit.assembly import can_motor, decoder_of, driver_of
+from protocols.toolkit.assembly import can_motor, declared, decoder_of, driver_of
 from protocols.toolkit.table import BINARY32
 
 from . import table as rs
@@ -32,6 +32,8 @@ def spec(device: Device) -> Spec:
         feedback=FeedbackKind.REPLY,
         faults=rs.FAULTS,
         parameters=tuple(rs.REGISTERS.by_name),
+        set_up=declared(RobStride().written(options)),
+        stop=(rs.TABLE.encode("disable", device.address),),
     )
 
 

@@ -67,6 +67,8 @@ def spec(device: Device) -> Spec:
         holds_unattended=False,
         stop_clears_faults=False,
         faults=FAULTS,
+        # FILL IN (clause "asked"): `set_up`, what the driver writes before it arms the device, with the
+        # values; and `stop`, the frames that disarm it whatever it does.
         # FILL IN (clauses "checksums" and "obeyed"): `unprotected`, if it takes messages without a checksum.
     )
 

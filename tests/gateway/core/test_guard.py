@@ -112,7 +112,8 @@ def commanded_by(frame: Frame) -> Sequence[Command]:
     motor, data = {LEFT: "left", RIGHT: "right"}[frame.id >> 5], frame.data.ljust(8, b"\0")
     match frame.id & 0x1F:
         case 0x0B:
-            kinds = {1: msg.Torque(motor, 0.0), 2: msg.Velocity(motor, 0.0), 3: msg.Position(motor, 0.0)}
+            kinds: dict[int, Command] = {1: msg.Torque(motor, 0.0), 2: msg.Velocity(motor, 0.0)}
+            kinds[3] = msg.Position(motor, 0.0)
             return [kinds[data[0]]]
         case 0x07 if data[0] == 8:
             return [msg.Velocity(motor, 0.0)]
@@ -197,6 +198,11 @@ def asked(request: Request, ago: Nanos = 0, situation: Situation = OURS) -> Situ
     return replace(situation, asked=(request,), asked_ago=ago)
 
 
+def having(command: Command) -> Situation:
+    """Turning at 1 rad/s, and given this, at the device's shaft."""
+    return replace(turning(1.0, velocity(LEFT, 1.0)), has=(command,))
+
+
 COASTED = replace(turning(), coasted=12.0)
 AT_ONE = moving(0.0, position(LEFT, 1.0))
 CASES: list[tuple[str, Situation, Frame, str]] = [
@@ -210,7 +216,7 @@ CASES: list[tuple[str, Situation, Frame, str]] = [
     ("an address", asked(msg.SetId("can0", 0x385F34733301, 9), 0, FRESH), SET_ID, ""),
     ("another address", asked(msg.SetId("can0", 0x385F34733301, 8), 0, FRESH), SET_ID, NOT_MADE),
     ("the address of a stranger", asked(msg.SetId("can0", 7, 9), 0, FRESH), SET_ANOTHER, ""),
-    ("that, unasked", FRESH, SET_ANOTHER, NOT_MADE),
+    ("that, unasked", FRESH, SET_ANOTHER, NOT_OURS),
     ("set-up of a commanded device", OURS, mode(LEFT, 2), ""),
     ("to no device of the robot", OURS, arm(ABSENT), "not a frame to any device of this driver"),
     ("arming a commanded device", OURS, arm(LEFT), ""),
@@ -254,6 +260,14 @@ CASES: list[tuple[str, Situation, Frame, str]] = [
     ("within the range", moving(1.9), position(RIGHT, -2.0), ""),
     ("out of the range", moving(1.9), position(RIGHT, -2.01), TOO_FAR),
     ("back into the range", moving(9.0), position(RIGHT, -2.0), ""),
+    ("the last velocity, to be idle", having(msg.Idle("left")), velocity(LEFT, 1.0), NOT_COMMANDED),
+    ("slower than it, to be idle", having(msg.Idle("left")), velocity(LEFT, 0.9), NOT_COMMANDED),
+    ("at rest, to be idle", having(msg.Idle("left")), velocity(LEFT, 0.0), ""),
+    ("the last velocity, to hold", having(msg.Hold("left")), velocity(LEFT, 1.0), NOT_COMMANDED),
+    ("the last velocity, to brake", having(msg.Velocity("left", 0.0)), velocity(LEFT, 1.0), NOT_COMMANDED),
+    ("another velocity", having(msg.Velocity("left", 8.0)), velocity(LEFT, 1.1), NOT_COMMANDED),
+    ("another mode", having(msg.Velocity("left", 8.0)), mode(LEFT, 1), NOT_DECLARED),
+    ("arming, to be idle", having(msg.Idle("left")), arm(LEFT), "arming a motor that is to be idle"),
     ("feed-forward too fast", moving(), position(LEFT, 0.0, -LIMIT - 0.1), TOO_FAST),
 ]  # fmt: skip
 
@@ -307,7 +321,7 @@ def test_a_blocked_frame_leaves_no_trace_and_does_not_hold_back_the_next() -> No
     passed, blocked = guard.check(now, "can0", "odrive_can", wanted, joints, stopped=False)
     assert passed == [wanted[0], wanted[1], wanted[4]]
     assert [each.motors for each in blocked] == [("right",), ("right",)]
-    assert blocked[0].text == f"{NOT_OURS} (WriteParameter): {wanted[2]}"
+    assert blocked[0].text == f"{NOT_OURS} (Kept): {wanted[2]}"
     decoder = decoder_of(robot, "can0")
     for frame in passed:
         decoder.decode(now, frame)
@@ -579,7 +593,7 @@ def test_a_packet_from_the_future_was_received_now() -> None:
 # -- what nobody asked for ---------------------------------------------------------------------------------
 
 UNASKED: list[dict[str, Any]] = json.loads((Path(__file__).parent / "unasked.json").read_text("utf-8"))
-"""Frames by robot: gains, limits, ids, calibrations, restarts, set-points of other modes, wrong kinds of frame."""
+"""Frames by robot: gains, limits, ids, calibrations, restarts, other modes, wrong kinds of frame."""
 
 
 @pytest.mark.parametrize("name", sampled(list(dict.fromkeys(each["robot"] for each in UNASKED)), 4))

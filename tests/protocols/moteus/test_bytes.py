@@ -20,6 +20,7 @@ from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, Feedback, Position, ReadParameter, Refused
 from protocols.moteus import plugin
 from protocols.plugin import Device
+from tests.protocols.helpers import acts
 from tests.protocols.moteus.from_package import entries
 
 RESOLUTIONS = (mp.INT8, mp.INT16, mp.INT32, mp.F32)
@@ -78,7 +79,8 @@ def test_commands_of_the_package_in_any_width_are_obeyed_within_a_count() -> Non
             setattr(resolution, name, width)
         values = {name: float(np.float32(GENERATOR.uniform(-1.2, 1.2))) for name in scales}
         controller: Any = moteus.Controller(id=5, transport=object(), position_resolution=resolution)
-        _, obeyed = plugin.decoder([DEVICE]).decode(0, to_device(controller.make_position(**values).data))
+        frame = to_device(controller.make_position(**values).data)
+        _, obeyed = acts(plugin.decoder([DEVICE]).decode(0, frame))
         assert isinstance(obeyed, Position)
         found = (obeyed.position / tau, obeyed.velocity / tau, obeyed.torque)
         for (name, register), value in zip(scales.items(), found, strict=True):

@@ -35,7 +35,7 @@ def test_specs_of_equal_devices_are_equal() -> None:
         ("010000", False),
         ("01000a0f20 0.0f 0.0f 0.0f 0d27 0.1f 11001f01110f", False),
         ('40010f "conf get id.id" 0a', False),
-        ("0ad402 00000000 00000000 1804d00211d802", False),
+        ("0ad402 00000000 00000000 1804d00211d802", True),
         ("11001f01110f 60", False),
         ("11001f0111", False),
         ("420130", False),

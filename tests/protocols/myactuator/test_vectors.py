@@ -16,6 +16,7 @@ from protocols.myactuator.options import Options, Settings
 from protocols.myactuator.table import ANY
 from protocols.plugin import Device
 from protocols.reference_vectors import vectors_of
+from tests.protocols.helpers import acts
 
 DEVICE = Device("left", 1, Options(torque_constant=2.0), Settings())
 VECTORS = {vector.name: vector for vector in vectors_of(plugin)}
@@ -90,7 +91,7 @@ def test_what_a_host_sends_and_a_motor_obeys(name: str) -> None:
     frame = VECTORS[name].frame
     assert isinstance(frame, CanFrame)
     assert ANY.encode(message, 1, **values) == frame
-    obeyed = plugin.decoder([DEVICE]).decode(0, frame)
+    obeyed = acts(plugin.decoder([DEVICE]).decode(0, frame))
     moves = isinstance(does, msg.Hold | msg.Torque | msg.Velocity | msg.Position)
     assert isinstance(obeyed[0], msg.Arm) if moves else not any(isinstance(one, msg.Arm) for one in obeyed)
     assert type(obeyed[-1]) is type(does) if does else not obeyed

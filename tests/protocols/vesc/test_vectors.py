@@ -16,6 +16,7 @@ from protocols.reference_vectors import vectors_of
 from protocols.vesc import plugin
 from protocols.vesc.options import Options, Settings
 from protocols.vesc.table import TABLE
+from tests.protocols.helpers import acts
 
 DEVICE = Device("left", 23, Options(pole_pairs=5, torque_constant=0.1), Settings(supply=24.0))
 VECTORS = {vector.name: vector for vector in vectors_of(plugin)}
@@ -70,7 +71,7 @@ def test_what_a_host_sends_and_a_controller_obeys(name: str) -> None:
     assert TABLE.encode(message, 23, **values) == frame
     for_all = replace(frame, id=frame.id | 0xFF)
     for each in (frame, for_all):
-        obeyed = plugin.decoder([DEVICE]).decode(0, each)
+        obeyed = acts(plugin.decoder([DEVICE]).decode(0, each))
         assert [type(one) for one in obeyed] == ([msg.Arm, type(does)] if does else [])
         assert numbers(obeyed[-1]) == pytest.approx(numbers(does)) if does else not obeyed
     assert plugin.decoder([replace(DEVICE, address=24)]).decode(0, frame) == []
@@ -91,7 +92,7 @@ def test_what_a_controller_reports(name: str) -> None:
 def test_six_bytes_of_a_current_are_read_as_the_firmware_reads_them() -> None:
     """A delay first, other than the vendor's page has it: 1.2 s, then 5 A."""
     frame = CanFrame(0x117, bytes.fromhex("04b0 00001388"), extended=True)
-    assert list(plugin.decoder([DEVICE]).decode(0, frame))[1:] == [msg.Torque("left", 0.5)]
+    assert acts(plugin.decoder([DEVICE]).decode(0, frame))[1:] == [msg.Torque("left", 0.5)]
 
 
 @pytest.mark.parametrize(

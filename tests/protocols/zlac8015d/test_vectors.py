@@ -17,6 +17,7 @@ from protocols.reference_vectors import Vector, vectors_of
 from protocols.zlac8015d import plugin
 from protocols.zlac8015d import table as z
 from protocols.zlac8015d.options import Options, Settings
+from tests.protocols.helpers import acts
 
 VECTORS = {vector.name: vector for vector in vectors_of(plugin)}
 WRITTEN = [name for name, vector in VECTORS.items() if vector.meaning.keys() >= {"object", "value"}]
@@ -49,7 +50,7 @@ def obeyed(*names: str) -> list[Sequence[Obeyed]]:
     """Return what both motors obey in each of these, one after the other."""
     devices = [Device(name, at, Options(), Settings()) for name, at in (("left", 1), ("right", 129))]
     decoder = plugin.decoder(devices)
-    return [decoder.decode(0, VECTORS[name].frame) for name in names]
+    return [acts(decoder.decode(0, VECTORS[name].frame)) for name in names]
 
 
 ENABLED = ("velocity_mode", "velocity_both_0", "shutdown", "switch_on", "enable")
