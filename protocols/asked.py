@@ -131,9 +131,11 @@ class _Given:
         return max(abs(has), *before, 0.0) + abs(last) + 2.0 * error
 
     def was(self, now: Nanos, one: Command, name: str) -> bool:
-        """True if the device had this number in a command of this type a short time ago."""
+        """True if the device had this number in a command of this type a short time ago: a shorter one if it
+        is to stand now, and is told again what it already does, as by a mode before the set-point."""
+        within = LATENCY if _stands(self.command) and name != "position" else DELAYS
         return any(
-            now - until <= DELAYS and type(each) is type(one) and self.close(one, name, getattr(each, name))
+            now - until <= within and type(each) is type(one) and self.close(one, name, getattr(each, name))
             for until, each in self.recent
         )
 
@@ -220,9 +222,8 @@ class Asked:
             return False
         if isinstance(command, msg.Idle):
             return True
-        return any(
-            getattr(told, name, 0.0) for name in ("velocity", *(["torque"] * isinstance(told, msg.Torque)))
-        )
+        numbers = ("torque",) if isinstance(told, msg.Torque) else ("velocity",)
+        return any(hasattr(told, name) and not device.close(told, name, 0.0) for name in numbers)
 
     # -- what may be told ---------------------------------------------------------------------------
 
@@ -355,7 +356,7 @@ def _objection_to_command(
             continue
         if last is not None and (changing or name == "position") and device.close(one, name, last):
             continue
-        if (name == "position" or (alike and not _stands(command))) and device.was(now, one, name):
+        if (name == "position" or alike) and device.was(now, one, name):
             continue
         if changing and name == "torque" and abs(value) <= device.most_torque(one, has or 0.0, last or 0.0):
             continue  # some devices add a feed-forward, which follows the mode

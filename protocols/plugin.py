@@ -225,6 +225,9 @@ class Spec:
     obeys_also: tuple[IdMask, ...] = ()
     """Ids that the device obeys beside `sends`, from any sender. Other protocols on its bus must not use
     them."""
+    unread: tuple[IdMask, ...] = ()
+    """Ids of set-points whose content is as the device is configured: where the command decoder has not seen
+    that written, since a device was taken over as it was, a commanded device is sent them unread."""
     gains: tuple[float, float] | None = None
     """Stiffness [N·m/rad] and damping [N·m·s/rad], if the device has Impedance, and makes a spring and damper
     of Position and Hold, and a damper of Velocity: their torque is limited as that of an Impedance is."""

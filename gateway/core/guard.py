@@ -271,6 +271,16 @@ class Guard:
 
     # -- what it would do ---------------------------------------------------------------------------
 
+    def _is_unread(
+        self, bus: str, protocol: str, frame: CanFrame, concerned: Sequence[str], joints: Mapping[str, Joint]
+    ) -> bool:
+        """True if all that a frame is for are commanded, and nobody but they knows what it holds."""
+        specs = self._specs[bus, protocol]
+        return all(
+            name in joints and joints[name].owned and any_matches(specs[name].unread, frame)
+            for name in concerned
+        )
+
     def _objection(
         self,
         now: Nanos,
@@ -292,6 +302,8 @@ class Guard:
         concerned = self._concerned(bus, protocol, frame)
         if not concerned:
             return "not a frame to any device of this driver", ""
+        if isinstance(frame, CanFrame) and self._is_unread(bus, protocol, frame, concerned, joints):
+            return None
         return "not read-only, and nothing that was asked for or declared", ", ".join(concerned)
 
     def _objection_to(

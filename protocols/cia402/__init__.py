@@ -194,6 +194,7 @@ def spec(device: Device) -> Spec:
         parameters=("6041", "6064"),
         configuration=configured(options, settings),
         set_up=set_up(device),
+        unread=tuple(exact(cs.rpdo_id(number, node)) for number in PDO_NUMBERS),
         stop=(cs.disable(node),),
         writes=dict.fromkeys((msg.Home, msg.Zero), HOMING),
         decoded=decoded,
