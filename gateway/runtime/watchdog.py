@@ -123,9 +123,9 @@ class Watchdog:
     def close(self) -> None:
         """Let the process end."""
         self._pipe = None
-        assert self._process.stdin is not None
-        with suppress(OSError):
-            self._process.stdin.close()
+        for pipe in (self._process.stdin, self._process.stdout):
+            with suppress(OSError):
+                pipe.close() if pipe is not None else None
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(END)
 

@@ -168,7 +168,7 @@ WRONG_ON_THE_WAY: dict[str, tuple[Fault, float, str]] = {
     "maxima": (scans(lambda ranges: (10.0,) * len(ranges)), 0.6, NO_RETURNS),
     "infinite": (scans(lambda ranges: (math.inf,) * len(ranges)), 0.6, NO_RETURNS),
     "a tenth": (scans(lambda r: tuple(v * (i % 10 == 0) for i, v in enumerate(r))), 0.6, "36 of 360 rays"),
-    "mostly maxima": (scans(lambda r: (*r[:72], *(10.0,) * 288)), 0.4, "%"),
+    "mostly maxima": (scans(lambda r: (*r[:72], *(10.0,) * 288)), 0.4, "288 of 360 beams"),
     "too far": (scans(lambda ranges: tuple(length + 0.5 for length in ranges)), 0.4, "lidar"),
     "lidar frozen": (frozen(msg.LaserScan), 0.6, AS_BEFORE),
     "lidar turned by 180°": (remounted(TURNED), 0.4, "lidar: "),
