@@ -107,6 +107,8 @@ class _Given:
     """How many of these were answered."""
     values: dict[str, float] = field(default_factory=dict)
     """The parameters that were asked to be written, ever."""
+    kept: dict[str, float] = field(default_factory=dict)
+    """What it was last told of each number: a device that does not run keeps that, and nothing comes of it."""
 
     def close(self, one: Command, name: str, value: float) -> bool:
         """True if a number of a command is this one, but for its encoding."""
@@ -203,7 +205,13 @@ class Asked:
 
     def passed(self, one: Obeyed, reported: Reported) -> None:
         """Note what a device has been told."""
-        if isinstance(one, msg.COMMANDS) and (device := self._devices.get(one.motor)) is not None:
+        device = self._devices.get(getattr(one, "motor", ""))
+        if device is None:
+            return
+        if isinstance(one, msg.Kept):
+            device.kept[one.name] = one.value
+        elif isinstance(one, msg.COMMANDS):
+            device.kept |= {f"{type(one).__name__}.{name}": getattr(one, name) for name in NUMBERS[type(one)]}
             device.before = one
             if not reported.armed:
                 device.place = None
@@ -315,6 +323,8 @@ def _holds(now: Nanos, device: _Given, number: str, value: float, reported: Repo
     zeros: dict[str, float] = dict.fromkeys(NUMBERS[kind], 0.0)
     command: Any = kind
     made = command(device.command.motor, **zeros | {name: value})
+    if number in device.kept and device.close(made, name, device.kept[number]):
+        return True
     return _objection_to_command(now, device, made, reported, (name,)) is None
 
 

@@ -45,6 +45,7 @@ CODES: dict[int, type[Message]] = {
     30: messages.Reboot,
     31: messages.Set,
     32: messages.Leave,
+    33: messages.Confirm,
     50: messages.Goal,
     51: messages.Drive,
     52: messages.Mission,
@@ -73,8 +74,8 @@ CODES: dict[int, type[Message]] = {
     80: messages.PoseReading,
     81: messages.Marker,
 }
-"""The message type of each code, the first element of a packed message. A code is never reused. Arm has none:
-it is decoded from frames, and neither sent nor recorded."""
+"""The message type of each code, the first element of a packed message. A code is never reused. Arm and Kept
+have none: they are decoded from frames, and neither sent nor recorded."""
 ADDED_FIELDS: dict[type[Message], list[Any]] = {
     messages.Hold: [0.0],
     messages.Found: [False],

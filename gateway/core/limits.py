@@ -28,15 +28,15 @@ TAPER = 0.25
 velocities are old."""
 BEGINNING = 0.1
 """s in which a torque may grow to its limit, or ten reports: so it is seen how fast a shaft gathers speed."""
-UNSEEN = 0.01
+UNSEEN = 0.015
 """s, beside the period of its reports, until it is seen what a torque has done."""
 FORGOTTEN = 0.9
 """Of what a shaft did by a torque, per report: it may be held up now."""
 SOFTENED = 0.8
 """Share of the limit of torque that a softened spring may give: measured velocities are old."""
-SETTLING = 0.07
-"""s: a velocity nears its limit with this time constant, since a device's loops overshoot where an
-acceleration ends at once."""
+NEARING, SETTLING = 0.2, 0.07
+"""Within this share of its limit a velocity nears it with this time constant [s], since a device's loops
+overshoot where an acceleration ends at once."""
 CATCHING_UP = 0.9
 """Share of the limit of velocity that a way to a position takes: its loop catches up by turning faster."""
 SLOWER = 0.2
@@ -393,7 +393,7 @@ def faster(value: float, goal: float, dt: float, limits: Limits) -> float:
     step, most = limits.acceleration * dt, limits.velocity
     if goal * value >= 0.0 and abs(goal) > abs(value):
         left = most - abs(value)
-        if left > REACHED * most:
+        if REACHED * most < left < NEARING * most:
             step = min(step, left * dt / (SETTLING + dt))
     return toward(value, clamp(goal, most), step)
 

@@ -349,7 +349,7 @@ def test_the_buses_are_shown_as_they_were_where_it_is_sought(
             assert shown.state["bus_states"] == states
 
 
-@pytest.mark.parametrize("far", [1e12, 1e300, 10**400], ids=["1e12", "1e300", "integer"])
+@pytest.mark.parametrize("far", [1e12, 1e300])
 def test_a_seek_to_beyond_an_end_goes_to_that_end(shown: Shown, far: float) -> None:
     shown.until(lambda: shown.playback.get("prepared") == 1.0)
     for where, end in ((far, shown.playback["length"]), (-far, 0.0)):

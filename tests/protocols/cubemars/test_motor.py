@@ -79,9 +79,9 @@ def test_messages_of_the_other_mode_do_nothing() -> None:
 )
 def test_a_motor_that_can_never_start_is_a_caution_with_the_option_to_set(options: str, starts: bool) -> None:
     bench = rig(f"{options}, turns = true")
-    found = config.cautions(bench.robot)
+    found = [one for one in config.cautions(bench.robot) if "it cannot start" in one]
     assert [one.partition(":")[0] for one in found] == ([] if starts else ["left", "right"])
-    assert all("it cannot start" in one and "sole_host = true" in one for one in found)
+    assert all("sole_host = true" in one for one in found)
     bench.run(0.3)
     bench.run(0.3, Velocity("left", 1.0))
     assert (mode_of(bench) is Mode.ARMED) == starts
