@@ -108,7 +108,7 @@ class _Given:
     values: dict[str, float] = field(default_factory=dict)
     """The parameters that were asked to be written, ever."""
     kept: dict[str, float] = field(default_factory=dict)
-    """What it was last told of each number: a device that does not run keeps that, and nothing comes of it."""
+    """What it was last told of each number: a device that does not run keeps it, and nothing comes of it."""
 
     def close(self, one: Command, name: str, value: float) -> bool:
         """True if a number of a command is this one, but for its encoding."""

@@ -6,6 +6,7 @@ A test says so by skipping with a reason that begins with "NOT RUN: ".
 
 from __future__ import annotations
 
+import logging
 import os
 import random
 import subprocess
@@ -47,6 +48,15 @@ def pytest_configure(config: pytest.Config) -> None:
     for _ in range(0 if hasattr(config, "workerinput") else config.getoption("--busy")):
         code = f"import os\nwhile os.getppid() == {os.getpid()}:\n    sum(range(10**6))"
         config.add_cleanup(subprocess.Popen([sys.executable, "-c", code]).kill)
+
+
+@pytest.fixture(autouse=True)
+def level_of_the_log() -> Iterator[None]:
+    """Put back what a command that ran in this process has set: the next test reads the log, too."""
+    log = logging.getLogger("gateway")
+    before = log.level
+    yield
+    log.setLevel(before)
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)

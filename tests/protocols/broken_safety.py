@@ -14,9 +14,10 @@ from protocols.plain.driver import PlainAdapter
 from protocols.plain.twin import PlainTwin
 from protocols.plugin import Device
 from protocols.toolkit.host import Host
-from tests.protocols.broken import Sent, alters, found_by
+from tests.protocols.broken import BROKEN, Sent, alters, found_by
 from tests.protocols.odrive_can.parts import OdriveDriver
 from tests.protocols.plain.parts import PlainDriver
+from tests.protocols.sound import motors, with_spec
 
 
 class Knowing(PlainDriver):
@@ -346,9 +347,8 @@ class ForgetsItsFault(PlainTwin):
 # -- passive, attach, scan -----------------------------------------------------------------------------
 
 
-@found_by("passive")
 class ConfiguresUnasked(Knowing):
-    """Configures the device as it should be, whichever host runs it, and does not report it."""
+    """Configures the device as its spec declares, whichever host runs it, and does not report it."""
 
     def __init__(self, devices: Sequence[Device]) -> None:
         super().__init__(devices)
@@ -370,6 +370,19 @@ class ConfiguresUnasked(Knowing):
         fresh = [m.motor for m in messages if isinstance(m, msg.Idle) and m.motor not in self.set_up]
         self.set_up += fresh
         return events, [*frames, *(self.encoded(msg.WriteParameter(name, "supply", 24.0)) for name in fresh)]
+
+
+BROKEN.append(
+    (
+        replace(
+            motors,
+            name="ConfiguresUnasked",
+            driver=ConfiguresUnasked,
+            spec=with_spec(motors, set_up={"supply": (24.0,)}),
+        ),
+        ("passive",),
+    )
+)
 
 
 @found_by("attach")

@@ -56,8 +56,8 @@ def greeted(url: str) -> Browser:
 def test_a_command_shows_its_page_and_ends_as_without(
     folder: Path, command: str, begun: str, mode: str, status: int
 ) -> None:
-    words = command.format(out=folder / "out").split()
-    with Process(folder, *words) as plain, Process(folder, *words, "--view", "0") as shown:
+    words, others = (command.format(out=folder / out).split() for out in ("out", "other"))
+    with Process(folder, *words) as plain, Process(folder, *others, "--view", "0") as shown:
         plain.until(begun)
         with closing(greeted(address(shown.until(begun, "/\n")))) as client:
             assert client.of("hello")[0]["mode"] == mode
