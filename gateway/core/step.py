@@ -191,7 +191,10 @@ class Gateway:
         own = {name: joint for name, joint in self.joints.items() if name in one.motors}
         given = one.driver, own, self.guard
         driver, joints, guard = copy.deepcopy(given, {id(each): each for each in self._values})
-        _, frames = driver.send(now, [_last_command(now, joint)[0] for joint in joints.values()])
+        last = [_last_command(now, joint)[0] for joint in joints.values()]
+        for command in last:
+            guard.ask(now, command)
+        _, frames = driver.send(now, last)
         passed, _ = guard.check(now, bus, protocol, frames, self.joints | joints, stopped=True)
         return tuple(Packet(now, bus, frame) for frame in passed)
 

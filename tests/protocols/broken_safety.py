@@ -14,10 +14,10 @@ from protocols.plain.driver import PlainAdapter
 from protocols.plain.twin import PlainTwin
 from protocols.plugin import Device
 from protocols.toolkit.host import Host
-from tests.protocols.broken import BROKEN, Sent, alters, found_by
+from tests.protocols.broken import BROKEN, Sent, alters, found_by, motors
 from tests.protocols.odrive_can.parts import OdriveDriver
 from tests.protocols.plain.parts import PlainDriver
-from tests.protocols.sound import motors, with_spec
+from tests.protocols.sound import with_spec
 
 
 class Knowing(PlainDriver):
