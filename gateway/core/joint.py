@@ -421,8 +421,8 @@ class Joint:
         out = self._limited(now, self._placed(now, wanted, stopped), stopped)
         self._intended = self._with_load(now, out)
         out = self._softened(self._intended)
-        if isinstance(out, msg.Impedance) and not stopped:
-            self._damping = out.damping
+        if isinstance(self._intended, msg.Impedance) and not stopped:
+            self._damping = self._intended.damping  # not that of a softened spring: it lowers the load
         if not isinstance(out, msg.Idle):
             self.owned = True
             self._disarmed = False
