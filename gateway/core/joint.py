@@ -20,7 +20,7 @@ from brain.control.pid import Loop, LoopSettings
 from gateway.core import following
 from gateway.core.bounds import Bounds
 from gateway.core.following import Following
-from gateway.core.limits import Limits, Profile, Swing, softened
+from gateway.core.limits import Limits, Profile, Swing, softened, spring_within
 from gateway.core.reference import ANEW, Reference
 from protocols import messages as msg
 from protocols.messages import MILLISECOND, SECOND, Command, Mode, Nanos
@@ -105,6 +105,8 @@ AT_REST = 0.02
 """Fraction of the velocity limit below which a braking joint is at rest,"""
 REST_TIME: Nanos = 100 * MILLISECOND
 """if for this long: a wheel that slips stands for a moment, and is turned again by its base."""
+IN_FORCE: Nanos = 5 * MILLISECOND
+"""After this time a set-point has arrived at its device."""
 FADING: Nanos = SECOND
 """In this time the torque that carries a load fades, when its device is taken over, and when it is lowered at
 the end of a run;"""
@@ -342,6 +344,8 @@ class Joint:
             self._reports_since = t if self._reports_since is None else self._reports_since
             self._following.on_motion(t, position, velocity)
         if position is not None:
+            if velocity is None and not self.armed:
+                velocity = self._rate_to(t, position)
             self._position_at, self._position_lost = t, False
             self._reading = t, position
         self.feedback = msg.Feedback(
@@ -420,7 +424,7 @@ class Joint:
         wanted = self._wanted(now, stopped, last, leaving)
         out = self._limited(now, self._placed(now, wanted, stopped), stopped)
         self._intended = self._with_load(now, out)
-        out = self._softened(self._intended)
+        out = self._softened(now, self._intended)
         if isinstance(self._intended, msg.Impedance) and not stopped:
             self._damping = self._intended.damping  # not that of a softened spring: it lowers the load
         if not isinstance(out, msg.Idle):
@@ -527,14 +531,32 @@ class Joint:
         late = since is not None and now - since > self.settings.feedback_timeout
         return late and self.feedback.position is None
 
-    def _softened(self, out: Command) -> Command:
-        """Return a command that the device makes a spring of, softened where that would pull too hard."""
+    def _softened(self, now: Nanos, out: Command) -> Command:
+        """Return a command that the device makes a spring of, softened where that would pull too hard once it
+        is in force."""
         if not isinstance(out, msg.Hold) or self.mode is not Mode.ARMED or self._held is None:
             self._held = self.feedback.position
+        there, limits = self._coming(now), self.settings.limits
+        if isinstance(out, msg.Impedance):
+            return spring_within(out, there, limits)
         if self._gains is None or not isinstance(out, msg.Position | msg.Velocity | msg.Hold):
             return out
         stiffness, damping = (gain * self._ratio * self._ratio for gain in self._gains)
-        return softened(out, self._held, stiffness, damping, self.feedback, self.settings.limits)
+        return softened(out, self._held, stiffness, damping, there, limits)
+
+    def _rate_to(self, t: Nanos, position: float) -> float | None:
+        """Return at what velocity it has come to a position: some devices report none until they are armed."""
+        since, before = self._position_at, self.feedback.position
+        if since is None or before is None or t <= since:
+            return None
+        return (position - before) * SECOND / (t - since)
+
+    def _coming(self, now: Nanos) -> msg.Feedback:
+        """Return the motion as it is expected when what is sent now is in force."""
+        here, age = self.feedback, self.feedback_age(now)
+        if here.position is None or here.velocity is None or age is None:
+            return here
+        return replace(here, position=here.position + here.velocity * (age + IN_FORCE) / SECOND)
 
     def _judge(self, now: Nanos, stopped: bool) -> None:
         """Latch a fault if the motion is not what the last command was to make."""

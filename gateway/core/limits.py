@@ -172,7 +172,7 @@ class Profile:
                 return Torque(wanted.motor, limits.torque_now(clamp(wanted.torque, most), measured))
             case Impedance():
                 self.forget()
-                return _spring(wanted, measured, limits)
+                return spring_within(wanted, measured, limits)
 
     def _velocity_command(self, wanted: Velocity, dt: float, measured: Feedback, limits: Limits) -> Velocity:
         before = self._velocity
@@ -327,10 +327,10 @@ class Swing:
         return torque
 
 
-def _spring(wanted: Impedance, measured: Feedback, limits: Limits) -> Impedance:
+def spring_within(wanted: Impedance, measured: Feedback, limits: Limits) -> Impedance:
     """Return a spring whose torque at the measured position and velocity is within the limits.
 
-    Where it would give more, it is softer: set-points that were moved could leave the range."""
+    Where it would give more, it is softer than that needs: set-points that were moved could leave the range."""
     position = limits.inside(wanted.position)
     velocity = clamp(wanted.velocity, limits.velocity)
     torque = limits.torque_now(wanted.torque, measured)
@@ -339,7 +339,8 @@ def _spring(wanted: Impedance, measured: Feedback, limits: Limits) -> Impedance:
     stiffness = wanted.stiffness * _share(pull, clamp(pull, limits.torque))
     damping = wanted.damping * _share(drag, clamp(drag, limits.torque))
     total = torque + clamp(pull, limits.torque) + clamp(drag, limits.torque)
-    share = _share(total, limits.torque_now(total, measured))
+    most = total if abs(total) <= limits.torque else copysign(SOFTENED * limits.torque, total)
+    share = _share(total, limits.torque_now(most, measured))
     return Impedance(wanted.motor, position, velocity, share * torque, share * stiffness, share * damping)
 
 
