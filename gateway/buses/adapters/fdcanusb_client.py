@@ -16,7 +16,6 @@ from pathlib import Path
 from serial.tools.list_ports import comports
 
 from gateway.buses.adapters.fdcanusb import (
-    ENDS,
     LONGEST,
     decode_received,
     encode_send,
@@ -47,7 +46,7 @@ class FdcanusbInterface(AdapterInterface):
         """Whether our lines have checksums."""
         self._checked = False
         """Whether the other end has used them."""
-        self._splitter = LineSplitter(ENDS, LONGEST)
+        self._splitter = LineSplitter(LONGEST)
         self._lines: deque[bytes | None] = deque()
         """Received, not yet handled."""
         self._logged: set[str] = set()
@@ -58,6 +57,14 @@ class FdcanusbInterface(AdapterInterface):
             rates = (("can.bitrate", bitrate), ("can.fd_bitrate", data_bitrate))
             self._asked.extend((key, rate) for key, rate in rates if rate)
             self.port.write(b"".join(b"conf get %s\n" % key.encode() for key, _ in self._asked))
+
+    def turn_off(self) -> None:
+        """Leave the bus."""
+        self.port.write(self._line("can off"))
+
+    def turn_on(self) -> None:
+        """Join the bus again."""
+        self.port.write(self._line("can on"))
 
     def _encode(self, frame: CanFrame) -> bytes:
         return self._line(encode_send(frame))
@@ -101,6 +108,7 @@ class FdcanusbInterface(AdapterInterface):
 
     def _on_error(self, text: str) -> None:
         """Do what an error calls for, or log it, once."""
+        self.refusals.refused += 1
         if text == NO_FLAG and self._protected and not self._checked:
             self._protected = False  # it has taken our checksum for a flag
         elif "checksum" in text.lower():

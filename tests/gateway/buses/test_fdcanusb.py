@@ -58,8 +58,8 @@ LINES = [
         "can send 1abcdef0 DEAD bf",            "rcv 1ABCDEF0 DEAD E b f r f-1"),
     (CanFrame(0x7FF, b"\x01", True),
         "can ext 07ff 01 bf",                   "rcv 07FF 01 E b f r f-1"),
-    (CanFrame(0x7E6, remote=True),
-        "can send 07e6 00 bfR",                 "rcv 07E6  e b f R f-1"),
+    (CanFrame(0x7E6, remote=True, requested=2),
+        "can send 07e6 0000 bfR",               "rcv 07E6 0000 e b f R f-1"),
 ]
 # fmt: on
 frames = can_frames(min_size=1)
