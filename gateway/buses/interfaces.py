@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import errno
 import socket
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +15,12 @@ from gateway.buses.adapters.dm_serial_client import DmSerialInterface
 from gateway.buses.adapters.fdcanusb_client import FdcanusbInterface
 from gateway.buses.adapters.slcan_client import SlcanInterface
 from gateway.buses.netlink import Link
+from gateway.buses.usb import NET, can_names, listed, resolved
 from gateway.core.robot import TWIN, BusSettings
 from gateway.errors import BusError
 from protocols.frames import EXTENDED_BIT, IdMask
 from protocols.suggest import did_you_mean
 
-NET = Path("/sys/class/net")
-ARPHRD_CAN = "280"
-"""The type of a network interface that is a CAN bus (Linux, if_arp.h)."""
 CANFD_MTU = 72
 """Size of the frames that an interface takes: 72 with CAN FD, 16 without (linux/can.h)."""
 BITRATE_TOLERANCE = 0.01
@@ -49,6 +47,7 @@ def open_interface(settings: BusSettings, *, listen_only: bool = False) -> can.B
 
     `listen_only`: the interface is opened so that it sends nothing, not even acknowledgements, if it can
     be."""
+    settings = resolved(settings)
     kind, _, channel = settings.interface.partition(":")
     if kind == "socketcan" and (why := missing(settings, channel, kernel_has_can())):
         raise BusError(why)
@@ -90,7 +89,7 @@ def _reason(settings: BusSettings, kind: str, error: Exception) -> str:
         return f"{_head(settings)}: {error}"
     known = [TWIN, *sorted(INTERFACES)]
     unknown = f"no interface {kind!r}: there is {', '.join(known)}{did_you_mean(kind, known)}"
-    return f"{_head(settings)}: {unknown}. {_what_there_is(can_interfaces())}"
+    return f"{_head(settings)}: {unknown}. {_what_there_is(can_names())}"
 
 
 def kernel_has_can() -> bool:
@@ -102,16 +101,10 @@ def kernel_has_can() -> bool:
     return True
 
 
-def can_interfaces(net: Path = NET) -> list[str]:
-    """Return the names of this machine's CAN interfaces, as the kernel lists them."""
-    types = {path.parent.name: path.read_text().strip() for path in sorted(net.glob("*/type"))}
-    return [name for name, kind in types.items() if kind == ARPHRD_CAN]
-
-
 def missing(settings: BusSettings, channel: str, has_can: bool, net: Path = NET) -> str:
     """Say why a SocketCAN channel cannot be opened, what there is, and what to type; "" if nothing is
     missing."""
-    present = can_interfaces(net) if has_can else []
+    present = can_names(net) if has_can else {}
     if channel in present:
         if int((net / channel / "flags").read_text(), 16) & 1:  # IFF_UP
             return ""
@@ -158,11 +151,10 @@ def _set_up(settings: BusSettings, channel: str) -> list[str]:
     ]
 
 
-def _what_there_is(present: list[str]) -> str:
-    names = ", ".join(present) or "none"
-    return (
-        f'CAN interfaces of this machine: {names}. "twin" (the simulated world) and "slcan:PORT" need none.'
-    )
+def _what_there_is(present: Mapping[str, str]) -> str:
+    names = listed(present)
+    none_needed = '"twin" (the simulated world) and "slcan:PORT" need none'
+    return f"CAN interfaces of this machine: {names}. {none_needed}."
 
 
 def _commands(settings: BusSettings, channel: str) -> str:
