@@ -114,7 +114,7 @@ def test_the_vectors_are_decoded_and_encoded() -> None:
         "tx_std_0x123_3bytes": ([FRAMES[0][0]], b"z\r"),
         "tx_ext_0x1abcdef0": ([FRAMES[1][0]], b"Z\r"),
         "tx_rtr_0x7e6": ([FRAMES[2][0]], b"z\r"),
-        "tx_fd_brs_ext_12bytes": ([FRAMES[8][0]], b"Z\r"),
+        "tx_fd_brs_ext_12bytes": ([FRAMES[9][0]], b"Z\r"),
         "version_serial#2": ([], b"NTWIN\r"),
         "close#0": ([], b"\r"),
     }
