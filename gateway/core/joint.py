@@ -96,8 +96,6 @@ _NOT_OBEYING = frozenset(_OWN_FAULTS) - {
 """With such a fault a device is sent Idle, whatever its stop action."""
 _BY_TORQUE = (msg.Position, msg.Velocity)
 """What a loop of our own reaches by torque."""
-_MAY_BE_ANOTHER = (Mode.OFFLINE, Mode.INITIALISING)
-"""What a device reports, or what is reported of it, when another one may have taken its place."""
 MAX_FAULTS = 64
 """Faults that latch, whatever a device reports; our own find room beside them."""
 _REFERENCES = frozenset({"Zero", "Home"})
@@ -287,7 +285,8 @@ class Joint:
             if self._is_unexpected_disarm(event):
                 detail = f" ({event.detail})" if event.detail else ""
                 self.latch(self._fault(event.t, DISARMED_ITSELF, f"{event.mode}{detail}"))
-            if event.mode in _MAY_BE_ANOTHER and event.mode is not self.mode:
+            restarts = event.mode is Mode.INITIALISING and self.mode is not Mode.INITIALISING
+            if restarts or event.mode is Mode.OFFLINE:  # it may be another one when it is back
                 self._serial = None
             if event.mode is not Mode.OFFLINE:  # an offline device may still be armed
                 if event.mode is Mode.ARMED and not self.armed:
@@ -304,6 +303,10 @@ class Joint:
     def unidentified(self) -> bool:
         """Whether a serial number is demanded of the device, and has not been read."""
         return self._demanded is not None and self._serial is None
+
+    def is_heard(self, now: Nanos) -> bool:
+        """True if its device reports a state, or its motion."""
+        return self.mode is not Mode.OFFLINE or not self.feedback_lost(now)
 
     def identify(self, serial: int) -> None:
         """Take the serial number that answers for the device; one that is wrong stays until it is silent."""

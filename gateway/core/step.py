@@ -280,7 +280,7 @@ class Gateway:
         """Return a scan, if one of its motors is there, and its serial number is demanded and not known."""
         place = one.bus, one.protocol
         joints = (self.joints[name] for name in one.motors)
-        here = any(joint.unidentified and joint.mode is not Mode.OFFLINE for joint in joints)
+        here = any(joint.unidentified and joint.is_heard(now) for joint in joints)
         if not here or now - self._scanned_at.get(place, -IDENTIFY) < IDENTIFY:
             return []
         self._scanned_at[place] = now

@@ -99,6 +99,7 @@ class SocketcanBus:
         self._settings = settings
         self._clock = clock
         self._device = device
+        self._channel = _channel(settings)
         self._listen_only = listen_only
         self._states = StateTracker()
         self._timestamps = TimestampMapper()
@@ -204,7 +205,7 @@ class SocketcanBus:
 
     def _log_stuck(self) -> None:
         held = f"up to {self._pending} frames wait in the kernel's queue"
-        name = self._device.name
+        name = self._channel
         remedy = f"to purge them: sudo ip link set {name} down; sudo ip link set {name} up"
         log.warning("%s: %s; nothing is added until they are gone; %s", self.name, held, remedy)
 
@@ -321,9 +322,9 @@ class SocketcanBus:
         """Look for an adapter that may have come back under another name."""
         with suppress(BusError):
             name = _channel(self._settings)
-            if name != self._device.name:
+            if name != self._channel:
                 self._device.close()
-                self._device = Device(name)
+                self._device, self._channel = Device(name), name
 
     def _come_back(self, status: Status) -> None:
         """The interface is up: keep the socket if it is the same interface, else open a new one."""

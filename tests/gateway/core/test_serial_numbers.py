@@ -24,7 +24,7 @@ def demanding(serial: str, text: str = BENCH) -> Rig:
 
 def test_the_right_device_is_armed_once_its_serial_number_was_read() -> None:
     rig = demanding(LEFT)
-    ticks = rig.run(2.0, msg.Velocity("left", 3.0))
+    ticks = rig.run(1.5) + rig.run(1.0, msg.Velocity("left", 3.0))
     assert rig.gateway.joints["left"].mode is Mode.ARMED
     read = next(tick.now for tick in ticks if "serial number 385F34733301" in str(tick.outputs.notes))
     driven = [t for t, command in sent_commands(rig.robot, ticks) if isinstance(command, msg.Velocity)]
