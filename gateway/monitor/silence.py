@@ -8,15 +8,16 @@ tries every installed protocol on what was heard, in slices, one for each tick.
 from __future__ import annotations
 
 import logging
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
 
 from gateway.buses import Bus
 from gateway.core.robot import BusDevice, Motor
 from gateway.core.step import Gateway
 from gateway.core.tick import Tick
-from protocols.frames import BusState, CanFrame, Packet, any_matches, id_number
+from gateway.monitor.state import ProtocolVariant
+from protocols.frames import BusState, CanFrame, IdSet, Packet, id_number
 from protocols.messages import SECOND, Measurement, Mode, Nanos
-from protocols.plugin import FeedbackKind, load_all
+from protocols.plugin import FeedbackKind, installed, load
 
 log = logging.getLogger("gateway")
 
@@ -100,26 +101,33 @@ class Silence:
         if not frames:
             count = sum(len(packet.frame) for packet in heard if isinstance(packet.frame, bytes))
             return f"the line is alive, {count} bytes came: another baud rate, protocol or address"
-        ids = dict.fromkeys(sorted(id_number(frame) for frame in frames))
-        shown = [f"0x{number & 0x1FFF_FFFF:03X}" for number in ids][:MOST_LISTED]
-        own = any(any_matches(device.spec.expects, frame) for frame in frames)
-        text = f"the bus is alive, {len(ids)} ids are heard{', its own among them' * own}: {', '.join(shown)}"
+        ids = {id_number(frame): frame for frame in frames}
+        others = [one for one in self._gateway.robot.devices_on(device.bus) if one is not device]
+        known = IdSet(each for one in others for each in one.spec.expects)
+        strange = [number for number in sorted(ids) if number not in known]
+        shown = ", ".join(f"0x{number & 0x1FFF_FFFF:03X}" for number in strange[:MOST_LISTED])
+        shown += ", …" if len(strange) > MOST_LISTED else ""
+        text = f"the bus is alive ({len(ids)} ids are heard), of no other device in the robot file: {shown}"
         return f"{text}; that looks like {', '.join(looks)}" if looks else text
 
     # -- what it looks like -------------------------------------------------------------------
 
     def _search(self, bus: str) -> Generator[None, None, list[str]]:
-        """Return which devices that are not in the robot file were heard on a bus."""
-        from gateway.monitor.candidates import of_plugins
+        """Return which devices that are not in the robot file were heard on a bus; none while a motor is
+        commanded, since it takes the loop's time."""
         from gateway.monitor.decoder import BusMonitor
 
         settings, heard = self._gateway.robot.buses[bus], self._heard[bus]
-        if not heard or settings.kind == "serial":
+        ids = {id_number(packet.frame) for packet in heard if isinstance(packet.frame, CanFrame)}
+        if not ids or any(joint.owned for joint in self._gateway.joints.values()):
             return []
-        variants = []
-        for plugin in load_all()[0]:
+        variants: list[ProtocolVariant] = []
+        for name in dict.fromkeys(point.name for point in installed()):
             yield
-            variants += of_plugins(settings, [plugin])
+            try:
+                variants += yield from self._variants(bus, name, ids)
+            except Exception as error:  # noqa: BLE001 -- a third party's plugin may raise anything
+                log.debug("the protocol %s is not looked for: %r", name, error)
         monitor = BusMonitor({bus: settings}, variants, heard[0].t, known=False)
         for packet in heard:
             yield
@@ -127,3 +135,18 @@ class Silence:
         ours = {(one.plugin.name, one.device.address) for one in self._gateway.robot.devices_on(bus)}
         found = ((protocol, address) for _, protocol, address in monitor.found)
         return [f"{protocol} at address {at}" for protocol, at in found if (protocol, at) not in ours]
+
+    def _variants(
+        self, bus: str, name: str, ids: Collection[int]
+    ) -> Generator[None, None, list[ProtocolVariant]]:
+        """Return a protocol as it is by default, and as the robot file has it."""
+        from gateway.monitor.candidates import of_ids
+
+        robot, plugin = self._gateway.robot, load(name)
+        ours = [one.device.options for one in robot.devices_on(bus) if one.plugin.name == name]
+        options = [plugin.options(), *ours]
+        made: list[ProtocolVariant] = []
+        for number, each in enumerate(options):
+            if each not in options[:number]:
+                made += yield from of_ids(robot.buses[bus], plugin, each, ids)
+        return made
