@@ -81,12 +81,11 @@ class Silence:
         state = self._gateway.bus_states.get(device.bus, BusState.UP)
         bus, heard = self._buses[device.bus], self._heard[device.bus]
         refused, bad = (int(getattr(bus, name, 0)) for name in ("refused", "bad"))
+        refusing = f"its adapter refuses what it is sent ({refused} so far)"
         if state in _DEAD and not heard:
-            return _DEAD[state] + (f"; its adapter has refused {refused} frames" if refused else "")
+            return f"{_DEAD[state]}; {refusing}" if refused else _DEAD[state]
         if refused:
-            return (
-                f"its adapter has refused {refused} frames: another bit rate, or frames that it cannot send"
-            )
+            return f"{refusing}: another bit rate, or it is bus-off"
         if not heard:
             broken = (
                 f"; {bad} pieces that are no frames: another kind of adapter, or another rate" if bad else ""
