@@ -16,15 +16,17 @@ import select
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import partial
 
 import can
 
 from gateway.buses.adapters.port import AdapterInterface
 from gateway.buses.error_frames import CanError, state_of
-from gateway.buses.interfaces import open_interface
+from gateway.buses.interfaces import open_interface, waits
 from gateway.buses.python_can import frame_of, message_of
 from gateway.buses.queues import STALE, FrameQueue
 from gateway.buses.states import StateTracker
+from gateway.buses.threaded import MOST_FAILURES, Opening, ThreadedInterface
 from gateway.buses.timestamps import TimestampMapper
 from gateway.core.clock import Clock, WallClock
 from gateway.core.robot import BusSettings
@@ -66,6 +68,9 @@ class CanBus:
         """Malformed input: what could not be read as a frame."""
         self.turned_off = 0
         """How often an adapter that refused what it was sent was taken off the bus, to join it again."""
+        self._failures = 0
+        """Pieces in a row that were no frame."""
+        self._opening: Opening | None = None
         self._refused = 0
         """What was refused by interfaces before this one."""
         self._refusing = 0
@@ -130,7 +135,9 @@ class CanBus:
     def close(self) -> None:
         """Release the interface."""
         self._shut_down()
-        self._reopen_at = 1 << 63
+        if self._opening is not None:
+            self._opening.cancel()
+        self._opening, self._reopen_at = None, 1 << 63
 
     # -- transmit -----------------------------------------------------------------------------
 
@@ -141,7 +148,7 @@ class CanBus:
             return True
         try:
             self._interface.send(message_of(frame), timeout=self._send_timeout)
-        except (can.CanError, OSError) as error:
+        except Exception as error:  # noqa: BLE001 -- whatever a back end raises is a state of the bus
             if _is_full(error):
                 self._states.full(now)
                 return False
@@ -153,18 +160,20 @@ class CanBus:
         return True
 
     def _flush(self, now: Nanos) -> None:
-        if isinstance(self._interface, AdapterInterface):
+        if isinstance(self._interface, AdapterInterface | ThreadedInterface):
             self._watch(self._interface, now)
         self._queue.drain(lambda frame: self._send(frame, now))
 
-    def _watch(self, adapter: AdapterInterface, now: Nanos) -> None:
-        """Purge what an adapter does not take; close one that refuses what it is sent."""
-        if adapter.port.purged(now):
+    def _watch(self, adapter: AdapterInterface | ThreadedInterface, now: Nanos) -> None:
+        """Purge what an adapter does not take; take one off the bus that refuses what it is sent."""
+        if adapter.purged(now):
             log.warning(
-                "%s: its adapter took nothing for %d ms: what waited in the kernel was purged",
+                "%s: its adapter took nothing for %d ms: what waited for it was purged",
                 *(self.name, STALE // MILLISECOND),
             )
             self._states.full(now)
+        if isinstance(adapter, ThreadedInterface):
+            return
         refuses = adapter.refusals.judge(now)
         if refuses:
             self._turn_off(adapter, now)
@@ -204,11 +213,17 @@ class CanBus:
         if self._interface is None:
             return None
         try:
-            return self._interface.recv(timeout=0)
+            message = self._interface.recv(timeout=0)
         except (can.CanError, OSError):
             self._lose(now)
-        except (ValueError, IndexError, KeyError):
-            self.bad += 1  # an adapter's line that python-can could not parse
+        except Exception:  # noqa: BLE001 -- what a back end could not parse, or has stumbled over
+            self.bad += 1
+            self._failures += 1
+            if self._failures > MOST_FAILURES:
+                self._lose(now)
+        else:
+            self._failures = 0
+            return message
         return None
 
     def _more(self) -> bool:
@@ -217,7 +232,7 @@ class CanBus:
             return self._interface is not None and bool(
                 select.select([self._interface.fileno()], [], [], 0)[0]
             )
-        except (NotImplementedError, OSError, ValueError):  # a back end without a file, or one that has gone
+        except Exception:  # noqa: BLE001 -- a back end without a file, or one that has gone
             return False
 
     def _is_echo(self, frame: CanFrame) -> bool:
@@ -252,19 +267,29 @@ class CanBus:
         self._states.set(BusState.GONE)
 
     def _reopen(self, now: Nanos) -> None:
-        if now < self._reopen_at:
-            return
-        self._reopen_at = now + REOPEN
-        with suppress(BusError):
-            self._interface = open_interface(self._settings, listen_only=self._listen_only)
+        opening, again = self._opening, partial(open_interface, self._settings, listen_only=self._listen_only)
+        if opening is not None and opening.done:
+            self._interface, self._opening = opening.interface, None
+        elif opening is None and now >= self._reopen_at:
+            self._reopen_at = now + REOPEN
+            if waits(self._settings):
+                self._opening = Opening(again)
+            else:
+                with suppress(BusError):
+                    self._interface = again()
+        if self._interface is not None:
+            self._failures = 0
             self._states.set(BusState.BACK)
 
     def _shut_down(self, *, lost: bool = False) -> None:
         interface, self._interface = self._interface, None
-        if interface is not None:
+        with suppress(Exception):  # an interface that has vanished cannot be shut down either
+            if lost and isinstance(interface, ThreadedInterface):
+                interface.abandon()
+                return
             if lost and isinstance(interface, AdapterInterface):
                 interface.port.drop()
-            with suppress(can.CanError, OSError):  # an interface that has vanished cannot be shut down either
+            if interface is not None:
                 interface.shutdown()
 
 

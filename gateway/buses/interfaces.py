@@ -15,6 +15,7 @@ from gateway.buses.adapters.dm_serial_client import DmSerialInterface
 from gateway.buses.adapters.fdcanusb_client import FdcanusbInterface
 from gateway.buses.adapters.slcan_client import SlcanInterface
 from gateway.buses.netlink import Link
+from gateway.buses.threaded import ThreadedInterface
 from gateway.buses.usb import NET, can_names, listed, resolved
 from gateway.core.robot import TWIN, BusSettings
 from gateway.errors import BusError
@@ -26,17 +27,20 @@ CANFD_MTU = 72
 BITRATE_TOLERANCE = 0.01
 """A controller's clock cannot be divided to every rate; nodes agree to about this."""
 
-_OPENING_ERRORS = (can.CanError, OSError, ValueError, TypeError, RuntimeError, ImportError)
-"""What python-can's back ends raise when they cannot be opened (NotImplementedError is a RuntimeError)."""
-
-
 INTERFACES = can.VALID_INTERFACES | {"dm-serial", "fdcanusb"}
 """The kinds of CAN interface: python-can's, and ours."""
+NEVER_WAIT = ("dm-serial", "fdcanusb", "slcan", "socketcan", "udp_multicast", "virtual")
+"""Back ends that return at once, measured (docs/adapters.md); all others get threads."""
+REFUSED = {
+    "socketcand": "it does not notice that its server has gone, and sends remote and CAN FD frames as others",
+}
+"""Back ends of python-can 4.6.1 that cannot be trusted, and why."""
 LISTEN_ONLY: dict[str, dict[str, Any]] = {
     "vector": {"listen_only": True},
     "nixnet": {"listen_only": True},
     "kvaser": {"driver_mode": False},
     "pcan": {"state": can.BusState.PASSIVE},
+    "seeedstudio": {"operation_mode": "silent"},
 }
 """Arguments with which an interface does not even acknowledge (python-can 4.6.1, can/interfaces/*); the
 others, SocketCAN among them, have none."""
@@ -49,6 +53,8 @@ def open_interface(settings: BusSettings, *, listen_only: bool = False) -> can.B
     be."""
     settings = resolved(settings)
     kind, _, channel = settings.interface.partition(":")
+    if why := REFUSED.get(kind):
+        raise BusError(f"{_head(settings)}: {why}; use an interface of this machine")
     if kind == "socketcan" and (why := missing(settings, channel, kernel_has_can())):
         raise BusError(why)
     options: dict[str, Any] = {"bitrate": settings.bitrate, "fd": settings.kind == "canfd"}
@@ -66,11 +72,16 @@ def open_interface(settings: BusSettings, *, listen_only: bool = False) -> can.B
             bus = DmSerialInterface(channel)
         else:
             bus = can.Bus(channel=channel, interface=kind, ignore_config=True, **options)
-    except _OPENING_ERRORS as error:
+        if settings.receive_filter and not listen_only:
+            bus.set_filters(filters(settings.receive_filter))
+    except Exception as error:  # a back end may raise anything
         raise BusError(_reason(settings, kind, error)) from error
-    if settings.receive_filter and not listen_only:
-        bus.set_filters(filters(settings.receive_filter))
-    return bus
+    return ThreadedInterface(bus) if waits(settings) else bus
+
+
+def waits(settings: BusSettings) -> bool:
+    """True if the back end of a bus may wait: then it has threads of its own."""
+    return settings.interface.partition(":")[0] not in NEVER_WAIT
 
 
 def filters(accepted: Sequence[IdMask]) -> list[CanFilter]:
@@ -85,8 +96,11 @@ def filters(accepted: Sequence[IdMask]) -> list[CanFilter]:
 
 
 def _reason(settings: BusSettings, kind: str, error: Exception) -> str:
-    if kind in INTERFACES:
+    if kind in INTERFACES and isinstance(error, can.CanError | OSError | ValueError | ImportError):
         return f"{_head(settings)}: {error}"
+    if kind in INTERFACES:
+        what = f"python-can's back end raises {type(error).__name__}: {error}"
+        return f"{_head(settings)}: {what}: is the vendor's library installed?"
     known = [TWIN, *sorted(INTERFACES)]
     unknown = f"no interface {kind!r}: there is {', '.join(known)}{did_you_mean(kind, known)}"
     return f"{_head(settings)}: {unknown}. {_what_there_is(can_names())}"

@@ -142,6 +142,10 @@ class AdapterInterface(can.BusABC):
     def _next_frame(self) -> CanFrame | None:
         """Return the next frame of what has come in. ValueError for what is malformed."""
 
+    def purged(self, now: Nanos) -> bool:
+        """As of its port."""
+        return self.port.purged(now)
+
     def turn_off(self) -> None:
         """Leave the bus, if such an adapter can. Raises CanOperationError if it is gone."""
 
