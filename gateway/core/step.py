@@ -279,10 +279,16 @@ class Gateway:
     def _demanded(self, now: Nanos, one: _BusDriver) -> list[Request]:
         """Return a scan, if one of its motors is there, and its serial number is demanded and not known."""
         place = one.bus, one.protocol
-        joints = (self.joints[name] for name in one.motors)
-        here = any(joint.unidentified and joint.is_heard(now) for joint in joints)
-        if not here or now - self._scanned_at.get(place, -IDENTIFY) < IDENTIFY:
+        unknown = [
+            name for name in one.motors if (each := self.joints[name]).unidentified and each.is_heard(now)
+        ]
+        if not unknown or now - self._scanned_at.get(place, -IDENTIFY) < IDENTIFY:
             return []
+        if place in self._scanned_at:
+            for name in sorted(unknown):
+                self._note(
+                    "warning", name, "does not tell the serial number that is demanded: it is not armed"
+                )
         self._scanned_at[place] = now
         return [msg.Scan(one.bus)]
 

@@ -44,6 +44,18 @@ def test_another_device_is_never_armed_and_is_a_fault_that_clearing_does_not_end
     assert abs(rig.velocity("left")) < 1e-3
 
 
+def test_a_device_that_does_not_tell_it_is_not_armed_and_that_is_said() -> None:
+    """An ODrive of firmware 0.5, which answers no discovery."""
+    rig = demanding(LEFT, BENCH.replace("gear = 8.0", 'gear = 8.0\nsettings = { firmware = "0.5.6" }'))
+    ticks = rig.run(6.0)
+    ticks += rig.run(1.0, msg.Velocity("left", 3.0))
+    assert not [
+        command for _, command in sent_commands(rig.robot, ticks) if not isinstance(command, msg.Idle)
+    ]
+    texts = [note.text for note in notes_in(ticks, "left")]
+    assert texts.count("does not tell the serial number that is demanded: it is not armed") == 1
+
+
 def test_devices_that_were_exchanged_while_silent_are_noticed() -> None:
     """What is at the other end of the cable when it is plugged in again may be another device."""
     rig = demanding(LEFT)
@@ -56,7 +68,9 @@ def test_devices_that_were_exchanged_while_silent_are_noticed() -> None:
 
 @pytest.mark.parametrize("name", ["damiao", "robstride", "moteus", "cia402"])
 def test_each_protocol_that_tells_it_is_held_to_it(name: str) -> None:
-    text = config.load_robot(f"diffbot_{name}").text
+    text = BENCH.replace("odrive_can", name).replace('options = { watchdog = "acknowledged" }', "")
+    if name == "moteus":
+        text = text.replace('kind = "can"', 'kind = "canfd"\ndata_bitrate = 5_000_000')
     lines = [line for line in text.splitlines() if line.startswith("address = ")][:2]
     wrong, right = text, text
     for line in lines:
