@@ -69,7 +69,7 @@ class CanBus:
         self.turned_off = 0
         """How often an adapter that refused what it was sent was taken off the bus, to join it again."""
         self._failures = 0
-        """Pieces in a row that were no frame."""
+        """Exceptions of a back end in a row."""
         self._opening: Opening | None = None
         self._refused = 0
         """What was refused by interfaces before this one."""
@@ -218,7 +218,7 @@ class CanBus:
             self._lose(now)
         except Exception:  # noqa: BLE001 -- what a back end could not parse, or has stumbled over
             self.bad += 1
-            self._failures += 1
+            self._failures += not isinstance(self._interface, AdapterInterface)  # those parse by themselves
             if self._failures > MOST_FAILURES:
                 self._lose(now)
         else:

@@ -27,14 +27,14 @@ CANFD_MTU = 72
 BITRATE_TOLERANCE = 0.01
 """A controller's clock cannot be divided to every rate; nodes agree to about this."""
 
-INTERFACES = can.VALID_INTERFACES | {"dm-serial", "fdcanusb"}
-"""The kinds of CAN interface: python-can's, and ours."""
 NEVER_WAIT = ("dm-serial", "fdcanusb", "slcan", "socketcan", "udp_multicast", "virtual")
 """Back ends that return at once, measured (docs/adapters.md); all others get threads."""
 REFUSED = {
     "socketcand": "it does not notice that its server has gone, and sends remote and CAN FD frames as others",
 }
 """Back ends of python-can 4.6.1 that cannot be trusted, and why."""
+INTERFACES = (can.VALID_INTERFACES | {"dm-serial", "fdcanusb"}) - REFUSED.keys()
+"""The kinds of CAN interface: python-can's, and ours."""
 LISTEN_ONLY: dict[str, dict[str, Any]] = {
     "vector": {"listen_only": True},
     "nixnet": {"listen_only": True},

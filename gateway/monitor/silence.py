@@ -98,6 +98,9 @@ class Silence:
     def _others(self, device: BusDevice, heard: Sequence[Packet], looks: Sequence[str]) -> str:
         frames = [packet.frame for packet in heard if isinstance(packet.frame, CanFrame)]
         if not frames:
+            beside = [one for one in self._gateway.robot.devices_on(device.bus) if not self._is_silent(one)]
+            if beside:
+                return f"{beside[0].name} is, on the same line: check its supply, cable and address"
             count = sum(len(packet.frame) for packet in heard if isinstance(packet.frame, bytes))
             return f"the line is alive, {count} bytes came: another baud rate, protocol or address"
         ids = {id_number(frame): frame for frame in frames}

@@ -10,6 +10,7 @@ import pytest
 from gateway import config
 from gateway.buses import Bus
 from gateway.buses.adapters.adapter_pty import AdapterPty
+from gateway.buses.adapters.pty import SerialPty
 from gateway.buses.can import open_can
 from gateway.buses.virtual.bus import open_world
 from gateway.core.clock import SimulatedClock
@@ -20,7 +21,8 @@ from gateway.monitor.silence import LISTENED, Silence
 from gateway.runtime.loop import read, write
 from gateway.runtime.session import open_session
 from protocols.frames import BusState, CanFrame, Packet
-from protocols.messages import MILLISECOND, SECOND
+from protocols.messages import MILLISECOND, SECOND, Imu
+from protocols.plain.table import encode
 from tests.gateway.rig import BENCH
 
 STEP = 5 * MILLISECOND
@@ -43,6 +45,8 @@ def told(
         silence.take(Tick(number, now, inputs, outputs))
         if now < LISTENED:
             assert not caplog.messages
+        elif caplog.messages:  # all is said at once
+            break
     return [message for message in caplog.messages if "nothing is heard of it" in message]
 
 
@@ -107,6 +111,44 @@ def test_frames_of_no_known_protocol_are_shown_by_their_ids(
     assert "the bus is alive (12 ids are heard), of no other device in the robot file: 0x7A0, 0x7A1, " in line
     assert "0x7A8" not in line
     assert "looks like" not in line
+
+
+LINE = """
+[buses.line]
+kind = "serial"
+baudrate = 115_200
+interface = "twin"
+[sensors.front]
+protocol = "plain"
+bus = "line"
+address = 1
+[sensors.rear]
+protocol = "plain"
+bus = "line"
+address = 2
+"""
+
+
+@pytest.mark.parametrize(
+    ("sent", "cause"),
+    [
+        (
+            encode(1, Imu("", 0, (0.0, 0.0, 0.0), (0.0, 0.0, 9.81))),
+            "front is, on the same line: check its supply",
+        ),
+        (bytes(30), "the line is alive, 30 bytes came: another baud rate, protocol or address"),
+        (b"", "nothing at all is: check supply, cable"),
+    ],
+)
+def test_a_sensor_on_a_line(
+    sent: bytes, cause: str, empty: dict[str, Bus], caplog: pytest.LogCaptureFixture
+) -> None:
+    with closing(SerialPty(BusSettings("line", "serial", "twin", baudrate=115_200))) as line:
+        packets = (Packet(0, "line", sent),) if sent else ()
+        lines = told(BENCH + LINE, {**empty, "line": line}, caplog, Inputs(packets=packets))
+    (rear,) = [one for one in lines if one.startswith("rear: ")]
+    assert f"at address 2 on line: {cause}" in rear
+    assert len(lines) == (3 if "front" in cause else 4)  # with the two motors
 
 
 def test_an_adapter_that_refuses_is_named(caplog: pytest.LogCaptureFixture) -> None:
