@@ -32,6 +32,8 @@ BAUDRATE = 921_600
 """Of a moteus on a UART; an adapter on USB ignores it."""
 KNOWN = ((0x0483, 0x5740), (0x1209, 0x2323))
 """USB vendor and product ids of the adapters (package moteus 1.1.1, FDCANUSB_IDS)."""
+FIELDS = 3
+"""Spaces in a `rcv` line, which has flags behind its data: without any, and a checksum, it was cut."""
 NOT_ON, NO_FLAG = "ERR not in BusOn state", "ERR unknown flag"
 """The adapter's replies to a command before `can on`, and to a checksum if it has none."""
 
@@ -95,7 +97,8 @@ class FdcanusbInterface(AdapterInterface):
         self._checked = bool(valid)
         if text.startswith("rcv "):
             frame = decode_received(text)
-            if frame is None:
+            cut = valid is None and text.count(" ") < FIELDS
+            if frame is None or cut:
                 raise ValueError(f"no frame: {text!r}")
             return frame
         if text.startswith("ERR"):

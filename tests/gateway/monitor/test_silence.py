@@ -167,6 +167,6 @@ def test_an_adapter_that_refuses_is_named(caplog: pytest.LogCaptureFixture) -> N
 
 def test_what_is_there_is_not_spoken_of(caplog: pytest.LogCaptureFixture) -> None:
     with open_session("diffbot", simulated=True) as session:
-        for _ in session.run(2.5):
+        for _ in session.run(2.1):
             pass
     assert "nothing is heard" not in caplog.text
