@@ -439,8 +439,8 @@ class _Bounds:
         return ((since if since < self.timeout else self.timeout) + LATENCY) / SECOND
 
     def too_strong(self, one: SetPoint, measured: msg.Feedback) -> Objection | None:
-        """Return that the spring and damper, which a set-point is to the device, pull too hard from the measured
-        position and velocity."""
+        """Return that the spring and damper, which a set-point is to the device, pull too hard from where the
+        shaft is measured."""
         if isinstance(one, msg.Impedance):
             stiffness, damping = one.stiffness, one.damping
         elif self._gains is not None:

@@ -1,8 +1,9 @@
 """A driver whose output is anything: random bytes, changed and old frames, frames that nobody asked for.
 
-Rules. One joint under load, on a bench of each protocol, is given commands in turn, Idle among them, while its
-driver sends anything in between. The judge sees what `starts` judges, what drives while the command is Idle,
-and what the device keeps: each parameter that was the same at two times before is the same afterwards.
+Rules. One joint under load, on a bench of each protocol, is given commands in turn, Idle among them, while
+its driver sends anything in between. The judge sees what `starts` judges, what drives while the command is
+Idle, and what the device keeps: each parameter that was the same at two times before is so afterwards. A
+spring is given some more: the guard judges it at the feedback of the step, and the shaft moves on.
 """
 
 from __future__ import annotations
@@ -13,7 +14,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from random import Random
 
-from gateway.core.guard import SPRING_ERROR
 from protocols import messages as msg
 from protocols.conformance.bench import DriverWrapper, Messages
 from protocols.frames import CanFrame, Frame
@@ -29,6 +29,8 @@ LOAD = 0.3
 """Share of the limit of torque that a load has at most."""
 STEP = 0.005
 """s: one step of the robot"""
+SPRING = 1.25
+"""Share of the limit of torque"""
 LATELY = 20 * MILLISECOND
 SETTLED = 0.4
 """s after which nothing drives a shaft whose command is Idle"""
@@ -99,7 +101,7 @@ class Fuzzed:
     def check(self) -> None:
         """Raise AssertionError for what is beyond the limits."""
         assert self.velocity <= 1.02, f"{self.velocity:.3f} of the limit of velocity"
-        assert self.torque <= 1.0 + SPRING_ERROR, f"{self.torque:.3f} of the limit of torque"
+        assert self.torque <= SPRING, f"{self.torque:.3f} of the limit of torque"
         assert self.idle <= DRIVEN, f"driven at {self.idle:.3g} rad/s while it is to be idle"
         assert not self.changed, f"changed in the device: {self.changed}"
 
@@ -164,7 +166,7 @@ def _bring_back(bench: Bench, rest: Sequence[Command]) -> None:
 
 
 def _is_told_torque(bench: Bench) -> bool:
-    """Whether the device was told nothing but torques and springs of late: its own loops have their limits."""
+    """Whether the device was told only torques and springs of late: its own loops have their limits."""
     told = bench.gateway.guard._last
     loops = [at for (_, kind), (at, _) in told.items() if kind in (msg.Velocity, msg.Position, msg.Hold)]
     return ("left", None) in told and all(bench.clock.now() - at > LATELY for at in loops)

@@ -1,4 +1,5 @@
-"""No bytes that a driver sends bring a motor beyond its limits, or change it: a sample; 1,300,000 by `./go prove`."""
+"""No bytes that a driver sends bring a motor beyond its limits, or change it: a sample, 1.3 million by `./go
+prove`."""
 
 from __future__ import annotations
 
