@@ -20,12 +20,14 @@ class CanFrame:
     """A remote frame (RTR) requests data and carries none; its `data` is empty."""
     fd: bool = False
     brs: bool = False
+    requested: int = 0
+    """Bytes of data that a remote frame asks for; 0 of any other."""
 
     def __str__(self) -> str:
-        """Return candump's notation: `123#DEADBEEF`, `123#R`, `12345678##1DEADBEEF`."""
+        """Return candump's notation: `123#DEADBEEF`, `123#R`, `123#R8`, `12345678##1DEADBEEF`."""
         head = f"{self.id:08X}" if self.extended else f"{self.id:03X}"
         if self.remote:
-            return f"{head}#R"
+            return f"{head}#R{self.requested or ''}"
         return f"{head}{f'##{int(self.brs)}' if self.fd else '#'}{self.data.hex().upper()}"
 
 
@@ -99,6 +101,8 @@ def malformed(frame: Frame, kind: str) -> str:
         return "a remote frame of CAN FD" if frame.remote else _wrong_length(frame.data, FD_LENGTHS)
     if frame.brs or (frame.remote and frame.data):
         return "a bit-rate switch in a classic frame" if frame.brs else "a remote frame with data"
+    if not 0 <= frame.requested <= 8 * frame.remote:
+        return f"{frame.requested} bytes of data asked for"
     return _wrong_length(frame.data, range(9))
 
 

@@ -235,6 +235,8 @@ class Spec:
     """By option that decides what a number in a frame means (pole pairs, a model): how the driver learns of
     the device that it is right; "": it does not, and a robot file that leaves it out is warned of. An option
     whose default is 0 need not be here: there another one decides."""
+    tells_serial: bool = False
+    """Whether the device's answer to a scan has its serial number."""
     caution: str = ""
     """What else a person must know of its options, printed at every start."""
 

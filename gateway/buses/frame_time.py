@@ -56,7 +56,7 @@ def frame_bits(frame: CanFrame) -> tuple[int, int]:
     slow, the rest fast. Together they take one bit at each rate, wherever the sample points are: BRS counts
     as slow, the CRC delimiter as fast."""
     data = padded(frame).data
-    code = bisect_left(LENGTHS, len(data))
+    code = frame.requested if frame.remote else bisect_left(LENGTHS, len(data))
     bits, width = frame.id, 12  # with the start bit
     if frame.extended:  # base id; substitute remote and extension bit, both recessive; extension
         bits, width = frame.id >> 18 << 20 | 0b11 << 18 | frame.id & 0x3FFFF, 32

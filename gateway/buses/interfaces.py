@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import errno
 import socket
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,30 +15,32 @@ from gateway.buses.adapters.dm_serial_client import DmSerialInterface
 from gateway.buses.adapters.fdcanusb_client import FdcanusbInterface
 from gateway.buses.adapters.slcan_client import SlcanInterface
 from gateway.buses.netlink import Link
+from gateway.buses.threaded import ThreadedInterface
+from gateway.buses.usb import NET, can_names, listed, resolved
 from gateway.core.robot import TWIN, BusSettings
 from gateway.errors import BusError
 from protocols.frames import EXTENDED_BIT, IdMask
 from protocols.suggest import did_you_mean
 
-NET = Path("/sys/class/net")
-ARPHRD_CAN = "280"
-"""The type of a network interface that is a CAN bus (Linux, if_arp.h)."""
 CANFD_MTU = 72
 """Size of the frames that an interface takes: 72 with CAN FD, 16 without (linux/can.h)."""
 BITRATE_TOLERANCE = 0.01
 """A controller's clock cannot be divided to every rate; nodes agree to about this."""
 
-_OPENING_ERRORS = (can.CanError, OSError, ValueError, TypeError, RuntimeError, ImportError)
-"""What python-can's back ends raise when they cannot be opened (NotImplementedError is a RuntimeError)."""
-
-
-INTERFACES = can.VALID_INTERFACES | {"dm-serial", "fdcanusb"}
+NEVER_WAIT = ("dm-serial", "fdcanusb", "slcan", "socketcan", "udp_multicast", "virtual")
+"""Back ends that return at once, measured (docs/adapters.md); all others get threads."""
+REFUSED = {
+    "socketcand": "it does not notice that its server has gone, and sends remote and CAN FD frames as others",
+}
+"""Back ends of python-can 4.6.1 that cannot be trusted, and why."""
+INTERFACES = (can.VALID_INTERFACES | {"dm-serial", "fdcanusb"}) - REFUSED.keys()
 """The kinds of CAN interface: python-can's, and ours."""
 LISTEN_ONLY: dict[str, dict[str, Any]] = {
     "vector": {"listen_only": True},
     "nixnet": {"listen_only": True},
     "kvaser": {"driver_mode": False},
     "pcan": {"state": can.BusState.PASSIVE},
+    "seeedstudio": {"operation_mode": "silent"},
 }
 """Arguments with which an interface does not even acknowledge (python-can 4.6.1, can/interfaces/*); the
 others, SocketCAN among them, have none."""
@@ -49,7 +51,10 @@ def open_interface(settings: BusSettings, *, listen_only: bool = False) -> can.B
 
     `listen_only`: the interface is opened so that it sends nothing, not even acknowledgements, if it can
     be."""
+    settings = resolved(settings)
     kind, _, channel = settings.interface.partition(":")
+    if why := REFUSED.get(kind):
+        raise BusError(f"{_head(settings)}: {why}; use an interface of this machine")
     if kind == "socketcan" and (why := missing(settings, channel, kernel_has_can())):
         raise BusError(why)
     options: dict[str, Any] = {"bitrate": settings.bitrate, "fd": settings.kind == "canfd"}
@@ -67,11 +72,16 @@ def open_interface(settings: BusSettings, *, listen_only: bool = False) -> can.B
             bus = DmSerialInterface(channel)
         else:
             bus = can.Bus(channel=channel, interface=kind, ignore_config=True, **options)
-    except _OPENING_ERRORS as error:
+        if settings.receive_filter and not listen_only:
+            bus.set_filters(filters(settings.receive_filter))
+    except Exception as error:  # a back end may raise anything
         raise BusError(_reason(settings, kind, error)) from error
-    if settings.receive_filter and not listen_only:
-        bus.set_filters(filters(settings.receive_filter))
-    return bus
+    return ThreadedInterface(bus) if waits(settings) else bus
+
+
+def waits(settings: BusSettings) -> bool:
+    """True if the back end of a bus may wait: then it has threads of its own."""
+    return settings.interface.partition(":")[0] not in NEVER_WAIT
 
 
 def filters(accepted: Sequence[IdMask]) -> list[CanFilter]:
@@ -86,11 +96,14 @@ def filters(accepted: Sequence[IdMask]) -> list[CanFilter]:
 
 
 def _reason(settings: BusSettings, kind: str, error: Exception) -> str:
-    if kind in INTERFACES:
+    if kind in INTERFACES and isinstance(error, can.CanError | OSError | ValueError | ImportError):
         return f"{_head(settings)}: {error}"
+    if kind in INTERFACES:
+        what = f"python-can's back end raises {type(error).__name__}: {error}"
+        return f"{_head(settings)}: {what}: is the vendor's library installed?"
     known = [TWIN, *sorted(INTERFACES)]
     unknown = f"no interface {kind!r}: there is {', '.join(known)}{did_you_mean(kind, known)}"
-    return f"{_head(settings)}: {unknown}. {_what_there_is(can_interfaces())}"
+    return f"{_head(settings)}: {unknown}. {_what_there_is(can_names())}"
 
 
 def kernel_has_can() -> bool:
@@ -102,16 +115,10 @@ def kernel_has_can() -> bool:
     return True
 
 
-def can_interfaces(net: Path = NET) -> list[str]:
-    """Return the names of this machine's CAN interfaces, as the kernel lists them."""
-    types = {path.parent.name: path.read_text().strip() for path in sorted(net.glob("*/type"))}
-    return [name for name, kind in types.items() if kind == ARPHRD_CAN]
-
-
 def missing(settings: BusSettings, channel: str, has_can: bool, net: Path = NET) -> str:
     """Say why a SocketCAN channel cannot be opened, what there is, and what to type; "" if nothing is
     missing."""
-    present = can_interfaces(net) if has_can else []
+    present = can_names(net) if has_can else {}
     if channel in present:
         if int((net / channel / "flags").read_text(), 16) & 1:  # IFF_UP
             return ""
@@ -158,11 +165,10 @@ def _set_up(settings: BusSettings, channel: str) -> list[str]:
     ]
 
 
-def _what_there_is(present: list[str]) -> str:
-    names = ", ".join(present) or "none"
-    return (
-        f'CAN interfaces of this machine: {names}. "twin" (the simulated world) and "slcan:PORT" need none.'
-    )
+def _what_there_is(present: Mapping[str, str]) -> str:
+    names = listed(present)
+    none_needed = '"twin" (the simulated world) and "slcan:PORT" need none'
+    return f"CAN interfaces of this machine: {names}. {none_needed}."
 
 
 def _commands(settings: BusSettings, channel: str) -> str:

@@ -16,9 +16,8 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 import serial
-from serial.tools.list_ports import comports
 
-from gateway.buses import ports
+from gateway.buses import ports, usb
 from gateway.buses.queues import STALE, ByteQueue, Stall
 from gateway.buses.states import CALM
 from gateway.core.robot import BusSettings
@@ -164,7 +163,7 @@ class SerialBus:
 
 
 def _open(settings: BusSettings) -> serial.Serial:
-    path = settings.interface.partition(":")[2]
+    path = usb.resolved(settings).interface.partition(":")[2]
     try:
         port = serial.Serial(path, settings.baudrate, timeout=0, write_timeout=0, exclusive=True)
     except (OSError, ValueError) as error:
@@ -180,5 +179,4 @@ def _reason(settings: BusSettings, path: str, error: OSError | ValueError) -> st
         return f"{head}: another program has {path} open"
     if code == errno.EACCES:
         return f"{head}: no permission; be a member of the group that owns {path} (often dialout)"
-    ports = ", ".join(sorted(port.device for port in comports())) or "none"
-    return f"{head}: {error}. Serial ports of this machine: {ports}."
+    return f"{head}: {error}. Serial ports of this machine: {usb.listed(usb.port_names())}."

@@ -145,6 +145,7 @@ def parse_robot(
     bag = build(BagTopics, table["bag"], ("bag",), mistakes) if "bag" in table else None
 
     period = round(SECOND / top.rate_hz) if top else 0
+    validate.check_interfaces(buses, ("buses",), mistakes)
     validate.check_devices(buses, motors, sensors, period, mistakes)
     if top is not None:
         validate.check_stall_timeout(top.stall_timeout, period, mistakes)
@@ -178,6 +179,7 @@ def with_interfaces(robot: Robot, interfaces: Mapping[str, str]) -> Robot:
             continue
         buses[name] = replace(buses[name], interface=interface)
         check_interface(interface, buses[name].kind, (name,), mistakes)
+    validate.check_interfaces(buses, (), mistakes)
     mistakes.check()
     return replace(robot, buses=buses)
 

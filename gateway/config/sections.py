@@ -16,7 +16,7 @@ from gateway.config.schema import build, keys
 from gateway.core.bounds import Bounds
 from gateway.core.joint import JointSettings
 from gateway.core.limits import Limits
-from gateway.core.robot import CLASSIC_ADAPTERS, TRANSMIT_QUEUE, TWIN, BusSettings, Motor, Sensor
+from gateway.core.robot import CLASSIC_ADAPTERS, TRANSMIT_QUEUE, TWIN, USB_NAME, BusSettings, Motor, Sensor
 from protocols.frames import IdMask
 from protocols.messages import MILLISECOND, SECOND, Nanos
 from protocols.plugin import Device, Plugin, Spec, UnknownProtocol
@@ -123,6 +123,9 @@ def check_interface(interface: str, kind: str, at: Key, mistakes: Mistakes) -> N
         mistakes.add((*at, "interface"), f"found {shown(interface)}, {wanted}")
     elif kind == "serial" and driver != "serial":
         mistakes.add((*at, "interface"), f'found {shown(interface)}, expected "serial:PORT" on a serial bus')
+    elif channel.startswith("usb-") and not USB_NAME.fullmatch(channel.partition("@")[0]):
+        wanted = "usb-VENDOR:PRODUCT:SERIAL, such as usb-0483:5740:3A5F, and of several channels /0, /1 …"
+        mistakes.add((*at, "interface"), f"found {shown(interface)}, expected {wanted}")
     elif kind == "canfd" and driver in CLASSIC_ADAPTERS:
         text = f"found {shown(interface)}, which carries classic CAN only; expected a bus of kind 'can'"
         mistakes.add((*at, "interface"), text)

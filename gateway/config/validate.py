@@ -13,21 +13,24 @@ and whose reports its driver tells apart, is its own matter; but none may obey w
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import combinations, permutations
 from math import inf
 
 from brain.bodies.body import Base, Body
 from gateway.config.errors import Key, Mistakes, shown, unknown
-from gateway.core.robot import BagTopics, BusDevice, BusSettings, Motor, Robot, Sensor, by_protocol
+from gateway.core.robot import TWIN, BagTopics, BusDevice, BusSettings, Motor, Robot, Sensor, by_protocol
 from protocols.frames import IdMask, id_matches, overlap
-from protocols.messages import MILLISECOND, Nanos, Velocity
+from protocols.messages import MILLISECOND, Nanos, Scan, Velocity
 from protocols.plugin import FeedbackKind, Spec
 
 HOUR = 3600.0
 """s: a joint that gets to the end of its device's positions later, at full speed, is not warned of."""
 STALLED_PERIODS = 4
 """Of the robot: a loop that stands for less is late."""
+NUMBERED = re.compile(r"socketcan:can[0-9]+|[a-z-]+:/dev/tty(USB|ACM)[0-9]+(@.*)?")
+"""Interfaces that the machine numbers in the order in which it finds them."""
 _CARRIES = {"can": ("can", "canfd"), "canfd": ("canfd",), "serial": ("serial",)}
 """Kinds of bus that carry a device's frames: a classic CAN device also works on a CAN FD bus."""
 
@@ -57,6 +60,21 @@ def check_devices(
         _check_drivers(bus_name, [device for _, device in placed if device.bus == bus_name], mistakes)
     for name, motor in motors.items():
         _check_motor(("motors", name), motor, period, mistakes)
+
+
+def check_interfaces(buses: Mapping[str, BusSettings], above: Key, mistakes: Mistakes) -> None:
+    """Check that no two buses have one interface. `above`: the table of the buses."""
+    used: dict[str, str] = {}
+    for name, bus in buses.items():
+        kind, _, channel = bus.interface.partition(":")
+        port = channel.partition("@")[0]
+        place = port if port.startswith(("/", "usb-")) else f"{kind}:{channel}"
+        if bus.interface == TWIN:
+            continue
+        if place in used:
+            text = f"found {shown(bus.interface)}, which is the interface of {used[place]!r} too"
+            mistakes.add((*above, name, "interface"), f"{text}; expected one of its own")
+        used.setdefault(place, name)
 
 
 def _check_pair(first: BusDevice, at: Key, second: BusDevice, mistakes: Mistakes) -> None:
@@ -93,6 +111,13 @@ def _check_motor(at: Key, motor: Motor, period: Nanos, mistakes: Mistakes) -> No
     if joint.stop_action == "brake" and Velocity not in joint.commands(spec):
         why = "the device takes no velocity to brake by"
         mistakes.add((*at, "stop_action"), f'found "brake", expected "idle": {why}')
+    if joint.serial and not (spec.tells_serial and Scan in spec.requests):
+        why = (
+            "scans are switched off"
+            if spec.tells_serial
+            else f"with these options no {motor.plugin.name} tells it"
+        )
+        mistakes.add((*at, "serial"), f"found {shown(joint.serial)}, but it cannot be read: {why}")
     timeouts = [("command_timeout_ms", joint.command_timeout, "the robot steps", period)]
     if spec.feedback is not FeedbackKind.NONE:
         reports = spec.feedback_period
@@ -170,7 +195,32 @@ def cautions(robot: Robot) -> list[str]:
         if bus.kind != "serial" and not bus.acknowledged:
             here = robot.devices_on(bus.name)
             notes += [*_fd_beside_classic(bus.name, here), *_mistakable_reports(here)]
-    return [*notes, *_slow_joints(robot), *_feedback_always_late(robot), *_unused_sensors(robot)]
+    return [
+        *notes,
+        *_exchangeable(robot),
+        *_slow_joints(robot),
+        *_feedback_always_late(robot),
+        *_unused_sensors(robot),
+    ]
+
+
+def _exchangeable(robot: Robot) -> list[str]:
+    """Buses with equal devices, whose adapters the machine may number otherwise after the next start."""
+    numbered = [bus for bus in robot.buses.values() if NUMBERED.fullmatch(bus.interface)]
+    notes: list[str] = []
+    for one, other in combinations(numbered, 2):
+        here, there = robot.devices_on(one.name), robot.devices_on(other.name)
+        if any(isinstance(each, Motor) and each.joint.serial for each in (*here, *there)):
+            continue  # that device is not found then
+        if _places(here) & _places(there):
+            text = f"{one.interface} and {other.interface} may change places at the next start"
+            remedy = "name them by serial number (usb-VENDOR:PRODUCT:SERIAL), or demand a device's (serial)"
+            notes.append(f"{one.name}, {other.name}: {text}, and have equal devices: {remedy}")
+    return notes
+
+
+def _places(devices: Sequence[BusDevice]) -> set[tuple[str, int]]:
+    return {(each.plugin.name, each.device.address) for each in devices}
 
 
 def _assumed_scales(device: BusDevice) -> list[str]:

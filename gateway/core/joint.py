@@ -10,6 +10,7 @@ the joint is `gear` turns of the device, reversed if `sign` is -1).
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from math import copysign, inf
@@ -29,7 +30,7 @@ from protocols.plugin import FeedbackKind, Spec
 JointEvent: TypeAlias = msg.Feedback | msg.State | msg.Fault
 
 FEEDBACK_LOST, DISARMED_ITSELF, ARMED_AGAINST_IDLE, STILL_ARMED = -1, -2, -3, -6
-UNREFERENCED, BEYOND_TRAVEL = -20, -21
+UNREFERENCED, BEYOND_TRAVEL, ANOTHER_DEVICE = -20, -21, -22
 """Our own fault codes (-4 and -5: `gateway.core.step`; from -7 on: `gateway.core.following`)."""
 _OWN_FAULTS: dict[int, tuple[str, str, str]] = {
     FEEDBACK_LOST: (
@@ -82,9 +83,16 @@ _OWN_FAULTS: dict[int, tuple[str, str, str]] = {
         "a torque or a load drove it there, a slipping coupling, or wrong limits",
         "bring it back within its range",
     ),
+    ANOTHER_DEVICE: (
+        "is another device: {}",
+        "adapters or cables that were exchanged, ports that the machine has numbered anew, or a new device",
+        "put the wires right, or give the robot file the new serial number",
+    ),
 }
 """By code: name (with a detail), cause, remedy."""
-_NOT_OBEYING = frozenset(_OWN_FAULTS) - {FEEDBACK_LOST, DISARMED_ITSELF, UNREFERENCED, BEYOND_TRAVEL}
+_NOT_OBEYING = frozenset(_OWN_FAULTS) - {
+    *(FEEDBACK_LOST, DISARMED_ITSELF, UNREFERENCED, BEYOND_TRAVEL, ANOTHER_DEVICE)
+}
 """With such a fault a device is sent Idle, whatever its stop action."""
 _BY_TORQUE = (msg.Position, msg.Velocity)
 """What a loop of our own reaches by torque."""
@@ -150,8 +158,15 @@ class JointSettings:
     """For how long what is measured may be out of its bounds about the set-points (`following`)."""
     following_share: Annotated[float, Bounds(0.05, 0.5)] = 0.3
     """Share of a set-point of velocity by which it need not be followed."""
+    serial: str = ""
+    """The serial number that the device must have, in hexadecimal digits as `gateway motor dump` prints it:
+    without it nothing arms the device. "": any."""
     loop: LoopSettings | None = None
     """Positions and velocities are reached by torque, at every step; None: by the device's own loops."""
+
+    def __post_init__(self) -> None:
+        if self.serial and not re.fullmatch("[0-9A-Fa-f]{1,32}", self.serial):
+            raise ValueError(f"serial: found {self.serial!r}, expected hexadecimal digits")
 
     def lets_down(self, spec: Spec) -> bool:
         """True if a load can be let down: by a spring, or by a velocity while its torque is measured."""
@@ -205,6 +220,9 @@ class Joint:
         self.detail = ""
         self.armed = False
         """Whether its last report of a mode was ARMED."""
+        self._demanded = int(settings.serial, 16) if settings.serial else None
+        self._serial: int | None = None
+        """Of the device, as read since it was last silent."""
         self.faults: dict[tuple[int, str], msg.Fault] = {}
         """Latched, in the order in which they came."""
         self.owned = False
@@ -269,6 +287,9 @@ class Joint:
             if self._is_unexpected_disarm(event):
                 detail = f" ({event.detail})" if event.detail else ""
                 self.latch(self._fault(event.t, DISARMED_ITSELF, f"{event.mode}{detail}"))
+            restarts = event.mode is Mode.INITIALISING and self.mode is not Mode.INITIALISING
+            if restarts or event.mode is Mode.OFFLINE:  # it may be another one when it is back
+                self._serial = None
             if event.mode is not Mode.OFFLINE:  # an offline device may still be armed
                 if event.mode is Mode.ARMED and not self.armed:
                     self._armed_at = event.t
@@ -279,6 +300,20 @@ class Joint:
             return event
         self.latch(event)
         return event
+
+    @property
+    def unidentified(self) -> bool:
+        """Whether a serial number is demanded of the device, and has not been read."""
+        return self._demanded is not None and self._serial is None
+
+    def is_heard(self, now: Nanos) -> bool:
+        """True if its device reports a state, or its motion."""
+        return self.mode is not Mode.OFFLINE or not self.feedback_lost(now)
+
+    def identify(self, serial: int) -> None:
+        """Take the serial number that answers for the device; one that is wrong stays until it is silent."""
+        if self._serial in (None, self._demanded):
+            self._serial = serial
 
     def _is_unexpected_disarm(self, event: msg.State) -> bool:
         if not self.armed or event.mode not in (Mode.READY, Mode.INITIALISING):
@@ -418,6 +453,7 @@ class Joint:
             limit = f"{self.settings.feedback_timeout / MILLISECOND:g} ms"
             self.latch(self._fault(now, FEEDBACK_LOST, limit))
         self._forget_lost_position()
+        self._check_identity(now)
         self._check_reading(now)
         self._judge(now, stopped)
         self._check_idle(now)
@@ -485,6 +521,11 @@ class Joint:
         position = self.feedback.position
         return 0.0 if position is None else self.settings.limits.outside(position)
 
+    def _check_identity(self, now: Nanos) -> None:
+        if self._demanded is not None and self._serial not in (None, self._demanded):
+            numbers = f"serial number {self._serial:X}, the robot file demands {self._demanded:X}"
+            self.latch(self._fault(now, ANOTHER_DEVICE, numbers))
+
     def _check_reading(self, now: Nanos) -> None:
         """Latch a fault if the position has jumped, or the shaft has left its range under a command."""
         reading, self._reading = self._reading, None
@@ -507,6 +548,9 @@ class Joint:
         """Return what is wanted, if it is known where the joint is, and near enough to its range to begin."""
         if stopped or self.faults or isinstance(wanted, msg.Idle):
             return wanted
+        if self.unidentified and isinstance(self._out, msg.Idle):
+            self.refused = "the serial number that the robot file demands has not been read"
+            return msg.Idle(self.name)
         why = self._reference.lost and f"{self._reference.lost}: zero it or home it, or confirm it"
         margin = self.settings.limits.margin
         if not why and self._by_position and self._measures_no_position(now):

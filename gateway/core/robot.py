@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, TypeAlias
@@ -24,6 +25,8 @@ CLASSIC_ADAPTERS = ("dm-serial",)
 """Interfaces that carry classic CAN only."""
 SHAREABLE = ("socketcan", "udp_multicast")
 """Interfaces that several processes of a machine can use at once; a port is one process's alone."""
+USB_NAME = re.compile(r"usb-([0-9A-Fa-f]{4}):([0-9A-Fa-f]{4}):([^/@]+)(/[0-9]+)?")
+"""An adapter in place of its port or interface: vendor, product, serial number; of channels, which."""
 STALL_TIMEOUT: Nanos = 500 * MILLISECOND
 """How long the loop may stand, if the robot file does not say."""
 

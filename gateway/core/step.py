@@ -22,7 +22,7 @@ from gateway.core.joint import Joint
 from gateway.core.tick import Inputs, Note, Outputs
 from protocols import messages as msg
 from protocols.frames import BusState, CanFrame, Frame, IdMask, IdSet, Packet, id_number
-from protocols.messages import Command, Event, Instruction, Mode, Nanos, Request, Task
+from protocols.messages import SECOND, Command, Event, Instruction, Mode, Nanos, Request, Task
 from protocols.plugin import Driver, RxCounters
 
 if TYPE_CHECKING:
@@ -43,6 +43,8 @@ DRIVER_FAILED = -5
 """Our own fault code: the driver of the device has raised an exception."""
 OTHER_HOST = -11
 """Our own fault code: another host commands the device."""
+IDENTIFY: Nanos = 5 * SECOND
+"""Period in which a serial number that is demanded is asked for, until it is known."""
 OVERHEARD = 8
 """Most frames of other hosts that a step reads, by bus."""
 
@@ -94,6 +96,8 @@ class Gateway:
             for plugin, devices in robot.by_protocol(bus):
                 motors = frozenset(one.name for one in devices if one.name in self.joints)
                 self._drivers.append(_BusDriver(bus, plugin.name, motors, plugin.driver(devices)))
+        self._scanned_at: dict[tuple[str, str], Nanos] = {}
+        """By bus and protocol: when serial numbers that are demanded were last asked for."""
         self._on_bus = {bus: [one for one in self._drivers if one.bus == bus] for bus in robot.buses}
         self._only_sent = {bus: (IdSet(sent), IdSet(received)) for bus, sent, received in _ids(robot)}
         """By CAN bus: the ids to its devices, and those that they or others answer with."""
@@ -260,8 +264,33 @@ class Gateway:
             for one in self._on_bus[packet.bus]:
                 received = self._call(one, _NOTHING, one.driver.receive, t, packet.frame)
                 if received:
+                    self._identify(one, received)
                     events += self._on_events(now, received)
         return events
+
+    def _identify(self, one: _BusDriver, events: Sequence[Event]) -> None:
+        """Tell the joints the serial numbers of their devices: what was found names no bus."""
+        for found in events:
+            if isinstance(found, msg.Found) and found.serial is not None:
+                for name in one.motors:
+                    if self.robot.motors[name].device.address == found.address:
+                        self.joints[name].identify(found.serial)
+
+    def _demanded(self, now: Nanos, one: _BusDriver) -> list[Request]:
+        """Return a scan, if one of its motors is there, and its serial number is demanded and not known."""
+        place = one.bus, one.protocol
+        unknown = [
+            name for name in one.motors if (each := self.joints[name]).unidentified and each.is_heard(now)
+        ]
+        if not unknown or now - self._scanned_at.get(place, -IDENTIFY) < IDENTIFY:
+            return []
+        if place in self._scanned_at:
+            for name in sorted(unknown):
+                self._note(
+                    "warning", name, "does not tell the serial number that is demanded: it is not armed"
+                )
+        self._scanned_at[place] = now
+        return [msg.Scan(one.bus)]
 
     def _is_of_another_host(self, packet: Packet) -> bool:
         """True if only a host sends such a frame: ours are not received."""
@@ -300,7 +329,8 @@ class Gateway:
                 if isinstance(event, msg.State) and event.mode is not before:
                     level: Literal["info", "warning"] = "warning" if event.mode in _BAD_MODES else "info"
                     self._note(level, joint.name, f"{event.mode}{_in_brackets(event.detail)}")
-                passed.append(moved)
+                if not joint.unidentified:  # to the brain, it is not there
+                    passed.append(moved)
         return passed
 
     def _note_answer(self, event: Event) -> None:
@@ -407,12 +437,13 @@ class Gateway:
         requests, self._requests = self._requests, []
         packets: list[Packet] = []
         for one in self._drivers:
-            asked = [request for request in requests if _is_for(request, one)]
+            asked = [request for request in requests if _is_for(request, one)] + self._demanded(now, one)
             given = [*asked, *(command for name, command in commands.items() if name in one.motors)]
             for each in given:
                 self.guard.ask(now, each)
             nothing = _NOTHING, _NO_FRAMES
             events, frames = self._call(one, nothing, one.driver.send, now, given)
+            self._identify(one, events)
             self._late += events
             packets += self._out(now, one, frames)
         for name, joint in self.joints.items():

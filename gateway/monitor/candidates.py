@@ -7,7 +7,7 @@ device. No protocol is known here by name.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Generator, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import fields
 from typing import Any, Literal, get_args, get_origin, get_type_hints
@@ -16,12 +16,15 @@ from gateway.core.joint import Joint, JointSettings
 from gateway.core.limits import Limits
 from gateway.core.robot import BusSettings, Motor, Robot, by_protocol
 from gateway.monitor.state import DeviceRecord, ProtocolVariant
+from protocols.frames import IdSet
 from protocols.messages import Nanos
 from protocols.plugin import Device, Plugin, Spec
 
 MAX_ADDRESSES = 256
 """Addresses of one protocol that are tried on one bus without a robot file."""
 MAX_CHOICES = 16
+SLICE = 8
+"""Addresses that are tried at once beside a loop."""
 COMPATIBLE: dict[str, tuple[str, ...]] = {
     "can": ("can",),
     "canfd": ("can", "canfd"),
@@ -57,11 +60,34 @@ def of_plugins(bus: BusSettings, plugins: Sequence[Plugin]) -> list[ProtocolVari
                 with suppress(ValueError):  # the protocol does not allow this address
                     specs.append((device, plugin.spec(device)))
             if specs and all(spec.bus in COMPATIBLE[bus.kind] for _, spec in specs):
-                variant = _variant(bus.name, plugin, [device for device, _ in specs])
-                for device, spec in specs:
-                    _add(variant, device, spec, NO_GEAR if spec.kind == "motor" else None, spec.offline_after)
-                variants.append(variant)
+                variants.append(_with_devices(bus, plugin, specs))
     return variants
+
+
+def of_ids(
+    bus: BusSettings, plugin: Plugin, options: object, heard: Collection[int]
+) -> Generator[None, None, list[ProtocolVariant]]:
+    """Return a protocol with the devices that send one of these ids, if there are any.
+
+    In slices of `SLICE` addresses, for a loop that has more to do."""
+    specs: list[tuple[Device, Spec]] = []
+    for address in range(MAX_ADDRESSES):
+        if address % SLICE == 0:
+            yield
+        device = Device(f"{plugin.name}:{address}", address, options, plugin.settings())
+        with suppress(ValueError):
+            spec = plugin.spec(device)
+            sends = IdSet(spec.expects)
+            if spec.bus in COMPATIBLE[bus.kind] and any(number in sends for number in heard):
+                specs.append((device, spec))
+    return [_with_devices(bus, plugin, specs)] if specs else []
+
+
+def _with_devices(bus: BusSettings, plugin: Plugin, specs: Sequence[tuple[Device, Spec]]) -> ProtocolVariant:
+    variant = _variant(bus.name, plugin, [device for device, _ in specs])
+    for device, spec in specs:
+        _add(variant, device, spec, NO_GEAR if spec.kind == "motor" else None, spec.offline_after)
+    return variant
 
 
 def _variant(bus: str, plugin: Plugin, devices: Sequence[Device]) -> ProtocolVariant:

@@ -108,7 +108,7 @@ def _simulated(bus: BusSettings) -> str:
 
 def _machine() -> list[str]:
     """Return every CAN interface of this machine. Raises UserError if there is none."""
-    from gateway.buses.interfaces import can_interfaces
+    from gateway.buses.usb import can_interfaces
 
     names = can_interfaces()
     if not names:

@@ -87,7 +87,8 @@ def _name(name: str) -> tuple[int, bytes]:
 def can_frame(layouts: Layouts, t: Nanos, bus: str, frame: CanFrame) -> bytes:
     """Encode can_msgs/Frame of a classic frame; the header's frame is the bus."""
     data = frame.data[:8]
-    head = (frame.id & 0xFFFFFFFF, frame.remote, frame.extended, 0, len(data))
+    length = frame.requested if frame.remote else len(data)
+    head = (frame.id & 0xFFFFFFFF, frame.remote, frame.extended, 0, length)
     return layouts.stamped(_CAN, bus).pack(_ENCAPSULATION, *clock(t), *_name(bus), *head, data)
 
 

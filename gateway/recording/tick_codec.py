@@ -47,7 +47,7 @@ MSG: motor_gateway_msgs/Packet
 int64 t                   # ns; of a received frame: its time of reception
 uint32 id                 # CAN identifier; 0 if serial
 uint8 kind                # 0 serial bytes, 1 CAN frame
-uint8 flags               # CAN: 1 extended identifier, 2 remote, 4 FD, 8 bit-rate switch
+uint8 flags               # CAN: 1 extended identifier, 2 remote, 4 FD, 8 bit-rate switch, 16 * requested
 string bus
 uint8[] data
 uint32 crc                # CRC-32 of the bytes of this packet before it
@@ -72,6 +72,8 @@ _START = struct.Struct("<Qq")
 _PACKET = struct.Struct("<qIBBxxI")
 _SERIAL, _CAN = 0, 1
 _EXTENDED, _REMOTE, _FD, _BRS = 1, 2, 4, 8
+_REQUESTED = 4
+"""The bit at which the number begins that a remote frame asks for."""
 _LEVELS = ("info", "warning", "error")
 
 
@@ -190,6 +192,7 @@ def _put_packets(out: bytearray, packets: Sequence[Packet]) -> None:
         start = len(out)
         if isinstance(frame, CanFrame):
             flags = frame.extended | frame.remote << 1 | frame.fd << 2 | frame.brs << 3
+            flags |= frame.requested << _REQUESTED
             out += _PACKET.pack(packet.t, frame.id, _CAN, flags, len(bus) + 1)
             data = frame.data
         else:
@@ -315,4 +318,5 @@ class _Reader:
         if kind == _SERIAL:
             return Packet(t, bus, data), good
         extended, remote, fd, brs = (bool(flags & bit) for bit in (_EXTENDED, _REMOTE, _FD, _BRS))
-        return Packet(t, bus, CanFrame(id_, data, extended, remote, fd, brs)), good
+        frame = CanFrame(id_, data, extended, remote, fd, brs, flags >> _REQUESTED)
+        return Packet(t, bus, frame), good

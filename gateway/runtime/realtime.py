@@ -18,6 +18,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from gateway.buses.usb import resolved
 from gateway.core.robot import TWIN, Robot
 from gateway.errors import UserError
 
@@ -82,7 +83,7 @@ def realtime(wish: Wish | None, robot: Robot, say: Callable[[str], object] = pri
             raise UserError(f"--realtime is required: {'; '.join(refused)}")
         for bus in robot.buses.values():
             if bus.interface != TWIN:
-                say(f"real time: {_interrupts(bus.interface, wish.priority, stack)}")
+                say(f"real time: {_interrupts(resolved(bus).interface, wish.priority, stack)}")
         yield
 
 

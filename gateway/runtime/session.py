@@ -25,6 +25,7 @@ from gateway.core.robot import TWIN, Robot
 from gateway.core.step import Gateway
 from gateway.core.tick import Tick
 from gateway.errors import UserError
+from gateway.monitor.silence import Silence
 from gateway.runtime import loop
 from gateway.runtime.process import quiet_collector, signals
 from gateway.runtime.timing import LoopStats
@@ -60,6 +61,8 @@ class Session:
     """Why the run is to end before its time: `leave`."""
     watchdog: Watchdog | None = None
     """The process that sends the stop action if this one dies; None if there is none."""
+    silence: Silence = field(init=False)
+    """Says why a device is silent."""
     _watchers: list[loop.Record] = field(default_factory=list)
     _view: SessionView | None = None
     _recorders: list[Recorder] = field(default_factory=list)
@@ -68,6 +71,9 @@ class Session:
     _ticks: Generator[Tick] | None = None
     _stopped: bool = False
     """Whether a stop of the operator was in force at the last tick of a run."""
+
+    def __post_init__(self) -> None:
+        self.silence = Silence(self.gateway, self.buses)
 
     def submit(self, *instructions: Instruction) -> None:
         """Ask for something at the next step.
@@ -272,6 +278,7 @@ class Session:
         for take in self._watchers:
             take(tick, belief)
         self._guarded(lambda view: view.take(tick, belief))
+        self.silence.take(tick)
         if self.recorder is not None:
             self.recorder.record(tick, belief, patient=isinstance(self.clock, SimulatedClock))
 

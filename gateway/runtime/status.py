@@ -9,6 +9,7 @@ from gateway.core.message_text import escaped
 from protocols.messages import MILLISECOND
 
 if TYPE_CHECKING:
+    from gateway.buses import Bus
     from gateway.core.joint import Joint
     from gateway.core.step import Gateway
     from gateway.runtime.session import Session
@@ -38,6 +39,7 @@ def status_text(session: Session) -> str:
     for joint in gateway.joints.values():
         lines += _joint(joint, now)
     lines += _counters(gateway)
+    lines += [line for bus in session.buses.values() for line in _lost(bus)]
     lines.append(f"ticks: {session.stats.ticks}, {session.stats.missed} missed")
     if session.stats.trouble:
         lines.append(f"timing: {session.stats.trouble}")
@@ -60,6 +62,21 @@ def _joint(joint: Joint, now: Nanos) -> list[str]:
     cells += [f"{label} {value:.3f} {unit}" for label, value, unit in values if value is not None]
     faults = [f"  fault: {fault.name}; {fault.remedy}" for fault in joint.faults.values()]
     return [f"{joint.name}: {joint.mode}, {', '.join(cells)}", *faults]
+
+
+_LOST = {
+    "dropped": "frames never sent",
+    "bad": "pieces that were no frames",
+    "refused": "frames refused by the adapter",
+    "turned_off": "times it was taken off the bus for that",
+}
+"""What a bus counts, where it can."""
+
+
+def _lost(bus: Bus) -> list[str]:
+    """Return what was lost on a bus; nothing if nothing was."""
+    counts = [f"{count} {text}" for name, text in _LOST.items() if (count := getattr(bus, name, 0))]
+    return [f"{bus.name}: {', '.join(counts)}"] if counts else []
 
 
 def _counters(gateway: Gateway) -> list[str]:

@@ -186,6 +186,7 @@ def spec(device: Device) -> Spec:
         offline_after=options.offline_ms * MILLISECOND,
         commands=frozenset({msg.Idle} | able),
         requests=REQUESTS,
+        tells_serial=True,
         ranges=ranges(options, settings),
         watchdog=Watchdog(timeout or None, bool(timeout), "" if timeout else WATCHDOG_NOTE, "any command"),
         holds_unattended=not timeout,

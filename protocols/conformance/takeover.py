@@ -185,7 +185,7 @@ def _scan_running(case: Case) -> None:
 
 def _scan(rig: Rig, case: Case, what: str) -> None:
     """Scan until it has ended: read-only throughout, with every device found."""
-    found, ended = set[int](), list[Done | Refused]()
+    found, told, ended = set[int](), set[int](), list[Done | Refused]()
     messages: Messages = [Scan("bus")]
     for _ in range(SCANNED):
         step = rig.step(messages)
@@ -194,12 +194,18 @@ def _scan(rig: Rig, case: Case, what: str) -> None:
             if not read_only(rig.bench.specs, frame):
                 received = case.plugin.decoder(rig.bench.devices).decode(step.now, frame)
                 raise rig.failure(f"a scan of {what} sends what is not read-only", (frame,), received)
-        found |= {event.address for event in step.events if isinstance(event, Found)}
+        founds = [event for event in step.events if isinstance(event, Found)]
+        found |= {event.address for event in founds}
+        told |= {event.address for event in founds if event.serial is not None}
         ended += [e for e in step.events if isinstance(e, Done | Refused) and e.request == Scan.__name__]
         if ended:
             break
     if not ended or isinstance(ended[0], Refused):
         raise rig.failure(f"a scan of {what} ends with {ended or 'nothing'} in {SCANNED} ms")
-    missing = set(case.addresses[: len(rig.names)]) - found
-    if missing:
+    expected = set(case.addresses[: len(rig.names)])
+    if missing := expected - found:
         raise rig.failure(f"a scan of {what} does not find address {min(missing)}")
+    if case.spec.tells_serial is not (told >= expected):
+        raise rig.failure(
+            f"a scan of {what} tells the serial numbers of {len(told)} of {len(expected)} devices"
+        )

@@ -76,6 +76,7 @@ def spec(device: Device) -> Spec:
         expects=(reply,),
         commands=COMMANDS[options.mode],
         requests=REQUESTS,
+        tells_serial=True,
         ranges=ranges(options),
         watchdog=Watchdog(round(options.timeout_ms * MILLISECOND), enabled=True),
         faults=FAULTS,

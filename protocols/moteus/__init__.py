@@ -98,6 +98,7 @@ def spec(device: Device) -> Spec:
         expects=(_exact(reply_id(device.address, host, prefix)),),
         read_only=ReadOnly(sends),
         commands=frozenset(msg.COMMANDS if all(options.gains) else set(msg.COMMANDS) - {msg.Impedance}),
+        tells_serial=True,
         requests=frozenset(
             {msg.ClearFault, msg.Scan, msg.SetId, msg.Zero, msg.ReadParameter, msg.WriteParameter}
         ),

@@ -107,6 +107,7 @@ def spec(device: Device) -> Spec:
         feedback=FeedbackKind.CYCLIC,
         commands=frozenset({msg.Idle, msg.Hold, msg.Position, msg.Velocity, msg.Torque}),
         requests=REQUESTS if line == "0.5" else REQUESTS | {msg.SetId},
+        tells_serial=line != "0.5",
         ranges=ranges_of(options) | {"Feedback.position": position},
         watchdog=Watchdog(
             round(settings.watchdog_timeout * SECOND) or None,

@@ -83,6 +83,7 @@ def spec(device: Device) -> Spec:
         feedback_period=round(settings.feedback_ms * MILLISECOND) if motor else SENSOR_PERIOD,
         offline_after=OFFLINE,
         commands=frozenset(COMMANDS if motor else ()),
+        tells_serial=True,
         requests=frozenset(get_args(table.TO_ALL | table.TO_MOTOR if motor else table.TO_ALL)),
         ranges=ranges(device.options),
         watchdog=Watchdog(timeout if motor and timeout else None, enabled=motor and timeout > 0),

@@ -66,6 +66,7 @@ def spec(device: Device) -> Spec:
         (ANYBODY,),
         commands=COMMANDS[options.mode],
         requests=REQUESTS,
+        tells_serial=True,
         ranges=ranges(options),
         feedback=FeedbackKind.REPLY,
         faults=rs.faults_of(options.model),

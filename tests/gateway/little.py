@@ -185,6 +185,7 @@ frames: st.SearchStrategy[Frame] = st.one_of(
         remote=st.booleans(),
         fd=st.booleans(),
         brs=st.booleans(),
+        requested=st.integers(0, 8),
     ),
 )
 packets = st.lists(st.builds(Packet, t=int64, bus=text, frame=frames), max_size=4).map(tuple)

@@ -52,6 +52,12 @@ BROKEN.append(
 
 BROKEN.append((replace(vesc, name="AssumesItsScales", spec=with_spec(vesc, scales={})), ("scales",)))
 
+# -- serial numbers ------------------------------------------------------------------------------------
+
+for _plugin, _told in ((vesc, True), (motors, False)):  # a VESC has none in its answer, these have
+    _named = replace(_plugin, name=f"TellsASerialNumber{_told}", spec=with_spec(_plugin, tells_serial=_told))
+    BROKEN.append((_named, ("scan",)))
+
 # -- replies -------------------------------------------------------------------------------------------
 
 

@@ -25,6 +25,7 @@ NOTATION: list[tuple[CanFrame, str]] = [
     (CanFrame(0x123, extended=True), "00000123#"),
     (CanFrame(0x12345678, b"\x11", extended=True), "12345678#11"),
     (CanFrame(0x123, remote=True), "123#R"),
+    (CanFrame(0x123, remote=True, requested=8), "123#R8"),
     (CanFrame(0x1ABCDEF0, remote=True, extended=True), "1ABCDEF0#R"),
     (CanFrame(0x123, b"\xab", fd=True), "123##0AB"),
     (CanFrame(0x123, b"\xab", fd=True, brs=True), "123##1AB"),
@@ -47,6 +48,7 @@ def test_frames_that_differ_in_anything_differ() -> None:
         CanFrame(0x123, b"\1", fd=True),
         CanFrame(0x123, b"\1", fd=True, brs=True),
         CanFrame(0x123, remote=True),
+        CanFrame(0x123, remote=True, requested=1),
         b"\1",
     ]
     assert len({base, *others}) == len(others) + 1

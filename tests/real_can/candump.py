@@ -38,8 +38,9 @@ def parse(text: str) -> list[Seen]:
 def _frame(number: str, kind: str, data: str) -> CanFrame:
     remote, fd = kind == "R", kind.startswith("#")
     content = b"" if remote else bytes.fromhex(data)
+    requested = int(data or "0") if remote else 0
     brs = fd and bool(int(kind[1:], 16) & 1)
-    return CanFrame(int(number, 16), content, len(number) == 8, remote, fd, brs)
+    return CanFrame(int(number, 16), content, len(number) == 8, remote, fd, brs, requested)
 
 
 @contextmanager

@@ -95,7 +95,7 @@ def run_commands(text: str) -> None:
 FRAMES = [
     CanFrame(0x123, b"\x01\x02"),
     CanFrame(0x7FF),
-    CanFrame(0x123, remote=True),
+    CanFrame(0x123, remote=True, requested=3),
     CanFrame(0x12345678, b"\xff" * 8, extended=True),
     CanFrame(0x123, b"\x03"),
 ]

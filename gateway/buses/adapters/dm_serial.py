@@ -27,9 +27,10 @@ REPORTING, SILENT = 1, 3
 """Commands of a packet to the adapter: send the frame, with and without a report of it."""
 RECEIVED, SENT = 0x11, 0x12
 """Commands of a packet from it: a frame received; the report that one was sent."""
+NOT_SENT = 0x02
 ERRORS = {
     0x01: "could not receive",
-    0x02: "could not send",
+    NOT_SENT: "could not send",
     0x03: "could not set the bit rate",
     0xEE: "communication error",
 }
@@ -73,27 +74,32 @@ class PacketSplitter:
 
 def encode_send(frame: CanFrame, command: int = SILENT) -> bytes:
     """Encode the packet that sends a frame of classic CAN, once."""
-    kind = frame.extended, frame.id, frame.remote, len(frame.data)
+    kind = frame.extended, frame.id, frame.remote, frame.requested or len(frame.data)
     return _TO_ADAPTER.pack(_HEAD, command, _TIMES, _INTERVAL, *kind, frame.data)
 
 
 def decode_send(packet: bytes) -> tuple[int, CanFrame]:
     """Return the command and the frame of a packet to the adapter."""
     _, command, _, _, extended, number, remote, length, data = _TO_ADAPTER.unpack(packet)
-    return command, CanFrame(number, b"" if remote else data[:length], bool(extended), bool(remote))
+    return command, _frame(number, data[:length], bool(extended), bool(remote))
 
 
 def encode_received(frame: CanFrame, command: int = RECEIVED) -> bytes:
     """Encode the packet by which the adapter reports a frame of classic CAN."""
-    kind = len(frame.data) | frame.extended << 6 | frame.remote << 7
+    kind = (frame.requested or len(frame.data)) | frame.extended << 6 | frame.remote << 7
     return _FROM_ADAPTER.pack(_START, command, kind, frame.id, frame.data, _END)
 
 
 def decode_received(packet: bytes) -> tuple[int, CanFrame]:
     """Return the command and the frame of a packet from the adapter; only RECEIVED and SENT carry one."""
     _, command, kind, number, data, _ = _FROM_ADAPTER.unpack(packet)
-    extended, remote = bool(kind & 0x40), bool(kind & 0x80)
-    return command, CanFrame(number, b"" if remote else data[: kind & 0x3F], extended, remote)
+    return command, _frame(number, data[: kind & 0x3F], bool(kind & 0x40), bool(kind & 0x80))
+
+
+def _frame(number: int, data: bytes, extended: bool, remote: bool) -> CanFrame:
+    if remote:
+        return CanFrame(number, b"", extended, True, requested=len(data))
+    return CanFrame(number, data, extended)
 
 
 @dataclass(slots=True)

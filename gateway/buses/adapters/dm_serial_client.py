@@ -12,6 +12,7 @@ from collections import deque
 from gateway.buses.adapters.dm_serial import (
     ERRORS,
     FROM_ADAPTER,
+    NOT_SENT,
     RECEIVED,
     PacketSplitter,
     decode_received,
@@ -46,11 +47,16 @@ class DmSerialInterface(AdapterInterface):
             command, frame = decode_received(packet)
             if command == RECEIVED:
                 self._frames.append(frame)
-            elif command in ERRORS and command not in self._logged:
-                self._logged.add(command)
-                log.warning("%s reports: %s (%s)", self.channel_info, ERRORS[command], packet.hex(" "))
+            elif command in ERRORS:
+                self.refusals.refused += command == NOT_SENT
+                self._log(command, packet)
         if self._splitter.skipped > skipped:
             raise ValueError(f"{self._splitter.skipped - skipped} bytes of no packet")
+
+    def _log(self, command: int, packet: bytes) -> None:
+        if command not in self._logged:
+            self._logged.add(command)
+            log.warning("%s reports: %s (%s)", self.channel_info, ERRORS[command], packet.hex(" "))
 
     def _next_frame(self) -> CanFrame | None:
         return self._frames.popleft() if self._frames else None

@@ -23,7 +23,6 @@ from protocols.messages import Nanos
 
 OK = "OK"
 END = b"\r\n"
-ENDS = rb"[\r\n]"
 LONGEST = 256
 """Characters of a line; the longest valid one has 160."""
 CHECKSUM = re.compile(rb"(.*)\*([0-9A-Fa-f]{2})", re.DOTALL)
@@ -66,9 +65,9 @@ def split_checksum(line: bytes) -> tuple[bytes, bool | None]:
 def encode_send(frame: CanFrame) -> str:
     """Encode the command that sends a frame: `can send`, or `can ext` where the id alone does not imply it.
 
-    A remote frame asks for one byte, since the adapter accepts no command without data."""
+    A remote frame asks for one byte at least, since the adapter accepts no command without data."""
     verb = "ext" if frame.extended and frame.id <= 0x7FF else "send"
-    data = "00" if frame.remote else frame.data.hex().upper()
+    data = "00" * max(1, frame.requested) if frame.remote else frame.data.hex().upper()
     flags = ("B" if frame.fd and frame.brs else "b") + ("F" if frame.fd else "f") + "R" * frame.remote
     return f"can {verb} {frame.id:04x} {data} {flags}"
 
@@ -77,8 +76,8 @@ def encode_received(frame: CanFrame) -> str:
     """Encode the `rcv` line by which the adapter reports a received frame."""
     pairs = (("E", frame.extended), ("B", frame.fd and frame.brs), ("F", frame.fd), ("R", frame.remote))
     flags = " ".join(letter if on else letter.lower() for letter, on in pairs)
-    digits = f"{frame.id:X}"
-    return f"rcv {digits.zfill(len(digits) + len(digits) % 2)} {frame.data.hex().upper()} {flags} f-1"
+    digits, data = f"{frame.id:X}", frame.data or bytes(frame.requested)
+    return f"rcv {digits.zfill(len(digits) + len(digits) % 2)} {data.hex().upper()} {flags} f-1"
 
 
 def decode_received(line: str) -> CanFrame | None:
@@ -90,7 +89,9 @@ def decode_received(line: str) -> CanFrame | None:
     extended, remote, fd = "E" in flags or number > 0x7FF, "R" in flags, "F" in flags
     if number > 0x1FFFFFFF or len(data) > 64 or (len(data) > 8 and not fd) or (fd and remote):
         return None
-    return CanFrame(number, b"" if remote else data, extended, remote, fd, fd and "B" in flags)
+    if remote:
+        return CanFrame(number, b"", extended, True, requested=len(data))
+    return CanFrame(number, data, extended, False, fd, fd and "B" in flags)
 
 
 # -- an emulated adapter -------------------------------------------------------------------------------
@@ -119,7 +120,7 @@ class Adapter:
     config: dict[str, int] = field(default_factory=dict)
     """`can.bitrate` …: takes effect the next time that it goes on the bus."""
     _rates: tuple[int, int] = (0, 0)
-    _splitter: LineSplitter = field(default_factory=lambda: LineSplitter(ENDS, LONGEST))
+    _splitter: LineSplitter = field(default_factory=lambda: LineSplitter(LONGEST))
 
     def __post_init__(self) -> None:
         fd = int(bool(self.data_bitrate))
@@ -221,8 +222,7 @@ class Adapter:
             raise _CommandError("this bus carries classic CAN only")
         if self.wrong_rate:
             return []
-        # A remote frame carries no data, whatever length it asks for.
-        return [replace(frame, data=b"") if frame.remote else padded(frame)]
+        return [replace(frame, data=b"", requested=len(frame.data)) if frame.remote else padded(frame)]
 
     def _kind(self, verb: str, number: int, flags: str) -> tuple[bool, bool, bool, bool]:
         """Return extended, remote, fd, brs. Without a flag it is as configured; the last flag of a kind

@@ -16,7 +16,6 @@ from pathlib import Path
 from serial.tools.list_ports import comports
 
 from gateway.buses.adapters.fdcanusb import (
-    ENDS,
     LONGEST,
     decode_received,
     encode_send,
@@ -33,6 +32,8 @@ BAUDRATE = 921_600
 """Of a moteus on a UART; an adapter on USB ignores it."""
 KNOWN = ((0x0483, 0x5740), (0x1209, 0x2323))
 """USB vendor and product ids of the adapters (package moteus 1.1.1, FDCANUSB_IDS)."""
+FIELDS = 3
+"""Spaces in a `rcv` line, which has flags behind its data: without any, and a checksum, it was cut."""
 NOT_ON, NO_FLAG = "ERR not in BusOn state", "ERR unknown flag"
 """The adapter's replies to a command before `can on`, and to a checksum if it has none."""
 
@@ -47,7 +48,7 @@ class FdcanusbInterface(AdapterInterface):
         """Whether our lines have checksums."""
         self._checked = False
         """Whether the other end has used them."""
-        self._splitter = LineSplitter(ENDS, LONGEST)
+        self._splitter = LineSplitter(LONGEST)
         self._lines: deque[bytes | None] = deque()
         """Received, not yet handled."""
         self._logged: set[str] = set()
@@ -58,6 +59,14 @@ class FdcanusbInterface(AdapterInterface):
             rates = (("can.bitrate", bitrate), ("can.fd_bitrate", data_bitrate))
             self._asked.extend((key, rate) for key, rate in rates if rate)
             self.port.write(b"".join(b"conf get %s\n" % key.encode() for key, _ in self._asked))
+
+    def turn_off(self) -> None:
+        """Leave the bus."""
+        self.port.write(self._line("can off"))
+
+    def turn_on(self) -> None:
+        """Join the bus again."""
+        self.port.write(self._line("can on"))
 
     def _encode(self, frame: CanFrame) -> bytes:
         return self._line(encode_send(frame))
@@ -88,7 +97,8 @@ class FdcanusbInterface(AdapterInterface):
         self._checked = bool(valid)
         if text.startswith("rcv "):
             frame = decode_received(text)
-            if frame is None:
+            cut = valid is None and text.count(" ") < FIELDS
+            if frame is None or cut:
                 raise ValueError(f"no frame: {text!r}")
             return frame
         if text.startswith("ERR"):
@@ -101,6 +111,7 @@ class FdcanusbInterface(AdapterInterface):
 
     def _on_error(self, text: str) -> None:
         """Do what an error calls for, or log it, once."""
+        self.refusals.refused += 1
         if text == NO_FLAG and self._protected and not self._checked:
             self._protected = False  # it has taken our checksum for a flag
         elif "checksum" in text.lower():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import select
 from abc import abstractmethod
+from dataclasses import dataclass
 
 import can
 import serial
@@ -13,10 +14,14 @@ from gateway.buses import ports
 from gateway.buses.python_can import frame_of, message_of
 from gateway.buses.queues import Stall
 from protocols.frames import CanFrame
-from protocols.messages import Nanos
+from protocols.messages import MILLISECOND, Nanos
 
 MOST_READ = 65536
 """Bytes taken in at once."""
+JUDGED = 200 * MILLISECOND
+"""Time in which an adapter that refuses most of what it is sent shows itself: answers take milliseconds."""
+FEWEST = 4
+"""Frames sent before an adapter is judged by what it refuses."""
 
 
 class AdapterPort:
@@ -89,6 +94,28 @@ class AdapterPort:
         return data
 
 
+@dataclass(slots=True)
+class Refusals:
+    """Whether an adapter refuses what it is sent, being bus-off, or not open after a reset. Plain data."""
+
+    refused: int = 0
+    """What it has refused, all in all."""
+    sent: int = 0
+    """Frames handed over since it was judged last."""
+    _before: int = 0
+    _since: Nanos = 0
+
+    def judge(self, now: Nanos) -> bool | None:
+        """True if it has refused most of what it was sent of late, False if not; None: it is too early."""
+        if not self.sent:
+            self._since, self._before = now, self.refused
+        if self.sent < FEWEST or now - self._since < JUDGED:
+            return None
+        refusing = 2 * (self.refused - self._before) > self.sent
+        self.sent = 0
+        return refusing
+
+
 class AdapterInterface(can.BusABC):
     """An adapter that python-can has no interface for. It never waits: reading takes what is there, writing
     hands over what the port takes, and what is partly sent is finished before anything else begins.
@@ -99,6 +126,7 @@ class AdapterInterface(can.BusABC):
         """Open the port exclusively; `end`: of a line. Raises OSError or ValueError."""
         self._serial = serial.Serial(channel, baudrate, timeout=0, write_timeout=0, exclusive=True)
         self.port = AdapterPort(end)
+        self.refusals = Refusals()
         super().__init__(channel)
         self.port.attach(self.fileno())
 
@@ -113,6 +141,16 @@ class AdapterInterface(can.BusABC):
     @abstractmethod
     def _next_frame(self) -> CanFrame | None:
         """Return the next frame of what has come in. ValueError for what is malformed."""
+
+    def purged(self, now: Nanos) -> bool:
+        """As of its port."""
+        return self.port.purged(now)
+
+    def turn_off(self) -> None:
+        """Leave the bus, if such an adapter can. Raises CanOperationError if it is gone."""
+
+    def turn_on(self) -> None:
+        """Join the bus again."""
 
     def shutdown(self) -> None:
         """Close the port."""
@@ -129,6 +167,7 @@ class AdapterInterface(can.BusABC):
         if self.port.waiting:
             raise can.CanTimeoutError("the adapter takes no more")
         self.port.write(self._encode(frame_of(msg)))
+        self.refusals.sent += 1
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         """Return the next frame; None if there is none within the timeout."""

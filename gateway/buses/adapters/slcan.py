@@ -1,15 +1,18 @@
 """Lawicel's ASCII protocol of a CAN adapter (slcan): its lines, and an emulated adapter.
 
-Rules. Pure: bytes in, frames and replies out; no port, no clock. A line ends with CR; the reply is CR
-(preceded by the value asked for) or BELL, after which nothing has changed. Nothing raises, on any bytes, cut
-anywhere. Sources: Lawicel CAN232 manual, version 3 (commands, answers, flags, timestamps, BTR of an SJA1000
-at 16 MHz); python-can 4.6.1 `can/interfaces/slcan.py` (FD frames d D b B and rates Y2 Y5, after the firmware
-of CANable 2.0). Wider than the manual, because python-can opens with `C S8 <empty> O O`: closing what is
-closed, opening what is open, and an empty line are no errors; without S the bus's own rate is used.
+Rules. Pure: bytes in, frames and replies out; no port, no clock. A line ends with CR, and where a program or
+a firmware prints lines, with CR LF or LF; the reply is CR (preceded by the value asked for) or BELL, after
+which nothing has changed. A line is a frame if every character of it is as it should be, in both directions;
+one that is too short or too long is none. Nothing raises, on any bytes, cut anywhere. Sources: Lawicel CAN232
+manual, version 3 (commands, answers, flags, timestamps, BTR of an SJA1000 at 16 MHz); python-can 4.6.1
+`can/interfaces/slcan.py` (FD frames d D b B and rates Y2 Y5, after the firmware of CANable 2.0). Wider than
+the manual, because python-can opens with `C S8 <empty> O O`: closing what is closed, opening what is open,
+and an empty line are no errors; without S the bus's own rate is used.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -19,6 +22,7 @@ from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, Nanos
 
 OK, BELL, END = b"\r", b"\a", b"\r"
+CLOSING = END + b"C" + END
 LONGEST = 1 + 8 + 1 + 128
 """Characters of the longest line: an extended FD frame."""
 RATES: dict[str, tuple[int, ...]] = {
@@ -66,7 +70,8 @@ def line_of(frame: CanFrame) -> str:
     kind = Kind(frame.extended, frame.remote, frame.fd, frame.fd and frame.brs)
     data = padded(frame).data
     head = f"{frame.id:08X}" if frame.extended else f"{frame.id:03X}"
-    return f"{LETTERS[kind]}{head}{LENGTHS.index(len(data)):X}{data.hex().upper()}"
+    length = frame.requested or len(data)
+    return f"{LETTERS[kind]}{head}{LENGTHS.index(length):X}{data.hex().upper()}"
 
 
 def frame_of(line: str) -> CanFrame | None:
@@ -81,7 +86,33 @@ def frame_of(line: str) -> CanFrame | None:
         return None
     if len(data) != (0 if kind.remote else 2 * length):
         return None
-    return CanFrame(number, bytes.fromhex(data), *kind)
+    return CanFrame(number, bytes.fromhex(data), *kind, length if kind.remote else 0)
+
+
+def received_frame(line: str) -> CanFrame | None:
+    """Decode a line from an adapter, which may end with a timestamp; None if it is no valid frame.
+
+    A line has a timestamp if it has four digits more than its length asks for."""
+    stamped = HEX.fullmatch(line[-4:])
+    return frame_of(line) or (frame_of(line[:-4]) if stamped else None)
+
+
+def opening(bitrate: int, data_bitrate: int = 0, *, listen_only: bool = False) -> bytes:
+    """Encode what opens the channel at these bit rates, whatever state the adapter is in.
+
+    Raises ValueError for a rate that the protocol has no command for."""
+    lines = [f"S{_code(RATES, bitrate, 'bitrate')}"]
+    lines += [f"Y{_code(DATA_RATES, data_bitrate, 'data_bitrate')}"] if data_bitrate else []
+    return CLOSING + END.join(line.encode() for line in (*lines, "L" if listen_only else "O", ""))
+
+
+def _code(rates: Mapping[str, tuple[int, ...]], rate: int, name: str) -> str:
+    for code, same in rates.items():
+        if rate in same:
+            return code
+    raise ValueError(
+        f"no {name} of slcan is {rate}; there is {', '.join(str(one) for one, *_ in rates.values())}"
+    )
 
 
 def rate_of(btr: str) -> int | None:
@@ -107,7 +138,7 @@ class Adapter:
     """Set with S or s; empty: the bus's own bit rate. No frame passes at another one."""
     _data_rates: tuple[int, ...] = ()
     _timestamps: bool = False
-    _splitter: LineSplitter = field(default_factory=lambda: LineSplitter(END, LONGEST))
+    _splitter: LineSplitter = field(default_factory=lambda: LineSplitter(LONGEST))
 
     @property
     def wrong_rate(self) -> bool:

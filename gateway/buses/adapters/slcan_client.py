@@ -1,79 +1,80 @@
-"""The host's end of an slcan adapter: python-can's slcan interface, made never to wait.
+"""The host's end of an slcan adapter, as an interface of python-can.
 
-Why it is not used as it is (python-can 4.6.1, pyserial 3.5): it reads the port byte by byte; each line sent
-waits for the port to drain; and a write that was merely delayed by the scheduler for longer than its timeout
-raises the same error as a port that is gone. Here reading takes what is there, writing hands over what the
-port takes, and a line that is partly sent is finished before another one begins.
+Rules. Frames are parsed as strictly as the adapter's end does (`slcan`); what is neither frame nor answer is
+malformed. Answers are not waited for; BELL is a refusal, and counted. python-can's own is not used: it
+reads byte by byte, waits for each line sent to drain, and takes what is cut or too long for frames.
 """
 
 from __future__ import annotations
 
+import re
+from collections import deque
+from contextlib import suppress
+
 import can
-from can.interfaces.slcan import slcanBus
 
-from gateway.buses.adapters.port import MOST_READ, AdapterPort
+from gateway.buses.adapters.lines import LineSplitter
+from gateway.buses.adapters.port import AdapterInterface
+from gateway.buses.adapters.slcan import BELL, CLOSING, END, KINDS, LONGEST, line_of, opening, received_frame
+from protocols.frames import CanFrame
 
-RELEVANT = "tTrRdDbBVN"
-"""First letters of the lines worth reading; the others are acknowledgements."""
+BAUDRATE = 115_200
+"""Of an adapter on a UART, unless its port is given as PORT@BAUDRATE; one on USB ignores it."""
+ANSWER = re.compile(r"[zZ]|[VvNF][ -~]*")
+"""A frame was sent; the value asked for."""
+STAMP = 4
+"""Digits of a timestamp."""
 
 
-class SlcanInterface(slcanBus):
-    """An open adapter. Raises as python-can does: CanTimeoutError if it takes no more for now."""
+class SlcanInterface(AdapterInterface):
+    """An open adapter."""
 
     def __init__(
         self, channel: str, bitrate: int, data_bitrate: int = 0, *, listen_only: bool = False
     ) -> None:
         """Open the port exclusively, set the bit rates, open the channel (with L if `listen_only`).
 
-        Raises CanError, OSError, or ValueError for a rate that the protocol has no command for."""
-        self.port = AdapterPort(b"\r")
-        self._is_shutdown = True  # what has not been opened need not be shut down
-        super().__init__(channel, bitrate=bitrate, sleep_after_open=0.0, timeout=0.0, listen_only=listen_only)
-        try:
-            # Nothing is sent before the port is ours: it would disturb the program that has it.
-            self.serialPortOrig.exclusive = True
-            self.port.attach(self.serialPortOrig.fileno())
-            if data_bitrate:
-                self.set_bitrate(bitrate, data_bitrate)
-        except (can.CanError, OSError, ValueError):
-            self._is_shutdown = True
-            self.serialPortOrig.close()
-            raise
+        Raises OSError, or ValueError for a rate that the protocol has no command for."""
+        self._opening = opening(bitrate, data_bitrate, listen_only=listen_only)
+        path, _, baudrate = channel.partition("@")
+        super().__init__(path, int(baudrate or BAUDRATE), END)
+        self._splitter = LineSplitter(LONGEST + STAMP)
+        self._lines: deque[bytes | None] = deque()
+        """Received, not yet handled."""
+        self.channel_info = f"slcan {channel}"
+        self.turn_on()
+
+    def turn_on(self) -> None:
+        """Set the bit rates, and open the channel."""
+        self.port.write(self._opening)
+
+    def turn_off(self) -> None:
+        """Close the channel. A line that was cut ends before."""
+        self.port.write(CLOSING)
 
     def shutdown(self) -> None:
-        """Close the channel and the port, also if the adapter is gone: then it raises CanOperationError."""
-        can.BusABC.shutdown(self)
-        try:
-            self.close()
-        finally:
-            self.serialPortOrig.close()
+        """Close the channel and the port."""
+        with suppress(can.CanError):  # an adapter that has gone is closed
+            self.port.write(CLOSING)
+        super().shutdown()
 
-    def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002 -- it never waits
-        """Send a frame, whole or not at all."""
-        self.port.write()
-        if self.port.waiting:
-            raise can.CanTimeoutError("the adapter takes no more")
-        super().send(msg, self.serialPortOrig.write_timeout)
+    def _encode(self, frame: CanFrame) -> bytes:
+        return line_of(frame).encode() + END
 
-    def _write(self, string: str) -> None:
-        self.port.write(string.encode() + self.LINE_TERMINATOR)
+    def _feed(self, data: bytes) -> None:
+        self.refusals.refused += data.count(BELL)
+        self._lines.extend(self._splitter.feed(data.replace(BELL, END)))
 
-    def _read(self, timeout: float | None) -> str | None:
-        """Return the next relevant line; None if there is none within the timeout (in seconds)."""
-        self.port.write()
-        line = self._next_line()
-        if line is None and (data := self.port.read(timeout)):
-            self._buffer += data
-            line = self._next_line()
-        return line
-
-    def _next_line(self) -> str | None:
-        """Cut the next relevant line from what has come in."""
-        while (end := self._buffer.find(self._OK)) >= 0:
-            line = self._buffer[: end + 1].lstrip(self._ERROR).decode("latin-1")
-            del self._buffer[: end + 1]
-            if line[0] in RELEVANT:
-                return line
-        if len(self._buffer) > MOST_READ:  # no line at all: this is no adapter
-            self._buffer.clear()
+    def _next_frame(self) -> CanFrame | None:
+        while self._lines:
+            line = self._lines.popleft()
+            if line is None:
+                raise ValueError("a line too long")
+            text = line.decode("latin-1")
+            if text[:1] in KINDS:
+                if (frame := received_frame(text)) is None:
+                    raise ValueError(f"no frame: {text!r}")
+                return frame
+            if text and not ANSWER.fullmatch(text):
+                raise ValueError(f"no line of slcan: {text!r}")
         return None

@@ -21,6 +21,7 @@ import errno
 import logging
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 
 from can.interfaces.socketcan import SocketcanBus as PythonCan
 
@@ -31,6 +32,7 @@ from gateway.buses.queues import FrameQueue, Patience
 from gateway.buses.socketcan.raw_socket import OpenSocket, RawSocket
 from gateway.buses.states import StateTracker
 from gateway.buses.timestamps import TimestampMapper
+from gateway.buses.usb import resolved
 from gateway.core.clock import Clock, WallClock
 from gateway.core.robot import BusSettings
 from gateway.errors import BusError
@@ -52,13 +54,17 @@ def open_socketcan(settings: BusSettings, clock: Clock, *, listen_only: bool = F
     """Open "socketcan:NAME". Raises BusError: what is missing, or not configured as the robot file has it.
 
     With `listen_only` any configuration is accepted, and every id is received."""
-    device = Device(settings.interface.partition(":")[2])
+    device = Device(_channel(settings))
     try:
         opened = _open(settings, device.link(), listen_only)
     except BusError:
         device.close()
         raise
     return SocketcanBus(settings, clock, opened, device, listen_only=listen_only)
+
+
+def _channel(settings: BusSettings) -> str:
+    return resolved(settings).interface.partition(":")[2]
 
 
 def _open(settings: BusSettings, link: Link | None, listen_only: bool) -> OpenSocket:
@@ -93,6 +99,7 @@ class SocketcanBus:
         self._settings = settings
         self._clock = clock
         self._device = device
+        self._channel = _channel(settings)
         self._listen_only = listen_only
         self._states = StateTracker()
         self._timestamps = TimestampMapper()
@@ -198,7 +205,7 @@ class SocketcanBus:
 
     def _log_stuck(self) -> None:
         held = f"up to {self._pending} frames wait in the kernel's queue"
-        name = self._settings.interface.partition(":")[2]
+        name = self._channel
         remedy = f"to purge them: sudo ip link set {name} down; sudo ip link set {name} up"
         log.warning("%s: %s; nothing is added until they are gone; %s", self.name, held, remedy)
 
@@ -297,8 +304,10 @@ class SocketcanBus:
 
     def _poll(self, now: Nanos) -> None:
         """Ask the kernel for the state, in case that an error frame was lost or never came."""
-        status = self._device.status()
         state = self._states.state
+        if state is BusState.GONE:
+            self._find()
+        status = self._device.status()
         if status is None or not status.up:
             self._set(BusState.GONE)
         elif state is BusState.GONE:
@@ -308,6 +317,14 @@ class SocketcanBus:
             if link is not None and link.state is not None:
                 self._set(link.state)
         self._poll_at = now + (FAST_POLL if self._states.state is BusState.GONE else SLOW_POLL)
+
+    def _find(self) -> None:
+        """Look for an adapter that may have come back under another name."""
+        with suppress(BusError):
+            name = _channel(self._settings)
+            if name != self._channel:
+                self._device.close()
+                self._device, self._channel = Device(name), name
 
     def _come_back(self, status: Status) -> None:
         """The interface is up: keep the socket if it is the same interface, else open a new one."""

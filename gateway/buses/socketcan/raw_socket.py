@@ -56,7 +56,7 @@ def pack(frame: CanFrame) -> bytes:
         data = padded(frame).data
         return _FD.pack(can_id, len(data), _FDF | (_BRS if frame.brs else 0), data)
     if frame.remote:
-        return _CLASSIC.pack(can_id | _REMOTE, 0, b"")
+        return _CLASSIC.pack(can_id | _REMOTE, frame.requested, b"")
     return _CLASSIC.pack(can_id, len(data), data)
 
 
@@ -76,7 +76,7 @@ def unpack(raw: bytes) -> CanFrame | CanError | None:
     if fd:
         return CanFrame(number, raw[8 : 8 + length], extended, False, True, flags & _BRS != 0)
     if can_id & _REMOTE:
-        return CanFrame(number, b"", extended, True)
+        return CanFrame(number, b"", extended, True, requested=length)
     return CanFrame(number, raw[8 : 8 + length], extended)
 
 

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import os
 import select
-from collections.abc import Iterable, Iterator, Sequence
+import time
+import tty
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import TypeVar
 
+import pytest
 from hypothesis import strategies as st
 
 from gateway.buses.adapters.adapter_pty import Adapter
@@ -13,7 +17,9 @@ from gateway.buses.adapters.pty import Pty
 from gateway.buses.frame_time import LENGTHS
 from gateway.core.robot import BusSettings
 from protocols.frames import CanFrame
+from tests.gateway.processes import PATIENCE
 
+T = TypeVar("T")
 RATE, DATA_RATE = 1_000_000, 5_000_000
 CLASSIC = BusSettings("can0", "can", "twin", RATE)
 FD = BusSettings("can0", "canfd", "twin", RATE, DATA_RATE)
@@ -66,6 +72,23 @@ def open_path(path: str) -> int:
 def wait_for_input(fd: int) -> None:
     """A pty hands bytes over in the kernel's own time."""
     assert select.select([fd], [], [], 60.0)[0]
+
+
+def poll(look: Callable[[], T]) -> T:
+    """Look until there is something: a pty hands bytes over in the kernel's own time."""
+    end = time.monotonic() + PATIENCE
+    while time.monotonic() < end:
+        if seen := look():
+            return seen
+    pytest.fail("nothing came")
+
+
+def raw_pty() -> tuple[int, int]:
+    """The device's end of a terminal line, and the host's."""
+    ends = os.openpty()
+    for end in ends:
+        tty.setraw(end)
+    return ends
 
 
 def is_connected(pty: Pty) -> bool:

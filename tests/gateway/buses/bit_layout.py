@@ -84,7 +84,7 @@ def identifier(frame: CanFrame) -> str:
 
 def content(frame: CanFrame) -> str:
     """Data length code and data."""
-    code = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64).index(len(frame.data))
+    code = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64).index(frame.requested or len(frame.data))
     return f"{code:04b}" + "".join(f"{byte:08b}" for byte in frame.data)
 
 

@@ -21,8 +21,8 @@ from tests.gateway.buses.adapter_helpers import CLASSIC, FD
 FRAMES = [
     CanFrame(0x123, b"\x11\x22\x33"),
     CanFrame(0x1ABCDEF0, b"\xde\xad", extended=True),
-    CanFrame(0x7E6, remote=True),
-    CanFrame(0x12345, remote=True, extended=True),
+    CanFrame(0x7E6, remote=True, requested=3),
+    CanFrame(0x12345, remote=True, extended=True, requested=8),
     CanFrame(0x001, bytes(12), fd=True),
     CanFrame(0x1FFFFFFF, bytes(64), True, False, True),
     CanFrame(0x8001, bytes(range(12)), True, False, True, True),

@@ -4,49 +4,29 @@ from __future__ import annotations
 
 import errno
 import os
-import time
-import tty
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import can
 import pytest
 
 from gateway.buses import Bus, open_bus
 from gateway.buses.can import MOST_READ, CanBus, open_can
-from gateway.buses.interfaces import can_interfaces, missing
+from gateway.buses.interfaces import missing
 from gateway.buses.serial import MOST_WAITING as MOST_BYTES
 from gateway.buses.serial import SerialBus, open_serial
 from gateway.buses.states import CALM
+from gateway.buses.usb import can_interfaces
 from gateway.core.clock import SimulatedClock, WallClock
 from gateway.core.robot import BusSettings
 from gateway.errors import BusError
 from protocols.frames import BusState, CanFrame, Packet
 from protocols.messages import MILLISECOND, SECOND
-from tests.gateway.buses.adapter_helpers import wait_for_input
-from tests.gateway.processes import PATIENCE
+from tests.gateway.buses.adapter_helpers import poll, raw_pty, wait_for_input
 
 CAN = BusSettings("can0", "can", "virtual:test_buses", bitrate=500_000)
-T = TypeVar("T")
-
-
-def poll(look: Callable[[], T]) -> T:
-    """Look until there is something: a pty hands bytes over in the kernel's own time."""
-    end = time.monotonic() + PATIENCE
-    while time.monotonic() < end:
-        if seen := look():
-            return seen
-    pytest.fail("nothing came")
-
-
-def raw_pty() -> tuple[int, int]:
-    """The device's end of a terminal line, and the host's."""
-    ends = os.openpty()
-    for end in ends:
-        tty.setraw(end)
-    return ends
 
 
 # -- CAN ---------------------------------------------------------------------------------------

@@ -175,7 +175,7 @@ FRAMES = [
     CanFrame(0x7FF, b"12345678"),
     CanFrame(0x123, remote=True),
     CanFrame(0x1FFFFFFF, b"\xff" * 8, extended=True),
-    CanFrame(0x12, extended=True, remote=True),
+    CanFrame(0x12, extended=True, remote=True, requested=8),
     *(CanFrame(n, bytes(range(length)), fd=True, brs=n % 2 == 1) for n, length in enumerate(LENGTHS)),
     CanFrame(0x12345678, bytes(64), extended=True, fd=True, brs=True),
 ]
@@ -186,6 +186,7 @@ def test_frames_are_python_cans_own_bytes_and_come_back(frame: CanFrame) -> None
     message = can.Message(
         arbitration_id=frame.id,
         data=frame.data,
+        dlc=frame.requested or None,
         is_extended_id=frame.extended,
         is_remote_frame=frame.remote,
         is_fd=frame.fd,

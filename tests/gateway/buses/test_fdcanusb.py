@@ -40,6 +40,8 @@ from tests.gateway.buses.adapter_helpers import (
     cuttings,
     feed,
     open_path,
+    poll,
+    raw_pty,
     wait_for_input,
 )
 
@@ -58,8 +60,8 @@ LINES = [
         "can send 1abcdef0 DEAD bf",            "rcv 1ABCDEF0 DEAD E b f r f-1"),
     (CanFrame(0x7FF, b"\x01", True),
         "can ext 07ff 01 bf",                   "rcv 07FF 01 E b f r f-1"),
-    (CanFrame(0x7E6, remote=True),
-        "can send 07e6 00 bfR",                 "rcv 07E6  e b f R f-1"),
+    (CanFrame(0x7E6, remote=True, requested=2),
+        "can send 07e6 0000 bfR",               "rcv 07E6 0000 e b f R f-1"),
 ]
 # fmt: on
 frames = can_frames(min_size=1)
@@ -178,6 +180,17 @@ def test_missing_flags_are_read_as_the_vendor_reads_them() -> None:
     assert decode_received("rcv 500 21") == CanFrame(0x500, b"\x21")
     assert decode_received("rcv 8005 21") == CanFrame(0x8005, b"\x21", True)
     assert decode_received("rcv 500 21 F B t12345 f3") == CanFrame(0x500, b"\x21", fd=True, brs=True)
+
+
+def test_a_line_that_was_cut_is_no_shorter_frame() -> None:
+    device, host = raw_pty()
+    where = BusSettings("can0", "can", f"fdcanusb:{os.ttyname(host)}", RATE)
+    with closing(open_can(where, SimulatedClock())) as bus:
+        os.write(device, b"rcv 0100 2100\r\nrcv 0100 21000A2F e b f r f-1\r\n")
+        (packet,) = poll(lambda: bus.read(0)[1])
+        assert (packet.frame, bus.bad) == (CanFrame(0x100, bytes.fromhex("21000A2F")), 1)
+    os.close(device)
+    os.close(host)
 
 
 # -- commands ------------------------------------------------------------------------------------------

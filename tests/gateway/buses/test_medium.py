@@ -47,7 +47,8 @@ def random_frame(rng: np.random.Generator, number: int) -> CanFrame:
     data = bytes([int(rng.choice((0x00, 0xFF, 0x78, 0xF8)))]) * length if plain else rng.bytes(length)
     ident = 0 if number % 8 == 0 else int(rng.integers(0x20000000 if extended else 0x800))
     remote = not fd and not data and bool(rng.integers(2))
-    return CanFrame(ident, data, extended, remote, fd, brs=fd and bool(rng.integers(2)))
+    requested = int(rng.integers(9)) if remote else 0
+    return CanFrame(ident, data, extended, remote, fd, fd and bool(rng.integers(2)), requested)
 
 
 def test_the_lengths_of_random_frames_are_those_of_their_bits() -> None:

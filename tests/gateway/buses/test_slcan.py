@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager
+from dataclasses import replace
 from importlib.resources import files
 from typing import Any
 
@@ -17,7 +19,7 @@ from hypothesis import strategies as st
 
 from gateway.buses.adapters.adapter_pty import AdapterPty
 from gateway.buses.adapters.slcan import Adapter, frame_of, line_of, rate_of
-from gateway.buses.can import open_can
+from gateway.buses.can import CanBus, open_can
 from gateway.buses.python_can import message_of
 from gateway.core.clock import SimulatedClock
 from gateway.core.robot import BusSettings
@@ -35,6 +37,8 @@ from tests.gateway.buses.adapter_helpers import (
     feed,
     is_connected,
     open_path,
+    poll,
+    raw_pty,
     wait_for_input,
 )
 
@@ -47,6 +51,7 @@ FRAMES = [
     (CanFrame(0x1ABCDEF0, b"\xde\xad", extended=True),        "T1ABCDEF02DEAD"),
     (CanFrame(0x7E6, remote=True),                            "r7E60"),
     (CanFrame(0x12345, remote=True, extended=True),           "R000123450"),
+    (CanFrame(0x001, remote=True, requested=3),               "r0013"),
     (CanFrame(0x7FF, b""),                                    "t7FF0"),
     (CanFrame(0x001, bytes(12), fd=True),                     "d0019" + "00" * 12),
     (CanFrame(0x1FFFFFFF, bytes(64), True, False, True),      "D1FFFFFFFF" + "00" * 64),
@@ -109,7 +114,7 @@ def test_the_vectors_are_decoded_and_encoded() -> None:
         "tx_std_0x123_3bytes": ([FRAMES[0][0]], b"z\r"),
         "tx_ext_0x1abcdef0": ([FRAMES[1][0]], b"Z\r"),
         "tx_rtr_0x7e6": ([FRAMES[2][0]], b"z\r"),
-        "tx_fd_brs_ext_12bytes": ([FRAMES[8][0]], b"Z\r"),
+        "tx_fd_brs_ext_12bytes": ([FRAMES[9][0]], b"Z\r"),
         "version_serial#2": ([], b"NTWIN\r"),
         "close#0": ([], b"\r"),
     }
@@ -149,6 +154,8 @@ def test_the_vectors_are_decoded_and_encoded() -> None:
         (b"O\rr7E6011\r", b"\r\a"),
         (b"S\rSA\rs00\rs00GG\rY9\rZ2\rZ\rX\rVx\rOO\rL1\rt\rT\r", b"\a" * 13),
         (b"x" * 5000 + b"\rV\r", b"\aV1001\r"),
+        (b"S8\r\nO\r\nV\r\n", b"\r\rV1001\r"),  # as a program prints lines
+        (b"S8\nO\nV\n\nt1\n", b"\r\rV1001\r\r\a"),
     ],
 )
 def test_commands_are_answered_and_invalid_ones_with_bell(sent: bytes, answers: bytes) -> None:
@@ -200,7 +207,7 @@ def test_a_loss_is_reported_once_by_the_flags() -> None:
 streams = st.lists(
     st.one_of(
         st.binary(max_size=30),
-        st.sampled_from([b"\r", b"O\r", b"C\r", b"S8\r", b"t1231", b"11\r", b"B", b"F\r", b"0" * 200]),
+        st.sampled_from([b"\r", b"\n", b"O\r", b"C\r", b"S8\r", b"t1231", b"11\r", b"B", b"F\r", b"0" * 200]),
         can_frames().map(lambda frame: line_of(frame).encode() + b"\r"),
     ),
     max_size=30,
@@ -214,7 +221,7 @@ def test_any_bytes_cut_anywhere_raise_nothing_and_decode_alike(pieces: list[byte
     whole, parted = Adapter(RATE, DATA_RATE), Adapter(RATE, DATA_RATE)
     frames, replies = whole.feed(data)
     assert feed(parted, cut(data, sizes)) == (frames, replies)
-    assert len(replies.replace(b"\a", b"\r").split(b"\r")) - 1 == data.count(b"\r")
+    assert len(replies.replace(b"\a", b"\r").split(b"\r")) == len(re.split(rb"\r\n?|\n", data))
     assert parted.open == whole.open
 
 
@@ -308,9 +315,113 @@ def test_what_cannot_be_opened_is_a_sentence_and_leaves_nothing_open() -> None:
         for settings, text in (
             (BusSettings("can0", "can", "slcan:/dev/there-is-none", RATE), "No such file"),
             (BusSettings("can0", "can", "slcan:/dev/null", RATE), "Could not configure port"),
-            (BusSettings("can0", "can", f"slcan:{path}", 123), "Invalid bitrate"),
-            (BusSettings("can0", "canfd", f"slcan:{path}", RATE, 3_000_000), "Invalid data bitrate"),
+            (BusSettings("can0", "can", f"slcan:{path}", 123), "no bitrate of slcan is 123; there is 10000,"),
+            (BusSettings("can0", "canfd", f"slcan:{path}", RATE, 3_000_000), "no data_bitrate of slcan"),
         ):
             with pytest.raises(BusError, match=text):
                 open_can(settings, SimulatedClock())
         assert not is_connected(adapters._ports[0].pty)
+
+
+# fmt: off
+STATUS = CanFrame(0x001, b"\0\0\0\0\x08\0\0\0")
+LINE = b"t00180000000008000000"
+SENT_BY_ADAPTERS = [
+    # what they send, the frames in it, malformed lines, refusals
+    (LINE + b"\r" + LINE + b"\r",                 [STATUS] * 2, 0, 0),
+    ((LINE + b"\r\n") * 3,                        [STATUS] * 3, 0, 0),
+    ((LINE + b"\n") * 3,                          [STATUS] * 3, 0, 0),
+    (LINE + b"1A2B\r" + LINE + b"1A2C\r",         [STATUS] * 2, 0, 0),
+    (b"z\r" + LINE + b"\rZ\r\a" + LINE + b"\r",   [STATUS] * 2, 0, 1),
+    (b"\a\a\a",                                   [],           0, 3),
+    (b"CANable2 slcan v2.0\r\n" + LINE + b"\r",   [STATUS],     1, 0),
+    (b"V1013\rNA123\rF08\rz\r\r" + LINE + b"\r",  [STATUS],     0, 0),
+    (LINE[:9] + b"\r" + LINE[:-1] + b"\r",        [],           2, 0),
+    (LINE[:9] + b"\a" + LINE + b"\r",             [STATUS],     1, 1),
+    (b"TFFFFFFFF0\rt8000\rT200000000\r",         [],           3, 0),
+    (b"t0019" + b"00" * 9 + b"\r",                [],           1, 0),
+    (b"r0013\rr00131A2B\r",                       [CanFrame(1, remote=True, requested=3)] * 2, 0, 0),
+    (b"R000000018\r",                             [CanFrame(1, b"", True, True, requested=8)], 0, 0),
+    (b"r001311\rr0019\r",                         [],           2, 0),
+    (b"x" * 5000 + b"\r" + LINE + b"\r",          [STATUS],     1, 0),
+]
+# fmt: on
+
+
+@pytest.mark.parametrize(("sent", "frames", "malformed", "refused"), SENT_BY_ADAPTERS)
+def test_what_adapters_send_is_taken_as_it_is_or_counted(
+    sent: bytes, frames: list[CanFrame], malformed: int, refused: int
+) -> None:
+    last = CanFrame(0x7FF, b"last")
+    for pieces in cuttings(sent):
+        device, host = raw_pty()
+        settings = BusSettings("can0", "can", f"slcan:{os.ttyname(host)}", RATE)
+        with closing(open_can(settings, SimulatedClock())) as bus:
+            received: list[object] = []
+            for piece in (*pieces, line_of(last).encode() + b"\r"):
+                os.write(device, piece)
+                received += [packet.frame for packet in bus.read(0)[1]]
+            while last not in received:
+                received += [packet.frame for packet in poll(lambda: bus.read(0)[1])]
+            assert (received, bus.bad, bus.refused) == ([*frames, last], malformed, refused)
+        os.close(device)
+        os.close(host)
+
+
+@contextmanager
+def driven(bus: BusSettings = FD) -> Iterator[tuple[CanBus, AdapterPty]]:
+    """A host on the adapter of a bus, set to the usual bit rate."""
+    with closing(AdapterPty(bus)) as adapters:
+        settings = replace(bus, interface=f"slcan:{adapters.paths[0]}", bitrate=RATE)
+        with closing(open_can(settings, SimulatedClock())) as host:
+            adapters.read(0)
+            yield host, adapters
+
+
+def commanded(host: CanBus, adapters: AdapterPty, numbers: range) -> tuple[list[BusState], list[int]]:
+    """Send a frame every 5 ms; the states of the bus, and the numbers of the frames that reached it."""
+    states: list[BusState] = []
+    reached: list[int] = []
+    (port,) = adapters._ports
+    for number in numbers:
+        now, lost = number * 5 * MILLISECOND, host.dropped
+        host.write(now, [CanFrame(0x100, number.to_bytes(8, "big"))])
+        sent = host.dropped == lost
+        if sent:
+            wait_for_input(port.pty._end)
+        packets = adapters.read(now)[1]
+        if sent and host._interface is not None:  # each frame is answered
+            wait_for_input(host._interface.fileno())
+        reached += [int.from_bytes(p.frame.data, "big") for p in packets if isinstance(p.frame, CanFrame)]
+        states += host.read(now)[0]
+    return states, reached
+
+
+def test_an_adapter_that_was_reset_is_closed_and_opened(caplog: pytest.LogCaptureFixture) -> None:
+    with driven() as (host, adapters):
+        (port,) = adapters._ports
+        port.adapter = port._powered_up()  # its power failed for a moment, and nobody has opened it since
+        states, reached = commanded(host, adapters, range(400))
+        assert states == [BusState.OFF, BusState.BACK]
+        assert min(reached) > 200  # what was given while it was off does not come later
+        assert reached == [*range(min(reached), 400)]
+        assert host.turned_off == 1
+        assert "can0: its adapter refuses what it is sent" in caplog.text
+
+
+def test_an_adapter_that_always_refuses_is_tried_less_and_less_often() -> None:
+    """It is set to a bit rate that the bus does not have."""
+    with driven(BusSettings("can0", "can", "twin", 500_000)) as (host, adapters):
+        states, reached = commanded(host, adapters, range(4000))
+        assert (states, reached) == ([BusState.OFF, BusState.BACK] * 4 + [BusState.OFF], [])
+        assert host.turned_off == 5  # for 1, 2, 4, 8 and 8 s
+        assert host.refused > 5 * 30
+
+
+def test_a_few_refusals_are_counted_and_turn_nothing_off() -> None:
+    with driven() as (host, adapters):
+        for turn in range(20):
+            adapters._ports[0].pty.write(b"\a" * (turn % 4 == 0))
+            states, reached = commanded(host, adapters, range(20 * turn, 20 * turn + 20))
+            assert (states, len(reached)) == ([], 20)
+        assert (host.refused, host.turned_off) == (5, 0)

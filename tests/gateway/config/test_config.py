@@ -124,6 +124,50 @@ def test_interfaces_are_replaced_and_wrong_ones_reported() -> None:
     assert with_interfaces(robot, {"can0": "dm-serial:/dev/ttyACM0"})
     with pytest.raises(ConfigError, match="which carries classic CAN only; expected a bus of kind 'can'"):
         with_interfaces(load_robot("diffbot_moteus"), {"can0": "dm-serial:/dev/ttyACM0"})
+    with pytest.raises(ConfigError, match="expected usb-VENDOR:PRODUCT:SERIAL, such as usb-0483:5740:3A5F"):
+        with_interfaces(robot, {"can0": "slcan:usb-483:5740:3A5F"})
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ("slcan:/dev/ttyACM0", "serial:/dev/ttyACM0"),
+        ("slcan:/dev/ttyACM0@2000000", "serial:/dev/ttyACM0"),
+        ("slcan:usb-0483:5740:3A5F", "serial:usb-0483:5740:3A5F"),
+    ],
+)
+def test_one_interface_for_two_buses_is_a_mistake(one: str, other: str) -> None:
+    robot = parse_robot(ROVER)
+    text = f'found "{other}", which is the interface of .can0. too; expected one of its own'
+    with pytest.raises(ConfigError, match=text):
+        with_interfaces(robot, {"can0": one, "sensors": other})
+    both = ROVER
+    for interface in (one, other):
+        both = both.replace('interface = "twin"', f'interface = "{interface}"', 1)
+    with pytest.raises(ConfigError, match=text):
+        parse_robot(both)
+    assert with_interfaces(robot, {"can0": one, "sensors": "serial:/dev/ttyACM1"})
+
+
+def test_adapters_that_may_be_exchanged_unnoticed_are_a_caution() -> None:
+    """Two arms with equal motors: what the machine calls can0 today may be can1 after the next start."""
+    second = '[buses.can1]\nkind = "can"\nbitrate = 1_000_000\ninterface = "{}"\n[defaults.motors]'
+    arms = changed("[defaults.motors]", second, BENCH)
+    arms = changed("address = 2", 'address = 1\nbus = "can1"', arms)
+
+    def found(one: str, other: str, text: str = arms) -> list[str]:
+        robot = with_interfaces(parse_robot(text.replace("{}", "twin")), {"can0": one, "can1": other})
+        return [each for each in cautions(robot) if "change places" in each]
+
+    (caution,) = found("socketcan:can0", "socketcan:can1")
+    assert caution.startswith(
+        "can0, can1: socketcan:can0 and socketcan:can1 may change places at the next start"
+    )
+    assert found("slcan:/dev/ttyACM0@2000000", "slcan:/dev/ttyUSB0")
+    assert not found("slcan:usb-0483:5740:1", "slcan:usb-0483:5740:2")
+    assert not found("socketcan:can0", "socketcan:can1", changed("address = 1", "address = 3", arms))
+    demanded = changed("[motors.left]\n", '[motors.left]\nserial = "12"\n', arms)
+    assert not found("socketcan:can0", "socketcan:can1", demanded)
 
 
 # -- one mistake each --------------------------------------------------------------------------

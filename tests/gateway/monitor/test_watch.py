@@ -168,7 +168,7 @@ def test_a_robot_s_bus_that_cannot_be_opened_is_named_and_the_rest_is_watched(
 
 
 def test_without_a_can_interface_the_error_names_what_to_type(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gateway.buses.interfaces.can_interfaces", list)
+    monkeypatch.setattr("gateway.buses.usb.can_interfaces", list)
     with pytest.raises(UserError, match="no CAN interface"), watching(options(None)):
         pass
 
@@ -178,7 +178,7 @@ def test_every_interface_of_a_machine_is_tried(monkeypatch: pytest.MonkeyPatch) 
         assert listen_only
         raise BusError(f"{settings.interface} is down")
 
-    monkeypatch.setattr("gateway.buses.interfaces.can_interfaces", lambda: ["can0", "can1"])
+    monkeypatch.setattr("gateway.buses.usb.can_interfaces", lambda: ["can0", "can1"])
     monkeypatch.setattr("gateway.monitor.sources.open_bus", refuse)
     with pytest.raises(UserError) as error, watching(options(None)):
         pass

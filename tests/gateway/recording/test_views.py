@@ -76,8 +76,8 @@ def test_a_classic_frame() -> None:
 
 
 def test_a_remote_frame() -> None:
-    message = shown(tick(sent=[Packet(T, "can0", CanFrame(5, remote=True))]))["/can0/to_can_bus"]
-    assert (message.is_rtr, message.dlc) == (True, 0)
+    message = shown(tick(sent=[Packet(T, "can0", CanFrame(5, remote=True, requested=4))]))["/can0/to_can_bus"]
+    assert (message.is_rtr, message.dlc) == (True, 4)
 
 
 def test_an_fd_frame() -> None:
