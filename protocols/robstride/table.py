@@ -34,7 +34,7 @@ class Model(NamedTuple):
     damping: float = 5.0
     position: float = 12.57
     timeout: str = "canTimeout"
-    """Register of the watchdog."""
+    """Register of the watchdog; "": it has none."""
     goto: int = 5
     """run_mode of positions"""
 
@@ -48,7 +48,7 @@ MODELS: Mapping[str, Model] = {
     "RS05": Model(50.0, 5.5, 11.0),
     "RS06": Model(50.0, 36.0, 57.0, 5000.0, 100.0),
     "EL05": Model(50.0, 6.0, 11.0),
-    CYBERGEAR: Model(30.0, 12.0, 23.0, 500.0, 5.0, 12.5, "CAN_TIMEOUT", 1),
+    CYBERGEAR: Model(30.0, 12.0, 23.0, 500.0, 5.0, 12.5, "", 1),
 }
 
 
@@ -62,7 +62,7 @@ def _registers(kind: Type, names: str, *, writable: bool = True) -> list[Registe
 
 REGISTERS = Registers(
     *_registers("u8", "7005:run_mode 7029:zero_sta"),
-    *_registers("u32", "7028:canTimeout 200C:CAN_TIMEOUT"),
+    *_registers("u32", "7028:canTimeout"),
     *_registers("f32", "7006:iq_ref 700A:spd_ref 7016:loc_ref 700B:limit_torque 7017:limit_spd"),
     *_registers("f32", "7018:limit_cur 7010:cur_kp 7011:cur_ki 7014:cur_filt_gain 701E:loc_kp 701F:spd_kp"),
     *_registers("f32", "7020:spd_ki 7021:spd_filt_gain 7022:acc_rad 7024:vel_max 7025:acc_set"),
@@ -78,7 +78,7 @@ _NOT_CYBERGEAR = {SAVE, *(name for name, each in REGISTERS.by_name.items() if ea
 
 def parameters_of(model: str) -> tuple[str, ...]:
     """Return the names of the registers that a model has, and SAVE if it can."""
-    missing = _NOT_CYBERGEAR if model == CYBERGEAR else {"CAN_TIMEOUT"}
+    missing = _NOT_CYBERGEAR if model == CYBERGEAR else frozenset[str]()
     return tuple(name for name in (*REGISTERS.by_name, SAVE) if name not in missing)
 
 
@@ -180,12 +180,13 @@ def table_of(model: str, position: float = 0.0, velocity: float = 0.0, torque: f
     version = const(0x00C4, 16), const(0x56), uint("version", 32), unused(8)
 
     rows = (
-        Row("get_id", _to(0), (unused(64),), read_only=True),
+        Row("get_id", _to(0), (unused(64),), fewest=0, read_only=True),
         Row("control", (const(1, 5), force, uint("address")), tuple(four), order="big"),
         Row("enable", _to(3), (unused(64),)),
         Row("clear", _to(4), (const(1), unused(56))),
         Row("disable", _to(4), (unused(64),)),
         Row("zero", _to(6), (const(1), unused(56))),
+        Row("set_id", (const(7, 5), uint("id"), unused(8, HOST), uint("address")), (unused(64),), fewest=0),
         Row("read", _to(17), register, read_only=True),
         Row("write", _to(18), register),
         Row("id", _from(0, unused(8), to=const(0xFE)), (uint("serial", 64),), "from_device"),

@@ -132,7 +132,7 @@ def test_what_a_motor_reports() -> None:
 def test_what_a_motor_replies_with_and_without_temperature_and_error() -> None:
     device = replace(MIT_MOTOR, options=Options(mode="mit", model="AK80-6"))
     six = frame_of("ak80-6v2_reply6")
-    for frame, temperature in ((six, None), (replace(six, data=six.data + b"\xf6\x00"), -10.0)):
+    for frame, temperature in ((six, None), (replace(six, data=six.data + b"\x1e\x00"), -10.0)):
         events = plugin.driver([device]).receive(0, frame)
         (feedback,) = [event for event in events if isinstance(event, Feedback)]
         # as mini-cheetah-motor-driver-socketcan 0.4.3 decodes it
