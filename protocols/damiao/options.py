@@ -26,10 +26,8 @@ class Options:
     """Decides the ranges of all numbers; the motor is asked for them before it is enabled."""
     mode: Literal["mit", "pos_vel", "vel", "force_pos"] = "mit"
     """CTRL_MODE, written before the motor is enabled."""
-    reply_id: int = bounded(0, 0, 0x7FE)
-    """MST_ID of the motor; 0: its address and 16."""
-    reply_zero: bool = False
-    """MST_ID of the motor is 0, as of many as they are delivered: it answers by id 0."""
+    reply_id: int = bounded(0, -1, 0x7FE)
+    """MST_ID of the motor; 0: its address and 16. −1: it is 0, as many are delivered, and answers by id 0."""
     position_end: float = bounded(0.0, 0.0, 1000.0)
     """rad; 0: PMAX of the model. The ends are those that the motor has; it is asked for them."""
     velocity_end: float = bounded(0.0, 0.0, 1000.0)
@@ -55,8 +53,7 @@ class Options:
     """Time without an answer after which the motor is offline."""
 
     def __post_init__(self) -> None:
-        two = "reply_id is given, and reply_zero too" if self.reply_id and self.reply_zero else ""
-        check_bounds(self, (two,))
+        check_bounds(self)
 
     @property
     def ends(self) -> dict[str, float]:
@@ -77,7 +74,7 @@ class Options:
 
     def reply(self, address: int) -> int:
         """Return the id of a motor's answers."""
-        return 0 if self.reply_zero else self.reply_id or dm.REPLY_BASE + address
+        return max(0, self.reply_id or dm.REPLY_BASE + address)
 
 
 @dataclass(frozen=True, slots=True)

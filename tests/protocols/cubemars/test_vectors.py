@@ -58,7 +58,8 @@ def frame_of(name: str) -> CanFrame:
 
 def test_no_vector_is_left_out() -> None:
     others = {"servo_set_origin_temp", "ak80-6v2_reply6", "servo_status_pos90.5deg_-1200erpm_-2.5A_41C"}
-    assert VECTORS.keys() == SENT.keys() | PLAIN.keys() | CONTROL.keys() | others
+    third = {"v3_mit_p1_v-2_kp50_kd1.5_t3", "v3_set_origin_8_bytes"}
+    assert VECTORS.keys() == SENT.keys() | PLAIN.keys() | CONTROL.keys() | others | third
 
 
 @pytest.mark.parametrize("name", SENT)
@@ -102,6 +103,20 @@ def test_set_points_of_mit_mode_are_obeyed_once_it_is_entered(name: str) -> None
     assert decoder.decode(0, frame_of("set_zero")) == [msg.Zero("m")]
     assert decoder.decode(0, frame_of("exit_motor_mode")) == [msg.Idle("m")]
     assert acts(decoder.decode(0, frame)) == []
+
+
+def test_set_points_of_firmware_v3() -> None:
+    device = replace(MIT_MOTOR, options=Options(mode="mit_v3"))
+    frame = frame_of("v3_mit_p1_v-2_kp50_kd1.5_t3")
+    assert device.options.table.encode("SET_MIT", 1, **FIVE) == frame
+    arms, obeyed = plugin.decoder([device]).decode(0, frame)
+    assert (arms, type(obeyed)) == (msg.Arm("m"), msg.Impedance)
+    row = device.options.table.row("SET_MIT")
+    for number, value in FIVE.items():
+        assert getattr(obeyed, number) == pytest.approx(value, abs=1.01 * row.field(number).step)
+    assert plugin.decoder([device]).decode(0, frame_of("v3_set_origin_8_bytes")) == [msg.Zero("m")]
+    for other in (MIT_MOTOR, SERVO_MOTOR, replace(device, address=2)):
+        assert plugin.decoder([other]).decode(0, frame) == []
 
 
 def test_a_set_point_is_never_a_word() -> None:

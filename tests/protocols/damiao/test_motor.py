@@ -182,11 +182,11 @@ def test_a_new_mst_id_is_where_it_answers_from_then_on_and_is_never_written_here
 
 
 def test_a_motor_that_answers_by_id_0_runs_if_that_is_said() -> None:
-    rig = bench(reply_zero=True)
+    rig = bench(reply_id=-1)
     rig.run(200, msg.Torque("left", 0.5))
     assert {frame.id for _, frame in rig.received} == {0}
     assert rig.twins[0].mode is Mode.ARMED
-    two = ROBOT.replace("options = {}", "options = { reply_zero = true }")
+    two = ROBOT.replace("options = {}", "options = { reply_id = -1 }")
     with pytest.raises(ConfigError, match="would both answer by 0x000"):
         config.parse_robot(two)
 
@@ -196,7 +196,7 @@ def test_a_motor_that_answers_by_id_0_runs_if_that_is_said() -> None:
 )
 def test_a_scan_finds_a_motor_whatever_its_mst_id_is(reply: int, note: str) -> None:
     rig = bench()
-    other = Options(reply_zero=True) if reply == 0 else Options(reply_id=reply)
+    other = Options(reply_id=reply or -1)
     rig.twins[0] = plugin.twin(Device("left", 3, other, Settings()), 0)
     rig.run(200)
     events = rig.ask(msg.Scan("can0"), 400)
