@@ -43,7 +43,7 @@ class Memory:
         if decoded.address != self.address:
             return ()
         match name:
-            case "enable" | "disable" | "clear":
+            case "enable" | "disable" | "clear" | "emergency_stop":
                 self.enabled = name == "enable"
                 if self.enabled:
                     return msg.Arm(motor), self._goal()
@@ -136,7 +136,7 @@ class RobStrideTwin(ServoFirmware):
         self.feed(t)
         match decoded.name:
             case "get_id" | "set_id":
-                serial = 0x5253_0000_0000_0000 | (self.settings.serial or memory.address)
+                serial = 0x5253_0000_0000_0000 | (self.settings.serial or self.device.address)
                 self.reply(t, self.table.encode("id", memory.address, serial=serial))
                 return
             case "read":
@@ -160,7 +160,8 @@ class RobStrideTwin(ServoFirmware):
 
     def _register(self, number: int) -> Frame:
         register, values = rs.REGISTERS.by_number.get(number), self.memory.registers
-        values = values | {"mechPos": self.encoder.position, "mechVel": self.encoder.velocity}
+        position, turns = self.encoder.position, self.encoder.position / math.tau * rs.REDUCTION
+        values = values | {"mechPos": position, "mechVel": self.encoder.velocity, "rotation": int(turns)}
         known = register is not None and register.name in self.memory.registers
         raw = rs.REGISTERS.raw(register.name, values[register.name]) if register is not None and known else 0
         return self._frame("register", failed=not known, number=number, value=raw)
