@@ -157,6 +157,7 @@ class DamiaoTwin(ServoFirmware):
             return
         for obeyed in motor.obey(decoded):
             self.obey(t, obeyed)
+        self._protect()
         self._limit()
         if decoded.name in dm.REPLIES:
             self._tune()
@@ -177,6 +178,17 @@ class DamiaoTwin(ServoFirmware):
             self.goal = replace(goal, position=0.0) if hasattr(goal, "position") else goal
             return
         super().obey(t, obeyed)
+
+    def _protect(self) -> None:
+        """Trip what is beyond a limit of supply or temperature."""
+        registers, supply = self.memory.registers, self.memory.registers["VBus"]
+        beyond = {
+            0x8: supply > registers["OV_Value"],
+            0x9: supply <= registers["UV_Value"],
+            0xC: self.settings.temperature > registers["OT_Value"],
+        }
+        if self.mode is not Mode.FAULT and (found := [code for code, is_so in beyond.items() if is_so]):
+            self.trip(found[0])
 
     def _limit(self) -> None:
         """Take over the limits of the loops."""

@@ -213,7 +213,22 @@ def test_a_scan_asks_none_to_present_itself_where_one_was_found() -> None:
     assert not [frame for _, frame in rig.sent if plugin.messages(frame) == ("discover",)]
 
 
-# -- limits of its loops ---------------------------------------------------------------------------------
+# -- limits ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("settings", "code"),
+    [
+        (Settings(OT_Value=80.0, temperature=90), 0xC),
+        (Settings(UV_Value=30.0), 0x9),
+        (Settings(OV_Value=20.0), 0x8),
+    ],
+)
+def test_its_protections_trip_also_after_they_were_cleared(settings: Settings, code: int) -> None:
+    twin = twin_of(settings)
+    for word in (ENABLE, CLEAR):
+        answers(twin, CanFrame(1, word))
+        assert (twin.mode, twin.fault) == (Mode.FAULT, code)
 
 
 def turned(settings: Settings, milliseconds: int, *, locked: bool = False) -> tuple[float, float]:
