@@ -105,7 +105,7 @@ class CubeMarsAdapter(Adapter[Motor]):
 
     name = "cubemars"
     faults, duplicate, latch, blind = cm.ALL_FAULTS, cm.DUPLICATE, True, True
-    clearing = SECOND
+    clearing, clearing_disarms = SECOND, True
 
     def own(self, device: Device) -> Motor:
         return Motor()

@@ -116,6 +116,7 @@ class RmdAdapter(Adapter[Motor]):
     name = "myactuator"
     faults, latch, blind = rmd.ALL_FAULTS, True, True
     not_armed, duplicate, clearing = rmd.NOT_ARMED, rmd.DUPLICATE, 2 * SECOND
+    clearing_disarms = True
 
     def own(self, device: Device) -> Motor:
         return Motor(device.options.idle_current)

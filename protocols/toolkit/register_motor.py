@@ -13,7 +13,7 @@ from typing import Any
 
 from protocols import messages as msg
 from protocols.frames import Frame
-from protocols.messages import MILLISECOND, Command, Feedback, Mode, Nanos, Request
+from protocols.messages import MILLISECOND, Command, Feedback, Nanos, Request
 from protocols.plugin import Device
 from protocols.toolkit.duplicates import AnswerCount
 from protocols.toolkit.host import Host, Report
@@ -97,6 +97,7 @@ class Motor:
 class RegisterAdapter(Adapter[Motor]):
     """The options of a device have `feedback_ms` and `offline_ms`."""
 
+    clearing_disarms = True
     registers: Registers
     serial: str = ""
     """Register that holds the serial number."""
@@ -254,8 +255,6 @@ class RegisterAdapter(Adapter[Motor]):
                 wrong = ""
         if wrong or host is None:
             return wrong
-        if isinstance(request, msg.ClearFault) and host.mode is Mode.ARMED:
-            return "there is nothing to clear, and clearing would disarm it"
         # Its memory wears out: it is asked to save once.
         again = ANSWER if getattr(request, "parameter", "") == self.save else RETRY
         return Pending(request, host.name, now, now + ANSWER, now, host, (), again)

@@ -101,8 +101,8 @@ def test_clearing_disarms_a_motor_and_is_not_asked_of_one_that_runs() -> None:
     rig.shaft.locked = True
     rig.run(200, msg.Torque("left", 0.5))
     assert rig.twins[0].mode is Mode.ARMED
-    (answer,) = of(msg.Refused, rig.ask(msg.ClearFault("left"), 50))
-    assert "nothing to clear" in answer.reason
+    (answer,) = of(msg.Done, rig.ask(msg.ClearFault("left"), 50))
+    assert answer.detail == "it is armed: nothing to clear"
     assert rig.twins[0].mode is Mode.ARMED
     obeyed: list[Obeyed] = [*plugin.decoder(rig.devices).decode(0, CanFrame(1, CLEAR))]
     assert obeyed == [msg.Idle("left"), msg.ClearFault("left")]
