@@ -1,4 +1,4 @@
-"""CubeMars (T-Motor) AK actuators over CAN, in servo mode and in MIT mode (README.md). Exports `plugin`."""
+"""CubeMars (T-Motor) AK actuators over CAN: servo and MIT mode, firmware V3 (README.md). Exports `plugin`."""
 
 from __future__ import annotations
 
@@ -44,11 +44,17 @@ def ranges(options: Options) -> dict[str, Range]:
             "current": table.range("status", "current"),
             "temperature": table.range("status", "temperature"),
         }
-        commanded = {
-            "Position.position": Range(-end + 2 * cm.DEGREE, end - 2 * cm.DEGREE, 0.501e-4 * cm.DEGREE),
-            "Velocity.velocity": Range(-fastest, fastest, 0.501 * options.erpm),
-            "Torque.torque": Range(-most, most, 1.501e-3 * unit),
-        }
+        if options.five:  # V3 gives its current another sign where it brakes
+            del measured["torque"]
+        commanded = (
+            options.gains.ranges()
+            if options.five
+            else {
+                "Position.position": Range(-end + 2 * cm.DEGREE, end - 2 * cm.DEGREE, 0.501e-4 * cm.DEGREE),
+                "Velocity.velocity": Range(-fastest, fastest, 0.501 * options.erpm),
+                "Torque.torque": Range(-most, most, 1.501e-3 * unit),
+            }
+        )
     if options.turns:
         del measured["position"]
         commanded = {n: each for n, each in commanded.items() if n.startswith(("Velocity", "Torque"))}
@@ -58,7 +64,8 @@ def ranges(options: Options) -> dict[str, Range]:
 def spec(device: Device) -> Spec:
     """Return the contract of one motor. Raises ValueError if its address cannot be one."""
     options: Options = device.options
-    mit = options.mode == "mit"
+    mit, five = options.mode == "mit", options.five
+    reads = ("model",) * five + ("pole_pairs", "gear") * (not mit) + ("torque_constant",) * (not five)
     release = cm.MIT.encode("exit", device.address) if mit else None
     release = release or cm.SERVO.encode("SET_CURRENT", device.address, value=0.0)
     status = exact(cm.STATUS | device.address, extended=True)
@@ -69,13 +76,13 @@ def spec(device: Device) -> Spec:
         expects=(exact(options.reply_id) if mit else status,),
         read_only=cm.asks if mit and options.sole_host else options.table.read_only,
         feedback=FeedbackKind.REPLY if mit else FeedbackKind.CYCLIC,
-        commands=WHEEL if options.turns else MIT if mit else SERVO,
+        commands=WHEEL if options.turns else MIT if five else SERVO,
         requests=frozenset({msg.ClearFault, msg.Zero}),
         ranges=ranges(options),
         watchdog=Watchdog(None, enabled=False, note="" if options.watchdog == "acknowledged" else NOTE),
         faults=cm.FAULTS,
-        **options.gains.of_spec() if mit else {},
-        scales=dict.fromkeys(("model",) if mit else ("pole_pairs", "gear", "torque_constant"), ""),
+        **options.gains.of_spec() if five else {},
+        scales=dict.fromkeys(reads, ""),
         set_up={"exit": (1.0,)} if mit else {},
         stop=(release,),
         caution=SILENT if mit and not options.sole_host else "",
@@ -84,8 +91,9 @@ def spec(device: Device) -> Spec:
 
 plugin = Plugin(
     name="cubemars",
-    title="CubeMars (T-Motor) AK actuators over CAN (servo mode, MIT mode)",
-    trust="bytes both ways: TMotorCANControl 1.2.6, which drove the twin too. No hardware yet",
+    title="CubeMars (T-Motor) AK actuators over CAN (servo mode, MIT mode, firmware V3)",
+    trust="bytes both ways: TMotorCANControl 1.2.6, which drove the twin too; of V3 epicallypowerful 1.0.7. "
+    "No hardware yet",
     options=Options,
     settings=Settings,
     spec=spec,

@@ -5,7 +5,8 @@ a motor that has been commanded, and is not, is released again every `feedback_m
 the frame that leaves MIT mode, which is answered. In MIT mode every frame is answered, and nothing else is
 sent: an answer belongs to the oldest frame that still waits for one; one that was not asked for is to another
 host, or to a late frame. One that has left motor mode answers on: it is known by the torque that it does not
-give, and entered again. Servo mode reports by itself.
+give, and entered again. Servo mode reports by itself, and so does firmware V3, which takes five numbers
+beside the set-points of servo mode.
 """
 
 from __future__ import annotations
@@ -104,7 +105,7 @@ class CubeMarsAdapter(Adapter[Motor]):
 
     name = "cubemars"
     faults, duplicate, latch, blind = cm.ALL_FAULTS, cm.DUPLICATE, True, True
-    clearing = SECOND
+    clearing, clearing_disarms = SECOND, True
 
     def own(self, device: Device) -> Motor:
         return Motor()
@@ -125,7 +126,7 @@ class CubeMarsAdapter(Adapter[Motor]):
         if not frame.extended:
             return (self._reply(t, frame, driver.at.get(frame.data[0]) if frame.data else None),)
         host = driver.at.get(frame.id & 0xFF)
-        if frame.id & ~0xFF != cm.STATUS or host is None or host.options.mode != "servo":
+        if frame.id & ~0xFF != cm.STATUS or host is None or host.options.mode == "mit":
             return (Rx.IGNORED,)
         values = cm.SERVO.read("status", frame.data)
         return (Rx.MALFORMED if values is None else self._status(t, host, values),)
@@ -137,7 +138,8 @@ class CubeMarsAdapter(Adapter[Motor]):
         position = values["position"] * cm.DEGREE
         reported = position if abs(position) < options.end - cm.DEGREE else None
         velocity = values["velocity"] * options.erpm if abs(values["velocity"]) < cm.LAST_ERPM else None
-        motion = reported, velocity, current * options.torque_constant, current
+        torque = None if options.five else current * options.torque_constant
+        motion = reported, velocity, torque, current
         return self._report(t, host, state, values, motion)
 
     def _reply(self, t: Nanos, frame: CanFrame, host: Host[Motor] | None) -> Report[Motor] | Rx:
@@ -187,7 +189,7 @@ class CubeMarsAdapter(Adapter[Motor]):
 
     def arm(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
         at, options, own = host.address, host.options, host.own
-        if options.mode == "servo":
+        if options.mode != "mit":
             own.drive(driven=True)
             return own.sent(now, cm.SERVO.encode("SET_CURRENT", at, value=0.0))
         # The set-point of an earlier host may still be in it.
@@ -208,6 +210,9 @@ class CubeMarsAdapter(Adapter[Motor]):
             host.own.follow(goal)
             return host.own.sent(now, encoded(options.table.encoder("control"), at, goal, cm.SPECIAL_DATA))
         host.own.drive(driven=True)
+        if options.five:
+            goal = options.gains.impedance(command, host.held)
+            return host.own.sent(now, encoded(options.table.encoder(options.set_point), at, goal))
         match command:
             case msg.Velocity(_, velocity):
                 frame = cm.SERVO.encode("SET_RPM", at, value=round(velocity / options.erpm))
@@ -248,6 +253,6 @@ class CubeMarsAdapter(Adapter[Motor]):
             return ()
         if isinstance(pending.request, msg.ClearFault):
             return self.release(now, host)
-        servo = host.options.mode == "servo"
+        servo = host.options.mode != "mit"
         zero = cm.SERVO.encode("SET_ORIGIN_HERE", host.address, value=0)
         return host.own.sent(now, zero if servo else cm.MIT.encode("set zero", host.address))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -14,7 +15,7 @@ from protocols.toolkit.table import Table
 # fmt: off
 Model = Literal[
     "AK10-9", "AK60-6", "AK70-10", "AK80-6", "AK80-6 V1.0", "AK80-6 V1.1", "AK80-9", "AK80-9 V1.1",
-    "AK80-9 V2", "AK80-64",
+    "AK80-9 V2", "AK80-64", "AK70-9", "AKE60-8", "AKE80-8",
 ]
 # fmt: on
 
@@ -23,8 +24,9 @@ Model = Literal[
 class Options:
     """Configuration of the driver. What a motor does not tell must be as it is configured there."""
 
-    mode: Literal["servo", "mit"] = "servo"
-    """The mode that the motor is set to with the vendor's tool."""
+    mode: Literal["servo", "mit", "mit_v3"] = "servo"
+    """The mode that the motor is set to with the vendor's tool; mit_v3: firmware V3, which has one for all,
+    and is sent five numbers with 29-bit ids."""
     turns: bool = False
     """For wheels: position is counted on by velocity beyond what the motor reports (servo ±3200°, mit the
     model's). Commands are Velocity and Torque then."""
@@ -43,9 +45,9 @@ class Options:
     """rad/s on the way to a Position"""
     max_acceleration: float = bounded(50.0, 1.0, 150.0)
     """rad/s² on the way to a Position"""
-    # -- MIT mode
+    # -- modes mit and mit_v3
     model: Model = "AK80-9"
-    """Decides the ranges of all numbers in MIT mode."""
+    """Decides the ranges of the five numbers."""
     stiffness: float = bounded(20.0, 0.2, KP_MAX)
     """N·m/rad of Position and Hold"""
     damping: float = bounded(1.0, 0.01, KD_MAX)
@@ -71,20 +73,36 @@ class Options:
     """Time without a frame after which the motor is offline."""
 
     def __post_init__(self) -> None:
-        check_bounds(self)
+        unknown = f"no {self.model} is known in mode {self.mode}: one of {', '.join(self._models)}"
+        check_bounds(self, (unknown if self.mode != "servo" and self.model not in self._models else "",))
+
+    @property
+    def _models(self) -> Mapping[str, tuple[float, float, float]]:
+        return cm.V3_MODELS if self.mode == "mit_v3" else cm.MODELS
 
     @property
     def table(self) -> Table:
         """The messages of the mode."""
         if self.mode == "servo":
             return cm.SERVO
-        p, v, t = cm.MODELS[self.model]
-        return cm.mit_table(self.position_end or p, self.velocity_end or v, self.torque_end or t)
+        p, v, t = self._models[self.model]
+        table = cm.mit_table if self.mode == "mit" else cm.v3_table
+        return table(self.position_end or p, self.velocity_end or v, self.torque_end or t)
+
+    @property
+    def set_point(self) -> str:
+        """The message of five numbers."""
+        return "control" if self.mode == "mit" else "SET_MIT"
+
+    @property
+    def five(self) -> bool:
+        """True if set-points are five numbers."""
+        return self.mode != "servo"
 
     @property
     def gains(self) -> ImpedanceGains:
-        """The gains of Position, Hold and Velocity in MIT mode."""
-        return gains_of(self.table, "control", self.stiffness, self.damping)
+        """The gains of Position, Hold and Velocity, if set-points are five numbers."""
+        return gains_of(self.table, self.set_point, self.stiffness, self.damping)
 
     @property
     def erpm(self) -> float:
@@ -94,7 +112,7 @@ class Options:
     @property
     def end(self) -> float:
         """rad beyond which no position is reported"""
-        if self.mode == "servo":
+        if self.mode != "mit":
             return cm.LAST_DEGREES * cm.DEGREE
         return self.table.row("control").field("position").high
 

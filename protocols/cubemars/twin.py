@@ -37,6 +37,8 @@ class Memory:
     entered: bool = False
     fastest: float = math.inf
     """rad/s on the way to a position"""
+    ramp: float = math.inf
+    """rad/s² on that way"""
 
     def obey(self, decoded: Decoded) -> Sequence[Obeyed]:
         """Apply a message; return what the motor then does."""
@@ -56,7 +58,10 @@ class Memory:
             case "control":
                 five = commanded(motor, values)
                 return (five,) if self.entered else waiting(self.options.gains.canonical(five))
+            case "SET_MIT":
+                return msg.Arm(motor), commanded(motor, values)
         unused = () if self._is_sent(decoded) else (msg.Kept(motor, decoded.name, 1.0),)
+        self.ramp = abs(values.get("ramp", math.inf)) * self.options.erpm
         return *unused, *self._drive(decoded.name, values["value"], values.get("fastest", math.inf))
 
     def _is_sent(self, decoded: Decoded) -> bool:
@@ -100,9 +105,8 @@ class CubeMarsTwin(ServoFirmware):
 
     def __init__(self, device: Device, seed: int) -> None:
         options: Options = device.options
-        servo = options.mode == "servo"
         most = options.max_current * options.torque_constant
-        most = most if servo else options.table.row("control").field("torque").high
+        most = options.table.row(options.set_point).field("torque").high if options.five else most
         super().__init__(device, seed, Gains(torque_limit=most))
         self.options = options
         self.memory = memory_of(device)
@@ -113,7 +117,7 @@ class CubeMarsTwin(ServoFirmware):
             return
         for obeyed in self.memory.obey(decoded):
             self.obey(t, obeyed)
-        self.fastest = self.memory.fastest
+        self.fastest, self.speed_up, self.slow_down = self.memory.fastest, self.memory.ramp, self.memory.ramp
         if self.options.mode == "mit":
             numbers = {"motor": self.memory.address, **self.measured(), **self._state()}
             reply = self.options.table.encode("reply", **numbers)
@@ -123,7 +127,7 @@ class CubeMarsTwin(ServoFirmware):
         return {"temperature": self.settings.temperature, "error": self.fault}
 
     def cyclic(self) -> Mapping[str, Nanos]:
-        return {"status": milliseconds(self.options.feedback_ms)} if self.options.mode == "servo" else {}
+        return {"status": milliseconds(self.options.feedback_ms)} if self.options.mode != "mit" else {}
 
     def report(self, name: str) -> Frame:
         options = self.options

@@ -6,9 +6,9 @@ from protocols import messages as msg
 from protocols.damiao.driver import DamiaoAdapter
 from protocols.damiao.options import REGISTERS as STORED
 from protocols.damiao.options import Options, Settings
-from protocols.damiao.table import ADDRESSES, ANY, FAULTS, MODELS, REGISTERS, REPLY_BASE, SAVE, ranges_of
+from protocols.damiao.table import ADDRESSES, ALL_MOTORS, ANY, FAULTS, REGISTERS, REPLY_BASE, SAVE
 from protocols.damiao.twin import DamiaoTwin, motor_of
-from protocols.frames import exact
+from protocols.frames import EXTENDED_BIT, exact
 from protocols.messages import MILLISECOND, Command
 from protocols.plugin import DRIVER_WRITES, Device, Plugin, Range, Setting, Spec, Watchdog
 from protocols.toolkit import mit
@@ -30,7 +30,7 @@ REQUESTS = frozenset({msg.ClearFault, msg.Zero, msg.ReadParameter, msg.WritePara
 
 def ranges(options: Options) -> dict[str, Range]:
     """Return what commands and measurements can carry."""
-    p, v, _ = MODELS[options.model]
+    p, v, _ = options.ends.values()
     table, numbers = options.table, ("position", "velocity", "torque")
     measured = {name: table.range("feedback", name, inside=2) for name in numbers}
     measured["temperature"] = Range(0.0, 255.0, 0.501)
@@ -55,10 +55,10 @@ PROTECTED: dict[str, str] = {
 
 def configured(device: Device) -> dict[str, Setting]:
     """Return the registers that are configuration; those of the ranges are the model's."""
-    _, v, t = MODELS[device.options.model]
+    p, v, t = device.options.ends.values()
     found = configuration(device.settings, {name: name for name in STORED})
-    ranges = {name: Setting(each, 0.0) for name, each in ranges_of(device.options.model).items()}
-    found |= ranges | {"VMAX": Setting(v, 0.0, limit="velocity"), "TMAX": Setting(t, 0.0, limit="torque")}
+    found |= {"PMAX": Setting(p, 0.0), "VMAX": Setting(v, 0.0, limit="velocity")}
+    found |= {"TMAX": Setting(t, 0.0, limit="torque")}
     return found | {name: Setting(protected=why) for name, why in PROTECTED.items()}
 
 
@@ -66,14 +66,16 @@ def spec(device: Device) -> Spec:
     """Return the contract of one motor. Raises ValueError if its address, or the id of its answers, cannot be
     one."""
     options: Options = device.options
-    reply = exact(options.reply(device.address))
-    if reply in options.table.ids("to_device", device.address):
+    address, reply = device.address, options.reply(device.address)
+    if reply & 0xFF == address:
         raise ValueError(f"reply_id {options.reply_id:#05x} of {device.name}: the motor itself obeys that id")
     return can_motor(
         device,
         options.table,
         ADDRESSES,
-        expects=(reply,),
+        sends=(*(exact(page << 8 | address) for page in range(4)), exact(ALL_MOTORS)),
+        obeys_also=((address, EXTENDED_BIT | 0xFF),),
+        expects=(exact(reply),),
         commands=COMMANDS[options.mode],
         requests=REQUESTS,
         tells_serial=True,
@@ -85,7 +87,7 @@ def spec(device: Device) -> Spec:
         set_up=declared(DamiaoAdapter().written(options)),
         stop=(ANY.encode("disable", device.address),),
         save=SAVE,
-        receives_also=((REPLY_BASE, 0x7F0),),
+        receives_also=((REPLY_BASE, EXTENDED_BIT | 0x7F0), exact(0), exact(ALL_MOTORS)),
         **options.gains.of_spec() if options.mode == "mit" else {},
         scales={"model": "the motor is asked for its ranges before it is enabled"},
     )

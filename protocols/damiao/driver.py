@@ -19,8 +19,9 @@ from protocols.messages import Command, Feedback, Mode, Nanos
 from protocols.plugin import Device
 from protocols.toolkit.host import Host, Report
 from protocols.toolkit.mit import encoded
-from protocols.toolkit.motor_driver import MotorDriver, Rx
+from protocols.toolkit.motor_driver import MotorDriver, Pending, Rx
 from protocols.toolkit.register_motor import Motor, RegisterAdapter
+from protocols.toolkit.requests import ANSWER
 
 STATES: dict[int, tuple[Mode, str]] = {
     dm.DISABLED: (Mode.READY, "disabled"),
@@ -53,7 +54,7 @@ class DamiaoAdapter(RegisterAdapter):
         return super().own(device)
 
     def expected(self, options: Options) -> Mapping[str, float]:
-        return dm.ranges_of(options.model)
+        return options.ends
 
     def written(self, options: Options) -> Mapping[str, float]:
         return {
@@ -69,13 +70,16 @@ class DamiaoAdapter(RegisterAdapter):
     def receive(self, t: Nanos, frame: Frame, driver: MotorDriver[Motor]) -> Sequence[Report[Motor] | Rx]:
         if not isinstance(frame, CanFrame) or frame.extended or frame.remote or frame.fd:
             return (Rx.IGNORED,)
+        if frame.id == dm.ALL_MOTORS:
+            return self._found(frame, driver)
         # The first byte of a feedback has the lower four bits of ESC_ID, that of a register all of it.
         host = driver.at.get(frame.data[0] & 0xF) if frame.data else None
         ours = host is not None and frame.id == host.options.reply(host.address)
         about = frame.data[2:3] in dm.REGISTER_BYTES
         name, value, written = dm.register_in(frame) if about else ("", None, False)
         if host is None or not ours:
-            sn = name == "SN" and frame.id == dm.REPLY_BASE + frame.data[0] and driver.scanning()
+            usual = name == "SN" and frame.id in (0, dm.REPLY_BASE + frame.data[0])
+            sn = usual and driver.scanning()
             note = f"answers with {frame.id:03X}"
             return (Report(None, frame.data[0], serial=int(value or 0), note=note) if sn else Rx.IGNORED,)
         if not name:
@@ -83,6 +87,14 @@ class DamiaoAdapter(RegisterAdapter):
         if value is None or not host.own.is_asked(t, name):
             return (Report(host, host.address),)
         return (self.register_report(t, host, name, value, written=written),)
+
+    def _found(self, frame: CanFrame, driver: MotorDriver[Motor]) -> Sequence[Report[Motor] | Rx]:
+        """Return what the answer to a discovery reports."""
+        values = dm.ANY.read("found", frame.data) if driver.scanning() else None
+        if values is None:
+            return (Rx.IGNORED,)
+        note = f"answers with {values['reply']:03X}: that is to be its reply_id"
+        return Rx.EXPECTED, Report(None, values["found"], note=note, counted=False)
 
     def _feedback(self, t: Nanos, frame: CanFrame, host: Host[Motor]) -> Report[Motor] | None:
         values = host.options.table.read("feedback", frame.data)
@@ -97,6 +109,18 @@ class DamiaoAdapter(RegisterAdapter):
         return Report(host, host.address, mode, detail, faults, feedback, many)
 
     # -- sent -----------------------------------------------------------------------------------------
+
+    def refuse(self, host: Host[Motor], command: Command) -> str:
+        wrong, own = super().refuse(host, command), host.own
+        ends = ", ".join(f"{dm.RANGES[name]} = {own.known[name]:g}" for name in own.wrong)
+        return f"{wrong}; if it is the right one, write {ends} under options" if wrong else ""
+
+    def frames(self, now: Nanos, pending: Pending[Motor]) -> Sequence[Frame]:
+        if not isinstance(pending.request, msg.Scan) or pending.found:
+            return super().frames(now, pending)
+        # Last of all: one motor with any MST_ID. Several would destroy each other's answers.
+        asked_all = pending.sent == len(pending.frames) and now >= pending.deadline - ANSWER // 2
+        return (dm.ANY.encode("discover"),) if asked_all else super().frames(now, pending)
 
     def about(self, operation: str, address: int, name: str, value: float = 0.0) -> Sequence[Frame]:
         return (dm.about_register(operation, address, name, value),)

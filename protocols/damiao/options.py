@@ -26,8 +26,14 @@ class Options:
     """Decides the ranges of all numbers; the motor is asked for them before it is enabled."""
     mode: Literal["mit", "pos_vel", "vel", "force_pos"] = "mit"
     """CTRL_MODE, written before the motor is enabled."""
-    reply_id: int = bounded(0, 0, 0x7FE)
-    """MST_ID of the motor; 0: its address and 16."""
+    reply_id: int = bounded(0, -1, 0x7FE)
+    """MST_ID of the motor; 0: its address and 16. −1: it is 0, as many are delivered, and answers by id 0."""
+    position_end: float = bounded(0.0, 0.0, 1000.0)
+    """rad; 0: PMAX of the model. The ends are those that the motor has; it is asked for them."""
+    velocity_end: float = bounded(0.0, 0.0, 1000.0)
+    """rad/s; 0: VMAX of the model"""
+    torque_end: float = bounded(0.0, 0.0, 1000.0)
+    """N·m; 0: TMAX of the model"""
     stiffness: float = bounded(20.0, 0.2, KP_MAX)
     """N·m/rad of Position and Hold (mode mit)"""
     damping: float = bounded(1.0, 0.01, KD_MAX)
@@ -50,9 +56,16 @@ class Options:
         check_bounds(self)
 
     @property
+    def ends(self) -> dict[str, float]:
+        """The registers that hold the ends of its ranges."""
+        own = (getattr(self, name) for name in dm.RANGES.values())
+        pairs = zip(dm.RANGES, own, dm.MODELS[self.model], strict=True)
+        return {register: end or model for register, end, model in pairs}
+
+    @property
     def table(self) -> Table:
-        """The messages of the model."""
-        return dm.table_of(self.model)
+        """The messages with these ends."""
+        return dm.table_of(self.model, self.position_end, self.velocity_end, self.torque_end)
 
     @property
     def gains(self) -> ImpedanceGains:
@@ -61,7 +74,7 @@ class Options:
 
     def reply(self, address: int) -> int:
         """Return the id of a motor's answers."""
-        return self.reply_id or dm.REPLY_BASE + address
+        return max(0, self.reply_id or dm.REPLY_BASE + address)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,9 @@
 """The messages, registers, models and faults of Damiao DM-J motors.
 
 Sources: damiao-motor 1.0.6 (`core/motor.py`, `core/controller.py`); cmjang/DM_Control_Python@7da9387
-`DM_CAN.py`. Numbers are scaled by the ends of the model's ranges, so each model has a table of its own.
+`DM_CAN.py`; which ids and lengths a motor takes, discovery and the answer to a save:
+umeow0716/damiao_firmware@3a0647b, made from shipped firmware. Numbers are scaled by the ends of the motor's
+ranges, so each model has a table of its own.
 """
 
 from __future__ import annotations
@@ -14,12 +16,14 @@ from protocols.messages import ClearFault, Request, Zero
 from protocols.plugin import FaultInfo
 from protocols.toolkit.mit import numbers, words
 from protocols.toolkit.registers import Register, Registers
-from protocols.toolkit.table import Field, Row, Table, const, f32, uint, unused
+from protocols.toolkit.table import Field, Order, Row, Table, const, f32, uint, unused
 
 ADDRESSES = range(1, 16)
 """ESC_ID; a feedback carries its lower four bits only."""
 REPLY_BASE = 0x10
 """Added to ESC_ID for the MST_ID that vendors' tools suggest."""
+ALL_MOTORS = 0x7FF
+"""Id of what is about registers, and of discovery."""
 TIMEOUT_UNIT_MS = 0.05
 """Of register TIMEOUT."""
 MODES: Mapping[str, int] = {"mit": 1, "pos_vel": 2, "vel": 3, "force_pos": 4}
@@ -32,6 +36,8 @@ REQUESTS: Mapping[type[Request], str] = {ClearFault: "clear", Zero: "zero"}
 OPERATIONS = {"read": 0x33, "write": 0x55, "save": 0xAA, "refresh": 0xCC}
 REPLIES = ("read", "write", "save")
 """Operations that have an answer of their own; the others are answered by a feedback."""
+ABOUT = frozenset({*OPERATIONS, "discover"})
+"""Messages that feed no watchdog."""
 DISABLED, ENABLED, LOST, UNKNOWN = 0, 1, 0xD, 0xF
 """Values of the status in a feedback; the others are faults."""
 
@@ -44,7 +50,9 @@ MODELS: Mapping[str, tuple[float, float, float]] = {
     "4340P": (12.5, 10.0, 28.0), "JH11": (12.5, 10.0, 12.0), "6248P": (12.566, 20.0, 120.0),
 }
 # fmt: on
-"""PMAX [rad], VMAX [rad/s] and TMAX [N·m] by model (registers 21 to 23)."""
+"""PMAX [rad], VMAX [rad/s] and TMAX [N·m] by model."""
+RANGES: Mapping[str, str] = {"PMAX": "position_end", "VMAX": "velocity_end", "TMAX": "torque_end"}
+"""Registers that hold the ends of the ranges, and the options that name others than the model's."""
 
 
 def _numbered(first: int, names: str) -> tuple[tuple[int, str], ...]:
@@ -67,6 +75,8 @@ _FIXED = (
     *_numbered(13, "hw_ver sw_ver SN NPP"),
     *_numbered(35, "can_br sub_ver"),
 )
+IDS = ("MST_ID", "ESC_ID")
+"""Registers that a motor lets anybody write, and that are never written here."""
 REGISTERS = Registers(
     *(Register(name, number, "f32") for number, name in _FLOATS),
     *(Register(name, number, "f32", writable=False) for number, name in _MEASURED),
@@ -97,19 +107,20 @@ ALL_FAULTS: Mapping[int, FaultInfo] = {
 }
 
 
-def ranges_of(model: str) -> dict[str, float]:
-    """Return the registers that hold the ranges of a model."""
-    return dict(zip(("PMAX", "VMAX", "TMAX"), MODELS[model], strict=True))
-
-
 @cache
-def table_of(model: str) -> Table:
-    """Return the messages of a model."""
-    five, measured = numbers(*MODELS[model])
-    own, reply, all_motors = (const(0, 3), uint("address", 8)), (uint("address", 11),), (const(0x7FF, 11),)
+def table_of(model: str, position: float = 0.0, velocity: float = 0.0, torque: float = 0.0) -> Table:
+    """Return the messages of a model; ends that are not 0 are in the place of the model's."""
+    p, v, t = MODELS[model]
+    five, measured = numbers(position or p, velocity or v, torque or t)
+    reply, all_motors = (uint("address", 11),), (const(ALL_MOTORS, 11),)
+    own, any_page = (const(0, 3), uint("address", 8)), (unused(3), uint("address", 8))
 
-    def set_point(name: str, page: int, *fields: Field) -> Row:
-        return Row(name, (const(page, 3), uint("address", 8)), fields)
+    def set_point(name: str, page: int, *fields: Field, order: Order = "little") -> Row:
+        return Row(name, (const(page, 3), uint("address", 8)), fields, order=order, fewest=0)
+
+    def to_all(name: str) -> Row:  # what names no value is often sent without its bytes
+        reads = name in ("read", "refresh")
+        return Row(name, all_motors, register(OPERATIONS[name]), fewest=4, read_only=reads)
 
     def register(operation: int) -> tuple[Field, ...]:
         return uint("motor", 16), *about(operation)
@@ -117,18 +128,28 @@ def table_of(model: str) -> Table:
     def about(operation: int) -> tuple[Field, ...]:
         return const(operation), uint("number"), uint("value", 32)
 
-    asked = uint("motor", 4), const(0, 12)  # these zeros alone tell an answer from most feedbacks
+    def answer(name: str) -> Row:
+        asked = uint("motor", 4), const(0, 12)  # these zeros alone tell an answer from most feedbacks
+        size = 4 if name == "save" else 8
+        return Row(f"{name} reply", reply, (*asked, *about(OPERATIONS[name])), "from_device", fewest=size)
+
     status = (uint("status", 4), uint("motor", 4), *measured, uint("mos"), uint("rotor"))
+    found = const(0x55), uint("found"), uint("reply"), const(0xAA)
     return Table(
         (
+            # A motor looks at the lower eight bits of an id alone, and obeys these on any page;
+            *words(any_page, SPECIAL),
             *words(own, SPECIAL),
-            Row("MIT", own, tuple(five), order="big"),
+            set_point("MIT", 0, *five, order="big"),
             set_point("POS_VEL", 1, f32("position"), f32("fastest")),
             set_point("VEL", 2, f32("velocity"), unused(32)),
             set_point("FORCE_POS", 3, f32("position"), uint("fastest", 16, 0.01), uint("force", 16, 1e-4)),
-            *(Row(n, all_motors, register(OPERATIONS[n]), read_only=True) for n in ("read", "refresh")),
-            *(Row(n, all_motors, register(OPERATIONS[n])) for n in ("write", "save")),
-            *(Row(f"{n} reply", reply, (*asked, *about(OPERATIONS[n])), "from_device") for n in REPLIES),
+            # all else there it answers, and it feeds its watchdog.
+            Row("other", any_page, (), fewest=0),
+            *map(to_all, OPERATIONS),
+            Row("discover", all_motors, (const(0xAA000055, 32),), fewest=4, read_only=True),
+            *map(answer, REPLIES),
+            Row("found", all_motors, found, "from_device"),
             Row("feedback", reply, status, "from_device", order="big"),
         )
     )

@@ -61,6 +61,7 @@ def spec(device: Device) -> Spec:
         options.table,
         rmd.ADDRESSES,
         (ANYBODY,),
+        sends=(*map(exact, rmd.own_ids(device.address)), *((ANYBODY,) if options.scan else ())),
         commands=COMMANDS[options.mode],
         requests=frozenset({msg.ClearFault}),
         ranges=ranges(options),
@@ -74,7 +75,7 @@ def spec(device: Device) -> Spec:
         receives_also=(ANSWERS,) if options.scan else (),
         obeys_also=(exact(rmd.ALL_MOTORS), exact(rmd.SET_ID)),
         scales=dict.fromkeys(SCALES[options.mode], ""),
-        **fed_by_any_frame(timeout or None),
+        **fed_by_any_frame(timeout),
         **extra,
     )
 

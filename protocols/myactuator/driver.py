@@ -4,7 +4,8 @@ Rules. A motor that is not commanded is only read. Any set-point starts it, and 
 runs: the answer to a set-point says that it does, that to a shutdown that it does not, and a current that
 flows although it was shut down that another host drives it. So a motor that has been commanded, and is not,
 is shut down again every 50 ms. Before its first set-point its watchdog must have been confirmed, and its
-brake be released. A running time that goes backwards is a restart.
+brake be released, which is asked for whenever it may be locked. A running time that goes backwards is a
+restart.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ class Motor:
     timeout: int | None = None
     """ms of its watchdog, as it confirmed it"""
     released: bool = False
-    """Its brake is"""
+    """Its brake is, and was not told to lock since it reported so."""
     runtime: int = 0
     """ms"""
 
@@ -75,10 +76,16 @@ class Motor:
                 self.driven = True if abs(values["current"]) > self.idle_current else self.driven
             case "shutdown reply":
                 self.driven = False
+            case "lock brake reply":
+                self.released = False
             case "set timeout reply":
                 self.timeout = values["value"]
             case "motion reply" | "stop reply" | "torque reply" | "speed reply" | "position reply":
                 self.driven = True
+
+    def lock(self) -> None:
+        """Note that it is told to lock its brake: what it reported before says nothing any more."""
+        self.released = False
 
     def mode(self) -> Mode | None:
         """Return its mode; None: it is not known."""
@@ -109,6 +116,7 @@ class RmdAdapter(Adapter[Motor]):
     name = "myactuator"
     faults, latch, blind = rmd.ALL_FAULTS, True, True
     not_armed, duplicate, clearing = rmd.NOT_ARMED, rmd.DUPLICATE, 2 * SECOND
+    clearing_disarms = True
 
     def own(self, device: Device) -> Motor:
         return Motor(device.options.idle_current)
@@ -169,19 +177,26 @@ class RmdAdapter(Adapter[Motor]):
 
     def arm(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
         own, options, address = host.own, host.options, host.address
-        frames = []
+        frames: list[Frame] = []
         if options.timeout_ms and own.timeout != options.timeout_ms:
             frames.append(rmd.ANY.encode("set timeout", address, value=options.timeout_ms))
-        if options.brake and not own.released:
-            frames += [rmd.ANY.encode(name, address) for name in ("release brake", "read status 1")]
+        frames += self._opening(host)
         if not frames:  # what starts it where it stands
             kind = msg.Torque if isinstance(command, msg.Torque) else msg.Velocity
             return own.answers.sent(now, (self._set_point(host, kind(host.name, 0.0)),))
         return own.answers.sent(now, frames) if own.is_due(now, "write") else ()
 
+    def _opening(self, host: Host[Motor]) -> Sequence[Frame]:
+        """Return what opens its brake, if it may be locked."""
+        locked = host.options.brake and not host.own.released
+        names = ("release brake", "read status 1") if locked else ()
+        return [rmd.ANY.encode(name, host.address) for name in names]
+
     def command(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
+        opening = self._opening(host)  # a late frame may have locked it: a current does not open it
+        opening = opening if opening and host.own.is_due(now, "write") else ()
         read = rmd.ANY.encode("read angle", host.address)
-        return host.own.answers.sent(now, (self._set_point(host, command), read))
+        return host.own.answers.sent(now, (*opening, self._set_point(host, command), read))
 
     def _set_point(self, host: Host[Motor], command: Command) -> Frame:
         options: Options = host.options
@@ -200,6 +215,7 @@ class RmdAdapter(Adapter[Motor]):
 
     def release(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
         names = ("shutdown", "lock brake") if host.options.brake else ("shutdown",)
+        host.own.lock()
         return host.own.answers.sent(now, [rmd.ANY.encode(name, host.address) for name in names])
 
     def poll(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:

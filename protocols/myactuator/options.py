@@ -74,6 +74,8 @@ class Settings:
     """Of its watchdog, as its ROM has it; as delivered 0: none"""
     torque_limit: float = bounded(10.0, 0.01, 500.0)
     """N·m"""
+    acceleration: int = bounded(10_000, 100, 60_000)
+    """Degrees per second² towards a speed and a position, and back (mode servo)"""
     version: int = bounded(20240528, 20200101, 20991231)
     """Date of its firmware"""
     supply: float = bounded(48.0, 5.0, 100.0)

@@ -1,7 +1,7 @@
 """The messages and faults of MyActuator RMD motors, in the vendor's units: degrees, degrees per second, A.
 
-Source: MyActuator "Servo Motor Control Protocol" V4.2 (2024.05), by its paragraphs; what V3.8 has alike is in
-2b-t/myactuator_rmd@c43980c.
+Source: MyActuator "Servo Motor Control Protocol" V4.2 (2024.05), by its paragraphs; what V3.8 has alike, and
+its gains (30h to 32h, of another form in V4), are in 2b-t/myactuator_rmd@c43980c.
 """
 
 from __future__ import annotations
@@ -25,6 +25,18 @@ SET_POINTS: Mapping[str, tuple[int, tuple[Field, ...]]] = {
     "increment": (0xA8, (unused(8), *TURN)),
 }
 """Command byte and numbers of what moves a motor: A, degrees per second, degrees."""
+GAINS = ("current_kp", "current_ki", "speed_kp", "speed_ki", "position_kp", "position_ki")
+_LOOPS = unused(8), *map(uint, GAINS)
+WRITTEN: Mapping[str, tuple[int, tuple[Field, ...]]] = {
+    "set acceleration": (0x43, (uint("index"), unused(16), uint("value", 32))),
+    "set gains": (0x31, _LOOPS),
+    "store gains": (0x32, _LOOPS),
+    "set zero": (0x63, (unused(24), sint("value", 32))),
+    "zero here": (0x64, (unused(24), sint("value", 32))),
+    "set timeout": (0xB3, (unused(24), uint("value", 32))),
+}
+"""Command byte and numbers of what is written, which the answer repeats: degrees per second² (of the way to a
+position: up, down; of a speed: up, down), counts, ms."""
 ECHOED: Mapping[str, int] = {"shutdown": 0x80, "stop": 0x81, "release brake": 0x77, "lock brake": 0x78}
 READ: Mapping[str, tuple[int, tuple[Field, ...]]] = {
     "angle": (0x92, (unused(24), sint("position", 32, 0.01))),
@@ -38,8 +50,25 @@ READ: Mapping[str, tuple[int, tuple[Field, ...]]] = {
     ),
     "runtime": (0xB1, (unused(24), uint("ms", 32))),
     "version": (0xB2, (unused(24), uint("date", 32))),
+    # never asked here:
+    "status 3": (0x9D, (sint("temperature", 8), *(sint(f"phase_{n}", 16, 0.01) for n in "abc"))),
+    "gains": (0x30, _LOOPS),
+    "acceleration": (0x42, (uint("index"), unused(16), uint("value", 32))),
+    "encoder": (0x60, (unused(24), sint("counts", 32))),
+    "raw encoder": (0x61, (unused(24), sint("counts", 32))),
+    "zero": (0x62, (unused(24), sint("counts", 32))),
+    "operating mode": (0x70, (unused(48), uint("running"))),
+    "power": (0x71, (unused(40), uint("watts", 16, 0.1))),
+    "turn encoder": (0x90, (unused(8), *(uint(f"{n}_counts", 16) for n in ("zeroed", "raw", "zero")))),
+    "turn angle": (0x94, (unused(40), uint("degrees", 16, 0.01))),
+    "model": (0xB5, (uint("text", 56),)),
 }
-"""Command byte, and numbers of the answer: °C, V, A, degrees per second, degrees."""
+"""Command byte, and numbers of the answer: °C, V, A, degrees per second, degrees, W, counts."""
+CAN_ID = 0x79
+MODEL = b"X8S2V10"
+"""What a simulated motor says that it is: the manual's example."""
+COUNTS = 65_536
+"""Of a simulated encoder, in one turn of the output shaft."""
 TURNS, FASTEST, STRONGEST = (2**31 - 2) * 0.01, 32766.0, 327.66
 """Degrees, degrees per second and A: the ends of what is measured, where a motor that saturates is not."""
 
@@ -51,16 +80,29 @@ def _id(base: int) -> tuple[Field, ...]:
 TO, FROM, MOTION, MOVED = _id(0x140), _id(0x240), _id(0x400), _id(0x500)
 
 
+def own_ids(address: int) -> tuple[int, int]:
+    """Return the ids that one motor alone obeys."""
+    return 0x140 | address, 0x400 | address
+
+
 @cache
 def table_of(position: float, velocity: float, torque: float) -> Table:
     """Return the messages; the ends [rad, rad/s, N·m] are those of the motion mode."""
     five, moved = numbers(position, velocity, torque, floor=False)
-    timeout = const(0xB3), unused(24), uint("value", 32)
+    of_all, its_id = (const(SET_ID, 11),), (unused(24), uint("id", 16))
+
+    def about_id(to: tuple[Field, ...], which: str) -> tuple[Row, Row]:
+        reads = const(CAN_ID), unused(8), const(1), unused(40)
+        sets = const(CAN_ID), unused(8), const(0), *its_id
+        return Row(f"read {which}", to, reads, read_only=True), Row(f"set {which}", to, sets)
+
     return Table(
         (
             *(Row(name, TO, (const(code), *fields)) for name, (code, fields) in SET_POINTS.items()),
             *(Row(name, TO, (const(code), unused(56))) for name, code in ECHOED.items()),
-            Row("set timeout", TO, timeout),
+            *(Row(name, TO, (const(code), *fields)) for name, (code, fields) in WRITTEN.items()),
+            *about_id(TO, "id"),
+            *about_id(of_all, "every id"),
             Row("reset", TO, (const(0x76), unused(56))),
             Row("motion", MOTION, tuple(five), order="big"),
             *(
@@ -76,7 +118,11 @@ def table_of(position: float, velocity: float, torque: float) -> Table:
                 for n, code in ECHOED.items()
             ),
             *(Row(n, FROM, (const(code), *fields), "from_device") for n, (code, fields) in READ.items()),
-            Row("set timeout reply", FROM, timeout, "from_device"),
+            *(
+                Row(f"{n} reply", FROM, (const(code), *fields), "from_device")
+                for n, (code, fields) in WRITTEN.items()
+            ),
+            Row("id", FROM, (const(CAN_ID), unused(8), uint("reading"), *its_id), "from_device"),
             Row("motion reply", MOVED, (uint("motor"), *moved), "from_device", "big", sent=8, fewest=6),
         )
     )

@@ -78,7 +78,10 @@ def spec(device: Device) -> Spec:
         receives_also=((EXTENDED_BIT | 0xFE, EXTENDED_BIT | 0x1F0000FF),) if options.scan else (),
         **options.gains.of_spec() if options.mode == "mit" else {},
         scales={"model": ""},
-        **fed_by_any_frame(round(options.timeout_ms * MILLISECOND)),
+        **fed_by_any_frame(
+            round(options.timeout * MILLISECOND),
+            "" if rs.MODELS[options.model].timeout else f"a {options.model} has no watchdog that works",
+        ),
     )
 
 

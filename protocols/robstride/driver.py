@@ -41,8 +41,8 @@ class RobStrideAdapter(RegisterAdapter):
 
     def written(self, options: Options) -> Mapping[str, float]:
         wanted: dict[str, float] = {"run_mode": options.run_mode}
-        timeout = {rs.MODELS[options.model].timeout: round(options.timeout_ms * rs.PER_MS)}
-        wanted |= timeout if options.timeout_ms else {}
+        timeout = {rs.MODELS[options.model].timeout: round(options.timeout * rs.PER_MS)}
+        wanted |= timeout if options.timeout else {}
         wanted |= {rs.SET_POINT[options.run_mode]: 0.0} if options.run_mode else {}
         return wanted | ({"limit_spd": options.max_velocity} if options.mode == "position" else {})
 
@@ -74,7 +74,7 @@ class RobStrideAdapter(RegisterAdapter):
             return (Rx.IGNORED,)
         match decoded.name:
             case "status" | "report" if values["mode"] in MODES:
-                return (self._state(t, host, values),)
+                return (self._state(t, host, values, asked=decoded.name == "status"),)
             case "register" if not values["failed"]:
                 name, value = rs.REGISTERS.value(values["number"], values["value"])
                 if value is None:
@@ -94,7 +94,7 @@ class RobStrideAdapter(RegisterAdapter):
                 return (Report(host, address),)
         return (Rx.MALFORMED,)
 
-    def _state(self, t: Nanos, host: Host[Motor], values: Values) -> Report[Motor]:
+    def _state(self, t: Nanos, host: Host[Motor], values: Values, *, asked: bool) -> Report[Motor]:
         host.own.reported(t)
         mode, detail = MODES[values["mode"]]
         detail += rs.warnings_in_message(int(host.own.known.get(WARNINGS, 0)))
@@ -105,7 +105,7 @@ class RobStrideAdapter(RegisterAdapter):
         # Its position loops at ±4π, or ends there: mechPos has it.
         motion = values["velocity"], values["torque"]
         feedback = Feedback(host.name, t, None, *motion, None, None, values["temperature"])
-        return Report(host, host.address, mode, detail, faults, feedback)
+        return Report(host, host.address, mode, detail, faults, feedback, content=asked)
 
     # -- sent -----------------------------------------------------------------------------------------
 
@@ -154,3 +154,9 @@ class RobStrideAdapter(RegisterAdapter):
         if host is not None and isinstance(request, msg.ClearFault):
             host.report_again()  # what a fault message had: no other says that it is gone
         return super().begin(now, request, host, driver)
+
+    def answer(self, t: Nanos, pending: Pending[Motor], report: Report[Motor]) -> msg.Event | None:
+        # A save is answered by a status, as is nothing else that is sent to a motor that is not commanded.
+        if getattr(pending.request, "parameter", "") == self.save and report.content is True:
+            return pending.done(t)
+        return super().answer(t, pending, report)

@@ -37,7 +37,8 @@ class Options:
     """A scan may ask all addresses, in 29-bit ids that motors of other makes obey. Set it to false for all
     RobStride motors on a bus that they share with such."""
     timeout_ms: float = bounded(100.0, 0.0, 5000.0)
-    """Of the motor's watchdog, written before it is enabled; 0: not written, and it counts as having none."""
+    """Of the motor's watchdog, written before it is enabled; 0: not written, and it counts as having none. A
+    CyberGear has none, whatever is written here."""
     feedback_ms: int = bounded(10, 1, 1000)
     """Period of questions to a motor that is not commanded."""
     offline_ms: int = bounded(100, 20, 10_000)
@@ -48,6 +49,11 @@ class Options:
         given = (("stiffness", self.stiffness, most.stiffness), ("damping", self.damping, most.damping))
         text = "{} is {:g}: at most {:g} for " + self.model
         check_bounds(self, [text.format(*each) for each in given if each[1] > each[2]])
+
+    @property
+    def timeout(self) -> float:
+        """ms of the watchdog; 0: none"""
+        return self.timeout_ms if rs.MODELS[self.model].timeout else 0.0
 
     @property
     def run_mode(self) -> int:
@@ -70,7 +76,7 @@ class Settings:
     """Configuration of the motor; its model is that of the options."""
 
     timeout_ms: float = bounded(0.0, 0.0, 100_000.0)
-    """canTimeout as saved; 0: no watchdog"""
+    """canTimeout as saved; 0: no watchdog, which a CyberGear never has"""
     serial: int = bounded(0, 0, 0xFFFF_FFFF)
     """Lower half of its unique identifier; 0: the address"""
     # Registers of the same name: A, N·m, rad/s, rad/s² … 0.0 of the limits: the model's largest.

@@ -1,7 +1,8 @@
 """The messages, registers, models and faults of RobStride actuators and of their dialect, the CyberGear.
 
 Sources: RobStride/Product_Information@ba7236b (user manuals of 2026-04-28, §3.3 and §4), robstride-dynamics
-0.0.1, robstride 0.1.0; of the CyberGear belovictor/cybergear-docs@22c05e2 (the manual), pycybergear 1.0.0.
+0.0.1, robstride 0.1.0; of the CyberGear belovictor/cybergear-docs@22c05e2 (the manual), pycybergear 1.0.0,
+python-cybergear 0.1.2.
 Numbers are scaled by the ends of the model's ranges, so each model has a table of its own.
 """
 
@@ -22,6 +23,8 @@ HOST = 0xFD
 CYBERGEAR = "cybergear"
 PER_MS = 20
 """Counts of the watchdog's register."""
+REDUCTION = 7.75
+"""Turns of a CyberGear's rotor in one of its output shaft: register rotation counts them."""
 
 
 class Model(NamedTuple):
@@ -34,7 +37,7 @@ class Model(NamedTuple):
     damping: float = 5.0
     position: float = 12.57
     timeout: str = "canTimeout"
-    """Register of the watchdog."""
+    """Register of the watchdog; "": it has none."""
     goto: int = 5
     """run_mode of positions"""
 
@@ -48,7 +51,7 @@ MODELS: Mapping[str, Model] = {
     "RS05": Model(50.0, 5.5, 11.0),
     "RS06": Model(50.0, 36.0, 57.0, 5000.0, 100.0),
     "EL05": Model(50.0, 6.0, 11.0),
-    CYBERGEAR: Model(30.0, 12.0, 23.0, 500.0, 5.0, 12.5, "CAN_TIMEOUT", 1),
+    CYBERGEAR: Model(30.0, 12.0, 23.0, 500.0, 5.0, 12.5, "", 1),
 }
 
 
@@ -62,11 +65,12 @@ def _registers(kind: Type, names: str, *, writable: bool = True) -> list[Registe
 
 REGISTERS = Registers(
     *_registers("u8", "7005:run_mode 7029:zero_sta"),
-    *_registers("u32", "7028:canTimeout 200C:CAN_TIMEOUT"),
+    *_registers("u32", "7028:canTimeout"),
     *_registers("f32", "7006:iq_ref 700A:spd_ref 7016:loc_ref 700B:limit_torque 7017:limit_spd"),
     *_registers("f32", "7018:limit_cur 7010:cur_kp 7011:cur_ki 7014:cur_filt_gain 701E:loc_kp 701F:spd_kp"),
     *_registers("f32", "7020:spd_ki 7021:spd_filt_gain 7022:acc_rad 7024:vel_max 7025:acc_set"),
     *_registers("f32", "7019:mechPos 701A:iqf 701B:mechVel 701C:VBUS", writable=False),
+    *_registers("i16", "701D:rotation", writable=False),
 )
 SET_POINT = {1: "loc_ref", 2: "spd_ref", 3: "iq_ref", 5: "loc_ref"}
 """The register that a run_mode obeys; 0 obeys set-points of five numbers."""
@@ -78,7 +82,7 @@ _NOT_CYBERGEAR = {SAVE, *(name for name, each in REGISTERS.by_name.items() if ea
 
 def parameters_of(model: str) -> tuple[str, ...]:
     """Return the names of the registers that a model has, and SAVE if it can."""
-    missing = _NOT_CYBERGEAR if model == CYBERGEAR else {"CAN_TIMEOUT"}
+    missing = _NOT_CYBERGEAR if model == CYBERGEAR else {"rotation"}
     return tuple(name for name in (*REGISTERS.by_name, SAVE) if name not in missing)
 
 
@@ -180,12 +184,13 @@ def table_of(model: str, position: float = 0.0, velocity: float = 0.0, torque: f
     version = const(0x00C4, 16), const(0x56), uint("version", 32), unused(8)
 
     rows = (
-        Row("get_id", _to(0), (unused(64),), read_only=True),
+        Row("get_id", _to(0), (unused(64),), fewest=0, read_only=True),
         Row("control", (const(1, 5), force, uint("address")), tuple(four), order="big"),
         Row("enable", _to(3), (unused(64),)),
         Row("clear", _to(4), (const(1), unused(56))),
         Row("disable", _to(4), (unused(64),)),
         Row("zero", _to(6), (const(1), unused(56))),
+        Row("set_id", (const(7, 5), uint("id"), unused(8, HOST), uint("address")), (unused(64),), fewest=0),
         Row("read", _to(17), register, read_only=True),
         Row("write", _to(18), register),
         Row("id", _from(0, unused(8), to=const(0xFE)), (uint("serial", 64),), "from_device"),
@@ -195,11 +200,10 @@ def table_of(model: str, position: float = 0.0, velocity: float = 0.0, torque: f
         Row("fault", _from(21, unused(8)), (uint("faults", 32), uint("warnings", 32)), "from_device"),
         Row("report", _from(24, *state), status, "from_device", "big"),
     )
-    # To a CyberGear, type 22 is a bit rate.
-    save = (
-        () if model == CYBERGEAR else (Row("save", _to(22), (const(0x0102030405060708, 64),), order="big"),)
-    )
-    return Table(replace(row, extended=True) for row in (*rows, *save))
+    # To a CyberGear, type 22 is a bit rate; type 20, which its manual does not have, is python-cybergear's.
+    save = Row("save", _to(22), (const(0x0102030405060708, 64),), order="big")
+    brake = Row("emergency_stop", _to(20), (unused(64),), fewest=0)
+    return Table(replace(row, extended=True) for row in (*rows, brake if model == CYBERGEAR else save))
 
 
 ANY = table_of("RS01")

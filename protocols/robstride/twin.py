@@ -43,7 +43,7 @@ class Memory:
         if decoded.address != self.address:
             return ()
         match name:
-            case "enable" | "disable" | "clear":
+            case "enable" | "disable" | "clear" | "emergency_stop":
                 self.enabled = name == "enable"
                 if self.enabled:
                     return msg.Arm(motor), self._goal()
@@ -52,6 +52,9 @@ class Memory:
                 return (msg.Zero(motor),)
             case "save":
                 return (msg.WriteParameter(motor, rs.SAVE, 1.0),)
+            case "set_id":
+                self.address = values["id"]
+                return (msg.Kept(motor, name, float(self.address)),)
             case "control" if not self.registers["run_mode"]:
                 five = commanded(motor, values)
                 return (five,) if self.enabled else waiting(self.options.gains.canonical(five))
@@ -86,7 +89,7 @@ def memory_of(device: Device) -> Memory:
     stored = {name: float(getattr(settings, name)) for name in STORED if name in registers}
     stored["limit_torque"] = settings.limit_torque or ends.torque
     stored["limit_cur"] = settings.limit_cur or ends.current
-    stored[ends.timeout] = round(settings.timeout_ms * rs.PER_MS)
+    stored |= {ends.timeout: float(round(settings.timeout_ms * rs.PER_MS))} if ends.timeout else {}
     return Memory(device.name, device.address, device.options, registers | stored)
 
 
@@ -96,14 +99,16 @@ class RobStrideTwin(ServoFirmware):
     def __init__(self, device: Device, seed: int) -> None:
         self.model: str = device.options.model
         super().__init__(device, seed, Gains(torque_limit=rs.MODELS[self.model].torque))
+        self.gains = self.servo.gains
         self.memory = memory_of(device)
+        self._tune()
         self.host = 0
         """Who sent a message last: whom answers are for. A set-point does not say who sent it."""
         self.table: Table = device.options.table
         self.faults = rs.faults_of(self.model)
 
     def timeout(self) -> Nanos:
-        timeout = milliseconds(self.memory.registers[rs.MODELS[self.model].timeout] / rs.PER_MS)
+        timeout = milliseconds(self.memory.registers.get("canTimeout", 0.0) / rs.PER_MS)
         return timeout if self.mode is Mode.ARMED else 0
 
     def _frame(self, name: str, **values: Any) -> Frame:  # noqa: ANN401 -- numbers
@@ -124,13 +129,14 @@ class RobStrideTwin(ServoFirmware):
             return
         for obeyed in memory.obey(decoded):
             self.obey(t, obeyed)
+        if decoded.name == "write":
+            self._tune()
         if isinstance(frame, CanFrame) and decoded.name != "control":
             self.host = frame.id >> 8 & 0xFF
-        self.fastest, self.strongest = memory.registers["limit_spd"], memory.registers["limit_torque"]
         self.feed(t)
         match decoded.name:
-            case "get_id":
-                serial = 0x5253_0000_0000_0000 | (self.settings.serial or memory.address)
+            case "get_id" | "set_id":
+                serial = 0x5253_0000_0000_0000 | (self.settings.serial or self.device.address)
                 self.reply(t, self.table.encode("id", memory.address, serial=serial))
                 return
             case "read":
@@ -140,9 +146,25 @@ class RobStrideTwin(ServoFirmware):
             self.reply(t, self._frame("fault", faults=1 << self.fault - rs.DETAIL, warnings=0))
         self.reply(t, self._status())
 
+    def _tune(self) -> None:
+        """Take over the limits and gains of the loops: ours are to those as delivered what its own are."""
+        registers, ends = self.memory.registers, rs.MODELS[self.model]
+        mode, current = int(registers["run_mode"]), registers["limit_cur"] * ends.torque / ends.current
+        self.strongest = min(registers["limit_torque"], current if mode else math.inf)
+        planned = mode == 1 and "vel_max" in registers
+        self.fastest = registers["vel_max" if planned else "limit_spd"] if mode in (1, 5) else math.inf
+        pace = {1: "acc_set", 2: "acc_rad"}.get(mode, "")
+        self.speed_up = self.slow_down = registers.get(pace, math.inf)
+        shares = (registers[name] / getattr(_AS_DELIVERED, name) for name in ("loc_kp", "spd_kp", "spd_ki"))
+        self.servo.tune(self.gains.scaled(*shares))
+
     def _register(self, number: int) -> Frame:
         register, values = rs.REGISTERS.by_number.get(number), self.memory.registers
-        values = values | {"mechPos": self.encoder.position, "mechVel": self.encoder.velocity}
+        position, turns = self.encoder.position, self.encoder.position / math.tau * rs.REDUCTION
+        values = values | {"mechPos": position, "mechVel": self.encoder.velocity, "rotation": int(turns)}
         known = register is not None and register.name in self.memory.registers
         raw = rs.REGISTERS.raw(register.name, values[register.name]) if register is not None and known else 0
         return self._frame("register", failed=not known, number=number, value=raw)
+
+
+_AS_DELIVERED = Settings()

@@ -57,10 +57,12 @@ def declared(values: Mapping[str, float]) -> Written:
     return {name: (value,) for name, value in values.items()}
 
 
-def fed_by_any_frame(timeout: Nanos | None) -> dict[str, Any]:
-    """Return the fields of the spec of a motor whose watchdog any frame feeds; 0 or None: without one."""
-    note = "" if timeout else "it has no watchdog (timeout_ms = 0): without a host its last command goes on"
-    watchdog = Watchdog(timeout, bool(timeout), note, "any frame")
+def fed_by_any_frame(timeout: Nanos | None, why: str = "") -> dict[str, Any]:
+    """Return the fields of the spec of a motor whose watchdog any frame feeds; 0 or None: without one, and
+    `why`, if not by its options."""
+    why = why or "it has no watchdog (timeout_ms = 0)"
+    note = "" if timeout else f"{why}: nothing stops it, without a host its last command goes on"
+    watchdog = Watchdog(timeout or None, bool(timeout), note, "any frame")
     return {"watchdog": watchdog, "holds_unattended": not timeout}
 
 

@@ -199,12 +199,17 @@ class ServoFirmware(Firmware):
         """rad/s on the way to a position"""
         self.strongest = math.inf
         """N·m"""
+        self.speed_up = self.slow_down = math.inf
+        """rad/s² by which the loop for velocity follows what it is told"""
+        self._pace: float | None = None
+        """rad/s that this loop is told now; None: it begins at that of the shaft."""
 
     def obey(self, t: Nanos, obeyed: Obeyed) -> None:
         """Do what a frame means to this device."""
         match obeyed:
             case msg.Arm() if self.arm(t):
                 self.servo.reset()
+                self._pace = None
             case msg.Idle():
                 self.disarm()
             case msg.ClearFault():
@@ -229,13 +234,24 @@ class ServoFirmware(Firmware):
             return 0.0
         match self.goal:
             case msg.Position(_, wanted, forward, torque):
-                torque += servo.move(dt, wanted, forward, self.fastest, encoder)
+                ahead = wanted - encoder.position
+                speed = servo.towards(ahead, forward, self.fastest, self.slow_down)
+                torque += servo.turn(dt, self._paced(dt, speed), encoder.velocity)
             case msg.Velocity(_, wanted, torque):
-                torque += servo.turn(dt, wanted, encoder.velocity)
+                speed = self._paced(dt, clamp(wanted, self.fastest))
+                torque += servo.turn(dt, speed, encoder.velocity)
             case msg.Impedance() as goal:
-                torque = servo.spring(goal, encoder)
+                torque, self._pace = servo.spring(goal, encoder), None
             case msg.Torque(_, torque):
-                pass
+                self._pace = None
             case _:
                 return 0.0
         return clamp(torque, min(self.strongest, servo.gains.torque_limit))
+
+    def _paced(self, dt: float, wanted: float) -> float:
+        """Return the velocity that the loop is told on the way to this one [rad/s]."""
+        pace = self.encoder.velocity if self._pace is None else self._pace
+        faster = abs(wanted) > abs(pace) and wanted * pace >= 0.0
+        limit = self.speed_up if faster else self.slow_down
+        self._pace = wanted if limit == math.inf else pace + clamp(wanted - pace, limit * dt)
+        return self._pace

@@ -296,6 +296,11 @@ class Host(Generic[Own]):
         """True if it is, or may be, armed."""
         return self.owned or self.mode is Mode.ARMED
 
+    @property
+    def sound(self) -> bool:
+        """True if it is armed, and has no fault."""
+        return self.phase is Phase.ARMED and not self.active
+
     # -- cleared, lost, silent -----------------------------------------------------------------------
 
     def cleared(self, t: Nanos) -> list[Event]:

@@ -51,6 +51,8 @@ class Adapter(Generic[Own]):
     """A device is commanded before its mode and position are known: it holds by itself where it is."""
     needs_idle: tuple[type[Request], ...] = (msg.Zero, msg.Reboot, msg.WriteParameter)
     """Requests that are refused while a device is, or may be, armed."""
+    clearing_disarms: bool = False
+    """What clears faults disarms a device, too: it is not sent to one that is armed and has none."""
     clearing: Nanos = 0
     """Time for ClearFault: in it, faults that pass by themselves must have passed. 0: see `begin`."""
     zero_tolerance: float = 0.01
@@ -379,7 +381,7 @@ class MotorDriver(Generic[Own]):
             return ()
         return self.adapter.arm(now, host, command)
 
-    def _begin(self, now: Nanos, request: Request) -> Pending[Own] | msg.Refused:
+    def _begin(self, now: Nanos, request: Request) -> Pending[Own] | msg.Refused | msg.Done:
         if full := self.queue.full():
             return rq.refusal(now, request, full)
         for_all = isinstance(request, msg.Scan | msg.SetId)
@@ -392,6 +394,9 @@ class MotorDriver(Generic[Own]):
             return rq.refusal(now, request, f"{self.adapter.name} cannot do this, or knows no such motor")
         if host is not None and self.adapter.running(host) and isinstance(request, self.adapter.needs_idle):
             return rq.refusal(now, request, ARMED)
+        clears = isinstance(request, msg.ClearFault) and self.adapter.clearing_disarms
+        if host is not None and clears and host.sound:
+            return msg.Done(now, type(request).__name__, host.name, "it is armed: nothing to clear")
         begun = self.adapter.begin(now, request, host, self)
         if isinstance(begun, str):
             return rq.refusal(now, request, begun)

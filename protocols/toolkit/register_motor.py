@@ -97,6 +97,7 @@ class Motor:
 class RegisterAdapter(Adapter[Motor]):
     """The options of a device have `feedback_ms` and `offline_ms`."""
 
+    clearing_disarms = True
     registers: Registers
     serial: str = ""
     """Register that holds the serial number."""
@@ -254,7 +255,9 @@ class RegisterAdapter(Adapter[Motor]):
                 wrong = ""
         if wrong or host is None:
             return wrong
-        return Pending(request, host.name, now, now + ANSWER, now, host, (), RETRY)
+        # Its memory wears out: it is asked to save once.
+        again = ANSWER if getattr(request, "parameter", "") == self.save else RETRY
+        return Pending(request, host.name, now, now + ANSWER, now, host, (), again)
 
     def _who_is_there(self) -> list[Frame]:
         return [frame for at in self.addresses for frame in self.who(at)]

@@ -135,9 +135,9 @@ class RequestQueue(Generic[Own]):
         """Return why no other request can be begun, "" if one can."""
         return "too many requests are under way" if len(self.waiting) >= self.CAPACITY else ""
 
-    def add(self, begun: Pending[Own] | Refused) -> list[Refused]:
-        """Add a request that was begun; else return the refusal, to be reported."""
-        if isinstance(begun, Refused):
+    def add(self, begun: Pending[Own] | Refused | Done) -> list[Refused | Done]:
+        """Add a request that was begun; else return its answer, to be reported."""
+        if isinstance(begun, Refused | Done):
             return [begun]
         self.waiting = [*self.waiting, begun]
         return []

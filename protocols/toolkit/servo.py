@@ -85,6 +85,11 @@ class Gains:
     torque_limit: float = 10.0
     """N·m"""
 
+    def scaled(self, position: float, velocity: float, integral: float) -> Gains:
+        """Return these gains times so much each."""
+        loops = self.position * position, self.velocity * velocity, self.integral * integral
+        return Gains(*loops, self.torque_limit)
+
 
 @dataclass(slots=True)
 class Servo:
@@ -98,16 +103,22 @@ class Servo:
         """Empty the integrator."""
         self.integral = 0.0
 
+    def tune(self, gains: Gains) -> None:
+        """Take over other gains."""
+        self.gains = gains
+
     def turn(self, dt: float, velocity: float, measured: float) -> float:
         """Return the torque of the velocity loop."""
         error, gains = velocity - measured, self.gains
         self.integral = clamp(self.integral + gains.integral * error * dt, gains.torque_limit)
         return clamp(gains.velocity * error + self.integral, gains.torque_limit)
 
-    def move(self, dt: float, position: float, velocity: float, fastest: float, encoder: Encoder) -> float:
-        """Return the torque of the position loop around `velocity`, which is limited on the way."""
-        wanted = clamp(self.gains.position * (position - encoder.position) + velocity, fastest)
-        return self.turn(dt, wanted, encoder.velocity)
+    def towards(self, distance: float, velocity: float, fastest: float, slow_down: float) -> float:
+        """Return the velocity of the position loop around `velocity`, limited so that it can still end there
+        with this deceleration."""
+        if slow_down < math.inf:
+            fastest = min(fastest, math.sqrt(2.0 * slow_down * abs(distance)) + abs(velocity))
+        return clamp(self.gains.position * distance + velocity, fastest)
 
     def spring(self, goal: Impedance, encoder: Encoder) -> float:
         """Return the torque of a spring and damper."""

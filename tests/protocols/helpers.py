@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from protocols import messages as msg
 from protocols.conformance.bench import Shaft
 from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, Command, Event, Feedback, Nanos, Obeyed, Request, State
-from protocols.plugin import Device, Driver, Twin
+from protocols.plugin import Device, Driver, Plugin, Twin
 
 DriverKind = TypeVar("DriverKind", bound=Driver)
 TwinKind = TypeVar("TwinKind", bound=Twin)
@@ -80,6 +80,12 @@ class CanBench(Generic[DriverKind, TwinKind]):
             if self.to_device(frame):
                 for twin in self.twins:
                     twin.receive(self.now, frame)
+
+
+def bench_of(plugin: Plugin, *devices: Device) -> CanBench[Any, Any]:
+    """Return a bench with these devices, each on a shaft of 0.01 kg·m²."""
+    twins, shafts = [plugin.twin(each, 0) for each in devices], [Shaft(inertia=0.01) for _ in devices]
+    return CanBench(devices, plugin.driver(devices), twins, shafts)
 
 
 def of(kind: type[EventKind], events: Sequence[Event]) -> list[EventKind]:

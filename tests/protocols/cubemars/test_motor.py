@@ -8,10 +8,13 @@ from gateway import config
 from gateway.errors import ConfigError
 from protocols.cubemars import plugin
 from protocols.cubemars.options import Options
-from protocols.cubemars.table import MIT, SERVO
+from protocols.cubemars.table import MIT, SERVO, V3
+from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, Feedback, Mode, Position, Stop, Torque, Velocity
 from protocols.plugin import Device
+from protocols.toolkit.mit import NUMBERS
 from tests.gateway.rig import BENCH, Rig
+from tests.protocols.helpers import bench_of
 
 CUBEMARS = BENCH.replace('"odrive_can"', '"cubemars"').replace("gear = 8.0", "gear = 1.0")
 OPTIONS = '{ watchdog = "acknowledged" }'
@@ -25,7 +28,7 @@ def mode_of(bench: Rig) -> Mode:
     return bench.gateway.joints["left"].mode
 
 
-@pytest.mark.parametrize("mode", ["servo", "mit"])
+@pytest.mark.parametrize("mode", ["servo", "mit", "mit_v3"])
 def test_it_turns_and_goes_where_it_is_sent(mode: str) -> None:
     bench = rig(f'mode = "{mode}", damping = 5.0, sole_host = true')
     bench.run(0.3)
@@ -64,7 +67,13 @@ def test_a_wheel_turns_on_beyond_what_is_reported() -> None:
 
 
 def test_messages_of_the_other_mode_do_nothing() -> None:
-    for mode, frame in (("servo", MIT.encode("enter", 1)), ("mit", SERVO.encode("SET_RPM", 1, value=900))):
+    five = V3.encode("SET_MIT", 1, **dict.fromkeys(NUMBERS, 1.0))
+    others = (
+        ("servo", MIT.encode("enter", 1)),
+        ("mit", SERVO.encode("SET_RPM", 1, value=900)),
+        ("servo", five),
+    )
+    for mode, frame in others:
         device = Device("m", 1, plugin.options(mode=mode), plugin.settings())
         twin = plugin.twin(device, 0)
         twin.step(0, [])
@@ -85,6 +94,48 @@ def test_a_motor_that_can_never_start_is_a_caution_with_the_option_to_set(option
     bench.run(0.3)
     bench.run(0.3, Velocity("left", 1.0))
     assert (mode_of(bench) is Mode.ARMED) == starts
+
+
+@pytest.mark.parametrize(
+    ("mode", "temperature"), [("mit", -20), ("mit", 120), ("servo", -20), ("mit_v3", 120)]
+)
+def test_a_temperature_is_what_the_motor_measures(mode: str, temperature: int) -> None:
+    """In MIT mode the byte is 40 more."""
+    options = plugin.options(mode=mode, sole_host=True)
+    device = Device("m", 1, options, plugin.settings(temperature=temperature))
+    driver, twin = plugin.driver([device]), plugin.twin(device, 0)
+    seen = []
+    for ms in range(30):
+        for frame in driver.send(ms * MILLISECOND, [])[1]:
+            twin.receive(ms * MILLISECOND, frame)
+        replies = twin.step(ms * MILLISECOND, [Feedback("m", 0, 0.1, 0.0)])[1]
+        seen += [e for frame in replies for e in driver.receive(ms * MILLISECOND, frame)]
+    assert {each.temperature for each in seen if isinstance(each, Feedback)} == {temperature}
+
+
+def test_the_ramp_on_the_way_to_a_position_holds() -> None:
+    device = Device("m", 1, Options(max_acceleration=4.0), plugin.settings())
+    bench = bench_of(plugin, device)
+    bench.run(100)
+    bench.run(525, Position("m", 3.0))
+    assert 1.5 < bench.shaft.velocity < 2.3
+    bench.run(2500)
+    assert bench.shaft.position == pytest.approx(3.0, abs=0.05)
+
+
+@pytest.mark.parametrize("size", [4, 8])
+def test_set_points_may_be_padded(size: int) -> None:
+    twin = plugin.twin(Device("m", 1, Options(), plugin.settings()), 0)
+    twin.step(0, [])
+    twin.receive(1, CanFrame(0x301, bytes.fromhex("00001388").ljust(size, b"\0"), extended=True))
+    assert twin.step(MILLISECOND, [])[0][0].torque > 0.0
+
+
+def test_a_model_that_is_not_known_in_a_mode_is_refused() -> None:
+    for mode, model in (("mit_v3", "AK80-64"), ("mit", "AKE60-8")):
+        with pytest.raises(ValueError, match=f"no {model} is known in mode {mode}: one of AK10-9"):
+            plugin.options(mode=mode, model=model)
+    assert Options(mode="mit_v3", model="AKE60-8").gains.ranges()["Torque.torque"].high == 15.0
 
 
 def test_a_reply_with_the_motors_own_id_is_told_from_a_returned_command() -> None:

@@ -58,7 +58,8 @@ def frame_of(name: str) -> CanFrame:
 
 def test_no_vector_is_left_out() -> None:
     others = {"servo_set_origin_temp", "ak80-6v2_reply6", "servo_status_pos90.5deg_-1200erpm_-2.5A_41C"}
-    assert VECTORS.keys() == SENT.keys() | PLAIN.keys() | CONTROL.keys() | others
+    third = {"v3_mit_p1_v-2_kp50_kd1.5_t3", "v3_set_origin_8_bytes"}
+    assert VECTORS.keys() == SENT.keys() | PLAIN.keys() | CONTROL.keys() | others | third
 
 
 @pytest.mark.parametrize("name", SENT)
@@ -104,6 +105,20 @@ def test_set_points_of_mit_mode_are_obeyed_once_it_is_entered(name: str) -> None
     assert acts(decoder.decode(0, frame)) == []
 
 
+def test_set_points_of_firmware_v3() -> None:
+    device = replace(MIT_MOTOR, options=Options(mode="mit_v3"))
+    frame = frame_of("v3_mit_p1_v-2_kp50_kd1.5_t3")
+    assert device.options.table.encode("SET_MIT", 1, **FIVE) == frame
+    arms, obeyed = plugin.decoder([device]).decode(0, frame)
+    assert (arms, type(obeyed)) == (msg.Arm("m"), msg.Impedance)
+    row = device.options.table.row("SET_MIT")
+    for number, value in FIVE.items():
+        assert getattr(obeyed, number) == pytest.approx(value, abs=1.01 * row.field(number).step)
+    assert plugin.decoder([device]).decode(0, frame_of("v3_set_origin_8_bytes")) == [msg.Zero("m")]
+    for other in (MIT_MOTOR, SERVO_MOTOR, replace(device, address=2)):
+        assert plugin.decoder([other]).decode(0, frame) == []
+
+
 def test_a_set_point_is_never_a_word() -> None:
     """All numbers at their ends but one step of torque: the torque must not make it "exit"."""
     table = mit_table(12.5, 50.0, 18.0)
@@ -132,7 +147,7 @@ def test_what_a_motor_reports() -> None:
 def test_what_a_motor_replies_with_and_without_temperature_and_error() -> None:
     device = replace(MIT_MOTOR, options=Options(mode="mit", model="AK80-6"))
     six = frame_of("ak80-6v2_reply6")
-    for frame, temperature in ((six, None), (replace(six, data=six.data + b"\xf6\x00"), -10.0)):
+    for frame, temperature in ((six, None), (replace(six, data=six.data + b"\x1e\x00"), -10.0)):
         events = plugin.driver([device]).receive(0, frame)
         (feedback,) = [event for event in events if isinstance(event, Feedback)]
         # as mini-cheetah-motor-driver-socketcan 0.4.3 decodes it
