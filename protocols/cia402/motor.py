@@ -19,7 +19,7 @@ from protocols.cia402.faults import FOLLOWING_ERROR
 from protocols.cia402.memory import Memory
 from protocols.cia402.profile import Control, Mode, PowerState
 from protocols.cia402.settings import NEVER_FOLLOWING, Settings
-from protocols.toolkit.servo import Encoder, Trapezoid, clamp, lag
+from protocols.toolkit.servo import Encoder, Trapezoid, approach, clamp, lag
 
 STANDSTILL = 0.02
 """rad/s below which a shaft that is slowed down counts as at standstill."""
@@ -27,12 +27,6 @@ SLOW_DOWN, QUICK_RAMP = 1, 2
 """Option codes that slow down, the same plus 4 for quick stop: 1 by 6084, 2 by 6085, 3 at the current
 limit."""
 ENABLED = PowerState.OPERATION_ENABLED
-
-
-def approach(dt: float, value: float, goal: float, up: float, down: float) -> float:
-    """Return a value on its way to a goal: away from zero with slope `up`, towards it with `down`."""
-    faster = abs(goal) > abs(value) and goal * value >= 0.0
-    return value + clamp(goal - value, (up if faster else down) * dt)
 
 
 def lasting(dt: float, span: float | None, holds: bool) -> float | None:

@@ -4,8 +4,8 @@ Rules. Little-endian. The most negative value of an integer register, and NaN in
 that is None here; no number that is not finite is encoded (ValueError: our own mistake) or decoded. −0.0 and
 denormals become 0.0. What the firmware would obey of a malformed frame precedes the flaw, so `parse` returns
 that too, and whether the frame is well-formed; a malformed reply has no meaning. Sources:
-mjbots/moteus@db1a762 `docs/protocol/can.md`; extended identifiers and padding: moteus 1.1.1 `transport.py`,
-`transport_device.py`.
+mjbots/moteus@db1a762 `docs/protocol/can.md`, `fw/fdcan_micro_server.h` (formats of replies); extended
+identifiers and padding: moteus 1.1.1 `transport.py`, `transport_device.py`.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import NamedTuple, TypeAlias
 
 from protocols.frames import CanFrame
@@ -69,6 +70,12 @@ def make_frame(identifier: int, data: bytes) -> CanFrame:
     if size != len(data):
         data += b"\x50" * (size - len(data))
     return CanFrame(identifier, data, identifier > STANDARD_MAX, False, True, True)
+
+
+def make_reply(identifier: int, data: bytes, query: CanFrame) -> CanFrame:
+    """Return the reply to a query: in its format, unless that is classic and the data need CAN FD, and with a
+    rate switch only if the query had one."""
+    return replace(make_frame(identifier, data), fd=query.fd or len(data) > 8, brs=query.brs)
 
 
 def serial_of(uuid: bytes) -> int:

@@ -99,7 +99,7 @@ class MoteusTwin(Firmware):
                     break
                 data += piece
             identifier = codec.reply_id(self.memory.address, frame.id >> 8 & 0x7F, self.memory.prefix)
-            self.reply(t, codec.make_frame(identifier, data))
+            self.reply(t, codec.make_reply(identifier, data, frame))
 
     def _do(self, item: Obeyed | Subframe) -> list[Subframe]:
         """Do what is done at once. Returns what is replied to it."""

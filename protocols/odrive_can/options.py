@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -224,6 +225,19 @@ def saved(options: Options, settings: Settings) -> dict[int, int]:
         path: float(getattr(settings, SETTING_OF[path])) for path in registers.by_name if path in SETTING_OF
     }
     return {registers.by_name[path].number: registers.raw(path, value) for path, value in held.items()}
+
+
+def used(options: Options, settings: Settings, endpoints: Mapping[int, int]) -> Settings:
+    """Return the settings of a device whose endpoints hold this (bits); impossible ones change nothing."""
+    registers, before = options.registers(), saved(options, settings)
+    changed = (
+        registers.value(number, bits) for number, bits in endpoints.items() if before.get(number) != bits
+    )
+    held = {SETTING_OF[path]: value for path, value in changed if path in SETTING_OF and value is not None}
+    for name in sorted(held, key="enable_watchdog".__eq__):  # which needs a timeout
+        with suppress(ValueError):
+            settings = replace(settings, **{name: type(getattr(settings, name))(held[name])})
+    return settings
 
 
 def serial_of(settings: Settings, address: int) -> int:

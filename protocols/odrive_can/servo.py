@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from typing import Protocol
 
 from protocols.odrive_can.options import Settings
@@ -85,6 +86,17 @@ class Servo:
             self.gains[name] = abs(value) if "limit" in name or "max" in name else value
         most = self.settings.current_hard_max
         self.gains["current_soft_max"] = min(self.gains["current_soft_max"], most)
+
+    def use(self, settings: Settings) -> None:
+        """Use other settings of motor, encoder and limits from now on."""
+        s = self.settings = settings
+        self.encoder = replace(self.encoder, bandwidth=s.encoder_bandwidth)
+        self.stage = replace(
+            self.stage,
+            torque_constant=s.torque_constant,
+            bandwidth=s.current_bandwidth,
+            resistance=s.phase_resistance,
+        )
 
     def start(self) -> None:
         """Arm: the present position is the set-point, the integrator empty."""

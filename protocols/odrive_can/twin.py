@@ -22,7 +22,7 @@ from protocols.asked import set_id, waiting
 from protocols.frames import CanFrame, Frame
 from protocols.messages import SECOND, Nanos, Obeyed
 from protocols.odrive_can import errors, table
-from protocols.odrive_can.options import SETTING_OF, Settings, firmware_of, line_of, saved, serial_of
+from protocols.odrive_can.options import SETTING_OF, Settings, firmware_of, line_of, saved, serial_of, used
 from protocols.odrive_can.servo import GAINS, Servo, gains_of
 from protocols.odrive_can.table import BROADCAST, CLOSED_LOOP, ControlMode, InputMode
 from protocols.plugin import Device
@@ -280,8 +280,14 @@ class OdriveTwin(Firmware):
         """The state that is a procedure, while it runs; the shaft is not turned by it."""
         self.procedure_until: Nanos = 0
         self.disarm_reason = 0
+        self.use(device.settings)
+
+    def use(self, settings: Settings) -> None:
+        """Use these settings from now on; its gains are as last set."""
+        self.settings = settings
+        self.servo.use(settings)
         sent = {row.name for row in self.table.rows if row.direction == "from_device"}
-        periods = {name: getattr(self.settings, key) for name, key in CYCLIC.items() if name in sent}
+        periods = {name: getattr(settings, key) for name, key in CYCLIC.items() if name in sent}
         self._periods = {name: milliseconds(period) for name, period in periods.items() if period}
 
     # -- the firmware's own ---------------------------------------------------------------------------
@@ -354,6 +360,7 @@ class OdriveTwin(Firmware):
         self, t: Nanos, node: int, gains: Mapping[str, float], endpoints: Mapping[int, int]
     ) -> None:
         """Restart with what was saved: silent at first, and disarmed."""
+        self.use(used(self.device.options, self.device.settings, endpoints))
         self.restart(t, milliseconds(self.settings.reboot_ms))
         self.memory = memory(self.device, node, endpoints)
         # An absolute encoder knows its position within one turn only.
@@ -468,13 +475,15 @@ class Twin06(OdriveTwin):
             self._on_endpoint(t, decoded.values["Endpoint_ID"], written=decoded.name == "RxSdo")
 
     def _on_endpoint(self, t: Nanos, number: int, *, written: bool) -> None:
-        """Reply with what an endpoint holds; before 0.6.11 not to a write. A gain takes effect at once; what
-        else is written is kept, and nothing more."""
+        """Reply with what an endpoint holds; before 0.6.11 not to a write. A setting that is known here takes
+        effect at once; what else is written is kept, and nothing more."""
         registers, held = self.memory.registers, self.memory.endpoints.get(number, 0)
         name, value = registers.value(number, held)
         gain = SETTING_OF.get(name, name.rpartition(".")[2])
         if gain in self.servo.gains and written and value is not None:
             self.servo.configure([(gain, value)])
+        elif written and name in SETTING_OF:
+            self.use(used(self.device.options, self.device.settings, self.memory.endpoints))
         elif gain in self.servo.gains:
             held = registers.raw(name, self.servo.gains[gain])
         if not written or self._version >= [0, 6, 11]:

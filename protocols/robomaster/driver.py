@@ -4,7 +4,8 @@ Rules. Four controllers share one frame, with a current for each: a frame is mad
 the currents that were given in this step; one that was given none gets 0, which lets go. A frame goes out
 only if one of its four was given something. No word enables a controller, and no report says that it is
 driven: it counts as armed while it was last sent a current other than 0, and when it measures one that we did
-not send. Released, it is sent 0 for the time in which its timeout lets it go, whatever it received.
+not send. Released, it is sent 0 for the time in which its timeout lets it go, whatever it received; and from
+then on again and again, if it was ever commanded: a late frame may drive it with less than can be told.
 """
 
 from __future__ import annotations
@@ -20,12 +21,14 @@ from protocols.plugin import Device
 from protocols.robomaster import table as rm
 from protocols.robomaster.options import Options
 from protocols.toolkit.duplicates import ShaftCheck
-from protocols.toolkit.host import Host, Report, Timing
-from protocols.toolkit.motor_driver import Adapter, MotorDriver, Pending, Rx
+from protocols.toolkit.host import Host, Phase, Report, Timing
+from protocols.toolkit.motor_driver import NEVER, Adapter, MotorDriver, Pending, Rx
 from protocols.toolkit.table import Values
 
 CLEARED: Nanos = 1000 * MILLISECOND
 """Time in which an error must have passed after ClearFault"""
+AGAIN: Nanos = 50 * MILLISECOND
+"""Period of 0 to a controller that was commanded once, and is not now"""
 APART = 0.5
 """rad by which the positions of two rotors differ at least, to be noticed as two"""
 
@@ -159,6 +162,15 @@ class RoboMasterAdapter(Adapter[Controller]):
     def release(self, now: Nanos, host: Host[Controller]) -> Sequence[Frame]:
         self.given[host.name] = 0
         return ()
+
+    def poll(self, now: Nanos, host: Host[Controller]) -> Sequence[Frame]:
+        if now >= self.poll_due(host):
+            self.given.setdefault(host.name, 0)
+        return ()
+
+    def poll_due(self, host: Host[Controller]) -> Nanos:
+        rests = host.once_commanded and host.phase not in (Phase.ARMING, Phase.ARMED)
+        return host.own.sent_at + AGAIN if rests else NEVER
 
     def poll_bus(self, now: Nanos) -> Sequence[Frame]:
         given, self.given = self.given, {}

@@ -17,6 +17,12 @@ def clamp(value: float, limit: float) -> float:
     return max(-limit, min(limit, value))
 
 
+def approach(dt: float, value: float, goal: float, up: float, down: float) -> float:
+    """Return a value on its way to a goal: away from zero with slope `up`, towards it with `down`."""
+    faster = abs(goal) > abs(value) and goal * value >= 0.0
+    return value + clamp(goal - value, (up if faster else down) * dt)
+
+
 def lag(dt: float, bandwidth: float) -> float:
     """Return the share of a step that a first-order lag [rad/s] has followed after dt."""
     return -math.expm1(-bandwidth * dt)

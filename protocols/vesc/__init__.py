@@ -31,6 +31,17 @@ def ranges(options: Options) -> dict[str, Range]:
     }
 
 
+def caution(options: Options) -> str:
+    """Return what it does not do below its least velocity; "": it has none."""
+    if not options.min_erpm:
+        return ""
+    slowest = options.min_erpm * options.erpm
+    return (
+        f"at less than {slowest:.3g} rad/s (min_erpm) it lets go of its velocity and shorts its phases: that "
+        "damps, and holds no load; at rest it does not start"
+    )
+
+
 def spec(device: Device) -> Spec:
     """Return the contract of one controller. Raises ValueError if its address cannot be one."""
     options, settings = device.options, device.settings
@@ -53,7 +64,8 @@ def spec(device: Device) -> Spec:
         faults=FAULTS,
         stop=(TABLE.encode("SET_CURRENT", device.address, value=0.0),),
         obeys_also=TABLE.ids("to_device", EVERY),
-        scales=dict.fromkeys(("pole_pairs", "torque_constant"), ""),
+        scales=dict.fromkeys(("pole_pairs", "torque_constant", "min_erpm"), ""),
+        caution=caution(options),
     )
 
 

@@ -219,7 +219,7 @@ class VescAdapter(Adapter[Controller]):
         return answers.sent(now, (self._get("fault", host), self._get("state", host)))
 
     def _get(self, name: str, host: Host[Controller]) -> Frame:
-        return vt.TABLE.encode(f"get {name}", host.address, host=host.options.host_id, reply=0)
+        return vt.TABLE.encode(f"get {name}", host.address, host=host.options.host_id, mode=0)
 
     # -- requests -------------------------------------------------------------------------------------
 

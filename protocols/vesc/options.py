@@ -21,6 +21,9 @@ class Options:
     """A: Motor Current Max"""
     max_erpm: float = bounded(100_000.0, 100.0, 1e6)
     """ERPM: Max ERPM"""
+    min_erpm: float = bounded(0.0, 0.0, 1e6)
+    """ERPM: Minimum ERPM (as delivered 900). At slower set-points a controller that drives shorts its phases:
+    that damps the shaft, and holds nothing; one that does not drive stays so."""
     idle_current: float = bounded(0.15, 0.0, 10.0)
     """A: what is measured beyond it drives the motor"""
     timeout_ms: int = bounded(300, 20, 3000)
@@ -57,12 +60,10 @@ class Settings:
 
     status_messages: int = bounded(0b011001, 0, (1 << len(STATUS)) - 1)
     """A bit for each of STATUS_1, 2 …; as delivered 0: none is sent"""
-    idle_current: float = bounded(0.15, 0.0, 10.0)
-    """A: what is measured beyond it drives the motor"""
     timeout_ms: int = bounded(0, 0, 1_000_000)
     """0: that of the options"""
     min_erpm: float = bounded(0.0, 0.0, 1e6)
-    """Minimum ERPM: it coasts, or brakes, at slower set-points. As delivered 900."""
+    """0: that of the options"""
     supply: float = bounded(24.0, 5.0, 1000.0)
     """V"""
     resistance: float = bounded(0.1, 1e-3, 100.0)

@@ -64,12 +64,15 @@ def _values(bit: int) -> tuple[Field, ...]:
 
 
 def _reply(name: str, bit: int) -> Row:
-    fields = uint("address"), const(1), *_values(bit), uint("value")
+    fields = uint("address"), uint("mode"), *_values(bit), uint("value")
     return Row(name, _id(SHORT_BUFFER, "host"), fields, "from_device", "big")
 
 
-_SHORT = uint("host"), uint("reply")
-"""Before a command of the serial protocol: the address to reply to, and whether to."""
+REPLIES: Mapping[int, int | None] = {0: 1, 2: None, 3: 0}
+"""By the send mode of a command in a short buffer, that of the reply; None: it is not replied to. In another
+mode the receiver does not obey: it passes on what it takes for a reply (1), or drops it."""
+_SHORT = uint("host"), uint("mode")
+"""Before a command of the serial protocol: the address to reply to, and the send mode."""
 ROWS = (
     # The firmware reads a delay before the current; the vendor's page has it behind. Never sent here.
     _setter("SET_CURRENT delayed", 1, 1e-3, sint("delay", 16, 1e-3)),

@@ -3,13 +3,15 @@
 Rules. A drive is one node with two motors, and a twin is one motor: the two halves of a drive obey the same
 frames. The right one responds about its side, the left one about all else; on a CAN bus each receives what
 the other sends, and so has its faults. A half without another one responds about all. Only the velocity mode
-moves a motor; the loops inside are ours, and follow the target without ramps.
+moves a motor; the loops inside are ours. Its ramps are between 0 and the driver's largest velocity: no source
+says of which velocity the times are.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from protocols import messages as msg
 from protocols.asked import waiting
@@ -22,7 +24,7 @@ from protocols.frames import CanFrame, Frame
 from protocols.messages import MILLISECOND, Event, Mode, Nanos, Obeyed
 from protocols.plugin import Device
 from protocols.toolkit.firmware import ServoFirmware
-from protocols.toolkit.servo import Encoder, Gains
+from protocols.toolkit.servo import Encoder, Gains, approach
 from protocols.zlac8015d import table as z
 
 # fmt: off
@@ -140,6 +142,8 @@ class ZlacTwin(ServoFirmware):
         self.alone = True
         """There is no other half on the bus."""
         self.encoder = Encoder(device.options.counts / math.tau)
+        self.ramp = 0.0
+        """rad/s on the way to the target"""
         self.codes = dict.fromkeys(z.SIDES, 0)
         """Bits of object 603F."""
 
@@ -186,6 +190,24 @@ class ZlacTwin(ServoFirmware):
     def on_timeout(self) -> None:
         self.disarm()
         self.half.enter(z.OFF)
+
+    def cycle(self, now: Nanos, dt: float, position: float, velocity: float) -> float:
+        goal = self.goal
+        if self.mode is not Mode.ARMED or not isinstance(goal, msg.Velocity):
+            self.ramp = self.encoder.velocity
+            return super().cycle(now, dt, position, velocity)
+        self.ramp = approach(
+            dt, self.ramp, goal.velocity, self._slope(z.ACCELERATION), self._slope(z.DECELERATION)
+        )
+        self.goal = replace(goal, velocity=self.ramp)
+        torque = super().cycle(now, dt, position, velocity)
+        self.goal = goal
+        return torque
+
+    def _slope(self, index: int) -> float:
+        """Return a ramp, rad/s²."""
+        time = self.half.node.dictionary.values[index, self.half.side]
+        return 1000.0 * self.device.options.max_rpm * z.RPM / time if time else math.inf
 
     def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[msg.Torque], Sequence[Frame]]:
         torques, _ = super().step(now, truth)

@@ -33,7 +33,7 @@ def test_players_play_as_a_straight_replay(tmp_path: Path, monkeypatch: pytest.M
         name = ROBOTS[number % len(ROBOTS)]
         path = tmp_path / f"{number}.mcap"
         recording = record(name, path, 3.0)
-        plays_as_a_straight_replay(recording, tmp_path / "cache", seed * count + number, moves=60)
+        plays_as_a_straight_replay(recording, tmp_path / "cache", seed * 1_000_003 + number, moves=60)
         path.unlink()
         return name
 

@@ -649,6 +649,7 @@ SCALED = (
     ("diffbot", "gear = 8.0", "gear = 1"),
     ("diffbot_vesc", "pole_pairs = 15", "options.pole_pairs = 7"),
     ("diffbot_vesc", "torque_constant = 0.5", "options.torque_constant = 0.05"),
+    ("diffbot_vesc", "min_erpm = 0.0", "options.min_erpm = 0.0"),
     ("diffbot_robstride", 'model = "RS02"', 'options.model = "RS02"'),
     ("diffbot_robomaster", 'model = "C620"', 'options.model = "C620"'),
     ("diffbot_cubemars", "pole_pairs = 21", "options.pole_pairs = 21"),

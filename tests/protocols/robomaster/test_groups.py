@@ -96,6 +96,27 @@ def test_a_slot_of_no_motor_of_ours_is_zero() -> None:
     assert sent(driver, MILLISECOND, torques(m2=50, m4=60)) == {0x200: [0, 50, 0, 60]}
 
 
+def test_a_late_torque_that_is_too_small_to_be_told_is_ended() -> None:
+    """0.016 N·m are 0.02 A of a GM6020: less than `idle_current`, and obeyed until its timeout, 500 ms."""
+    device = Device("m", 1, Options(model="GM6020"), Settings())
+    driver, twin = plugin.driver([device]), plugin.twin(device, 0)
+    up: Sequence[Frame] = ()
+    late = TABLE.encode("0x1FE", first=118, second=0, third=0, fourth=0)
+    obeyed = []
+    for ms in range(2000):
+        now = ms * MILLISECOND
+        for frame in up:
+            driver.receive(now, frame)
+        command = msg.Torque("m", 0.1) if ms < 100 else msg.Idle("m")
+        down = [*driver.send(now, [command])[1], *([late] if ms == 1500 else [])]
+        for frame in down:
+            twin.receive(now, frame)
+        (torque,), up = twin.step(now, [Feedback("m", now, 0.0, 0.0)])
+        obeyed += [ms] if torque.torque and ms >= 100 else []
+    assert obeyed
+    assert (obeyed[0], obeyed[-1] < 1550) == (1500, True)
+
+
 @pytest.mark.parametrize("address", [0, 9])
 def test_an_id_that_a_controller_cannot_have(address: int) -> None:
     with pytest.raises(ValueError, match="it must be 1 to 8"):

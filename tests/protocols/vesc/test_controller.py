@@ -3,11 +3,18 @@ what moves. Ids that collide."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import pytest
 
 from gateway import config
 from gateway.errors import ConfigError
-from protocols.messages import ClearFault, Mode, Position, Release, Stop, Velocity
+from protocols.conformance.bench import Shaft
+from protocols.frames import Frame
+from protocols.messages import MILLISECOND, ClearFault, Feedback, Mode, Position, Release, Stop, Velocity
+from protocols.plugin import Device
+from protocols.vesc import plugin
+from protocols.vesc.options import Options, Settings
 from tests.gateway.rig import BENCH, Rig, notes_in
 
 VESC = (
@@ -67,12 +74,47 @@ def test_a_timeout_longer_than_in_the_robot_file_is_a_fault_after_the_first_moti
 
 
 @pytest.mark.parametrize(("velocity", "turned"), [(5.0, 0.0), (7.0, 7.0)])
-def test_below_the_least_erpm_that_it_is_delivered_with_it_coasts(velocity: float, turned: float) -> None:
+def test_below_the_least_erpm_that_it_is_delivered_with_it_does_not_start(
+    velocity: float, turned: float
+) -> None:
     """900 ERPM with 15 pole pairs are 6.3 rad/s."""
     bench = rig(settings="{ min_erpm = 900.0 }")
     bench.run(0.3)
     bench.run(0.9, Velocity("left", velocity))
     assert bench.velocity("left") == pytest.approx(turned, abs=0.2)
+
+
+@pytest.mark.parametrize("velocity", [5.0, 0.0])
+def test_below_it_a_load_is_damped_and_not_held(velocity: float) -> None:
+    """0.1 N·m on a shaft with shorted phases: 0.1 N·m · R / k² = 4 rad/s."""
+    device = Device("left", 1, Options(min_erpm=900.0), Settings())
+    driver, twin, shaft = plugin.driver([device]), plugin.twin(device, 0), Shaft(friction=0.0)
+    frames: Sequence[Frame] = ()
+    for ms in range(1, 3000):
+        now = ms * MILLISECOND
+        for frame in frames:
+            driver.receive(now, frame)
+        given = Velocity("left", 20.0 if ms < 1500 else velocity)
+        for frame in driver.send(now, [given])[1]:
+            twin.receive(now, frame)
+        (torque,), frames = twin.step(now, [Feedback("left", now, shaft.position, shaft.velocity)])
+        shaft.load = 0.1
+        shaft.turn(torque.torque, MILLISECOND)
+        if ms == 1499:
+            assert shaft.velocity == pytest.approx(20.0, abs=0.1)
+    assert shaft.velocity == pytest.approx(0.1 * 0.1 / 0.05**2, rel=0.02)
+
+
+def test_what_it_does_below_it_is_said_at_every_start() -> None:
+    bench = rig("{ pole_pairs = 15, torque_constant = 0.05, min_erpm = 900.0 }")
+    said = [one for one in config.cautions(bench.robot) if "min_erpm" in one]
+    assert len(said) == 2
+    assert said[0].startswith("left: at less than 6.28 rad/s (min_erpm) it lets go of its velocity")
+    assert not [
+        one
+        for one in config.cautions(rig("{ pole_pairs = 15, torque_constant = 0.05, min_erpm = 0.0 }").robot)
+        if "erpm" in one
+    ]
 
 
 @pytest.mark.parametrize(
