@@ -14,6 +14,7 @@ import argparse
 import errno
 import logging
 import os
+import platform
 import sys
 from collections.abc import Sequence
 from contextlib import ExitStack, redirect_stderr, redirect_stdout
@@ -36,7 +37,7 @@ COMMANDS = {
     "twin": "simulate the devices of a robot, for another program to drive",
     "replay": "run a recording through the same code and compare every byte; or evaluate a ROS bag",
     "view": "show a running robot, or recordings, in a browser",
-    "recover": "repair a recording that was cut off or damaged",
+    "recover": "repair a recording, or an MCAP bag, that was cut off or damaged",
     "watch": "listen to buses or to a recording, without ever sending",
     "jog": "turn one motor slowly, as long as a key is held",
     "motor": "read, compare and restore what is configured on the motors",
@@ -47,6 +48,8 @@ COMMANDS = {
 }
 LIVE = ("demo", "run", "twin", "jog", "motor")
 """Those that must not wait for who reads their output: a robot would wait with them."""
+LINUX = (*LIVE, "view", "ask")
+"""Those that need what Linux alone has: SocketCAN, termios, real-time signals, /proc."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -68,6 +71,10 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _main(arguments: list[str]) -> int:
+    if arguments and arguments[0] in LINUX and platform.system() != "Linux":
+        rest = ", ".join(name for name in COMMANDS if name not in LINUX)
+        print(f"gateway {arguments[0]}: runs on Linux only; here do: {rest}", file=sys.stderr)
+        return 2
     options = parser(*arguments[:1]).parse_args(arguments)
     _set_log_level(options.verbose - options.quiet)
     try:

@@ -88,5 +88,5 @@ def test_a_simulated_drive(recording: Callable[[str], Path]) -> None:
     evaluation = evaluate(bag, robot)
     assert evaluation.driven == pytest.approx(24.81, abs=0.15)
     assert evaluation.end is not None
-    start, end = bag.odometry[0][1], bag.odometry[-1][1]
+    start, end = bag.odometry[0].pose, bag.odometry[-1].pose
     assert math.hypot(evaluation.end.x - (end.x - start.x), evaluation.end.y - (end.y - start.y)) < 0.25

@@ -91,9 +91,9 @@ def test_speeds_become_what_each_wheel_turned(tmp_path: Path) -> None:
 def test_poses_of_the_bag_are_for_comparison_alone(tmp_path: Path) -> None:
     place = Pose(3.0, -2.0, 2.5)
     bag = bag_of(tmp_path, odometry(at(100), 0.5, 0.0, place))
-    (t, pose) = bag.odometry[1]
-    assert (t, pose.x, pose.y) == (at(100), 3.0, -2.0)
-    assert pose.yaw == pytest.approx(2.5)
+    own = bag.odometry[1]
+    assert (own.t, own.pose.x, own.pose.y) == (at(100), 3.0, -2.0)
+    assert own.pose.yaw == pytest.approx(2.5)
     moved = [e.position for e in bag.events if isinstance(e, Feedback) and e.t == at(100)]
     assert moved == pytest.approx([0.25, 0.25])  # 0.05 / 2 m, whatever the pose is
 
