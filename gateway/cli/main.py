@@ -55,7 +55,7 @@ LINUX = (*LIVE, "view", "ask")
 def main(arguments: list[str] | None = None) -> int:
     """Run the `gateway` command and return its exit status."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # equal bytes ask for one order of sums
-    given = sys.argv[1:] if arguments is None else arguments
+    given = _command_first(sys.argv[1:] if arguments is None else arguments)
     with Path(os.devnull).open("w") as nothing, ExitStack() as stack:
         streams: Sequence[TextIO] = [stream or nothing for stream in (sys.stdout, sys.stderr)]
         stack.callback(_forget_unread, *streams)
@@ -70,6 +70,13 @@ def main(arguments: list[str] | None = None) -> int:
                 return INTERRUPTED
 
 
+def _command_first(arguments: list[str]) -> list[str]:
+    """Return the arguments with the command before what options precede it, as in `gateway -q demo`."""
+    at = next((i for i, one in enumerate(arguments) if not one.startswith("-")), 0)
+    before = [] if {"-h", "--help"} & {*arguments[:at]} else arguments[:at]
+    return [*arguments[at : at + 1], *before, *arguments[at + 1 :]] if before else arguments
+
+
 def _main(arguments: list[str]) -> int:
     if arguments and arguments[0] in LINUX and platform.system() != "Linux":
         rest = ", ".join(name for name in COMMANDS if name not in LINUX)
@@ -79,6 +86,11 @@ def _main(arguments: list[str]) -> int:
     _set_log_level(options.verbose - options.quiet)
     try:
         status: int = options.run(options)
+    except ModuleNotFoundError as error:
+        if platform.system() == "Linux":
+            raise
+        print(f"gateway {options.command}: this runs on Linux only ({error})", file=sys.stderr)
+        return 2
     except GatewayError as error:
         text = str(error)
         print(f"gateway {options.command}:", text, sep="\n" if "\n" in text else " ", file=sys.stderr)

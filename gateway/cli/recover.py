@@ -17,8 +17,8 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def run(options: Namespace) -> int:
-    """Write every complete tick, of a bag every message, to a new file; return 1 if there is none. FILE itself
-    is only read."""
+    """Write every complete tick, of a bag every message, to a new file; return 1 without any. FILE itself is
+    only read."""
     path: Path = options.file
     if options.out is None and is_whole(path):
         print(f"{path} is whole: nothing to recover, nothing written")

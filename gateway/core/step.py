@@ -22,7 +22,7 @@ from gateway.core.joint import Joint
 from gateway.core.tick import Inputs, Note, Outputs
 from protocols import messages as msg
 from protocols.frames import BusState, CanFrame, Frame, IdMask, IdSet, Packet, id_number
-from protocols.messages import Command, Event, Instruction, Mode, Nanos, Request, Task
+from protocols.messages import SECOND, Command, Event, Instruction, Mode, Nanos, Request, Task
 from protocols.plugin import Driver, RxCounters
 
 if TYPE_CHECKING:
@@ -45,6 +45,8 @@ OTHER_HOST = -11
 """Our own fault code: another host commands the device."""
 OVERHEARD = 8
 """Most frames of other hosts that a step reads, by bus."""
+REPEAT: Nanos = SECOND
+"""A refusal that comes again sooner is counted, not noted: a driver may refuse the command of every step."""
 
 LEFT_ARMED = "still armed: cut its supply"
 """The note on a motor that still reports being armed when the run has been left."""
@@ -113,6 +115,8 @@ class Gateway:
         self._failures: set[str] = set()
         """Of drivers without motors: each is noted once."""
         self._notes: list[Note] = []
+        self._refused: dict[tuple[str, str, str], tuple[Nanos, int]] = {}
+        """By request, name and reason: when the refusal was last noted, and how often it has come since."""
 
     # -- the step -----------------------------------------------------------------------------
 
@@ -313,8 +317,9 @@ class Gateway:
                 if request == msg.ClearFault.__name__ and name in self.joints:
                     self.joints[name].clear()
                 self._note("info", name or "operator", f"{request}: done{_in_brackets(detail)}")
-            case msg.Refused(_, request, name, reason):
-                self._note("warning", name or "operator", f"{request}: refused: {reason}")
+            case msg.Refused(t, request, name, reason):
+                if (more := self._again(t, (request, name, reason))) is not None:
+                    self._note("warning", name or "operator", f"{request}: refused: {reason}{more}")
             case msg.Parameter(motor, _, parameter, value):
                 self._note("info", motor, f"{parameter} = {value:g}")
             case msg.Found(_, protocol, address, serial, detail, duplicate):
@@ -322,6 +327,16 @@ class Gateway:
                 text = f"{protocol} at address {address}{number}{_in_brackets(detail)}"
                 text += "; more than one device holds this address" if duplicate else ""
                 self._note("warning" if duplicate else "info", "scan", text)
+
+    def _again(self, t: Nanos, refusal: tuple[str, str, str]) -> str | None:
+        """Return what to add to the note of a refusal; None if the same was noted within `REPEAT`."""
+        last, left_out = self._refused.get(refusal, (None, 0))
+        if last is not None and t - last < REPEAT:
+            self._refused[refusal] = last, left_out + 1
+            return None
+        self._refused = {key: value for key, value in self._refused.items() if t - value[0] < REPEAT}
+        self._refused[refusal] = t, 0
+        return f" ({left_out} times more in the meantime)" if left_out else ""
 
     # -- instructions -------------------------------------------------------------------------
 

@@ -296,7 +296,8 @@ def _windows(t: Floats, width: float, other: Floats, reach: float) -> Floats:
 
 
 def _integral(t: Floats, rate: Values) -> Values:
-    return np.concatenate(([0.0], np.cumsum(np.diff(t) * (rate[1:] + rate[:-1]) / 2.0)))
+    integral: Values = np.concatenate(([0.0], np.cumsum(np.diff(t) * (rate[1:] + rate[:-1]) / 2.0)))
+    return integral
 
 
 def _mean(t: Floats, integral: Values, at: Floats, width: float) -> Values:
