@@ -50,8 +50,10 @@ LIKE, WIDE = 0.5, 2.0
 """unless they have this share of their squares in common; and the windows [s] over which that is taken."""
 DIRECTION = 0.2
 """rad between the directions of twist and pose."""
-UNEXPLAINED = 0.1
+UNEXPLAINED = SCALE**2
 """Share of the motion's square that twist and pose may not have in common."""
+FRAME = 0.1
+"""Twists are in a fixed frame if there they leave less than this share of what they leave in the base's."""
 SIDEWAYS = 0.1
 """Share of its speed that a base which cannot move sideways may: a slip angle of 6 degrees."""
 SMOOTHED = 0.8
@@ -227,17 +229,19 @@ def _motion(moved: Complexes, body: Complexes, fixed: Complexes) -> list[str]:
         return [f"its poses move at {_rms(moved):.2g} m/s (RMS), and its twists at {_rms(body):.2g}"]
     blocks = _blocks(np.abs(moved) ** 2 + np.abs(body) ** 2)
     sums = _products(moved, body, blocks)
-    other = _residual(sums.sum(axis=0))
+    other, there = _residual(sums.sum(axis=0)), _residual(_product(moved, fixed))
+    if other > FRAME**2 and there < FRAME * other:
+        return ["its twists are in the frame of the odometry, not of the base"]
     if min(_without(sums, _residual)) > UNEXPLAINED:
-        there = _residual(_product(moved, fixed))
-        why = ": they are in the frame of the odometry, not of the base" if there < other / 4.0 else ""
-        return [f"its twists do not explain {100 * other**0.5:.0f} % of the motion of its poses{why}"]
+        return [f"its twists do not explain {100 * other**0.5:.0f} % of the motion of its poses"]
     found = []
     direction = np.conj(sums.sum(axis=0)[2])
     angle = -float(np.angle(direction))
     _, angle_error = _jackknife(sums, lambda total: float(np.angle(total[2] * direction)))
     if abs(angle) - SURE * angle_error > DIRECTION:
-        found.append(f"its twists point {degrees(angle):.0f} degrees to the left of the motion of its poses")
+        side = "left" if angle > 0.0 else "right"
+        text = f"its twists point {abs(degrees(angle)):.0f} degrees to the {side} of the motion of its poses"
+        found.append(text)
     return found + _scale(sums, "move")
 
 
@@ -292,7 +296,8 @@ def _windows(t: Floats, width: float, other: Floats, reach: float) -> Floats:
         gaps = np.diff(times)
         lost = np.concatenate(([0.0], np.cumsum(gaps * (gaps > max(GAP, 2.0 * width)))))
         kept &= np.interp(at + half, times, lost) == np.interp(at - half, times, lost)
-    return at[kept]
+    filled: Floats = at[kept]
+    return filled
 
 
 def _integral(t: Floats, rate: Values) -> Values:
@@ -303,7 +308,8 @@ def _integral(t: Floats, rate: Values) -> Values:
 def _mean(t: Floats, integral: Values, at: Floats, width: float) -> Values:
     """Return the mean rate over each window, from its integral."""
     half = width / 2.0
-    return (np.interp(at + half, t, integral) - np.interp(at - half, t, integral)) / width
+    mean: Values = (np.interp(at + half, t, integral) - np.interp(at - half, t, integral)) / width
+    return mean
 
 
 def _rms(values: Values) -> float:

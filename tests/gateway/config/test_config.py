@@ -41,7 +41,7 @@ ROVER = (
 def mistakes_in(text: str, find: Any = plugin.load, *, with_world: bool = False) -> list[str]:
     """The mistakes in a file called r.toml, one line each; [] if it is right."""
     try:
-        parse_robot(text, "r.toml", find, with_world=with_world)
+        parse_robot(text, "r.toml", find, file=Path("r.toml") if with_world else None)
     except ConfigError as error:
         return [str(mistake) for mistake in error.mistakes]
     return []

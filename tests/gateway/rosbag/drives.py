@@ -1,7 +1,9 @@
-"""Recordings of a drive by a base with wheels, gyro and GPS, by seed; and each way in which one contradicts itself.
+"""Recordings of a drive by a base with wheels, gyro and GPS, by seed; and the ways in which one contradicts
+itself.
 
-A drive varies in all that good recordings differ in: motion, rates, noise, delays, slip, twists that are means over
-a second. A lie changes what one topic says, by a magnitude; where that is small, a good recording may say it too.
+A drive varies in all that good recordings differ in: motion, rates, noise, delays, slip, twists that are
+means over a second. A lie changes what one topic says, by a magnitude; where that is small, a good recording
+may say it too.
 """
 
 from __future__ import annotations
@@ -291,7 +293,7 @@ CASES = {
     "whole seconds of the gyro": Case(coarse("sensors.imu"), (0.2, 0.5, 1.0), "when each was measured"),
     "whole seconds": Case(coarse("odometry"), (0.25, 0.5, 1.0), "when each was measured", "/odom (odometry)"),
     "the twist's size": Case(twist_factor, (0.5, 0.7, 1.4, 2.0, 3.6), "its twists move", "/odom (odometry)"),
-    "backwards": Case(twist_factor, (-1.0,), "180 degrees to the left", "/odom (odometry)"),
+    "backwards": Case(twist_factor, (-1.0,), "its twists point 1", "/odom (odometry)"),
     "no twist": Case(twist_factor, (0.0,), "and its twists at 0", "/odom (odometry)"),
     "the twist's turn": Case(turn_factor, (0.5, 0.7, 1.4, 2.0), "its twists turn", "/odom (odometry)"),
     "turn in degrees": Case(turn_factor, (math.degrees(1.0),), "degrees for radians?", "/odom (odometry)"),
@@ -300,6 +302,6 @@ CASES = {
     "in the odometry's frame": Case(
         twist_in_odom, (0.0,), "in the frame of the odometry", "/odom (odometry)"
     ),
-    "in another frame": Case(twist_turned, (-1.5, 0.4, 1.5), "degrees to the left", "/odom (odometry)"),
+    "in another frame": Case(twist_turned, (-1.5, 0.4, 1.5), "its twists point", "/odom (odometry)"),
     "a base that slides": Case(slides, (-0.6, 0.15, 0.3), "it moves sideways", "/odom (odometry)"),
 }
