@@ -118,10 +118,6 @@ def parse_robot(
         raise mistakes.error()  # what it lacks would be reported for every motor
     moved = described.motors(groups["motors"])
     described.sensors(groups["sensors"])
-    top = build(_Top, table, (), mistakes, also=SECTIONS)
-    robot_name = table.get("name")
-    if isinstance(robot_name, str) and not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", robot_name):
-        mistakes.add(("name",), f"found {shown(robot_name)}, expected letters, digits, _ and -")
     for key, kind in _FILES:
         try:
             if file is not None and isinstance(other := table.get(key), str):
@@ -129,6 +125,10 @@ def parse_robot(
                 resources.find(kind, table[key])
         except UserError as error:
             mistakes.add((key,), str(error))
+    top = build(_Top, table, (), mistakes, also=SECTIONS)
+    robot_name = table.get("name")
+    if isinstance(robot_name, str) and not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", robot_name):
+        mistakes.add(("name",), f"found {shown(robot_name)}, expected letters, digits, _ and -")
 
     known = {n: read_bus(n, t, mistakes) for n, t in groups["buses"].items()}
     buses = {n: bus for n, bus in known.items() if bus}

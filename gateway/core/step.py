@@ -387,8 +387,10 @@ class Gateway:
         else:
             owners = ", ".join(["brain", *self.joints])
             objection = f"{key!r} begins with none of {owners}"
-        text = f"set {key}: refused: {objection}" if objection else f"{key} = {value:g}"
-        self._note("warning" if objection else "info", "operator", text)
+        if not objection:
+            self._note("info", "operator", f"{key} = {value:g}")
+        elif (more := self._again(self._now, ("set", key, objection))) is not None:
+            self._note("warning", "operator", f"set {key}: refused: {objection}{more}")
 
     def _confirm(self, now: Nanos, motor: str) -> None:
         """Take the reported position of a motor as the true one, and answer."""
