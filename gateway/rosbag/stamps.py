@@ -13,8 +13,8 @@ import numpy as np
 
 from brain.belief import Floats
 
-LATE = 5
-"""Messages in a row that may be older than one before them: a network overtakes few."""
+LATE = 3
+"""Messages in a row that are older than one before them, and more than overtake each other."""
 LATE_SHARE = 0.2
 """Share of all messages that may be."""
 OFFSET = 1.0
@@ -52,9 +52,8 @@ def order(stamps: Floats) -> list[str]:
     newest = np.maximum.accumulate(stamps)
     late = stamps[1:] < newest[:-1]
     edges = np.flatnonzero(np.diff(np.concatenate(([0], late, [0]))))
-    begins, ends = edges[::2], edges[1::2]
-    jumps = begins[ends - begins >= LATE]
-    if len(jumps):
+    jumps = [begin for begin, end in zip(edges[::2], edges[1::2], strict=True) if _again(stamps, begin, end)]
+    if jumps:
         back = newest[jumps[0]] - stamps[jumps[0] + 1]
         more = f", and {len(jumps) - 1} more times" if len(jumps) > 1 else ""
         return [f"its stamps jump back by {back:.3g} s after {stamps[jumps[0]] - stamps[0]:.1f} s{more}"]
@@ -63,6 +62,14 @@ def order(stamps: Floats) -> list[str]:
             f"{late.sum()} of {len(stamps)} stamps are older than the one before: there are two clocks on it"
         ]
     return []
+
+
+def _again(stamps: Floats, begin: int, end: int) -> bool:
+    """True if messages that are older than one before them tell of a time that was told of already; what was
+    only held up fills a gap."""
+    late, before = stamps[begin + 1 : end + 1], stamps[: begin + 1]
+    told = ((before >= late.min()) & (before <= late.max())).sum()
+    return len(late) >= LATE and bool(2 * told >= len(late))
 
 
 def steps(one: Stamps) -> list[str]:
