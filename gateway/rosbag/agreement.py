@@ -160,21 +160,26 @@ def _factor(sums: Floats, tolerance: float) -> list[str]:
     turned = ["the gyro turns the other way than the wheels"] if least < 0.0 else []
     low, high = abs(least) - SURE * least_error, abs(most) + SURE * most_error
     if low > 1.0 + tolerance or high < 1.0 / (1.0 + tolerance):
-        turned.append(f"the gyro turns {_times((abs(least) * abs(most)) ** 0.5)} as much as the wheels")
+        turned.append(f"the gyro turns {_times(abs(least * most) ** 0.5, 'the wheels')}")
     return turned
 
 
-def _times(factor: float) -> str:
-    hint = " (degrees for radians?)" if 0.9 < factor / np.degrees(1.0) < 1.1 else ""
-    hint = " (radians for degrees?)" if 0.9 < factor * np.degrees(1.0) < 1.1 else hint
-    return f"{factor:.3g} times{hint}"
+def _times(factor: float, other: str) -> str:
+    for hint, unit in (("degrees for radians?", np.degrees(1.0)), ("radians for degrees?", np.radians(1.0))):
+        if 0.9 < factor / unit < 1.1:
+            return f"{factor:.3g} times as much as {other} ({hint})"
+    return f"{factor:.3g} times as much as {other}"
 
 
 def _lag(total: Floats, lags: Floats) -> float:
     """Return the lag at which two rates are most alike, or most opposite, in sums by lag."""
     xx, yy, xy = _moments_about_mean(total)
-    likeness = np.abs(xy) / np.sqrt(xx * yy) - NEARER * np.abs(lags) / max(lags[-1], STEP)
-    at = int(np.argmax(likeness))
+    likeness = np.abs(xy) / np.sqrt(xx * yy)
+    framed = np.concatenate(([-np.inf], likeness, [-np.inf]))
+    peaks = np.flatnonzero((likeness >= framed[:-2]) & (likeness >= framed[2:]))
+    if not len(peaks):
+        return 0.0
+    at = peaks[np.argmax(likeness[peaks] - NEARER * np.abs(lags[peaks]) / REACH)]
     if not 0 < at < len(lags) - 1:
         return float(lags[at])
     before, here, after = likeness[at - 1 : at + 2]
@@ -262,7 +267,7 @@ def _scale(sums: Complexes, verb: str) -> list[str]:
     most, most_error = _jackknife(sums, lambda total: total[1].real / abs(total[2]))
     if least - SURE * least_error <= 1.0 + SCALE and most + SURE * most_error >= 1.0 / (1.0 + SCALE):
         return []
-    return [f"its twists {verb} {_times((least * most) ** 0.5)} as much as its poses"]
+    return [f"its twists {verb} {_times((least * most) ** 0.5, 'its poses')}"]
 
 
 def _moves_sideways(one: Odometry) -> list[str]:

@@ -51,21 +51,27 @@ class Drive:
 
 
 def motion(rng: np.random.Generator, length: float, sideways: float) -> tuple[Floats, Floats, Floats]:
-    """Return speed forward, to the left, and rate of turn: legs of random speed and turn, smoothly joined."""
+    """Return speed forward, to the left, and rate of turn: one long curve that slowly changes, or short or long
+    legs of random speed and turn, smoothly joined."""
     count = round(length / FINE)
-    speed, turn = np.empty(count), np.empty(count)
-    top, sharp = rng.uniform(0.3, 1.5), rng.uniform(0.2, 1.2)
-    at = 0
-    while at < count:
-        leg = round(rng.uniform(1.0, 6.0) / FINE)
-        rests = rng.random() < 0.1
-        speed[at : at + leg] = 0.0 if rests else top * rng.uniform(0.5, 1.0)
-        turn[at : at + leg] = 0.0 if rests else sharp * rng.choice([-1.0, -0.5, 0.0, 0.3, 1.0])
-        at += leg
+    t = np.arange(count) * FINE
+    top, sharp, shortest = rng.uniform(0.3, 1.5), rng.uniform(0.2, 1.2), rng.choice([0.0, 1.0, 8.0])
+    if shortest:
+        speed, turn = np.empty(count), np.empty(count)
+        at = 0
+        while at < count:
+            leg = round(rng.uniform(1.0, 3.0) * shortest / FINE)
+            rests = rng.random() < 0.1
+            speed[at : at + leg] = 0.0 if rests else top * rng.uniform(0.5, 1.0)
+            turn[at : at + leg] = 0.0 if rests else sharp * rng.choice([-1.0, -0.5, 0.0, 0.3, 1.0])
+            at += leg
+    else:
+        driving = (t > 2.0) & (t < length - 3.0)
+        speed, turn = top * driving, 0.5 * sharp * driving * np.sin(t / rng.uniform(2.0, 6.0))
     wide = round(0.4 / FINE)
     kernel = np.ones(wide) / wide
     speed, turn = (np.convolve(one, kernel, mode="same") for one in (speed, turn))
-    return speed, sideways * speed * np.sin(np.arange(count) * FINE / 7.0), turn
+    return speed, sideways * speed * np.sin(t / 7.0), turn
 
 
 def drive(seed: int, length: float | None = None, sideways: float = 0.0) -> Drive:
@@ -286,7 +292,7 @@ CASES = {
     "truth off": Case(truth_offset, (-3600.0, -2.0, 18.0), "another clock", "/fix (truth)"),
     "a clock drifts": Case(gyro_drifts, (-0.02, 0.02, 0.05), "another clock than the odometry's"),
     "degrees": Case(gyro_factor, (math.degrees(1.0),), "degrees for radians?"),
-    "a factor": Case(gyro_factor, (0.1, 0.5, 2.0, 4.0, 10.0), "as much as the wheels"),
+    "a factor": Case(gyro_factor, (0.1, 0.5, 2.0, 4.0, 10.0), "times as much as the wheels"),
     "reversed": Case(gyro_factor, (-1.0,), "the gyro turns the other way than the wheels"),
     "another axis": Case(gyro_axis, (0.001, 0.05), "of it"),
     "wheels that never turn": Case(wheels_never_turn, (0.0,), "of it"),
