@@ -105,7 +105,7 @@ def gyro(measured: Turns, wheels: Turns, slip: float) -> list[str]:
         return []
     lags = STEP * np.arange(-round(reach / STEP), round(reach / STEP) + 1)
     x, ys = _mean(*wheels, at, width), [_mean(*measured, at + lag, width) for lag in lags]
-    blocks = _blocks(x * x + ys[len(lags) // 2] ** 2)
+    blocks = _blocks(x, ys[len(lags) // 2])
     sums = np.stack([_moments(x, y, blocks) for y in ys], axis=1)
     lag, lag_error = _jackknife(sums, lambda total: _lag(total, lags))
     best = sums[:, int(np.argmin(np.abs(lags - lag)))]
@@ -132,7 +132,7 @@ def _unlike(measured: Turns, wheels: Turns, least: float) -> list[str]:
     if len(at) < FEWEST:
         return []
     x, y = _mean(*wheels, at, width), _mean(*measured, at, width)
-    sums = _moments(x, y, _blocks(x * x + y * y))
+    sums = _moments(x, y, _blocks(x, y))
     by_wheels, by_gyro, common = _moments_about_mean(sums.sum(axis=0))
     if common * common > LIKE * by_wheels * by_gyro:
         return []
@@ -232,7 +232,7 @@ def _motion(moved: Complexes, body: Complexes, fixed: Complexes) -> list[str]:
     """Return how displacements by pose and twist contradict each other, in the base's or a fixed frame."""
     if _rms(body) < SCALE * _rms(moved):
         return [f"its poses move at {_rms(moved):.2g} m/s (RMS), and its twists at {_rms(body):.2g}"]
-    blocks = _blocks(np.abs(moved) ** 2 + np.abs(body) ** 2)
+    blocks = _blocks(moved, body)
     sums = _products(moved, body, blocks)
     other, there = _residual(sums.sum(axis=0)), _residual(_product(moved, fixed))
     if other > FRAME**2 and there < FRAME * other:
@@ -253,7 +253,7 @@ def _motion(moved: Complexes, body: Complexes, fixed: Complexes) -> list[str]:
 def _turn(turned: Floats, turn: Floats) -> list[str]:
     if _rms(turn) < SCALE * _rms(turned):
         return [f"its poses turn by {_rms(turned):.2g} rad/s (RMS), and its twists by {_rms(turn):.2g}"]
-    sums = _products(turned, turn, _blocks(turned**2 + turn**2))
+    sums = _products(turned, turn, _blocks(turned, turn))
     if min(_without(sums, _residual)) > UNEXPLAINED:
         other = _residual(sums.sum(axis=0))
         return [f"its twists do not explain {100 * other**0.5:.0f} % of the turns of its poses"]
@@ -321,9 +321,10 @@ def _rms(values: Values) -> float:
     return float((np.abs(values) ** 2).mean() ** 0.5)
 
 
-def _blocks(motion: Floats) -> npt.NDArray[np.intp]:
-    """Return where each of `BLOCKS` parts begins that have the same share of the motion's square."""
-    share = np.cumsum(motion) / motion.sum()
+def _blocks(*motions: Values) -> npt.NDArray[np.intp]:
+    """Return where each of `BLOCKS` parts begins that have the same share of what differs from the mean."""
+    share = np.cumsum(sum(np.abs(one - one.mean()) ** 2 for one in motions))
+    share /= share[-1]
     return np.unique(np.searchsorted(share, np.arange(BLOCKS) / BLOCKS))
 
 

@@ -51,14 +51,15 @@ class Drive:
 
 
 def motion(rng: np.random.Generator, length: float, sideways: float) -> tuple[Floats, Floats, Floats]:
-    """Return speed forward, to the left, and rate of turn: one long curve that slowly changes, or short or long
-    legs of random speed and turn, smoothly joined."""
+    """Return speed forward, to the left, and rate of turn: one slowly changing curve, or legs of
+    random speed and turn, smoothly joined."""
     count = round(length / FINE)
     t = np.arange(count) * FINE
-    top, sharp, shortest = rng.uniform(0.3, 1.5), rng.uniform(0.2, 1.2), rng.choice([0.0, 1.0, 8.0])
+    top, sharp, shortest = rng.uniform(0.3, 1.5), rng.uniform(0.2, 1.2), rng.choice([0.0, 1.0, 4.0])
+    speed: Floats = np.zeros(count)
+    turn: Floats = np.zeros(count)
+    at = 0
     if shortest:
-        speed, turn = np.empty(count), np.empty(count)
-        at = 0
         while at < count:
             leg = round(rng.uniform(1.0, 3.0) * shortest / FINE)
             rests = rng.random() < 0.1
@@ -67,11 +68,12 @@ def motion(rng: np.random.Generator, length: float, sideways: float) -> tuple[Fl
             at += leg
     else:
         driving = (t > 2.0) & (t < length - 3.0)
-        speed, turn = top * driving, 0.5 * sharp * driving * np.sin(t / rng.uniform(2.0, 6.0))
+        speed = top * driving
+        turn = 0.5 * sharp * driving * np.sin(t / rng.uniform(2.0, 6.0))
     wide = round(0.4 / FINE)
     kernel = np.ones(wide) / wide
-    speed, turn = (np.convolve(one, kernel, mode="same") for one in (speed, turn))
-    return speed, sideways * speed * np.sin(t / 7.0), turn
+    forward, turned = (np.convolve(one, kernel, mode="same") for one in (speed, turn))
+    return forward, sideways * forward * np.sin(t / 7.0), turned
 
 
 def drive(seed: int, length: float | None = None, sideways: float = 0.0) -> Drive:
