@@ -41,6 +41,7 @@ def test_it_ends_where_another_filter_does(recording: Callable[[str], Path]) -> 
     perception = robot.brain.perception
     turned = replace(perception, filter=replace(perception.filter, start_yaw=yaw))
     evaluation = evaluate(bag, replace(robot, brain=replace(robot.brain, perception=turned)))
+    assert not evaluation.contradictions
     assert evaluation.driven == pytest.approx(84.2, abs=1.0)
     assert evaluation.end is not None
     assert math.hypot(evaluation.end.x - 1.0206, evaluation.end.y - 3.4292) < 0.3

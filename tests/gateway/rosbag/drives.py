@@ -68,8 +68,8 @@ def motion(rng: np.random.Generator, length: float, sideways: float) -> tuple[Fl
             at += leg
     else:
         driving = (t > 2.0) & (t < length - 3.0)
-        speed = top * driving
-        turn = 0.5 * sharp * driving * np.sin(t / rng.uniform(2.0, 6.0))
+        speed += top * driving
+        turn += 0.5 * sharp * driving * np.sin(t / rng.uniform(2.0, 6.0))
     wide = round(0.4 / FINE)
     kernel = np.ones(wide) / wide
     forward, turned = (np.convolve(one, kernel, mode="same") for one in (speed, turn))
