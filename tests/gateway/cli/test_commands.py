@@ -95,6 +95,7 @@ SEEDS = ("-1", "x", str(2**63), "1.5")
         ("watch diffbot", "--bus sensors=serial:PORT"),
         ("watch serial:/dev/nowhere", "/dev/nowhere"),
         ("watch socketcan:vcan7", "sudo ip link"),
+        ("watch candle:0", 'candle:0: expected "socketcan:can0"'),
         ("watch virtual:x --bus can0=virtual:y", "--bus is for the buses of a robot file"),
         ("watch virtual:x --bitrate fast", "'fast' is not a rate in bit/s"),
         ("watch pyproject.mcap", "pyproject.mcap"),
