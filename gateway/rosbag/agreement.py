@@ -200,11 +200,11 @@ def _twist_and_pose(one: Odometry) -> list[str]:
     at = _windows(one.t, width, one.t, SMOOTHED)
     if len(at) < FEWEST or not (np.ptp(one.place.real) or np.ptp(one.place.imag) or np.ptp(one.yaw)):
         return []  # too short, or a pose that is never filled in
-    shown = (_shown(one, at, width, lag) for lag in np.arange(0.0, SMOOTHED + STEP, 2.0 * STEP))
-    moved, turned, body, fixed, turn = min(shown, key=_disagreement)
+    shown = [_shown(one, at, width, lag) for lag in np.arange(0.0, SMOOTHED + STEP, 2.0 * STEP)]
+    moved, turned, body, _, turn = min(shown, key=_disagreement)
     found = []
     if max(_rms(moved), _rms(body)) > MOVING:
-        found += _motion(moved, body, fixed)
+        found += _motion(moved, body, min(_residual(_product(moved, fixed)) for *_, fixed, _ in shown))
     if max(_rms(turned), _rms(turn)) > TURNING:
         found += _turn(turned, turn)
     return found
@@ -228,13 +228,14 @@ def _disagreement(shown: tuple[Complexes, Floats, Complexes, Complexes, Floats])
     return sum(_residual(_product(p, d)) for p, d, least in pairs if min(_rms(p), _rms(d)) > least)
 
 
-def _motion(moved: Complexes, body: Complexes, fixed: Complexes) -> list[str]:
-    """Return how displacements by pose and twist contradict each other, in the base's or a fixed frame."""
+def _motion(moved: Complexes, body: Complexes, there: float) -> list[str]:
+    """Return how displacements by pose and twist contradict each other. `there`: what twists that were in a
+    fixed frame would not explain."""
     if _rms(body) < SCALE * _rms(moved):
         return [f"its poses move at {_rms(moved):.2g} m/s (RMS), and its twists at {_rms(body):.2g}"]
     blocks = _blocks(moved, body)
     sums = _products(moved, body, blocks)
-    other, there = _residual(sums.sum(axis=0)), _residual(_product(moved, fixed))
+    other = _residual(sums.sum(axis=0))
     if other > FRAME**2 and there < FRAME * other:
         return ["its twists are in the frame of the odometry, not of the base"]
     if min(_without(sums, _residual)) > UNEXPLAINED:
