@@ -16,7 +16,7 @@ from brain.belief import Floats
 LATE = 3
 """Messages in a row that are older than one before them, and more than overtake each other."""
 LATE_SHARE = 0.2
-"""Share of all messages that may be."""
+"""Share of all messages that may be older by that many periods."""
 OFFSET = 1.0
 """s by which a topic may be later than the odometry, or earlier: the slowest receivers take as long."""
 WANDER = 0.2
@@ -57,10 +57,12 @@ def order(stamps: Floats) -> list[str]:
         back = newest[jumps[0]] - stamps[jumps[0] + 1]
         more = f", and {len(jumps) - 1} more times" if len(jumps) > 1 else ""
         return [f"its stamps jump back by {back:.3g} s after {stamps[jumps[0]] - stamps[0]:.1f} s{more}"]
-    if late.sum() > LATE_SHARE * len(stamps) and len(stamps) >= 2 * PARTS:
-        return [
-            f"{late.sum()} of {len(stamps)} stamps are older than the one before: there are two clocks on it"
-        ]
+    distinct = np.unique(stamps)
+    if len(distinct) < 2 * PARTS:
+        return []
+    older = int((newest[:-1] - stamps[1:] > LATE * np.median(np.diff(distinct))).sum())
+    if older > LATE_SHARE * len(stamps):
+        return [f"{older} of {len(stamps)} stamps are older than those before: there are two clocks on it"]
     return []
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -44,7 +44,6 @@ class Drive:
     """w"""
     fix: Stream
     """x, y"""
-    extra: list[BagMessage] = field(default_factory=list)
 
     def streams(self) -> dict[str, Stream]:
         return {"odometry": self.odom, "sensors.imu": self.imu, "truth": self.fix}
@@ -119,6 +118,7 @@ def drive(seed: int, length: float | None = None, sideways: float = 0.0) -> Driv
 
 def bag(one: Drive) -> Bag:
     """Return a recording as what reading it gives."""
+    one = Drive(*(_written(stream) for stream in one.streams().values()))
     o = one.odom
     poses = [Pose(*row) for row in zip(*(o.columns[n].tolist() for n in ("x", "y", "yaw")), strict=True)]
     twists = zip(*(o.columns[n].tolist() for n in ("v", "w", "lateral")), strict=True)
@@ -135,6 +135,12 @@ def bag(one: Drive) -> Bag:
     topics = tuple(Topic(names[role], "", len(s.stamps), role) for role, s in one.streams().items())
     in_order = tuple(sorted(events, key=lambda event: event.t))
     return Bag(Path("bag"), in_order, tuple(sorted(readings, key=lambda r: r.t)), (), topics, stamps)
+
+
+def _written(stream: Stream) -> Stream:
+    """Return a stream in the order in which a reader has it."""
+    at = np.argsort(stream.logged, kind="stable")
+    return Stream(stream.logged[at], stream.stamps[at], {n: c[at] for n, c in stream.columns.items()})
 
 
 def messages(one: Drive) -> list[BagMessage]:
@@ -190,6 +196,11 @@ def leap_ahead(one: Drive, by: float) -> None:
 def gyro_jumps_back(one: Drive, by: float) -> None:
     half = float(one.odom.stamps[-1]) / 2.0
     one.imu.stamps = np.where(one.imu.stamps > half, one.imu.stamps - by, one.imu.stamps)
+
+
+def two_clocks(one: Drive, by: float) -> None:
+    """Two devices on one topic."""
+    one.imu.stamps = one.imu.stamps - by * (np.arange(len(one.imu.stamps)) % 2)
 
 
 def uptime(one: Drive, ago: float) -> None:
@@ -286,6 +297,7 @@ CASES = {
     "time jumps back": Case(jump_back, (0.7, 3.0, 15.0), "its stamps jump back by", "/odom (odometry)"),
     "the gyro's time jumps back": Case(gyro_jumps_back, (0.7, 3.0, 15.0), "its stamps jump back by"),
     "time leaps ahead": Case(leap_ahead, (2.0, 30.0, 3600.0), "its stamps leap by", "/odom (odometry)"),
+    "two clocks on a topic": Case(two_clocks, (0.7, 100.0), "there are two clocks on it"),
     "since power-up": Case(uptime, (5.0, 123.0), "another clock than the odometry's"),
     "gyro early": Case(gyro_offset, (-0.25, -0.35, -0.7), "before the wheels do"),
     "gyro late": Case(gyro_offset, (0.35, 0.7), "after the wheels do"),
