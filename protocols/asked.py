@@ -364,6 +364,8 @@ def _objection_to_command(
             continue
         if name != "position" and device.close(one, name, 0.0):
             continue
+        if isinstance(one, msg.Torque):  # no loop of the device limits it: an older one is too fast
+            return _not_commanded(one, name, device)
         if last is not None and (changing or name == "position") and device.close(one, name, last):
             continue
         if (name == "position" or alike) and device.was(now, one, name):
@@ -372,8 +374,15 @@ def _objection_to_command(
             continue  # some devices add a feed-forward, which follows the mode
         if name == "position" and _is_there(now, device, one, value, reported):
             continue
-        return NOT_COMMANDED, f"{type(one).__name__} with a {name} of {value:g}, and it has {device.raw}"
+        return _not_commanded(one, name, device)
     return None
+
+
+def _not_commanded(one: Command, name: str, device: _Given) -> Objection:
+    return (
+        NOT_COMMANDED,
+        f"{type(one).__name__} with a {name} of {getattr(one, name):g}, and it has {device.raw}",
+    )
 
 
 def _is_there(now: Nanos, device: _Given, one: Command, value: float, reported: Reported) -> bool:

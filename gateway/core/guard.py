@@ -27,9 +27,11 @@ if TYPE_CHECKING:
 GOES_ON: Nanos = SECOND
 """How long after a set-point, or after coasting, a motor may be commanded to go on from there: a driver that
 changes the mode, or that arms at rest, sends other set-points in between."""
+FOLLOWS: Nanos = 100 * MILLISECOND
+"""How long after a set-point one of its kind may go on from it: later, the shaft is where it is measured."""
 STOPS_WITHIN: Nanos = 250 * MILLISECOND
 """Time in which a driver must have passed on that a device is to stand; then its own stop is sent."""
-LATENCY: Nanos = 50 * MILLISECOND
+LATENCY: Nanos = 20 * MILLISECOND
 """What a device obeys may be this much ahead of what it last obeyed: a joint's set-point moves on while the
 device is being armed, and while a set-point waits for its SYNC."""
 FRAMES_KEPT = 16
@@ -348,23 +350,18 @@ class Guard:
             for before, dt in self._before(now, one, "velocity", measured_velocity):
                 slower = abs(velocity) <= abs(before) + slack and velocity * before >= 0.0
                 if slower or not abs(velocity - before) > limits.acceleration * dt + slack:
-                    return None
+                    return bounds.too_strong(one, measured)
             return "acceleration beyond the limit", f"velocity {velocity:g} after {measured_velocity:g}"
         if isinstance(one, msg.Torque):
             return None
         position, slack = bounds.at_joint(one, "position")
         if not self._leads_in(now, one, position, slack, measured.position):  # NaN and infinities do not
             return "position beyond the limit", f"{position:g}, limits {limits.position}"
-        if isinstance(one, msg.Impedance):
-            pull = bounds.pull(one, measured)
-            if not abs(pull) <= limits.torque * (1.0 + SPRING_ERROR):
-                return "torque of the spring beyond the limit", f"{pull:g}, limit {limits.torque:g}"
-        elif (there := measured.position) is not None:
-            for before, dt in self._before(now, one, "position", there, limits.inside(there)):
-                if not abs(position - before) > limits.velocity * dt + slack:
-                    return None
-            return "a jump of the position", f"{position:g} after {there:g}"
-        return None
+        if isinstance(one, msg.Position) and (there := measured.position) is not None:
+            starts = self._before(now, one, "position", there, limits.inside(there))
+            if not any(abs(position - each) <= limits.velocity * dt + slack for each, dt in starts):
+                return "a jump of the position", f"{position:g} after {there:g}"
+        return bounds.too_strong(one, measured)
 
     def _leads_in(
         self,
@@ -387,12 +384,10 @@ class Guard:
     ) -> Iterator[tuple[float, float]]:
         """Yield from where a set-point may go on, each with the time [s] in which it may have changed."""
         bounds, motor, kind = self._motors[one.motor], one.motor, type(one)
-        last = self._last.get((motor, None))
-        time = bounds.changing(bounds.timeout if last is None else now - last[0])
         for value in measured:
-            yield value, time
+            yield value, bounds.changing(0)
         alike, coasting = self._last.get((motor, kind)), self._coasting.get(motor)
-        if alike is not None and now - alike[0] <= GOES_ON:
+        if alike is not None and now - alike[0] <= FOLLOWS:
             yield bounds.at_joint(alike[1], quantity)[0], bounds.changing(now - alike[0])
         if kind is msg.Velocity and coasting is not None and now - coasting[0] <= GOES_ON:
             yield coasting[1], bounds.changing(0)
@@ -421,6 +416,7 @@ class _Bounds:
         self.limits, self.timeout = motor.joint.limits, motor.joint.command_timeout
         self.ratio = motor.joint.gear * motor.joint.sign
         """Of the device's shaft to the joint's."""
+        self._gains = motor.spec.gains
         self._errors: dict[tuple[type[Command], str], tuple[float, float]] = {}
         """Of the encoding of each quantity of each set-point: absolute, and relative."""
         for kind in SET_POINTS:
@@ -442,9 +438,21 @@ class _Bounds:
         """Return in which time [s] a set-point may have changed since then."""
         return ((since if since < self.timeout else self.timeout) + LATENCY) / SECOND
 
-    def pull(self, one: msg.Impedance, measured: msg.Feedback) -> float:
-        """Return the torque [N·m] of a spring and damper at the measured position and velocity."""
-        position = (measured.position or 0.0) * self.ratio
-        velocity = (measured.velocity or 0.0) * self.ratio
-        spring = one.stiffness * (one.position - position) + one.damping * (one.velocity - velocity)
-        return (one.torque + spring) * self.ratio
+    def too_strong(self, one: SetPoint, measured: msg.Feedback) -> Objection | None:
+        """Return that the spring and damper, which a set-point is to the device, pull too hard from where the
+        shaft is measured."""
+        if isinstance(one, msg.Impedance):
+            stiffness, damping = one.stiffness, one.damping
+        elif self._gains is not None:
+            stiffness, damping = self._gains
+        else:
+            return None  # a loop of the drive's own, which has limits
+        torque = one.torque + damping * (
+            getattr(one, "velocity", 0.0) - (measured.velocity or 0.0) * self.ratio
+        )
+        if isinstance(one, msg.Position | msg.Impedance):
+            torque += stiffness * (one.position - (measured.position or 0.0) * self.ratio)
+        pull, limit = torque * self.ratio, self.limits.torque
+        if abs(pull) <= limit * (1.0 + SPRING_ERROR):
+            return None
+        return "torque of the spring beyond the limit", f"{pull:g}, limit {limit:g}"

@@ -1,4 +1,10 @@
-"""A driver whose output is anything: random bytes, changed and old frames, frames that nobody asked for."""
+"""A driver whose output is anything: random bytes, changed and old frames, frames that nobody asked for.
+
+Rules. One joint under load, on a bench of each protocol, is given commands in turn, Idle among them, while
+its driver sends anything in between. The judge sees what `starts` judges, what drives while the command is
+Idle, and what the device keeps: each parameter that was the same at two times before is so afterwards. A
+spring is given some more: the guard judges it at the feedback of the step, and the shaft moves on.
+"""
 
 from __future__ import annotations
 
@@ -8,32 +14,28 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from random import Random
 
-from gateway import config
 from protocols import messages as msg
 from protocols.conformance.bench import DriverWrapper, Messages
 from protocols.frames import CanFrame, Frame
-from protocols.messages import Event, Nanos
-from tests.gateway.rig import Rig
+from protocols.messages import MILLISECOND, Command, Event, Nanos
+from tests.gateway.core.starts import FASTEST, HIGH, LOW, Bench, commands_of, robot_of
 
 UNASKED = json.loads((Path(__file__).parents[1] / "gateway" / "core" / "unasked.json").read_text("utf-8"))
-ROBOTS = (
-    "diffbot_cia402",
-    "diffbot_moteus",
-    "diffbot_damiao",
-    "diffbot_vesc",
-    "diffbot_cubemars",
-    "diffbot_robomaster",
-    "diffbot_robstride",
-    "diffbot_myactuator",
-    "diffbot_zlac8015d",
-    "bench",
-    "diffbot",
-)
-"""One for each protocol; the last has serial sensors of plain beside ODrives."""
 KEPT = 200
 """Frames of before that are sent again."""
-MARGIN = 1.02
-"""Of the limits."""
+EACH = (1, 3, 20)
+"""Frames beside the driver's in each step: with few of them it is not disarmed at once, and drives longer."""
+LOAD = 0.3
+"""Share of the limit of torque that a load has at most."""
+STEP = 0.005
+"""s: one step of the robot"""
+SPRING = 1.25
+"""Share of the limit of torque"""
+LATELY = 20 * MILLISECOND
+SETTLED = 0.4
+"""s after which nothing drives a shaft whose command is Idle"""
+DRIVEN = 0.05
+"""rad/s: a motor that drives a shaft beyond this is not idle"""
 
 
 @dataclass
@@ -82,29 +84,109 @@ class Hostile(DriverWrapper):
         return replace(old, data=bytes(data)) if isinstance(old, CanFrame) else bytes(data)
 
 
-def fuzz(name: str, seed: int, frames: int, each: int = 20) -> tuple[int, float]:
-    """Return how many frames were made, and the largest share of a limit that a shaft came to."""
-    rig = Rig(config.load_robot(name).text)
-    hostile: list[Hostile] = []
-    for one in rig.gateway._drivers:
-        of_robot = tuple(_frame(entry) for entry in UNASKED if entry["robot"] == name)
-        hostile.append(Hostile(one.driver, Random(f"{name} {seed}"), 0, of_robot))
-        object.__setattr__(one, "driver", hostile[-1])
-    rig.gateway._on_blocked = lambda *_: None  # type: ignore[method-assign]  # the guard alone: it drives on
-    goal = msg.Velocity("left", 3.0) if name == "bench" else msg.Goal(3.0, 0.0)
-    for _ in range(20):
-        rig.run(0.05, goal)
-    for driver in hostile:
-        driver.count = each
-    worst = 0.0
-    while sum(driver.made for driver in hostile) < frames:
-        rig.run(0.02, goal)
-        rig.ticks.clear()
-        for motor, joint in rig.gateway.joints.items():
-            worst = max(worst, abs(rig.velocity(motor)) / joint.settings.limits.velocity)
-        if any(joint.faults for joint in rig.gateway.joints.values()):  # it is cleared, and goes on
-            rig.run(0.02, *(msg.ClearFault(motor) for motor in rig.gateway.joints), msg.Release())
-    return sum(driver.made for driver in hostile), worst
+@dataclass(frozen=True, slots=True)
+class Fuzzed:
+    """What came of it."""
+
+    frames: int
+    velocity: float
+    """Largest share of the limit at which the motor drove its shaft on."""
+    torque: float
+    """Largest share of the limit that it gave, where torque is what it is commanded."""
+    idle: float
+    """rad/s: fastest that it drove its shaft while its command was Idle."""
+    changed: tuple[str, ...]
+    """Parameters that were changed, with their values."""
+
+    def check(self) -> None:
+        """Raise AssertionError for what is beyond the limits."""
+        assert self.velocity <= 1.02, f"{self.velocity:.3f} of the limit of velocity"
+        assert self.torque <= SPRING, f"{self.torque:.3f} of the limit of torque"
+        assert self.idle <= DRIVEN, f"driven at {self.idle:.3g} rad/s while it is to be idle"
+        assert not self.changed, f"changed in the device: {self.changed}"
+
+
+def fuzz(motor: str, seed: int, frames: int) -> Fuzzed:
+    """Let a hostile driver send so many frames."""
+    random = Random(f"{motor} {seed}")
+    robot = robot_of(motor)
+    bench = Bench.of(robot, seed, HIGH / 2.0)
+    hostile = _hostile(bench, motor, random)
+    bench.gateway._on_blocked = lambda *_: None  # type: ignore[method-assign]  # the guard alone: it drives on
+    limits, gains = robot.motors["left"].joint.limits, robot.motors["left"].spec.gains
+    shaft = bench.world.world._shafts._shafts[
+        "left"
+    ]  # a load that the limits suit: else nothing brakes it in time
+    shaft.file = replace(shaft.file, inertia=limits.torque / (2.0 * limits.acceleration))
+    bench.damping = LOAD * limits.torque / FASTEST  # a load alone does not bring it beyond its limit
+    commands = commands_of(robot)
+    rest = [commands.get("Hold") or msg.Velocity("left", 0.0), msg.Idle("left")]
+    first = _kept(bench)
+    for each in (*commands.values(), *rest):
+        bench.run(0.3, each)
+    kept = {name: value for name, value in _kept(bench).items() if first.get(name) == value}
+    velocity = torque = idle = 0.0
+    while hostile.made < frames:
+        name = random.choice([*commands, "Idle"])
+        hostile.count = 0
+        _bring_back(bench, rest)
+        hostile.count = random.choice(EACH)
+        bench.load = 0.0 if name == "Idle" else random.uniform(-LOAD, LOAD) * limits.torque
+        bench.run(SETTLED if name == "Idle" else 0.0, msg.Idle("left"))
+        command = commands.get(name, msg.Idle("left"))
+        for _ in range(random.randrange(10, 100)):
+            stopping = bool(bench.gateway.joints["left"].faults)
+            by_torque = gains is not None or _is_told_torque(bench)
+            bench.fastest = bench.strongest = 0.0
+            bench.run(STEP, command)
+            velocity = max(velocity, bench.fastest / limits.velocity)
+            if name == "Idle":
+                idle = max(idle, bench.fastest)
+            if by_torque and not stopping:  # a drive's own stop has a limit of its own
+                torque = max(torque, bench.strongest / limits.torque)
+    hostile.count = 0
+    bench.load = 0.0
+    bench.run(1.0, msg.Idle("left"))
+    after = _kept(bench)
+    changed = tuple(
+        f"{name} {value} -> {after.get(name)}" for name, value in kept.items() if after.get(name) != value
+    )
+    return Fuzzed(hostile.made, velocity, torque, idle, changed)
+
+
+def _bring_back(bench: Bench, rest: Sequence[Command]) -> None:
+    """Bring the shaft to rest, back into its range, and its faults to an end."""
+    bench.load = 0.0
+    for each in rest:
+        bench.run(0.2, each)
+    if not LOW < bench.place < HIGH:
+        bench.offset -= bench.place
+        bench.run(0.2)
+    bench.run(0.05, msg.ClearFault("left"), msg.Confirm("left"))
+
+
+def _is_told_torque(bench: Bench) -> bool:
+    """Whether the device was told only torques and springs of late: its own loops have their limits."""
+    told = bench.gateway.guard._last
+    loops = [at for (_, kind), (at, _) in told.items() if kind in (msg.Velocity, msg.Position, msg.Hold)]
+    return ("left", None) in told and all(bench.clock.now() - at > LATELY for at in loops)
+
+
+def _hostile(bench: Bench, motor: str, random: Random) -> Hostile:
+    [one] = bench.gateway._drivers
+    names = (f"diffbot_{motor.split()[0]}", "bench" if motor == "odrive_can" else "")
+    unasked = tuple(_frame(entry) for entry in UNASKED if entry["robot"] in names)
+    hostile = Hostile(one.driver, random, 0, unasked)
+    object.__setattr__(one, "driver", hostile)
+    return hostile
+
+
+def _kept(bench: Bench) -> dict[str, float]:
+    """Read every parameter that the device answers for."""
+    bench.parameters.clear()
+    for name in bench.robot.motors["left"].spec.parameters:
+        bench.run(0.05, msg.ReadParameter("left", name))
+    return dict(bench.parameters)
 
 
 def _frame(entry: dict[str, object]) -> CanFrame:

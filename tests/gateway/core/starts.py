@@ -9,7 +9,7 @@ torque is what it is commanded: by a torque, or a spring. The loops of a drive h
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import pi
 
 from gateway import config
@@ -97,6 +97,8 @@ class Bench:
     """rad at the output shaft by which the device reads more than the world's shaft has."""
     load: float = 0.0
     """N·m on the shaft beside the motor's"""
+    damping: float = 0.0
+    """N·m·s/rad of the shaft's bearings"""
     torque: float = 0.0
     """N·m that the motor gives"""
     fastest: float = 0.0
@@ -104,6 +106,8 @@ class Bench:
     strongest: float = 0.0
     """N·m"""
     notes: tuple[str, ...] = ()
+    parameters: dict[str, float] = field(default_factory=dict)
+    """Read, by name."""
 
     @classmethod
     def of(cls, robot: Robot, seed: int, at: float = 0.0) -> Bench:
@@ -123,7 +127,7 @@ class Bench:
         self.strongest = max(self.strongest, abs(self.torque))
         if self.torque * speed > 0.0 and abs(self.torque) > NO_TORQUE:
             self.fastest = max(self.fastest, abs(speed))
-        return torques | {"left": self.torque + self.load}
+        return torques | {"left": self.torque + self.load - self.damping * speed}
 
     def run(self, seconds: float, *given: Instruction, each: Callable[[], Instruction] | None = None) -> None:
         """Go on for some seconds; `each` gives an instruction for every step."""
@@ -135,6 +139,9 @@ class Bench:
             given = (*given, each()) if each else given
             outputs = self.gateway.step(now, Inputs(tuple(states), tuple(packets), given))
             self.notes += tuple(note.text for note in outputs.notes)
+            self.parameters |= {
+                one.parameter: one.value for one in outputs.events if isinstance(one, msg.Parameter)
+            }
             write(self.world.buses, now, outputs.packets)
             given = ()
 
