@@ -276,7 +276,7 @@ def _moves_sideways(one: Odometry) -> list[str]:
     across, turning = one.twist.imag, float((one.rate**2).sum())
     lever = float((across * one.rate).sum()) / turning if turning else 0.0
     slides, speed = _rms(across - lever * one.rate), _rms(one.twist)
-    if slides < SIDEWAYS * speed or slides < MOVING:
+    if slides < SIDEWAYS * speed or slides < SCALE * MOVING:
         return []
     return [f"it moves sideways at {slides:.2g} m/s (RMS), and this base cannot"]
 
