@@ -41,7 +41,7 @@ def vectors_of(plugin: Plugin) -> tuple[Vector, ...]:
     if plugin.vectors is None:
         return ()
     package, path = plugin.vectors
-    return tuple(_vector(entry) for entry in json.loads((files(package) / path).read_text("utf-8")))
+    return tuple(_vector(entry) for entry in json.loads((files(package) / path).read_text("utf-8-sig")))
 
 
 def _vector(entry: Mapping[str, Any]) -> Vector:

@@ -31,6 +31,7 @@ ONLY: dict[str, tuple[str, ...]] = {
     "signal": ("gateway.runtime.process",),
     "socket": ("gateway.buses", "gateway.operator", "gateway.view"),
     "websockets": ("gateway.view",),
+    "zstandard": ("gateway.recording",),
     "threading": ("gateway.buses.threaded", "gateway.recording.writer", "gateway.cli.terminal.output"),
     "time": ("gateway.core.clock",),
     "uuid": (),

@@ -14,6 +14,7 @@ import argparse
 import errno
 import logging
 import os
+import platform
 import sys
 from collections.abc import Sequence
 from contextlib import ExitStack, redirect_stderr, redirect_stdout
@@ -36,7 +37,7 @@ COMMANDS = {
     "twin": "simulate the devices of a robot, for another program to drive",
     "replay": "run a recording through the same code and compare every byte; or evaluate a ROS bag",
     "view": "show a running robot, or recordings, in a browser",
-    "recover": "repair a recording that was cut off or damaged",
+    "recover": "repair a recording, or an MCAP bag, that was cut off or damaged",
     "watch": "listen to buses or to a recording, without ever sending",
     "jog": "turn one motor slowly, as long as a key is held",
     "motor": "read, compare and restore what is configured on the motors",
@@ -47,12 +48,14 @@ COMMANDS = {
 }
 LIVE = ("demo", "run", "twin", "jog", "motor")
 """Those that must not wait for who reads their output: a robot would wait with them."""
+LINUX = (*LIVE, "view", "ask")
+"""Those that need what Linux alone has: SocketCAN, termios, real-time signals, /proc."""
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the `gateway` command and return its exit status."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # equal bytes ask for one order of sums
-    given = sys.argv[1:] if arguments is None else arguments
+    given = _command_first(sys.argv[1:] if arguments is None else arguments)
     with Path(os.devnull).open("w") as nothing, ExitStack() as stack:
         streams: Sequence[TextIO] = [stream or nothing for stream in (sys.stdout, sys.stderr)]
         stack.callback(_forget_unread, *streams)
@@ -67,11 +70,27 @@ def main(arguments: list[str] | None = None) -> int:
                 return INTERRUPTED
 
 
+def _command_first(arguments: list[str]) -> list[str]:
+    """Return the arguments with the command before what options precede it, as in `gateway -q demo`."""
+    at = next((i for i, one in enumerate(arguments) if not one.startswith("-")), 0)
+    before = [] if {"-h", "--help"} & {*arguments[:at]} else arguments[:at]
+    return [*arguments[at : at + 1], *before, *arguments[at + 1 :]] if before else arguments
+
+
 def _main(arguments: list[str]) -> int:
+    if arguments and arguments[0] in LINUX and platform.system() != "Linux":
+        rest = ", ".join(name for name in COMMANDS if name not in LINUX)
+        print(f"gateway {arguments[0]}: runs on Linux only; here do: {rest}", file=sys.stderr)
+        return 2
     options = parser(*arguments[:1]).parse_args(arguments)
     _set_log_level(options.verbose - options.quiet)
     try:
         status: int = options.run(options)
+    except ModuleNotFoundError as error:
+        if platform.system() == "Linux":
+            raise
+        print(f"gateway {options.command}: this runs on Linux only ({error})", file=sys.stderr)
+        return 2
     except GatewayError as error:
         text = str(error)
         print(f"gateway {options.command}:", text, sep="\n" if "\n" in text else " ", file=sys.stderr)

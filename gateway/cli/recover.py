@@ -1,4 +1,4 @@
-"""`gateway recover`: a recording that was cut off or damaged, repaired."""
+"""`gateway recover`: a recording, or an MCAP bag, that was cut off or damaged, repaired."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def run(options: Namespace) -> int:
-    """Write every complete tick to a new file; return 1 if there is none. FILE itself is only read."""
+    """Write every complete tick, of a bag every message, to a new file; return 1 without any. FILE itself is
+    only read."""
     path: Path = options.file
     if options.out is None and is_whole(path):
         print(f"{path} is whole: nothing to recover, nothing written")
@@ -25,8 +26,11 @@ def run(options: Namespace) -> int:
     target: Path = options.out or path.with_name(f"{path.stem}.recovered.mcap")
     found = recover(path, target)
     print("\n".join(found.summary()))
-    if not found.ticks:
+    if not found.anything:
         print("nothing could be recovered")
         return 1
-    print(f"written: {target} ({target.stat().st_size / 1e6:.1f} MB)\nreplay it: gateway replay {target}")
+    robot = " --robot ROBOT" if found.bag else ""
+    print(
+        f"written: {target} ({target.stat().st_size / 1e6:.1f} MB)\nreplay it: gateway replay {target}{robot}"
+    )
     return 0

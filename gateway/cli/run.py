@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
@@ -24,6 +25,8 @@ from gateway.runtime.schedule import COUNTING, NotCounted, not_armed, refuse_ove
 from gateway.runtime.session import Session, open_session
 from gateway.runtime.status import status_text
 from protocols.messages import MILLISECOND, Goal, Instruction, Mission
+
+log = logging.getLogger("gateway")
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -113,7 +116,8 @@ def _drive(session: Session, operator: Operator, options: Namespace, mission: Mi
         with closing(session.run(options.seconds, poll=poll, dry_run=options.dry_run)) as ticks:
             for tick in ticks:
                 for note in tick.outputs.notes:
-                    operator.report(f"{note.source}: {note.text}")
+                    logged = note.level != "info" or log.isEnabledFor(logging.INFO)
+                    operator.report(f"{note.source}: {note.text}", logged=logged)
                 faults = session.gateway.in_fault()
                 if (
                     options.fast

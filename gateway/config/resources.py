@@ -27,6 +27,11 @@ def find(kind: Literal["robots", "worlds", "plants", "missions"], name: str) -> 
     raise UserError(f"{name!r} is neither a .toml file nor {known}{did_you_mean(name, shipped)}")
 
 
+def beside(name: str, file: Path) -> str:
+    """Return what a file names: a path counts from the file's folder, whatever the working folder is."""
+    return str(file.parent / name) if is_path(name) else name
+
+
 def is_path(name: str) -> bool:
     """True if this is the path of a file, not the name of one that ships with the package."""
     return Path(name).suffix == ".toml" or "/" in name

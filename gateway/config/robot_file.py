@@ -87,11 +87,11 @@ def load_robot(robot: str | Path, find: Find = plugin.load) -> Robot:
     mistakes = Mistakes(str(path), "")
     text = with_files(read_text(path), path, mistakes)
     mistakes.check()
-    return parse_robot(text, str(path), find, with_world=True)
+    return parse_robot(text, str(path), find, file=path)
 
 
 def parse_robot(
-    text: str, name: str = "robot.toml", find: Find = plugin.load, *, with_world: bool = False
+    text: str, name: str = "robot.toml", find: Find = plugin.load, *, file: Path | None = None
 ) -> Robot:
     """Make a robot from the text of its file.
 
@@ -99,7 +99,8 @@ def parse_robot(
         text: TOML.
         name: the file's name in mistakes.
         find: returns a protocol plugin by its name.
-        with_world: whether its world and plant must exist; a replay needs none.
+        file: where it is: its world and plant must exist, and their paths count from its folder. None: a
+            replay, which needs none.
 
     Returns:
         Robot: everything that the text describes.
@@ -117,16 +118,17 @@ def parse_robot(
         raise mistakes.error()  # what it lacks would be reported for every motor
     moved = described.motors(groups["motors"])
     described.sensors(groups["sensors"])
+    for key, kind in _FILES:
+        try:
+            if file is not None and isinstance(other := table.get(key), str):
+                table[key] = resources.beside(other, file)
+                resources.find(kind, table[key])
+        except UserError as error:
+            mistakes.add((key,), str(error))
     top = build(_Top, table, (), mistakes, also=SECTIONS)
     robot_name = table.get("name")
     if isinstance(robot_name, str) and not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", robot_name):
         mistakes.add(("name",), f"found {shown(robot_name)}, expected letters, digits, _ and -")
-    for key, kind in _FILES if with_world else ():
-        try:
-            if isinstance(other := table.get(key), str):
-                resources.find(kind, other)
-        except UserError as error:
-            mistakes.add((key,), str(error))
 
     known = {n: read_bus(n, t, mistakes) for n, t in groups["buses"].items()}
     buses = {n: bus for n, bus in known.items() if bus}
@@ -230,7 +232,7 @@ def _section(table: Table, name: str, mistakes: Mistakes, known: tuple[str, ...]
         return {}
     if len(section) > MAX_NAMED:
         mistakes.add((name,), f"found {len(section)} tables, expected at most {MAX_NAMED}")
-        section = dict(list(section.items())[:MAX_NAMED])
+        raise mistakes.error()  # what names those beyond would be wrong as well
     for key, value in section.items():
         if known and key not in known:
             mistakes.add((name, key), unknown("key", key, known))

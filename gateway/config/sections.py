@@ -16,7 +16,16 @@ from gateway.config.schema import build, keys
 from gateway.core.bounds import Bounds
 from gateway.core.joint import JointSettings
 from gateway.core.limits import Limits
-from gateway.core.robot import CLASSIC_ADAPTERS, TRANSMIT_QUEUE, TWIN, USB_NAME, BusSettings, Motor, Sensor
+from gateway.core.robot import (
+    ADAPTERS,
+    CLASSIC_ADAPTERS,
+    TRANSMIT_QUEUE,
+    TWIN,
+    USB_NAME,
+    BusSettings,
+    Motor,
+    Sensor,
+)
 from protocols.frames import IdMask
 from protocols.messages import MILLISECOND, SECOND, Nanos
 from protocols.plugin import Device, Plugin, Spec, UnknownProtocol
@@ -121,6 +130,8 @@ def check_interface(interface: str, kind: str, at: Key, mistakes: Mistakes) -> N
     if not (driver and colon and channel):
         wanted = f'expected "{TWIN}" or INTERFACE:CHANNEL, such as "{example}"'
         mistakes.add((*at, "interface"), f"found {shown(interface)}, {wanted}")
+    elif driver in ADAPTERS:
+        mistakes.add((*at, "interface"), f"found {shown(interface)}, expected {ADAPTERS[driver]}")
     elif kind == "serial" and driver != "serial":
         mistakes.add((*at, "interface"), f'found {shown(interface)}, expected "serial:PORT" on a serial bus')
     elif channel.startswith("usb-") and not USB_NAME.fullmatch(channel.partition("@")[0]):

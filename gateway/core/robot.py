@@ -23,6 +23,16 @@ TRANSMIT_QUEUE = 100
 """CAN frames: more than robots send in a step. (The kernel's own `txqueuelen` of a CAN interface is 10.)"""
 CLASSIC_ADAPTERS = ("dm-serial",)
 """Interfaces that carry classic CAN only."""
+KERNEL = '"socketcan:can0", since Linux has a driver for it (`ip link` lists its name)'
+ADAPTERS = {
+    "candle": KERNEL,
+    "candlelight": KERNEL,
+    "gs_usb": KERNEL,
+    "peak": KERNEL,
+    "canable": '"slcan:/dev/ttyACM0", or with the firmware candleLight "socketcan:can0"',
+    "waveshare": '"seeedstudio:/dev/ttyUSB0" for its USB-CAN-A, "socketcan:can0" for its boards on SPI',
+}
+"""What people call the interface of an adapter, and what it is called here."""
 SHAREABLE = ("socketcan", "udp_multicast")
 """Interfaces that several processes of a machine can use at once; a port is one process's alone."""
 USB_NAME = re.compile(r"usb-([0-9A-Fa-f]{4}):([0-9A-Fa-f]{4}):([^/@]+)(/[0-9]+)?")

@@ -47,6 +47,8 @@ IDENTIFY: Nanos = 5 * SECOND
 """Period in which a serial number that is demanded is asked for, until it is known."""
 OVERHEARD = 8
 """Most frames of other hosts that a step reads, by bus."""
+REPEAT: Nanos = SECOND
+"""A refusal that comes again sooner is counted, not noted: a driver may refuse the command of every step."""
 
 LEFT_ARMED = "still armed: cut its supply"
 """The note on a motor that still reports being armed when the run has been left."""
@@ -117,6 +119,8 @@ class Gateway:
         self._failures: set[str] = set()
         """Of drivers without motors: each is noted once."""
         self._notes: list[Note] = []
+        self._refused: dict[tuple[str, str, str], tuple[Nanos, int]] = {}
+        """By request, name and reason: when the refusal was last noted, and how often it has come since."""
 
     # -- the step -----------------------------------------------------------------------------
 
@@ -343,8 +347,9 @@ class Gateway:
                 if request == msg.ClearFault.__name__ and name in self.joints:
                     self.joints[name].clear()
                 self._note("info", name or "operator", f"{request}: done{_in_brackets(detail)}")
-            case msg.Refused(_, request, name, reason):
-                self._note("warning", name or "operator", f"{request}: refused: {reason}")
+            case msg.Refused(t, request, name, reason):
+                if (more := self._again(t, (request, name, reason))) is not None:
+                    self._note("warning", name or "operator", f"{request}: refused: {reason}{more}")
             case msg.Parameter(motor, _, parameter, value):
                 self._note("info", motor, f"{parameter} = {value:g}")
             case msg.Found(_, protocol, address, serial, detail, duplicate):
@@ -352,6 +357,16 @@ class Gateway:
                 text = f"{protocol} at address {address}{number}{_in_brackets(detail)}"
                 text += "; more than one device holds this address" if duplicate else ""
                 self._note("warning" if duplicate else "info", "scan", text)
+
+    def _again(self, t: Nanos, refusal: tuple[str, str, str]) -> str | None:
+        """Return what to add to the note of a refusal; None if the same was noted within `REPEAT`."""
+        last, left_out = self._refused.get(refusal, (None, 0))
+        if last is not None and t - last < REPEAT:
+            self._refused[refusal] = last, left_out + 1
+            return None
+        self._refused = {key: value for key, value in self._refused.items() if t - value[0] < REPEAT}
+        self._refused[refusal] = t, 0
+        return f" ({left_out} times more in the meantime)" if left_out else ""
 
     # -- instructions -------------------------------------------------------------------------
 
@@ -402,8 +417,10 @@ class Gateway:
         else:
             owners = ", ".join(["brain", *self.joints])
             objection = f"{key!r} begins with none of {owners}"
-        text = f"set {key}: refused: {objection}" if objection else f"{key} = {value:g}"
-        self._note("warning" if objection else "info", "operator", text)
+        if not objection:
+            self._note("info", "operator", f"{key} = {value:g}")
+        elif (more := self._again(self._now, ("set", key, objection))) is not None:
+            self._note("warning", "operator", f"set {key}: refused: {objection}{more}")
 
     def _confirm(self, now: Nanos, motor: str) -> None:
         """Take the reported position of a motor as the true one, and answer."""

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Literal
 from gateway.buses import open_bus
 from gateway.config import load_robot, with_interfaces
 from gateway.core.clock import Clock
-from gateway.core.robot import TWIN, BusSettings
+from gateway.core.robot import ADAPTERS, TWIN, BusSettings
 from gateway.errors import BusError, UserError
 from gateway.monitor.candidates import of_plugins, of_robot
 from gateway.monitor.decoder import BusMonitor
@@ -128,6 +128,8 @@ def _plugins() -> tuple[Plugin, ...]:
 
 def _settings(interface: str, options: Namespace) -> BusSettings:
     driver, _, channel = interface.partition(":")
+    if driver in ADAPTERS:
+        raise UserError(f"{interface}: expected {ADAPTERS[driver]}")
     name = channel.removeprefix("/dev/")
     if driver == "serial":
         return BusSettings(name, "serial", interface, baudrate=options.baudrate)

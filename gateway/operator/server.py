@@ -106,6 +106,7 @@ class Operator:
         self._typed, self._typed_lines = LineBuffer(), deque[str | RejectedLine]()
         self._clients: list[_Client] = []
         """The one that was answered or accepted longest ago first."""
+        self._has_typed = False
         self.leaving = False
         """Whether quit has been received."""
         self.path = _free_path(folder or socket_folder(), robot.name)
@@ -140,12 +141,16 @@ class Operator:
                 self._clients.append(client)
             self._send(client)
         self._typed_lines.extend(() if self._typed_lines else self._read_terminal())
+        self._has_typed = self._has_typed or bool(self._typed_lines)
         for _ in range(min(MAX_LINES_EACH, len(self._typed_lines))):
             instructions += self._on_line(self._typed_lines.popleft(), _print, answers)
         return instructions
 
-    def report(self, text: str) -> None:
-        """Send a text of the robot to every connected client. (The terminal has the log.)"""
+    def report(self, text: str, *, logged: bool = True) -> None:
+        """Send a text of the robot to every connected client, and print it where a line was typed, unless it
+        is `logged` there."""
+        if self._has_typed and not logged:
+            _print(text)
         for client in list(self._clients):
             _queue(client, escaped(text))
             self._send(client)

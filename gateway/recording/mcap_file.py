@@ -108,7 +108,9 @@ class McapFile:
         """Return the channel of a topic with messages of a type; None if there is none yet."""
         return self._channels.get((topic, type_))
 
-    def open_channel(self, topic: str, type_: str, definition: str, qos: str = "") -> int:
+    def open_channel(
+        self, topic: str, type_: str, definition: str, qos: str = "", kind: str = "ros2msg"
+    ) -> int:
         """Add a channel with a ROS 2 message type in CDR; it is written with the next chunk."""
         from mcap.records import Channel, Schema
 
@@ -116,7 +118,7 @@ class McapFile:
         if schema is None:
             schema = self._schemas[type_] = len(self._schemas) + 1
             self._register(
-                Opcode.SCHEMA, Schema(id=schema, name=type_, encoding="ros2msg", data=definition.encode())
+                Opcode.SCHEMA, Schema(id=schema, name=type_, encoding=kind, data=definition.encode())
             )
         number = self._channels[topic, type_] = len(self._channels) + 1
         metadata = {"offered_qos_profiles": qos} if qos else {}

@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from typing import BinaryIO, NamedTuple, TypeAlias
 
 import lz4.frame
+import zstandard
 
 from gateway.recording.layout import MAGIC, Opcode
 
@@ -184,6 +185,11 @@ def _contents(content: bytes) -> bytes | str:
         try:
             data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size)
         except (RuntimeError, EOFError, MemoryError) as error:  # RuntimeError is lz4's for a broken frame
+            return f"a chunk that cannot be unpacked: {error}"
+    elif compression == "zstd":  # in bags of other programs
+        try:
+            data = zstandard.ZstdDecompressor().stream_reader(data).read(size)
+        except zstandard.ZstdError as error:
             return f"a chunk that cannot be unpacked: {error}"
     elif compression:
         return f"a chunk packed with {compression}"

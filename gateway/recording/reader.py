@@ -153,6 +153,19 @@ def has_end(path: Path) -> bool:
     return whole
 
 
+def is_recording(path: Path) -> bool:
+    """True if an MCAP file has a recording's metadata before its first message, or is too short to decide."""
+    with path.open("rb") as file:
+        for piece in records(file):
+            if isinstance(piece, Damage):
+                return not piece.reason.startswith("a chunk packed with")  # the reader reports others
+            if piece.opcode in (Opcode.MESSAGE, Opcode.DATA_END):
+                return False
+            if piece.opcode == Opcode.METADATA and METADATA.encode() in piece.content[: len(METADATA) + 4]:
+                return True
+    return True
+
+
 def _file_kind(start: bytes) -> str:
     if not start:
         return "an empty file"

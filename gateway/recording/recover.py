@@ -1,7 +1,8 @@
 """Recovery of a damaged recording: what can be read is copied to a new file, byte for byte, with an index.
 
 Rules. The damaged file is only read. The new one appears when it is finished, and never replaces another.
-Recovered are complete ticks with all their views, as they were written; what is lost is reported.
+Recovered are complete ticks with all their views, as they were written; what is lost is reported. Of another
+program's bag (MCAP, ROS 2) all messages are.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from gateway.recording.layout import MAGIC, RECOVERED, Opcode
 from gateway.recording.mcap_file import McapFile
 from gateway.recording.mcap_records import FOOTER, MESSAGE_HEAD, Damage, Record, records
 from gateway.recording.new_file import EXISTS, publish
-from gateway.recording.reader import has_end, head, parse, read_recording
+from gateway.recording.reader import has_end, head, is_recording, parse, read_recording
 from protocols.messages import Nanos, seconds
 
 CHUNK_SIZE = 512 * 1024
@@ -33,6 +34,8 @@ _TICK = struct.Struct("<4xQq")
 class Recovery:
     """What was found in a file."""
 
+    bag: bool = False
+    """True for another program's bag, in which there are no ticks."""
     ended: bool = False
     """True if the data have an end: then nothing was cut off, except perhaps the index."""
     size: int = 0
@@ -50,6 +53,11 @@ class Recovery:
     """and how many more there are."""
     damages: list[Damage] = field(default_factory=list)
 
+    @property
+    def anything(self) -> bool:
+        """True if there is something to keep."""
+        return bool(self.messages if self.bag else self.ticks)
+
     def summary(self) -> list[str]:
         """Return, for the operator, what was found and what was lost."""
         lines = [f"bytes {d.at} to {d.at + d.size} of {self.size}: {d.reason}" for d in self.damages]
@@ -60,27 +68,28 @@ class Recovery:
                 f"{self.messages} messages in all"
             )
             lines.append(f"the last tick is {self.last[0]}, at {seconds(self.last[1]):.6f} s of its clock")
+        elif self.bag:
+            lines.append(f"{self.messages} messages of another program's bag")
         else:
             lines.append("no tick can be read")
         lines += [f"missing in between: ticks {a} to {b}" for a, b in self.gaps]
         lines += [f"and {self.more_gaps} gaps more"] * bool(self.more_gaps)
         if not self.ended:
-            lines.append("the file was not closed: what followed that tick was not completely written")
+            last = "them" if self.bag else "that tick"
+            lines.append(f"the file was not closed: what followed {last} was not completely written")
         return lines
 
 
 def is_whole(path: Path) -> bool:
     """True if every byte before the end is verified, and the index counts all ticks. Raises RecordingError if
-    it is not a recording."""
-    has_end(path)
-    head(path, whole=False)
-    found = Recovery()
+    it is neither a recording nor an MCAP bag."""
+    found = _begun(path)
     for _ in _scanned(path, found):
         pass
     if not found.ended or found.damages or not _index_is_sound(path):
         return False
     try:
-        return read_recording(path).indexed == found.ticks
+        return found.bag or read_recording(path).indexed == found.ticks
     except RecordingError:  # of its index
         return False
 
@@ -105,12 +114,12 @@ def _index_is_sound(path: Path) -> bool:
 def recover(path: Path, target: Path) -> Recovery:
     """Write what can be read of a recording to a new file; write no file if no tick can be read.
 
-    Raises RecordingError if it is not a recording, or if the new file exists already or cannot be written."""
-    has_end(path)
-    head(path, whole=False)
+    Raises RecordingError if it is neither a recording nor an MCAP bag, or if the new file exists already or
+    cannot be written."""
+    found = _begun(path)
     if os.path.lexists(target):
         raise RecordingError(f"{target}: {EXISTS}")
-    found, part = Recovery(), target.with_name(target.name + ".part")
+    part = target.with_name(target.name + ".part")
     try:
         copy = _Copy(path, part)
     except FileExistsError as error:
@@ -125,15 +134,24 @@ def recover(path: Path, target: Path) -> Recovery:
             copy.finish(found)
         finally:
             copy.file.abandon()
-        if found.ticks:
+        if found.anything:
             publish(part, target)
     except OSError as error:
         raise RecordingError(f"{target}: cannot be written: {error.strerror}") from error
     finally:
         with suppress(OSError):
             part.unlink(missing_ok=True)
-    if found.ticks and read_recording(target).indexed != found.ticks:
+    if not found.bag and found.ticks and read_recording(target).indexed != found.ticks:
         raise RecordingError(f"{target}: does not read back as it was written: do not use it")
+    return found
+
+
+def _begun(path: Path) -> Recovery:
+    """Return an empty recovery, of the file's kind. Raises RecordingError if it is of no kind."""
+    has_end(path)
+    found = Recovery(bag=not is_recording(path))
+    if not found.bag:
+        head(path, whole=False)
     return found
 
 
@@ -183,7 +201,7 @@ class _Copy:
     def __init__(self, path: Path, target: Path) -> None:
         self.file = McapFile(target, "motor-gateway recover")
         self._path = path
-        self._schemas: dict[int, tuple[str, str]] = {}
+        self._schemas: dict[int, tuple[str, str, str]] = {}
         self._channels: dict[int, int] = {}
 
     def add(self, record: Record) -> None:
@@ -196,7 +214,7 @@ class _Copy:
             self._channel(record)
         elif record.opcode == Opcode.SCHEMA:
             schema = parse(self._path, Schema, record)
-            self._schemas[schema.id] = (schema.name, schema.data.decode(errors="replace"))
+            self._schemas[schema.id] = (schema.name, schema.data.decode(errors="replace"), schema.encoding)
         elif record.opcode == Opcode.METADATA:
             entry = parse(self._path, Metadata, record)
             self.file.metadata(entry.name, entry.metadata)
@@ -214,11 +232,11 @@ class _Copy:
         from mcap.records import Channel
 
         channel = parse(self._path, Channel, record)
-        type_, definition = self._schemas.get(channel.schema_id, ("", ""))
+        type_, definition, kind = self._schemas.get(channel.schema_id, ("", "", "ros2msg"))
         number = self.file.channel(channel.topic, type_)
         if number is None:
             qos = channel.metadata.get("offered_qos_profiles", "")
-            number = self.file.open_channel(channel.topic, type_, definition, qos)
+            number = self.file.open_channel(channel.topic, type_, definition, qos, kind)
         self._channels[channel.id] = number
 
     def _message(self, content: bytes) -> None:

@@ -7,7 +7,8 @@ Rules. The table [bag] of the robot file maps topics to sensors. A message count
 whenever it was written; events are ordered by their stamps, equal stamps by the order of the bag. Of odometry
 the twist is used, and converted to wheel angles by the body's kinematics. The ground truth is kept beside the
 events, never among them. What is not used is counted by topic and reason: nothing is invented for a field
-that its message marks as not measured. A bag that cannot be read raises `BagError`, whatever the damage.
+that its message marks as not measured. A bag that contradicts itself is read, and does not pass
+(`gateway.rosbag.contradictions`). One that cannot be read raises `BagError`, whatever the damage.
 """
 
 from gateway.rosbag.bag import Bag, Topic, read

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from brain.belief import Pose
 from brain.bodies.body import Base
 from brain.bodies.plane import Twist
 from gateway.core.robot import BagTopics
@@ -52,12 +51,14 @@ class Bag:
     path: Path
     events: tuple[Event, ...]
     """Feedback of the joints and Imu, in order."""
-    odometry: tuple[tuple[Nanos, Pose], ...]
-    """The poses of the bag's own odometry, for comparison."""
+    odometry: tuple[OdometryReading, ...]
+    """The bag's own odometry, in order; its poses are for comparison."""
     truth: tuple[Fix, ...]
     """Ground truth."""
     topics: tuple[Topic, ...]
     """All topics of the bag, sorted by name."""
+    stamps: Mapping[str, Sequence[tuple[Nanos, Nanos]]] = field(default_factory=dict)
+    """By role: when each message that was used was logged, and its stamp, as they were written."""
 
 
 def read(path: Path, topics: BagTopics | None, body: Base) -> Bag:
@@ -69,43 +70,48 @@ def read(path: Path, topics: BagTopics | None, body: Base) -> Bag:
             found[name].role = role
         wanted = [one for one in reader.connections if found[one.topic].role]
         images, markers = BagImages(topics.cameras if topics else {}), list[Marker]()
-        messages: list[tuple[str, object]] = []
-        for connection, _, data in reader.messages(wanted):
+        messages: list[tuple[str, Nanos, object]] = []
+        for connection, logged, data in reader.messages(wanted):
             name, message = connection.topic, reader.deserialize(data, connection.msgtype)
             if not found[name].role.startswith("cameras."):
-                messages.append((name, message))
+                messages.append((name, logged, message))
             elif isinstance(seen := images.look(found[name].role, message), str):
                 found[name].leave_out(seen)
             else:
                 markers += seen
     wheels = _Wheels(body)
-    poses: list[tuple[Nanos, Pose]] = []
+    odometry: list[OdometryReading] = []
     events: list[Event] = []
     truth: list[Fix] = []
-    for reading in _in_order(messages, markers, found):
+    readings, stamps = _converted(messages, found)
+    for reading in sorted([*markers, *readings], key=lambda reading: reading.t):
         if isinstance(reading, Fix):
             truth.append(reading)
         elif isinstance(reading, Imu | Marker):
             events.append(reading)
         else:
             events += wheels.feedback(reading)
-            poses.append((reading.t, reading.pose))
-    return Bag(path, tuple(events), tuple(poses), tuple(truth), tuple(found[n] for n in sorted(found)))
+            odometry.append(reading)
+    used = tuple(found[name] for name in sorted(found))
+    return Bag(path, tuple(events), tuple(odometry), tuple(truth), used, stamps)
 
 
-def _in_order(
-    messages: Sequence[tuple[str, object]], markers: Sequence[Marker], found: Mapping[str, Topic]
-) -> list[Reading]:
-    """Return messages and markers as readings, by their stamps; count unused messages in their topic."""
-    readings: list[Reading] = [*markers]
-    for name, message in messages:
+def _converted(
+    messages: Sequence[tuple[str, Nanos, object]], found: Mapping[str, Topic]
+) -> tuple[list[Reading], dict[str, list[tuple[Nanos, Nanos]]]]:
+    """Return messages as readings, as they were written, and when each was logged and stamped, by role; count
+    unused messages in their topic."""
+    readings: list[Reading] = []
+    stamps: dict[str, list[tuple[Nanos, Nanos]]] = {}
+    for name, logged, message in messages:
         topic = found[name]
         reading = converted(topic.role, message)
         if isinstance(reading, str):
             topic.leave_out(reading)
         else:
             readings.append(reading)
-    return sorted(readings, key=lambda reading: reading.t)
+            stamps.setdefault(topic.role, []).append((logged, reading.t))
+    return readings, stamps
 
 
 def _topics(reader: AnyReader) -> dict[str, Topic]:
@@ -149,7 +155,7 @@ class _Wheels:
 
     def feedback(self, reading: OdometryReading) -> list[Feedback]:
         """Return the feedback of every joint; to be called once per reading, in order."""
-        setpoints = self._body.inverse(Twist(reading.linear, reading.angular), self._angles)
+        setpoints = self._body.inverse(Twist(reading.linear, reading.angular, reading.lateral), self._angles)
         speeds = [one.velocity or 0.0 for one in setpoints]
         if self._last is not None:
             t, before = self._last

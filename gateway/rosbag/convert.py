@@ -45,6 +45,8 @@ class OdometryReading:
     angular: float
     """rad/s"""
     pose: Pose
+    lateral: float = 0.0
+    """m/s to the left"""
 
 
 Reading: TypeAlias = OdometryReading | Imu | Fix | Marker
@@ -74,10 +76,11 @@ def _odometry(message: RosOdometry) -> OdometryReading | str:
     if any(variance >= UNUSED for variance in variances):
         return "twist not measured"
     yaw = _yaw(place.orientation)
+    lateral = twist.twist.linear.y if float(twist.covariance[7]) < UNUSED else 0.0
     numbers = (twist.twist.linear.x, twist.twist.angular.z, place.position.x, place.position.y, yaw)
-    if not all(math.isfinite(number) for number in numbers):
+    if not all(math.isfinite(number) for number in (*numbers, lateral)):
         return "not finite"
-    return OdometryReading(stamp(message), *numbers[:2], Pose(*numbers[2:]))
+    return OdometryReading(stamp(message), *numbers[:2], Pose(*numbers[2:]), lateral)
 
 
 def _imu(sensor: str, message: RosImu) -> Imu | str:

@@ -25,6 +25,7 @@ from brain.perception.perception import Perception
 from gateway.core.robot import Robot
 from gateway.errors import BagError
 from gateway.rosbag import Bag, Topic, read
+from gateway.rosbag.contradictions import contradictions
 from gateway.rosbag.trajectory_error import MIN_PAIRS, PathError, east_north, path_error, spread
 from protocols.messages import MILLISECOND, Event, Fix, Nanos, seconds
 
@@ -62,6 +63,8 @@ class Evaluation:
     """Measurements not used, or used against the gate, by motor or sensor and reason."""
     at_most: float | None
     """m: the largest error (RMS) that passes"""
+    contradictions: tuple[str, ...] = ()
+    """What in the bag contradicts itself: then no figure is right."""
 
     @property
     def ok(self) -> bool:
@@ -86,7 +89,7 @@ class Evaluation:
             objections.append(
                 f"the path error is {self.estimated.rms:.2f} m, and at most {self.at_most:g} m is allowed"
             )
-        return objections
+        return [*self.contradictions, *objections]
 
     def text(self) -> str:
         """Return the result as text."""
@@ -156,7 +159,7 @@ def evaluate(bag: Bag, robot: Robot, at_most: float | None = None) -> Evaluation
     for fix in bag.truth:
         events.process_until(fix.t)
         if perception.estimate is not None:
-            own = bag.odometry[bisect_right(bag.odometry, fix.t, key=lambda one: one[0]) - 1][1]
+            own = bag.odometry[bisect_right(bag.odometry, fix.t, key=lambda one: one.t) - 1].pose
             fixes.append(fix)
             poses.append((extrapolated(perception.estimate, fix.t), perception.raw, own))
     events.process_until(None)
@@ -176,6 +179,7 @@ def evaluate(bag: Bag, robot: Robot, at_most: float | None = None) -> Evaluation
         nis=perception.nis,
         anomalies=perception.anomalies,
         at_most=at_most,
+        contradictions=contradictions(bag, body, mounts, robot.brain.perception.filter.turn_slip),
     )
 
 

@@ -6,7 +6,6 @@ other libraries' errors through. Here all of that becomes a `BagError` with its 
 
 from __future__ import annotations
 
-import resource
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -15,8 +14,9 @@ from traceback import extract_tb
 from typing import TYPE_CHECKING
 
 from gateway.errors import BagError, GatewayError
-from gateway.recording.layout import MAGIC, METADATA, Opcode
-from gateway.recording.mcap_records import MAX_EXPANSION, Damage, records
+from gateway.recording.layout import MAGIC
+from gateway.recording.mcap_records import MAX_EXPANSION
+from gateway.recording.reader import has_end, is_recording
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -33,26 +33,13 @@ def is_bag(path: Path) -> bool:
     except OSError:
         return False
     if start.startswith(MAGIC):
-        return not _is_recording(path)
+        return not is_recording(path)
     return start.startswith((ROS1, b"SQLite format 3"))
 
 
 def _start(path: Path) -> bytes:
     with path.open("rb") as file:
         return file.read(16)
-
-
-def _is_recording(path: Path) -> bool:
-    """True if a recording's metadata precede the first message, or if the file is too short to decide."""
-    with path.open("rb") as file:
-        for piece in records(file):
-            if isinstance(piece, Damage):
-                return not piece.reason.startswith("a chunk packed with")  # gateway.recording reports others
-            if piece.opcode in (Opcode.MESSAGE, Opcode.DATA_END):
-                return False
-            if piece.opcode == Opcode.METADATA and METADATA.encode() in piece.content[: len(METADATA) + 4]:
-                return True
-    return True
 
 
 @contextmanager
@@ -72,7 +59,8 @@ def open_bag(path: Path) -> Iterator[AnyReader]:
         ):
             yield reader
     except (AnyReaderError, Ros1Error, Ros2Error) as error:
-        raise BagError(f"{path}: {_line(error)}") from error
+        alone = f": {inside}" if (inside := _inside(path)) else ""
+        raise BagError(f"{path}: {_line(error)}{alone}") from error
     except AssertionError as error:
         place = extract_tb(error.__traceback__)[-1]
         raise BagError(
@@ -88,10 +76,17 @@ def open_bag(path: Path) -> Iterator[AnyReader]:
 
 @contextmanager
 def _limited_memory(path: Path) -> Iterator[None]:
-    """Limit the memory of this process: the library unpacks whatever a bag contains, to any size."""
+    """Limit the memory of this process: the library unpacks whatever a bag contains, to any size.
+
+    Linux alone reports and limits it; elsewhere it is not limited."""
+    if not STATM.exists():
+        yield
+        return
+    import resource
+
     files = path.rglob("*") if path.is_dir() else [path]
     size = sum(file.stat().st_size for file in files if file.is_file())
-    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    pages = int(STATM.read_text().split()[0])
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
     most = pages * resource.getpagesize() + MAX_MEMORY + MAX_EXPANSION * size
     if soft == resource.RLIM_INFINITY or most < soft:
@@ -109,13 +104,30 @@ def _check_form(path: Path) -> None:
             f"{path}: python -O switches off the checks of the library that reads bags; run without"
         )
     if path.is_dir() and not (path / "metadata.yaml").is_file():
-        raise BagError(f"{path}: a folder without metadata.yaml: no bag of ROS 2")
+        raise BagError(f"{path}: a folder without metadata.yaml: {_inside(path) or 'no bag of ROS 2'}")
+    for file in path.glob("*.mcap") if path.is_dir() else [path]:
+        if file.is_file() and _start(file).startswith(MAGIC) and not has_end(file):
+            raise BagError(
+                f"{file}: it was cut off and has no index: `gateway recover {file}` makes a new one"
+            )
     if path.suffix != ".bag" and path.is_file() and _start(path).startswith(ROS1):
         raise BagError(
             f"{path}: a bag of ROS 1 must be called .bag (a .active one is unfinished: reindex it)"
         )
     for database in sorted(path.glob("*.db3")) if path.is_dir() else [path] * (path.suffix == ".db3"):
         _check_database(database)
+
+
+def _inside(path: Path) -> str:
+    """Return what to do with the files of a folder whose metadata are absent or wrong; "" without any."""
+    if not path.is_dir():
+        return ""
+    files = sorted(file for file in path.iterdir() if file.suffix in (".mcap", ".db3"))
+    if len(files) > 1:
+        return (
+            f"its {len(files)} files can be replayed one by one, or `ros2 bag reindex {path}` makes it anew"
+        )
+    return f"replay its file alone, {files[0]}" if files else ""
 
 
 def _check_database(path: Path) -> None:
@@ -137,6 +149,8 @@ def _line(error: object) -> str:
     return (text if len(text) <= MAX_LENGTH else f"{text[:MAX_LENGTH]}…").rstrip(".: ")
 
 
+STATM = Path("/proc/self/statm")
+"""What memory this process takes; its first number is in pages."""
 MAX_MEMORY = 512 * 1024 * 1024
 """Bytes that reading a bag may take, beside `MAX_EXPANSION` times its size."""
 MAX_LENGTH = 120

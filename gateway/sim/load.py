@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal, TypeAlias, TypeVar
 
@@ -63,7 +64,16 @@ def _load(kind: Literal["worlds", "plants"], name_or_path: str | Path, parse: Pa
         raise WorldError(error.mistakes) from error
     except UserError as error:
         raise WorldError.about(str(name_or_path), [f"cannot be read: {error}"]) from error
-    return parse(text, str(path))
+    return _with_files(parse(text, str(path)), path)
+
+
+def _with_files(file: T, path: Path) -> T:
+    """Return a world or plant whose files are found from wherever it is used."""
+    if isinstance(file, SceneFile):
+        return replace(file, mission=resources.beside(file.mission, path))
+    if isinstance(file, LinkedFile) and (path.parent / file.urdf).is_file():
+        return replace(file, urdf=str(path.parent / file.urdf))
+    return file
 
 
 def _parse(text: str, source: str, kinds: dict[str, type[T]]) -> T:

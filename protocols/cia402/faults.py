@@ -111,7 +111,7 @@ F additional functions | manufacturer-specific | {look}
 10003 no CiA 402 drive that can be commanded | its objects do not suffice | check node id and robot file
 10004 quick stop | an operator asked for the emergency stop | clear it when it is safe
 10005 not configured | the drive refused an object that must be written before it is armed | set it with the\
- maker's tool, or set mapping = "keep" under options; then clear
+ maker's tool, or under options watchdog_ms = 0 if it is 1016, else mapping = "keep"; then clear
 10006 homing did not end | no switch, no index, or a speed of zero | check 6098, 6099, switches; then clear
 10007 set-point not taken | bit 12 of its statusword does not fall in profile position | set modes = "cyclic"
 """

@@ -108,7 +108,7 @@ def read(file: Traversable) -> list[Block]:
 def _logical_lines(file: Traversable) -> Iterator[tuple[str, str]]:
     """Yield places and lines, without remarks; what ends with a backslash goes on in the next line."""
     begun = ""
-    for at, text in enumerate(file.read_text("utf-8").splitlines(), 1):
+    for at, text in enumerate(file.read_text("utf-8-sig").splitlines(), 1):
         text = begun + text.partition(" -- ")[0].strip()
         begun = text.removesuffix("\\") if text.endswith("\\") else ""
         if text and not begun and not text.startswith("#"):

@@ -41,10 +41,11 @@ def test_it_ends_where_another_filter_does(recording: Callable[[str], Path]) -> 
     perception = robot.brain.perception
     turned = replace(perception, filter=replace(perception.filter, start_yaw=yaw))
     evaluation = evaluate(bag, replace(robot, brain=replace(robot.brain, perception=turned)))
+    assert not evaluation.contradictions
     assert evaluation.driven == pytest.approx(84.2, abs=1.0)
     assert evaluation.end is not None
     assert math.hypot(evaluation.end.x - 1.0206, evaluation.end.y - 3.4292) < 0.3
-    start, end = bag.odometry[0][1], bag.odometry[-1][1]
+    start, end = bag.odometry[0].pose, bag.odometry[-1].pose
     x, y = end.x - start.x, end.y - start.y
     there = (math.cos(yaw) * x - math.sin(yaw) * y, math.sin(yaw) * x + math.cos(yaw) * y)
     assert math.hypot(there[0] - 1.0206, there[1] - 3.4292) > 15.0

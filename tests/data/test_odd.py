@@ -8,16 +8,24 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING, cast
 
+import numpy as np
 import pytest
 
 from brain.bodies.body import Base
 from gateway.cli.main import main
 from gateway.core.robot import BagTopics
 from gateway.errors import BagError
-from gateway.rosbag import is_bag, read
+from gateway.rosbag import is_bag, read, stamps
+from gateway.rosbag.convert import stamp
 from gateway.rosbag.evaluate import evaluate
+from gateway.rosbag.file import open_bag
+from protocols.messages import SECOND
 from tests.gateway.bag_helpers import ROBOT, body_of, rover
+
+if TYPE_CHECKING:
+    from rosbags.typesys.stores.ros2_jazzy import sensor_msgs__msg__Imu as RosImu
 
 DAMAGED = "odd/laser_scan_matcher_demo.bag"
 TILTED = "odd/tilt_laser.bag"
@@ -69,6 +77,25 @@ def test_a_bag_without_odometry_is_told_what_there_is(recording: Callable[[str],
     ]
 
 
+def test_the_stamps_of_an_imu_are_of_one_clock(recording: Callable[[str], Path]) -> None:
+    with open_bag(recording(TILTED)) as reader:
+        connections = [one for one in reader.connections if one.topic == "/imu_data"]
+        read_in = [
+            (logged, stamp(cast("RosImu", reader.deserialize(data, one.msgtype))))
+            for one, logged, data in reader.messages(connections)
+        ]
+    logged, stamped = (
+        np.array([t - read_in[0][0] for t in times]) / SECOND for times in zip(*read_in, strict=True)
+    )
+    one = stamps.Stamps(logged, stamped)
+    assert not [
+        *stamps.resolution(stamped),
+        *stamps.order(stamped),
+        *stamps.steps(one),
+        *stamps.clock(one, one),
+    ]
+
+
 def test_telemetry_alone_moves_nothing(
     recording: Callable[[str], Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -86,7 +113,8 @@ def test_a_simulated_drive(recording: Callable[[str], Path]) -> None:
     bag = read(recording(SIMULATED), robot.bag, body)
     assert {t.name: t.used for t in bag.topics if t.role} == {"/imu": 2253, "/odom": 2741}
     evaluation = evaluate(bag, robot)
+    assert not evaluation.contradictions
     assert evaluation.driven == pytest.approx(24.81, abs=0.15)
     assert evaluation.end is not None
-    start, end = bag.odometry[0][1], bag.odometry[-1][1]
+    start, end = bag.odometry[0].pose, bag.odometry[-1].pose
     assert math.hypot(evaluation.end.x - (end.x - start.x), evaluation.end.y - (end.y - start.y)) < 0.25

@@ -80,6 +80,7 @@ def odometry(
     variance: float = 1e-3,
     topic: str = "/odom",
     logged: Nanos | None = None,
+    lateral: float = 0.0,
 ) -> BagMessage:
     """`variance` is that of the speed along x."""
 
@@ -91,7 +92,7 @@ def odometry(
         place = types["geometry_msgs/msg/Point"](x=pose.x, y=pose.y, z=0.0)
         whole = types["geometry_msgs/msg/Pose"](position=place, orientation=turned)
         twist = types["geometry_msgs/msg/Twist"](
-            linear=vector(types, linear, 0.0, 0.0), angular=vector(types, 0.0, 0.0, angular)
+            linear=vector(types, linear, lateral, 0.0), angular=vector(types, 0.0, 0.0, angular)
         )
         return types[ODOM](
             header=header(types, t, "odom"),

@@ -12,6 +12,7 @@ from gateway.cli.main import main
 from gateway.config import parse_robot
 from gateway.recording import read_recording
 from protocols.messages import Feedback, Velocity
+from tests.gateway.bag_helpers import ROBOT, drive, write
 from tests.gateway.processes import Process
 from tests.gateway.rig import BENCH, sent_commands
 
@@ -47,7 +48,10 @@ SEEDS = ("-1", "x", str(2**63), "1.5")
     ("command", "expected"),
     [
         ("", "COMMAND"),
-        ("fly", "invalid choice"),
+        ("fly", "invalid choice: 'fly'"),
+        ("-q fly --fast", "invalid choice: 'fly'"),
+        ("-q run difbot --fast", "did you mean 'diffbot'?"),
+        ("run bench --bus can0=candle:0", 'expected "socketcan:can0", since Linux has a driver for it'),
         ("run", "ROBOT"),
         ("run difbot", "did you mean 'diffbot'?"),
         ("run no/such.toml", "there is no file no/such.toml"),
@@ -91,6 +95,7 @@ SEEDS = ("-1", "x", str(2**63), "1.5")
         ("watch diffbot", "--bus sensors=serial:PORT"),
         ("watch serial:/dev/nowhere", "/dev/nowhere"),
         ("watch socketcan:vcan7", "sudo ip link"),
+        ("watch candle:0", 'candle:0: expected "socketcan:can0"'),
         ("watch virtual:x --bus can0=virtual:y", "--bus is for the buses of a robot file"),
         ("watch virtual:x --bitrate fast", "'fast' is not a rate in bit/s"),
         ("watch pyproject.mcap", "pyproject.mcap"),
@@ -225,3 +230,52 @@ def test_a_robot_is_checked_without_the_library_that_its_world_needs(
     monkeypatch.setitem(sys.modules, "mujoco", None)
     assert main(["check", "diffbot"]) == 0
     assert "the load of the buses was not counted: world 'office': it needs MuJoCo" in capsys.readouterr().out
+
+
+ELSEWHERE = """
+import sys
+for name in ("fcntl", "termios", "tty", "pty", "resource", "grp", "pwd"):
+    sys.modules[name] = None
+from pathlib import Path
+import platform
+platform.system = lambda: "Windows"
+from gateway.cli.main import main
+from gateway.rosbag import file
+file.STATM = Path("no such file")
+for line in sys.argv[1:]:
+    print(line, "->", main(line.split()), flush=True)
+"""
+"""A process on a system without what Linux has."""
+
+
+def test_what_needs_no_bus_runs_elsewhere_and_the_rest_is_a_sentence(tmp_path: Path) -> None:
+    (tmp_path / "rover.toml").write_text(ROBOT)
+    bag = write(tmp_path / "drive", drive(8.0))
+    recording, report = tmp_path / "run.mcap", tmp_path / "report.html"
+    assert main(["run", "bench", "--fast", "--seconds", "0.3", "--record", str(recording)]) == 0
+    runs = {
+        "check bench": 0,
+        f"replay {recording}": 0,
+        f"replay {recording} --report {report}": 0,
+        f"replay {bag} --robot {tmp_path}/rover.toml": 0,
+        f"recover {recording}": 0,
+        f"watch {recording}": 0,
+        "protocols": 0,
+        **dict.fromkeys(("demo --fast", "run bench", "twin bench", "jog left bench", "ask bench status"), 2),
+        "watch socketcan:can0": 2,
+    }
+    command = [sys.executable, "-c", ELSEWHERE, *runs]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert "Traceback" not in done.stderr
+    assert [line for line in done.stdout.splitlines() if " -> " in line] == [
+        f"{line} -> {status}" for line, status in runs.items()
+    ], done.stderr
+    assert done.stderr.count(": runs on Linux only; here do: replay, recover, watch, check,") == 5
+    assert done.stderr.count("gateway watch: this runs on Linux only") == 1
+
+
+def test_options_may_precede_the_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["-q", "check", "bench"]) == 0
+    first = capsys.readouterr().out
+    assert main(["check", "bench", "-q"]) == 0
+    assert capsys.readouterr().out == first

@@ -85,7 +85,7 @@ OFTEN = "".join(f"[motors.m{i}]\nprotocol = 'odrive_can'\nbus = 'can0'\naddress 
 def test_a_careless_value_of_a_robot_is_a_mistake_in_words(old: str, new: str, mistake: str) -> None:
     assert old in DIFFBOT
     text = DIFFBOT.replace(old, new, 1)
-    assert mistake in mistakes_in(lambda text: parse_robot(text, with_world=True), text)
+    assert mistake in mistakes_in(lambda text: parse_robot(text, file=Path("r.toml")), text)
 
 
 @pytest.mark.parametrize(

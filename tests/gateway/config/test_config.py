@@ -13,7 +13,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gateway.config import cautions, describe, load_robot, parse_robot, resources, with_interfaces
+from gateway.config import (
+    cautions,
+    describe,
+    load_mission,
+    load_robot,
+    parse_robot,
+    resources,
+    with_interfaces,
+)
 from gateway.config.errors import Mistakes, lines, shown
 from gateway.config.schema import build
 from gateway.config.sections import Find
@@ -21,6 +29,9 @@ from gateway.config.validate import id_conflict
 from gateway.core.bounds import Bounds
 from gateway.core.robot import BagTopics, Robot
 from gateway.errors import ConfigError
+from gateway.sim import load_plant, load_world
+from gateway.sim.files import SceneFile
+from gateway.sim.linked_file import LinkedFile
 from protocols import plugin
 from protocols.frames import EXTENDED_BIT, exact
 from protocols.messages import MILLISECOND, Idle, Nanos, Torque
@@ -41,7 +52,7 @@ ROVER = (
 def mistakes_in(text: str, find: Any = plugin.load, *, with_world: bool = False) -> list[str]:
     """The mistakes in a file called r.toml, one line each; [] if it is right."""
     try:
-        parse_robot(text, "r.toml", find, with_world=with_world)
+        parse_robot(text, "r.toml", find, file=Path("r.toml") if with_world else None)
     except ConfigError as error:
         return [str(mistake) for mistake in error.mistakes]
     return []
@@ -1036,3 +1047,69 @@ def test_a_dataclass_that_no_file_can_fill_is_reported() -> None:
     mistakes = Mistakes("f", "")
     assert build(Odd, {}, ("t",), mistakes) is None
     assert "Odd cannot be filled from a file" in str(mistakes.error())
+
+
+def test_more_than_64_motors_are_one_mistake() -> None:
+    """Not one more for each wheel, limit and reference that names a motor beyond."""
+    names = [f"m{n}" for n in range(100)]
+    motors = "".join(f"[motors.{name}]\naddress = {n}\n" for n, name in enumerate(names))
+    text = BENCH[: BENCH.index("[motors.")] + motors
+    text += f'[brain]\nbody = "joints"\n[brain.joints]\nmotors = {names}\n'
+    (found,) = mistakes_in(text)
+    assert found.endswith("motors: found 100 tables, expected at most 64")
+
+
+@pytest.mark.parametrize(
+    ("word", "right"),
+    [
+        ("candle:0", "socketcan:can0"),
+        ("gs_usb:0", "socketcan:can0"),
+        ("canable:/dev/ttyACM0", "slcan:/dev/ttyACM0"),
+        ("waveshare:/dev/ttyUSB0", "seeedstudio:/dev/ttyUSB0"),
+    ],
+)
+def test_an_adapter_by_the_word_that_people_have_for_it_is_pointed_to_ours(word: str, right: str) -> None:
+    (found,) = mistakes_in(changed('interface = "twin"', f'interface = "{word}"'))
+    assert right in found
+
+
+def test_paths_in_a_file_count_from_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a robot's world and plant, of a world's mission, of a plant's URDF, whatever the working folder."""
+    here, elsewhere = tmp_path / "robots", tmp_path / "elsewhere"
+    here.mkdir()
+    elsewhere.mkdir()
+    for kind, name in (("worlds", "workshop"), ("plants", "arm"), ("missions", "grasp")):
+        (here / f"own_{name}.toml").write_text(resources.find(kind, name).read_text())  # type: ignore[arg-type]
+    world, plant = here / "own_workshop.toml", here / "own_arm.toml"
+    world.write_text(world.read_text().replace('mission = "grasp"', 'mission = "own_grasp.toml"'))
+    plant.write_text(plant.read_text().replace('urdf = "arm.urdf"', 'urdf = "own.urdf"'))
+    arm = resources.find("robots", "arm")
+    (here / "own.urdf").write_text(arm.with_suffix(".urdf").read_text())
+    text = arm.read_text().replace('urdf = "arm.urdf"', 'urdf = "own.urdf"')
+    text = text.replace('world = "workshop"', 'world = "own_workshop.toml"')
+    (here / "own.toml").write_text(text.replace('plant = "arm"', 'plant = "own_arm.toml"'))
+    monkeypatch.chdir(elsewhere)
+    robot = load_robot(here / "own.toml")
+    assert (robot.world, robot.plant) == (str(world), str(plant))
+    scene, linked = load_world(world), load_plant(plant)
+    assert isinstance(scene, SceneFile)
+    assert isinstance(linked, LinkedFile)
+    assert load_mission(scene.mission, robot).steps
+    assert linked.urdf == str(here / "own.urdf")
+
+
+@pytest.mark.parametrize("name", ["robot.toml", "world.toml", "own.urdf", "mission.toml"])
+def test_a_mark_of_an_editor_before_the_first_character_is_read_over(tmp_path: Path, name: str) -> None:
+    arm = resources.find("robots", "arm")
+    texts = {
+        "robot.toml": arm.read_text().replace('world = "workshop"', 'world = "world.toml"'),
+        "world.toml": resources.find("worlds", "workshop").read_text(),
+        "own.urdf": arm.with_suffix(".urdf").read_text(),
+        "mission.toml": resources.find("missions", "grasp").read_text(),
+    }
+    texts["robot.toml"] = texts["robot.toml"].replace('urdf = "arm.urdf"', 'urdf = "own.urdf"')
+    for each, text in texts.items():
+        (tmp_path / each).write_text(text, encoding="utf-8-sig" if each == name else "utf-8")
+    robot = load_robot(tmp_path / "robot.toml")
+    assert isinstance(load_world(tmp_path / "world.toml"), SceneFile)
+    assert load_mission(str(tmp_path / "mission.toml"), robot).steps

@@ -202,6 +202,16 @@ def test_a_request_with_a_number_that_is_not_finite_is_refused_and_reaches_no_dr
     assert [e.reason for e in answers if isinstance(e, msg.Refused)] == [wanted, wanted]
 
 
+@pytest.mark.parametrize(
+    "refused", [msg.WriteParameter("left", "no_such", 1.0), msg.Set("left.no_such", 1.0), msg.Zero("none")]
+)
+def test_a_refusal_that_comes_with_every_step_is_noted_once_a_second(rig: Rig, refused: msg.Request) -> None:
+    ticks = [tick for _ in range(500) for tick in rig.run(0.005, refused)]
+    notes = [note.text for note in notes_in(ticks) if "refused" in note.text]
+    assert 2 <= len(notes) <= 4
+    assert notes[1] == f"{notes[0]} (199 times more in the meantime)"
+
+
 def test_a_lost_bus_and_its_return_are_reported_and_nothing_starts_by_itself(driven: Rig) -> None:
     driven.world.buses["can0"].lose()
     ticks = driven.run(0.5)

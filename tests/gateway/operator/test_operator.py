@@ -463,6 +463,25 @@ def test_lines_on_a_pipe_are_accepted_and_its_end_does_not_end_the_run(
     os.close(reader)
 
 
+def test_where_a_line_was_typed_its_answers_are_printed_too(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`scan` has no other answer than what is found; the log shows that with -v only."""
+    reader, writer = os.pipe()
+    with Operator(DIFFBOT, folder, terminal=reader) as operator:
+        operator.report("left: idle", logged=False)
+        os.write(writer, b"scan can0\n")
+        assert operator.poll(status) == [msg.Scan("can0")]
+        operator.report("scan: odrive_can at address 1", logged=False)
+        operator.report("scan: odrive_can at address 2", logged=True)
+    os.close(writer)
+    os.close(reader)
+    printed = capsys.readouterr().out
+    assert "scan: odrive_can at address 1\n" in printed
+    assert "left: idle" not in printed
+    assert "address 2" not in printed
+
+
 def test_lines_on_a_terminal_are_accepted(folder: Path) -> None:
     ours, theirs = os.openpty()
     tty.setraw(theirs)

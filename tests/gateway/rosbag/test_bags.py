@@ -7,13 +7,18 @@ import os
 import re
 import subprocess
 import sys
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
 
 from brain.belief import Pose
+from gateway.cli.main import main
 from gateway.core.robot import BagTopics
 from gateway.errors import BagError
 from gateway.recording import Recorder
@@ -91,9 +96,9 @@ def test_speeds_become_what_each_wheel_turned(tmp_path: Path) -> None:
 def test_poses_of_the_bag_are_for_comparison_alone(tmp_path: Path) -> None:
     place = Pose(3.0, -2.0, 2.5)
     bag = bag_of(tmp_path, odometry(at(100), 0.5, 0.0, place))
-    (t, pose) = bag.odometry[1]
-    assert (t, pose.x, pose.y) == (at(100), 3.0, -2.0)
-    assert pose.yaw == pytest.approx(2.5)
+    own = bag.odometry[1]
+    assert (own.t, own.pose.x, own.pose.y) == (at(100), 3.0, -2.0)
+    assert own.pose.yaw == pytest.approx(2.5)
     moved = [e.position for e in bag.events if isinstance(e, Feedback) and e.t == at(100)]
     assert moved == pytest.approx([0.25, 0.25])  # 0.05 / 2 m, whatever the pose is
 
@@ -359,3 +364,71 @@ def test_a_text_in_a_bag_that_is_no_utf_8_is_read_over_or_refused_with_a_sentenc
 def test_a_stamp_far_away_harms_nothing_but_itself(tmp_path: Path) -> None:
     bag = bag_of(tmp_path, odometry(START + 4 * 10**8 * SECOND, 1.0, 0.0, logged=at(5)))
     assert evaluate(bag, ROVER).text()
+
+
+# -- damage that has a remedy ------------------------------------------------------------------------
+
+
+def printed(capsys: pytest.CaptureFixture[str], status: int, *arguments: object) -> str:
+    assert main([*map(str, arguments)]) == status
+    out, err = capsys.readouterr()
+    return out + err
+
+
+@pytest.mark.parametrize("packed", ["none", "zstd", "lz4"])
+def test_a_bag_that_was_cut_off_is_recovered(
+    tmp_path: Path, packed: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As a recorder leaves it that was killed: a folder without metadata, an MCAP file without its end."""
+    robot = tmp_path / "rover.toml"
+    robot.write_text(ROVER.text)
+    folder = write(tmp_path / "x", drive(8.0), "mcap")
+    (file,) = folder.glob("*.mcap")
+    whole = read(folder, TOPICS, BODY)
+    repacked(file, packed)
+    assert read(folder, TOPICS, BODY).events == whole.events
+    file.write_bytes(file.read_bytes()[: -file.stat().st_size // 4])
+    (folder / "metadata.yaml").unlink()
+    assert f"replay its file alone, {file}" in printed(capsys, 2, "replay", folder, "--robot", robot)
+    assert f"`gateway recover {file}`" in printed(capsys, 2, "replay", file, "--robot", robot)
+    assert "messages of another program's bag" in printed(capsys, 0, "recover", file)
+    found = file.with_name(f"{file.stem}.recovered.mcap")
+    recovered = read(found, TOPICS, BODY)
+    kept = len(recovered.events) - 20  # what was measured in the last moments was not all written
+    assert 100 < kept < len(whole.events)
+    assert recovered.events[:kept] == whole.events[:kept]
+    assert "messages used" in printed(capsys, 0, "replay", found, "--robot", robot)
+    assert "is whole" in printed(capsys, 0, "recover", found)
+
+
+def repacked(path: Path, packed: str) -> None:
+    """Write a bag anew as another program does, in small chunks."""
+    kinds = {"none": CompressionType.NONE, "zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4}
+    data = path.read_bytes()
+    with path.open("wb") as out:
+        new = McapWriter(out, chunk_size=4096, compression=kinds[packed])
+        new.start("ros2", "another program")
+        schemas, channels = dict[int, int](), dict[str, int]()
+        for schema, channel, message in make_reader(BytesIO(data)).iter_messages():
+            assert schema is not None
+            if schema.id not in schemas:
+                schemas[schema.id] = new.register_schema(schema.name, schema.encoding, schema.data)
+            if channel.topic not in channels:
+                number = new.register_channel(channel.topic, "cdr", schemas[schema.id], channel.metadata)
+                channels[channel.topic] = number
+            new.add_message(channels[channel.topic], message.log_time, message.data, message.publish_time)
+        new.finish()  # type: ignore[no-untyped-call]
+
+
+@pytest.mark.parametrize("kind", ["mcap", "sqlite3"])
+def test_metadata_without_a_storage_name_the_way_that_works(tmp_path: Path, kind: Kind) -> None:
+    folder = write(tmp_path / "x", drive(1.0), kind)
+    yaml = folder / "metadata.yaml"
+    text = yaml.read_text()
+    yaml.write_text(text.replace(f"storage_identifier: {kind}", "storage_identifier: ''"))
+    assert yaml.read_text() != text
+    (file,) = (one for one in folder.iterdir() if one != yaml)
+    assert refusal(folder).endswith(f": replay its file alone, {file}")
+    assert read(file, TOPICS, BODY).events
+    file.with_name(f"b{file.suffix}").write_bytes(file.read_bytes())
+    assert "its 2 files can be replayed one by one, or `ros2 bag reindex" in refusal(folder)

@@ -128,6 +128,11 @@ def test_every_mode_that_is_shown(mode: int) -> None:
 # -- faults ---------------------------------------------------------------------------------------
 
 
+def test_a_remedy_is_one_that_works() -> None:
+    """As the transcripts of the set-up have it."""
+    assert 'watchdog_ms = 0 if it is 1016, else mapping = "keep"' in fault_info(0x1_0005).remedy
+
+
 def test_every_code_has_a_text() -> None:
     for code in range(1 << 16):
         reported = fault_info(code)
