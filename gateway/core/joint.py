@@ -589,7 +589,7 @@ class Joint:
         return softened(out, self._held, stiffness, damping, there, limits)
 
     def _rate_to(self, t: Nanos, position: float) -> float | None:
-        """Return at what velocity it has come to a position: some devices report none until they are armed."""
+        """Return at what velocity it came to a position: some devices report none until they are armed."""
         since, before = self._position_at, self.feedback.position
         if since is None or before is None or t <= since:
             return None
