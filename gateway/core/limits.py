@@ -330,7 +330,7 @@ class Swing:
 def spring_within(wanted: Impedance, measured: Feedback, limits: Limits) -> Impedance:
     """Return a spring whose torque at the measured position and velocity is within the limits.
 
-    Where it would give more, it is softer, by more than that needs: moved set-points could leave the range."""
+    Where it would give more, it is softer, by more than that needs: moved set-points could leave it."""
     position = limits.inside(wanted.position)
     velocity = clamp(wanted.velocity, limits.velocity)
     torque = limits.torque_now(wanted.torque, measured)
