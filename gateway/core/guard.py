@@ -27,11 +27,9 @@ if TYPE_CHECKING:
 GOES_ON: Nanos = SECOND
 """How long after a set-point, or after coasting, a motor may be commanded to go on from there: a driver that
 changes the mode, or that arms at rest, sends other set-points in between."""
-FOLLOWS: Nanos = 100 * MILLISECOND
-"""How long after a set-point one of its kind may go on from it: later, the shaft is where it is measured."""
 STOPS_WITHIN: Nanos = 250 * MILLISECOND
 """Time in which a driver must have passed on that a device is to stand; then its own stop is sent."""
-LATENCY: Nanos = 20 * MILLISECOND
+LATENCY: Nanos = 50 * MILLISECOND
 """What a device obeys may be this much ahead of what it last obeyed: a joint's set-point moves on while the
 device is being armed, and while a set-point waits for its SYNC."""
 FRAMES_KEPT = 16
@@ -384,10 +382,16 @@ class Guard:
     ) -> Iterator[tuple[float, float]]:
         """Yield from where a set-point may go on, each with the time [s] in which it may have changed."""
         bounds, motor, kind = self._motors[one.motor], one.motor, type(one)
+        last = self._last.get((motor, None))
+        time = bounds.changing(bounds.timeout if last is None else now - last[0])
+        if kind is msg.Position:  # a loop of the device makes of a jump what velocity it likes
+            time, goes_on = bounds.changing(0), bounds.timeout
+        else:
+            goes_on = GOES_ON
         for value in measured:
-            yield value, bounds.changing(0)
+            yield value, time
         alike, coasting = self._last.get((motor, kind)), self._coasting.get(motor)
-        if alike is not None and now - alike[0] <= FOLLOWS:
+        if alike is not None and now - alike[0] <= goes_on:
             yield bounds.at_joint(alike[1], quantity)[0], bounds.changing(now - alike[0])
         if kind is msg.Velocity and coasting is not None and now - coasting[0] <= GOES_ON:
             yield coasting[1], bounds.changing(0)

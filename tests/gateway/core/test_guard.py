@@ -14,7 +14,7 @@ from typing import Any, NoReturn
 import pytest
 
 from gateway import config
-from gateway.core.guard import FOLLOWS, Blocked, Guard, decoder_of
+from gateway.core.guard import Blocked, Guard, decoder_of
 from gateway.core.joint import Joint
 from gateway.core.step import DRIVER_FAILED, FRAME_BLOCKED, Gateway
 from gateway.core.tick import Inputs
@@ -204,7 +204,8 @@ def having(command: Command) -> Situation:
 
 
 COASTED = replace(turning(), coasted=12.0)
-AHEAD = moving(0.0, position(LEFT, 0.4))
+TIMEOUT = ROBOT.motors["left"].joint.command_timeout
+AHEAD = moving(0.0, position(LEFT, 1.0))
 CASES: list[tuple[str, Situation, Frame, str]] = [
     ("read-only, before any command", FRESH, POLL, ""),
     ("arming before any command", FRESH, arm(LEFT), NOT_OURS),
@@ -239,22 +240,22 @@ CASES: list[tuple[str, Situation, Frame, str]] = [
     ("feed-forward beyond it", turning(), velocity(LEFT, 0.0, -2.01), TOO_STRONG),
     ("torque at the limit", Situation(before=PUSHING), torque(LEFT, 2.0), ""),
     ("torque beyond the limit", Situation(before=PUSHING), torque(LEFT, -2.01), TOO_STRONG),
-    ("faster, within 25 ms of acceleration", turning(0.0, velocity(LEFT, 1.0)), velocity(LEFT, 2.49), ""),
-    ("faster than that", turning(0.0, velocity(LEFT, 1.0)), velocity(LEFT, 2.51), JERKS),
+    ("faster, within 55 ms of acceleration", turning(0.0, velocity(LEFT, 1.0)), velocity(LEFT, 4.29), ""),
+    ("faster than that", turning(0.0, velocity(LEFT, 1.0)), velocity(LEFT, 4.31), JERKS),
     ("as measured", turning(12.0), velocity(LEFT, 12.0), ""),
     ("slower at once", turning(12.0), velocity(LEFT, 0.0), ""),
     ("to the other direction", turning(12.0), velocity(LEFT, -12.0), JERKS),
-    ("a position near", moving(), position(LEFT, 0.39), ""),
-    ("a jump", moving(), position(LEFT, 0.41), JUMPS),
+    ("a position near", moving(), position(LEFT, 0.99), ""),
+    ("a jump", moving(), position(LEFT, 1.01), JUMPS),
     ("a jump back to zero", moving(12.5), position(LEFT, 0.0), JUMPS),
-    ("on from the last set-point", AHEAD, position(LEFT, 0.89), ""),
-    ("on from it after its mode", moving(0.0, position(LEFT, 0.4), mode(LEFT, 3)), position(LEFT, 0.8), ""),
+    ("on from the last set-point", AHEAD, position(LEFT, 2.09), ""),
+    ("on from it after its mode", moving(0.0, position(LEFT, 1.0), mode(LEFT, 3)), position(LEFT, 2.0), ""),
     ("on from coasting, armed at rest", COASTED, velocity(LEFT, 12.0), ""),
     ("on from coasting a second ago", replace(COASTED, coasted_ago=SECOND), velocity(LEFT, 12.0), ""),
     ("no longer on from coasting", replace(COASTED, coasted_ago=SECOND + 1), velocity(LEFT, 12.0), JERKS),
     ("faster than it coasted", COASTED, velocity(LEFT, 15.1), JERKS),
-    ("on from it a while later", replace(AHEAD, before_ago=FOLLOWS), position(LEFT, 2.7), ""),
-    ("no longer on from it", replace(AHEAD, before_ago=FOLLOWS + 1), position(LEFT, 2.7), JUMPS),
+    ("on from it a while later", replace(AHEAD, before_ago=TIMEOUT), position(LEFT, 3.9), ""),
+    ("no longer on from it", replace(AHEAD, before_ago=TIMEOUT + 1), position(LEFT, 3.9), JUMPS),
     ("as near to the limit as it can be encoded", moving(), position(LEFT, 0.0, LIMIT), ""),
     ("as near to the limit of torque", moving(), position(LEFT, 0.0, 0.0, 2.005), ""),
     ("within the range", moving(1.9), position(RIGHT, -2.0), ""),
