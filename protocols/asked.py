@@ -29,6 +29,8 @@ ENDS: Nanos = SECOND
 DELAYS: Nanos = 300 * MILLISECOND
 """How old a command may be that a device is told while it moves: a set-point waits for its SYNC, and for the
 answer to the one before."""
+TORQUE_DELAYS: Nanos = 30 * MILLISECOND
+"""The same of a torque."""
 CHANGES: Nanos = SECOND
 """How long after another kind of command a device may go on in the numbers of the last: a driver that changes
 the mode sends set-points in between."""
@@ -132,10 +134,10 @@ class _Given:
         error, _ = self.errors.get((type(one), "torque"), (0.0, 0.0))
         return max(abs(has), *before, 0.0) + abs(last) + 2.0 * error
 
-    def was(self, now: Nanos, one: Command, name: str) -> bool:
+    def was(self, now: Nanos, one: Command, name: str, most: Nanos = DELAYS) -> bool:
         """True if the device had this number in a command of this type a short time ago: a shorter one if it
         is to stand now, and is told again what it already does, as by a mode before the set-point."""
-        within = LATENCY if _stands(self.command) and name != "position" else DELAYS
+        within = LATENCY if _stands(self.command) and name != "position" else most
         return any(
             now - until <= within and type(each) is type(one) and self.close(one, name, getattr(each, name))
             for until, each in self.recent
@@ -364,7 +366,9 @@ def _objection_to_command(
             continue
         if name != "position" and device.close(one, name, 0.0):
             continue
-        if isinstance(one, msg.Torque):  # no loop of the device limits it: an older one is too fast
+        if isinstance(one, msg.Torque):  # no loop of the device limits it: an older one drives it too fast
+            if device.was(now, one, name, TORQUE_DELAYS):
+                continue
             return _not_commanded(one, name, device)
         if last is not None and (changing or name == "position") and device.close(one, name, last):
             continue

@@ -7,6 +7,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -166,7 +167,8 @@ def test_candumps_lines() -> None:
     seen = parse(text)
     assert [one.seconds for one in seen] == [1.25, 2.5, 3.000001, 3.000002]
     request = CanFrame(0x21, b"", remote=True)
-    frames = [CanFrame(0x123, b"\x01\x02"), CanFrame(0x123, b"", extended=True), request, request]
+    of_eight = replace(request, requested=8)
+    frames = [CanFrame(0x123, b"\x01\x02"), CanFrame(0x123, b"", extended=True), request, of_eight]
     assert [one.frame for one in seen] == frames
     with pytest.raises(ValueError, match="not a line"):
         parse("vcan0  123   [2]  01 02\n")

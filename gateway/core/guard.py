@@ -451,12 +451,15 @@ class _Bounds:
             stiffness, damping = self._gains
         else:
             return None  # a loop of the drive's own, which has limits
-        torque = one.torque + damping * (
-            getattr(one, "velocity", 0.0) - (measured.velocity or 0.0) * self.ratio
-        )
+        speed = (measured.velocity or 0.0) * self.ratio
+        torque = one.torque + damping * (getattr(one, "velocity", 0.0) - speed)
+        pulls = [torque]
         if isinstance(one, msg.Position | msg.Impedance):
-            torque += stiffness * (one.position - (measured.position or 0.0) * self.ratio)
-        pull, limit = torque * self.ratio, self.limits.torque
+            here = (measured.position or 0.0) * self.ratio
+            soon = here + speed * LATENCY / SECOND  # the joint gives what suits where the shaft will be
+            pulls = [torque + stiffness * (one.position - place) for place in (here, soon)]
+        least = 0.0 if min(pulls) < 0.0 < max(pulls) else min(pulls, key=abs)
+        pull, limit = least * self.ratio, self.limits.torque
         if abs(pull) <= limit * (1.0 + SPRING_ERROR):
             return None
         return "torque of the spring beyond the limit", f"{pull:g}, limit {limit:g}"

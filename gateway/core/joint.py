@@ -379,8 +379,6 @@ class Joint:
             self._reports_since = t if self._reports_since is None else self._reports_since
             self._following.on_motion(t, position, velocity)
         if position is not None:
-            if velocity is None and not self.armed:
-                velocity = self._rate_to(t, position)
             self._position_at, self._position_lost = t, False
             self._reading = t, position
         self.feedback = msg.Feedback(
@@ -587,13 +585,6 @@ class Joint:
             return out
         stiffness, damping = (gain * self._ratio * self._ratio for gain in self._gains)
         return softened(out, self._held, stiffness, damping, there, limits)
-
-    def _rate_to(self, t: Nanos, position: float) -> float | None:
-        """Return at what velocity it came to a position: some devices report none until they are armed."""
-        since, before = self._position_at, self.feedback.position
-        if since is None or before is None or t <= since:
-            return None
-        return (position - before) * SECOND / (t - since)
 
     def _coming(self, now: Nanos) -> msg.Feedback:
         """Return the motion as it is expected when what is sent now is in force."""

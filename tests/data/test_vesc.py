@@ -42,7 +42,7 @@ def decoded(driver: Driver, t: Nanos, frames: Iterable[Frame]) -> dict[str, floa
 def test_the_twin_reports_what_the_controller_did(telemetry: list[tuple[Nanos, Any]]) -> None:
     """It is given the motion of the shaft, and the current, along which it pushes."""
     twin, driver = plugin.twin(MOTOR, 0), plugin.driver([MOTOR])
-    count, turned = 0, list[float]()
+    count = 0
     for t, state in telemetry:
         current = -state.current_motor if state.duty_cycle < 0.0 else state.current_motor
         twin.receive(t, TABLE.encode("SET_CURRENT", 1, value=current))
@@ -55,10 +55,8 @@ def test_the_twin_reports_what_the_controller_did(telemetry: list[tuple[Nanos, A
         assert values["position"] == pytest.approx(state.displacement * OPTIONS.step)
         assert values["velocity"] == pytest.approx(state.speed * OPTIONS.erpm, abs=1.01 * OPTIONS.erpm)
         assert abs(values["current"]) == pytest.approx(abs(current), abs=0.051)
-        turned += [abs(current)] if values["current"] * current < 0.0 else []
+        assert values["current"] * current >= 0.0
     assert count == 3 * len(telemetry) == 6732
-    assert len(turned) == 31  # where a duty of 0 has no sign
-    assert max(turned) < 0.7
 
 
 def test_its_current_has_the_sign_of_the_power_it_takes(telemetry: list[tuple[Nanos, Any]]) -> None:

@@ -363,6 +363,7 @@ WRITTEN_IN: Mapping[str, Mapping[str, Way]] = {
 }
 """By table, how the device is used to which a parameter is written, if not as delivered."""
 NOT_YET = "the twin does not simulate it yet"
+OTHER_MODE = "it counts in another mode than that of the default options"
 KEPT: Mapping[str, Mapping[str, str]] = {
     "cia402": {
         "1003": "it ends the history of errors, which is only read",
@@ -379,16 +380,17 @@ KEPT: Mapping[str, Mapping[str, str]] = {
         "200F": "what 60FF:03 does where it is 0 is not known",
         **dict.fromkeys(("6083:02", "6084:02"), "of the other motor, which is another twin"),
     },
-    "damiao": for_all(
-        "UV_Value KT_Value OT_Value OC_Value ACC DEC MAX_SPD I_BW KP_ASR KI_ASR KP_APR KI_APR OV_Value GREF "
-        "Deta V_BW IQ_c1 VL_c1",
-        NOT_YET,
-    ),
-    "robstride": for_all(
-        "zero_sta CAN_TIMEOUT iq_ref spd_ref loc_ref limit_spd limit_cur cur_kp cur_ki cur_filt_gain loc_kp "
-        "spd_kp spd_ki spd_filt_gain acc_rad vel_max acc_set",
-        NOT_YET,
-    ),
+    "damiao": {
+        **for_all("ACC DEC MAX_SPD KP_ASR KI_ASR KP_APR KI_APR", OTHER_MODE),
+        **for_all("KT_Value I_BW GREF Deta V_BW IQ_c1 VL_c1", NOT_YET),
+    },
+    "robstride": {
+        **for_all(
+            "CAN_TIMEOUT iq_ref spd_ref loc_ref limit_spd limit_cur loc_kp spd_kp spd_ki acc_rad vel_max acc_set",
+            OTHER_MODE,
+        ),
+        **for_all("zero_sta cur_kp cur_ki cur_filt_gain spd_filt_gain", NOT_YET),
+    },
 }
 """Parameters that are kept and change nothing, by protocol, and why."""
 

@@ -35,6 +35,9 @@ def connected(folder: Path, robot: Path, ends: tuple[str, str], *arguments: str)
 def rover(folder: Path, bitrate: int, ends: tuple[str, str], *arguments: str) -> Iterator[Pair]:
     """The rover on a bus of that bit rate; 0 is a virtual one."""
     robot = folder / ROVER.name
-    robot.write_text(ROVER.read_text().replace(f"bitrate = {BITRATE:_}", f"bitrate = {bitrate or BITRATE}"))
+    text = ROVER.read_text().replace(f"bitrate = {BITRATE:_}", f"bitrate = {bitrate or BITRATE}")
+    for beside in ("room.toml", "rover_plant.toml"):
+        text = text.replace(f'"{beside}"', f'"{ROVER.with_name(beside)}"')
+    robot.write_text(text)
     with connected(folder, robot, ends, *arguments) as pair:
         yield pair

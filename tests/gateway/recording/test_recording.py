@@ -317,7 +317,6 @@ NOT_RECORDINGS = [
     (b"\x89MCAP0\r\n", "cut off in its first bytes"),
     (b"\x89MCAP0\r\n" + bytes(50), "cut off in its first bytes"),
     (b"\x89MCAP0\r\n\x01" + struct.pack("<Q", 2**62), "cut off in its first bytes"),
-    (mcap(None, None), "an MCAP file of some program 1.0, not of this gateway"),
     (mcap({**OURS, "format": "3"}), "of format 3; this program reads formats 1 and 2"),
     (mcap(OURS, None), "there is no tick in it"),
     (mcap(OURS, b"x = 2\n"), "the robot file in it does not match its digest"),
@@ -334,6 +333,12 @@ def test_other_files_are_refused(
     assert main(["recover", str(path)]) == 2
     assert reason in capsys.readouterr().err
     assert path.read_bytes() == content
+
+
+def test_a_file_of_another_program_is_no_recording_of_ours(path: Path) -> None:
+    path.write_bytes(mcap(None, None))
+    with pytest.raises(RecordingError, match="an MCAP file of some program 1.0, not of this gateway"):
+        read_recording(path)
 
 
 @pytest.mark.parametrize(("name", "why"), [("none.mcap", "No such file"), (".", "Is a directory")])

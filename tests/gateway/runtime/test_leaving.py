@@ -388,9 +388,9 @@ def test_motors_left_armed_are_reported_on_every_channel(
     reported: list[str] = []
     report, write = Operator.report, TwinBus.write
 
-    def witnessed(self: Operator, text: str) -> None:
+    def witnessed(self: Operator, text: str, *, logged: bool = True) -> None:
         reported.append(text)
-        report(self, text)
+        report(self, text, logged=logged)
 
     def dead(self: TwinBus, now: Nanos, frames: Sequence[Any]) -> None:
         if now < 1500 * MS:
