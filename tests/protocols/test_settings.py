@@ -386,7 +386,8 @@ KEPT: Mapping[str, Mapping[str, str]] = {
     },
     "robstride": {
         **for_all(
-            "CAN_TIMEOUT iq_ref spd_ref loc_ref limit_spd limit_cur loc_kp spd_kp spd_ki acc_rad vel_max acc_set",
+            "CAN_TIMEOUT iq_ref spd_ref loc_ref limit_spd limit_cur loc_kp spd_kp spd_ki acc_rad vel_max "
+            "acc_set",
             OTHER_MODE,
         ),
         **for_all("zero_sta cur_kp cur_ki cur_filt_gain spd_filt_gain", NOT_YET),

@@ -337,7 +337,7 @@ def test_other_files_are_refused(
 
 def test_a_file_of_another_program_is_no_recording_of_ours(path: Path) -> None:
     path.write_bytes(mcap(None, None))
-    with pytest.raises(RecordingError, match="an MCAP file of some program 1.0, not of this gateway"):
+    with pytest.raises(RecordingError, match=r"an MCAP file of some program 1\.0, not of this gateway"):
         read_recording(path)
 
 
