@@ -352,7 +352,7 @@ def test_what_is_held_brings_the_gateways_newest_time_and_ends_once_that_is_too_
     for clock in (1234, 1300):
         fake.say("joints", clock=clock, t=clock / 1e3, rows=[])
         held = {"held": drive, "heard": clock}
-        fake.until(partial(lambda held: fake.received[-1] == held, held), "its time")
+        fake.until(partial(lambda held: fake.received[-1:] == [held], held), "its time")
     fake.say("answer", id=None, held=True, ok=False, text="the link is slow")
     fake.until(lambda: fake.received[-1] == {"held": ""}, "the end of what is held")
     assert tab.run("document.querySelector('#banner').checkVisibility()")
