@@ -128,9 +128,10 @@ class _Given:
         absolute, relative = self.errors.get((kind, name), (0.0, ROUNDED))
         return absolute + relative * abs(value)
 
-    def most_torque(self, one: Command, has: float, last: float) -> float:
+    def most_torque(self, one: Command, has: float, last: float, since: Nanos = 0) -> float:
         """Return what a torque and the feed-forward of a command before add up to, at most."""
-        before: list[float] = [abs(getattr(each, "torque", 0.0)) for _, each in self.recent]
+        recent = (each for until, each in self.recent if until >= since)
+        before: list[float] = [abs(getattr(each, "torque", 0.0)) for each in recent]
         error, _ = self.errors.get((type(one), "torque"), (0.0, 0.0))
         return max(abs(has), *before, 0.0) + abs(last) + 2.0 * error
 
@@ -367,7 +368,9 @@ def _objection_to_command(
         if name != "position" and device.close(one, name, 0.0):
             continue
         if isinstance(one, msg.Torque):  # no loop of the device limits it: an older one drives it too fast
-            if device.was(now, one, name, TORQUE_DELAYS):
+            # The feed-forward of a command before may be added to it, until the mode has changed.
+            most = device.most_torque(one, has or 0.0, last or 0.0, now - TORQUE_DELAYS)
+            if (changing and abs(value) <= most) or device.was(now, one, name, TORQUE_DELAYS):
                 continue
             return _not_commanded(one, name, device)
         if last is not None and (changing or name == "position") and device.close(one, name, last):

@@ -82,6 +82,11 @@ def dictionary_of(settings: Settings, node: int) -> Dictionary:
     )
 
 
+def _acts(key: Key, command: Command) -> bool:
+    """True if a command is another by an object: a target of another mode is only kept."""
+    return key not in NUMBER_OF or hasattr(command, NUMBER_OF[key])
+
+
 class Memory:
     """The state of one drive, as far as its host determines it. Plain data."""
 
@@ -190,13 +195,14 @@ class Memory:
         if not acting:
             return obeyed
         found = self.command()
-        obeyed += found if self.enabled else waiting(*found)
+        if any(_acts(key, one) for key in acting for one in found):
+            obeyed += found if self.enabled else waiting(*found)
         # What else it keeps of these: nothing of it acts by itself.
         if o.CONTROLWORD in acting and not (obeyed and self.enabled):
             obeyed.append(self._kept(o.CONTROLWORD))
         if o.MODE in acting and (changed or not obeyed):
             obeyed.append(self._kept(o.MODE))
-        return obeyed or [self._kept(key) for key in acting]
+        return obeyed or [self._number(key) for key in acting]
 
     def _waits(self, latched: Mapping[Key, int]) -> Sequence[Obeyed]:
         """Return what the next SYNC makes of set-points: their numbers, and a controlword and a mode."""
@@ -213,6 +219,18 @@ class Memory:
         ]
         values.update(before)
         return [*found, *kept] or (msg.Kept(self.motor, SYNC, 0.0),)
+
+    def _number(self, key: Key) -> msg.Kept:
+        """Return that a target of another mode was written, as the number of that mode's command."""
+        units, value = self.units, self.values[key]
+        match key:
+            case o.TARGET_POSITION:
+                return msg.Kept(self.motor, "Position.position", units.position(value))
+            case o.TARGET_VELOCITY:
+                return msg.Kept(self.motor, "Velocity.velocity", units.velocity(value))
+            case o.TARGET_TORQUE:
+                return msg.Kept(self.motor, "Torque.torque", units.torque(value))
+        return self._kept(key)
 
     def _kept(self, key: Key) -> msg.Kept:
         """Return that an object was written which acts with others."""
