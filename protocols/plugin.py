@@ -24,6 +24,7 @@ from math import inf
 from typing import Any, Literal, Protocol, TypeAlias
 
 from protocols.frames import BusState, Frame, IdMask
+from protocols.line import Exchange
 from protocols.messages import Command, Event, Nanos, Obeyed, Request, Torque
 from protocols.suggest import did_you_mean
 
@@ -237,6 +238,10 @@ class Spec:
     whose default is 0 need not be here: there another one decides."""
     tells_serial: bool = False
     """Whether the device's answer to a scan has its serial number."""
+    line: Literal["free", "asked", "half-duplex"] = "free"
+    """On a serial line. "free": both ends send when they like. "asked": the device sends only answers, and
+    one question is under way at a time: `send` gives an `Exchange` for each frame that is answered, and
+    `answer` takes what came. "half-duplex": the same, on one wire for both directions."""
     caution: str = ""
     """What else a person must know of its options, printed at every start."""
 
@@ -274,6 +279,15 @@ class Driver(Protocol):
     def awaits(self) -> bool:
         """True while an answer is awaited to which `send` has something to add at once, as in a long set-up:
         then the loop steps when bytes come, and not only once per period."""
+        ...
+
+
+class LineDriver(Driver, Protocol):
+    """A driver whose devices are on a half-duplex line."""
+
+    def answer(self, t: Nanos, asked: Exchange, data: bytes) -> Sequence[Event]:
+        """Decode what came as answer to an exchange of its own; b"": nothing, or nothing more. Never
+        raises."""
         ...
 
 

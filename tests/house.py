@@ -57,6 +57,7 @@ CONTRACT = (
     "protocols.messages",
     "protocols.frames",
     "protocols.plugin",
+    "protocols.line",
     "protocols.asked",
     "protocols.reference_vectors",
     "protocols.canopen",

@@ -65,6 +65,12 @@ class BusSettings:
     """The specs of what is on it."""
 
     @property
+    def line(self) -> Literal["free", "asked", "half-duplex"]:
+        """How its devices share a serial line (`Spec.line`)."""
+        kinds = {one.line for one in self.devices}
+        return "half-duplex" if "half-duplex" in kinds else "asked" if "asked" in kinds else "free"
+
+    @property
     def shareable(self) -> bool:
         """Whether another process of this machine can send on it, too."""
         return self.interface.partition(":")[0] in SHAREABLE

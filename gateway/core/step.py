@@ -22,8 +22,9 @@ from gateway.core.joint import Joint
 from gateway.core.tick import Inputs, Note, Outputs
 from protocols import messages as msg
 from protocols.frames import BusState, CanFrame, Frame, IdMask, IdSet, Packet, id_number
+from protocols.line import Ended, Line
 from protocols.messages import SECOND, Command, Event, Instruction, Mode, Nanos, Request, Task
-from protocols.plugin import Driver, RxCounters
+from protocols.plugin import Driver, LineDriver, RxCounters
 
 if TYPE_CHECKING:
     from gateway.core.robot import Robot
@@ -53,6 +54,8 @@ REPEAT: Nanos = SECOND
 LEFT_ARMED = "still armed: cut its supply"
 """The note on a motor that still reports being armed when the run has been left."""
 Result = TypeVar("Result")
+SOON: Nanos = 100_000
+"""A step this much before its time is one of the brain's."""
 _NOTHING: Sequence[Event] = ()
 _NO_FRAMES: Sequence[Frame] = ()
 
@@ -105,6 +108,16 @@ class Gateway:
         """By CAN bus: the ids to its devices, and those that they or others answer with."""
         self._other_hosts: set[str] = set()
         """The motors that another host commands, and that are not ours: each is noted once."""
+        self.lines = {
+            name: Line(bus.baudrate, half_duplex=bus.line == "half-duplex")
+            for name, bus in robot.buses.items()
+            if bus.line != "free"
+        }
+        """What waits for a serial line on which devices speak only when asked, by bus."""
+        self._full: Nanos = -(1 << 62)
+        """When the brain was last asked,"""
+        self._heard: list[Event] = []
+        """and what was heard since then."""
         self.guard = Guard(robot)
         self._values: list[object] = [
             each for motor in robot.motors.values() for each in (motor.spec, motor.device, motor.joint)
@@ -135,8 +148,13 @@ class Gateway:
             Outputs: the packets to send, in order; the events that the brain saw; notes for a person.
         """
         self._now = now
+        if not inputs.states and not inputs.instructions and self.between(now):
+            self._heard += self._receive(now, inputs.packets)
+            return Outputs(tuple(self._hand_over(now)), (), ())
+        self._full = now
         self._on_bus_states(now, inputs.states)
-        events = self._receive(now, inputs.packets)
+        events = [*self._heard, *self._receive(now, inputs.packets)]
+        self._heard = []
         tasks = self._on_instructions(now, inputs.instructions)
         stopped = self.why_stopped()
         wanted = {command.motor: command for command in self._think(now, events, tasks, stopped)}
@@ -146,6 +164,10 @@ class Gateway:
         }
         packets = self._send(now, commands)
         return Outputs(tuple(packets), tuple(events), self._take_notes())
+
+    def between(self, now: Nanos) -> bool:
+        """True if a step now is one between two of the brain's: answers are taken, and the lines go on."""
+        return bool(self.lines) and now < self._full + self.robot.period - SOON
 
     def _think(
         self, now: Nanos, events: Sequence[Event], tasks: Sequence[BrainTask], stopped: str
@@ -202,17 +224,21 @@ class Gateway:
         last = [_last_command(now, joint)[0] for joint in joints.values()]
         for command in last:
             guard.ask(now, command)
-        _, frames = driver.send(now, last)
+        _, sent = driver.send(now, last)
+        frames = [bytes(frame) if isinstance(frame, bytes) else frame for frame in sent]
         passed, _ = guard.check(now, bus, protocol, frames, self.joints | joints, stopped=True)
         return tuple(Packet(now, bus, frame) for frame in passed)
 
     def due(self) -> Nanos | None:
         """Return when a driver next has to send by itself; None if none has to."""
-        times = [self._call(one, None, one.driver.due) for one in self._drivers]
+        times = [self._call(one, None, one.driver.due) for one in self._drivers if one.bus not in self.lines]
+        times += [line.due() for line in self.lines.values()]
         return min((due for due in times if due is not None), default=None)
 
     def awaiting(self) -> bool:
         """True while a driver awaits an answer to which it has something to add at once."""
+        if any(line.out is not None for line in self.lines.values()):
+            return True
         return any(self._call(one, False, one.driver.awaits) for one in self._drivers)
 
     def belief(self) -> Belief:
@@ -251,6 +277,8 @@ class Gateway:
     def _on_bus_states(self, now: Nanos, states: Sequence[tuple[str, BusState]]) -> None:
         for bus, state in states:
             self.bus_states[bus] = state
+            if bus in self.lines and state in (BusState.OFF, BusState.GONE, BusState.BACK):
+                self.lines[bus].drop()
             for one in self._on_bus[bus]:
                 self._call(one, None, one.driver.bus, now, state)
             bad = state in (BusState.OFF, BusState.GONE, BusState.FULL)
@@ -265,12 +293,30 @@ class Gateway:
             if self._is_of_another_host(packet) and heard[packet.bus] < OVERHEARD:
                 heard[packet.bus] += 1
                 self._overhear(t, packet)
+            frame = packet.frame
+            if isinstance(frame, bytes) and (line := self.lines.get(packet.bus)) is not None:
+                ended, frame = line.receive(t, frame)
+                for each in ended:
+                    events += self._on_answer(t, packet.bus, each)
+                if not frame:
+                    continue
             for one in self._on_bus[packet.bus]:
-                received = self._call(one, _NOTHING, one.driver.receive, t, packet.frame)
-                if received:
-                    self._identify(one, received)
-                    events += self._on_events(now, received)
+                events += self._on_received(one, self._call(one, _NOTHING, one.driver.receive, t, frame))
+        for name, line in self.lines.items():
+            for each in line.expire(now):
+                events += self._on_answer(now, name, each)
         return events
+
+    def _on_answer(self, t: Nanos, bus: str, ended: Ended) -> list[Event]:
+        one = self._on_bus[bus][ended.owner]
+        driver: LineDriver = one.driver  # type: ignore[assignment]
+        return self._on_received(one, self._call(one, _NOTHING, driver.answer, t, ended.exchange, ended.data))
+
+    def _on_received(self, one: _BusDriver, received: Sequence[Event]) -> list[Event]:
+        if not received:
+            return []
+        self._identify(one, received)
+        return self._on_events(self._now, received)
 
     def _identify(self, one: _BusDriver, events: Sequence[Event]) -> None:
         """Tell the joints the serial numbers of their devices: what was found names no bus."""
@@ -315,6 +361,18 @@ class Gateway:
             elif joint is not None and name not in self._other_hosts:
                 self._other_hosts.add(name)
                 self._note("warning", name, f"another host commands it: {frame}; end it before you command")
+
+    def _hand_over(self, now: Nanos) -> list[Packet]:
+        """Return what the lines send now: through the guard, as everything."""
+        packets: list[Packet] = []
+        for name, line in self.lines.items():
+            for owner, exchange in line.take(now):
+                one = self._on_bus[name][owner]
+                passed = list(self._out(now, one, [bytes(exchange)]))
+                if not passed:
+                    line.blocked(exchange)
+                packets += passed
+        return packets
 
     def _on_events(self, now: Nanos, events: Iterable[Event]) -> list[Event]:
         """Pass the events of motors through their joints; return what goes on to the brain."""
@@ -462,7 +520,13 @@ class Gateway:
             events, frames = self._call(one, nothing, one.driver.send, now, given)
             self._identify(one, events)
             self._late += events
-            packets += self._out(now, one, frames)
+            if one.bus in self.lines:
+                self.lines[one.bus].put(
+                    self._on_bus[one.bus].index(one), [f for f in frames if isinstance(f, bytes)]
+                )
+            else:
+                packets += self._out(now, one, frames)
+        packets += self._hand_over(now)
         for name, joint in self.joints.items():
             if joint.driven_since is not None and not self.guard.drives(name, joint.driven_since):
                 joint.on_held_back()

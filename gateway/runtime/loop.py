@@ -46,6 +46,8 @@ IMPATIENCE: Nanos = SECOND
 """A reason to leave that comes this soon after the one before, if that was not the first, is meant."""
 SETTLING: Nanos = 150 * MILLISECOND
 """Motors that have been commanded are watched for this time at least: one may be about to arm."""
+FINE = 100_000
+"""The same where a half-duplex line is kept busy."""
 MIN_STEP = MILLISECOND
 """A driver that is due between two periods gets a step of its own, but no sooner than this after the last."""
 
@@ -81,7 +83,14 @@ def live(
     run = _Run(gateway, buses, clock, record, stats, dry_run, None if dry_run else watchdog)
     timing = Timing(run.stats, gateway.robot.period, clock)
     try:
-        for now in moments(clock, gateway.robot.period, gateway.due, run.stats, run.reader.answered):
+        for now in moments(
+            clock,
+            gateway.robot.period,
+            gateway.due,
+            run.stats,
+            run.reader.answered,
+            FINE if gateway.lines else MIN_STEP,
+        ):
             if reasons or (until is not None and now >= until):
                 break
             timing.begin()
@@ -272,6 +281,7 @@ def moments(
     due: Callable[[], Nanos | None],
     stats: LoopStats,
     answered: Callable[[], bool | None] = lambda: None,
+    least: Nanos = MIN_STEP,
 ) -> Iterator[Nanos]:
     """Yield the moments to step at: absolute deadlines, and between them a driver's own moments, and when
     an answer that is awaited may have come (`answered`; None: none is awaited)."""
@@ -285,10 +295,10 @@ def moments(
         last = now
         yield now
         own = due()
-        between = deadline if own is None else max(own, last + MIN_STEP)
-        until = min(deadline, between) if between + MIN_STEP <= deadline else deadline
-        while clock.now() + 2 * MIN_STEP <= until and answered() is not None:
-            clock.wait(clock.now() + MIN_STEP)
+        between = deadline if own is None else max(own, last + least)
+        until = min(deadline, between) if between + least <= deadline else deadline
+        while clock.now() + 2 * least <= until and answered() is not None:
+            clock.wait(clock.now() + least)
             if answered():
                 break
         else:

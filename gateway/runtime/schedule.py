@@ -28,7 +28,7 @@ from gateway.core.robot import TWIN, Motor, Robot
 from gateway.core.step import Gateway
 from gateway.core.tick import Outputs
 from gateway.errors import UserError
-from gateway.runtime.loop import Reader, moments, write
+from gateway.runtime.loop import FINE, MIN_STEP, Reader, moments, write
 from gateway.runtime.timing import LoopStats
 from gateway.sim import WorldError
 from protocols.frames import CanFrame, Frame
@@ -199,8 +199,10 @@ def count_buses(
     world.tamper.transmission = count.transmission
     clock, commands, last, busy = SimulatedClock(), _commands(robot), 0, dict[str, Nanos]()
     reader, settling = Reader(gateway, world.buses, clock), _Settling(gateway, world.buses)
-    for now in moments(clock, robot.period, gateway.due, LoopStats(), reader.answered):
-        inputs = reader.inputs(now, commands)
+    for now in moments(
+        clock, robot.period, gateway.due, LoopStats(), reader.answered, FINE if gateway.lines else MIN_STEP
+    ):
+        inputs = reader.inputs(now, () if gateway.between(now) else commands)
         simulated(now - last)
         last = now
         if count.began is None and settling.ends(now, count.last):

@@ -15,8 +15,19 @@ from typing import Any, TypeAlias, TypeVar
 from protocols import messages as msg
 from protocols.conformance.random import Random
 from protocols.frames import BusState, CanFrame, Frame
+from protocols.line import Ended, Line
 from protocols.messages import MILLISECOND, Command, Event, Message, Mode, Nanos, Obeyed, Request, seconds
-from protocols.plugin import CommandDecoder, Device, Driver, Plugin, Range, RxCounters, Spec, Twin
+from protocols.plugin import (
+    CommandDecoder,
+    Device,
+    Driver,
+    LineDriver,
+    Plugin,
+    Range,
+    RxCounters,
+    Spec,
+    Twin,
+)
 
 T = TypeVar("T")
 Messages: TypeAlias = Sequence[Command | Request]
@@ -29,6 +40,8 @@ ALPHA, BETA = NAMES = ("alpha", "beta")
 STRANGER = "stranger"
 ADDRESSES = (1, 2, 3)
 """Of alpha, beta, and the stranger, which the driver of alpha and beta does not know."""
+LINE_RATE = 1_000_000
+"""bit/s of a serial line on which devices speak only when asked"""
 ARMING = 5000
 """Steps within which a device must become ready, or be armed."""
 
@@ -178,7 +191,7 @@ class Bench:
         for other, twin in enumerate(self.twins):
             if other != at:
                 for frame in frames:
-                    if isinstance(frame, CanFrame):
+                    if isinstance(frame, CanFrame) or self.specs[other].line == "half-duplex":
                         twin.receive(self.now, frame)
 
 
@@ -194,10 +207,14 @@ def make_bench(
         Device(name, address, options, plugin.settings() if settings is None else settings)
         for name, address in zip(names, addresses, strict=True)
     )
+    specs = tuple(plugin.spec(device) for device in devices)
+    driver, kinds = plugin.driver(devices), {spec.line for spec in specs}
+    if kinds != {"free"}:
+        driver = OnLine(driver, Line(LINE_RATE, half_duplex="half-duplex" in kinds, slack=2 * STEP))
     return Bench(
-        tuple(plugin.spec(device) for device in devices),
+        specs,
         devices,
-        plugin.driver(devices),
+        driver,
         plugin.decoder(devices),
         [plugin.twin(device, seed) for seed, device in enumerate(devices)],
         {device.name: Shaft() for device in devices},
@@ -256,6 +273,44 @@ class DriverWrapper:
     def awaits(self) -> bool:
         """Forward the call."""
         return self.driver.awaits()
+
+
+@dataclass(slots=True)
+class OnLine(DriverWrapper):
+    """A driver of devices that speak only when asked, with its line before it: what is sent is what the line
+    hands over in each step, and what is received goes to who asked."""
+
+    line: Line
+
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        """Pass on what is an answer as such, and the rest as it is."""
+        if not isinstance(frame, bytes):
+            return self.driver.receive(t, frame)
+        ended, rest = self.line.receive(t, frame)
+        events = [event for each in ended for event in self._answer(t, each)]
+        return [*events, *self.driver.receive(t, rest)] if rest else events
+
+    def _answer(self, t: Nanos, ended: Ended) -> Sequence[Event]:
+        driver: LineDriver = self.driver  # type: ignore[assignment]
+        return driver.answer(t, ended.exchange, ended.data)
+
+    def bus(self, t: Nanos, state: BusState) -> None:
+        """Forward the call; forget what waits, as the gateway does."""
+        if state in (BusState.OFF, BusState.GONE, BusState.BACK):
+            self.line.drop()
+        self.driver.bus(t, state)
+
+    def send(self, now: Nanos, messages: Messages) -> tuple[Sequence[Event], Sequence[Frame]]:
+        """Let the driver give what it has to send; hand over what the line sends now."""
+        late = [event for each in self.line.expire(now) for event in self._answer(now, each)]
+        events, frames = self.driver.send(now, messages)
+        self.line.put(0, [frame for frame in frames if isinstance(frame, bytes)])
+        return [*late, *events], [bytes(frame) for _, frame in self.line.take(now)]
+
+    def due(self) -> Nanos | None:
+        """Return when driver or line have something to do."""
+        times = [due for due in (self.driver.due(), self.line.due()) if due is not None]
+        return min(times, default=None)
 
 
 @dataclass(slots=True)

@@ -14,6 +14,7 @@ from typing import Any, Generic, TypeVar
 
 from protocols import messages as msg
 from protocols.frames import BusState, Frame
+from protocols.line import Exchange
 from protocols.messages import MILLISECOND, Command, Event, Mode, Nanos, Request
 from protocols.plugin import Device, FaultInfo, Range, RxCounters
 from protocols.toolkit import requests as rq
@@ -73,6 +74,14 @@ class Adapter(Generic[Own]):
     def receive(self, t: Nanos, frame: Frame, driver: MotorDriver[Own]) -> Sequence[Report[Own] | Rx]:
         """Return what a frame (on a stream: each message that it completes) reports."""
         raise NotImplementedError
+
+    def heard(
+        self, t: Nanos, asked: Exchange, data: bytes, driver: MotorDriver[Own]
+    ) -> Sequence[Report[Own] | Rx]:
+        """Return what the answer to an exchange reports. Here: what `receive` makes of its bytes alone."""
+        reports = self.receive(t, data, driver) if data else ()
+        self.interrupted()  # what has no end is no beginning of the next answer
+        return reports
 
     # -- commands -------------------------------------------------------------------------------------
 
@@ -228,8 +237,15 @@ class MotorDriver(Generic[Own]):
 
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
         """Decode a frame; [] for foreign ones."""
+        return self._on_reports(t, self.adapter.receive(t, frame, self))
+
+    def answer(self, t: Nanos, asked: Exchange, data: bytes) -> Sequence[Event]:
+        """Decode what came as answer to an exchange."""
+        return self._on_reports(t, self.adapter.heard(t, asked, data, self))
+
+    def _on_reports(self, t: Nanos, reports: Sequence[Report[Own] | Rx]) -> Sequence[Event]:
         events: list[Event] = []
-        for report in self.adapter.receive(t, frame, self):
+        for report in reports:
             if isinstance(report, Report):
                 events += self._on_report(t, report)
             elif report is Rx.IGNORED:

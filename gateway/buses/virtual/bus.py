@@ -22,6 +22,7 @@ import numpy as np
 
 from gateway.buses.queues import FrameQueue, Patience
 from gateway.buses.states import StateTracker
+from gateway.buses.virtual.halfduplex import HalfDuplex
 from gateway.buses.virtual.medium import BUS_OFF, ERROR_PASSIVE, Medium, Transmission
 from gateway.buses.virtual.tamper import Tamper
 from gateway.core.robot import TWIN, BusSettings, Motor, Robot, Sensor
@@ -60,6 +61,8 @@ class SimulatedDevice:
     """The shaft of a duplicate, which is not part of the world."""
     disconnected: bool = False
     """Its bus connector is unplugged: it neither receives nor sends."""
+    heard: Nanos = 0
+    """When it heard something that it may answer before the world's next step; 0: nothing."""
     received: bool = False
     """Something came in since it last ran."""
     readings: list[Event] = field(default_factory=list)
@@ -82,6 +85,11 @@ class TwinBus:
         self._from_host = Medium(settings.baudrate if serial else settings.bitrate, settings.data_bitrate)
         # Both directions of a serial line work at once; a CAN bus is one medium for all.
         self.from_devices = Medium(settings.baudrate) if serial else self._from_host
+        self._prompt = serial and settings.line != "free"
+        """Whether devices answer between the world's steps."""
+        self._one_wire = serial and settings.line == "half-duplex"
+        if self._one_wire:
+            self._from_host = self.from_devices = HalfDuplex(settings.baudrate)
         self._world = world
         self._room = settings.transmit_queue
         self._queue = FrameQueue(settings.devices)
@@ -155,6 +163,9 @@ class TwinBus:
 
     def deliver(self, until: Nanos) -> None:
         """Deliver what arrives up to a time."""
+        if self._prompt:
+            self._deliver_promptly(until)
+            return
         if self._from_host.pending:
             for transmission in self._from_host.run(until):
                 self._arrive(transmission)
@@ -165,6 +176,44 @@ class TwinBus:
             self._deliver(heappop(self._late)[2])
         if self._from_host.errors:
             self._count_errors()
+
+    def _deliver_promptly(self, until: Nanos) -> None:
+        """The same where devices answer as soon as they have heard: what ends first, and what is due
+        before."""
+        while True:
+            ends = [
+                end
+                for wire in {id(w): w for w in (self._from_host, self.from_devices)}.values()
+                if (end := wire.first_end()) is not None and end <= until
+            ]
+            late = [self._late[0][0]] if self._late and self._late[0][0] <= until else []
+            first = min([*ends, *late], default=until)
+            if self._answer(first):
+                continue
+            if late and late[0] == first:
+                self._deliver(heappop(self._late)[2])
+            elif ends:
+                wire = self._from_host if self._from_host.first_end() == first else self.from_devices
+                for transmission in wire.run(first):
+                    self._arrive(transmission)
+            else:
+                return
+
+    def _answer(self, until: Nanos) -> bool:
+        """Let the device whose answer is due first begin to send it; False if none is due."""
+        due = [
+            (max(at, device.heard), number)
+            for number, device in enumerate(self.devices)
+            if device.heard and (at := device.twin.due()) is not None
+        ]
+        if not due or min(due)[0] > until:
+            return False
+        at, number = min(due)
+        device = self.devices[number]
+        device.heard = 0
+        _, frames = device.twin.step(at, ())
+        device.send(at, frames)
+        return True
 
     def _destroyed(self, one: Transmission) -> int:
         return 0 if (error := self._world.tamper.error) is None else error(self.name, one)
@@ -195,11 +244,12 @@ class TwinBus:
             if not self._gone:
                 self._packets.append(Packet(transmission.t, self.name, transmission.frame))
             if self.from_devices is not self._from_host:
-                return  # devices on a serial line do not receive one another
+                return  # devices on a serial line with two wires do not receive one another
         for device in self.devices:
             if device.name != transmission.sender and not device.disconnected:
                 device.twin.receive(transmission.t, transmission.frame)
                 device.received = True
+                device.heard = transmission.t if self._prompt else 0
 
     def intrude(self, t: Nanos, sender: str, frames: Sequence[Frame]) -> None:
         """Queue frames of another sender: a second host, foreign traffic."""

@@ -78,6 +78,15 @@ class Medium:
         self.pending -= len(self._waiting.pop(sender, ()))
         self.errors.pop(sender, None)
 
+    def first_end(self) -> Nanos | None:
+        """Return when the next frame of a serial line ends; None if nothing is sent."""
+        heads = [queue[0] for queue in self._waiting.values() if queue]
+        if not heads:
+            return None
+        head = min(heads, key=lambda head: head.t)
+        start = head.t if self._idle_at is None else max(head.t, self._idle_at)
+        return start + frame_time(head.frame, self.bitrate)
+
     def run(self, until: Nanos) -> list[Transmission]:
         """Return all that arrives up to a time, in order."""
         arrived: list[Transmission] = []
