@@ -287,10 +287,11 @@ class OnLine(DriverWrapper):
         if not isinstance(frame, bytes):
             return self.driver.receive(t, frame)
         ended, rest = self.line.receive(t, frame)
-        events = [event for each in ended for event in self._answer(t, each)]
+        events = [event for each in ended for event in self.answered(t, each)]
         return [*events, *self.driver.receive(t, rest)] if rest else events
 
-    def _answer(self, t: Nanos, ended: Ended) -> Sequence[Event]:
+    def answered(self, t: Nanos, ended: Ended) -> Sequence[Event]:
+        """Give the driver what has come as answer to an exchange of its own."""
         driver: LineDriver = self.driver  # type: ignore[assignment]
         return driver.answer(t, ended.exchange, ended.data)
 
@@ -302,7 +303,7 @@ class OnLine(DriverWrapper):
 
     def send(self, now: Nanos, messages: Messages) -> tuple[Sequence[Event], Sequence[Frame]]:
         """Let the driver give what it has to send; hand over what the line sends now."""
-        late = [event for each in self.line.expire(now) for event in self._answer(now, each)]
+        late = [event for each in self.line.expire(now) for event in self.answered(now, each)]
         events, frames = self.driver.send(now, messages)
         self.line.put(0, [frame for frame in frames if isinstance(frame, bytes)])
         return [*late, *events], [bytes(frame) for _, frame in self.line.take(now)]
