@@ -29,7 +29,14 @@ REGISTERS = Registers(Register("timeout", 14, "u8"), *(Register(name, 28, "u32")
 SAVE = "save"
 SELDOM = 10
 """Questions about supply, current and temperature come so many times less often than those about the state."""
-POLLED = {"GETERROR": 1, "GETPWMS": 1, "GETTIMEOUT": SELDOM, "GETMBATT": SELDOM, "GETCURRENTS": 2, "GETTEMP": SELDOM}
+POLLED = {
+    "GETERROR": 1,
+    "GETPWMS": 1,
+    "GETTIMEOUT": SELDOM,
+    "GETMBATT": SELDOM,
+    "GETCURRENTS": 2,
+    "GETTEMP": SELDOM,
+}
 """Questions about a whole board, and in how many periods each is asked."""
 SILENT = 3
 """Answers in a row that are lost before a board is silent."""
@@ -101,7 +108,12 @@ class Board:
         if isinstance(command, msg.Velocity):
             return {"speed": round(command.velocity)}
         path = self.options.acceleration
-        return {"accel": path, "speed": round(command.velocity), "deccel": path, "position": round(command.position)}
+        return {
+            "accel": path,
+            "speed": round(command.velocity),
+            "deccel": path,
+            "position": round(command.position),
+        }
 
 
 @dataclass(slots=True)
@@ -202,9 +214,7 @@ class RoboclawAdapter(Adapter[Motor]):
             if name == "GETVERSION":
                 return self._found(asked[0], values["version"], driver)
             side = next((int(each) for each in name if each in "12"), 0)
-            reports = [
-                self._answered(t, host, name, values) for host in hosts if side in (0, host.own.side)
-            ]
+            reports = [self._answered(t, host, name, values) for host in hosts if side in (0, host.own.side)]
         else:
             decoded = rt.PACKETS.in_frame(bytes(asked))[0][0]
             assert decoded is not None
@@ -217,9 +227,7 @@ class RoboclawAdapter(Adapter[Motor]):
             motor.driven, motor.duty = False, None
             motor.board.asked.pop("GETPWMS", None)
 
-    def _found(
-        self, address: int, version: str, driver: MotorDriver[Motor]
-    ) -> Sequence[Report[Motor] | Rx]:
+    def _found(self, address: int, version: str, driver: MotorDriver[Motor]) -> Sequence[Report[Motor] | Rx]:
         reports = []
         for side in rt.SIDES:
             at = address + rt.SECOND * (side - 1)
@@ -392,5 +400,3 @@ class RoboclawAdapter(Adapter[Motor]):
 def _counted(report: Report[Motor], counted: bool) -> Report[Motor]:
     report.counted = counted
     return report
-
-

@@ -36,7 +36,9 @@ class Options:
 
     def __post_init__(self) -> None:
         rest = self.timeout_ms % TIMEOUT_UNIT_MS
-        check_bounds(self, (f"timeout_ms is {self.timeout_ms}: it has steps of {TIMEOUT_UNIT_MS}",) if rest else ())
+        check_bounds(
+            self, (f"timeout_ms is {self.timeout_ms}: it has steps of {TIMEOUT_UNIT_MS}",) if rest else ()
+        )
 
     @property
     def unit(self) -> float:

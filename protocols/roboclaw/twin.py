@@ -191,7 +191,9 @@ class RoboclawTwin(ServoFirmware):
             self.duty = own["duty"] / rt.FULL if "duty" in own else None
             self.speed_up = own.get("accel", 0) * unit or math.inf
             self.slow_down = own.get("deccel", own.get("accel", 0)) * unit or math.inf
-            self.fastest = own["speed"] * unit if "position" in own and "speed" in own else self.pid["qpps"] * unit
+            self.fastest = (
+                own["speed"] * unit if "position" in own and "speed" in own else self.pid["qpps"] * unit
+            )
         if own.get("count"):
             count = own["count"]
             self.encoder.set_position((count - (count >> 31 << 32)) * unit)
@@ -219,8 +221,12 @@ class RoboclawTwin(ServoFirmware):
             "buffer2": 0x80,
         }
         for side, each in ((1, first), (2, second)):
-            measured = (0, 0.0, 0, 0) if each is None else (each.put, each.current, each.counted, each.turning)
-            values |= zip((f"duty{side}", f"current{side}", f"count{side}", f"speed{side}"), measured, strict=True)
+            measured = (
+                (0, 0.0, 0, 0) if each is None else (each.put, each.current, each.counted, each.turning)
+            )
+            values |= zip(
+                (f"duty{side}", f"current{side}", f"count{side}", f"speed{side}"), measured, strict=True
+            )
         fields = rt.ANSWERS.row(name).fields
         return rt.answer(message, name, **{each.name: values[each.name] for each in fields})
 
@@ -253,7 +259,9 @@ class RoboclawTwin(ServoFirmware):
             return 0
         if self.duty is not None:
             return round(self.duty * rt.FULL)
-        voltage = self.current * self.settings.resistance + self.encoder.velocity * self.settings.torque_constant
+        voltage = (
+            self.current * self.settings.resistance + self.encoder.velocity * self.settings.torque_constant
+        )
         return round(clamp(voltage / self.settings.supply, 1.0) * rt.FULL)
 
     def cycle(self, now: Nanos, dt: float, position: float, velocity: float) -> float:
