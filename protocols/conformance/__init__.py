@@ -7,9 +7,9 @@
 Rules. A clause is a function that raises Failure, with the shortest frames and messages that show what is
 wrong, or Inapplicable; it does the same again with the same seed. A plugin is known only through
 `protocols.plugin`: the devices are named alpha, beta and stranger, with the addresses 1, 2 and 3 (or those
-that it can have), with the plugin's default settings and options. Each other value of an option that is a Literal or a
-bool gets the clauses that it can matter to. Driver and twins then run in virtual time, with a simple shaft,
-on a bus without faults unless a clause injects some. Must not import any protocol, nor numpy.
+that it can have), with the plugin's default settings and options. Each other value of an option that is a
+Literal or a bool gets the clauses that it can matter to. Driver and twins then run in virtual time, with a
+simple shaft, on a bus without faults unless a clause injects some. Must not import any protocol, nor numpy.
 """
 
 from __future__ import annotations
@@ -154,7 +154,8 @@ def check(
 ) -> tuple[Result, ...]:
     """Check each clause on a plugin. Never raises, whatever the plugin does.
 
-    `addresses` are those of two devices of one driver and of a stranger; None: see `addresses_of`. `options` are those that it is checked with; (): each of `variants`."""
+    `addresses` are those of two devices of one driver and of a stranger; None: see `addresses_of`.
+    `options` are those that it is checked with; (): each of `variants`."""
     cases = [
         Case(plugin, each, seed, addresses or addresses_of(plugin)) for each in options or variants(plugin)
     ]

@@ -62,8 +62,8 @@ def spec(device: Device) -> Spec:
     if device.address not in rt.ADDRESSES:
         low, middle, high = rt.ADDRESSES.start, rt.BOARDS.stop, rt.ADDRESSES.stop - 1
         raise ValueError(
-            f"address {device.address} of {device.name}: it must be {low} to {middle - 1}, that of its board, and "
-            f"of a board's second motor {middle} to {high}, that of its board and {rt.SECOND}"
+            f"address {device.address} of {device.name}: it must be that of its board, {low} to {middle - 1}, "
+            f"or for the board's second motor that and {rt.SECOND}, {middle} to {high}"
         )
     idle = rt.PACKETS.encode(f"M{rt.side_of(device.address)}DUTY", rt.board_of(device.address), duty=0)
     answer = Answer(len(rt.ACK), rt.find_answer, round(options.answer_ms * MILLISECOND))
@@ -98,7 +98,7 @@ def spec(device: Device) -> Spec:
 
 
 def driver(devices: Sequence[Device]) -> Driver:
-    """Return the driver for all motors of one line. ValueError if those of a board differ in their timeout."""
+    """Return the driver for all motors of one line. ValueError if those of a board differ in timeout."""
     return driver_of(lambda: RoboclawAdapter(devices), spec)(devices)
 
 

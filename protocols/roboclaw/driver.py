@@ -1,10 +1,11 @@
 """The host's end: what boards are sent and asked in each phase, and what their answers report.
 
-Rules. Any set-point drives a motor, and no message reports that it is driven. What a motor was told last is what its
-board has acknowledged; and a duty that is not 0, though it was not told anything, is another host's. The serial
-timeout, which any message feeds, is written and read back before a motor is armed by a speed of 0; after a
-silence that it may have ended, the duty decides. A serial timeout that has another value is a board that has
-restarted. Set-points of both motors of a board go in one message. Counts of 32 bits are continued beyond them.
+Rules. Any set-point drives a motor, and no message reports that it is driven. What a motor was told last is
+what its board has acknowledged; and a duty that is not 0, though it was not told anything, is another
+host's. The serial timeout, which any message feeds, is written and read back before a motor is armed by a
+speed of 0; after a silence that it may have ended, the duty decides. A serial timeout that has another
+value is a board that has restarted. Set-points of both motors of a board go in one message. Counts of 32
+bits are continued beyond them.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from dataclasses import dataclass, field
 from protocols import messages as msg
 from protocols.frames import Frame
 from protocols.line import Answer, Exchange, Rank
-from protocols.messages import MILLISECOND, SECOND, Command, Event, Feedback, Mode, Nanos, Request
+from protocols.messages import MILLISECOND, SECOND, Command, Feedback, Mode, Nanos, Request
 from protocols.plugin import Device
 from protocols.roboclaw import table as rt
 from protocols.roboclaw.options import MOST, Options
@@ -28,7 +29,7 @@ from protocols.toolkit.table import Values
 REGISTERS = Registers(Register("timeout", 14, "u8"), *(Register(name, 28, "u32") for name in rt.PID))
 SAVE = "save"
 SELDOM = 10
-"""Questions about supply, current and temperature come so many times less often than those about the state."""
+"""Supply, current and temperature are asked for so many times less often than the state."""
 POLLED = {
     "GETERROR": 1,
     "GETPWMS": 1,
@@ -339,7 +340,7 @@ class RoboclawAdapter(Adapter[Motor]):
         own, board = host.own, host.own.board
         if board.silent:
             return board.due("GETERROR") if own.first else NEVER
-        at = board.asked.get(own.message("GETM#ENC"), -NEVER) + host.options.feedback_ms * MILLISECOND
+        at: Nanos = board.asked.get(own.message("GETM#ENC"), -NEVER) + host.options.feedback_ms * MILLISECOND
         return min(at, *(board.due(name) for name in POLLED)) if own.first else at
 
     def poll_bus(self, now: Nanos) -> Sequence[Frame]:

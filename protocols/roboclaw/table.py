@@ -3,9 +3,9 @@
 Source: basicmicro 2.0.10 (`controller.py`, `commands.py`); the status of older firmware:
 basicmicro/roboclaw_arduino_library@5e83dfe. Names are those of `commands.py`.
 
-Rules. A question is address and command, without a checksum; all else ends with a CRC-16 over all of it, and is
-acknowledged by one byte. An answer has neither address nor command: its CRC-16 covers those of the question,
-too. How long a message is follows from its command.
+Rules. A question is address and command, without a checksum; all else ends with a CRC-16 over all of it,
+and is acknowledged by one byte. An answer has neither address nor command: its CRC-16 covers those of the
+question, too. How long a message is follows from its command.
 """
 
 from __future__ import annotations
@@ -85,7 +85,10 @@ _WRITTEN: Mapping[str, tuple[int, tuple[Field, ...]]] = {
     "MIXEDSPEEDACCELDECCELPOS": (
         67,
         (
-            *(f for n in SIDES for f in (*_long(f"accel{n}", f"speed{n}", f"deccel{n}"), sint(f"position{n}", 32))),
+            *_long("accel1", "speed1", "deccel1"),
+            sint("position1", 32),
+            *_long("accel2", "speed2", "deccel2"),
+            sint("position2", 32),
             _BUFFER,
         ),
     ),
@@ -228,7 +231,7 @@ def read_answer(frame: bytes, data: bytes) -> tuple[str, Values]:
     name, data = _QUESTIONS[frame[1]], data[:-2]
     if name == "GETVERSION":
         return name, {"version": data[:-1].decode("ascii", "replace").strip()}
-    if name == "GETERROR" and len(data) == 2:  # noqa: PLR2004 -- as older firmware sends it
+    if name == "GETERROR" and len(data) == 2:
         return name, {"status": _newer(int.from_bytes(data, "big"))}
     return name, ANSWERS.read(name, data) or {}
 
@@ -282,7 +285,7 @@ def of_side(status: int, side: int) -> tuple[list[int], list[str]]:
 
 _BATTERY = "check battery and cables, and the limits that are configured"
 FAULTS: Mapping[int, FaultInfo] = {
-    ESTOP: FaultInfo("emergency stop", "an input that is an emergency stop is active", "release it, then clear"),
+    ESTOP: FaultInfo("emergency stop", "an input for it is active", "release it, then clear"),
     **{
         code: FaultInfo(name, cause, remedy, latching=False)
         for code, name, cause, remedy in (
@@ -294,7 +297,7 @@ FAULTS: Mapping[int, FaultInfo] = {
             (DRIVER, "driver fault", "a shorted motor, or a damaged power stage", "check the motor's cables"),
             (SPEED, "speed error", "the speed is beyond its limit of error", "check encoder, load and PID"),
             (POSITION, "position error", "the position is beyond its limit of error", "check load and PID"),
-            (CURRENT, "over-current", "a blocked shaft, or a limit that is too low", "free it; check the limit"),
+            (CURRENT, "over-current", "a blocked shaft, or a low limit", "free it; check the limit"),
             (MBATT_LOW, "main battery low", "the main supply is below its limit", _BATTERY),
             (MBATT_HYSTERESIS, "main battery was high", "it has not come down yet", _BATTERY),
         )

@@ -1,9 +1,9 @@
 """The device's end: what a motor of a board obeys, and the board's firmware.
 
 Rules. A twin is one motor; the two of a board receive the same messages, and the first of them answers (the
-second, if it is alone). Any message to the board feeds its serial timeout, which ends what is commanded by a duty
-of 0. What the loops inside do is ours; a duty is a share of the supply on the motor. A position that is to wait
-behind what is under way is taken at once: the buffer is not simulated.
+second, if it is alone). Any message to the board feeds its serial timeout, which ends what is commanded by
+a duty of 0. What the loops inside do is ours; a duty is a share of the supply on the motor. A position that
+is to wait behind what is under way is taken at once: the buffer is not simulated.
 """
 
 from __future__ import annotations
@@ -250,7 +250,8 @@ class RoboclawTwin(ServoFirmware):
     @property
     def current(self) -> float:
         """A"""
-        return self.torque / self.settings.torque_constant
+        constant: float = self.settings.torque_constant
+        return self.torque / constant
 
     @property
     def put(self) -> int:
