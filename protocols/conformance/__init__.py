@@ -7,9 +7,9 @@
 Rules. A clause is a function that raises Failure, with the shortest frames and messages that show what is
 wrong, or Inapplicable; it does the same again with the same seed. A plugin is known only through
 `protocols.plugin`: the devices are named alpha, beta and stranger, with the addresses 1, 2 and 3 (or those
-given), with the plugin's default settings and options. Each other value of an option that is a Literal or a
-bool gets the clauses that it can matter to. Driver and twins then run in virtual time, with a simple shaft,
-on a bus without faults unless a clause injects some. Must not import any protocol, nor numpy.
+that it can have), with the plugin's default settings and options. Each other value of an option that is a
+Literal or a bool gets the clauses that it can matter to. Driver and twins then run in virtual time, with a
+simple shaft, on a bus without faults unless a clause injects some. Must not import any protocol, nor numpy.
 """
 
 from __future__ import annotations
@@ -37,13 +37,12 @@ from protocols.conformance import (
     timeouts,
     traffic,
 )
-from protocols.conformance.bench import ADDRESSES
-from protocols.conformance.case import Case, Failure, Inapplicable, shown, variants
+from protocols.conformance.case import Case, Failure, Inapplicable, addresses_of, shown, variants
 from protocols.frames import Frame
 from protocols.messages import Message
 from protocols.plugin import Plugin
 
-__all__ = ["CLAUSES", "Clause", "Outcome", "Result", "check", "table", "variants"]
+__all__ = ["CLAUSES", "Clause", "Outcome", "Result", "addresses_of", "check", "table", "variants"]
 
 
 Topic: TypeAlias = Literal["numbers", "conversation"]
@@ -161,15 +160,17 @@ class Result:
 def check(
     plugin: Plugin,
     seed: int = 0,
-    addresses: tuple[int, int, int] = ADDRESSES,
+    addresses: tuple[int, int, int] | None = None,
     clauses: Sequence[Clause] = CLAUSES,
     options: Sequence[object] = (),
 ) -> tuple[Result, ...]:
     """Check each clause on a plugin. Never raises, whatever the plugin does.
 
-    `addresses` are those of two devices of one driver and of a stranger, for a protocol that cannot
-    have 1, 2 and 3. `options` are those that it is checked with; (): each of `variants`."""
-    cases = [Case(plugin, each, seed, addresses) for each in options or variants(plugin)]
+    `addresses` are those of two devices of one driver and of a stranger; None: see `addresses_of`.
+    `options` are those that it is checked with; (): each of `variants`."""
+    cases = [
+        Case(plugin, each, seed, addresses or addresses_of(plugin)) for each in options or variants(plugin)
+    ]
     return tuple(_check(clause, cases) for clause in clauses)
 
 

@@ -27,6 +27,7 @@ from protocols.plugin import (
     RxCounters,
     Spec,
     Twin,
+    join,
 )
 
 T = TypeVar("T")
@@ -208,17 +209,24 @@ def make_bench(
         for name, address in zip(names, addresses, strict=True)
     )
     specs = tuple(plugin.spec(device) for device in devices)
-    driver, kinds = plugin.driver(devices), {spec.line for spec in specs}
-    if kinds != {"free"}:
-        driver = OnLine(driver, Line(LINE_RATE, half_duplex="half-duplex" in kinds, slack=2 * STEP))
+    twins = [plugin.twin(device, seed) for seed, device in enumerate(devices)]
+    join(twins)
     return Bench(
         specs,
         devices,
-        driver,
+        make_driver(plugin, devices),
         plugin.decoder(devices),
-        [plugin.twin(device, seed) for seed, device in enumerate(devices)],
+        twins,
         {device.name: Shaft() for device in devices},
     )
+
+
+def make_driver(plugin: Plugin, devices: Sequence[Device]) -> Driver:
+    """Return a new driver of these devices, with its line before it, if they speak only when asked."""
+    driver, kinds = plugin.driver(devices), {plugin.spec(device).line for device in devices}
+    if kinds == {"free"}:
+        return driver
+    return OnLine(driver, Line(LINE_RATE, half_duplex="half-duplex" in kinds, slack=2 * STEP))
 
 
 def sensor_events(

@@ -9,9 +9,9 @@ from typing import Any
 from protocols.conformance import bench as tools
 from protocols.conformance import noise
 from protocols.conformance.bench import NAMES, STRANGER, Bench, Messages
-from protocols.conformance.case import Case, Failure, among, counts, difference
+from protocols.conformance.case import Case, Failure, Inapplicable, among, counts, difference
 from protocols.frames import CanFrame, Frame, IdMask, any_matches
-from protocols.messages import Command, Estop, Idle, Request
+from protocols.messages import Command, Estop, Idle, Request, Scan
 from protocols.plugin import Spec
 
 WATCHED = 800
@@ -23,10 +23,20 @@ def foreign_traffic_changes_nothing(case: Case) -> None:
 
     What the spec lists in `receives_also` is left out of what that host sends: a driver may report it."""
     spec, sends, expects = case.spec, case.sends, case.expects
-    alone, crowded, stranger = case.start(), case.start(), case.stranger()
+    if case.says_nothing_unasked:
+        raise Inapplicable("the spec's line is asked, and answers do not say whose they are: it has one host")
+    try:
+        stranger = case.stranger()
+    except ValueError as error:
+        if spec.bus != "serial":
+            raise
+        raise Inapplicable(f"no other device can be on its line: {error}") from error
+    alone, crowded = case.start(), case.start()
     counter = case.stranger().driver
     foreign, count = _foreign(case), 0
     for at, messages in enumerate(tools.script(spec, NAMES)):
+        if spec.line != "free":  # a stranger's answer while its address is asked would be one to that
+            messages = tuple(each for each in messages if not isinstance(each, Scan))
         theirs = stranger.step(_theirs(messages))
         can = [*_without(theirs.down, spec.receives_also), *theirs.up] if spec.bus != "serial" else []
         extra = [foreign[at % len(foreign)]] if at % 5 == 0 else []
