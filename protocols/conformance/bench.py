@@ -226,7 +226,7 @@ def make_driver(plugin: Plugin, devices: Sequence[Device]) -> Driver:
     driver, kinds = plugin.driver(devices), {plugin.spec(device).line for device in devices}
     if kinds == {"free"}:
         return driver
-    return OnLine(driver, Line(LINE_RATE, half_duplex="half-duplex" in kinds, slack=2 * STEP))
+    return OnLine(driver, Line(LINE_RATE, half_duplex="half-duplex" in kinds, slack=2 * STEP, quiet=0))
 
 
 def sensor_events(

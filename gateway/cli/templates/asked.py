@@ -65,10 +65,13 @@ class AskedAdapter(MotorAdapter):
         return (question("stop", host.address, Rank.RELEASE),)
 
     def poll(self, now: Nanos, host: Host[AnswerCount]) -> Sequence[Frame]:
-        if now < self._asked.get(host.name, -PERIOD) + PERIOD:
+        if now < self.poll_due(host):
             return ()
         self._asked[host.name] = now
         return (question("ask", host.address, Rank.QUESTION),)
+
+    def poll_due(self, host: Host[AnswerCount]) -> Nanos:
+        return self._asked.get(host.name, -PERIOD) + PERIOD
 
     def begin(
         self,
