@@ -125,7 +125,7 @@ CLAUSES: tuple[Clause, ...] = (
            requests.requests_are_answered_once),
     Clause("settings", "what is listed as configuration is read, and written where it is not protected",
            requests.configuration_is_read_and_written),
-    Clause("one sends", "on a line of questions and answers, never two send at once", lines.one_sends),
+    Clause("turns", "on a line of questions and answers, never two send at once", lines.one_sends),
     Clause("awaited", "an exchange is over when its answer is, and none is awaited in vain",
            lines.answers_as_declared, ("conversation",)),
     Clause("lost", "an answer that is lost costs one reading", lines.lost_costs_one),
@@ -134,7 +134,7 @@ CLAUSES: tuple[Clause, ...] = (
     Clause("newest", "what waits for a slow line is bounded, and the newest set-point is sent",
            lines.newest_wins, ("conversation",)),
     Clause("later", "what waited when Idle was given does not arm a device after it", lines.not_later),
-    Clause("wrong answers", "an answer that is late, doubled, another's, cut or behind garbage trips nothing",
+    Clause("wrong", "an answer that is late, doubled, another's, cut or behind garbage trips nothing",
            lines.wrong_answers_are_none),
 )
 # fmt: on

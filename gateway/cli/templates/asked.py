@@ -1,6 +1,6 @@
 """What is particular to a serial line on which devices speak only when asked.
 
-FILL IN (clauses "one sends", "awaited", "lost", "dead", "newest" and "later") what is answered, by how many
+FILL IN (clauses "turns", "awaited", "lost", "dead", "newest" and "later") what is answered, by how many
 bytes, and how long the device waits before it answers; and what is asked how often. Where each end sends when
 it likes, remove this file and what `__init__` takes from it.
 """
