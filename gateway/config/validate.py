@@ -53,9 +53,11 @@ def check_devices(
             kinds = " or ".join(_CARRIES[device.spec.bus])
             text = f"{device.plugin.name} needs a bus of kind {kinds}, and {bus.name!r} is {bus.kind}"
             mistakes.add((*at, "bus"), text)
-    for (_, first), (at, second) in combinations(placed, 2):
+    for (before, first), (at, second) in combinations(placed, 2):
         if first.bus == second.bus:
             _check_pair(first, at, second, mistakes)
+            _check_line(before, first, second, mistakes)
+            _check_line(at, second, first, mistakes)
     for bus_name in dict.fromkeys(device.bus for _, device in placed):
         _check_drivers(bus_name, [device for _, device in placed if device.bus == bus_name], mistakes)
     for name, motor in motors.items():
@@ -85,6 +87,15 @@ def _check_pair(first: BusDevice, at: Key, second: BusDevice, mistakes: Mistakes
     elif text := id_conflict(first, second):
         remedy = "expected another address or bus, or an option that moves its ids"
         mistakes.add((*at, "address"), f"{text}; {remedy}")
+
+
+def _check_line(at: Key, device: BusDevice, other: BusDevice, mistakes: Mistakes) -> None:
+    """Check that a device does not send unasked on a line on which another one speaks only when asked."""
+    unasked = device.spec.line == "free" and device.spec.feedback is not FeedbackKind.NONE
+    if device.spec.bus == "serial" and unasked and other.spec.line != "free":
+        text = f"{device.plugin.name} sends unasked, and would garble the answers of {other.name!r}"
+        text += f" ({other.plugin.name}) on bus {device.bus!r}; expected a line of its own"
+        mistakes.add((*at, "bus"), text)
 
 
 def _check_drivers(bus: str, devices: Sequence[BusDevice], mistakes: Mistakes) -> None:

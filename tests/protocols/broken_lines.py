@@ -5,6 +5,9 @@ gives altered on the way to the line, or what it is given on the way back."""
 
 from __future__ import annotations
 
+import binascii
+import json
+import struct
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -19,9 +22,25 @@ from protocols.frames import Frame
 from protocols.line import Answer, Exchange, Rank
 from protocols.messages import MILLISECOND, Event, Feedback, Nanos
 from protocols.plugin import Plugin
+from tests.protocols.broken import BROKEN
 
 SUBJECT = "questioned"
 """Name of the sound plugin."""
+
+
+_BODIES = {"stop": bytes(8), "run": struct.pack("<Bxhxxxx", 1, 250), "clear": b"\x02" + bytes(7)}
+VECTORS = [
+    {
+        "name": name,
+        "direction": "to_device",
+        "bus": "serial",
+        "data": (message + struct.pack("<H", binascii.crc_hqx(message, 0))).hex(),
+        "meaning": {"velocity": 2.5} if name == "run" else {},
+        "source": "made with struct and binascii of Python 3.11 alone",
+    }
+    for name, body in _BODIES.items()
+    for message in (b"\xa5\x01\x05" + body,)
+]
 
 
 def _made() -> Any:
@@ -31,6 +50,7 @@ def _made() -> Any:
         for path, text in scaffold.contents(SUBJECT, "serial").items():
             (folder / path).parent.mkdir(parents=True, exist_ok=True)
             (folder / path).write_text(text, encoding="utf-8")
+        (folder / SUBJECT / "vectors.json").write_text(json.dumps(VECTORS), encoding="utf-8")
         sys.path.append(str(folder))
         import_module(f"{SUBJECT}.line")
     return sys.modules[SUBJECT]
@@ -39,7 +59,7 @@ def _made() -> Any:
 sound: Plugin = _made().plugin
 FRAMING = sys.modules[f"{SUBJECT}.line"].FRAMING
 BROKEN_LINES: list[tuple[Plugin, tuple[str, ...]]] = []
-"""The broken plugins, each with the clauses that must find it. One that does not arm breaks others, too."""
+"""The broken plugins of this file, as in `BROKEN`."""
 
 
 class Altered(DriverWrapper):
@@ -64,6 +84,7 @@ def found_by(*clauses: str) -> Callable[[type[Altered]], type[Altered]]:
     def register(part: type[Altered]) -> type[Altered]:
         wrong = replace(sound, name=part.__name__, driver=lambda devices: part(sound.driver(devices)))
         BROKEN_LINES.append((wrong, clauses))
+        BROKEN.append((wrong, clauses))
         return part
 
     return register
@@ -139,7 +160,39 @@ class Raises(Altered):
         return again(each, replace(each.answer, find=raises))
 
 
+@found_by("turns")
+class ForgetsAnAnswer(Altered):
+    """Gives what clears a fault as a frame that nobody answers."""
+
+    def change(self, each: Exchange) -> bytes:
+        return bytes(each) if each.about.endswith("clear") else each
+
+
 @found_by("dead")
+class NeverBacksOff(Altered):
+    """Calls each question by another name, so that one who is silent is asked as often as the others."""
+
+    count = 0
+
+    def change(self, each: Exchange) -> bytes:
+        assert each.answer is not None
+        self.count += 1
+        answer = replace(each.answer, delay=3 * MILLISECOND)
+        return again(each, answer, about=f"{each.about} {self.count}")
+
+
+@found_by("newest")
+class AsksTooMuch(Altered):
+    """Asks one more question every 3 ms, whether the last was answered or not."""
+
+    def send(self, now: Nanos, messages: Messages) -> tuple[Sequence[Event], Sequence[Frame]]:
+        own, given = super().send(now, messages)
+        asks = sys.modules[f"{SUBJECT}.line"].question
+        more = [again(each, each.answer, about="") for each in (asks("ask", 1, Rank.QUESTION),)]
+        return own, [*given, *(more if now // MILLISECOND % 3 == 0 else ())]
+
+
+@found_by("dead", "lost")
 class Patient(Altered):
     """Awaits every answer for 100 ms."""
 
@@ -148,7 +201,7 @@ class Patient(Altered):
         return again(each, replace(each.answer, delay=100 * MILLISECOND))
 
 
-@found_by("newest")
+@found_by("newest", "later")
 class Hoarder(Altered):
     """Lets every set-point and question wait."""
 
@@ -166,7 +219,7 @@ class Keeper(Altered):
 
 @found_by("lost")
 class Sulks(Altered):
-    """After an answer that is lost, asks for nothing for 100 ms."""
+    """After an answer that is lost, asks for nothing for 8 ms."""
 
     def __init__(self, driver: Any) -> None:
         super().__init__(driver)
@@ -177,7 +230,7 @@ class Sulks(Altered):
         return own, given if now >= self.until else ()
 
     def answer(self, t: Nanos, asked: Exchange, data: bytes) -> Sequence[Event]:
-        self.until = self.until if data else t + 100 * MILLISECOND
+        self.until = self.until if data else t + 8 * MILLISECOND
         return super().answer(t, asked, data)
 
 

@@ -598,6 +598,19 @@ def test_a_classic_device_may_stand_on_an_fd_bus_and_not_the_other_way_round() -
     assert "motors.left.bus: foreign needs a bus of kind canfd, and 'can0' is can" in found
 
 
+def test_who_sends_unasked_is_not_on_a_line_of_questions_and_answers() -> None:
+    """A lidar beside motor controllers that speak only when asked."""
+    (path,) = [each for each in ROBOTS if each.name == "diffbot_roboclaw.toml"]
+    text = path.read_text("utf-8")
+    assert mistakes_in(text) == []
+    found = mistakes_in(text.replace('bus = "sensors"', 'bus = "motors"'))
+    refused = [one for one in found if "sends unasked" in one]
+    assert len(refused) >= 2
+    for one in refused:
+        assert re.search(r"sensors.\w+.bus: plain sends unasked, and would garble the answers of '", one)
+        assert one.endswith("(roboclaw) on bus 'motors'; expected a line of its own")
+
+
 # -- cautions ------------------------------------------------------------------------------------
 
 
