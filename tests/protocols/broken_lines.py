@@ -169,16 +169,24 @@ class ForgetsAnAnswer(Altered):
 
 
 @found_by("dead")
-class NeverBacksOff(Altered):
-    """Calls each question by another name, so that one who is silent is asked as often as the others."""
+class Insists(Altered):
+    """Waits longer for who has not answered, and asks it under other names, as often as the others."""
 
-    count = 0
+    def __init__(self, driver: Any) -> None:
+        super().__init__(driver)
+        self.lost, self.count = {1: 0, 2: 0}, 0
 
     def change(self, each: Exchange) -> bytes:
         assert each.answer is not None
+        if self.lost[each[2]] < 5:
+            return each
         self.count += 1
         answer = replace(each.answer, delay=3 * MILLISECOND)
         return again(each, answer, about=f"{each.about} {self.count}")
+
+    def answer(self, t: Nanos, asked: Exchange, data: bytes) -> Sequence[Event]:
+        self.lost[asked[2]] = 0 if data else self.lost[asked[2]] + 1
+        return super().answer(t, asked, data)
 
 
 @found_by("newest")
@@ -219,7 +227,7 @@ class Keeper(Altered):
 
 @found_by("lost")
 class Sulks(Altered):
-    """After an answer that is lost, asks for nothing for 8 ms."""
+    """After an answer that is lost, asks for nothing for 6 ms."""
 
     def __init__(self, driver: Any) -> None:
         super().__init__(driver)
@@ -230,7 +238,7 @@ class Sulks(Altered):
         return own, given if now >= self.until else ()
 
     def answer(self, t: Nanos, asked: Exchange, data: bytes) -> Sequence[Event]:
-        self.until = self.until if data else t + 8 * MILLISECOND
+        self.until = self.until if data else t + 6 * MILLISECOND
         return super().answer(t, asked, data)
 
 
