@@ -124,7 +124,7 @@ class Bare(Altered):
         return bytes(each)
 
 
-@found_by("awaited")
+@found_by("awaited", "lost")
 class Hasty(Altered):
     """Expects fewer bytes than come, and no delay: it gives up while the device sends."""
 
@@ -133,7 +133,7 @@ class Hasty(Altered):
         return again(each, replace(each.answer, size=1, delay=-300_000))
 
 
-@found_by("awaited")
+@found_by("awaited", "lost")
 class Early(Altered):
     """Takes an answer for over at its head."""
 
@@ -142,7 +142,7 @@ class Early(Altered):
         return again(each, replace(each.answer, find=head))
 
 
-@found_by("awaited")
+@found_by("awaited", "lost")
 class Endless(Altered):
     """Awaits more than comes."""
 
@@ -174,18 +174,18 @@ class Insists(Altered):
 
     def __init__(self, driver: Any) -> None:
         super().__init__(driver)
-        self.lost, self.count = {1: 0, 2: 0}, 0
+        self.lost, self.count = dict[int, int](), 0
 
     def change(self, each: Exchange) -> bytes:
         assert each.answer is not None
-        if self.lost[each[2]] < 5:
+        if self.lost.get(each[2], 0) < 5:
             return each
         self.count += 1
         answer = replace(each.answer, delay=3 * MILLISECOND)
         return again(each, answer, about=f"{each.about} {self.count}")
 
     def answer(self, t: Nanos, asked: Exchange, data: bytes) -> Sequence[Event]:
-        self.lost[asked[2]] = 0 if data else self.lost[asked[2]] + 1
+        self.lost[asked[2]] = 0 if data else self.lost.get(asked[2], 0) + 1
         return super().answer(t, asked, data)
 
 
@@ -227,22 +227,23 @@ class Keeper(Altered):
 
 @found_by("lost")
 class Sulks(Altered):
-    """After an answer that is lost, asks for nothing for 6 ms."""
+    """After an answer that is lost, sends the device nothing for 6 ms."""
 
     def __init__(self, driver: Any) -> None:
         super().__init__(driver)
-        self.until: Nanos = 0
+        self.until: dict[int, Nanos] = {}
 
     def send(self, now: Nanos, messages: Messages) -> tuple[Sequence[Event], Sequence[Frame]]:
         own, given = super().send(now, messages)
-        return own, given if now >= self.until else ()
+        return own, [e for e in given if isinstance(e, bytes) and now >= self.until.get(e[2], 0)]
 
     def answer(self, t: Nanos, asked: Exchange, data: bytes) -> Sequence[Event]:
-        self.until = self.until if data else t + 6 * MILLISECOND
+        if not data:
+            self.until[asked[2]] = t + 6 * MILLISECOND
         return super().answer(t, asked, data)
 
 
-@found_by("wrong")
+@found_by("wrong", "foreign")
 class Trusting(Altered):
     """Takes any answer for that of the device that was asked."""
 
