@@ -1,0 +1,341 @@
+"""The host's end: what a DDSM motor is sent in each phase, and what its answers report.
+
+Rules. Each frame but `set mode` and `set id` is answered, and one question is under way on the line at a
+time. The mode arms: it is written before anything is commanded, though the motor may have it already, and
+counts once an answer has come that was asked for behind it (of a DDSM210, which does not tell its mode, two).
+Released, a motor is in the mode without a loop for speed, with a value of 0; that goes out until answers
+confirm it. A value of 0 is not sent in the mode for positions: it is an angle there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from protocols import messages as msg
+from protocols.ddsm import table as ds
+from protocols.frames import Frame
+from protocols.line import Answer, Exchange, Rank
+from protocols.messages import MILLISECOND, SECOND, Command, Feedback, Mode, Nanos, Request, seconds
+from protocols.plugin import Device
+from protocols.toolkit.host import Host, Phase, Report, Timing
+from protocols.toolkit.motor_driver import NEVER, Adapter, MotorDriver, Pending, Rx
+from protocols.toolkit.options import bounded, check_bounds
+from protocols.toolkit.requests import ANSWER
+from protocols.toolkit.serial import Stream
+from protocols.toolkit.table import Values
+
+STATE: Nanos = SECOND // 2
+"""Period of a query while it is driven: for what the answers to `drive` lack"""
+LONGEST: Nanos = 100 * MILLISECOND
+"""Time for which a velocity tells where a shaft went meanwhile"""
+AGAIN: Nanos = 50 * MILLISECOND
+"""Period of what releases a motor that does not tell its mode"""
+TIMES, APART = 5, 5 * MILLISECOND
+"""How often, and in which period, `set id` is sent: the vendor's code has 5 and 4 ms."""
+CLEARED: Nanos = SECOND
+"""Time in which a fault must have passed after ClearFault"""
+FINISH: Nanos = 400 * MILLISECOND
+"""Time for one more question of a scan or of `set id`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Configuration of the driver."""
+
+    model: Literal["DDSM115", "DDSM210"] = "DDSM115"
+    """The messages, the line (RS-485, or a UART), the scale of speeds, and whether it takes a torque"""
+    torque_constant: float = bounded(0.0, 0.0, 100.0)
+    """N·m/A; 0: that of the model (0.75; of a DDSM210 it is not known, and no torque is reported)"""
+    idle_current: float = bounded(0.2, 0.0, 8.0)
+    """A: what is measured beyond it drives the motor"""
+    feedback_ms: float = bounded(10.0, 1.0, 1000.0)
+    """Period of queries, where no answer to a set-point tells as much"""
+    offline_ms: float = bounded(250.0, 10.0, 10_000.0)
+    """Time without an answer after which it is offline"""
+    answer_ms: float = bounded(4.0, 0.1, 100.0)
+    """How late an answer may begin: what the vendor's code waits for the whole"""
+    watchdog: Literal["unknown", "acknowledged"] = "unknown"
+    """Acknowledge that none is known."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+    @property
+    def of_model(self) -> ds.Model:
+        """What the model determines."""
+        return ds.MODELS[self.model]
+
+    @property
+    def torque(self) -> float:
+        """N·m of a count of current"""
+        return ds.AMPERE * (self.torque_constant or self.of_model.torque_constant)
+
+
+@dataclass(slots=True)
+class Motor:
+    """What is known of one motor beyond its phase. Plain data."""
+
+    position: float | None = None
+    """rad, with the turns since it was first reported"""
+    velocity: float = 0.0
+    current: float = 0.0
+    """A"""
+    at: Nanos = 0
+    """When it was last heard"""
+    mode: int | None = None
+    """As it reports it; of a DDSM210 as it was told"""
+    told: tuple[int, int] = (-1, 0)
+    """The mode that was written, and the answers since"""
+    value: int = 0
+    """As last sent in `drive`"""
+    error: int = 0
+    asked_at: Nanos = -(1 << 62)
+    """When the last question was given that tells its motion,"""
+    queried_at: Nanos = -(1 << 62)
+    """the last query,"""
+    rested_at: Nanos = 0
+    """and what releases it."""
+
+    def forget(self) -> None:
+        """Forget what it reported: it may have restarted, or been replaced."""
+        self.position, self.velocity, self.current, self.error, self.value = None, 0.0, 0.0, 0, 0
+        self.mode, self.told = None, (-1, 0)
+
+    def see(self, t: Nanos, values: Values, options: Options) -> None:
+        """Record what an answer has. The shaft is where its angle says, in the turn that is nearest to where
+        its velocity has brought it; a coarse angle confirms that, if it can."""
+        before, since = self.velocity, seconds(min(t - self.at, LONGEST))
+        self.velocity = values["speed"] * options.of_model.rpm if "speed" in values else before
+        self.current = values["current"] * ds.AMPERE if "current" in values else self.current
+        self.mode, self.error, self.at = values.get("mode", self.mode), values["error"], t
+        fine, coarse = values.get("angle"), values.get("coarse")
+        angle = fine * ds.ANGLE if fine is not None else None if coarse is None else coarse * ds.COARSE
+        if self.position is None:
+            self.position = angle
+            return
+        self.position += 0.5 * (before + self.velocity) * since
+        off = 0.0 if angle is None else math.remainder(angle - self.position, math.tau)
+        self.position += off if fine is not None or abs(off) > ds.COARSE else 0.0
+
+    def mode_of(self, options: Options) -> tuple[Mode, str]:
+        """Return its mode, and a name for it."""
+        if self.error:
+            return Mode.FAULT, f"error {self.error:#x}"
+        if self.mode in (ds.SPEED, ds.POSITION):
+            return Mode.ARMED, "speed loop" if self.mode == ds.SPEED else "position loop"
+        drives = self.value != 0 or abs(self.current) > options.idle_current
+        return (Mode.ARMED, "current") if drives else (Mode.READY, "released")
+
+
+class DdsmAdapter(Adapter[Motor]):
+    """What motors are sent, and what they report."""
+
+    name = "ddsm"
+    faults, latch = ds.FAULTS, True
+
+    def __init__(self) -> None:
+        self._answers = ds.Answers()
+        self._stream = Stream(self._answers)
+
+    def own(self, device: Device) -> Motor:
+        self._answers.models[device.address] = device.options.of_model
+        return Motor()
+
+    def timing(self, options: Options) -> Timing:
+        return Timing(round(options.offline_ms * MILLISECOND), confirmations=3)
+
+    def forget(self, now: Nanos, host: Host[Motor]) -> None:
+        host.own.forget()
+
+    def resend(self, host: Host[Motor]) -> None:
+        host.own.told = (-1, 0)
+
+    def interrupted(self) -> None:
+        self._stream.drop()
+
+    # -- received -------------------------------------------------------------------------------------
+
+    def receive(self, t: Nanos, frame: Frame, driver: MotorDriver[Motor]) -> Sequence[Report[Motor] | Rx]:
+        """Return what an answer reports that nobody asked for: of a DDSM115 what all its answers have."""
+        if not isinstance(frame, bytes):
+            return (Rx.IGNORED,)
+        found = self._stream.feed(frame)
+        return [one if isinstance(one, Rx) else self._report(t, one, None, driver) for one in found]
+
+    def heard(
+        self, t: Nanos, asked: Exchange, data: bytes, driver: MotorDriver[Motor]
+    ) -> Sequence[Report[Motor] | Rx]:
+        if asked.answer is None or asked.answer.find(asked, data) != (0, len(data)):
+            return super().heard(t, asked, data, driver)
+        return (self._report(t, data, asked, driver),)
+
+    def _report(
+        self, t: Nanos, data: bytes, asked: Exchange | None, driver: MotorDriver[Motor]
+    ) -> Report[Motor] | Rx:
+        scanned = asked is not None and asked.about.startswith("scan")
+        if asked is not None and asked[0] == ds.ANYONE:  # one alone is on the line, at whatever address
+            alone = next(iter(driver.hosts.values()))
+            return Report(alone, alone.address, parameters={"id": float(data[0])})
+        host = driver.at.get(data[0])
+        if host is None:
+            note = next(iter(driver.hosts.values())).options.model
+            return Report(None, data[0], note=note) if scanned else Rx.IGNORED
+        own, options, name = host.own, host.options, host.name
+        function = data[1] if not options.of_model.tells_mode else ds.QUERY if asked is None else asked[1]
+        values = ds.read(options.model, function, data)
+        if asked is None and options.of_model.tells_mode:
+            values = {key: values[key] for key in ("mode", "current", "speed", "error")}
+        own.see(t, values, options)
+        if asked is not None and " set " in asked.about:
+            self._told(own, int(asked.about.rpartition(" ")[2]), options)
+        mode, detail = own.mode_of(options)
+        bits = [bit for bit in range(8) if own.error >> bit & 1]
+        return Report(
+            host,
+            host.address,
+            mode,
+            detail,
+            [1 << bit for bit in bits],
+            self._feedback(t, name, own, values, options),
+            note=options.model if scanned else "",
+        )
+
+    def _told(self, own: Motor, mode: int, options: Options) -> None:
+        count = own.told[1] + 1 if own.told[0] == mode else 1
+        own.told = mode, count
+        if not options.of_model.tells_mode and count >= options.of_model.told:
+            own.mode = mode
+
+    def _feedback(self, t: Nanos, name: str, own: Motor, values: Values, options: Options) -> Feedback:
+        """Return what was measured; at the ends of its numbers it may as well be beyond."""
+        speed, current = values.get("speed"), values.get("current")
+        inside = speed is not None and abs(speed) < ds.FULL
+        measured = current is not None and abs(current) < ds.FULL
+        return Feedback(
+            name,
+            t,
+            own.position,
+            own.velocity if inside else None,
+            own.current / ds.AMPERE * options.torque if measured and options.torque else None,
+            own.current if measured else None,
+            temperature=float(values["temperature"]) if "temperature" in values else None,
+        )
+
+    # -- sent -----------------------------------------------------------------------------------------
+
+    def _asks(self, host: Host[Motor], frame: bytes, rank: Rank, about: str, tries: int = 1) -> Exchange:
+        options: Options = host.options
+        delay = round(options.answer_ms * MILLISECOND)
+        return Exchange(frame, Answer(ds.SIZE, ds.Finds(options.of_model), delay), rank, about, tries)
+
+    def _drive(self, now: Nanos, host: Host[Motor], value: int, rank: Rank = Rank.SET_POINT) -> Exchange:
+        own = host.own
+        own.value, own.asked_at = value, now if host.options.of_model.tells_mode else own.asked_at
+        frame = ds.encode("drive", host.address, value=value, brake=0)
+        return self._asks(host, frame, rank, f"{host.address} drive")
+
+    def _mode(self, host: Host[Motor], mode: int, rank: Rank) -> Exchange:
+        name = f"set mode {host.options.model[4:]}"
+        return Exchange(ds.encode(name, host.address, mode=mode), None, rank, f"{host.address} mode")
+
+    def _query(self, now: Nanos, host: Host[Motor], rank: Rank, about: str) -> Exchange:
+        host.own.asked_at = host.own.queried_at = now
+        return self._asks(host, ds.encode("query", host.address), rank, f"{host.address} {about}")
+
+    def arm(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
+        own, options = host.own, host.options
+        wanted = ds.CURRENT if isinstance(command, msg.Torque) else ds.SPEED
+        counts = own.told[0] == wanted and own.told[1] >= options.of_model.told
+        if counts and own.mode == wanted:  # a count drives nothing, and shows that it obeys
+            return (self._drive(now, host, 1 if wanted == ds.CURRENT else 0),)
+        own.value = 0  # a new mode begins without one
+        return (
+            self._mode(host, wanted, Rank.SET_POINT),
+            self._query(now, host, Rank.QUESTION, f"set {wanted}"),
+        )
+
+    def command(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
+        own, options = host.own, host.options
+        wanted = ds.CURRENT if isinstance(command, msg.Torque) else ds.SPEED
+        if own.mode != wanted or own.told[0] != wanted or own.told[1] < options.of_model.told:
+            return self.arm(now, host, command)
+        if isinstance(command, msg.Torque):  # 0 would release it
+            return (self._drive(now, host, round(command.torque / options.torque) or 1),)
+        velocity: float = getattr(command, "velocity", 0.0)
+        return (self._drive(now, host, round(velocity / options.of_model.rpm)),)
+
+    def release(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
+        own = host.own
+        if not host.options.of_model.tells_mode:
+            own.mode = host.options.of_model.rest
+        return self._rests(now, host, Rank.RELEASE)
+
+    def _rests(self, now: Nanos, host: Host[Motor], rank: Rank) -> Sequence[Frame]:
+        own, mode = host.own, self._mode(host, host.options.of_model.rest, rank)
+        own.told, own.value, own.rested_at = (-1, 0), 0, now
+        if own.mode == ds.POSITION:
+            return mode, self._query(now, host, rank, "rest")
+        return mode, self._drive(now, host, 0, rank)
+
+    def poll(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
+        if now >= self._rests_again(host):
+            return self._rests(now, host, Rank.QUESTION)
+        if now < self._queries_again(host):
+            return ()
+        driven = host.phase is Phase.ARMED and host.options.of_model.tells_mode
+        return (self._query(now, host, Rank.BACKGROUND if driven else Rank.QUESTION, "state"),)
+
+    def poll_due(self, host: Host[Motor]) -> Nanos:
+        return min(self._queries_again(host), self._rests_again(host))
+
+    def _rests_again(self, host: Host[Motor]) -> Nanos:
+        """Return when a motor that does not tell its mode, and was commanded once, is released once more: a
+        late frame may have armed it."""
+        driven = host.phase in (Phase.ARMING, Phase.ARMED, Phase.RELEASING) or not host.once_commanded
+        return NEVER if driven or host.options.of_model.tells_mode else host.own.rested_at + AGAIN
+
+    def _queries_again(self, host: Host[Motor]) -> Nanos:
+        own, period = host.own, round(host.options.feedback_ms * MILLISECOND)
+        at: Nanos = min(own.asked_at + period, own.queried_at + STATE)
+        return at
+
+    # -- requests -------------------------------------------------------------------------------------
+
+    def begin(
+        self, now: Nanos, request: Request, host: Host[Motor] | None, driver: MotorDriver[Motor]
+    ) -> Pending[Motor] | str:
+        match request:
+            case msg.Scan():
+                first = next(iter(driver.hosts.values()))
+                frames = tuple(
+                    self._asks(first, ds.encode("query", at), Rank.QUESTION, f"scan {at}", 2)
+                    for at in ds.ADDRESSES
+                )
+                period = 2 * (round(first.options.answer_ms * MILLISECOND) + 3 * MILLISECOND)
+                end = now + len(frames) * period + FINISH
+                return Pending(request, request.bus, now, end, now, None, frames, period)
+            case msg.ClearFault() if host is not None:  # its faults pass by themselves
+                return Pending(request, host.name, now, now + CLEARED, now, host, sent=1)
+            case msg.WriteParameter(_, "id") if len(driver.hosts) > 1:
+                return "every motor on the line would take it: connect one alone"
+            case msg.WriteParameter(_, "id", value) if value not in ds.ADDRESSES:
+                return f"{value:g} is not an id: {ds.ADDRESSES.start} to {ds.ADDRESSES.stop - 1}"
+            case msg.WriteParameter(_, "id"):
+                end = now + ANSWER + TIMES * APART
+                return Pending(request, request.motor, now, end, now, host, period=APART)
+            case msg.WriteParameter(_, name):
+                return f"no parameter {name!r}: there is id"
+        return "the device cannot do that on this bus"
+
+    def frames(self, now: Nanos, pending: Pending[Motor]) -> Sequence[Frame]:
+        request, host = pending.request, pending.host
+        if isinstance(request, msg.Scan):
+            return pending.frames[pending.sent : pending.sent + 1]
+        if host is None or isinstance(request, msg.ClearFault):
+            return ()
+        if isinstance(request, msg.WriteParameter) and pending.sent < TIMES:
+            return (Exchange(ds.encode("set id", id=int(request.value))),)
+        return (self._asks(host, ds.encode("id query"), Rank.QUESTION, "id"),)
