@@ -229,7 +229,9 @@ class Line:
             if one.exchange.rank is Rank.RELEASE:
                 return one
         mine = self._of_this_round(ready)
-        if not mine:
+        if not mine and self.out is not None:
+            mine = ready  # what is asked in this round may wait for the answer under way: it goes on
+        elif not mine:
             self.round, self.background = self.round + 1, False
             for one in ready:
                 one.round = min(one.round, self.round)
