@@ -207,18 +207,22 @@ def make_bench(
         Device(name, address, options, plugin.settings() if settings is None else settings)
         for name, address in zip(names, addresses, strict=True)
     )
-    specs = tuple(plugin.spec(device) for device in devices)
-    driver, kinds = plugin.driver(devices), {spec.line for spec in specs}
-    if kinds != {"free"}:
-        driver = OnLine(driver, Line(LINE_RATE, half_duplex="half-duplex" in kinds, slack=2 * STEP))
     return Bench(
-        specs,
+        tuple(plugin.spec(device) for device in devices),
         devices,
-        driver,
+        make_driver(plugin, devices),
         plugin.decoder(devices),
         [plugin.twin(device, seed) for seed, device in enumerate(devices)],
         {device.name: Shaft() for device in devices},
     )
+
+
+def make_driver(plugin: Plugin, devices: Sequence[Device]) -> Driver:
+    """Return the driver of these devices, with a line before it if they speak only when asked."""
+    driver, kinds = plugin.driver(devices), {plugin.spec(device).line for device in devices}
+    if kinds == {"free"}:
+        return driver
+    return OnLine(driver, Line(LINE_RATE, half_duplex="half-duplex" in kinds, slack=2 * STEP))
 
 
 def sensor_events(
@@ -305,7 +309,13 @@ class OnLine(DriverWrapper):
         late = [event for each in self.line.expire(now) for event in self._answer(now, each)]
         events, frames = self.driver.send(now, messages)
         self.line.put(0, [frame for frame in frames if isinstance(frame, bytes)])
-        return [*late, *events], [bytes(frame) for _, frame in self.line.take(now)]
+        more, sent = self.go_on(now)
+        return [*late, *events, *more], sent
+
+    def go_on(self, now: Nanos) -> tuple[Sequence[Event], Sequence[Frame]]:
+        """Hand over what waits, as between two steps of the brain: the driver is given nothing."""
+        late = [event for each in self.line.expire(now) for event in self._answer(now, each)]
+        return late, [bytes(frame) for _, frame in self.line.take(now)]
 
     def due(self) -> Nanos | None:
         """Return when driver or line have something to do."""
