@@ -147,13 +147,13 @@ class Answers(Commands):
         """Of our motors, by address."""
 
     def read(self, held: bytes, at: int) -> tuple[bytes | Rx | None, int]:
-        """Return what begins here: nobody has asked for it, so it must look like an answer in all."""
+        """Return what begins here: nobody has asked for it, so it must look like an answer in all, and it tells
+        no error: eight bits of checksum are no reason to stop a motor, which is asked again soon."""
         if len(held) - at < SIZE:
             return None, at
         message = held[at : at + SIZE]
-        models = (self.models[at_] for at_ in message[:1] if at_ in self.models)
-        model = next(models, None) or next(iter(self.models.values()), MODELS["DDSM115"])
-        likely = message[0] in ADDRESSES and message[8] < 1 << len(FAULTS) and model.fits(message)
+        model = self.models.get(message[0]) or next(iter(self.models.values()), MODELS["DDSM115"])
+        likely = message[0] in ADDRESSES and not message[8] and model.fits(message)
         return (message, at + SIZE) if likely else (Rx.IGNORED, at + 1)
 
 
