@@ -147,8 +147,8 @@ class Answers(Commands):
         """Of our motors, by address."""
 
     def read(self, held: bytes, at: int) -> tuple[bytes | Rx | None, int]:
-        """Return what begins here: nobody has asked for it, so it must look like an answer in all, and it tells
-        no error: eight bits of checksum are no reason to stop a motor, which is asked again soon."""
+        """Return what begins here. Nobody has asked for it: it must look like an answer in all, and tell no
+        error: eight bits of checksum are no reason to stop a motor, which is asked again soon."""
         if len(held) - at < SIZE:
             return None, at
         message = held[at : at + SIZE]
