@@ -28,6 +28,8 @@ PACE: Nanos = 2 * MILLISECOND
 """From one message to the next at least: 0.7 ms of bytes, and a pause"""
 LONGEST: Nanos = 50 * MILLISECOND
 """Time for which a velocity tells where a shaft went meanwhile"""
+ECHO: Nanos = 100 * MILLISECOND
+"""Time within which the feedback must return what is sent"""
 SENT = 64
 """Messages that are remembered, to know their echo"""
 
@@ -168,7 +170,8 @@ class HoverboardAdapter(Adapter[Wheel]):
         if host.own.driven:
             if echo in recent:
                 return Mode.ARMED, "commanded"
-            return Mode.READY, "its feedback does not return what it is sent" if recent else "timeout"
+            late = t - host.since > ECHO
+            return Mode.READY, "its feedback does not return what it is sent" if late else "released"
         if hb.unmix(*echo, tank=options.tank).of(host.address):
             return Mode.ARMED, "commanded" if echo in recent else "commanded by another host"
         return Mode.READY, "released"
