@@ -48,11 +48,10 @@ class Model:
     """A by the vendor's code; 0: its current cannot be commanded."""
     torque_constant: float
     """N·m/A; 0: not known"""
-
-    @property
-    def tells_mode(self) -> bool:
-        """Whether its answers have its mode in the place of what they answer."""
-        return self.name == "DDSM115"
+    tells_mode: bool
+    """Whether its answers have its mode in the place of what they answer"""
+    kinds: frozenset[int]
+    """The second byte of its answers"""
 
     @property
     def told(self) -> int:
@@ -61,14 +60,15 @@ class Model:
 
     def fits(self, message: bytes) -> bool:
         """True if this can be an answer of this model."""
-        kinds = (CURRENT, SPEED, POSITION) if self.tells_mode else (DRIVE, QUERY)
-        return message[1] in kinds and CRC8_MAXIM(message[:-1]) == message[-1]
+        return message[1] in self.kinds and not CRC8_MAXIM(message)  # with its checksum it gives 0
 
 
 RPM = math.pi / 30.0
 MODELS: Mapping[str, Model] = {
-    "DDSM115": Model("DDSM115", CURRENT, RPM, 200 * RPM, 2.7, 0.75),
-    "DDSM210": Model("DDSM210", 0, 0.1 * RPM, 210 * RPM, 0.0, 0.0),
+    "DDSM115": Model(
+        "DDSM115", CURRENT, RPM, 200 * RPM, 2.7, 0.75, True, frozenset({CURRENT, SPEED, POSITION})
+    ),
+    "DDSM210": Model("DDSM210", 0, 0.1 * RPM, 210 * RPM, 0.0, 0.0, False, frozenset({DRIVE, QUERY})),
 }
 
 _ID = (uint("address"),)
@@ -100,10 +100,14 @@ TABLE = Table(
 )
 
 
+_ENCODE = {row.name: TABLE.encoder(row.name) for row in TABLE.rows}
+_ANSWERS = {(model, asked): f"{model} {asked:02X}" for model in MODELS for asked in (DRIVE, QUERY)}
+
+
 def encode(name: str, address: int = 0, /, **values: int) -> bytes:
     """Return a message to or from the motor at an address. Raises ValueError for a number that is not finite,
     TypeError for a field that is missing or unknown."""
-    frame = TABLE.encode(name, address, **values)
+    frame = _ENCODE[name](address, **values)
     message = bytes((frame.id,)) + frame.data
     return message if len(message) == SIZE else message + bytes((CRC8_MAXIM(message),))
 
@@ -121,7 +125,7 @@ def decode(message: bytes, model: str = "") -> Decoded | None:
 
 def read(model: str, asked: int, message: bytes) -> Values:
     """Return the numbers in an answer of a model to this function."""
-    return TABLE.read(f"{model} {asked:02X}", message[1:-1]) or {}
+    return TABLE.read(_ANSWERS[model, asked], message[1:-1]) or {}
 
 
 class Commands:
@@ -165,10 +169,10 @@ class Finds:
 
     def __call__(self, asked: bytes, held: bytes) -> tuple[int, int] | None:
         """Return where the answer to this question begins and ends; None: it has not come."""
+        model, address, function = self.model, asked[0], asked[1]
         for at in range(len(held) - SIZE + 1):
-            message = held[at : at + SIZE]
-            its = message[0] == asked[0] or asked[0] == ANYONE
-            if its and self.model.fits(message) and (self.model.tells_mode or message[1] == asked[1]):
+            its = held[at] == address or address == ANYONE
+            if its and (model.tells_mode or held[at + 1] == function) and model.fits(held[at : at + SIZE]):
                 return at, at + SIZE
         return None
 
