@@ -325,12 +325,12 @@ class Line:
             self._on_stray(t, data)
             return [], data
         asked = self.out.exchange
-        assert asked.answer is not None
+        size = asked.answer.size if asked.answer is not None else 0
         # An answer that has not ended yet began within its size; twice that leaves room for noise in it.
-        oldest = max(0, len(self.held) - 2 * asked.answer.size)
+        oldest = max(0, len(self.held) - 2 * size)
         self.stray += oldest
         self.held, self.heard = self.held[oldest:] + data, max(self.heard, t) if data else self.heard
-        found = asked.answer.find(asked, self.held)
+        found = _find(asked, self.held)
         if found is None:
             return [], b""
         start, end = found
@@ -388,6 +388,14 @@ class Line:
             return max(self.free, min(times)) if times else None
         unanswered = any(one.exchange.answer is None for one in self.waiting)
         return min(self.free, self._given_up()) if unanswered and not self.half_duplex else self._given_up()
+
+
+def _find(asked: Exchange, held: bytes) -> tuple[int, int] | None:
+    """Return where the answer begins and ends. A plugin that raises has found none: the wire never raises."""
+    try:
+        return asked.answer.find(asked, held) if asked.answer is not None else None
+    except Exception:  # noqa: BLE001 -- a plugin's; it is told that the answer is lost
+        return None
 
 
 def _turn(one: Waiting) -> Rank:
