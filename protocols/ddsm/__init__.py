@@ -5,8 +5,9 @@ from __future__ import annotations
 
 from protocols import messages as msg
 from protocols.ddsm import table as ds
-from protocols.ddsm.driver import DdsmAdapter, Options
-from protocols.ddsm.twin import DdsmTwin, Settings, decoder
+from protocols.ddsm.driver import DdsmAdapter
+from protocols.ddsm.options import Options, Settings
+from protocols.ddsm.twin import DdsmTwin, decoder
 from protocols.messages import MILLISECOND
 from protocols.plugin import Device, FeedbackKind, Plugin, Range, Spec, Watchdog
 from protocols.toolkit.assembly import driver_of

@@ -12,17 +12,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 from protocols import messages as msg
 from protocols.ddsm import table as ds
+from protocols.ddsm.options import Options
 from protocols.frames import Frame
 from protocols.line import Answer, Exchange, Rank
 from protocols.messages import MILLISECOND, SECOND, Command, Feedback, Mode, Nanos, Request, seconds
 from protocols.plugin import Device
 from protocols.toolkit.host import Host, Phase, Report, Timing
 from protocols.toolkit.motor_driver import NEVER, Adapter, MotorDriver, Pending, Rx
-from protocols.toolkit.options import bounded, check_bounds
 from protocols.toolkit.requests import ANSWER
 from protocols.toolkit.serial import Stream
 from protocols.toolkit.table import Values
@@ -33,45 +32,12 @@ LONGEST: Nanos = 100 * MILLISECOND
 """Time for which a velocity tells where a shaft went meanwhile"""
 AGAIN: Nanos = 50 * MILLISECOND
 """Period of what releases a motor that does not tell its mode"""
-TIMES, APART = 5, 5 * MILLISECOND
-"""How often, and in which period, `set id` is sent: the vendor's code has 5 and 4 ms."""
+APART: Nanos = 5 * MILLISECOND
+"""Period in which `set id` is sent: the vendor's code has 4 ms."""
 CLEARED: Nanos = SECOND
 """Time in which a fault must have passed after ClearFault"""
 FINISH: Nanos = 400 * MILLISECOND
 """Time for one more question of a scan or of `set id`."""
-
-
-@dataclass(frozen=True, slots=True)
-class Options:
-    """Configuration of the driver."""
-
-    model: Literal["DDSM115", "DDSM210"] = "DDSM115"
-    """The messages, the line (RS-485, or a UART), the scale of speeds, and whether it takes a torque"""
-    torque_constant: float = bounded(0.0, 0.0, 100.0)
-    """N·m/A; 0: that of the model (0.75; of a DDSM210 it is not known, and no torque is reported)"""
-    idle_current: float = bounded(0.2, 0.0, 8.0)
-    """A: what is measured beyond it drives the motor"""
-    feedback_ms: float = bounded(10.0, 1.0, 1000.0)
-    """Period of queries, where no answer to a set-point tells as much"""
-    offline_ms: float = bounded(250.0, 10.0, 10_000.0)
-    """Time without an answer after which it is offline"""
-    answer_ms: float = bounded(4.0, 0.1, 100.0)
-    """How late an answer may begin: what the vendor's code waits for the whole"""
-    watchdog: Literal["unknown", "acknowledged"] = "unknown"
-    """Acknowledge that none is known."""
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
-
-    @property
-    def of_model(self) -> ds.Model:
-        """What the model determines."""
-        return ds.MODELS[self.model]
-
-    @property
-    def torque(self) -> float:
-        """N·m of a count of current"""
-        return ds.AMPERE * (self.torque_constant or self.of_model.torque_constant)
 
 
 @dataclass(slots=True)
@@ -120,6 +86,38 @@ class Motor:
         off = 0.0 if angle is None else math.remainder(angle - self.position, math.tau)
         self.position += off if fine is not None or abs(off) > ds.COARSE else 0.0
 
+    def answered(self, mode: int, model: ds.Model) -> None:
+        """Record an answer behind a mode that was written."""
+        self.told = mode, self.told[1] + 1 if self.told[0] == mode else 1
+        if not model.tells_mode and self.told[1] >= model.told:
+            self.mode = mode
+
+    def untold(self) -> None:
+        """Write its mode anew: it may not have come."""
+        self.told = (-1, 0)
+
+    def counts(self, mode: int, model: ds.Model) -> bool:
+        """True if this mode was written, and the motor is in it."""
+        return self.mode == mode == self.told[0] and self.told[1] >= model.told
+
+    def ask(self, now: Nanos, *, motion: bool) -> None:
+        """Record a question, and whether it tells its motion; a query has all."""
+        self.asked_at = now if motion else self.asked_at
+
+    def query(self, now: Nanos) -> None:
+        """Record a query."""
+        self.asked_at = self.queried_at = now
+
+    def send(self, value: int) -> int:
+        """Record the value that it is sent, and return it."""
+        self.value = value
+        return value
+
+    def rest(self, now: Nanos, model: ds.Model) -> None:
+        """Record that it is told to let go."""
+        self.told, self.value, self.rested_at = (-1, 0), 0, now
+        self.mode = self.mode if model.tells_mode else model.rest
+
     def mode_of(self, options: Options) -> tuple[Mode, str]:
         """Return its mode, and a name for it."""
         if self.error:
@@ -141,7 +139,7 @@ class DdsmAdapter(Adapter[Motor]):
         self._stream = Stream(self._answers)
 
     def own(self, device: Device) -> Motor:
-        self._answers.models[device.address] = device.options.of_model
+        self._answers.add(device.address, device.options.of_model)
         return Motor()
 
     def timing(self, options: Options) -> Timing:
@@ -151,7 +149,7 @@ class DdsmAdapter(Adapter[Motor]):
         host.own.forget()
 
     def resend(self, host: Host[Motor]) -> None:
-        host.own.told = (-1, 0)
+        host.own.untold()
 
     def interrupted(self) -> None:
         self._stream.drop()
@@ -190,7 +188,7 @@ class DdsmAdapter(Adapter[Motor]):
             values = {key: values[key] for key in ("mode", "current", "speed", "error")}
         own.see(t, values, options)
         if asked is not None and " set " in asked.about:
-            self._told(own, int(asked.about.rpartition(" ")[2]), options)
+            own.answered(int(asked.about.rpartition(" ")[2]), options.of_model)
         mode, detail = own.mode_of(options)
         bits = [bit for bit in range(8) if own.error >> bit & 1]
         return Report(
@@ -202,12 +200,6 @@ class DdsmAdapter(Adapter[Motor]):
             self._feedback(t, name, own, values, options),
             note=options.model if scanned else "",
         )
-
-    def _told(self, own: Motor, mode: int, options: Options) -> None:
-        count = own.told[1] + 1 if own.told[0] == mode else 1
-        own.told = mode, count
-        if not options.of_model.tells_mode and count >= options.of_model.told:
-            own.mode = mode
 
     def _feedback(self, t: Nanos, name: str, own: Motor, values: Values, options: Options) -> Feedback:
         """Return what was measured; at the ends of its numbers it may as well be beyond."""
@@ -232,9 +224,8 @@ class DdsmAdapter(Adapter[Motor]):
         return Exchange(frame, Answer(ds.SIZE, ds.Finds(options.of_model), delay), rank, about, tries)
 
     def _drive(self, now: Nanos, host: Host[Motor], value: int, rank: Rank = Rank.SET_POINT) -> Exchange:
-        own = host.own
-        own.value, own.asked_at = value, now if host.options.of_model.tells_mode else own.asked_at
-        frame = ds.encode("drive", host.address, value=value, brake=0)
+        host.own.ask(now, motion=host.options.of_model.tells_mode)
+        frame = ds.encode("drive", host.address, value=host.own.send(value), brake=0)
         return self._asks(host, frame, rank, f"{host.address} drive")
 
     def _mode(self, host: Host[Motor], mode: int, rank: Rank) -> Exchange:
@@ -242,25 +233,23 @@ class DdsmAdapter(Adapter[Motor]):
         return Exchange(ds.encode(name, host.address, mode=mode), None, rank, f"{host.address} mode")
 
     def _query(self, now: Nanos, host: Host[Motor], rank: Rank, about: str) -> Exchange:
-        host.own.asked_at = host.own.queried_at = now
+        host.own.query(now)
         return self._asks(host, ds.encode("query", host.address), rank, f"{host.address} {about}")
 
     def arm(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
-        own, options = host.own, host.options
         wanted = ds.CURRENT if isinstance(command, msg.Torque) else ds.SPEED
-        counts = own.told[0] == wanted and own.told[1] >= options.of_model.told
-        if counts and own.mode == wanted:  # a count drives nothing, and shows that it obeys
+        if host.own.counts(wanted, host.options.of_model):  # a count drives nothing, and shows that it obeys
             return (self._drive(now, host, 1 if wanted == ds.CURRENT else 0),)
-        own.value = 0  # a new mode begins without one
+        host.own.send(0)  # a new mode begins without one
         return (
             self._mode(host, wanted, Rank.SET_POINT),
             self._query(now, host, Rank.QUESTION, f"set {wanted}"),
         )
 
     def command(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
-        own, options = host.own, host.options
+        options = host.options
         wanted = ds.CURRENT if isinstance(command, msg.Torque) else ds.SPEED
-        if own.mode != wanted or own.told[0] != wanted or own.told[1] < options.of_model.told:
+        if not host.own.counts(wanted, options.of_model):
             return self.arm(now, host, command)
         if isinstance(command, msg.Torque):  # 0 would release it
             return (self._drive(now, host, round(command.torque / options.torque) or 1),)
@@ -268,15 +257,12 @@ class DdsmAdapter(Adapter[Motor]):
         return (self._drive(now, host, round(velocity / options.of_model.rpm)),)
 
     def release(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
-        own = host.own
-        if not host.options.of_model.tells_mode:
-            own.mode = host.options.of_model.rest
         return self._rests(now, host, Rank.RELEASE)
 
     def _rests(self, now: Nanos, host: Host[Motor], rank: Rank) -> Sequence[Frame]:
-        own, mode = host.own, self._mode(host, host.options.of_model.rest, rank)
-        own.told, own.value, own.rested_at = (-1, 0), 0, now
-        if own.mode == ds.POSITION:
+        mode = self._mode(host, host.options.of_model.rest, rank)
+        host.own.rest(now, host.options.of_model)
+        if host.own.mode == ds.POSITION:
             return mode, self._query(now, host, rank, "rest")
         return mode, self._drive(now, host, 0, rank)
 
@@ -324,7 +310,7 @@ class DdsmAdapter(Adapter[Motor]):
             case msg.WriteParameter(_, "id", value) if value not in ds.ADDRESSES:
                 return f"{value:g} is not an id: {ds.ADDRESSES.start} to {ds.ADDRESSES.stop - 1}"
             case msg.WriteParameter(_, "id"):
-                end = now + ANSWER + TIMES * APART
+                end = now + ANSWER + ds.TIMES * APART
                 return Pending(request, request.motor, now, end, now, host, period=APART)
             case msg.WriteParameter(_, name):
                 return f"no parameter {name!r}: there is id"
@@ -336,6 +322,6 @@ class DdsmAdapter(Adapter[Motor]):
             return pending.frames[pending.sent : pending.sent + 1]
         if host is None or isinstance(request, msg.ClearFault):
             return ()
-        if isinstance(request, msg.WriteParameter) and pending.sent < TIMES:
+        if isinstance(request, msg.WriteParameter) and pending.sent < ds.TIMES:
             return (Exchange(ds.encode("set id", id=int(request.value))),)
         return (self._asks(host, ds.encode("id query"), Rank.QUESTION, "id"),)

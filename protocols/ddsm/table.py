@@ -26,6 +26,8 @@ ADDRESSES = range(1, 0xAA)
 ANYONE = 0xC8
 """The address to which any motor answers: one alone may be on the line."""
 BRAKE = 0xFF
+TIMES = 5
+"""How often `set id` is sent before it counts"""
 CURRENT, SPEED, POSITION = 1, 2, 3
 """Modes. Of a DDSM210 the first is 0, "open loop": a share of the voltage."""
 FULL = (1 << 15) - 1
@@ -149,6 +151,10 @@ class Answers(Commands):
     def __init__(self) -> None:
         self.models: dict[int, Model] = {}
         """Of our motors, by address."""
+
+    def add(self, address: int, model: Model) -> None:
+        """Record one of our motors."""
+        self.models[address] = model
 
     def read(self, held: bytes, at: int) -> tuple[bytes | Rx | None, int]:
         """Return what begins here. Nobody has asked for it: it must look like an answer in all, and tell no

@@ -10,39 +10,20 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal
 
 from protocols import messages as msg
 from protocols.ddsm import table as ds
-from protocols.ddsm.driver import TIMES, Options
+from protocols.ddsm.options import Options
 from protocols.frames import Frame
 from protocols.messages import MILLISECOND, Mode, Nanos, Obeyed
 from protocols.plugin import Device
 from protocols.toolkit.firmware import ServoFirmware
-from protocols.toolkit.options import bounded, check_bounds
 from protocols.toolkit.serial import Stream
 from protocols.toolkit.servo import Gains
 from protocols.toolkit.table import Decoded
 
 STRENGTH = 2.0
 """N·m, if nothing is known"""
-
-
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """The motor in simulation."""
-
-    start_mode: Literal["released", "speed"] = "released"
-    """The mode in which it is switched on; the vendor does not say which."""
-    answer_us: float = bounded(200.0, 0.0, 100_000.0)
-    """From the end of a question to its answer"""
-    fault_ms: float = bounded(500.0, 1.0, 100_000.0)
-    """How long a fault lasts"""
-    temperature: float = bounded(30.0, 0.0, 255.0)
-    """°C"""
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
 
 @dataclass(slots=True)
@@ -69,7 +50,7 @@ class Memory:
         match decoded.name:
             case "set id" if decoded.values["id"] in ds.ADDRESSES:
                 self.ids = decoded.values["id"], count + 1
-                if count + 1 >= TIMES:
+                if count + 1 >= ds.TIMES:
                     self.address = decoded.values["id"]
                 return (msg.WriteParameter(self.name, "id", float(decoded.values["id"])),)
             case "drive":

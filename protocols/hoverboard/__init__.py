@@ -5,8 +5,9 @@ from __future__ import annotations
 
 from protocols import messages as msg
 from protocols.hoverboard import table as hb
-from protocols.hoverboard.driver import HoverboardAdapter, Options
-from protocols.hoverboard.twin import HoverboardDecoder, HoverboardTwin, Settings
+from protocols.hoverboard.driver import HoverboardAdapter
+from protocols.hoverboard.options import Options, Settings
+from protocols.hoverboard.twin import HoverboardDecoder, HoverboardTwin
 from protocols.messages import MILLISECOND
 from protocols.plugin import Device, FeedbackKind, Plugin, Range, Spec, Watchdog
 from protocols.toolkit.assembly import driver_of

@@ -11,16 +11,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Literal
 
 from protocols import messages as msg
 from protocols.frames import Frame
 from protocols.hoverboard import table as hb
+from protocols.hoverboard.options import Options
 from protocols.messages import MILLISECOND, Command, Feedback, Mode, Nanos, seconds
 from protocols.plugin import Device
 from protocols.toolkit.host import Host, Report, Timing
 from protocols.toolkit.motor_driver import NEVER, Adapter, MotorDriver, Rx
-from protocols.toolkit.options import bounded, check_bounds
 from protocols.toolkit.serial import Stream
 from protocols.toolkit.table import Values
 
@@ -34,49 +33,6 @@ SENT = 64
 """Messages that are remembered, to know their echo"""
 
 
-@dataclass(frozen=True, slots=True)
-class Options:
-    """Configuration of the driver: it must be as the firmware was built, the same for both motors."""
-
-    control: Literal["duty", "speed", "torque"] = "duty"
-    """CTRL_MOD_REQ: VLT_MODE (as delivered: a share of the voltage), SPD_MODE or TRQ_MODE"""
-    full_scale: float = bounded(70.0, 1.0, 1000.0)
-    """rad/s of a wheel without a load at 1000, of VLT_MODE: measure it, with the battery half full"""
-    torque_full: float = bounded(7.5, 0.1, 1000.0)
-    """N·m at 1000, of TRQ_MODE: I_MOT_MAX (15 A) times the torque constant (0.5 N·m/A)"""
-    tank: bool = False
-    """TANK_STEERING; without it the firmware mixes steer and speed (coefficients as delivered), and a motor
-    can be given half of the full scale."""
-    mirrored: bool = True
-    """The right motor's reported speed has the other sign (a build without INVERT_R_DIRECTION)."""
-    offline_ms: float = bounded(100.0, 20.0, 10_000.0)
-    """Time without feedback after which it is offline"""
-    feedback_ms: ClassVar[int] = hb.PERIOD_MS
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
-
-    @property
-    def unit(self) -> float:
-        """rad/s or N·m of a count"""
-        units = {"duty": self.full_scale / hb.MOST, "speed": hb.RPM, "torque": self.torque_full / hb.MOST}
-        return units[self.control]
-
-    @property
-    def most(self) -> int:
-        """Counts to which any pair of motors can be given"""
-        return hb.MOST if self.tank else hb.MOST // 2
-
-    @property
-    def least(self) -> int:
-        """Counts that keep a motor commanded: 0 lets go of it, but in SPD_MODE, where it holds 0 rpm."""
-        return 0 if self.control == "speed" else 1
-
-    def sign(self, address: int) -> int:
-        """Return the sign of a motor's reported speed, forwards."""
-        return -1 if self.mirrored and address == hb.RIGHT else 1
-
-
 @dataclass(slots=True)
 class Wheel:
     """What is known of one motor beyond its phase. Plain data."""
@@ -88,6 +44,14 @@ class Wheel:
     """When it last reported"""
     driven: bool = False
     """It is commanded."""
+
+    def drive(self, *, driven: bool) -> None:
+        """Record whether it is commanded."""
+        self.driven = driven
+
+    def forget(self) -> None:
+        """Forget what it reported: it may have restarted."""
+        self.at, self.velocity = None, 0.0
 
     def see(self, t: Nanos, velocity: float) -> None:
         """Record its velocity."""
@@ -122,7 +86,7 @@ class HoverboardAdapter(Adapter[Wheel]):
         self._stream.drop()
 
     def forget(self, now: Nanos, host: Host[Wheel]) -> None:
-        host.own.at, host.own.velocity = None, 0.0
+        host.own.forget()
 
     # -- received -------------------------------------------------------------------------------------
 
@@ -179,19 +143,19 @@ class HoverboardAdapter(Adapter[Wheel]):
     # -- sent -----------------------------------------------------------------------------------------
 
     def arm(self, now: Nanos, host: Host[Wheel], command: Command) -> Sequence[Frame]:
-        host.own.driven = True
+        host.own.drive(driven=True)
         self._given[host.address] = 1  # little enough to be enabled by, too little to turn
         return ()
 
     def command(self, now: Nanos, host: Host[Wheel], command: Command) -> Sequence[Frame]:
         options = host.options
         number = command.torque if isinstance(command, msg.Torque) else getattr(command, "velocity", 0.0)
-        host.own.driven = True
+        host.own.drive(driven=True)
         self._given[host.address] = round(number / options.unit) or options.least
         return ()
 
     def release(self, now: Nanos, host: Host[Wheel]) -> Sequence[Frame]:
-        host.own.driven = False
+        host.own.drive(driven=False)
         self._given[host.address] = 0
         return ()
 

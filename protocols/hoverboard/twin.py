@@ -15,35 +15,16 @@ from dataclasses import dataclass
 from protocols import messages as msg
 from protocols.frames import Frame
 from protocols.hoverboard import table as hb
-from protocols.hoverboard.driver import Options
+from protocols.hoverboard.options import Options
 from protocols.messages import MILLISECOND, Mode, Nanos, Obeyed
 from protocols.plugin import Device, FaultInfo
 from protocols.toolkit.firmware import ServoFirmware
-from protocols.toolkit.options import bounded, check_bounds
 from protocols.toolkit.serial import Stream
 from protocols.toolkit.servo import Gains, approach, clamp
 from protocols.toolkit.table import Decoded
 
 SLOPE = 6000.0
 """Counts a second by which an input follows (DEFAULT_RATE: 30 in 5 ms)"""
-
-
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """The board in simulation."""
-
-    torque_constant: float = bounded(0.5, 1e-3, 100.0)
-    """N·m/A"""
-    resistance: float = bounded(0.3, 1e-3, 100.0)
-    """Ω of a motor, its cables and the battery"""
-    current_most: float = bounded(15.0, 0.1, 100.0)
-    """A, I_MOT_MAX"""
-    voltage: float = bounded(36.0, 1.0, 300.0)
-    temperature: float = bounded(30.0, -40.0, 150.0)
-    """°C of the board"""
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
 
 @dataclass(slots=True)

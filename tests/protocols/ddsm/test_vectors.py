@@ -13,8 +13,8 @@ from crccheck.crc import Crc8Maxim
 from protocols import messages as msg
 from protocols.ddsm import plugin
 from protocols.ddsm import table as ds
-from protocols.ddsm.driver import Options
-from protocols.ddsm.twin import Settings, memory_of
+from protocols.ddsm.options import Options, Settings
+from protocols.ddsm.twin import memory_of
 from protocols.messages import Feedback
 from protocols.plugin import Device
 from protocols.reference_vectors import vectors_of

@@ -10,8 +10,7 @@ import pytest
 from protocols import messages as msg
 from protocols.hoverboard import plugin
 from protocols.hoverboard import table as hb
-from protocols.hoverboard.driver import Options
-from protocols.hoverboard.twin import Settings
+from protocols.hoverboard.options import Options, Settings
 from protocols.messages import Feedback
 from protocols.plugin import Device
 from protocols.reference_vectors import vectors_of
