@@ -7,7 +7,7 @@ from protocols import messages as msg
 from protocols.ddsm import table as ds
 from protocols.ddsm.driver import DdsmAdapter
 from protocols.ddsm.options import Options, Settings
-from protocols.ddsm.twin import DdsmTwin, decoder
+from protocols.ddsm.twin import DdsmDecoder, DdsmTwin
 from protocols.messages import MILLISECOND
 from protocols.plugin import Device, FeedbackKind, Plugin, Range, Spec, Watchdog
 from protocols.toolkit.assembly import driver_of
@@ -86,7 +86,7 @@ plugin = Plugin(
     settings=Settings,
     spec=spec,
     driver=driver_of(DdsmAdapter, spec),
-    decoder=decoder,
+    decoder=DdsmDecoder,
     twin=DdsmTwin,
     messages=ds.names,
     vectors=("gateway.fixtures", "vectors/ddsm.json"),

@@ -21,7 +21,7 @@ from protocols.line import Answer, Exchange, Rank
 from protocols.messages import MILLISECOND, SECOND, Command, Feedback, Mode, Nanos, Request, seconds
 from protocols.plugin import Device
 from protocols.toolkit.host import Host, Phase, Report, Timing
-from protocols.toolkit.motor_driver import NEVER, Adapter, MotorDriver, Pending, Rx
+from protocols.toolkit.motor_driver import Adapter, MotorDriver, Pending, Rx
 from protocols.toolkit.requests import ANSWER
 from protocols.toolkit.serial import Stream
 from protocols.toolkit.table import Values
@@ -30,8 +30,6 @@ STATE: Nanos = SECOND // 2
 """Period of a query while it is driven: for what the answers to `drive` lack"""
 LONGEST: Nanos = 100 * MILLISECOND
 """Time for which a velocity tells where a shaft went meanwhile"""
-AGAIN: Nanos = 50 * MILLISECOND
-"""Period of what releases a motor that does not tell its mode"""
 APART: Nanos = 5 * MILLISECOND
 """Period in which `set id` is sent: the vendor's code has 4 ms."""
 CLEARED: Nanos = SECOND
@@ -61,9 +59,7 @@ class Motor:
     asked_at: Nanos = -(1 << 62)
     """When the last question was given that tells its motion,"""
     queried_at: Nanos = -(1 << 62)
-    """the last query,"""
-    rested_at: Nanos = 0
-    """and what releases it."""
+    """and the last query."""
 
     def forget(self) -> None:
         """Forget what it reported: it may have restarted, or been replaced."""
@@ -100,23 +96,32 @@ class Motor:
         """True if this mode was written, and the motor is in it."""
         return self.mode == mode == self.told[0] and self.told[1] >= model.told
 
-    def ask(self, now: Nanos, *, motion: bool) -> None:
-        """Record a question, and whether it tells its motion; a query has all."""
-        self.asked_at = now if motion else self.asked_at
-
     def query(self, now: Nanos) -> None:
         """Record a query."""
         self.asked_at = self.queried_at = now
 
-    def send(self, value: int) -> int:
-        """Record the value that it is sent, and return it."""
-        self.value = value
-        return value
+    def send(self, now: Nanos, value: int, *, motion: bool) -> None:
+        """Record the value that it is sent, and whether the answer tells its motion."""
+        self.value, self.asked_at = value, now if motion else self.asked_at
 
-    def rest(self, now: Nanos, model: ds.Model) -> None:
+    def rest(self, model: ds.Model) -> None:
         """Record that it is told to let go."""
-        self.told, self.value, self.rested_at = (-1, 0), 0, now
+        self.told, self.value = (-1, 0), 0
         self.mode = self.mode if model.tells_mode else model.rest
+
+    def feedback(self, t: Nanos, name: str, values: Values, options: Options) -> Feedback:
+        """Return what was measured; at the ends of its numbers it may as well be beyond."""
+        speed, counts = (values.get(key, ds.FULL) for key in ("speed", "current"))
+        measured = abs(counts) < ds.FULL
+        return Feedback(
+            name,
+            t,
+            self.position,
+            self.velocity if abs(speed) < ds.FULL else None,
+            counts * options.torque if measured and options.torque else None,
+            self.current if measured else None,
+            temperature=float(values["temperature"]) if "temperature" in values else None,
+        )
 
     def mode_of(self, options: Options) -> tuple[Mode, str]:
         """Return its mode, and a name for it."""
@@ -135,11 +140,11 @@ class DdsmAdapter(Adapter[Motor]):
     faults, latch = ds.FAULTS, True
 
     def __init__(self) -> None:
-        self._answers = ds.Answers()
-        self._stream = Stream(self._answers)
+        self._models: dict[int, ds.Model] = {}
+        self._stream = Stream(ds.Tens(self._is_likely))
 
     def own(self, device: Device) -> Motor:
-        self._answers.add(device.address, device.options.of_model)
+        self._models[device.address] = device.options.of_model
         return Motor()
 
     def timing(self, options: Options) -> Timing:
@@ -153,6 +158,12 @@ class DdsmAdapter(Adapter[Motor]):
 
     def interrupted(self) -> None:
         self._stream.drop()
+
+    def _is_likely(self, message: bytes) -> bool:
+        """True for an answer that nobody has asked for: it must look like one in all, and tell no error:
+        eight bits of checksum are no reason to stop a motor, which is asked again soon."""
+        model = self._models.get(message[0]) or next(iter(self._models.values()))
+        return message[0] in ds.ADDRESSES and not message[8] and model.fits(message)
 
     # -- received -------------------------------------------------------------------------------------
 
@@ -173,48 +184,25 @@ class DdsmAdapter(Adapter[Motor]):
     def _report(
         self, t: Nanos, data: bytes, asked: Exchange | None, driver: MotorDriver[Motor]
     ) -> Report[Motor] | Rx:
-        scanned = asked is not None and asked.about.startswith("scan")
+        first, about = next(iter(driver.hosts.values())), "" if asked is None else asked.about
         if asked is not None and asked[0] == ds.ANYONE:  # one alone is on the line, at whatever address
-            alone = next(iter(driver.hosts.values()))
-            return Report(alone, alone.address, parameters={"id": float(data[0])})
-        host = driver.at.get(data[0])
+            return Report(first, first.address, parameters={"id": float(data[0])})
+        host, note = driver.at.get(data[0]), first.options.model if about.startswith("scan") else ""
         if host is None:
-            note = next(iter(driver.hosts.values())).options.model
-            return Report(None, data[0], note=note) if scanned else Rx.IGNORED
-        own, options, name = host.own, host.options, host.name
-        function = data[1] if not options.of_model.tells_mode else ds.QUERY if asked is None else asked[1]
-        values = ds.read(options.model, function, data)
-        if asked is None and options.of_model.tells_mode:
+            return Report(None, data[0], note=note) if note else Rx.IGNORED
+        own, options = host.own, host.options
+        tells = options.of_model.tells_mode
+        values = ds.read(
+            options.model, data[1] if not tells else ds.QUERY if asked is None else asked[1], data
+        )
+        if asked is None and tells:
             values = {key: values[key] for key in ("mode", "current", "speed", "error")}
         own.see(t, values, options)
-        if asked is not None and " set " in asked.about:
-            own.answered(int(asked.about.rpartition(" ")[2]), options.of_model)
-        mode, detail = own.mode_of(options)
-        bits = [bit for bit in range(8) if own.error >> bit & 1]
-        return Report(
-            host,
-            host.address,
-            mode,
-            detail,
-            [1 << bit for bit in bits],
-            self._feedback(t, name, own, values, options),
-            note=options.model if scanned else "",
-        )
-
-    def _feedback(self, t: Nanos, name: str, own: Motor, values: Values, options: Options) -> Feedback:
-        """Return what was measured; at the ends of its numbers it may as well be beyond."""
-        speed, current = values.get("speed"), values.get("current")
-        inside = speed is not None and abs(speed) < ds.FULL
-        measured = current is not None and abs(current) < ds.FULL
-        return Feedback(
-            name,
-            t,
-            own.position,
-            own.velocity if inside else None,
-            own.current / ds.AMPERE * options.torque if measured and options.torque else None,
-            own.current if measured else None,
-            temperature=float(values["temperature"]) if "temperature" in values else None,
-        )
+        if " set " in about:
+            own.answered(int(about.rpartition(" ")[2]), options.of_model)
+        (mode, detail), faults = own.mode_of(options), [1 << bit for bit in range(8) if own.error >> bit & 1]
+        feedback = own.feedback(t, host.name, values, options)
+        return Report(host, host.address, mode, detail, faults, feedback, note=note)
 
     # -- sent -----------------------------------------------------------------------------------------
 
@@ -224,8 +212,8 @@ class DdsmAdapter(Adapter[Motor]):
         return Exchange(frame, Answer(ds.SIZE, ds.Finds(options.of_model), delay), rank, about, tries)
 
     def _drive(self, now: Nanos, host: Host[Motor], value: int, rank: Rank = Rank.SET_POINT) -> Exchange:
-        host.own.ask(now, motion=host.options.of_model.tells_mode)
-        frame = ds.encode("drive", host.address, value=host.own.send(value), brake=0)
+        host.own.send(now, value, motion=host.options.of_model.tells_mode)
+        frame = ds.encode("drive", host.address, value=value, brake=0)
         return self._asks(host, frame, rank, f"{host.address} drive")
 
     def _mode(self, host: Host[Motor], mode: int, rank: Rank) -> Exchange:
@@ -237,53 +225,41 @@ class DdsmAdapter(Adapter[Motor]):
         return self._asks(host, ds.encode("query", host.address), rank, f"{host.address} {about}")
 
     def arm(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
-        wanted = ds.CURRENT if isinstance(command, msg.Torque) else ds.SPEED
-        if host.own.counts(wanted, host.options.of_model):  # a count drives nothing, and shows that it obeys
-            return (self._drive(now, host, 1 if wanted == ds.CURRENT else 0),)
-        host.own.send(0)  # a new mode begins without one
+        return self._drives(now, host, 0.0, by_torque=isinstance(command, msg.Torque))
+
+    def command(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
+        number = command.torque if isinstance(command, msg.Torque) else getattr(command, "velocity", 0.0)
+        return self._drives(now, host, number, by_torque=isinstance(command, msg.Torque))
+
+    def _drives(self, now: Nanos, host: Host[Motor], number: float, *, by_torque: bool) -> Sequence[Frame]:
+        """Return a set-point; what is missing to its mode, if that does not count yet."""
+        options, wanted = host.options, ds.CURRENT if by_torque else ds.SPEED
+        if host.own.counts(wanted, options.of_model):
+            value = round(number / (options.torque if by_torque else options.of_model.rpm))
+            return (self._drive(now, host, value or int(by_torque)),)  # a current of 0 would let go
+        host.own.send(now, 0, motion=False)  # a new mode begins without one
         return (
             self._mode(host, wanted, Rank.SET_POINT),
             self._query(now, host, Rank.QUESTION, f"set {wanted}"),
         )
 
-    def command(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
-        options = host.options
-        wanted = ds.CURRENT if isinstance(command, msg.Torque) else ds.SPEED
-        if not host.own.counts(wanted, options.of_model):
-            return self.arm(now, host, command)
-        if isinstance(command, msg.Torque):  # 0 would release it
-            return (self._drive(now, host, round(command.torque / options.torque) or 1),)
-        velocity: float = getattr(command, "velocity", 0.0)
-        return (self._drive(now, host, round(velocity / options.of_model.rpm)),)
-
     def release(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
-        return self._rests(now, host, Rank.RELEASE)
-
-    def _rests(self, now: Nanos, host: Host[Motor], rank: Rank) -> Sequence[Frame]:
-        mode = self._mode(host, host.options.of_model.rest, rank)
-        host.own.rest(now, host.options.of_model)
-        if host.own.mode == ds.POSITION:
-            return mode, self._query(now, host, rank, "rest")
-        return mode, self._drive(now, host, 0, rank)
+        model, rank = host.options.of_model, Rank.RELEASE
+        host.own.rest(model)
+        is_angle = host.own.mode == ds.POSITION
+        asked = self._query(now, host, rank, "rest") if is_angle else self._drive(now, host, 0, rank)
+        return self._mode(host, model.rest, rank), asked
 
     def poll(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
-        if now >= self._rests_again(host):
-            return self._rests(now, host, Rank.QUESTION)
-        if now < self._queries_again(host):
+        if now < self.poll_due(host):
             return ()
-        driven = host.phase is Phase.ARMED and host.options.of_model.tells_mode
-        return (self._query(now, host, Rank.BACKGROUND if driven else Rank.QUESTION, "state"),)
+        tells, driven = host.options.of_model.tells_mode, host.phase in (Phase.ARMING, Phase.ARMED)
+        query = self._query(now, host, Rank.BACKGROUND if tells and driven else Rank.QUESTION, "state")
+        if tells or driven or not host.once_commanded:
+            return (query,)
+        return *self.release(now, host), query  # it would not tell that a late frame has armed it
 
     def poll_due(self, host: Host[Motor]) -> Nanos:
-        return min(self._queries_again(host), self._rests_again(host))
-
-    def _rests_again(self, host: Host[Motor]) -> Nanos:
-        """Return when a motor that does not tell its mode, and was commanded once, is released once more: a
-        late frame may have armed it."""
-        driven = host.phase in (Phase.ARMING, Phase.ARMED, Phase.RELEASING) or not host.once_commanded
-        return NEVER if driven or host.options.of_model.tells_mode else host.own.rested_at + AGAIN
-
-    def _queries_again(self, host: Host[Motor]) -> Nanos:
         own, period = host.own, round(host.options.feedback_ms * MILLISECOND)
         at: Nanos = min(own.asked_at + period, own.queried_at + STATE)
         return at

@@ -10,14 +10,14 @@ Source: waveshareteam/ddsm_example@79bfd6f `ddsm_ctrl.cpp`, rasheeddo/ddsm115_py
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from protocols.frames import CanFrame, Frame
 from protocols.plugin import FaultInfo
 from protocols.toolkit.motor_driver import Rx
 from protocols.toolkit.serial import CRC8_MAXIM, Stream
-from protocols.toolkit.table import Decoded, Field, Row, Table, Values, const, sint, uint, unused
+from protocols.toolkit.table import Decoded, Direction, Field, Row, Table, Values, const, sint, uint, unused
 
 SIZE = 10
 DRIVE, QUERY, MODE = 0x64, 0x74, 0xA0
@@ -73,35 +73,31 @@ MODELS: Mapping[str, Model] = {
     "DDSM210": Model("DDSM210", 0, 0.1 * RPM, 210 * RPM, 0.0, 0.0, False, frozenset({DRIVE, QUERY})),
 }
 
-_ID = (uint("address"),)
-_ANSWER: tuple[Field, ...] = uint("mode"), sint("current"), sint("speed")
+
+def _row(name: str, *fields: Field, to: Field | None = None) -> Row:
+    direction: Direction = "from_device" if name.startswith("DDSM") else "to_device"
+    ids = (to or uint("address"),)
+    return Row(name, ids, fields, direction, "big", read_only=name.endswith("query"), extended=True)
+
+
+_MOTION = uint("mode"), sint("current"), sint("speed")
 TABLE = Table(
-    Row(name, ids, fields, direction, "big", read_only=name in ("query", "id query"), extended=True)  # type: ignore[arg-type]
-    for name, ids, fields, direction in (
-        ("drive", _ID, (const(DRIVE), sint("value"), unused(24), uint("brake"), unused()), "to_device"),
-        ("query", _ID, (const(QUERY), unused(56)), "to_device"),
-        ("id query", (const(ANYONE),), (const(DRIVE), const(0, 16), unused(40)), "to_device"),
-        ("set mode 115", _ID, (const(MODE), const(0, 56), uint("mode")), "to_device"),
-        ("set mode 210", _ID, (const(MODE), uint("mode"), unused(48)), "to_device"),
-        ("set id", (const(0xAA),), (const(0x55), const(0x53), uint("id"), unused(40)), "to_device"),
-        ("DDSM115 64", _ID, (*_ANSWER, uint("angle", 16), uint("error")), "from_device"),
-        ("DDSM115 74", _ID, (*_ANSWER, uint("temperature"), uint("coarse"), uint("error")), "from_device"),
-        (
+    (
+        _row("drive", const(DRIVE), sint("value"), unused(24), uint("brake"), unused()),
+        _row("query", const(QUERY), unused(56)),
+        _row("id query", const(DRIVE), const(0, 16), unused(40), to=const(ANYONE)),
+        _row("set mode 115", const(MODE), const(0, 56), uint("mode")),
+        _row("set mode 210", const(MODE), uint("mode"), unused(48)),
+        _row("set id", const(0x55), const(0x53), uint("id"), unused(40), to=const(0xAA)),
+        _row("DDSM115 64", *_MOTION, uint("angle", 16), uint("error")),
+        _row("DDSM115 74", *_MOTION, uint("temperature"), uint("coarse"), uint("error")),
+        _row(
             "DDSM210 64",
-            _ID,
-            (const(DRIVE), sint("speed"), sint("current"), unused(), uint("temperature"), uint("error")),
-            "from_device",
+            *(const(DRIVE), sint("speed"), sint("current"), unused(), uint("temperature"), uint("error")),
         ),
-        (
-            "DDSM210 74",
-            _ID,
-            (const(QUERY), sint("mileage", 32), uint("angle", 16), uint("error")),
-            "from_device",
-        ),
+        _row("DDSM210 74", const(QUERY), sint("mileage", 32), uint("angle", 16), uint("error")),
     )
 )
-
-
 _ENCODE = {row.name: TABLE.encoder(row.name) for row in TABLE.rows}
 _ANSWERS = {(model, asked): f"{model} {asked:02X}" for model in MODELS for asked in (DRIVE, QUERY)}
 
@@ -130,8 +126,11 @@ def read(model: str, asked: int, message: bytes) -> Values:
     return TABLE.read(_ANSWERS[model, asked], message[1:-1]) or {}
 
 
-class Commands:
-    """How messages to motors stand on the line: any 10 bytes that are one. A constant."""
+@dataclass(frozen=True, slots=True)
+class Tens:
+    """How messages stand on the line: any 10 bytes that fit."""
+
+    fits: Callable[[bytes], object]
 
     def frame(self, message: bytes) -> bytes:
         """Return a message as it stands on the line."""
@@ -142,29 +141,10 @@ class Commands:
         if len(held) - at < SIZE:
             return None, at
         message = held[at : at + SIZE]
-        return (message, at + SIZE) if decode(message) is not None else (Rx.IGNORED, at + 1)
+        return (message, at + SIZE) if self.fits(message) else (Rx.IGNORED, at + 1)
 
 
-class Answers(Commands):
-    """The same of messages from motors."""
-
-    def __init__(self) -> None:
-        self.models: dict[int, Model] = {}
-        """Of our motors, by address."""
-
-    def add(self, address: int, model: Model) -> None:
-        """Record one of our motors."""
-        self.models[address] = model
-
-    def read(self, held: bytes, at: int) -> tuple[bytes | Rx | None, int]:
-        """Return what begins here. Nobody has asked for it: it must look like an answer in all, and tell no
-        error: eight bits of checksum are no reason to stop a motor, which is asked again soon."""
-        if len(held) - at < SIZE:
-            return None, at
-        message = held[at : at + SIZE]
-        model = self.models.get(message[0]) or next(iter(self.models.values()), MODELS["DDSM115"])
-        likely = message[0] in ADDRESSES and not message[8] and model.fits(message)
-        return (message, at + SIZE) if likely else (Rx.IGNORED, at + 1)
+COMMANDS = Tens(decode)
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,7 +167,7 @@ def in_frame(frame: Frame) -> tuple[Sequence[Decoded], bool]:
     """Return the messages to motors in a run of bytes, and whether it holds nothing else."""
     if not isinstance(frame, bytes):
         return (), False
-    found = [decode(each) for each in Stream(Commands()).messages(frame)]
+    found = [decode(each) for each in Stream(COMMANDS).messages(frame)]
     return [one for one in found if one is not None], len(found) * SIZE == len(frame) > 0
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from protocols import messages as msg
 from protocols.ddsm import table as ds
@@ -91,28 +91,20 @@ def memory_of(device: Device) -> Memory:
     return Memory(device.name, device.address, device.options, mode)
 
 
-@dataclass(slots=True)
 class DdsmDecoder:
     """What the motors on one line would obey."""
 
-    memories: list[Memory]
-    stream: Stream = field(default_factory=lambda: Stream(ds.Commands()))
+    def __init__(self, devices: Sequence[Device]) -> None:
+        self._memories, self._stream = [memory_of(device) for device in devices], Stream(ds.COMMANDS)
 
     def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
         """Return what the motors would obey in this frame; [] if nothing."""
-        messages = self.stream.messages(frame) if isinstance(frame, bytes) else ()
-        return [
-            obeyed
-            for message in messages
-            for memory in self.memories
-            if (decoded := ds.decode(message, memory.options.model)) is not None
-            for obeyed in memory.obey(decoded)
-        ]
-
-
-def decoder(devices: Sequence[Device]) -> DdsmDecoder:
-    """Return the decoder of these motors."""
-    return DdsmDecoder([memory_of(device) for device in devices])
+        obeyed: list[Obeyed] = []
+        for message in self._stream.messages(frame) if isinstance(frame, bytes) else ():
+            for memory in self._memories:
+                decoded = ds.decode(message, memory.options.model)
+                obeyed += () if decoded is None else memory.obey(decoded)
+        return obeyed
 
 
 class DdsmTwin(ServoFirmware):
@@ -125,7 +117,7 @@ class DdsmTwin(ServoFirmware):
         most = model.strongest * (device.options.torque_constant or model.torque_constant) or STRENGTH
         super().__init__(device, seed, Gains(torque_limit=most))
         self.fastest, self.strongest = model.fastest, most
-        self.memory, self.stream = memory_of(device), Stream(ds.Commands())
+        self.memory, self.stream = memory_of(device), Stream(ds.COMMANDS)
         self.passing = round(device.settings.fault_ms * MILLISECOND)
         self.reply_delay = round(device.settings.answer_us * 1000)
         if self.memory.mode == ds.SPEED:

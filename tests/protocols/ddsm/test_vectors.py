@@ -172,6 +172,6 @@ def test_commands_are_found_in_a_stream_however_it_is_cut() -> None:
     frames = [vector.frame for vector in VECTORS.values() if vector.direction == "to_device"]
     line = b"\x00\x17".join(frame for frame in frames if isinstance(frame, bytes))
     for size in (1, 3, 10, 1000):
-        stream = Stream(ds.Commands())
+        stream = Stream(ds.COMMANDS)
         cut = [line[at : at + size] for at in range(0, len(line), size)]
         assert [message for piece in cut for message in stream.messages(piece)] == frames
