@@ -21,7 +21,7 @@ from enum import StrEnum
 from importlib.metadata import EntryPoint, distributions, entry_points
 from itertools import groupby
 from math import inf
-from typing import Any, Literal, Protocol, TypeAlias
+from typing import Any, Literal, Protocol, TypeAlias, runtime_checkable
 
 from protocols.frames import BusState, Frame, IdMask
 from protocols.line import Exchange
@@ -324,6 +324,23 @@ class Twin(Protocol):
         """Trip this fault of `Spec.faults` now, as if the firmware had detected it; for tests, since no
         frame leads here. Raises ValueError if the device has no such fault."""
         ...
+
+
+@runtime_checkable
+class PartTwin(Twin, Protocol):
+    """A twin that is a part of a device, one of several motors of a board: what one part is asked may be
+    about another."""
+
+    def join(self, others: Sequence[Twin]) -> None:
+        """Note the other twins of its bus, among which the other parts of its device may be."""
+        ...
+
+
+def join(twins: Sequence[Twin]) -> None:
+    """Let the twins of a bus that are parts of one device find each other."""
+    for twin in twins:
+        if isinstance(twin, PartTwin):
+            twin.join([other for other in twins if other is not twin])
 
 
 @dataclass(frozen=True, slots=True)

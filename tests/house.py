@@ -67,7 +67,7 @@ CONTRACT = (
 )
 """What a protocol may import of ours, beside its own folder."""
 
-SHARED = (*CONTRACT, "protocols.conformance", "protocols.transcripts")
+SHARED = (*CONTRACT, "protocols.wire", "protocols.conformance", "protocols.transcripts")
 """The modules of `protocols` that are no protocol."""
 
 

@@ -16,7 +16,7 @@ from textwrap import wrap
 
 from gateway.cli import arguments, scaffold
 from gateway.errors import ProtocolNotFound
-from protocols.conformance import check, table, variants
+from protocols.conformance import addresses_of, check, table, variants
 from protocols.messages import COMMANDS, MILLISECOND
 from protocols.plugin import (
     Broken,
@@ -30,8 +30,6 @@ from protocols.plugin import (
     load_all,
 )
 
-ADDRESS = 1
-"""Address of the device whose spec is listed; every protocol so far allows it."""
 WIDTH = 110
 LABEL_WIDTH = 11
 
@@ -131,7 +129,8 @@ def _block(plugin: Plugin) -> list[str]:
     lines = [plugin.name, *_row("devices", plugin.title)]
     try:
         specs = [
-            plugin.spec(Device("motor", ADDRESS, options, plugin.settings())) for options in variants(plugin)
+            plugin.spec(Device("motor", addresses_of(plugin)[0], options, plugin.settings()))
+            for options in variants(plugin)
         ]
     except Exception as error:  # noqa: BLE001 -- a third party's spec may raise anything
         return [*lines, *_row("spec", f"raises {type(error).__name__}: {error}")]

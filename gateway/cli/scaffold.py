@@ -98,7 +98,7 @@ def contents(name: str, bus: Bus) -> dict[str, str]:
     table, line = f"{name}/table.py", f"{name}/line.py"
     texts[table] = _put(texts[table], 'NAME = "blank"', f'NAME = "{name}"')
     if bus == "serial":
-        texts[line] = _read("line_serial.py")
+        texts |= _asked(name, texts)
     if bus == "canfd":
         texts[line] = _put(texts[line], '"serial"] = "can"', '"serial"] = "canfd"')
         texts[line] = _put(texts[line], "FD = False", "FD = True")
@@ -108,6 +108,54 @@ def contents(name: str, bus: Bus) -> dict[str, str]:
     texts["pyproject.toml"] = _renamed(project, name)
     texts["tests/test_contract.py"] = _renamed(_read("test_contract.py"), name)
     return texts
+
+
+def _asked(name: str, texts: dict[str, str]) -> dict[str, str]:
+    """Return the texts that differ on a serial line: its devices speak only when asked."""
+    package, asked = texts[f"{name}/__init__.py"], _put(_read("asked.py"), ".line_serial", ".line")
+    for old, new in _ON_A_LINE:
+        package = _put(package, old, new)
+    return {
+        f"{name}/__init__.py": package,
+        f"{name}/asked.py": asked,
+        f"{name}/line.py": _read("line_serial.py"),
+    }
+
+
+_ON_A_LINE = (
+    (
+        '''def read_only(_frame: Frame) -> bool:
+    """True if a frame neither moves, arms, clears nor configures anything.
+
+    FILL IN (clause "passive"): what the driver may send before the first command, such as queries. This
+    device sends its status unasked, so there is nothing."""
+    return False
+
+
+''',
+        "",
+    ),
+    (
+        """        read_only=read_only,
+        # FILL IN (clause "measurements"): polled, cyclic or only in replies to commands, and the period.
+        feedback=FeedbackKind.CYCLIC,
+        feedback_period=PERIOD,
+""",
+        """        # FILL IN (clause "measurements"): how often it is asked.
+        feedback_period=PERIOD,
+        **ASKED,
+""",
+    ),
+    ("FeedbackKind, ", ""),
+    (
+        "from .driver import OFFLINE, MotorAdapter, Options",
+        "from .asked import ASKED, AskedAdapter, AskedTwin\nfrom .driver import OFFLINE, Options",
+    ),
+    ("import MotorDecoder, MotorTwin, Settings", "import MotorDecoder, Settings"),
+    ("driver_of(MotorAdapter", "driver_of(AskedAdapter"),
+    ("twin=MotorTwin", "twin=AskedTwin"),
+)
+"""What `__init__` of the template has, and what it has on a serial line."""
 
 
 def _read(file: str) -> str:

@@ -7,9 +7,9 @@
 Rules. A clause is a function that raises Failure, with the shortest frames and messages that show what is
 wrong, or Inapplicable; it does the same again with the same seed. A plugin is known only through
 `protocols.plugin`: the devices are named alpha, beta and stranger, with the addresses 1, 2 and 3 (or those
-given), with the plugin's default settings and options. Each other value of an option that is a Literal or a
-bool gets the clauses that it can matter to. Driver and twins then run in virtual time, with a simple shaft,
-on a bus without faults unless a clause injects some. Must not import any protocol, nor numpy.
+that it can have), with the plugin's default settings and options. Each other value of an option that is a
+Literal or a bool gets the clauses that it can matter to. Driver and twins then run in virtual time, with a
+simple shaft, on a bus without faults unless a clause injects some. Must not import any protocol, nor numpy.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from protocols.conformance import (
     asked,
     duplicates,
     faults,
+    lines,
     losses,
     numbers,
     obeyed,
@@ -36,13 +37,12 @@ from protocols.conformance import (
     timeouts,
     traffic,
 )
-from protocols.conformance.bench import ADDRESSES
-from protocols.conformance.case import Case, Failure, Inapplicable, shown, variants
+from protocols.conformance.case import Case, Failure, Inapplicable, addresses_of, shown, variants
 from protocols.frames import Frame
 from protocols.messages import Message
 from protocols.plugin import Plugin
 
-__all__ = ["CLAUSES", "Clause", "Outcome", "Result", "check", "table", "variants"]
+__all__ = ["CLAUSES", "Clause", "Outcome", "Result", "addresses_of", "check", "table", "variants"]
 
 
 Topic: TypeAlias = Literal["numbers", "conversation"]
@@ -125,6 +125,17 @@ CLAUSES: tuple[Clause, ...] = (
            requests.requests_are_answered_once),
     Clause("settings", "what is listed as configuration is read, and written where it is not protected",
            requests.configuration_is_read_and_written),
+    Clause("one sends", "on a line of questions and answers, never two send at once", lines.one_sends),
+    Clause("awaited", "an exchange is over when its answer is, and none is awaited in vain",
+           lines.answers_as_declared, ("conversation",)),
+    Clause("lost", "an answer that is lost costs one reading", lines.lost_costs_one),
+    Clause("dead", "a device that is gone takes at most half of its line from the others",
+           lines.dead_costs_little),
+    Clause("newest", "what waits for a slow line is bounded, and the newest set-point is sent",
+           lines.newest_wins, ("conversation",)),
+    Clause("later", "what waited when Idle was given does not arm a device after it", lines.not_later),
+    Clause("wrong answers", "an answer that is late, doubled, another's, cut or behind garbage trips nothing",
+           lines.wrong_answers_are_none),
 )
 # fmt: on
 
@@ -149,15 +160,17 @@ class Result:
 def check(
     plugin: Plugin,
     seed: int = 0,
-    addresses: tuple[int, int, int] = ADDRESSES,
+    addresses: tuple[int, int, int] | None = None,
     clauses: Sequence[Clause] = CLAUSES,
     options: Sequence[object] = (),
 ) -> tuple[Result, ...]:
     """Check each clause on a plugin. Never raises, whatever the plugin does.
 
-    `addresses` are those of two devices of one driver and of a stranger, for a protocol that cannot
-    have 1, 2 and 3. `options` are those that it is checked with; (): each of `variants`."""
-    cases = [Case(plugin, each, seed, addresses) for each in options or variants(plugin)]
+    `addresses` are those of two devices of one driver and of a stranger; None: see `addresses_of`.
+    `options` are those that it is checked with; (): each of `variants`."""
+    cases = [
+        Case(plugin, each, seed, addresses or addresses_of(plugin)) for each in options or variants(plugin)
+    ]
     return tuple(_check(clause, cases) for clause in clauses)
 
 

@@ -27,6 +27,7 @@ from protocols.plugin import (
     RxCounters,
     Spec,
     Twin,
+    join,
 )
 
 T = TypeVar("T")
@@ -207,22 +208,25 @@ def make_bench(
         Device(name, address, options, plugin.settings() if settings is None else settings)
         for name, address in zip(names, addresses, strict=True)
     )
+    specs = tuple(plugin.spec(device) for device in devices)
+    twins = [plugin.twin(device, seed) for seed, device in enumerate(devices)]
+    join(twins)
     return Bench(
-        tuple(plugin.spec(device) for device in devices),
+        specs,
         devices,
         make_driver(plugin, devices),
         plugin.decoder(devices),
-        [plugin.twin(device, seed) for seed, device in enumerate(devices)],
+        twins,
         {device.name: Shaft() for device in devices},
     )
 
 
 def make_driver(plugin: Plugin, devices: Sequence[Device]) -> Driver:
-    """Return the driver of these devices, with a line before it if they speak only when asked."""
+    """Return a new driver of these devices, with its line before it, if they speak only when asked."""
     driver, kinds = plugin.driver(devices), {plugin.spec(device).line for device in devices}
     if kinds == {"free"}:
         return driver
-    return OnLine(driver, Line(LINE_RATE, half_duplex="half-duplex" in kinds, slack=2 * STEP))
+    return OnLine(driver, Line(LINE_RATE, half_duplex="half-duplex" in kinds, slack=2 * STEP, quiet=0))
 
 
 def sensor_events(
@@ -291,10 +295,11 @@ class OnLine(DriverWrapper):
         if not isinstance(frame, bytes):
             return self.driver.receive(t, frame)
         ended, rest = self.line.receive(t, frame)
-        events = [event for each in ended for event in self._answer(t, each)]
+        events = [event for each in ended for event in self.answered(t, each)]
         return [*events, *self.driver.receive(t, rest)] if rest else events
 
-    def _answer(self, t: Nanos, ended: Ended) -> Sequence[Event]:
+    def answered(self, t: Nanos, ended: Ended) -> Sequence[Event]:
+        """Give the driver what has come as answer to an exchange of its own."""
         driver: LineDriver = self.driver  # type: ignore[assignment]
         return driver.answer(t, ended.exchange, ended.data)
 
@@ -306,7 +311,7 @@ class OnLine(DriverWrapper):
 
     def send(self, now: Nanos, messages: Messages) -> tuple[Sequence[Event], Sequence[Frame]]:
         """Let the driver give what it has to send; hand over what the line sends now."""
-        late = [event for each in self.line.expire(now) for event in self._answer(now, each)]
+        late = [event for each in self.line.expire(now) for event in self.answered(now, each)]
         events, frames = self.driver.send(now, messages)
         self.line.put(0, [frame for frame in frames if isinstance(frame, bytes)])
         more, sent = self.go_on(now)
@@ -314,7 +319,7 @@ class OnLine(DriverWrapper):
 
     def go_on(self, now: Nanos) -> tuple[Sequence[Event], Sequence[Frame]]:
         """Hand over what waits, as between two steps of the brain: the driver is given nothing."""
-        late = [event for each in self.line.expire(now) for event in self._answer(now, each)]
+        late = [event for each in self.line.expire(now) for event in self.answered(now, each)]
         return late, [bytes(frame) for _, frame in self.line.take(now)]
 
     def due(self) -> Nanos | None:

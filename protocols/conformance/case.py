@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import zip_longest
@@ -147,6 +148,17 @@ class Case:
         """The ids that alpha or beta may send."""
         return tuple(dict.fromkeys(ids for spec in self.specs for ids in spec.expects))
 
+    @cached_property
+    def says_nothing_unasked(self) -> bool:
+        """True if what the devices send says nothing to who has not asked: neither whose it is, nor where it
+        begins."""
+        if self.spec.line == "free":
+            return False
+        driver = self.plugin.driver(self.start().devices)
+        for frame in (frame for step in self.baseline for frame in step.up):
+            driver.receive(START, frame)
+        return not driver.counters.accepted
+
     def random(self) -> Random:
         """Return a new generator; each clause starts from the same seed."""
         return Random(self.seed)
@@ -182,6 +194,19 @@ def valid(default: Any, changes: Iterable[dict[str, object]]) -> Iterator[Any]: 
             yield replace(default, **change)
         except ValueError:
             continue
+
+
+def addresses_of(plugin: Plugin) -> tuple[int, int, int]:
+    """Return three addresses that its devices can have: 1, 2 and 3, or else the lowest."""
+    able: list[int] = []
+    for address in (*tools.ADDRESSES, *range(256)):
+        with suppress(ValueError):
+            plugin.spec(Device(NAMES[0], address, plugin.options(), plugin.settings()))
+            able += [address] if address not in able else []
+        if len(able) == len(tools.ADDRESSES):
+            break
+    first, second, third, *_ = *able, *(each for each in tools.ADDRESSES if each not in able)
+    return first, second, third
 
 
 def all_devices(case: Case, options: object) -> Iterator[tuple[Device, Spec]]:

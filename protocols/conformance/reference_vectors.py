@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 from protocols.conformance import bench as tools
 from protocols.conformance.bench import NAMES, Bench, OnLine
 from protocols.conformance.case import Case, Failure, Inapplicable, all_devices, variants
 from protocols.frames import CanFrame, Frame, any_matches
+from protocols.line import Exchange
 from protocols.messages import Command, Request
 from protocols.plugin import Plugin, Spec
 from protocols.reference_vectors import Vector, vectors_of
@@ -137,7 +139,7 @@ def _vectors_from_devices_are_accepted(case: Case, vectors: Sequence[Vector]) ->
                 if apart:
                     benches.clear()
                 addresses = _senders(case, vector.frame, options)
-                if addresses and _accepted(benches, case.plugin, options, addresses, vector.frame):
+                if addresses and _accepted(benches, case.plugin, options, addresses, vector):
                     del left[vector.name]
         if not left:
             return
@@ -150,17 +152,22 @@ def _accepted(
     plugin: Plugin,
     options: object,
     addresses: tuple[int, ...],
-    frame: Frame,
+    vector: Vector,
 ) -> bool:
-    """True if a driver that knows its devices counts a frame as accepted."""
+    """True if a driver that knows its devices counts a frame as accepted: if it does not say what it
+    answers, as the answer to that."""
     if addresses not in benches:
         names = [f"m{address}" for address in addresses]
         benches[addresses] = tools.make_bench(plugin, options, addresses, names)
         benches[addresses].steps(KNOWN)
     driver = benches[addresses].driver
     driver = driver.driver if isinstance(driver, OnLine) else driver  # nobody has asked
-    before = driver.counters.accepted
-    driver.receive(benches[addresses].now, frame)
+    before, now = driver.counters.accepted, benches[addresses].now
+    if vector.asked and isinstance(vector.frame, bytes):
+        line: Any = driver
+        line.answer(now, Exchange(vector.asked), vector.frame)
+    else:
+        driver.receive(now, vector.frame)
     return driver.counters.accepted == before + 1
 
 

@@ -180,6 +180,13 @@ def _messages_are_counted(case: Case) -> None:
     can = CanFrame(1, b"\0")
     if _received(case, [can])[1] != (0, 0, 1):
         raise Failure("a CAN frame on a serial bus is not counted as ignored", (can,))
+    if case.says_nothing_unasked:
+        events, counters = _received(case, messages)
+        if events or not counters[2]:
+            raise Failure(
+                f"what nobody has asked for is counted as {COUNTED} {counters}", messages[:1], events
+            )
+        return
     for _ in range(case.share(30)):
         at = random.below(len(messages) - TAIL)
         whole = messages[at]

@@ -10,7 +10,7 @@ from protocols import messages as msg
 from protocols.conformance.bench import OnLine, Shaft, make_driver
 from protocols.frames import BusState, CanFrame, Frame
 from protocols.messages import MILLISECOND, Command, Feedback, Nanos
-from protocols.plugin import Device, Driver, Plugin
+from protocols.plugin import Device, Driver, Plugin, join
 from protocols.reference_vectors import vectors_of
 from protocols.transcripts.file import HEAD, Block, Line, nanos
 from protocols.transcripts.notation import (
@@ -123,6 +123,7 @@ class Run:
         self.driver: Driver | None = make_driver(plugin, devices) if drives else None
         self.decoder = plugin.decoder(devices)
         self.twins = {each.name: plugin.twin(each, at) for at, each in enumerate(devices) if simulates}
+        join([*self.twins.values()])
         self.shafts = {name: Shaft() for name in self.twins}
         named = {line.body.split()[0] for line in (*block.head, *lines) if line.kind == "peer"}
         self.peers = {each.name: peer(each) for each in devices if peer and each.name in named}

@@ -32,7 +32,7 @@ from gateway.sim.shafts import Shaft
 from gateway.sim.world import World
 from protocols.frames import BusState, CanFrame, Frame, Packet
 from protocols.messages import Event, Feedback, Nanos
-from protocols.plugin import Twin
+from protocols.plugin import Twin, join
 
 HOST = ""
 """The host's name as a sender; devices have their names in the robot file."""
@@ -301,6 +301,7 @@ class TwinWorld:
         else:
             self._sensors.append(device)
         bus.devices.append(device)
+        join([each.twin for each in bus.devices])
         return device
 
     # -- time ------------------------------------------------------------------------------------------
@@ -381,6 +382,7 @@ class TwinWorld:
         """Power-cycle a device: its firmware starts anew, its shaft stays where it is."""
         device = self._devices(name)[0]
         device.twin = device.settings.plugin.twin(device.settings.device, device.seed)
+        join([each.twin for each in device.bus.devices])
 
     def duplicate(self, name: str) -> None:
         """Add a second device with the same settings and address; it turns a shaft of its own."""

@@ -9,14 +9,20 @@ from __future__ import annotations
 from typing import Literal
 
 from protocols.frames import CanFrame, Frame, IdMask
+from protocols.line import Answer, Exchange, Rank
+from protocols.messages import Nanos
 from protocols.toolkit.motor_driver import Rx
-from protocols.toolkit.serial import CRC16_XMODEM, Framing, Stream
+from protocols.toolkit.serial import CRC16_XMODEM, Finds, Framing, Stream
 from protocols.toolkit.table import Decoded, Direction
 
 from .table import TABLE
 
 BUS: Literal["can", "canfd", "serial"] = "serial"
 FRAMING = Framing(b"\xa5", 3, lambda _head: 8, CRC16_XMODEM, 2)
+SIZE = 13
+"""Bytes of a message on the line."""
+DELAY: Nanos = 500_000
+"""The longest that a device waits before it answers."""
 
 
 def ids(_direction: Direction, _address: int) -> tuple[IdMask, ...]:
@@ -24,10 +30,21 @@ def ids(_direction: Direction, _address: int) -> tuple[IdMask, ...]:
     return ()
 
 
-def encode(name: str, address: int, **values: float) -> Frame:
+def encode(name: str, address: int, **values: float) -> bytes:
     """Return a message to or from an address."""
     message = TABLE.encode(name, address, **values)
     return FRAMING.frame(FRAMING.sync + message.id.to_bytes(2, "big") + message.data)
+
+
+def question(name: str, address: int, rank: Rank, **values: float) -> Exchange:
+    """Return a message to an address, with what answers it: its status."""
+    answer = Answer(SIZE, Finds(FRAMING, is_answer), DELAY)
+    return Exchange(encode(name, address, **values), answer, rank, f"{address} {name}")
+
+
+def is_answer(asked: bytes, message: bytes) -> bool:
+    """True if a message is the status of the device that was asked."""
+    return message[1] == 2 and message[2] == asked[2]
 
 
 class Line:

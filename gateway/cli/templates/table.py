@@ -2,7 +2,7 @@
 
 FILL IN, this file first, from the manual: messages, ids, fields, units. The clauses "bytes", "counts",
 "commands", "measurements" and "vectors" check them. The invented device takes a command (id 0x100 + address)
-and sends its status (0x200 + address); both have 8 bytes, little-endian.
+and sends its status (0x200 + address), asked or (on CAN) unasked; both have 8 bytes, little-endian.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ TABLE = Table(
         Row("stop", _TO, (const(0), unused(56))),
         Row("run", _TO, (const(1), unused(8), sint("velocity", 16, 0.01), unused(32))),
         Row("clear", _TO, (const(2), unused(56))),
+        Row("ask", _TO, (const(3), unused(56)), read_only=True),
         Row(
             "status",
             _FROM,

@@ -1,0 +1,403 @@
+"""The host's end: what boards are sent and asked in each phase, and what their answers report.
+
+Rules. Any set-point drives a motor, and no message reports that it is driven. What a motor was told last is
+what its board has acknowledged; and a duty that is not 0, though it was not told anything, is another
+host's. The serial timeout, which any message feeds, is written and read back before a motor is armed by a
+speed of 0; after a silence that it may have ended, the duty decides. A serial timeout that has another
+value is a board that has restarted. Set-points of both motors of a board go in one message. Counts of 32
+bits are continued beyond them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from protocols import messages as msg
+from protocols.frames import Frame
+from protocols.line import Answer, Exchange, Rank
+from protocols.messages import MILLISECOND, SECOND, Command, Feedback, Mode, Nanos, Request
+from protocols.plugin import Device
+from protocols.roboclaw import table as rt
+from protocols.roboclaw.options import MOST, Options
+from protocols.toolkit.host import Host, Report, Timing
+from protocols.toolkit.motor_driver import NEVER, Adapter, MotorDriver, Pending, Rx
+from protocols.toolkit.registers import Register, Registers
+from protocols.toolkit.requests import ANSWER
+from protocols.toolkit.table import Values
+
+REGISTERS = Registers(Register("timeout", 14, "u8"), *(Register(name, 28, "u32") for name in rt.PID))
+SAVE = "save"
+SELDOM = 10
+"""Supply, current and temperature are asked for so many times less often than the state."""
+POLLED = {
+    "GETERROR": 1,
+    "GETPWMS": 1,
+    "GETTIMEOUT": SELDOM,
+    "GETMBATT": SELDOM,
+    "GETCURRENTS": 2,
+    "GETTEMP": SELDOM,
+}
+"""Questions about a whole board, and in how many periods each is asked."""
+SILENT = 3
+"""Answers in a row that are lost before a board is silent."""
+HALF, WHOLE = 1 << 31, 1 << 32
+
+
+@dataclass(slots=True)
+class Board:
+    """What is known of a board, and what its motors are to be told in this step. Plain data."""
+
+    address: int
+    options: Options
+    timeout: int | None = None
+    """As read back, in 0.1 s."""
+    answered: Nanos = -NEVER
+    lost: int = SILENT
+    """Answers that have not come since one did."""
+    asked: dict[str, Nanos] = field(default_factory=dict)
+    """When each question was last asked."""
+    wanted: dict[int, Command] = field(default_factory=dict)
+    released: dict[int, None] = field(default_factory=dict)
+
+    @property
+    def silent(self) -> bool:
+        """True if nothing is to be expected of it: it is asked for one thing only."""
+        return self.lost >= SILENT
+
+    @property
+    def period(self) -> Nanos:
+        """Of the serial timeout."""
+        return self.options.timeout_ms * MILLISECOND
+
+    def due(self, name: str) -> Nanos:
+        """Return when a question is due that is not of one motor alone."""
+        return self.asked.get(name, -NEVER) + POLLED[name] * self.options.poll_ms * MILLISECOND
+
+    def say(self, name: str, rank: Rank, about: str = "", /, **values: float) -> Exchange:
+        """Return a message, with what comes back."""
+        frame = rt.PACKETS.encode(name, self.address, **values)
+        delay = round(self.options.answer_ms * MILLISECOND)
+        answer = Answer(rt.size_of_answer(frame), rt.find_answer, delay)
+        return Exchange(frame, answer, rank, f"{self.address} {about or name}")
+
+    def ask(self, now: Nanos, name: str, rank: Rank = Rank.QUESTION) -> Exchange:
+        """Return a question."""
+        self.asked[name] = now
+        return self.say(name, rank)
+
+    def set_points(self) -> Iterable[Exchange]:
+        """Return what the motors are told, of both in one message where they do the same."""
+        wanted, self.wanted = self.wanted, {}
+        for kind, name in ((msg.Velocity, "SPEED"), (msg.Position, "SPEEDACCELDECCELPOS")):
+            of_kind = {side: self._values(each) for side, each in wanted.items() if isinstance(each, kind)}
+            yield from self._said(name, of_kind, Rank.SET_POINT)
+        released, self.released = self.released, {}
+        yield from self._said("DUTY", {side: {"duty": 0} for side in released}, Rank.RELEASE)
+
+    def _said(self, name: str, motors: Mapping[int, Mapping[str, int]], rank: Rank) -> Iterable[Exchange]:
+        once = {"buffer": 1} if name.endswith("POS") else {}
+        if len(motors) == len(rt.SIDES):
+            values = {f"{key}{side}": value for side, each in motors.items() for key, value in each.items()}
+            yield self.say(f"MIXED{name}", rank, **values, **once)
+            return
+        for side, each in motors.items():
+            yield self.say(f"M{side}{name}", rank, **each, **once)
+
+    def _values(self, command: msg.Velocity | msg.Position) -> Mapping[str, int]:
+        # What was rounded before: `aim` has made counts of rad.
+        if isinstance(command, msg.Velocity):
+            return {"speed": round(command.velocity)}
+        path = self.options.acceleration
+        return {
+            "accel": path,
+            "speed": round(command.velocity),
+            "deccel": path,
+            "position": round(command.position),
+        }
+
+
+@dataclass(slots=True)
+class Motor:
+    """What is known of one motor beyond its phase. Plain data."""
+
+    board: Board
+    side: int
+    first: bool
+    """It is the first of its board in the robot file: it asks what is of both."""
+    driven: bool = False
+    """It has acknowledged a set-point, and nothing since that ends it."""
+    duty: int | None = None
+    status: int | None = None
+    counts: int | None = None
+    """Of its encoder, continued beyond 32 bits."""
+    pid: dict[str, float] = field(default_factory=dict)
+    pid_at: Nanos = -NEVER
+
+    def forget(self) -> None:
+        """Forget what it reported: the board may have restarted, or been replaced."""
+        self.driven, self.duty, self.status, self.counts = False, None, None, None
+        self.board.timeout = None
+        self.board.asked.clear()
+
+    def state(self) -> tuple[Mode | None, str, list[int]]:
+        """Return its mode, None: not known yet; a name for it; and the codes of its faults."""
+        if self.status is None or self.duty is None:
+            return None, "", []
+        faults, warnings = rt.of_side(self.status, self.side)
+        mode = Mode.FAULT if faults else Mode.ARMED if self.driven or self.duty else Mode.READY
+        names = [rt.FAULTS[code].name for code in faults] or ["driven" if mode is Mode.ARMED else "released"]
+        return mode, ", ".join(names + [f"warning: {each}" for each in warnings]), faults
+
+    def count(self, raw: int) -> int:
+        """Return the position in counts: as near to the one before as the 32 bits allow."""
+        before = self.counts
+        if before is None:
+            self.counts = raw - WHOLE if raw >= HALF else raw
+        else:
+            self.counts = before + (raw - before + HALF) % WHOLE - HALF
+        return self.counts
+
+    def message(self, kind: str) -> str:
+        """Return the name of a message to or about this motor alone."""
+        return kind.replace("#", str(self.side))
+
+
+class RoboclawAdapter(Adapter[Motor]):
+    """What boards are sent, and what they report."""
+
+    name = "roboclaw"
+    faults, not_armed, latch, clearing = rt.ALL_FAULTS, rt.NOT_ARMED, True, SECOND
+
+    def __init__(self, devices: Sequence[Device]) -> None:
+        self._skipping = False
+        """What nobody asked for goes on: it is counted once."""
+        self._boards: dict[int, Board] = {}
+        for device in devices:
+            at = rt.board_of(device.address)
+            board = self._boards.setdefault(at, Board(at, device.options))
+            if board.options.timeout_ms != device.options.timeout_ms:
+                raise ValueError(f"{device.name}: both motors of a board have the same timeout_ms")
+        self._first = {rt.board_of(each.address): each.name for each in reversed(devices)}
+
+    def own(self, device: Device) -> Motor:
+        at = rt.board_of(device.address)
+        return Motor(self._boards[at], rt.side_of(device.address), self._first[at] == device.name)
+
+    def timing(self, options: Options) -> Timing:
+        return Timing(options.offline_ms * MILLISECOND)
+
+    def forget(self, now: Nanos, host: Host[Motor]) -> None:
+        host.own.forget()
+
+    # -- received -------------------------------------------------------------------------------------
+
+    def receive(self, t: Nanos, frame: Frame, driver: MotorDriver[Motor]) -> Sequence[Report[Motor] | Rx]:
+        before, self._skipping = self._skipping, self._skipping or isinstance(frame, bytes)
+        # Nobody asked for it, and it does not say whose it is.
+        return () if before and isinstance(frame, bytes) else (Rx.IGNORED,)
+
+    def heard(
+        self, t: Nanos, asked: Exchange, data: bytes, driver: MotorDriver[Motor]
+    ) -> Sequence[Report[Motor] | Rx]:
+        hosts = [host for host in driver.hosts.values() if host.own.board.address == asked[0]]
+        self._skipping = False
+        board = self._boards.get(asked[0])
+        if board is not None and not data:
+            board.lost += 1
+        if not data or rt.find_answer(asked, data) != (0, len(data)):
+            return (Rx.MALFORMED if hosts else Rx.IGNORED,) if data else ()
+        for host in hosts:
+            self._lapse(t, host.own)
+            host.own.board.answered, host.own.board.lost = t, 0
+        if rt.is_question(asked):
+            name, values = rt.read_answer(asked, data)
+            if name == "GETVERSION":
+                return self._found(asked[0], values["version"], driver)
+            side = next((int(each) for each in name if each in "12"), 0)
+            reports = [self._answered(t, host, name, values) for host in hosts if side in (0, host.own.side)]
+        else:
+            decoded = rt.PACKETS.in_frame(bytes(asked))[0][0]
+            assert decoded is not None
+            reports = [self._obeyed(host, decoded.name, decoded.values) for host in hosts]
+        return [_counted(report, at == 0) for at, report in enumerate(reports)]
+
+    def _lapse(self, t: Nanos, motor: Motor) -> None:
+        """Take it that the serial timeout may have passed, if nothing was heard for so long."""
+        if motor.driven and t - motor.board.answered > motor.board.period:
+            motor.driven, motor.duty = False, None
+            motor.board.asked.pop("GETPWMS", None)
+
+    def _found(self, address: int, version: str, driver: MotorDriver[Motor]) -> Sequence[Report[Motor] | Rx]:
+        reports = []
+        for side in rt.SIDES:
+            at = address + rt.SECOND * (side - 1)
+            report = Report(driver.at.get(at), at, note=f"motor {side} of {version}")
+            reports.append(_counted(report, side == 1))
+        known = any(report.host is not None for report in reports)
+        return reports if driver.scanning() or known else (Rx.IGNORED,)
+
+    def _obeyed(self, host: Host[Motor], name: str, values: Values) -> Report[Motor]:
+        """Return what an acknowledgement reports."""
+        own, written = host.own, ""
+        if name in ("MIXEDDUTY", own.message("M#DUTY")):
+            own.driven, own.duty = False, 0
+        elif name.startswith(("MIXED", own.message("M#"))):
+            own.driven = True
+        elif name == own.message("SETM#ENCCOUNT"):
+            own.counts = None
+        elif name == "WRITENVM":
+            written = SAVE
+        mode, detail, faults = own.state()
+        return Report(host, host.address, mode, detail, faults if mode else None, written=written)
+
+    def _answered(self, t: Nanos, host: Host[Motor], name: str, values: Values) -> Report[Motor]:
+        own, feedback, parameters = host.own, None, dict[str, float]()
+        unit = host.options.unit
+        match name:
+            case "GETM1ENC" | "GETM2ENC":
+                feedback = Feedback(host.name, t, own.count(values["count"]) * unit)
+            case "GETM1SPEED" | "GETM2SPEED":
+                speed = values["speed"]  # some firmware has the sign in the next byte alone
+                speed = -speed if values["backwards"] & 1 and speed > 0 else speed
+                velocity = speed * unit if abs(speed) < MOST else None
+                feedback = Feedback(host.name, t, velocity=velocity)
+            case "GETPWMS":
+                own.duty = values[f"duty{own.side}"]
+            case "GETERROR":
+                own.status = values["status"]
+            case "GETCURRENTS":
+                feedback = Feedback(host.name, t, current=values[f"current{own.side}"])
+            case "GETMBATT":
+                feedback = Feedback(host.name, t, voltage=values["voltage"])
+            case "GETTEMP":
+                feedback = Feedback(host.name, t, temperature=values["temperature"])
+            case "GETTIMEOUT":
+                parameters = {"timeout": values["timeout"]}
+                if own.board.timeout is not None and own.driven and values["timeout"] != self._timeout(own):
+                    own.driven = False  # it has restarted
+                if host is not None and (own.first or own.board.timeout is None):
+                    own.board.timeout = values["timeout"]
+            case _:
+                own.pid, own.pid_at = values, t
+                parameters = values
+        mode, detail, faults = own.state()
+        return Report(
+            host, host.address, mode, detail, faults if mode else None, feedback, parameters=parameters
+        )
+
+    @staticmethod
+    def _timeout(own: Motor) -> int:
+        return own.board.options.timeout_ms // rt.TIMEOUT_UNIT_MS
+
+    # -- sent -----------------------------------------------------------------------------------------
+
+    def ready(self, host: Host[Motor]) -> bool:
+        own = host.own
+        return own.duty is not None and own.status is not None and own.board.timeout is not None
+
+    def arm(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
+        own = host.own
+        if own.board.timeout != self._timeout(own):
+            written = own.board.say("SETTIMEOUT", Rank.SET_POINT, timeout=self._timeout(own))
+            return written, own.board.ask(now, "GETTIMEOUT")
+        own.board.wanted[own.side] = msg.Velocity(host.name, 0.0)
+        return ()
+
+    def command(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
+        self._lapse(now, host.own)
+        if host.own.duty is not None:
+            host.own.board.wanted[host.own.side] = self._aim(host, command)
+        return ()
+
+    def _aim(self, host: Host[Motor], command: Command) -> Command:
+        """Return a set-point in counts."""
+        unit, options = host.options.unit, host.options
+        if isinstance(command, msg.Velocity):
+            return msg.Velocity(host.name, command.velocity / unit)
+        place = host.held if isinstance(command, msg.Hold) else getattr(command, "position", None)
+        counts = (place or 0.0) / unit
+        return msg.Position(host.name, (counts + HALF) % WHOLE - HALF, options.max_qpps)
+
+    def release(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
+        host.own.board.released[host.own.side] = None
+        return ()
+
+    def poll(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
+        own, board = host.own, host.own.board
+        if board.silent:
+            waits = not own.first or now < board.due("GETERROR")
+            return () if waits else (board.ask(now, "GETERROR"),)
+        asked: list[Exchange] = []
+        encoder, speed = own.message("GETM#ENC"), own.message("GETM#SPEED")
+        if now >= board.asked.get(encoder, -NEVER) + host.options.feedback_ms * MILLISECOND:
+            asked += [board.ask(now, encoder), board.ask(now, speed)]
+        if own.first:
+            asked += [board.ask(now, name, Rank.BACKGROUND) for name in POLLED if now >= board.due(name)]
+        return asked
+
+    def poll_due(self, host: Host[Motor]) -> Nanos:
+        own, board = host.own, host.own.board
+        if board.silent:
+            return board.due("GETERROR") if own.first else NEVER
+        at: Nanos = board.asked.get(own.message("GETM#ENC"), -NEVER) + host.options.feedback_ms * MILLISECOND
+        return min(at, *(board.due(name) for name in POLLED)) if own.first else at
+
+    def poll_bus(self, now: Nanos) -> Sequence[Frame]:
+        return [each for board in self._boards.values() for each in board.set_points()]
+
+    # -- requests -------------------------------------------------------------------------------------
+
+    def questions(self, driver: MotorDriver[Motor]) -> Iterable[Frame]:
+        options = next(iter(driver.hosts.values())).options
+        return (Board(at, options).say("GETVERSION", Rank.QUESTION) for at in rt.BOARDS)
+
+    def begin(
+        self, now: Nanos, request: Request, host: Host[Motor] | None, driver: MotorDriver[Motor]
+    ) -> Pending[Motor] | str:
+        wrong = ""
+        match request:
+            case msg.WriteParameter(_, "timeout"):
+                wrong = "the driver writes it before it arms (timeout_ms)"
+            case msg.WriteParameter(_, name, value) if name == SAVE:
+                wrong = "" if value == 1 else f"{SAVE} takes 1"
+            case msg.WriteParameter(_, name, value):
+                wrong = REGISTERS.wrong(name, value)
+            case msg.ReadParameter(_, name):
+                wrong = REGISTERS.wrong(name)
+            case msg.Zero():
+                pass
+            case _:
+                return super().begin(now, request, host, driver)
+        if wrong or host is None:
+            return wrong
+        # Its memory wears out: it is asked to save once.
+        again = NEVER if getattr(request, "parameter", "") == SAVE else ANSWER // 4
+        return Pending(request, host.name, now, now + 2 * ANSWER, now, host, (), again)
+
+    def frames(self, now: Nanos, pending: Pending[Motor]) -> Sequence[Frame]:
+        if pending.host is None:
+            return pending.slice()
+        own = pending.host.own
+        board = own.board
+        match pending.request:
+            case msg.ClearFault():
+                reset = (own.status or 0) & rt.ESTOP
+                resets = (board.say("RESETESTOP", Rank.QUESTION),) if reset else ()
+                return *resets, board.ask(now, "GETERROR")
+            case msg.Zero():
+                zero = board.say(own.message("SETM#ENCCOUNT"), Rank.QUESTION, count=0)
+                return zero, board.ask(now, own.message("GETM#ENC"))
+            case msg.ReadParameter(_, "timeout"):
+                return (board.ask(now, "GETTIMEOUT"),)
+            case msg.WriteParameter(_, name) if name == SAVE:
+                return (board.say("WRITENVM", Rank.QUESTION, key=rt.NVM_KEY),)
+            case msg.WriteParameter(_, name, value) if own.pid_at > pending.began:
+                written = board.say(own.message("SETM#PID"), Rank.QUESTION, **own.pid | {name: value})
+                return written, board.ask(now, own.message("READM#PID"))
+        return (board.ask(now, own.message("READM#PID")),)
+
+
+def _counted(report: Report[Motor], counted: bool) -> Report[Motor]:
+    report.counted = counted
+    return report
