@@ -30,6 +30,8 @@ STATE: Nanos = SECOND // 2
 """Period of a query while it is driven: for what the answers to `drive` lack"""
 LONGEST: Nanos = 100 * MILLISECOND
 """Time for which a velocity tells where a shaft went meanwhile"""
+FAR = 0.3
+"""rad beyond that, by which one answer alone moves no position"""
 APART: Nanos = 5 * MILLISECOND
 """Period in which `set id` is sent: the vendor's code has 4 ms."""
 CLEARED: Nanos = SECOND
@@ -49,6 +51,8 @@ class Motor:
     """A"""
     at: Nanos = 0
     """When it was last heard"""
+    doubtful: bool = False
+    """The angle in that answer cannot be."""
     mode: int | None = None
     """As it reports it; of a DDSM210 as it was told"""
     told: tuple[int, int] = (-1, 0)
@@ -76,11 +80,18 @@ class Motor:
         fine, coarse = values.get("angle"), values.get("coarse")
         angle = fine * ds.ANGLE if fine is not None else None if coarse is None else coarse * ds.COARSE
         if self.position is None:
-            self.position = angle
+            self.position = None if angle is None else math.remainder(angle, math.tau)
             return
-        self.position += 0.5 * (before + self.velocity) * since
-        off = 0.0 if angle is None else math.remainder(angle - self.position, math.tau)
-        self.position += off if fine is not None or abs(off) > ds.COARSE else 0.0
+        expected = self.position + 0.5 * (before + self.velocity) * since
+        if angle is None:
+            self.position = expected
+            return
+        off = math.remainder(angle - expected, math.tau)
+        # A late answer, taken for that to another question, has other numbers in the place of the angle.
+        far = abs(off) > FAR + abs(self.velocity) * since and since < seconds(LONGEST)
+        self.doubtful = far and not self.doubtful
+        if not self.doubtful:
+            self.position = expected + (off if fine is not None or abs(off) > ds.COARSE else 0.0)
 
     def answered(self, mode: int, model: ds.Model) -> None:
         """Record an answer behind a mode that was written."""
@@ -116,11 +127,13 @@ class Motor:
         return Feedback(
             name,
             t,
-            self.position,
+            None if self.doubtful else self.position,
             self.velocity if abs(speed) < ds.FULL else None,
             counts * options.torque if measured and options.torque else None,
             self.current if measured else None,
-            temperature=float(values["temperature"]) if "temperature" in values else None,
+            temperature=float(values["temperature"])
+            if "temperature" in values and not self.doubtful
+            else None,
         )
 
     def mode_of(self, options: Options) -> tuple[Mode, str]:

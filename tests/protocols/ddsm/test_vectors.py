@@ -13,9 +13,10 @@ from crccheck.crc import Crc8Maxim
 from protocols import messages as msg
 from protocols.ddsm import plugin
 from protocols.ddsm import table as ds
+from protocols.ddsm.driver import Motor
 from protocols.ddsm.options import Options, Settings
 from protocols.ddsm.twin import memory_of
-from protocols.messages import Feedback
+from protocols.messages import MILLISECOND, SECOND, Feedback
 from protocols.plugin import Device
 from protocols.reference_vectors import vectors_of
 from protocols.toolkit.serial import CRC8_MAXIM, Stream
@@ -175,3 +176,26 @@ def test_commands_are_found_in_a_stream_however_it_is_cut() -> None:
         stream = Stream(ds.COMMANDS)
         cut = [line[at : at + size] for at in range(0, len(line), size)]
         assert [message for piece in cut for message in stream.messages(piece)] == frames
+
+
+def test_turns_are_counted_and_an_answer_to_another_question_moves_nothing() -> None:
+    """Three turns at 200 rpm in steps of 10 ms, every seventh answer lost; then a late answer to `drive` is
+    read as one to a query, whose °C and coarse angle stand where the angle is."""
+    options, motor = Options(), Motor()
+    speed, position = 200 * math.pi / 30, 0.0
+    for step in range(90):
+        position = speed * 0.01 * step
+        angle = round(position % math.tau / ds.ANGLE)
+        values = {"mode": 2, "current": 0, "speed": 200, "angle": angle, "error": 0}
+        if step % 7:
+            motor.see(step * 10 * MILLISECOND, values, options)
+    assert motor.position == pytest.approx(position, abs=0.01)
+    frame = ds.encode("DDSM115 64", 1, mode=2, current=0, speed=0, angle=0x1E03, error=0)
+    motor.see(SECOND, values | {"speed": 0}, options)
+    before = motor.position
+    motor.see(SECOND + 10 * MILLISECOND, ds.read("DDSM115", ds.QUERY, frame), options)
+    assert motor.doubtful
+    assert motor.position == before
+    motor.see(SECOND + 20 * MILLISECOND, values | {"speed": 0}, options)
+    assert not motor.doubtful
+    assert motor.position == pytest.approx(before, abs=0.01)
