@@ -16,7 +16,7 @@ from protocols.ddsm import table as ds
 from protocols.ddsm.driver import Motor
 from protocols.ddsm.options import Options, Settings
 from protocols.ddsm.twin import memory_of
-from protocols.messages import MILLISECOND, SECOND, Feedback
+from protocols.messages import MILLISECOND, Feedback
 from protocols.plugin import Device
 from protocols.reference_vectors import vectors_of
 from protocols.toolkit.serial import CRC8_MAXIM, Stream
@@ -190,12 +190,11 @@ def test_turns_are_counted_and_an_answer_to_another_question_moves_nothing() -> 
         if step % 7:
             motor.see(step * 10 * MILLISECOND, values, options)
     assert motor.position == pytest.approx(position, abs=0.01)
-    frame = ds.encode("DDSM115 64", 1, mode=2, current=0, speed=0, angle=0x1E03, error=0)
-    motor.see(SECOND, values | {"speed": 0}, options)
-    before = motor.position
-    motor.see(SECOND + 10 * MILLISECOND, ds.read("DDSM115", ds.QUERY, frame), options)
-    assert motor.doubtful
-    assert motor.position == before
-    motor.see(SECOND + 20 * MILLISECOND, values | {"speed": 0}, options)
-    assert not motor.doubtful
-    assert motor.position == pytest.approx(before, abs=0.01)
+    late = ds.encode("DDSM115 64", 1, mode=2, current=0, speed=0, angle=0x1E80, error=0)
+    still, doubted, positions = values | {"speed": 0}, list[bool](), list[float | None]()
+    for step, seen in enumerate((still, ds.read("DDSM115", ds.QUERY, late), still), 90):
+        motor.see(step * 10 * MILLISECOND, seen, options)
+        doubted.append(motor.doubtful)
+        positions.append(motor.position)
+    assert doubted == [False, True, False]
+    assert positions == pytest.approx([positions[0]] * 3, abs=0.01)
