@@ -25,6 +25,12 @@ def crc(width: int, polynomial: int, start: int = 0, *, reflected: bool = True, 
     table = _remainders(width, polynomial, reflected)
     ones, top = (1 << width) - 1, width - 8
 
+    def check8(data: bytes) -> int:
+        value = start
+        for byte in data:
+            value = table[value ^ byte]
+        return value ^ end
+
     def check(data: bytes) -> int:
         value = start
         for byte in data:
@@ -34,7 +40,7 @@ def crc(width: int, polynomial: int, start: int = 0, *, reflected: bool = True, 
                 value = (value << 8 & ones) ^ table[value >> top ^ byte]
         return value ^ end
 
-    return check
+    return check8 if width == 8 else check
 
 
 @cache

@@ -1,0 +1,59 @@
+"""`Options` of the driver, and `Settings` of the motor as it is in simulation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from protocols.ddsm import table as ds
+from protocols.toolkit.options import bounded, check_bounds
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Configuration of the driver."""
+
+    model: Literal["DDSM115", "DDSM210"] = "DDSM115"
+    """The messages, the line (RS-485, or a UART), the scale of speeds, and whether it takes a torque"""
+    torque_constant: float = bounded(0.0, 0.0, 100.0)
+    """N·m/A; 0: that of the model (0.75; of a DDSM210 it is not known, and no torque is reported)"""
+    idle_current: float = bounded(0.2, 0.0, 8.0)
+    """A: what is measured beyond it drives the motor"""
+    feedback_ms: float = bounded(10.0, 1.0, 1000.0)
+    """Period of queries, where no answer to a set-point tells as much"""
+    offline_ms: float = bounded(250.0, 10.0, 10_000.0)
+    """Time without an answer after which it is offline"""
+    answer_ms: float = bounded(2.5, 0.1, 100.0)
+    """How late an answer may begin: the vendor's code waits 4 ms, with the 1.7 ms of question and answer"""
+    watchdog: Literal["unknown", "acknowledged"] = "unknown"
+    """Acknowledge that none is known."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+    @property
+    def of_model(self) -> ds.Model:
+        """What the model determines."""
+        return ds.MODELS[self.model]
+
+    @property
+    def torque(self) -> float:
+        """N·m of a count of current"""
+        return ds.AMPERE * (self.torque_constant or self.of_model.torque_constant)
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """The motor in simulation."""
+
+    start_mode: Literal["released", "speed"] = "released"
+    """The mode in which it is switched on; the vendor does not say which."""
+    answer_us: float = bounded(200.0, 0.0, 100_000.0)
+    """From the end of a question to its answer"""
+    fault_ms: float = bounded(500.0, 1.0, 100_000.0)
+    """How long a fault lasts"""
+    temperature: float = bounded(30.0, 0.0, 255.0)
+    """°C"""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)

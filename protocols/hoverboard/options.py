@@ -1,0 +1,70 @@
+"""`Options` of the driver, and `Settings` of the board as it is in simulation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+from protocols.hoverboard import table as hb
+from protocols.toolkit.options import bounded, check_bounds
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Configuration of the driver: it must be as the firmware was built, the same for both motors."""
+
+    control: Literal["duty", "speed", "torque"] = "duty"
+    """CTRL_MOD_REQ: VLT_MODE (as delivered: a share of the voltage), SPD_MODE or TRQ_MODE"""
+    full_scale: float = bounded(70.0, 1.0, 1000.0)
+    """rad/s of a wheel without a load at 1000, of VLT_MODE: measure it, with the battery half full"""
+    torque_full: float = bounded(7.5, 0.1, 1000.0)
+    """N·m at 1000, of TRQ_MODE: I_MOT_MAX (15 A) times the torque constant (0.5 N·m/A)"""
+    tank: bool = False
+    """TANK_STEERING; without it the firmware mixes steer and speed (coefficients as delivered), and a motor
+    can be given half of the full scale."""
+    mirrored: bool = True
+    """The right motor's reported speed has the other sign (a build without INVERT_R_DIRECTION)."""
+    offline_ms: float = bounded(100.0, 20.0, 10_000.0)
+    """Time without feedback after which it is offline"""
+    feedback_ms: ClassVar[int] = hb.PERIOD_MS
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+    @property
+    def unit(self) -> float:
+        """rad/s or N·m of a count"""
+        units = {"duty": self.full_scale / hb.MOST, "speed": hb.RPM, "torque": self.torque_full / hb.MOST}
+        return units[self.control]
+
+    @property
+    def most(self) -> int:
+        """Counts to which any pair of motors can be given"""
+        return hb.MOST if self.tank else hb.MOST // 2
+
+    @property
+    def least(self) -> int:
+        """Counts that keep a motor commanded: 0 lets go of it, but in SPD_MODE, where it holds 0 rpm."""
+        return 0 if self.control == "speed" else 1
+
+    def sign(self, address: int) -> int:
+        """Return the sign of a motor's reported speed, forwards."""
+        return -1 if self.mirrored and address == hb.RIGHT else 1
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """The board in simulation."""
+
+    torque_constant: float = bounded(0.5, 1e-3, 100.0)
+    """N·m/A"""
+    resistance: float = bounded(0.3, 1e-3, 100.0)
+    """Ω of a motor, its cables and the battery"""
+    current_most: float = bounded(15.0, 0.1, 100.0)
+    """A, I_MOT_MAX"""
+    voltage: float = bounded(36.0, 1.0, 300.0)
+    temperature: float = bounded(30.0, -40.0, 150.0)
+    """°C of the board"""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
