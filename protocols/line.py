@@ -276,6 +276,13 @@ class Line:
         self.silence.pop(self.out.subject, None)
         return [self._end(t, held[start:end], complete=True)], held[:start] + held[end:]
 
+    def completes(self, data: bytes) -> bool:
+        """True if these bytes, behind those that have come, complete what is awaited. Changes nothing."""
+        asked = self.out.exchange if self.out is not None else None
+        if asked is None or asked.answer is None:
+            return False
+        return asked.answer.find(asked, self.held + data) is not None
+
     def _end(self, t: Nanos, data: bytes, *, complete: bool) -> Ended:
         one = self.out
         assert one is not None

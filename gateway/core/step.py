@@ -237,9 +237,20 @@ class Gateway:
 
     def awaiting(self) -> bool:
         """True while a driver awaits an answer to which it has something to add at once."""
-        if any(line.out is not None for line in self.lines.values()):
-            return True
         return any(self._call(one, False, one.driver.awaits) for one in self._drivers)
+
+    def asked(self) -> list[str]:
+        """Return the buses on whose lines an answer is under way."""
+        return [name for name, line in self.lines.items() if line.out is not None]
+
+    def completes(self, packets: Sequence[Packet]) -> bool:
+        """True if what has come since the last step completes an answer, so that a step has something to do.
+        Changes nothing."""
+        for name in self.asked():
+            data = b"".join(p.frame for p in packets if p.bus == name and isinstance(p.frame, bytes))
+            if data and self.lines[name].completes(data):
+                return True
+        return False
 
     def belief(self) -> Belief:
         """Return the brain's state estimate."""

@@ -117,6 +117,14 @@ class TwinBus:
         packets, self._packets = self._packets, []
         return self._states.take(now), packets
 
+    def wakes(self, now: Nanos) -> tuple[Sequence[int], Nanos | None]:
+        """Return no file, and when something may next arrive, or a device may begin to send."""
+        times = [self._world.world.now + STEP, *(end for wire in self._wires() if (end := wire.first_end()))]
+        times += [self._late[0][0]] if self._late else []
+        due = (device.twin.due() for device in self.devices if device.heard)
+        times += [at for at in due if at is not None]
+        return (), max(now + 1, min(times))
+
     def write(self, now: Nanos, frames: Sequence[Frame]) -> None:
         """Queue frames; they are sent from `now` on, as the bus becomes idle."""
         self._world.advance(now)
@@ -161,6 +169,10 @@ class TwinBus:
         self._from_host.drop(HOST)
         self._queue.clear()
 
+    def _wires(self) -> Sequence[Medium]:
+        one, other = self._from_host, self.from_devices
+        return (one,) if one is other else (one, other)
+
     def deliver(self, until: Nanos) -> None:
         """Deliver what arrives up to a time."""
         if self._prompt:
@@ -182,9 +194,7 @@ class TwinBus:
         before."""
         while True:
             ends = [
-                end
-                for wire in {id(w): w for w in (self._from_host, self.from_devices)}.values()
-                if (end := wire.first_end()) is not None and end <= until
+                end for wire in self._wires() if (end := wire.first_end()) is not None and end <= until
             ]
             late = [self._late[0][0]] if self._late and self._late[0][0] <= until else []
             first = min([*ends, *late], default=until)
