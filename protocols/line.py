@@ -25,6 +25,12 @@ SILENT = 3
 """Answers in a row that are lost before a question is asked less often;"""
 LONGEST_BACKOFF: Nanos = 250 * MILLISECOND
 """the longest pause between two of them."""
+LONGEST_QUIET: Nanos = 2 * MILLISECOND
+"""Silence is waited for longer and longer while bytes come that nobody asked for, at most so long;"""
+PATIENCE: Nanos = 10 * MILLISECOND
+"""and after this time no more: what disarms must go out, whatever babbles."""
+GIVEN_UP = 8
+"""Exchanges without an answer that are remembered, since it may come late."""
 
 
 class Rank(IntEnum):
@@ -159,6 +165,16 @@ class Line:
     replaced: int = 0
     stray: int = 0
     """Bytes that nobody asked for."""
+    cut: int = 0
+    """Of the answers that are lost: those of which something came, or in whose place something else did."""
+    late: int = 0
+    """Answers that came when they had been given up."""
+    given_up: list[Exchange] = field(default_factory=list)
+    """The last, the newest at the end."""
+    babbles: Nanos | None = None
+    """Since when bytes come that nobody asked for, and nothing was sent,"""
+    pieces: int = 0
+    """and in how many pieces."""
 
     def time(self, size: int) -> Nanos:
         """Return the time that this many bytes take."""
@@ -218,6 +234,8 @@ class Line:
                 self.overdue = now + self.time(size + answer.size) + answer.delay + self.slack
                 break
         self.free = now + self.time(size)
+        if taken:
+            self.babbles, self.pieces = None, 0
         return taken
 
     def _next(self, now: Nanos) -> Waiting | None:
@@ -261,8 +279,13 @@ class Line:
         """Take bytes that have come; return what they complete, and what nobody asked for."""
         if self.out is None:  # of one that is late: it has the line until it is silent
             self.stray += len(data)
+            self._note_late(data)
             if data and self.half_duplex:
-                self.free = max(self.free, t + self.quiet)
+                self.babbles = t if self.babbles is None else self.babbles
+                if t - self.babbles < PATIENCE:
+                    quiet = max(self.quiet, min(self.quiet << min(self.pieces, 16), LONGEST_QUIET))
+                    self.free = max(self.free, t + quiet)
+                self.pieces += 1
             return [], data
         self.held += data
         asked = self.out.exchange
@@ -289,12 +312,23 @@ class Line:
         self.out, self.held, self.free = None, b"", max(self.free, t + (self.gap if complete else self.quiet))
         return Ended(one.owner, one.exchange, data, complete)
 
+    def _note_late(self, data: bytes) -> None:
+        """Count an answer that comes when it has been given up."""
+        for old in self.given_up:
+            if old.answer is not None and old.answer.find(old, data) is not None:
+                self.given_up.remove(old)
+                self.late += 1
+                return
+
     def expire(self, now: Nanos) -> list[Ended]:
         """Return the exchange whose answer is overdue, or put it back if it may be tried again."""
         one = self.out
         if one is None or now < self.overdue:
             return []
         self.lost += 1
+        self.cut += bool(self.held)
+        self._note_late(self.held)
+        self.given_up = [*self.given_up, one.exchange][-GIVEN_UP:]
         lost = min(self.silence.get(one.subject, (0, 0))[0] + 1, 20)
         pause = min((1 << max(lost - SILENT, 0)) * MILLISECOND, LONGEST_BACKOFF) if lost >= SILENT else 0
         self.silence[one.subject] = lost, now + pause

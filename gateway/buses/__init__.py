@@ -58,7 +58,7 @@ def open_bus(settings: BusSettings, clock: Clock, *, listen_only: bool = False) 
 
     `listen_only`: nothing is ever sent, nor acknowledged where the interface can be configured so."""
     if settings.kind == "serial":
-        from gateway.buses.serial import open_serial
+        from gateway.buses.serial.bus import open_serial
 
         return open_serial(settings)
     if settings.interface.startswith("socketcan:"):

@@ -46,6 +46,8 @@ OTHER_HOST = -11
 """Our own fault code: another host commands the device."""
 IDENTIFY: Nanos = 5 * SECOND
 """Period in which a serial number that is demanded is asked for, until it is known."""
+SLACK: Nanos = 300_000
+"""What an answer on a line may be late beside the port's latency: the loop's own."""
 OVERHEARD = 8
 """Most frames of other hosts that a step reads, by bus."""
 REPEAT: Nanos = SECOND
@@ -109,7 +111,12 @@ class Gateway:
         self._other_hosts: set[str] = set()
         """The motors that another host commands, and that are not ours: each is noted once."""
         self.lines = {
-            name: Line(bus.baudrate, half_duplex=bus.line == "half-duplex")
+            name: Line(
+                bus.baudrate,
+                half_duplex=bus.line == "half-duplex",
+                slack=bus.latency + SLACK,
+                gap=bus.turnaround,
+            )
             for name, bus in robot.buses.items()
             if bus.line != "free"
         }
@@ -248,7 +255,7 @@ class Gateway:
         Changes nothing."""
         for name in self.asked():
             data = b"".join(p.frame for p in packets if p.bus == name and isinstance(p.frame, bytes))
-            if data and self.lines[name].completes(data):
+            if data and self._call(self._asker(name), True, self.lines[name].completes, data):
                 return True
         return False
 
@@ -306,7 +313,7 @@ class Gateway:
                 self._overhear(t, packet)
             frame = packet.frame
             if isinstance(frame, bytes) and (line := self.lines.get(packet.bus)) is not None:
-                ended, frame = line.receive(t, frame)
+                ended, frame = self._call(self._asker(packet.bus), ([], b""), line.receive, t, frame)
                 for each in ended:
                     events += self._on_answer(t, packet.bus, each)
                 if not frame:
@@ -317,6 +324,11 @@ class Gateway:
             for each in line.expire(now):
                 events += self._on_answer(now, name, each)
         return events
+
+    def _asker(self, bus: str) -> _BusDriver:
+        """Return the driver whose question is under way; without one, the first: what fails is its own."""
+        out = self.lines[bus].out
+        return self._on_bus[bus][0 if out is None else out.owner]
 
     def _on_answer(self, t: Nanos, bus: str, ended: Ended) -> list[Event]:
         one = self._on_bus[bus][ended.owner]

@@ -50,8 +50,8 @@ MIN_STEP = MILLISECOND
 """A driver that is due between two periods gets a step of its own, but no sooner than this after the last."""
 FINE = 100_000
 """The same where a line waits for answers,"""
-MANY = 32
-"""and the pieces in which one may come before they are collected for this time."""
+MANY = 16
+"""and the pieces in which one may come before they are collected for twice this time."""
 
 Record: TypeAlias = Callable[[Tick, Belief], None]
 """Where ticks go. Never waits for a disk in real time."""
@@ -158,8 +158,8 @@ class Reader:
             looks += 1
             if polled:
                 look = min(look, now + MIN_STEP)
-            if looks > MANY:  # it babbles: what is one piece is not read as many
-                look, files = now + FINE, []
+            if looks > MANY:  # it babbles: many pieces are read as one
+                look, files = now + 2 * FINE, []
             self.clock.wait(min(look, until), files)
             if not (polled or asked):
                 return

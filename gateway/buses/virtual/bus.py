@@ -85,8 +85,10 @@ class TwinBus:
         self._from_host = Medium(settings.baudrate if serial else settings.bitrate, settings.data_bitrate)
         # Both directions of a serial line work at once; a CAN bus is one medium for all.
         self.from_devices = Medium(settings.baudrate) if serial else self._from_host
-        self._prompt = serial and settings.line != "free"
+        self.prompt = serial and settings.line != "free"
         """Whether devices answer between the world's steps."""
+        self.echoes = False
+        """Whether the host receives what it sends, too, as it was on the wire."""
         self._one_wire = serial and settings.line == "half-duplex"
         if self._one_wire:
             self._from_host = self.from_devices = HalfDuplex(settings.baudrate)
@@ -109,6 +111,11 @@ class TwinBus:
     def busy(self) -> Nanos:
         """Time during which the wire was not idle; of a serial line, its busier direction."""
         return max(self._from_host.busy, self.from_devices.busy)
+
+    @property
+    def overlaps(self) -> int:
+        """How often two have sent at once on a line that is one wire."""
+        return len(self.from_devices.collisions) if isinstance(self.from_devices, HalfDuplex) else 0
 
     def read(self, now: Nanos) -> tuple[Sequence[BusState], Sequence[Packet]]:
         """Advance the world and all its twins to `now`; return what the host received."""
@@ -175,7 +182,7 @@ class TwinBus:
 
     def deliver(self, until: Nanos) -> None:
         """Deliver what arrives up to a time."""
-        if self._prompt:
+        if self.prompt:
             self._deliver_promptly(until)
             return
         if self._from_host.pending:
@@ -193,9 +200,7 @@ class TwinBus:
         """The same where devices answer as soon as they have heard: what ends first, and what is due
         before."""
         while True:
-            ends = [
-                end for wire in self._wires() if (end := wire.first_end()) is not None and end <= until
-            ]
+            ends = [end for wire in self._wires() if (end := wire.first_end()) is not None and end <= until]
             late = [self._late[0][0]] if self._late and self._late[0][0] <= until else []
             first = min([*ends, *late], default=until)
             if self._answer(first):
@@ -255,11 +260,13 @@ class TwinBus:
                 self._packets.append(Packet(transmission.t, self.name, transmission.frame))
             if self.from_devices is not self._from_host:
                 return  # devices on a serial line with two wires do not receive one another
+        elif self.echoes and not self._gone:
+            self._packets.append(Packet(transmission.t, self.name, transmission.frame))
         for device in self.devices:
             if device.name != transmission.sender and not device.disconnected:
                 device.twin.receive(transmission.t, transmission.frame)
                 device.received = True
-                device.heard = transmission.t if self._prompt else 0
+                device.heard = transmission.t if self.prompt else 0
 
     def intrude(self, t: Nanos, sender: str, frames: Sequence[Frame]) -> None:
         """Queue frames of another sender: a second host, foreign traffic."""

@@ -23,12 +23,12 @@ from gateway import config
 from gateway.buses import Bus, open_bus
 from gateway.buses.frame_time import frame_time
 from gateway.buses.virtual import open_world
-from gateway.buses.virtual.halfduplex import HalfDuplex
+from gateway.buses.virtual.bus import TwinBus
 from gateway.core.clock import Clock, SimulatedClock, WallClock, processor_time
 from gateway.core.robot import Robot
 from gateway.core.step import Gateway
 from gateway.runtime.loop import Reader, moments, write
-from gateway.runtime.process import quiet_collector
+from gateway.runtime.process import fine_timers, quiet_collector
 from gateway.runtime.schedule import commands
 from gateway.runtime.timing import LoopStats
 from protocols.messages import SECOND, Feedback, Idle, Nanos
@@ -100,8 +100,7 @@ def lines(gateway: Gateway) -> dict[str, tuple[int, int, int]]:
 
 
 def overlapped(buses: Mapping[str, Bus]) -> Counter[str]:
-    wires = {name: getattr(bus, "from_devices", None) for name, bus in buses.items()}
-    return Counter({n: len(w.collisions) for n, w in wires.items() if isinstance(w, HalfDuplex)})
+    return Counter({name: bus.overlaps for name, bus in buses.items() if isinstance(bus, TwinBus)})
 
 
 def disarm(gateway: Gateway, reader: Reader, buses: Mapping[str, Bus], robot: Robot) -> None:
@@ -145,6 +144,7 @@ def on_ptys(path: str, robot: Robot, seconds: float, more: Sequence[str]) -> Non
         ports = dict(re.findall(r"--bus (\w+)=(\S+)", text))
         robot = config.with_interfaces(robot, ports)
         clock, buses = WallClock(), dict[str, Bus]()
+        fine_timers()
         for name, settings in robot.buses.items():
             buses[name] = open_bus(settings, clock)
             stack.callback(buses[name].close)
