@@ -313,7 +313,8 @@ class Gateway:
                 self._overhear(t, packet)
             frame = packet.frame
             if isinstance(frame, bytes) and (line := self.lines.get(packet.bus)) is not None:
-                ended, frame = self._call(self._asker(packet.bus), ([], b""), line.receive, t, frame)
+                nothing: tuple[list[Ended], bytes] = [], b""
+                ended, frame = self._call(self._asker(packet.bus), nothing, line.receive, t, frame)
                 for each in ended:
                     events += self._on_answer(t, packet.bus, each)
                 if not frame:

@@ -1,4 +1,4 @@
-"""What does not go as it should on a line whose devices speak only when asked: one line of the log for each kind.
+"""What does not go as it should on a line whose devices speak only when asked: each kind once in the log.
 
 Rules. Once a second each line's counters are compared with those of a second before. What is told names what
 was counted, and the likeliest cause; each kind once in a run. Nothing here changes anything.
@@ -65,8 +65,8 @@ class LineTroubles:
         if lost >= FEW and lost > SHARE * asked and 2 * new["late"] >= lost:
             allowed = f"latency_ms = {bus.latency / MILLISECOND:g}"
             return "late", (
-                f"{new['late']} of {asked} answers in a second came when they had been given up: raise {allowed} "
-                f"under [buses.{name}], or lower the latency timer of its adapter"
+                f"{new['late']} of {asked} answers in a second came when they had been given up: raise "
+                f"{allowed} under [buses.{name}], or lower the latency timer of its adapter"
             )
         if lost >= FEW and lost > SHARE * asked and 2 * new["cut"] >= lost:
             return (
@@ -75,8 +75,8 @@ class LineTroubles:
             )
         if new["stray"] >= FEW and new["stray"] > SHARE * self._came[name]:
             return "stray", (
-                f"{new['stray']} bytes in a second that nobody asked for: a device that speaks by itself, another "
-                "host, or noise (termination, bias, ground)"
+                f"{new['stray']} bytes in a second that nobody asked for: a device that speaks by itself, "
+                "another host, or noise (termination, bias, ground)"
             )
         return "", ""
 
@@ -91,8 +91,8 @@ class LineTroubles:
         bad = sorted({about for (_, about), (lost, _) in line.silence.items() if lost and about})
         if bad and len(bad) <= 2:
             return (
-                f"all about {', '.join(map(repr, bad))}: an id twice on the line (both answer at once), or a device "
-                "that answers for another id"
+                f"all about {', '.join(map(repr, bad))}: an id twice on the line (both answer at once), or a "
+                "device that answers for another id"
             )
         return "noise, a loose connector, an adapter that cuts packets, or another host on the line"
 

@@ -34,7 +34,9 @@ COLLIDED = (
     "on the line, another program or host on it, answers that come later than latency_ms allows"
 )
 GONE = "its adapter echoes no more; what comes is taken as it is"
-ABSENT = 'echo = "yes", but nothing comes back of what is sent: is the adapter switched otherwise, or the wire cut?'
+ABSENT = (
+    'echo = "yes", but nothing comes back of what is sent: is the adapter switched otherwise, or cut off?'
+)
 
 
 class Echo:
