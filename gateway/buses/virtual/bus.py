@@ -34,6 +34,7 @@ from protocols.frames import BusState, CanFrame, Frame, Packet
 from protocols.messages import Event, Feedback, Nanos
 from protocols.plugin import Twin
 
+NEVER: Nanos = 1 << 62
 HOST = ""
 """The host's name as a sender; devices have their names in the robot file."""
 
@@ -61,12 +62,17 @@ class SimulatedDevice:
     """The shaft of a duplicate, which is not part of the world."""
     disconnected: bool = False
     """Its bus connector is unplugged: it neither receives nor sends."""
-    heard: Nanos = 0
-    """When it heard something that it may answer before the world's next step; 0: nothing."""
+    answers: Nanos = NEVER
+    """When it answers what it has heard, if that is before the world's next step."""
     received: bool = False
     """Something came in since it last ran."""
     readings: list[Event] = field(default_factory=list)
     """Measurements of the world that the twin has not yet taken."""
+
+    def look(self, t: Nanos) -> None:
+        """Look when it answers."""
+        due = self.twin.due()
+        self.answers = NEVER if due is None else max(due, t)
 
     def send(self, now: Nanos, frames: Sequence[Frame]) -> None:
         """Queue frames on the bus."""
@@ -128,9 +134,7 @@ class TwinBus:
         """Return no file, and when something may next arrive, or a device may begin to send."""
         times = [self._world.world.now + STEP, *(end for wire in self._wires() if (end := wire.first_end()))]
         times += [self._late[0][0]] if self._late else []
-        due = (device.twin.due() for device in self.devices if device.heard)
-        times += [at for at in due if at is not None]
-        return (), max(now + 1, min(times))
+        return (), max(now + 1, min(times + [device.answers for device in self.devices]))
 
     def write(self, now: Nanos, frames: Sequence[Frame]) -> None:
         """Queue frames; they are sent from `now` on, as the bus becomes idle."""
@@ -216,16 +220,10 @@ class TwinBus:
 
     def _answer(self, until: Nanos) -> bool:
         """Let the device whose answer is due first begin to send it; False if none is due."""
-        due = [
-            (max(at, device.heard), number)
-            for number, device in enumerate(self.devices)
-            if device.heard and (at := device.twin.due()) is not None
-        ]
-        if not due or min(due)[0] > until:
+        device = min(self.devices, key=lambda device: device.answers, default=None)
+        if device is None or device.answers > until:
             return False
-        at, number = min(due)
-        device = self.devices[number]
-        device.heard = 0
+        at, device.answers = device.answers, NEVER
         _, frames = device.twin.step(at, ())
         device.send(at, frames)
         return True
@@ -266,7 +264,8 @@ class TwinBus:
             if device.name != transmission.sender and not device.disconnected:
                 device.twin.receive(transmission.t, transmission.frame)
                 device.received = True
-                device.heard = transmission.t if self.prompt else 0
+                if self.prompt:
+                    device.look(transmission.t)
 
     def intrude(self, t: Nanos, sender: str, frames: Sequence[Frame]) -> None:
         """Queue frames of another sender: a second host, foreign traffic."""
@@ -367,6 +366,8 @@ class TwinWorld:
             measured = self.tamper.measured(motor, measured)
         torques, frames = device.twin.step(t, (measured,))
         device.send(t, frames)
+        if device.answers < NEVER:
+            device.look(t)
         return sum(torque.torque for torque in torques if torque.motor == motor) * ratio
 
     # -- faults ----------------------------------------------------------------------------------------

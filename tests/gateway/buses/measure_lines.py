@@ -1,6 +1,6 @@
 """Measure what a robot's serial lines carry, in virtual time and on ptys with real time.
 
-$ python -m tests.gateway.buses.measure_lines ROBOT.toml [virtual] [pty] [--seconds S] [--rate HZ]
+$ python -m tests.gateway.buses.measure_lines ROBOT.toml [virtual] [pty] [--seconds S] [--rate HZ] …
 
 Every motor is commanded and at rest. Printed for each line: feedback per motor and second, exchanges per
 second, answers that were lost, frames that overlapped on the wire, how busy it was, and what this process
@@ -29,6 +29,7 @@ from gateway.core.robot import Robot
 from gateway.core.step import Gateway
 from gateway.runtime.loop import Reader, moments, write
 from gateway.runtime.process import fine_timers, quiet_collector
+from gateway.runtime.realtime import Wish, realtime
 from gateway.runtime.schedule import commands
 from gateway.runtime.timing import LoopStats
 from protocols.messages import SECOND, Feedback, Idle, Nanos
@@ -71,7 +72,8 @@ def measure(robot: Robot, buses: Mapping[str, Bus], clock: Clock, seconds: float
             began, before = now, lines(gateway)
             worked, overlaps = processor_time()[0], overlapped(buses)
         elif began is None and now > start + SETTLING:
-            raise RuntimeError(f"not armed: {[n for n, j in gateway.joints.items() if not j.armed]}")
+            unarmed = [name for name, joint in gateway.joints.items() if not joint.armed]
+            raise RuntimeError(f"not armed: {unarmed}; {list(gateway.lines.values())}; {gateway.in_fault()}")
         if began is None:
             continue
         for packet in (*inputs.packets, *outputs.packets):
@@ -149,7 +151,8 @@ def on_ptys(path: str, robot: Robot, seconds: float, more: Sequence[str]) -> Non
             buses[name] = open_bus(settings, clock)
             stack.callback(buses[name].close)
         worked, began = devices.processor_time(), clock.now()
-        count = measure(robot, buses, clock, seconds)
+        with realtime(Wish() if "--realtime" in more else None, robot, lambda _: None):
+            count = measure(robot, buses, clock, seconds)
         share = (devices.processor_time() - worked) / (clock.now() - began) * SECOND
         said = devices.end(signal.SIGTERM)[1].splitlines()[-1]
         print(f"{robot.name}, on ptys: {said}")
@@ -162,6 +165,7 @@ def main() -> None:
     parser.add_argument("how", nargs="*", choices=["virtual", "pty", []])
     parser.add_argument("--seconds", type=float, default=3.0)
     parser.add_argument("--rate", type=float, help="steps of the brain per second")
+    parser.add_argument("--realtime", action="store_true", help="both processes with real-time priority")
     parser.add_argument("--echo", action="store_true", help="the adapter echoes")
     given = parser.parse_args()
     robot = config.load_robot(given.robot)
@@ -170,7 +174,8 @@ def main() -> None:
     if "virtual" in given.how or not given.how:
         virtual(robot, given.seconds)
     if "pty" in given.how or not given.how:
-        on_ptys(given.robot, robot, given.seconds, ["--echo"] if given.echo else [])
+        more = [f"--{each}" for each in ("echo", "realtime") if getattr(given, each)]
+        on_ptys(given.robot, robot, given.seconds, more)
 
 
 if __name__ == "__main__":
