@@ -88,7 +88,7 @@ class LineTroubles:
                 verdict(self._heard[name], rate, errors)
                 or "another baud rate, or two that always send at once"
             )
-        bad = sorted({about for (_, about), (lost, _) in line.silence.items() if lost and about})
+        bad = sorted({str(about) for (_, about), (lost, _) in line.silence.items() if lost})
         if bad and len(bad) <= 2:
             return (
                 f"all about {', '.join(map(repr, bad))}: an id twice on the line (both answer at once), or a "
