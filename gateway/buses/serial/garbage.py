@@ -20,7 +20,7 @@ STANDARD = (
 )
 # fmt: on
 """bit/s that devices are delivered with."""
-NEAR = 0.1
+NEAR = 0.06
 """A rate this near to a standard one is that."""
 
 

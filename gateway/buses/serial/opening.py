@@ -121,10 +121,10 @@ def forbidden(path: str) -> str:
     group, owner = _name(grp.getgrgid, found.st_gid), _name(pwd.getpwuid, found.st_uid)
     text = f"no permission: {path} is {owner}'s and of the group {group}, {stat.filemode(found.st_mode)[1:]}"
     both = stat.S_IRGRP | stat.S_IWGRP
-    if found.st_mode & both != both:
+    if found.st_mode & both != both or found.st_gid == 0:
         rule = 'SUBSYSTEM=="tty", KERNEL=="' + Path(path).resolve().name + '", MODE="0660"'
-        return f'{text}: the group may not use it either; a udev rule gives it: {rule}, GROUP="dialout"'
-    if found.st_gid in os.getgroups():
+        return f'{text}: a udev rule gives it to a group: {rule}, GROUP="dialout"'
+    if found.st_gid in (os.getegid(), *os.getgroups()):
         return f"{text}: we are in it, so a rule of the system forbids it (a container, AppArmor)"
     user = _name(pwd.getpwuid, os.getuid())
     with suppress(KeyError):
