@@ -37,6 +37,7 @@ baudrate = 1_000_000
 protocol = "plain"
 bus = "line"
 address = 1
+options = { kind = "motor" }
 gear = 1.0
 limits = { velocity = 1.0, acceleration = 1.0, torque = 1.0 }
 [brain]

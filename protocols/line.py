@@ -38,7 +38,7 @@ ROUND: Nanos = 20 * MILLISECOND
 took longer."""
 
 LONGEST_QUIET: Nanos = 2 * MILLISECOND
-"""While bytes go on coming that nobody asked for, silence is waited for longer and longer, at most so long."""
+"""While bytes go on coming that nobody asked for, silence is waited for longer each time, at most so long."""
 UNANSWERED = 8
 """Exchanges without an answer that are remembered, since it may come late."""
 
