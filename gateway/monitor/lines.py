@@ -83,7 +83,7 @@ class LineTroubles:
     def _why(self, name: str, line: Line, new: Mapping[str, int]) -> str:
         """Return the likeliest cause of garbage in place of answers."""
         if not new["answered"]:
-            rate, errors = line.rate, getattr(self._buses[name], "errors", 0)
+            rate, errors = line.rate, getattr(self._buses.get(name), "errors", 0)
             return (
                 verdict(self._heard[name], rate, errors)
                 or "another baud rate, or two that always send at once"
