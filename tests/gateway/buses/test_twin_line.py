@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -181,10 +181,8 @@ def over_a_pty(echo: bool, *questions: bytes) -> tuple[bytes, TwinBus]:
                     break
                 os.write(client, questions[asked])
                 asked += 1
-            try:
+            with suppress(BlockingIOError):
                 came += os.read(client, 1000)
-            except BlockingIOError:
-                pass
             if one.now > PATIENCE * 1e9:
                 pytest.fail("no answer")
         os.close(client)
