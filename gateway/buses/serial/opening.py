@@ -82,7 +82,8 @@ def _reason(settings: BusSettings, path: str, error: Exception) -> str:
         return f"the driver of {path} has no rate of {settings.baudrate} bit/s ({error})"
     if "Could not configure" in str(error) or code == errno.ENOTTY:
         return f"{path} is no serial port ({error})"
-    return f"{error}. Serial ports of this machine: {usb.listed(usb.port_names())}."
+    why = f"there is no {path}" if code == errno.ENOENT else str(error)
+    return f"{why}. Serial ports of this machine: {usb.listed(usb.port_names())}."
 
 
 def in_use(path: str, proc: Path = PROC) -> str:
