@@ -56,6 +56,7 @@ def parts() -> dict[str, Callable[[Effort], list[Row]]]:
     from benchmarks.codec import codec
     from benchmarks.drive import driving
     from benchmarks.drivers import drivers
+    from benchmarks.lines import lines
     from benchmarks.paths import paths
     from benchmarks.perceive import perceive
     from benchmarks.process import processes
@@ -68,6 +69,7 @@ def parts() -> dict[str, Callable[[Effort], list[Row]]]:
         "drivers": drivers,
         "codec": codec,
         "an adapter": bridge,
+        "a noisy line": lines,
         "filter and map": perceive,
         "paths": paths,
         "a car": cars,

@@ -37,6 +37,11 @@ ROUND: Nanos = 20 * MILLISECOND
 """Time for the questions of a round before set-points that wait have their turn; more if those of this round
 took longer."""
 
+LONGEST_QUIET: Nanos = 2 * MILLISECOND
+"""While bytes go on coming that nobody asked for, silence is waited for longer each time, at most so long."""
+UNANSWERED = 8
+"""Exchanges without an answer that are remembered, since it may come late."""
+
 
 class Rank(IntEnum):
     """What goes first."""
@@ -186,7 +191,15 @@ class Line:
     replaced: int = 0
     """Exchanges that were not sent: a newer one took the place, or a set-point was not given again."""
     stray: int = 0
-    """Bytes that nobody asked for."""
+    """Bytes that nobody asked for,"""
+    pieces: int = 0
+    """and since something was sent, in how many pieces."""
+    cut: int = 0
+    """Of the answers that are lost: those of which something came, or in whose place something else did."""
+    late: int = 0
+    """Answers that came when they had been given up."""
+    unanswered: list[Exchange] = field(default_factory=list)
+    """The last that were given up, the newest at the end."""
 
     def time(self, size: int) -> Nanos:
         """Return the time that this many bytes take."""
@@ -254,6 +267,7 @@ class Line:
                 self.overdue = self.heard + self.time(answer.size) + answer.delay + self.slack
                 break
         self.free = max(self.free, now + self.time(size))
+        self.pieces = 0 if taken else self.pieces
         return taken
 
     def blocked(self, held_back: Exchange) -> None:
@@ -344,8 +358,23 @@ class Line:
 
     def _on_stray(self, t: Nanos, data: bytes) -> None:
         self.stray += len(data)
+        self._note_late(data)
         if data and self.half_duplex:
-            self.free = max(self.free, t + self.quiet)
+            quiet = max(self.quiet, min(self.quiet << min(self.pieces, 16), LONGEST_QUIET))
+            self.free = max(self.free, t + quiet)
+            self.pieces += 1
+
+    def _note_late(self, data: bytes) -> None:
+        """Count an answer that comes when it has been given up."""
+        for old in self.unanswered if data else ():
+            if _find(old, data) is not None:
+                self.unanswered.remove(old)
+                self.late += 1
+                return
+
+    def completes(self, data: bytes) -> bool:
+        """True if these bytes, behind those that have come, complete what is awaited. Changes nothing."""
+        return self.out is not None and _find(self.out.exchange, self.held + data) is not None
 
     def _end(self, t: Nanos, data: bytes, *, complete: bool) -> Ended:
         one = self.out
@@ -361,6 +390,9 @@ class Line:
         key = one.owner, one.exchange.key
         if now >= self.overdue:
             self.lost += 1
+            self.cut += bool(self.held)
+            self._note_late(self.held)
+            self.unanswered = [*self.unanswered, one.exchange][-UNANSWERED:]
             if key[1] is not None:
                 self.silence[key] = min(self._silence(one)[0] + 1, 20), now
                 if len(self.silence) > CAPACITY:  # who was asked with ever new words is forgotten

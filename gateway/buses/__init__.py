@@ -12,7 +12,7 @@ exactly once.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from protocols.frames import BusState, Frame, Packet
 from protocols.messages import Nanos
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from gateway.core.clock import Clock
     from gateway.core.robot import BusSettings
 
-__all__ = ["Bus", "open_bus"]
+__all__ = ["Bus", "WakingBus", "open_bus"]
 
 
 class Bus(Protocol):
@@ -43,12 +43,22 @@ class Bus(Protocol):
         ...
 
 
+@runtime_checkable
+class WakingBus(Protocol):
+    """A bus that tells when there may be something to read, so that nobody has to look again and again."""
+
+    def wakes(self, now: Nanos) -> tuple[Sequence[int], Nanos | None]:
+        """Return the files that can be read when something has come in, and when to look in any case (None:
+        at no time)."""
+        ...
+
+
 def open_bus(settings: BusSettings, clock: Clock, *, listen_only: bool = False) -> Bus:
     """Open the real interface of a bus. Raises BusError with what is missing and how to get it.
 
     `listen_only`: nothing is ever sent, nor acknowledged where the interface can be configured so."""
     if settings.kind == "serial":
-        from gateway.buses.serial import open_serial
+        from gateway.buses.serial.bus import open_serial
 
         return open_serial(settings)
     if settings.interface.startswith("socketcan:"):

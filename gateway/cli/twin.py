@@ -49,6 +49,11 @@ def add_arguments(parser: ArgumentParser) -> None:
         metavar="DIR",
         help="give the pseudo-terminals stable names: DIR/can0, DIR/can0.2 …",
     )
+    parser.add_argument(
+        "--echo",
+        action="store_true",
+        help="serial lines give back what is sent on them before the answer, as many adapters do",
+    )
     arguments.add_seconds(parser)
     arguments.add_seed(parser)
     arguments.add_realtime(parser)
@@ -61,7 +66,7 @@ def run(options: Namespace) -> int:
     robot = with_interfaces(without_interfaces(load_robot(options.robot)), dict(options.bus))
     wish = wished(options.realtime)
     adapters = (options.adapter or ["slcan"]) * options.ports
-    with devices(robot, WallClock(), options.seed, adapters, options.link) as made:
+    with devices(robot, WallClock(), options.seed, adapters, options.link, echo=options.echo) as made:
         print("\n".join(invitation(made, options.robot)), flush=True)
         with ExitStack() as stack:
             watch = _view(made, options, stack)
@@ -69,9 +74,11 @@ def run(options: Namespace) -> int:
                 made.serve(options.seconds, watch)
     stats = made.stats
     stalled = f"; stood still for {stats.stalled / SECOND:.1f} s in all" if stats.stalled else ""
+    sums = {name: bus.overlaps for name, bus in made.twins.buses.items() if bus.overlaps}
+    overlaps = "".join(f"; {many} times two sent at once on {name}" for name, many in sums.items())
     print(
         f"{stats.received} packets received, {stats.sent} sent; "
-        f"at most {stats.late / MILLISECOND:.0f} ms behind the clock{stalled}"
+        f"at most {stats.late / MILLISECOND:.0f} ms behind the clock{stalled}{overlaps}"
     )
     return 0
 

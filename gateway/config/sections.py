@@ -19,6 +19,7 @@ from gateway.core.limits import Limits
 from gateway.core.robot import (
     ADAPTERS,
     CLASSIC_ADAPTERS,
+    LATENCY,
     TRANSMIT_QUEUE,
     TWIN,
     USB_NAME,
@@ -46,6 +47,10 @@ class _Bus:
     transmit_queue: Annotated[int, Bounds(1, 10_000)] = TRANSMIT_QUEUE
     shared_bus: Literal["unknown", "acknowledged"] = "unknown"
     """Whether the consequences of several protocols on one bus are known (gateway.config.validate)."""
+    echo: Literal["auto", "yes", "no"] = "auto"
+    rs485: Literal["off", "rts_high", "rts_low"] = "off"
+    latency: Annotated[Nanos, Bounds(0, 100 * MILLISECOND)] = LATENCY
+    turnaround: Annotated[Nanos, Bounds(0, 20 * MILLISECOND)] = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +105,9 @@ def read_bus(name: str, table: Table, mistakes: Mistakes) -> BusSettings | None:
     if "transmit_queue" in table and kind == "serial":
         text = "a serial bus has no queue of CAN frames; expected no key 'transmit_queue'"
         mistakes.add((*at, "transmit_queue"), text)
+    for key in ("echo", "rs485", "latency_ms", "turnaround_ms") if kind != "serial" else ():
+        if key in table:
+            mistakes.add((*at, key), f"a bus of kind {kind!r} is no serial line; expected no key {key!r}")
     rates = made.bitrate, made.data_bitrate, made.baudrate
     acknowledged = made.shared_bus == "acknowledged"
     return BusSettings(
@@ -109,6 +117,10 @@ def read_bus(name: str, table: Table, mistakes: Mistakes) -> BusSettings | None:
         *rates,
         transmit_queue=made.transmit_queue,
         acknowledged=acknowledged,
+        echo=made.echo,
+        rs485=made.rs485,
+        latency=made.latency,
+        turnaround=made.turnaround,
     )
 
 

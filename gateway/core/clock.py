@@ -5,7 +5,9 @@ One clock object serves the loop and every bus, so that receive times and ticks 
 
 from __future__ import annotations
 
+import select
 import time
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Protocol
 
@@ -27,8 +29,9 @@ class Clock(Protocol):
         """Return the present time."""
         ...
 
-    def wait(self, until: Nanos) -> None:
-        """Return at or soon after `until`; at once if that is past."""
+    def wait(self, until: Nanos, files: Sequence[int] = ()) -> None:
+        """Return at or soon after `until`; at once if that is past. On the machine's clock: sooner, when one
+        of the files can be read, or has hung up."""
         ...
 
 
@@ -42,10 +45,12 @@ class WallClock:
         """Return the time since the clock was made."""
         return time.monotonic_ns() - self._zero
 
-    def wait(self, until: Nanos) -> None:
-        """Sleep until then."""
+    def wait(self, until: Nanos, files: Sequence[int] = ()) -> None:
+        """Sleep until then, or until a file can be read."""
         rest = until - self.now()
-        if rest > 0:
+        if rest > 0 and files:
+            select.select(files, (), (), rest / 1e9)
+        elif rest > 0:
             time.sleep(rest / 1e9)
 
     def system_offset(self) -> Nanos:
@@ -70,7 +75,7 @@ class SimulatedClock:
         """Return the time up to which the clock has advanced."""
         return self._now
 
-    def wait(self, until: Nanos) -> None:
+    def wait(self, until: Nanos, files: Sequence[int] = ()) -> None:  # noqa: ARG002 -- all is simulated
         """Advance to `until`."""
         self._now = max(self._now, until)
 
@@ -92,7 +97,7 @@ class PacedClock:
         """Return the time up to which the clock has advanced."""
         return self._now
 
-    def wait(self, until: Nanos) -> None:
+    def wait(self, until: Nanos, files: Sequence[int] = ()) -> None:  # noqa: ARG002 -- all is simulated
         """Advance to `until`, when the machine's clock has come as far; at once if it is late."""
         self._now = max(self._now, until)
         now, due = self.machine.now(), self._now + self._behind

@@ -33,6 +33,8 @@ ADAPTERS = {
     "waveshare": '"seeedstudio:/dev/ttyUSB0" for its USB-CAN-A, "socketcan:can0" for its boards on SPI',
 }
 """What people call the interface of an adapter, and what it is called here."""
+LATENCY: Nanos = 2 * MILLISECOND
+"""Of a serial port on USB, both ways: a frame of the bus each (1 ms), where it has no timer of its own."""
 SHAREABLE = ("socketcan", "udp_multicast")
 """Interfaces that several processes of a machine can use at once; a port is one process's alone."""
 USB_NAME = re.compile(r"usb-([0-9A-Fa-f]{4}):([0-9A-Fa-f]{4}):([^/@]+)(/[0-9]+)?")
@@ -63,6 +65,14 @@ class BusSettings:
     """Whether the robot file acknowledges what it means for several protocols to share this bus."""
     devices: tuple[Spec, ...] = ()
     """The specs of what is on it."""
+    echo: Literal["auto", "yes", "no"] = "auto"
+    """Of a serial line: whether what is sent comes back. "auto": it is found out."""
+    rs485: Literal["off", "rts_high", "rts_low"] = "off"
+    """Of a serial line: whether the kernel switches its direction by RTS, and its level while sending."""
+    latency: Nanos = LATENCY
+    """Of a serial line: what port and machine take both ways. An answer is waited for so much longer."""
+    turnaround: Nanos = 0
+    """Of a serial line: from the end of an answer to the next frame."""
 
     @property
     def line(self) -> Literal["free", "asked", "half-duplex"]:

@@ -46,6 +46,8 @@ OTHER_HOST = -11
 """Our own fault code: another host commands the device."""
 IDENTIFY: Nanos = 5 * SECOND
 """Period in which a serial number that is demanded is asked for, until it is known."""
+SLACK: Nanos = 300_000
+"""What an answer on a line may be late beside the port's latency: the loop's own."""
 OVERHEARD = 8
 """Most frames of other hosts that a step reads, by bus."""
 REPEAT: Nanos = SECOND
@@ -109,7 +111,12 @@ class Gateway:
         self._other_hosts: set[str] = set()
         """The motors that another host commands, and that are not ours: each is noted once."""
         self.lines = {
-            name: Line(bus.baudrate, half_duplex=bus.line == "half-duplex")
+            name: Line(
+                bus.baudrate,
+                half_duplex=bus.line == "half-duplex",
+                slack=bus.latency + SLACK,
+                gap=bus.turnaround,
+            )
             for name, bus in robot.buses.items()
             if bus.line != "free"
         }
@@ -240,9 +247,20 @@ class Gateway:
 
     def awaiting(self) -> bool:
         """True while a driver awaits an answer to which it has something to add at once."""
-        if any(line.out is not None for line in self.lines.values()):
-            return True
         return any(self._call(one, False, one.driver.awaits) for one in self._drivers)
+
+    def asked(self) -> list[str]:
+        """Return the buses on whose lines an answer is under way."""
+        return [name for name, line in self.lines.items() if line.out is not None]
+
+    def completes(self, packets: Sequence[Packet]) -> bool:
+        """True if what has come since the last step completes an answer, so that a step has something to do.
+        Changes nothing."""
+        for name in self.asked():
+            data = b"".join(p.frame for p in packets if p.bus == name and isinstance(p.frame, bytes))
+            if data and self.lines[name].completes(data):
+                return True
+        return False
 
     def belief(self) -> Belief:
         """Return the brain's state estimate."""

@@ -11,6 +11,7 @@ import logging
 from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
 
 from gateway.buses import Bus
+from gateway.buses.serial.garbage import verdict
 from gateway.core.robot import BusDevice, Motor
 from gateway.core.step import Gateway
 from gateway.core.tick import Tick
@@ -93,16 +94,18 @@ class Silence:
             return f"nothing at all is: check supply, cable, termination and bit rate{broken}"
         if isinstance(device, Motor) and self._gateway.joints[device.name].mode is not Mode.OFFLINE:
             return "it answers, but does not report its motion: see its cyclic messages"
-        return self._others(device, heard, looks[device.bus])
+        return self._others(device, bus, heard, looks[device.bus])
 
-    def _others(self, device: BusDevice, heard: Sequence[Packet], looks: Sequence[str]) -> str:
+    def _others(self, device: BusDevice, bus: Bus, heard: Sequence[Packet], looks: Sequence[str]) -> str:
         frames = [packet.frame for packet in heard if isinstance(packet.frame, CanFrame)]
         if not frames:
             beside = [one for one in self._gateway.robot.devices_on(device.bus) if not self._is_silent(one)]
             if beside:
                 return f"{beside[0].name} is, on the same line: check its supply, cable and address"
-            count = sum(len(packet.frame) for packet in heard if isinstance(packet.frame, bytes))
-            return f"the line is alive, {count} bytes came: another baud rate, protocol or address"
+            data = b"".join(packet.frame for packet in heard if isinstance(packet.frame, bytes))
+            rate, errors = self._gateway.robot.buses[device.bus].baudrate, getattr(bus, "errors", 0)
+            what = verdict(data, rate, errors) or "another baud rate, protocol or address"
+            return f"the line is alive, {len(data)} bytes came: {what}"
         ids = {id_number(frame): frame for frame in frames}
         others = [one for one in self._gateway.robot.devices_on(device.bus) if one is not device]
         known = IdSet(each for one in others for each in one.spec.expects)

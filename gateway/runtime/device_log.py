@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 
 from gateway.core.robot import Robot
 from protocols.frames import Packet
+from protocols.line import Ended, Line
 from protocols.messages import MILLISECOND, Event, Fault, Mode, Nanos, State
-from protocols.plugin import Driver
+from protocols.plugin import Driver, LineDriver
 
 if TYPE_CHECKING:
     from gateway.buses import Bus
@@ -35,12 +36,37 @@ class DeviceLog:
 
     def warm_up(self, buses: Mapping[str, Bus]) -> Nanos:
         """Identify the devices on simulated buses, from time 0 on; return the world's age afterwards."""
+        lines = {
+            name: Line(bus.baudrate, half_duplex=bus.line == "half-duplex", slack=2 * MILLISECOND)
+            for name, bus in self._robot.buses.items()
+            if bus.line != "free"
+        }
         for now in range(0, WARM_UP, MILLISECOND):
             for name, bus in buses.items():
-                self.update(bus.read(now)[1])
+                packets = bus.read(now)[1]
+                if name in lines:
+                    bus.write(now, self._exchange(now, lines[name], self._drivers[name], packets))
+                    continue
+                self.update(packets)
                 for driver in self._drivers[name]:
                     bus.write(now, driver.send(now, ())[1])
         return WARM_UP
+
+    def _exchange(
+        self, now: Nanos, line: Line, drivers: Sequence[Driver], packets: Sequence[Packet]
+    ) -> list[bytes]:
+        """Decode what came on a line; return what is sent on it now."""
+        ended: list[Ended] = []
+        for packet in packets:
+            if isinstance(packet.frame, bytes):
+                ended += line.receive(packet.t, packet.frame)[0]
+        for each in (*ended, *line.expire(now)):
+            driver: LineDriver = drivers[each.owner]  # type: ignore[assignment]
+            for event in driver.answer(now, each.exchange, each.data):
+                self._change(event)
+        for owner, one in enumerate(drivers):
+            line.put(owner, [frame for frame in one.send(now, ())[1] if isinstance(frame, bytes)])
+        return [bytes(frame) for _, frame in line.take(now)]
 
     def update(self, packets: Sequence[Packet]) -> list[tuple[int, str]]:
         """Decode packets of the devices; return (logging level, text) for each change."""

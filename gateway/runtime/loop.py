@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 from typing import TypeAlias
 
 from brain.belief import Belief
-from gateway.buses import Bus
+from gateway.buses import Bus, WakingBus
 from gateway.buses.frame_time import frame_time
 from gateway.core.clock import Clock
 from gateway.core.joint import DISARMING
@@ -46,10 +46,12 @@ IMPATIENCE: Nanos = SECOND
 """A reason to leave that comes this soon after the one before, if that was not the first, is meant."""
 SETTLING: Nanos = 150 * MILLISECOND
 """Motors that have been commanded are watched for this time at least: one may be about to arm."""
-FINE = 100_000
-"""The same where a half-duplex line is kept busy."""
 MIN_STEP = MILLISECOND
 """A driver that is due between two periods gets a step of its own, but no sooner than this after the last."""
+FINE = 100_000
+"""The same where a line waits for answers,"""
+MANY = 16
+"""and the pieces in which one may come before they are collected for twice this time."""
 
 Record: TypeAlias = Callable[[Tick, Belief], None]
 """Where ticks go. Never waits for a disk in real time."""
@@ -88,8 +90,8 @@ def live(
             gateway.robot.period,
             gateway.due,
             run.stats,
-            run.reader.answered,
-            FINE if gateway.lines else MIN_STEP,
+            run.reader.wait,
+            run.reader.least,
         ):
             if reasons or (until is not None and now >= until):
                 break
@@ -124,12 +126,56 @@ class Reader:
     packets: list[Packet] = field(default_factory=list)
     """Read since the last step."""
 
-    def answered(self) -> bool | None:
+    @property
+    def least(self) -> Nanos:
+        """Least time between two steps."""
+        return FINE if self.gateway.lines else MIN_STEP
+
+    def wait(self, until: Nanos) -> None:
+        """Wait until then, or until there is what a driver awaits."""
+        if self.gateway.lines:
+            self._wait_on_lines(until)
+            return
+        while self.clock.now() + 2 * MIN_STEP <= until and self._answered() is not None:
+            self.clock.wait(self.clock.now() + MIN_STEP)
+            if self._answered():
+                return
+        self.clock.wait(until)
+
+    def _answered(self) -> bool | None:
         """Read the buses; True if something has come while an answer is awaited, None if none is."""
         if not self.gateway.awaiting():
             return None
         self._read(self.clock.now())
         return bool(self.packets)
+
+    def _wait_on_lines(self, until: Nanos) -> None:
+        """The same, with answers on lines: each bus tells when there may be something to read."""
+        looks = 0
+        while (now := self.clock.now()) < until:
+            polled, asked = self.gateway.awaiting(), self.gateway.asked()
+            files, look = self._wakes(now, asked)
+            looks += 1
+            if polled:
+                look = min(look, now + MIN_STEP)
+            if looks > MANY:  # it babbles: many pieces are read as one
+                look, files = now + 2 * FINE, []
+            self.clock.wait(min(look, until), files)
+            if not (polled or asked):
+                return
+            self._read(self.clock.now())
+            if self.states or (self.packets and polled) or self.gateway.completes(self.packets):
+                return
+
+    def _wakes(self, now: Nanos, asked: Sequence[str]) -> tuple[list[int], Nanos]:
+        """Return the files of these buses, and when to look at the others."""
+        files: list[int] = []
+        look: Nanos = 1 << 62
+        for bus in (self.buses[name] for name in asked):
+            own, at = bus.wakes(now) if isinstance(bus, WakingBus) else ((), now + FINE)
+            files += own
+            look = look if at is None else min(look, at)
+        return files, look
 
     def _read(self, now: Nanos) -> None:
         states, packets = read(self.buses, now, self.errors)
@@ -280,11 +326,12 @@ def moments(
     period: Nanos,
     due: Callable[[], Nanos | None],
     stats: LoopStats,
-    answered: Callable[[], bool | None] = lambda: None,
+    wait: Callable[[Nanos], None] | None = None,
     least: Nanos = MIN_STEP,
 ) -> Iterator[Nanos]:
-    """Yield the moments to step at: absolute deadlines, and between them a driver's own moments, and when
-    an answer that is awaited may have come (`answered`; None: none is awaited)."""
+    """Yield the moments to step at: absolute deadlines, and between them a driver's own moments, no sooner
+    than `least` after another. `wait`: until then, or until there is what is awaited; None: as the clock."""
+    wait = wait if wait is not None else clock.wait
     deadline = last = clock.now()
     while True:
         now = clock.now()
@@ -296,13 +343,7 @@ def moments(
         yield now
         own = due()
         between = deadline if own is None else max(own, last + least)
-        until = min(deadline, between) if between + least <= deadline else deadline
-        while clock.now() + 2 * least <= until and answered() is not None:
-            clock.wait(clock.now() + least)
-            if answered():
-                break
-        else:
-            clock.wait(until)
+        wait(min(deadline, between) if between + least <= deadline else deadline)
 
 
 def read(

@@ -28,7 +28,7 @@ from gateway.core.robot import TWIN, Motor, Robot
 from gateway.core.step import Gateway
 from gateway.core.tick import Outputs
 from gateway.errors import UserError
-from gateway.runtime.loop import FINE, MIN_STEP, Reader, moments, write
+from gateway.runtime.loop import Reader, moments, write
 from gateway.runtime.timing import LoopStats
 from gateway.sim import WorldError
 from protocols.frames import CanFrame, Frame
@@ -197,12 +197,10 @@ def count_buses(
     gateway, world = Gateway(robot), open_world(robot, robot.seed)
     count = _Count({name: BusSchedule(name) for name in robot.buses}, window)
     world.tamper.transmission = count.transmission
-    clock, commands, last, busy = SimulatedClock(), _commands(robot), 0, dict[str, Nanos]()
+    clock, wanted, last, busy = SimulatedClock(), commands(robot), 0, dict[str, Nanos]()
     reader, settling = Reader(gateway, world.buses, clock), _Settling(gateway, world.buses)
-    for now in moments(
-        clock, robot.period, gateway.due, LoopStats(), reader.answered, FINE if gateway.lines else MIN_STEP
-    ):
-        inputs = reader.inputs(now, () if gateway.between(now) else commands)
+    for now in moments(clock, robot.period, gateway.due, LoopStats(), reader.wait, reader.least):
+        inputs = reader.inputs(now, () if gateway.between(now) else wanted)
         simulated(now - last)
         last = now
         if count.began is None and settling.ends(now, count.last):
@@ -358,7 +356,7 @@ def table(counted: Sequence[BusSchedule]) -> str:
     return "\n".join([*lines, *filter(None, [not_armed(counted)])])
 
 
-def _commands(robot: Robot) -> Sequence[Instruction]:
+def commands(robot: Robot) -> Sequence[Instruction]:
     """Return what keeps every motor commanded, at rest."""
     body = robot.brain.body
     wheels = body.joints if isinstance(body, Base) else ()

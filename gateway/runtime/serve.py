@@ -3,16 +3,18 @@
 Rules. As in the live loop, buses and clock are the loop's own, and it yields what happened. A real host waits
 for no world: so this one keeps pace with the clock. What was missed is made up for, in slices, so that an
 iteration is short whatever happened before it, and what was received is handed to the devices at its own
-time, as far as that is known. A world that is too far behind stands still instead.
+time, as far as that is known. A world that is too far behind stands still instead. On lines whose devices
+speak only when asked, it wakes when something is sent to them, and when they answer.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Collection, Generator, Mapping, Sequence
 from dataclasses import dataclass
 
-from gateway.buses import Bus
+from gateway.buses import Bus, WakingBus
+from gateway.buses.virtual.bus import TwinBus
 from gateway.core.clock import Clock
 from gateway.runtime.loop import moments, read, write
 from gateway.runtime.timing import LoopStats
@@ -20,6 +22,10 @@ from protocols.frames import BusState, Packet
 from protocols.messages import MILLISECOND, SECOND, Nanos
 
 PERIOD: Nanos = MILLISECOND
+LEAST: Nanos = 20_000
+"""Between two iterations."""
+WAKING: Nanos = 50_000
+"""What this process takes to wake: what wakes it has come so much sooner, if there was nothing before."""
 MADE_UP: Nanos = 100 * MILLISECOND
 """What one iteration makes up for at most: steps of the world."""
 STALL: Nanos = SECOND // 2
@@ -73,11 +79,12 @@ def serve(
     reached = last = clock.now()
     behind = 0 if age is None else last - age
     waiting: deque[tuple[Nanos, Packet]] = deque()
-    for now in moments(clock, PERIOD, lambda: None, LoopStats()):
+    lines = _Lines(world_buses, buses, clock)
+    for now in moments(clock, PERIOD, lines.due, LoopStats(), lines.wait, LEAST):
         if until is not None and now >= until:
             return
         states, packets = read(buses, now)
-        waiting += _arrivals(packets, last, now)
+        waiting += _arrivals(packets, last, now, lines.names)
         stalled = now - reached if now - reached > STALL else 0
         if stalled:
             behind += stalled
@@ -87,6 +94,7 @@ def serve(
             reached = now
         stats.late = max(stats.late, now - reached)
         reached = min(now, reached + MADE_UP)
+        lines.behind = behind
         received: list[Packet] = []
         while waiting and waiting[0][0] <= reached:
             t, packet = waiting.popleft()
@@ -100,10 +108,35 @@ def serve(
         yield ServeTick(now, tuple(states), tuple(received), tuple(sent), stalled)
 
 
-def _arrivals(packets: Sequence[Packet], last: Nanos, now: Nanos) -> list[tuple[Nanos, Packet]]:
+class _Lines:
+    """The lines whose devices speak only when asked, and when there is something to do for them."""
+
+    def __init__(self, world: Mapping[str, Bus], buses: Mapping[str, Bus], clock: Clock) -> None:
+        self.behind: Nanos = 0
+        """How long the world stood still."""
+        prompt = {name: bus for name, bus in world.items() if isinstance(bus, TwinBus) and bus.prompt}
+        self.names = frozenset(prompt)
+        self._world, self._clock = list(prompt.values()), clock
+        self._outer = [one for name in prompt if isinstance(one := buses[name], WakingBus)]
+
+    def due(self) -> Nanos | None:
+        """Return when something next happens on one of them."""
+        times = [at for bus in self._world if (at := bus.wakes(0)[1]) is not None]
+        return min(times, default=1 << 62) + self.behind
+
+    def wait(self, until: Nanos) -> None:
+        """Wait until then, or until something is sent to one of them."""
+        files = [file for bus in self._outer for file in bus.wakes(0)[0]]
+        self._clock.wait(until, files)
+
+
+def _arrivals(
+    packets: Sequence[Packet], last: Nanos, now: Nanos, lines: Collection[str] = ()
+) -> list[tuple[Nanos, Packet]]:
     """Return when each packet arrived, in order: after the last iteration, at its own time if it has one.
 
-    Packets of a bus without stamps (stamped now) are spread evenly over the time since then."""
+    Packets of a bus without stamps (stamped now) are spread evenly over the time since then; on `lines` they
+    have woken us."""
     unstamped: dict[str, int] = {}
     for packet in packets:
         unstamped[packet.bus] = unstamped.get(packet.bus, 0) + (packet.t >= now)
@@ -114,6 +147,8 @@ def _arrivals(packets: Sequence[Packet], last: Nanos, now: Nanos) -> list[tuple[
         if packet.t >= now:
             placed[packet.bus] += 1
             t = last + (now - last) * placed[packet.bus] // (unstamped[packet.bus] + 1)
+        if packet.bus in lines:
+            t = max(last, packet.t - WAKING)
         timed.append((t, packet))
     timed.sort(key=lambda one: one[0])
     return timed

@@ -25,9 +25,10 @@ from gateway.core.robot import TWIN, Robot
 from gateway.core.step import Gateway
 from gateway.core.tick import Tick
 from gateway.errors import UserError
+from gateway.monitor.lines import LineTroubles
 from gateway.monitor.silence import Silence
 from gateway.runtime import loop
-from gateway.runtime.process import quiet_collector, signals
+from gateway.runtime.process import fine_timers, quiet_collector, signals
 from gateway.runtime.timing import LoopStats
 from gateway.runtime.watchdog import Watchdog, covered
 from protocols.messages import SECOND, Goal, Instruction, Release
@@ -62,7 +63,9 @@ class Session:
     watchdog: Watchdog | None = None
     """The process that sends the stop action if this one dies; None if there is none."""
     silence: Silence = field(init=False)
-    """Says why a device is silent."""
+    """Says why a device is silent,"""
+    troubles: LineTroubles = field(init=False)
+    """and what does not go as it should on a serial line."""
     _watchers: list[loop.Record] = field(default_factory=list)
     _view: SessionView | None = None
     _recorders: list[Recorder] = field(default_factory=list)
@@ -74,6 +77,7 @@ class Session:
 
     def __post_init__(self) -> None:
         self.silence = Silence(self.gateway, self.buses)
+        self.troubles = LineTroubles(self.gateway, self.buses)
 
     def submit(self, *instructions: Instruction) -> None:
         """Ask for something at the next step.
@@ -279,6 +283,7 @@ class Session:
             take(tick, belief)
         self._guarded(lambda view: view.take(tick, belief))
         self.silence.take(tick)
+        self.troubles.take(tick)
         if self.recorder is not None:
             self.recorder.record(tick, belief, patient=isinstance(self.clock, SimulatedClock))
 
@@ -332,6 +337,8 @@ def open_session(
         for caution in config.cautions(robot):
             log.warning("%s", caution)
         stack.enter_context(quiet_collector())
+        if real and session.gateway.lines:
+            fine_timers()
         _discard_stale(robot, buses, clock)
         yield session
 

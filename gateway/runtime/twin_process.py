@@ -20,7 +20,7 @@ from gateway.core.clock import Clock
 from gateway.core.robot import TWIN, BusSettings, Robot
 from gateway.errors import BusError
 from gateway.runtime.device_log import DeviceLog
-from gateway.runtime.process import quiet_collector, signals
+from gateway.runtime.process import fine_timers, quiet_collector, signals
 from gateway.runtime.serve import ServeStats, ServeTick, serve
 from protocols.frames import BusState
 from protocols.messages import SECOND, Nanos
@@ -117,15 +117,20 @@ def devices(
     seed: int | None = None,
     adapters: Sequence[str] = ("slcan",),
     link: Path | None = None,
+    *,
+    echo: bool = False,
 ) -> Iterator[Devices]:
     """Make the simulated world, then open the buses in front of it.
 
     `adapters`: the adapter protocol of each port of a CAN bus, for one program each; `link`: a folder in
-    which the ports get names that stay the same. Raises ConfigError and BusError."""
+    which the ports get names that stay the same; `echo`: lines whose devices speak only when asked give back
+    what is sent on them, as many adapters do. Raises ConfigError and BusError."""
     from gateway.buses.virtual.bus import open_world
 
     with ExitStack() as stack:
         twins = open_world(without_interfaces(robot), robot.seed if seed is None else seed)
+        for bus in twins.buses.values():
+            bus.echoes = echo and bus.prompt
         device_log = DeviceLog(robot)
         age = device_log.warm_up(twins.buses)
         buses: dict[str, Bus] = {}
@@ -138,6 +143,7 @@ def devices(
                 offered[name] = ports if link is None else _linked(link, name, ports, stack)
                 outside[name] = replace(settings, interface=offered[name][0])
         stack.enter_context(quiet_collector())
+        fine_timers()
         made = Devices(replace(robot, buses=outside), twins, buses, offered, clock, device_log, age)
         stack.enter_context(signals(lambda name: setattr(made, "leaving", name)))
         yield made

@@ -10,7 +10,7 @@ from random import Random
 
 import pytest
 
-from protocols.line import CAPACITY, PATIENCE, SILENT, Answer, Ended, Exchange, Line, Rank
+from protocols.line import CAPACITY, LONGEST_QUIET, PATIENCE, SILENT, Answer, Ended, Exchange, Line, Rank
 from protocols.messages import MILLISECOND, SECOND, Nanos
 
 RATE = 1_000_000
@@ -385,3 +385,52 @@ def test_a_question_that_the_guard_holds_back_is_not_waited_for() -> None:
     line.blocked(each)
     assert line.out is None
     assert line.expire(2 * SECOND) == []
+
+
+# -- what is counted for those who look on -----------------------------------------------------------------
+
+
+def _framed(asked: bytes, held: bytes) -> tuple[int, int] | None:
+    start = held.find(b"<")
+    end = held.find(b">", start)
+    return (start, end + 1) if 0 <= start < end and held[start + 1 : start + 2] == asked[:1] else None
+
+
+def _asked(line: Line, now: int, question: bytes) -> None:
+    line.put(0, [Exchange(question, Answer(4, _framed), about=question.decode())])
+    assert [exchange for _, exchange in line.take(now)] == [question]
+
+
+def test_an_answer_that_comes_when_it_was_given_up_is_counted_as_late() -> None:
+    line = Line(1_000_000)
+    _asked(line, 0, b"a")
+    assert line.expire(line.overdue)
+    assert (line.lost, line.cut, line.late) == (1, 0, 0)
+    line.receive(line.overdue + 1, b"<a>")
+    assert (line.lost, line.late) == (1, 1)
+    line.receive(line.overdue + 2, b"<a>")
+    assert line.late == 1
+
+
+def test_an_answer_that_is_cut_or_garbage_is_counted_as_that() -> None:
+    line = Line(1_000_000)
+    _asked(line, 0, b"a")
+    line.receive(100_000, b"<a")
+    assert not line.completes(b"x")
+    assert line.completes(b"x>")
+    assert line.held == b"<a"
+    (ended,) = line.expire(line.overdue)
+    assert (ended.data, line.lost, line.cut, line.late) == (b"<a", 1, 1, 0)
+
+
+def test_while_bytes_come_that_nobody_asked_for_silence_is_waited_for_longer() -> None:
+    line, waits = Line(1_000_000), []
+    for number in range(10):
+        now = number * 10_000_000
+        line.receive(now, b"noise")
+        waits.append(line.free - now)
+    assert waits == [100_000 << n for n in range(5)] + [LONGEST_QUIET] * 5
+    _asked(line, 10**9, b"a")
+    line.receive(10**9 + 1_000_000, b"<a>")
+    line.receive(2 * 10**9, b"noise")
+    assert line.free == 2 * 10**9 + line.quiet

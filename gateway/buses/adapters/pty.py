@@ -3,7 +3,7 @@
 Rules. Nothing waits and nothing is raised once it is open. While no program has the other end open, what is
 written is lost, as on a connector without a cable; a program that opens it finds no old bytes. What a slow
 reader does not take waits in a bounded queue. A pty has no bit rate: transmission time is simulated
-elsewhere.
+elsewhere (of a serial line by its `TwinBus`, which also garbles what two send at once, and echoes).
 """
 
 from __future__ import annotations
@@ -46,6 +46,10 @@ class Pty:
     def dropped(self) -> int:
         """Messages that the other end did not read in time."""
         return self._queue.dropped
+
+    def fileno(self) -> int:
+        """Return the file of our end."""
+        return self._end
 
     def read(self) -> bytes:
         """Return what has come in; updates `connected`."""
@@ -131,6 +135,11 @@ class SerialPty:
         for frame in frames:
             assert isinstance(frame, bytes), f"{self.name} is a serial line"
             self.pty.write(frame)
+
+    def wakes(self, now: Nanos) -> tuple[Sequence[int], Nanos | None]:  # noqa: ARG002 -- it has no plan
+        """Return the file that can be read when a program has sent something; none while nobody has the other
+        end open: it would count as hung up all the time."""
+        return ((self.pty.fileno(),), None) if self.pty.connected else ((), None)
 
     def close(self) -> None:
         """Hang up."""

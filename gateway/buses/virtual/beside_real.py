@@ -49,6 +49,11 @@ class BesideReal:
         states, packets = self._bus.read(self._time.at(now))
         return states, [replace(packet, t=packet.t + self._time.behind) for packet in packets]
 
+    def wakes(self, now: Nanos) -> tuple[Sequence[int], Nanos | None]:
+        """As of the bus itself."""
+        files, look = self._bus.wakes(now - self._time.behind)
+        return files, None if look is None else look + self._time.behind
+
     def write(self, now: Nanos, frames: Sequence[Frame]) -> None:
         """Queue frames."""
         self._bus.write(self._time.at(now), frames)

@@ -34,6 +34,7 @@ from protocols.frames import BusState, CanFrame, Frame, Packet
 from protocols.messages import Event, Feedback, Nanos
 from protocols.plugin import Twin, join
 
+NEVER: Nanos = 1 << 62
 HOST = ""
 """The host's name as a sender; devices have their names in the robot file."""
 
@@ -61,12 +62,17 @@ class SimulatedDevice:
     """The shaft of a duplicate, which is not part of the world."""
     disconnected: bool = False
     """Its bus connector is unplugged: it neither receives nor sends."""
-    heard: Nanos = 0
-    """When it heard something that it may answer before the world's next step; 0: nothing."""
+    answers: Nanos = NEVER
+    """When it answers what it has heard, if that is before the world's next step."""
     received: bool = False
     """Something came in since it last ran."""
     readings: list[Event] = field(default_factory=list)
     """Measurements of the world that the twin has not yet taken."""
+
+    def look(self, t: Nanos) -> None:
+        """Look when it answers."""
+        due = self.twin.due()
+        self.answers = NEVER if due is None else max(due, t)
 
     def send(self, now: Nanos, frames: Sequence[Frame]) -> None:
         """Queue frames on the bus."""
@@ -85,8 +91,10 @@ class TwinBus:
         self._from_host = Medium(settings.baudrate if serial else settings.bitrate, settings.data_bitrate)
         # Both directions of a serial line work at once; a CAN bus is one medium for all.
         self.from_devices = Medium(settings.baudrate) if serial else self._from_host
-        self._prompt = serial and settings.line != "free"
+        self.prompt = serial and settings.line != "free"
         """Whether devices answer between the world's steps."""
+        self.echoes = False
+        """Whether the host receives what it sends, too, as it was on the wire."""
         self._one_wire = serial and settings.line == "half-duplex"
         if self._one_wire:
             self._from_host = self.from_devices = HalfDuplex(settings.baudrate)
@@ -110,12 +118,23 @@ class TwinBus:
         """Time during which the wire was not idle; of a serial line, its busier direction."""
         return max(self._from_host.busy, self.from_devices.busy)
 
+    @property
+    def overlaps(self) -> int:
+        """How often two have sent at once on a line that is one wire."""
+        return len(self.from_devices.collisions) if isinstance(self.from_devices, HalfDuplex) else 0
+
     def read(self, now: Nanos) -> tuple[Sequence[BusState], Sequence[Packet]]:
         """Advance the world and all its twins to `now`; return what the host received."""
         self._world.advance(now)
         self._flush(now)
         packets, self._packets = self._packets, []
         return self._states.take(now), packets
+
+    def wakes(self, now: Nanos) -> tuple[Sequence[int], Nanos | None]:
+        """Return no file, and when something may next arrive, or a device may begin to send."""
+        times = [self._world.world.now + STEP, *(end for wire in self._wires() if (end := wire.first_end()))]
+        times += [self._late[0][0]] if self._late else []
+        return (), max(now + 1, min(times + [device.answers for device in self.devices]))
 
     def write(self, now: Nanos, frames: Sequence[Frame]) -> None:
         """Queue frames; they are sent from `now` on, as the bus becomes idle."""
@@ -161,9 +180,13 @@ class TwinBus:
         self._from_host.drop(HOST)
         self._queue.clear()
 
+    def _wires(self) -> Sequence[Medium]:
+        one, other = self._from_host, self.from_devices
+        return (one,) if one is other else (one, other)
+
     def deliver(self, until: Nanos) -> None:
         """Deliver what arrives up to a time."""
-        if self._prompt:
+        if self.prompt:
             self._deliver_promptly(until)
             return
         if self._from_host.pending:
@@ -181,11 +204,7 @@ class TwinBus:
         """The same where devices answer as soon as they have heard: what ends first, and what is due
         before."""
         while True:
-            ends = [
-                end
-                for wire in {id(w): w for w in (self._from_host, self.from_devices)}.values()
-                if (end := wire.first_end()) is not None and end <= until
-            ]
+            ends = [end for wire in self._wires() if (end := wire.first_end()) is not None and end <= until]
             late = [self._late[0][0]] if self._late and self._late[0][0] <= until else []
             first = min([*ends, *late], default=until)
             if self._answer(first):
@@ -201,16 +220,10 @@ class TwinBus:
 
     def _answer(self, until: Nanos) -> bool:
         """Let the device whose answer is due first begin to send it; False if none is due."""
-        due = [
-            (max(at, device.heard), number)
-            for number, device in enumerate(self.devices)
-            if device.heard and (at := device.twin.due()) is not None
-        ]
-        if not due or min(due)[0] > until:
+        device = min(self.devices, key=lambda device: device.answers, default=None)
+        if device is None or device.answers > until:
             return False
-        at, number = min(due)
-        device = self.devices[number]
-        device.heard = 0
+        at, device.answers = device.answers, NEVER
         _, frames = device.twin.step(at, ())
         device.send(at, frames)
         return True
@@ -245,11 +258,14 @@ class TwinBus:
                 self._packets.append(Packet(transmission.t, self.name, transmission.frame))
             if self.from_devices is not self._from_host:
                 return  # devices on a serial line with two wires do not receive one another
+        elif self.echoes and not self._gone:
+            self._packets.append(Packet(transmission.t, self.name, transmission.frame))
         for device in self.devices:
             if device.name != transmission.sender and not device.disconnected:
                 device.twin.receive(transmission.t, transmission.frame)
                 device.received = True
-                device.heard = transmission.t if self._prompt else 0
+                if self.prompt:
+                    device.look(transmission.t)
 
     def intrude(self, t: Nanos, sender: str, frames: Sequence[Frame]) -> None:
         """Queue frames of another sender: a second host, foreign traffic."""
@@ -351,6 +367,8 @@ class TwinWorld:
             measured = self.tamper.measured(motor, measured)
         torques, frames = device.twin.step(t, (measured,))
         device.send(t, frames)
+        if device.answers < NEVER:
+            device.look(t)
         return sum(torque.torque for torque in torques if torque.motor == motor) * ratio
 
     # -- faults ----------------------------------------------------------------------------------------

@@ -15,8 +15,8 @@ import pytest
 from gateway.buses import Bus, open_bus
 from gateway.buses.can import MOST_READ, CanBus, open_can
 from gateway.buses.interfaces import missing
-from gateway.buses.serial import MOST_WAITING as MOST_BYTES
-from gateway.buses.serial import SerialBus, open_serial
+from gateway.buses.serial.bus import MOST_WAITING as MOST_BYTES
+from gateway.buses.serial.bus import SerialBus, open_serial
 from gateway.buses.states import CALM
 from gateway.buses.usb import can_interfaces
 from gateway.core.clock import SimulatedClock, WallClock

@@ -136,7 +136,8 @@ address = 2
             encode(1, Imu("", 0, (0.0, 0.0, 0.0), (0.0, 0.0, 9.81))),
             "front is, on the same line: check its supply",
         ),
-        (bytes(30), "the line is alive, 30 bytes came: another baud rate, protocol or address"),
+        (bytes(range(60, 90)), "the line is alive, 30 bytes came: another baud rate, protocol or address"),
+        (bytes(30), "the line is alive, 30 bytes came: they look like bytes sent at 9600 bit/s, and received"),
         (b"", "nothing at all is: check supply, cable"),
     ],
 )

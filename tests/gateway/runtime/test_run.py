@@ -59,8 +59,10 @@ def test_a_driver_that_is_always_due_does_not_keep_the_loop_busy() -> None:
 
 
 def test_an_answer_that_is_awaited_gets_a_step_of_its_own() -> None:
+    """An answer has come after 3 ms, and others follow."""
     clock, moments = SimulatedClock(), []
-    for now in loop.moments(clock, 10 * MS, lambda: None, LoopStats(), lambda: clock.now() >= 3 * MS):
+    arrivals = iter((3 * MS, 4 * MS, 5 * MS))
+    for now in loop.moments(clock, 10 * MS, lambda: None, LoopStats(), lambda _: clock.wait(next(arrivals))):
         moments.append(now)
         if len(moments) == 4:
             break

@@ -1,34 +1,42 @@
-"""A serial port: "serial:/dev/ttyUSB0". A stream of bytes, cut anywhere.
+"""The bus on a serial port: a stream of bytes, cut anywhere.
 
 Rules. Opening raises a BusError with what is missing; afterwards nothing is raised, everything is reported as
-a BusState, once per change. Reading takes what is there as one packet and never waits. Writing never waits
-either: what the port does not take waits in a bounded queue. What waits, here and in the kernel, is dropped
-when the port takes nothing for `STALE`, and when it is lost, so that no old command goes out later; a lost
-port is tried again once a second.
+a BusState, once per change. Reading takes what is there and never waits. What was read at once is stamped in
+pieces, each by when its last byte can have arrived at the latest: one byte after the other, at the line's
+rate. Writing never waits either: what the port does not take waits in a bounded queue. What waits, here and
+in the kernel, is dropped when the port takes nothing for `STALE`, and when it is lost, so that no old command
+goes out later; a lost port is tried again once a second, by its USB name under whatever path it has then.
 """
 
 from __future__ import annotations
 
-import errno
 import logging
 import os
-from collections.abc import Sequence
+import select
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 
 import serial
 
-from gateway.buses import ports, usb
+from gateway.buses import ports
 from gateway.buses.queues import STALE, ByteQueue, Stall
+from gateway.buses.serial.echo import Echo
+from gateway.buses.serial.opening import holds_back, line_errors, open_port
 from gateway.buses.states import CALM
 from gateway.core.robot import BusSettings
 from gateway.errors import BusError
 from protocols.frames import BusState, Frame, Packet
+from protocols.line import BITS
 from protocols.messages import MILLISECOND, SECOND, Nanos
 
 log = logging.getLogger("gateway")
 
 MOST_READ = 65536
 """Bytes taken in by one read."""
+PIECE: Nanos = MILLISECOND
+"""Of what was read at once, what arrived within this time has one stamp,"""
+LEAST_PIECE = 16
+"""and so many bytes in any case."""
 MOST_WAITING = 8192
 """Bytes that may wait to be sent."""
 REOPEN = SECOND
@@ -37,7 +45,7 @@ REOPEN = SECOND
 
 def open_serial(settings: BusSettings) -> SerialBus:
     """Open the port. Raises BusError with what is missing and which ports there are."""
-    return SerialBus(settings, _open(settings))
+    return SerialBus(settings, open_port(settings))
 
 
 class SerialBus:
@@ -46,7 +54,22 @@ class SerialBus:
     def __init__(self, settings: BusSettings, port: serial.Serial) -> None:
         self.name = settings.name
         self._settings = settings
-        self._port: serial.Serial | None = port
+        self._port: serial.Serial | None = None
+        self._poll = select.poll()
+        self._byte = BITS * SECOND // settings.baudrate
+        self._piece = max(LEAST_PIECE, PIECE // self._byte)
+        """Bytes with one stamp."""
+        self._looked: Nanos = 0
+        """When it was last read: what is there now has arrived since."""
+        self._held_back = ""
+        """What was last said of a port that delays."""
+        self.echo = Echo(
+            settings.echo if settings.line != "free" or settings.echo == "yes" else "no",
+            settings.name,
+            settings.baudrate,
+            settings.latency,
+        )
+        """Leaves out our own bytes, if they come back."""
         self._queue = ByteQueue(MOST_WAITING)
         self._state = BusState.UP
         self._changes: list[BusState] = []
@@ -55,6 +78,15 @@ class SerialBus:
         self._written = 0
         self._calm_at: Nanos = 0
         """When a port that was purged counts as going on."""
+        self._errors = 0
+        """Counted by the driver before this port was opened."""
+        self._attach(port)
+
+    @property
+    def errors(self) -> int:
+        """Bytes that came without their stop bit, or breaks, since the port was opened; 0 where its driver
+        does not count them."""
+        return line_errors(self._port.fileno()) - self._errors if self._port is not None else 0
 
     @property
     def dropped(self) -> int:
@@ -62,19 +94,37 @@ class SerialBus:
         return self._queue.dropped
 
     def read(self, now: Nanos) -> tuple[Sequence[BusState], Sequence[Packet]]:
-        """Return the state changes, and the bytes that have come in, timestamped now."""
+        """Return the state changes, and the bytes that have come in since it was read last."""
         if self._port is None:
             self._reopen(now)
         data = self._receive(now)
+        if data:
+            data = self.echo.strip(now, data)
+            for note in self.echo.take_notes():
+                log.warning("%s: %s", self.name, note)
         self._flush(now)
+        packets = list(self._stamped(now, data))
+        self._looked = max(self._looked, now)
         changes, self._changes = self._changes, []
-        return changes, [Packet(now, self.name, data)] if data else []
+        return changes, packets
+
+    def _stamped(self, now: Nanos, data: bytes) -> Iterator[Packet]:
+        """Yield what was read at once in pieces: bytes follow each other no faster than the line carries
+        them, the last of them is there now, and none was when it was read before."""
+        for at in range(0, len(data), self._piece):
+            behind = max(0, len(data) - at - self._piece)
+            yield Packet(max(now - behind * self._byte, self._looked), self.name, data[at : at + self._piece])
+
+    def wakes(self, now: Nanos) -> tuple[Sequence[int], Nanos | None]:  # noqa: ARG002 -- a real port has no plan
+        """Return the port's file; without one, when it is tried again."""
+        return ((self._port.fileno(),), None) if self._port is not None else ((), self._reopen_at)
 
     def write(self, now: Nanos, frames: Sequence[Frame]) -> None:
         """Send bytes, in order; what the port does not take waits."""
         for frame in frames:
             assert isinstance(frame, bytes), f"{self.name} is a serial line"
             self._queue.put(frame)
+            self.echo.sent(now, frame)
         self._flush(now)
         if self._queue.trim():
             self._report(BusState.FULL)
@@ -87,11 +137,18 @@ class SerialBus:
     def _receive(self, now: Nanos) -> bytes:
         if self._port is None:
             return b""
-        try:
-            return self._port.read(MOST_READ)
-        except OSError:  # SerialException is one: the other end has hung up
-            self._lose(now)
+        ready = self._poll.poll(0)
+        if not ready:
             return b""
+        try:
+            data = os.read(self._port.fileno(), MOST_READ)
+        except BlockingIOError:
+            return b""
+        except OSError:
+            data = b""
+        if not data:  # it can be read, and there is nothing: the other end has hung up
+            self._lose(now)
+        return data
 
     def _flush(self, now: Nanos) -> None:
         """Write until the port takes no more. (pyserial's own write spins when its timeout is 0.)"""
@@ -152,31 +209,21 @@ class SerialBus:
             return
         self._reopen_at = now + REOPEN
         with suppress(BusError):
-            self._port = _open(self._settings)
+            self._attach(open_port(self._settings))
             self._report(BusState.BACK)
+
+    def _attach(self, port: serial.Serial) -> None:
+        self._port = port
+        self._poll.register(port.fileno(), select.POLLIN)
+        self._errors = line_errors(port.fileno())
+        held_back = holds_back(self._settings, str(port.port))
+        if held_back and held_back != self._held_back:
+            log.warning("%s: %s", self.name, held_back)
+        self._held_back = held_back
 
     def _close_port(self) -> None:
         port, self._port = self._port, None
         if port is not None:
+            self._poll.unregister(port.fileno())
             with suppress(OSError):  # a port that has vanished cannot be closed either
                 port.close()
-
-
-def _open(settings: BusSettings) -> serial.Serial:
-    path = usb.resolved(settings).interface.partition(":")[2]
-    try:
-        port = serial.Serial(path, settings.baudrate, timeout=0, write_timeout=0, exclusive=True)
-    except (OSError, ValueError) as error:
-        raise BusError(_reason(settings, path, error)) from error
-    ports.purge(port.fileno())
-    return port
-
-
-def _reason(settings: BusSettings, path: str, error: OSError | ValueError) -> str:
-    head = f"bus {settings.name!r} cannot be opened as {settings.interface!r}"
-    code = getattr(error, "errno", None)
-    if code in (errno.EAGAIN, errno.EBUSY):
-        return f"{head}: another program has {path} open"
-    if code == errno.EACCES:
-        return f"{head}: no permission; be a member of the group that owns {path} (often dialout)"
-    return f"{head}: {error}. Serial ports of this machine: {usb.listed(usb.port_names())}."
