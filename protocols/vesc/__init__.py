@@ -8,7 +8,7 @@ from protocols.messages import MILLISECOND
 from protocols.plugin import Device, FeedbackKind, Plugin, Range, Spec, Watchdog
 from protocols.toolkit.assembly import can_motor, decoder_of, driver_of
 from protocols.vesc.driver import VescAdapter
-from protocols.vesc.options import Options, Settings
+from protocols.vesc.options import MotorOptions, Options, Settings
 from protocols.vesc.table import ADDRESSES, EVERY, FAULTS, PONG, SHORT_BUFFER, STATUS, TABLE
 from protocols.vesc.twin import VescTwin, motor_of
 
@@ -31,7 +31,7 @@ def ranges(options: Options) -> dict[str, Range]:
     }
 
 
-def caution(options: Options) -> str:
+def caution(options: MotorOptions) -> str:
     """Return what it does not do below its least velocity; "": it has none."""
     if not options.min_erpm:
         return ""
