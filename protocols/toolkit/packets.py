@@ -8,12 +8,14 @@ ValueError for a number that is not finite; decoding takes any bytes and never r
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import Any, TypeAlias
 
 from protocols.frames import CanFrame, Frame
+from protocols.messages import Nanos, Obeyed
 from protocols.plugin import Range
+from protocols.toolkit.assembly import Memory
 from protocols.toolkit.serial import FrameFormat, Stream
 from protocols.toolkit.table import Decoded, Direction, Row, Table
 
@@ -73,3 +75,22 @@ class Packets:
         """True if a run of bytes holds whole messages that change nothing, as `Spec.read_only` does."""
         found, whole = self.in_frame(frame)
         return whole and all(one is not None and one.name and self.row(one.name).read_only for one in found)
+
+
+class PacketDecoder:
+    """The command decoder of the devices on one line: their messages, and of each its memory as it is when
+    switched on."""
+
+    def __init__(self, packets: Packets, memories: Iterable[Memory]) -> None:
+        self._packets, self._memories = packets, list(memories)
+        self._stream = Stream(packets.framing)
+
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
+        """Return what the devices would obey in the messages that this frame completes."""
+        obeyed: list[Obeyed] = []
+        for message in self._stream.messages(frame) if isinstance(frame, bytes) else ():
+            decoded = self._packets.decode(message, "to_device")
+            if decoded is not None and decoded.name:
+                for memory in self._memories:
+                    obeyed += memory.obey(decoded)
+        return obeyed
