@@ -61,7 +61,7 @@ def serial_motor(
     return _motor(device, addresses, usual | others)
 
 
-def _motor(device: Device, addresses: range, others: Mapping[str, Any]) -> Spec:
+def _motor(device: Device, addresses: range, others: dict[str, Any]) -> Spec:
     if device.address not in addresses:
         low, high = addresses.start, addresses.stop - 1
         raise ValueError(f"address {device.address} of {device.name}: it must be {low} to {high}")
@@ -131,7 +131,7 @@ class TableDecoder:
         """Copy what the devices keep: all else is constant. The guard does that every few frames."""
         return TableDecoder(
             [
-                (table, _copied(memory, memo), canonical)
+                (table, copied(memory, memo), canonical)
                 for table, devices in self._devices.items()
                 for memory, canonical in devices
             ]
@@ -155,7 +155,7 @@ class TableDecoder:
 _CONSTANTS = frozenset({int, float, bool, str, bytes, type(None)})
 
 
-def _copied(memory: Memory, memo: dict[int, Any]) -> Memory:
+def copied(memory: Memory, memo: dict[int, Any]) -> Memory:
     """Return a deep copy. Most memories are dataclasses with slots, of numbers, options and dictionaries of
     numbers: these are copied in a fifth of the time."""
     plain: Any = memory

@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 from protocols.frames import CanFrame, Frame
 from protocols.messages import Nanos, Obeyed
 from protocols.plugin import Range
-from protocols.toolkit.assembly import Memory
+from protocols.toolkit.assembly import Memory, copied
 from protocols.toolkit.serial import FrameFormat, Stream
 from protocols.toolkit.table import Decoded, Direction, Row, Table
 
@@ -84,6 +84,12 @@ class PacketDecoder:
     def __init__(self, packets: Packets, memories: Iterable[Memory]) -> None:
         self._packets, self._memories = packets, list(memories)
         self._stream = Stream(packets.framing)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> PacketDecoder:
+        """Copy what the devices keep, as the guard does every few frames."""
+        made = PacketDecoder(self._packets, [copied(each, memo) for each in self._memories])
+        made._stream = replace(self._stream)
+        return made
 
     def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
         """Return what the devices would obey in the messages that this frame completes."""
