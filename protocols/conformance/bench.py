@@ -158,11 +158,14 @@ class Bench:
     def arm(self, make: Callable[[str], Command]) -> bool:
         """Command every motor until all are armed; False if one is not within `ARMING` steps.
 
-        A device that reports no state is assumed to be armed after a tenth of them."""
+        A device that reports no state is assumed to be armed after a tenth of them. On a line, set-points
+        wait for the exchange that is under way."""
         motors = [d.name for d in self.devices]
         for count in range(ARMING):
             self.step([make(name) for name in motors])
             if all(self.modes.get(name) == Mode.ARMED for name in motors):
+                if isinstance(self.driver, OnLine):
+                    self.steps(len(motors), [make(name) for name in motors])
                 return True
             if count > ARMING // 10 and not self.modes:
                 return True

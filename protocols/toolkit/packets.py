@@ -81,15 +81,14 @@ class PacketDecoder:
     """The command decoder of the devices on one line: their messages, and of each its memory as it is when
     switched on."""
 
-    def __init__(self, packets: Packets, memories: Iterable[Memory]) -> None:
+    def __init__(self, packets: Packets, memories: Iterable[Memory], stream: Stream | None = None) -> None:
         self._packets, self._memories = packets, list(memories)
-        self._stream = Stream(packets.framing)
+        self._stream = stream or Stream(packets.framing)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> PacketDecoder:
         """Copy what the devices keep, as the guard does every few frames."""
-        made = PacketDecoder(self._packets, [copied(each, memo) for each in self._memories])
-        made._stream = replace(self._stream)
-        return made
+        memories = [copied(each, memo) for each in self._memories]
+        return PacketDecoder(self._packets, memories, replace(self._stream))
 
     def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
         """Return what the devices would obey in the messages that this frame completes."""

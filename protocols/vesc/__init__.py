@@ -15,7 +15,7 @@ from protocols.vesc.twin import VescTwin, motor_of
 __all__ = ["plugin"]
 
 
-def ranges(options: Options) -> dict[str, Range]:
+def ranges(options: MotorOptions) -> dict[str, Range]:
     """Return what commands and measurements can carry. What is measured is cut off, not rounded."""
     fastest, strongest = options.max_erpm * options.erpm, options.max_current * options.torque_constant
     every = (1 << 31) - 2

@@ -139,14 +139,20 @@ class ControllerAdapter(Adapter[Controller]):
     # -- received -------------------------------------------------------------------------------------
 
     def motion(
-        self, t: Nanos, host: Host[Controller], velocity: int, current: float, duty: float
+        self,
+        t: Nanos,
+        host: Host[Controller],
+        velocity: int,
+        current: float,
+        duty: float,
+        position: float | None = None,
     ) -> Feedback:
-        """Return what a controller reports of its motion [ERPM, A, share of the supply]. The sign of the
+        """Return what a controller reports of its motion [ERPM, A, share of the supply; rad]. The sign of the
         current is that of the power that it takes from the supply."""
         sign, options = duty or velocity, host.options
         current = (-current if sign < 0 else current) + 0.0
         torque = current * options.torque_constant
-        return Feedback(host.name, t, None, inside(velocity, options.erpm), torque, current)
+        return Feedback(host.name, t, position, inside(velocity, options.erpm), torque, current)
 
     def notice(self, now: Nanos, host: Host[Controller]) -> Sequence[Event]:
         own = host.own

@@ -42,6 +42,8 @@ class Motor:
 
     def obey(self, decoded: Decoded) -> Sequence[Obeyed]:
         """Return what the controller does on this message. A velocity below the least one arms nothing."""
+        if decoded.name == "REBOOT" and self.takes(decoded):
+            return (msg.Reboot(self.name),)
         if "value" not in decoded.values or not self.takes(decoded):
             return ()
         unused = () if decoded.name in vt.SENT else (msg.Kept(self.name, decoded.name, 1.0),)
