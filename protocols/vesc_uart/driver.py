@@ -201,7 +201,7 @@ class UartAdapter(ControllerAdapter):
 
     def _get(self, host: VescHost, mask: int, rank: Rank) -> Exchange:
         place = self._place(host.address, host.options)
-        return _question(place, mask, rank, f"{host.name} {mask:x}")
+        return _question(place, mask, rank, f"{host.name} {mask:x}", host.address)
 
     def poll_bus(self, now: Nanos) -> Sequence[Frame]:
         if not self._silent or now < self._search_at:
@@ -228,7 +228,7 @@ class UartAdapter(ControllerAdapter):
                 if name not in ut.BIT:
                     return f"it does not report {name!r}; it reports {', '.join(ut.BIT)}"
                 place, mask = self._place(host.address, host.options), ut.BIT[name] | ut.WHO
-                frames = (_question(place, mask, Rank.QUESTION, f"{host.name} {name}"),)
+                frames = (_question(place, mask, Rank.QUESTION, f"{host.name} {name}", host.address),)
                 return Pending(request, subject(request), now, now + READ, now, host, frames)
         return super().begin(now, request, host, driver)
 
@@ -264,14 +264,16 @@ def _end_of(driver: VescDriver) -> int:
     return options.uart_id
 
 
-def _question(place: int, mask: int, rank: Rank, about: str) -> Exchange:
+def _question(place: int, mask: int, rank: Rank, about: str, sender: int | None = None) -> Exchange:
     frame = ut.PACKETS.encode("GET_VALUES_SELECTIVE", place, mask=mask)
-    return Exchange(frame, Answer(ut.size_of(mask), ut.FINDS, DELAY), rank, about)
+    return Exchange(frame, Answer(ut.size_of(mask), ut.finds(sender), DELAY), rank, about)
 
 
 def _version(place: int) -> Exchange:
     frame = ut.PACKETS.encode("FW_VERSION", place)
-    return Exchange(frame, Answer(LONGEST_VERSION, ut.FINDS, DELAY), Rank.BACKGROUND, f"version of {place}")
+    return Exchange(
+        frame, Answer(LONGEST_VERSION, ut.finds(None), DELAY), Rank.BACKGROUND, f"version of {place}"
+    )
 
 
 WHO_IS_THERE = _question(ut.DIRECT, ut.WHO, Rank.BACKGROUND, "end of the line")

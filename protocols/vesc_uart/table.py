@@ -13,7 +13,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from struct import Struct
 
 from protocols.plugin import FaultInfo
@@ -21,7 +21,7 @@ from protocols.toolkit.motor_driver import Rx
 from protocols.toolkit.packets import Packets
 from protocols.toolkit.serial import CRC16_XMODEM, Finds
 from protocols.toolkit.table import Field, Row, const, sint, uint
-from protocols.vesc.table import ALL_FAULTS, ALIVE, GET_VALUES_SELECTIVE, NO_ANSWER, SETTERS, TUNNELLED
+from protocols.vesc.table import ALIVE, ALL_FAULTS, GET_VALUES_SELECTIVE, NO_ANSWER, SETTERS, TUNNELLED
 
 ADDRESSES = range(254)
 DIRECT = 256
@@ -206,21 +206,29 @@ def size_of(mask: int) -> int:
     return 5 + 5 + layout(mask)[0].size
 
 
-def belongs(asked: bytes, payload: bytes) -> bool:
-    """True if a payload answers a question: the same command and mask, and of whom it was asked."""
-    question, _ = FORMAT.read(asked, 0)
-    unpacked = unpack(question) if isinstance(question, bytes) else None
-    if unpacked is None:
-        return False
-    address, function, data = unpacked
-    if payload[0] != function or (function == GET_VALUES_SELECTIVE and payload[1:5] != data):
-        return False
-    decoded = decode_values(payload)
-    sender = decoded[1].get("controller_id", address) if decoded is not None else address
-    return address in (DIRECT, sender)
+@dataclass(frozen=True, slots=True)
+class Belongs:
+    """Whether a payload answers a question: the same command and mask, and by whom it was asked."""
+
+    sender: int | None
+    """None: whoever it is."""
+
+    def __call__(self, asked: bytes, payload: bytes) -> bool:
+        """Return it."""
+        question, _ = FORMAT.read(asked, 0)
+        unpacked = unpack(question) if isinstance(question, bytes) else None
+        if unpacked is None or payload[0] != unpacked[1]:
+            return False
+        if payload[0] != GET_VALUES_SELECTIVE:
+            return True
+        decoded = decode_values(payload) if payload[1:5] == unpacked[2] else None
+        return decoded is not None and self.sender in (None, decoded[1].get("controller_id"))
 
 
-FINDS = Finds(FORMAT, belongs)
+@cache
+def finds(sender: int | None) -> Finds:
+    """Return how the answer of a controller is found; None: of whoever it is."""
+    return Finds(FORMAT, Belongs(sender))
 
 
 def decode_version(payload: bytes) -> tuple[str, int | None] | None:
