@@ -184,6 +184,8 @@ class Line:
                 self.replaced += 1
         self.waiting = kept
         for new in given:
+            if self.out is not None and self.out.owner == owner and new.same_as(self.out.exchange):
+                continue  # it is under way
             old = places.get((new.rank, new.about)) if new.about and new.rank is not Rank.RELEASE else None
             if old is not None:
                 old.exchange, old.left = new, new.tries

@@ -2,9 +2,10 @@
 
 Rules. A file is a JSON list; an entry has `name`, `direction` (`to_device`, `from_device`), `bus` (`can`,
 `canfd`, `serial`), `data` (hex), `meaning` (an object) and `source` (package and version, repository and
-commit, or manual and paragraph); of a frame also `id`, `extended`, and where they are so `rtr`, `brs`. Other
-keys are the protocol's own. An entry with KNOWN_SDK_BUG in its name, or BUG in its meaning's `note`, records
-a mistake of the source: a driver must not send it.
+commit, or manual and paragraph); of a frame also `id`, `extended`, and where they are so `rtr`, `brs`; of an
+answer that does not say to what, `asked` (hex of the question). Other keys are the protocol's own. An entry
+with KNOWN_SDK_BUG in its name, or BUG in its meaning's `note`, records a mistake of the source: a driver must
+not send it.
 """
 
 from __future__ import annotations

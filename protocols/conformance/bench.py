@@ -15,7 +15,7 @@ from typing import Any, TypeAlias, TypeVar
 from protocols import messages as msg
 from protocols.conformance.random import Random
 from protocols.frames import BusState, CanFrame, Frame
-from protocols.line import Ended, Line
+from protocols.line import Exchange, Line
 from protocols.messages import MILLISECOND, Command, Event, Message, Mode, Nanos, Obeyed, Request, seconds
 from protocols.plugin import (
     CommandDecoder,
@@ -290,12 +290,13 @@ class OnLine(DriverWrapper):
         if not isinstance(frame, bytes):
             return self.driver.receive(t, frame)
         ended, rest = self.line.receive(t, frame)
-        events = [event for each in ended for event in self._answer(t, each)]
+        events = [event for each in ended for event in self.answer(t, each.exchange, each.data)]
         return [*events, *self.driver.receive(t, rest)] if rest else events
 
-    def _answer(self, t: Nanos, ended: Ended) -> Sequence[Event]:
+    def answer(self, t: Nanos, asked: Exchange, data: bytes) -> Sequence[Event]:
+        """Pass on what came as answer to an exchange."""
         driver: LineDriver = self.driver  # type: ignore[assignment]
-        return driver.answer(t, ended.exchange, ended.data)
+        return driver.answer(t, asked, data)
 
     def bus(self, t: Nanos, state: BusState) -> None:
         """Forward the call; forget what waits, as the gateway does."""
@@ -305,7 +306,9 @@ class OnLine(DriverWrapper):
 
     def send(self, now: Nanos, messages: Messages) -> tuple[Sequence[Event], Sequence[Frame]]:
         """Let the driver give what it has to send; hand over what the line sends now."""
-        late = [event for each in self.line.expire(now) for event in self._answer(now, each)]
+        late = [
+            event for each in self.line.expire(now) for event in self.answer(now, each.exchange, each.data)
+        ]
         events, frames = self.driver.send(now, messages)
         self.line.put(0, [frame for frame in frames if isinstance(frame, bytes)])
         return [*late, *events], [bytes(frame) for _, frame in self.line.take(now)]

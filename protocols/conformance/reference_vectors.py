@@ -14,6 +14,7 @@ from protocols.conformance import bench as tools
 from protocols.conformance.bench import NAMES, Bench
 from protocols.conformance.case import Case, Failure, Inapplicable, all_devices, variants
 from protocols.frames import CanFrame, Frame, any_matches
+from protocols.line import Exchange
 from protocols.messages import Command, Request
 from protocols.plugin import Plugin, Spec
 from protocols.reference_vectors import Vector, vectors_of
@@ -137,7 +138,7 @@ def _vectors_from_devices_are_accepted(case: Case, vectors: Sequence[Vector]) ->
                 if apart:
                     benches.clear()
                 addresses = _senders(case, vector.frame, options)
-                if addresses and _accepted(benches, case.plugin, options, addresses, vector.frame):
+                if addresses and _accepted(benches, case.plugin, options, addresses, vector):
                     del left[vector.name]
         if not left:
             return
@@ -150,7 +151,7 @@ def _accepted(
     plugin: Plugin,
     options: object,
     addresses: tuple[int, ...],
-    frame: Frame,
+    vector: Vector,
 ) -> bool:
     """True if a driver that knows its devices counts a frame as accepted."""
     if addresses not in benches:
@@ -160,8 +161,11 @@ def _accepted(
     driver = benches[addresses].driver
     if isinstance(driver, tools.OnLine):
         driver.line.drop()  # it is no part of an answer that is under way
-    before = driver.counters.accepted
-    driver.receive(benches[addresses].now, frame)
+    before, now, asked = driver.counters.accepted, benches[addresses].now, vector.entry.get("asked")
+    if asked and isinstance(driver, tools.OnLine) and isinstance(vector.frame, bytes):
+        driver.answer(now, Exchange(bytes.fromhex(asked)), vector.frame)
+    else:
+        driver.receive(now, vector.frame)
     return driver.counters.accepted == before + 1
 
 

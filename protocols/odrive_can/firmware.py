@@ -25,7 +25,7 @@ from protocols.odrive_can import errors, table
 from protocols.odrive_can.options import SETTING_OF, Settings, firmware_of, line_of, saved, serial_of, used
 from protocols.odrive_can.servo import GAINS, Servo, gains_of
 from protocols.odrive_can.table import BROADCAST, CLOSED_LOOP, ControlMode, InputMode
-from protocols.plugin import Device
+from protocols.plugin import Device, FaultInfo
 from protocols.toolkit.firmware import NEVER, Firmware, milliseconds
 from protocols.toolkit.registers import Registers
 from protocols.toolkit.servo import clamp
@@ -200,10 +200,12 @@ class Memory:
         return tuple(msg.WriteParameter(motor, key, float(value)) for key, value in written.items())
 
     def _set_input(self, values: Mapping[str, float]) -> Sequence[Obeyed]:
-        """Apply a mode and its inputs at once, as the serial protocol has them: those not given stay."""
+        """Apply a mode and its inputs at once, as the serial protocol has them: those not given stay, but for
+        the position, which is the present one."""
         self.control_mode = int(values.get("Control_Mode", self.control_mode))
         self.input_mode = int(values.get("Input_Mode", self.input_mode))
-        self.position = values.get("Input_Pos", self.position)
+        taken = "Control_Mode" in values and self.control_mode >= ControlMode.POSITION
+        self.position = values.get("Input_Pos", None if taken else self.position)
         self.velocity = values.get("Input_Vel", self.velocity)
         self.torque = values.get("Input_Torque", self.torque)
         modes = [name for name in ("Control_Mode", "Input_Mode") if name in values]
@@ -467,7 +469,7 @@ class Twin06(OdriveTwin):
     # 0.6.x has no errors of its own for these: assumed.
     raised = errors.ERRORS.bits | dict.fromkeys(INPUT_FAULTS, errors.ERRORS.bits["BAD_CONFIG"])
     # (odriverobotics/ODriveResources@fdb25dd `examples/can_watchdog.py`)
-    feeds = ("Set_Input_Pos", "Set_Input_Vel", "Set_Input_Torque", "Set_Axis_State")
+    feeds: tuple[str, ...] = ("Set_Input_Pos", "Set_Input_Vel", "Set_Input_Torque", "Set_Axis_State")
 
     def __init__(self, device: Device, seed: int) -> None:
         super().__init__(device, seed)
@@ -587,7 +589,7 @@ COMPONENTS05 = {
 class Twin05(OdriveTwin):
     """One axis of firmware 0.5.x."""
 
-    faults = errors.DEVICE05
+    faults: Mapping[int, FaultInfo] = errors.DEVICE05
     raised = (
         {name: errors.AXIS.code(name) for name in ("WATCHDOG_TIMER_EXPIRED", "ESTOP_REQUESTED")}
         | {name: errors.MOTOR.code(name) for name in ("CURRENT_LIMIT_VIOLATION", NOT_A_NUMBER)}

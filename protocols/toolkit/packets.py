@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 from protocols.frames import CanFrame, Frame
 from protocols.messages import Nanos, Obeyed
@@ -77,11 +77,24 @@ class Packets:
         return whole and all(one is not None and one.name and self.row(one.name).read_only for one in found)
 
 
+class Messages(Protocol):
+    """The messages of a serial protocol, from a table or not."""
+
+    @property
+    def framing(self) -> FrameFormat:
+        """How they stand on the line."""
+        ...
+
+    def decode(self, message: bytes, direction: Direction) -> Decoded | None:
+        """Return what is in a message."""
+        ...
+
+
 class PacketDecoder:
     """The command decoder of the devices on one line: their messages, and of each its memory as it is when
     switched on."""
 
-    def __init__(self, packets: Packets, memories: Iterable[Memory], stream: Stream | None = None) -> None:
+    def __init__(self, packets: Messages, memories: Iterable[Memory], stream: Stream | None = None) -> None:
         self._packets, self._memories = packets, list(memories)
         self._stream = stream or Stream(packets.framing)
 

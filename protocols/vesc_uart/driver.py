@@ -248,9 +248,7 @@ class UartAdapter(ControllerAdapter):
 
     def answer(self, t: Nanos, pending: Pending[Controller], report: VescReport) -> Event | None:
         if isinstance(pending.request, msg.Reboot):
-            silent = t - pending.notes.get("last", pending.began)
-            pending.notes["last"] = t
-            return pending.done(t, "it has restarted") if silent >= RESTARTED else None
+            return pending.done(t, "it has restarted") if pending.restarted(t, RESTARTED) else None
         return super().answer(t, pending, report)
 
     def give_up(self, now: Nanos, pending: Pending[Controller]) -> str:
