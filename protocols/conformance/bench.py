@@ -211,17 +211,22 @@ def make_bench(
         for name, address in zip(names, addresses, strict=True)
     )
     specs = tuple(plugin.spec(device) for device in devices)
-    driver, kinds = plugin.driver(devices), {spec.line for spec in specs}
-    if kinds != {"free"}:
-        driver = OnLine(driver, Line(LINE_RATE, half_duplex="half-duplex" in kinds, slack=2 * STEP))
     return Bench(
         specs,
         devices,
-        driver,
+        make_driver(plugin, devices, specs),
         plugin.decoder(devices),
         [plugin.twin(device, seed) for seed, device in enumerate(devices)],
         {device.name: Shaft() for device in devices},
     )
+
+
+def make_driver(plugin: Plugin, devices: Sequence[Device], specs: Sequence[Spec]) -> Driver:
+    """Return a new driver of these devices, with its line before it where they speak only when asked."""
+    driver, kinds = plugin.driver(devices), {spec.line for spec in specs}
+    if kinds == {"free"}:
+        return driver
+    return OnLine(driver, Line(LINE_RATE, half_duplex="half-duplex" in kinds, slack=2 * STEP))
 
 
 def sensor_events(

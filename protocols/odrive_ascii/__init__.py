@@ -44,7 +44,6 @@ RANGES: dict[str, Range] = {
     "Torque.torque": _range(_TORQUE),
     "Feedback.velocity": _range(1e9, math.tau),
     "Feedback.current": _range(1e6),
-    "Feedback.voltage": _range(1e6),
     "Feedback.temperature": _range(1e6),
 }
 

@@ -42,7 +42,7 @@ DELAY: Nanos = 5 * MILLISECOND
 """Until an answer begins at the latest."""
 AGAIN: Nanos = 20 * MILLISECOND
 """Period of questions for the reason of a fault."""
-RETRY: Nanos = 200 * MILLISECOND
+RETRY: Nanos = 30 * MILLISECOND
 """Period of questions that are asked until they are answered."""
 INFO = "i"
 INFO_LINES = 3
@@ -214,11 +214,9 @@ class AsciiAdapter(Adapter[Axis]):
         if asked.startswith(b"i"):
             return self._on_info(texts, driver)
         answers = {words[-1]: text for words, text in zip(questions, texts, strict=False)}
-        if questions[0] == ["r", at.SUPPLY] and asked.about in ("", at.SUPPLY):
-            return self._supply(t, at.plain(texts[0]), driver)
         name = asked.about.rpartition(" ")[2]
         axis = re.search(rb"(?:^|\n)f (\d)|axis(\d)", asked)
-        address = int(axis[1] or axis[2]) if axis is not None else -1
+        address = int(axis[1] or axis[2]) if axis is not None else next(iter(driver.at))
         host = driver.hosts.get(name) or driver.at.get(address)
         if host is None:
             return (Rx.IGNORED,)
@@ -242,14 +240,6 @@ class AsciiAdapter(Adapter[Axis]):
             for first in list(driver.at)[:1]
             for each, host in driver.at.items()
         ]
-
-    def _supply(self, t: Nanos, voltage: float | None, driver: AxisDriver) -> Sequence[AxisReport | Rx]:
-        """Return the voltage, of every axis that is there."""
-        there = [host for host in driver.hosts.values() if host.received_at is not None and not host.offline]
-        if voltage is None:
-            return (Rx.MALFORMED,)
-        events = tuple(Feedback(host.name, t, voltage=voltage) for host in there)
-        return (Report(None, at.BOARD, events=events),) if events else (Rx.EXPECTED,)
 
     def _motion(self, t: Nanos, host: AxisHost, text: str) -> AxisReport | Rx:
         numbers = [float(part) + 0.0 for part in text.split(" ")] if not text.startswith(at.WRONG) else []
@@ -354,7 +344,6 @@ class AsciiAdapter(Adapter[Axis]):
         if options.poll_ms and axis.take(now, "slow", options.poll_ms * MILLISECOND):
             lines = [f"r {name}{names['current']}", f"r {name}{names['temperature']}"]
             frames.append(_exchange(lines, 2, Rank.BACKGROUND, f"slow {host.name}"))
-            frames.append(_exchange([f"r {at.SUPPLY}"], 1, Rank.BACKGROUND, at.SUPPLY))
         return frames
 
     def poll_due(self, host: AxisHost) -> Nanos:

@@ -190,7 +190,7 @@ def belongs(asked: bytes, message: bytes) -> bool:
     if asked.startswith(b"i"):
         return ": " in text
     parts = text.split(" ")
-    count = 2 if asked.startswith(b"f") else 1
+    count = 2 if asked.startswith((b"f", b"u")) else 1
     return len(parts) == count and all(_PLAIN.fullmatch(part) for part in parts)
 
 
