@@ -41,8 +41,10 @@ from protocols.toolkit.serial import Stream
 DELAY: Nanos = 5 * MILLISECOND
 """Until an answer begins at the latest."""
 AGAIN: Nanos = 20 * MILLISECOND
-"""Period of questions for the reason of a fault."""
-RETRY: Nanos = 30 * MILLISECOND
+"""Period of questions for the reason of a fault, and of what arms, while it is not answered."""
+SOON: Nanos = 2 * MILLISECOND
+"""Until an axis that was to arm is asked whether it did."""
+RETRY: Nanos = 10 * MILLISECOND
 """Period of questions that are asked until they are answered."""
 INFO = "i"
 INFO_LINES = 3
@@ -147,6 +149,11 @@ class Axis:
         if self.attempts >= ATTEMPTS - 1 and bad and self.state != CLOSED_LOOP:
             self.failure = errors.PROCEDURE + result
         self.attempts, self.next_attempt = self.attempts + 1, t + retry
+        self.due["state"] = t + SOON
+
+    def on_lost(self, t: Nanos) -> None:
+        """Note that the answer to what arms it was lost: others may have their turn first."""
+        self.next_attempt = t + AGAIN
 
     def release(self) -> None:
         """Note that it is to be disarmed."""
@@ -209,12 +216,15 @@ class AsciiAdapter(Adapter[Axis]):
         found = Stream(at.FROM_DEVICE).messages(data)
         texts = [each.decode("ascii") for each in found if at.belongs(asked, each)]
         count = INFO_LINES if asked.startswith(b"i") else len(questions)
+        arms = at.LINES.names(asked)[-1:] == ("w requested_state",)
+        name = asked.about.rpartition(" ")[2]
         if not questions or len(texts) < count:
+            if arms and name in driver.hosts:
+                driver.hosts[name].own.on_lost(t)
             return (Rx.MALFORMED,) if data else ()
         if asked.startswith(b"i"):
             return self._on_info(texts, driver)
         answers = {words[-1]: text for words, text in zip(questions, texts, strict=False)}
-        name = asked.about.rpartition(" ")[2]
         axis = re.search(rb"(?:^|\n)f (\d)|axis(\d)", asked)
         address = int(axis[1] or axis[2]) if axis is not None else next(iter(driver.at))
         host = driver.hosts.get(name) or driver.at.get(address)
@@ -222,19 +232,21 @@ class AsciiAdapter(Adapter[Axis]):
             return (Rx.IGNORED,)
         if questions[0][0] == "f":
             return (self._motion(t, host, texts[0]),)
-        arms = at.LINES.names(asked)[-1:] == ("w requested_state",)
         return (self._values(t, host, answers, arms=arms),)
 
     def _on_info(self, texts: Sequence[str], driver: AxisDriver) -> Sequence[AxisReport | Rx]:
         """Take what the board tells of itself, for each of its axes. It says of none that it is there."""
         version = next((found for text in texts if (found := _VERSION.match(text))), None)
         serial = next((found for text in texts if (found := _SERIAL.match(text))), None)
-        if version is None or serial is None:
+        if version is None:
             return (Rx.MALFORMED,)
-        told, number = ".".join(version.groups()), int(serial[1], 16)
+        told = ".".join(version.groups())
         for host in driver.hosts.values():
             if not host.own.version:
                 host.own.identify(told)
+        if serial is None:
+            return (Rx.EXPECTED,)
+        number = int(serial[1], 16)
         return [
             Report(None, each, serial=number, note=f"{host.name}, firmware {told}", counted=each == first)
             for first in list(driver.at)[:1]
