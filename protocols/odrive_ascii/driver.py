@@ -318,7 +318,7 @@ class AsciiAdapter(Adapter[Axis]):
         mode = MODES.get(type(command), ControlMode.POSITION)
         lines.append(f"w {name}controller.config.control_mode {int(mode)}")
         lines.append(f"w {name}requested_state {CLOSED_LOOP}")
-        return (_exchange(lines, len(asked), Rank.SET_POINT, f"arm {host.name}"),)
+        return (_exchange(lines, len(asked), Rank.SET_POINT, f"closed loop {host.name}"),)
 
     def command(self, now: Nanos, host: AxisHost, command: Command) -> Sequence[Frame]:
         return (_exchange([_set_point(host, command)], 0, Rank.SET_POINT, f"command {host.name}"),)
@@ -405,7 +405,7 @@ class AsciiAdapter(Adapter[Axis]):
         match request:
             case msg.Reboot() | msg.WriteParameter(_, "save_configuration"):
                 up = report.mode is not None and pending.notes.get("up")
-                pending.notes["up"] = pending.notes.get("up") or pending.restarted(t, RESTARTED)
+                pending.notes.update(up=pending.restarted(t, RESTARTED) or pending.notes.get("up"))
                 return pending.done(t, "it has restarted, and every axis of its board") if up else None
             case msg.ClearFault():
                 told = report.mode is not None and axis is not None and not axis.errors

@@ -240,7 +240,7 @@ class UartAdapter(ControllerAdapter):
             return pending.frames
         again = now >= pending.notes.get("again", 0)
         if again:
-            pending.notes["again"] = now + SCAN_AGAIN
+            pending.notes.update(again=now + SCAN_AGAIN)
         there: dict[int, bool] = pending.notes.get("there", {})
         new = [each for each, asked in there.items() if not asked or again]
         there |= dict.fromkeys(new, True)

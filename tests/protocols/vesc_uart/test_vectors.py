@@ -138,7 +138,10 @@ def test_a_part_of_it_both_ways_and_what_a_driver_reports_of_it() -> None:
     name = "uart_get_values_selective_response"
     values = {"avg_motor_current": 12.25, "duty_cycle_now": -0.375, "rpm": -12345, "tachometer": -4242}
     values |= {"fault_code": 3, "controller_id": 1, "status": 2}
-    assert decode_values(payload(name)) == (MOTION, pytest.approx(values))
+    decoded = decode_values(payload(name))
+    assert decoded is not None
+    assert decoded[0] == MOTION
+    assert decoded[1] == pytest.approx(values)
     assert encode_values(MOTION, values, selective=True) == payload(name)
     device = Device("left", 1, Options(pole_pairs=5, torque_constant=0.1), Settings())
     events = plugin.driver([device]).receive(0, packet(name))
