@@ -71,6 +71,14 @@ SHARED = (*CONTRACT, "protocols.wire", "protocols.conformance", "protocols.trans
 """The modules of `protocols` that are no protocol."""
 
 
+SAME_DEVICE = {
+    "protocols.vesc_uart": "protocols.vesc",
+    "protocols.odrive_ascii": "protocols.odrive_can",
+}
+"""Protocols of a device that is known by another transport already: they may import that one's folder, since
+nothing of it is said twice."""
+
+
 def imports(module: str, source: str, *, package: bool = False) -> Iterator[tuple[int, str]]:
     """Yield every import in a source as (line, dotted name), also one in a function or by a constant name.
 
@@ -133,7 +141,9 @@ def _broken_by_protocol(module: str, name: str) -> Iterator[str]:
         if within(module, "protocols") and protocol_of(name):
             yield "what all protocols share knows none of them"
         return
-    if within(name, "protocols") and not within(name, protocol, *CONTRACT):
+    if within(name, "protocols") and not within(
+        name, protocol, *CONTRACT, SAME_DEVICE.get(protocol, protocol)
+    ):
         yield "a protocol imports the interface and its own folder"
     ends = ("driver", "twin")
     forbidden = {"driver": ("twin",), "twin": ("driver",), "codec": ends, "table": ends}

@@ -73,6 +73,7 @@ BREAKS = [
     ("brain.brain", "from protocols import frames", "the messages alone"),
     ("protocols.foo.driver", "from protocols.plain import codec", "and its own folder"),
     ("protocols.foo.driver", "from ..plain.codec import pack", "and its own folder"),
+    ("protocols.vesc.driver", "from protocols.vesc_uart import table", "and its own folder"),
     ("protocols.foo", "from protocols.conformance import check", "and its own folder"),
     ("protocols.plugin", "from protocols.plain import plugin", "knows none of them"),
     ("protocols.conformance.state", "import protocols.foo.codec", "knows none of them"),
@@ -89,6 +90,7 @@ KEEPS = [
     ("protocols.foo.driver", "from .codec import pack\nfrom protocols.messages import Nanos\nimport struct"),
     ("protocols.foo.driver", "from protocols.foo import codec\nfrom protocols import plugin"),
     ("protocols.foo.twin", "from protocols.foo.servo import Servo"),
+    ("protocols.vesc_uart.driver", "from protocols.vesc.controller import Controller"),
     ("protocols.conformance.state", "from protocols.plugin import load\nfrom .case import Case"),
     (
         "gateway.recording.tick_codec",

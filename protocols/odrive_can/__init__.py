@@ -16,9 +16,10 @@ from protocols.frames import EXTENDED_BIT
 from protocols.messages import SECOND
 from protocols.odrive_can import errors, table
 from protocols.odrive_can.driver import MODES, OdriveAdapter
+from protocols.odrive_can.firmware import memory
 from protocols.odrive_can.options import Options, Settings, configured, line_of
 from protocols.odrive_can.table import IDLE, ControlMode, InputMode
-from protocols.odrive_can.twin import OdriveTwin, Twin05, Twin06, memory
+from protocols.odrive_can.twin import twin
 from protocols.plugin import (
     CommandDecoder,
     Device,
@@ -34,7 +35,7 @@ from protocols.toolkit.assembly import TableDecoder, can_motor
 from protocols.toolkit.motor_driver import MotorDriver
 from protocols.toolkit.table import BINARY32
 
-__all__ = ["Options", "Settings", "plugin"]
+__all__ = ["Options", "Settings", "plugin", "twin"]
 
 
 def _range(limit: float) -> Range:
@@ -150,11 +151,6 @@ def decoder(devices: Sequence[Device]) -> CommandDecoder:
     """Return what the ODrives of one bus would obey."""
     tables = {each.name: table.table_of(line_of(each), each.options.is_extended) for each in devices}
     return TableDecoder([(tables[each.name], memory(each), unchanged) for each in devices])
-
-
-def twin(device: Device, seed: int) -> OdriveTwin:
-    """Return the twin of one device, of the firmware line that it is configured to have."""
-    return Twin05(device, seed) if line_of(device) == "0.5" else Twin06(device, seed)
 
 
 plugin = Plugin(

@@ -282,11 +282,7 @@ class Axis:
         dialect, wrong = self.identity.dialect, self.identity.wrong
         if not (self.errors or self.words or wrong or self.failure):
             return ()
-        bits = self.errors & ~dialect.starting
-        codes = [] if dialect.word is None else [*dialect.word.codes(bits)]
-        for name, word in self.words.items():
-            codes += dialect.components[name].codes(word)
-        return [*codes, *filter(None, (wrong, self.failure))]
+        return [*dialect.codes(self.errors, self.words), *filter(None, (wrong, self.failure))]
 
     @property
     def faulty(self) -> bool:
@@ -296,21 +292,11 @@ class Axis:
     def mode(self) -> Mode:
         """Return the state of the device."""
         identity = self.identity
-        if identity.wrong:
-            return Mode.FAULT
-        if not identity.dialect.line or self.errors & identity.dialect.starting:
-            return Mode.INITIALISING
-        if self.faulty:
-            return Mode.FAULT
-        if self.state == table.CLOSED_LOOP:
-            return Mode.ARMED
-        return Mode.READY if self.state == table.IDLE else Mode.INITIALISING
+        return Mode.FAULT if identity.wrong else identity.dialect.mode(self.state, self.errors, self.faulty)
 
     def detail(self, fell: bool = False) -> str:
         """Return the vendor's name for it."""
-        text = table.STATE_NAMES.get(self.state) or f"axis state {self.state}"
-        if self.result not in (errors.SUCCESS, errors.BUSY):
-            text += f", {errors.RESULT_NAMES.get(self.result) or f'procedure result {self.result}'}"
+        text = table.state_text(self.state, self.result)
         if fell and not self.faulty:
             text += ", left closed loop by itself"
         if not self.identity.line and not self.identity.wrong:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -33,13 +33,12 @@ COMMANDS = ("requested_state", "control_mode", "input_mode", "input_pos", "input
 
 
 @dataclass(frozen=True, slots=True)
-class Options:
-    """How the driver behaves."""
+class AxisOptions:
+    """How the driver behaves, over any transport."""
 
     firmware: Literal["auto", "0.5", "0.6"] = "auto"
     """Firmware line of the device. "auto": identified by requests, and then used; a line that is given is
     checked in the same way, and another one is a fault."""
-    is_extended: bool = False  # The axis has 29-bit identifiers (`axis.config.can.is_extended`; 0.5.x only).
     watchdog: Literal["unknown", "acknowledged"] = "unknown"
     """"acknowledged": the author of the robot file knows that the device's watchdog is off."""
     feedback_ms: int = bounded(10, 1, 1000)
@@ -52,6 +51,24 @@ class Options:
     arm_retry_ms: int = bounded(250, 50, 10_000)
     """Period of arming attempts. At least two heartbeats: the first one may be stale."""
 
+    def registers(self) -> Registers:
+        """Return the endpoints: none."""
+        return Registers()
+
+    def __post_init__(self) -> None:
+        self.check(())
+
+    def check(self, others: Sequence[str]) -> None:
+        """Raise ValueError with every mistake; `others`: more."""
+        too_soon = f"offline_ms ({self.offline_ms}) must be at least twice feedback_ms ({self.feedback_ms})"
+        check_bounds(self, [*others, too_soon * (self.offline_ms < 2 * self.feedback_ms)])
+
+
+@dataclass(frozen=True, slots=True)
+class Options(AxisOptions):
+    """How the driver behaves, over CAN."""
+
+    is_extended: bool = False  # The axis has 29-bit identifiers (`axis.config.can.is_extended`; 0.5.x only).
     position_input: Literal["passthrough", "pos_filter", "trap_traj"] = "passthrough"
     """How the device follows positions: at once, by its filter (`input_filter_bandwidth`), or by trapezoidal
     trajectories (`Traj_Vel_Limit` …). A filter takes no torque with them, a trajectory no velocity either."""
@@ -77,11 +94,7 @@ class Options:
             others.append(f"endpoints_version {self.endpoints_version!r} must be like 0.6.10")
         if self.is_extended and self.firmware != "0.5":
             others.append('is_extended needs firmware = "0.5": no other line has extended identifiers')
-        if self.offline_ms < 2 * self.feedback_ms:
-            others.append(
-                f"offline_ms ({self.offline_ms}) must be at least twice feedback_ms ({self.feedback_ms})"
-            )
-        check_bounds(self, others)
+        self.check(others)
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,7 +231,7 @@ def configured(options: Options, settings: Settings) -> dict[str, Setting]:
     return found
 
 
-def saved(options: Options, settings: Settings) -> dict[int, int]:
+def saved(options: AxisOptions, settings: Settings) -> dict[int, int]:
     """Return what the endpoints of the robot file hold as configured, in bits."""
     registers = options.registers()
     held = {
@@ -227,7 +240,7 @@ def saved(options: Options, settings: Settings) -> dict[int, int]:
     return {registers.by_name[path].number: registers.raw(path, value) for path, value in held.items()}
 
 
-def used(options: Options, settings: Settings, endpoints: Mapping[int, int]) -> Settings:
+def used(options: AxisOptions, settings: Settings, endpoints: Mapping[int, int]) -> Settings:
     """Return the settings of a device whose endpoints hold this (bits); impossible ones change nothing."""
     registers, before = options.registers(), saved(options, settings)
     changed = (
@@ -251,7 +264,7 @@ NEWEST = {"auto": "0.6.10", "0.6": "0.6.10", "0.5": "0.5.6"}
 def firmware_of(device: Device) -> str:
     """Return the firmware of a device: as configured, or the newest of the line that the driver expects."""
     settings: Settings = device.settings
-    options: Options = device.options
+    options: AxisOptions = device.options
     return settings.firmware or NEWEST[options.firmware]
 
 

@@ -278,6 +278,23 @@ class Dialect:
         """Return the heartbeat's bit of an error; 0: it has none, or it is not known."""
         return 0 if self.word is None else self.word.bits.get(name, 0)
 
+    def codes(self, errors: int, words: Mapping[str, int]) -> list[int]:
+        """Return the codes of the error bits of the axis, and of the words of its components, by message."""
+        codes = [] if self.word is None else [*self.word.codes(errors & ~self.starting)]
+        for name, word in words.items():
+            codes += self.components[name].codes(word)
+        return codes
+
+    def mode(self, state: int, errors: int, faulty: bool) -> msg.Mode:
+        """Return what an axis in this state, with these error bits, is to the host."""
+        if not self.line or errors & self.starting:
+            return msg.Mode.INITIALISING
+        if faulty:
+            return msg.Mode.FAULT
+        if state == CLOSED_LOOP:
+            return msg.Mode.ARMED
+        return msg.Mode.READY if state == IDLE else msg.Mode.INITIALISING
+
     def writable(self) -> dict[str, str]:
         """Return the messages by the vendor's names of the parameters that they write."""
         rows = {row.name for row in table_of(self.line).rows} & WRITABLE.keys()
@@ -288,6 +305,14 @@ class Dialect:
         rows = [row for row in table_of(self.line).rows if row.direction == "from_device"]
         left_out = ("Address reply", "TxSdo", "Get_ADC_Voltage", "Get_Version" if self.boards else "")
         return {f.name: row.name for row in rows if row.name not in left_out for f in row.fields if f.name}
+
+
+def state_text(state: int, result: int) -> str:
+    """Return the vendor's names of a state, and of the result of the last procedure, if it was not good."""
+    text = STATE_NAMES.get(state) or f"axis state {state}"
+    if result in (errors.SUCCESS, errors.BUSY):
+        return text
+    return f"{text}, {errors.RESULT_NAMES.get(result) or f'procedure result {result}'}"
 
 
 _06, _05 = errors.ERRORS.bits, errors.AXIS.bits

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import fields, is_dataclass
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 from protocols.frames import Frame, IdMask
 from protocols.messages import COMMANDS, MILLISECOND, Command, Nanos, Obeyed, Scan
@@ -41,18 +41,42 @@ def can_motor(
         scan: ids of the questions of a scan, unless its options have `scan` false.
         others: its other fields.
     """
-    if device.address not in addresses:
-        low, high = addresses.start, addresses.stop - 1
-        raise ValueError(f"address {device.address} of {device.name}: it must be {low} to {high}")
     asks = scan if may_scan(device) else ()
     if asks:
         others["requests"] = others.get("requests", frozenset()) | {Scan}
     usual: dict[str, Any] = {
         "bus": "can",
-        "kind": "motor",
         "sends": (*table.ids("to_device", device.address), *asks),
         "expects": table.ids("from_device", device.address),
         "read_only": table.read_only,
+    }
+    return _motor(device, addresses, usual | others)
+
+
+def serial_motor(
+    device: Device,
+    read_only: Callable[[Frame], bool],
+    addresses: range,
+    line: Literal["free", "asked", "half-duplex"] = "asked",
+    **others: Any,  # noqa: ANN401 -- fields
+) -> Spec:
+    """Return the same for a motor on a serial line; `read_only` and `line` as in `Spec`."""
+    usual: dict[str, Any] = {
+        "bus": "serial",
+        "sends": (),
+        "expects": (),
+        "read_only": read_only,
+        "line": line,
+    }
+    return _motor(device, addresses, usual | others)
+
+
+def _motor(device: Device, addresses: range, others: dict[str, Any]) -> Spec:
+    if device.address not in addresses:
+        low, high = addresses.start, addresses.stop - 1
+        raise ValueError(f"address {device.address} of {device.name}: it must be {low} to {high}")
+    usual: dict[str, Any] = {
+        "kind": "motor",
         "feedback": FeedbackKind.POLLED,
         "feedback_period": device.options.feedback_ms * MILLISECOND,
         "offline_after": device.options.offline_ms * MILLISECOND,
@@ -117,7 +141,7 @@ class TableDecoder:
         """Copy what the devices keep: all else is constant. The guard does that every few frames."""
         return TableDecoder(
             [
-                (table, _copied(memory, memo), canonical)
+                (table, copied(memory, memo), canonical)
                 for table, devices in self._devices.items()
                 for memory, canonical in devices
             ]
@@ -141,7 +165,7 @@ class TableDecoder:
 _CONSTANTS = frozenset({int, float, bool, str, bytes, type(None)})
 
 
-def _copied(memory: Memory, memo: dict[int, Any]) -> Memory:
+def copied(memory: Memory, memo: dict[int, Any]) -> Memory:
     """Return a deep copy. Most memories are dataclasses with slots, of numbers, options and dictionaries of
     numbers: these are copied in a fifth of the time."""
     plain: Any = memory

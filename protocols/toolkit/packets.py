@@ -8,12 +8,14 @@ ValueError for a number that is not finite; decoding takes any bytes and never r
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 from protocols.frames import CanFrame, Frame
+from protocols.messages import Nanos, Obeyed
 from protocols.plugin import Range
+from protocols.toolkit.assembly import Memory, copied
 from protocols.toolkit.serial import FrameFormat, Stream
 from protocols.toolkit.table import Decoded, Direction, Row, Table
 
@@ -73,3 +75,40 @@ class Packets:
         """True if a run of bytes holds whole messages that change nothing, as `Spec.read_only` does."""
         found, whole = self.in_frame(frame)
         return whole and all(one is not None and one.name and self.row(one.name).read_only for one in found)
+
+
+class Messages(Protocol):
+    """The messages of a serial protocol, from a table or not."""
+
+    @property
+    def framing(self) -> FrameFormat:
+        """How they stand on the line."""
+        ...
+
+    def decode(self, message: bytes, direction: Direction) -> Decoded | None:
+        """Return what is in a message."""
+        ...
+
+
+class PacketDecoder:
+    """The command decoder of the devices on one line: their messages, and of each its memory as it is when
+    switched on."""
+
+    def __init__(self, packets: Messages, memories: Iterable[Memory], stream: Stream | None = None) -> None:
+        self._packets, self._memories = packets, list(memories)
+        self._stream = stream or Stream(packets.framing)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> PacketDecoder:
+        """Copy what the devices keep, as the guard does every few frames."""
+        memories = [copied(each, memo) for each in self._memories]
+        return PacketDecoder(self._packets, memories, replace(self._stream))
+
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
+        """Return what the devices would obey in the messages that this frame completes."""
+        obeyed: list[Obeyed] = []
+        for message in self._stream.messages(frame) if isinstance(frame, bytes) else ():
+            decoded = self._packets.decode(message, "to_device")
+            if decoded is not None and decoded.name:
+                for memory in self._memories:
+                    obeyed += memory.obey(decoded)
+        return obeyed

@@ -94,6 +94,12 @@ class Pending(Generic[Own]):
         self.sent += len(frames)
         return frames
 
+    def restarted(self, t: Nanos, silence: Nanos) -> bool:
+        """Record that its device was heard. True if it had been silent for so long before: it restarted."""
+        last = self.notes.get("heard", self.began)
+        self.notes["heard"] = t
+        return bool(t - last >= silence)
+
     def slice(self) -> Sequence[Frame]:
         """Return the next questions of a scan."""
         return self.frames[self.sent : self.sent + SLICE]

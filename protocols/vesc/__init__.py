@@ -8,14 +8,14 @@ from protocols.messages import MILLISECOND
 from protocols.plugin import Device, FeedbackKind, Plugin, Range, Spec, Watchdog
 from protocols.toolkit.assembly import can_motor, decoder_of, driver_of
 from protocols.vesc.driver import VescAdapter
-from protocols.vesc.options import Options, Settings
+from protocols.vesc.options import MotorOptions, Options, Settings
 from protocols.vesc.table import ADDRESSES, EVERY, FAULTS, PONG, SHORT_BUFFER, STATUS, TABLE
 from protocols.vesc.twin import VescTwin, motor_of
 
 __all__ = ["plugin"]
 
 
-def ranges(options: Options) -> dict[str, Range]:
+def ranges(options: MotorOptions) -> dict[str, Range]:
     """Return what commands and measurements can carry. What is measured is cut off, not rounded."""
     fastest, strongest = options.max_erpm * options.erpm, options.max_current * options.torque_constant
     every = (1 << 31) - 2
@@ -31,7 +31,7 @@ def ranges(options: Options) -> dict[str, Range]:
     }
 
 
-def caution(options: Options) -> str:
+def caution(options: MotorOptions) -> str:
     """Return what it does not do below its least velocity; "": it has none."""
     if not options.min_erpm:
         return ""

@@ -10,8 +10,9 @@ from protocols.vesc.table import STATUS, STEPS
 
 
 @dataclass(frozen=True, slots=True)
-class Options:
-    """Configuration of the driver. What a controller does not tell must be as it is configured there."""
+class MotorOptions:
+    """Configuration of the driver, over any transport. What a controller does not tell must be as it is
+    configured there."""
 
     pole_pairs: int = bounded(7, 1, 100)
     """Electrical revolutions in one of the shaft: the number of magnets, halved."""
@@ -28,15 +29,6 @@ class Options:
     """A: what is measured beyond it drives the motor"""
     timeout_ms: int = bounded(300, 20, 3000)
     """Timeout of the controller (as delivered 1000, or 500 by the vendor's page): a longer one is a fault."""
-    host_id: int = bounded(254, 0, 254)
-    """Address to which controllers reply; no controller may have it."""
-    scan: bool = True
-    """A scan may ask all addresses. Set it to false for all controllers on a bus where others obey its ids
-    (11xxh of 29 bits)."""
-    feedback_ms: int = bounded(20, 1, 1000)
-    """Period of STATUS_1, 4 and 5: 1000 / CAN Status Messages Rate 1."""
-    poll_ms: int = bounded(50, 5, 200)
-    """Period in which fault and timeout are asked for."""
     offline_ms: int = bounded(200, 20, 10_000)
     """Time without a frame after which the controller is offline."""
 
@@ -55,11 +47,24 @@ class Options:
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class Options(MotorOptions):
+    """Configuration of the driver over CAN."""
+
+    host_id: int = bounded(254, 0, 254)
+    """Address to which controllers reply; no controller may have it."""
+    scan: bool = True
+    """A scan may ask all addresses. Set it to false for all controllers on a bus where others obey its ids
+    (11xxh of 29 bits)."""
+    feedback_ms: int = bounded(20, 1, 1000)
+    """Period of STATUS_1, 4 and 5: 1000 / CAN Status Messages Rate 1."""
+    poll_ms: int = bounded(50, 5, 200)
+    """Period in which fault and timeout are asked for."""
+
+
+@dataclass(frozen=True, slots=True)
+class MotorSettings:
     """Configuration of the controller in simulation, where it is not that of the options."""
 
-    status_messages: int = bounded(0b011001, 0, (1 << len(STATUS)) - 1)
-    """A bit for each of STATUS_1, 2 …; as delivered 0: none is sent"""
     timeout_ms: int = bounded(0, 0, 1_000_000)
     """0: that of the options"""
     min_erpm: float = bounded(0.0, 0.0, 1e6)
@@ -73,3 +78,11 @@ class Settings:
 
     def __post_init__(self) -> None:
         check_bounds(self)
+
+
+@dataclass(frozen=True, slots=True)
+class Settings(MotorSettings):
+    """Configuration of the controller in simulation, on CAN."""
+
+    status_messages: int = bounded(0b011001, 0, (1 << len(STATUS)) - 1)
+    """A bit for each of STATUS_1, 2 …; as delivered 0: none is sent"""

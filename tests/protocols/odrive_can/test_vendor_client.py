@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from odrive_can.odrive import CommandId, HeartbeatError, ODriveCAN
 
-from protocols.odrive_can.twin import Twin06
+from protocols.odrive_can.firmware import Twin06
 from tests.protocols.odrive_can.helpers import device
 from tests.protocols.odrive_can.vendor import NODE, SETTINGS, Session, hold, until
 

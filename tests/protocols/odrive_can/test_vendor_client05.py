@@ -13,8 +13,8 @@ import pytest
 from odrive_can.utils import get_dbc
 
 from protocols.odrive_can import errors
+from protocols.odrive_can.firmware import Twin05
 from protocols.odrive_can.options import Options
-from protocols.odrive_can.twin import Twin05
 from tests.protocols.odrive_can.helpers import device
 from tests.protocols.odrive_can.test_vendor_client import OTHER_LINE, RUN
 from tests.protocols.odrive_can.vendor import NODE, SETTINGS, Session, hold, until

@@ -20,8 +20,8 @@ from odrive_can.odrive import DriveError, ODriveCAN
 
 from protocols.frames import CanFrame
 from protocols.messages import Feedback
+from protocols.odrive_can.firmware import OdriveTwin
 from protocols.odrive_can.options import Settings
-from protocols.odrive_can.twin import OdriveTwin
 from tests.protocols.odrive_can.helpers import free_shaft
 
 NODE = 3

@@ -1,0 +1,109 @@
+"""The device's end over a serial line: which packets a controller obeys, and what it answers.
+
+Rules. The controller whose id is `uart_id` is at the end of the line, and obeys what is not forwarded; the
+others obey what is forwarded to them. Whether one is at the end of the line or not, the others answer: of the
+one between only the time is simulated. PING_CAN is answered by each for itself.
+"""
+
+from __future__ import annotations
+
+from protocols.frames import Frame
+from protocols.messages import MILLISECOND, Nanos
+from protocols.plugin import Device
+from protocols.toolkit.serial import Stream
+from protocols.vesc.motor import Motor, VescFirmware
+from protocols.vesc.table import EVERY
+from protocols.vesc_uart import table as ut
+from protocols.vesc_uart.options import Options, Settings
+
+BOOT: Nanos = 800 * MILLISECOND
+PINGED: Nanos = 300 * MILLISECOND
+"""Time in which PING_CAN asks all addresses; a real one takes 2.5 s."""
+DIRECTLY, FORWARDED = 200_000, 2 * MILLISECOND
+"""Until an answer is sent"""
+HARDWARE = b"TWIN"
+WITH_STATUS = (5, 3)
+
+
+def motor_of(device: Device) -> Motor:
+    """Return a controller as it is when switched on."""
+    options: Options = device.options
+    here = device.address == options.uart_id
+    to = (ut.DIRECT,) if here else (device.address, EVERY)
+    return Motor(device.name, to, options, device.settings)
+
+
+class VescTwin(VescFirmware):
+    """One controller with its motor."""
+
+    def __init__(self, device: Device, seed: int) -> None:
+        super().__init__(device, seed, motor_of(device))
+        self._stream = Stream(ut.FORMAT)
+        self.here = ut.DIRECT in self.memory.addresses
+        self.reply_delay = DIRECTLY if self.here else FORWARDED
+
+    def on_frame(self, t: Nanos, frame: Frame) -> None:
+        for payload in self._stream.messages(frame) if isinstance(frame, bytes) else ():
+            self._on_packet(t, payload)
+
+    def _on_packet(self, t: Nanos, payload: bytes) -> None:
+        decoded = ut.PACKETS.decode(payload, "to_device")
+        if decoded is None or not decoded.name:
+            return
+        if decoded.name == "PING_CAN" and decoded.address == ut.DIRECT:
+            found = () if self.here else (self.device.address,)
+            self._answer(t + PINGED, bytes((ut.PING_CAN, *found)))
+        if not self.memory.takes(decoded):
+            return
+        match decoded.name:
+            case "PING_CAN":
+                pass
+            case "FW_VERSION":
+                self._answer(t, self._version())
+            case "GET_VALUES":
+                self._answer(t, self._values(ut.EVERYTHING, selective=False))
+            case "GET_VALUES_SELECTIVE":
+                self._answer(t, self._values(decoded.values["mask"], selective=True))
+            case "REBOOT":
+                self.restart(t, BOOT)
+                self.timed_out = True
+                self.encoder.set_position(0.0)
+            case _:
+                self.command(t, decoded)
+
+    def _answer(self, t: Nanos, payload: bytes) -> None:
+        self.reply(t, ut.FORMAT.frame(payload))
+
+    def _version(self) -> bytes:
+        settings: Settings = self.settings
+        serial = settings.serial_number or 0x0020_0035_5730_5006_2033_0000 + self.device.address
+        version = bytes((ut.FW_VERSION, settings.firmware_major, settings.firmware_minor))
+        # Pairing, test version, hardware type, configurations, filter, two pages, radio: none, and no name.
+        return version + HARDWARE + b"\0" + serial.to_bytes(12, "big") + bytes(8) + b"\0"
+
+    def _values(self, mask: int, *, selective: bool) -> bytes:
+        measured, settings = self.measured(), self.settings
+        values = {
+            "temp_fet": measured["fet"],
+            "temp_motor": measured["motor"],
+            "avg_motor_current": measured["current"],
+            "avg_input_current": measured["current"] * measured["duty"],
+            "avg_iq": self.torque / self.device.options.torque_constant,
+            "duty_cycle_now": measured["duty"],
+            "rpm": measured["velocity"],
+            "v_in": measured["voltage"],
+            "tachometer": measured["position"],
+            "tachometer_abs": abs(measured["position"]),
+            "fault_code": self.code,
+            "controller_id": self.device.address,
+            "status": self.state,
+        }
+        values |= {f"temp_mos{number}": measured["fet"] for number in (1, 2, 3)}
+        payload = ut.encode_values(mask, values, selective=selective)
+        told = (settings.firmware_major, settings.firmware_minor) >= WITH_STATUS
+        return payload if told or not mask & ut.BIT["status"] else payload[:-1]
+
+    def restart(self, t: Nanos, silent: Nanos) -> None:
+        """Restart: nothing is driven, and what was half received is lost."""
+        super().restart(t, silent)
+        self._stream.drop()
