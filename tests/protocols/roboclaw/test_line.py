@@ -103,7 +103,7 @@ def test_no_answer_is_taken_for_another(lose: int, late: int) -> None:
         slack = 0.001 + abs(speed) * (0.04 if late else 0.01)
         assert all(abs(place - speed * (t - began) * 1e-9) < slack for t, place in places)
         gaps = [after - before for (before, _), (after, _) in zip(places, places[1:], strict=False)]
-        assert max(gaps) < (60 if late else 40) * MILLISECOND  # a lost one costs one, and the turns of others
+        assert max(gaps) < (80 if late else 40) * MILLISECOND  # a lost one costs one, and the turns of others
 
 
 def test_both_motors_of_a_board_go_in_one_message() -> None:
