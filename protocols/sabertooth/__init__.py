@@ -1,5 +1,6 @@
-"""Sabertooth boards for two motors, over packet serial: open loop, they report nothing (README.md). Exports
-`plugin`."""
+"""Sabertooth boards for two motors, over packet serial: open loop, they report nothing (README.md).
+
+Exports `plugin`."""
 
 from __future__ import annotations
 
@@ -16,8 +17,8 @@ from protocols.toolkit.assembly import declared, driver_of
 __all__ = ["plugin"]
 
 CAUTION = (
-    "open loop: it reports nothing, neither its speed nor a fault, nor whether it hears; full power is taken to "
-    "be full_scale, and what it turns is not measured"
+    "open loop: it reports nothing, neither its speed nor a fault, nor whether it hears; full power is taken "
+    "to be full_scale, and what it turns is not measured"
 )
 
 

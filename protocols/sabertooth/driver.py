@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from protocols import messages as msg
 from protocols.frames import Frame
 from protocols.line import Exchange, Rank
 from protocols.messages import MILLISECOND, Command, Event, Mode, Nanos

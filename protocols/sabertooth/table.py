@@ -20,10 +20,11 @@ TIMEOUT_UNIT_MS = 100
 AUTOBAUD = 0xAA
 """The first byte after it is switched on, by which it finds the baud rate."""
 SIZE = 4
-COMMANDS = (
+_NAMES = (
     "M1FORWARD M1REVERSE MINVOLTAGE MAXVOLTAGE M2FORWARD M2REVERSE M17BIT M27BIT MIXEDFORWARD MIXEDREVERSE "
     "MIXEDRIGHT MIXEDLEFT MIXEDDRIVE MIXEDTURN SERIALTIMEOUT BAUD RAMP DEADBAND"
-).split()
+)
+COMMANDS = tuple(_NAMES.split())
 """By number."""
 _BEGINS = re.compile(rb"[\x80-\x87\xaa]")
 

@@ -45,7 +45,7 @@ class Motor:
             signed = centred if name.endswith(("DRIVE", "TURN")) else value
             signed = -signed if name.endswith(("REVERSE", "LEFT")) else signed
             self.mixed["drive" if drive else "turn"] = signed
-            if len(self.mixed) < 2:  # noqa: PLR2004 -- both must come first
+            if len(self.mixed) < 2:
                 return None
             turn = self.mixed["turn"] if side == "1" else -self.mixed["turn"]
             return clamp(self.mixed["drive"] + turn, 1.0)

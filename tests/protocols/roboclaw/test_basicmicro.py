@@ -113,4 +113,6 @@ def test_older_firmware_has_a_status_of_16_bits() -> None:
         twin.step(0, [])
     right.provoke(0x40)
     left.receive(1_000_000, b"\x80\x5a")
-    assert left.step(2_000_000, [])[1][0][:2] == b"\x02\x00"
+    (answer,) = left.step(2_000_000, [])[1]
+    assert isinstance(answer, bytes)
+    assert answer[:2] == b"\x02\x00"

@@ -70,7 +70,9 @@ def test_what_is_asked(name: str) -> None:
     assert rt.PACKETS.encode(message, 0x80) == question
     assert rt.answer(question, message, **values) == answer
     assert rt.find_answer(question, b"\x80\xff" + answer + b"\0") == (2, 2 + len(answer))
-    assert rt.read_answer(question, answer) == (message, pytest.approx(values))
+    told, numbers = rt.read_answer(question, answer)
+    assert told == message
+    assert numbers == pytest.approx(values)
     elsewhere = bytes((0x81,)) + question[1:]
     assert rt.find_answer(elsewhere, answer) is None  # its checksum covers whom it answers
 
