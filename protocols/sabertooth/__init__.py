@@ -28,7 +28,7 @@ def spec(device: Device) -> Spec:
     if device.address not in st.ADDRESSES:
         low, middle, high = st.ADDRESSES.start, st.BOARDS.stop, st.ADDRESSES.stop - 1
         raise ValueError(
-            f"address {device.address} of {device.name}: it must be that of its board, {low} to {middle - 1}, "
+            f"address {device.address} of {device.name}: it must be its board's, {low} to {middle - 1}, "
             f"or for the board's second motor that and {st.SECOND}, {middle} to {high}"
         )
     idle = st.PACKETS.encode(f"M{st.side_of(device.address)}FORWARD", st.board_of(device.address), value=0)
