@@ -207,11 +207,11 @@ def _checked(frame: bytes, data: bytes) -> bytes:
 
 
 def find_answer(frame: bytes, held: bytes) -> tuple[int, int] | None:
-    """Return where the answer to a message begins and ends in what has come, as `Answer.find` does. Only a
-    byte alone is an acknowledgement: in the answer to another question it says nothing."""
+    """Return where the answer to a message begins and ends in what has come, as `Answer.find` does. An
+    acknowledgement is the last byte that has come: inside the answer to another question it says nothing."""
     usual = _ANSWERED.get(frame[1])
     if usual is None:
-        return (0, 1) if held == ACK else None
+        return (len(held) - 1, len(held)) if held.endswith(ACK) else None
     if len(held) == usual and _is_answer(frame, held):
         return 0, usual
     name, first = _QUESTIONS[frame[1]], max(0, len(held) - SEARCHED)

@@ -136,9 +136,10 @@ def test_counts_go_on_beyond_32_bits() -> None:
     assert counts == [0, 0x7000_0000, 0xE000_0000, 0x1_4000_0000, 0xFFFF_FFFF, 0x8000_0000, 0x1000_0000]
 
 
-def test_an_acknowledgement_is_a_byte_alone() -> None:
+def test_an_acknowledgement_is_the_last_byte() -> None:
     written = rt.PACKETS.encode("M1SPEED", 0x80, speed=1)
     assert rt.find_answer(written, b"\xff") == (0, 1)
+    assert rt.find_answer(written, b"\0\x54\xff") == (2, 3)
     for other in (b"", b"\xfe", b"\xff\xff\xcf\xc7\x82\x94\xbe"):
         assert rt.find_answer(written, other) is None
 
