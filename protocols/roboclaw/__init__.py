@@ -19,7 +19,7 @@ from protocols.plugin import (
     Written,
 )
 from protocols.roboclaw import table as rt
-from protocols.roboclaw.driver import SAVE, RoboclawAdapter
+from protocols.roboclaw.driver import RoboclawAdapter
 from protocols.roboclaw.options import MOST, Options, Settings
 from protocols.roboclaw.twin import RoboclawDecoder, RoboclawTwin
 from protocols.toolkit.assembly import declared, driver_of, fed_by_any_frame
@@ -88,7 +88,7 @@ def spec(device: Device) -> Spec:
         configuration=parameters,
         set_up=declared({"timeout": float(options.timeout_ms // rt.TIMEOUT_UNIT_MS)}),
         writes={msg.WriteParameter: any_gains},
-        save=SAVE,
+        save=rt.SAVE,
         stop=(Exchange(idle, answer, Rank.RELEASE),),
         scales={"counts": ""},
         unprotected=rt.QUESTIONS,

@@ -29,6 +29,8 @@ ACK = b"\xff"
 GAP_MS = 10
 """A pause of this length within a message ends it."""
 NVM_KEY = 0xE22EAB7A
+SAVE = "save"
+"""The parameter that saves all when 1 is written."""
 TIMEOUT_UNIT_MS = 100
 PID = "velocity_d", "velocity_p", "velocity_i", "qpps"
 """In the order in which they are written; gains in 1/65536."""

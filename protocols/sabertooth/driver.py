@@ -41,9 +41,41 @@ class Motor:
     woken: bool = False
     """The byte of the baud rate was sent."""
     noted: Nanos = -NEVER
+    """When its state was last looked at."""
     released: Nanos = -NEVER
     """When it was told what was last reported."""
     lapsed: bool = False
+
+    def look(self, now: Nanos, timeout: Nanos) -> None:
+        """Note that its serial timeout has passed, if it has."""
+        self.noted = now
+        if self.driven and now - self.sent > timeout:
+            self.driven, self.lapsed = False, True
+
+    def report(self) -> None:
+        """Note that what it was told has been reported."""
+        self.released = self.sent
+
+    def begin(self) -> None:
+        """Begin to drive it: its serial timeout goes first."""
+        self.bounded, self.lapsed = -NEVER, False
+
+    def wake(self) -> None:
+        """Note that the byte of the baud rate is sent."""
+        self.woken = True
+
+    def bound(self, now: Nanos) -> None:
+        """Note that its serial timeout is sent."""
+        self.bounded = now
+
+    def tell(self, now: Nanos, *, driven: bool) -> None:
+        """Note what it is told."""
+        self.driven, self.sent = driven, now
+
+    def forget(self) -> None:
+        """Forget what it was told: the line was away."""
+        self.driven = self.woken = self.lapsed = False
+        self.sent = self.bounded = self.released = -NEVER
 
 
 class SabertoothAdapter(Adapter[Motor]):
@@ -67,17 +99,15 @@ class SabertoothAdapter(Adapter[Motor]):
         return () if before and isinstance(frame, bytes) else (Rx.IGNORED,)  # it has no transmitter
 
     def forget(self, now: Nanos, host: Host[Motor]) -> None:
-        host.own = Motor()
+        host.own.forget()
 
     def notice(self, now: Nanos, host: Host[Motor]) -> Sequence[Event]:
         """Report what it was told as its state."""
         own = host.own
-        if own.driven and now - own.sent > host.options.timeout_ms * MILLISECOND:
-            own.driven, own.lapsed = False, True
-        own.noted = now
+        own.look(now, host.options.timeout_ms * MILLISECOND)
         if host.phase is Phase.RELEASING and own.released == own.sent:
             return ()  # it counts as released when it was told so often enough
-        own.released = own.sent
+        own.report()
         mode = Mode.ARMED if own.driven else Mode.READY
         detail = TOLD if own.driven else LAPSED if own.lapsed else RESTS
         return host.on_report(now, Report(host, host.address, mode, detail))
@@ -88,7 +118,7 @@ class SabertoothAdapter(Adapter[Motor]):
     # -- sent -----------------------------------------------------------------------------------------
 
     def arm(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
-        host.own.bounded, host.own.lapsed = -NEVER, False
+        host.own.begin()
         return self._tell(now, host, 0.0)
 
     def command(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
@@ -97,20 +127,20 @@ class SabertoothAdapter(Adapter[Motor]):
     def _tell(self, now: Nanos, host: Host[Motor], share: float) -> Sequence[Frame]:
         own, frames = host.own, list[Frame]()
         if host.options.autobaud and not own.woken:
-            own.woken = True
+            own.wake()
             frames.append(Exchange(st.PACKETS.encode("AUTOBAUD"), None, Rank.QUESTION))
         if now - own.bounded >= AGAIN:
-            own.bounded = now
+            own.bound(now)
             units = host.options.timeout_ms // st.TIMEOUT_UNIT_MS
             frames.append(self._say(host, "SERIALTIMEOUT", units, "timeout"))
-        own.driven, own.sent = True, now
+        own.tell(now, driven=True)
         value = round(share * st.FULL)
         way = "FORWARD" if value > 0 else "REVERSE"
         frames.append(self._say(host, f"M{st.side_of(host.address)}{way}", abs(value), "power"))
         return frames
 
     def release(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
-        host.own.driven, host.own.sent = False, now
+        host.own.tell(now, driven=False)
         name = f"M{st.side_of(host.address)}FORWARD"
         return (self._say(host, name, 0, "power", Rank.RELEASE),)
 
