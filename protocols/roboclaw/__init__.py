@@ -19,7 +19,7 @@ from protocols.plugin import (
     Written,
 )
 from protocols.roboclaw import table as rt
-from protocols.roboclaw.driver import SAVE, RoboclawAdapter
+from protocols.roboclaw.driver import RoboclawAdapter
 from protocols.roboclaw.options import MOST, Options, Settings
 from protocols.roboclaw.twin import RoboclawDecoder, RoboclawTwin
 from protocols.toolkit.assembly import declared, driver_of, fed_by_any_frame
@@ -62,7 +62,7 @@ def spec(device: Device) -> Spec:
     if device.address not in rt.ADDRESSES:
         low, middle, high = rt.ADDRESSES.start, rt.BOARDS.stop, rt.ADDRESSES.stop - 1
         raise ValueError(
-            f"address {device.address} of {device.name}: it must be that of its board, {low} to {middle - 1}, "
+            f"address {device.address} of {device.name}: it must be its board's, {low} to {middle - 1}, "
             f"or for the board's second motor that and {rt.SECOND}, {middle} to {high}"
         )
     idle = rt.PACKETS.encode(f"M{rt.side_of(device.address)}DUTY", rt.board_of(device.address), duty=0)
@@ -88,7 +88,7 @@ def spec(device: Device) -> Spec:
         configuration=parameters,
         set_up=declared({"timeout": float(options.timeout_ms // rt.TIMEOUT_UNIT_MS)}),
         writes={msg.WriteParameter: any_gains},
-        save=SAVE,
+        save=rt.SAVE,
         stop=(Exchange(idle, answer, Rank.RELEASE),),
         scales={"counts": ""},
         unprotected=rt.QUESTIONS,

@@ -11,7 +11,7 @@ bits are continued beyond them.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from protocols import messages as msg
 from protocols.frames import Frame
@@ -27,7 +27,6 @@ from protocols.toolkit.requests import ANSWER
 from protocols.toolkit.table import Values
 
 REGISTERS = Registers(Register("timeout", 14, "u8"), *(Register(name, 28, "u32") for name in rt.PID))
-SAVE = "save"
 SELDOM = 10
 """Supply, current and temperature are asked for so many times less often than the state."""
 POLLED = {
@@ -69,6 +68,31 @@ class Board:
     def period(self) -> Nanos:
         """Of the serial timeout."""
         return self.options.timeout_ms * MILLISECOND
+
+    def forget(self) -> None:
+        """Forget what it reported."""
+        self.timeout = None
+        self.asked.clear()
+
+    def hear(self, t: Nanos) -> None:
+        """Note an answer."""
+        self.answered, self.lost = t, 0
+
+    def miss(self) -> None:
+        """Note an answer that has not come."""
+        self.lost += 1
+
+    def keep(self, timeout: int) -> None:
+        """Note its serial timeout as read back."""
+        self.timeout = timeout
+
+    def want(self, side: int, command: Command) -> None:
+        """Note a set-point of this step, in counts."""
+        self.wanted[side] = command
+
+    def rest(self, side: int) -> None:
+        """Note that a motor is to be released in this step."""
+        self.released[side] = None
 
     def due(self, name: str) -> Nanos:
         """Return when a question is due that is not of one motor alone."""
@@ -137,8 +161,7 @@ class Motor:
     def forget(self) -> None:
         """Forget what it reported: the board may have restarted, or been replaced."""
         self.driven, self.duty, self.status, self.counts = False, None, None, None
-        self.board.timeout = None
-        self.board.asked.clear()
+        self.board.forget()
 
     def state(self) -> tuple[Mode | None, str, list[int]]:
         """Return its mode, None: not known yet; a name for it; and the codes of its faults."""
@@ -157,6 +180,39 @@ class Motor:
         else:
             self.counts = before + (raw - before + HALF) % WHOLE - HALF
         return self.counts
+
+    def lapse(self, t: Nanos) -> None:
+        """Take it that the serial timeout may have passed, if nothing was heard for so long: its duty is
+        asked for."""
+        if self.driven and t - self.board.answered > self.board.period:
+            self.driven, self.duty = False, None
+            self.board.asked.pop("GETPWMS", None)
+
+    def obeyed(self, name: str) -> None:
+        """Note that a message was acknowledged."""
+        if name in ("MIXEDDUTY", self.message("M#DUTY")):
+            self.driven, self.duty = False, 0
+        elif name.startswith(("MIXED", self.message("M#"))):
+            self.driven = True
+        elif name == self.message("SETM#ENCCOUNT"):
+            self.counts = None
+
+    def see(self, name: str, values: Values) -> None:
+        """Note what the board reports of its state."""
+        if name == "GETPWMS":
+            self.duty = values[f"duty{self.side}"]
+        elif name == "GETERROR":
+            self.status = values["status"]
+        elif name == "GETTIMEOUT":
+            known, timeout = self.board.timeout, values["timeout"]
+            wanted = self.board.options.timeout_ms // rt.TIMEOUT_UNIT_MS
+            if known is not None and timeout != wanted:
+                self.driven = False  # it has restarted
+            self.board.keep(timeout)
+
+    def read(self, t: Nanos, values: Values) -> None:
+        """Note its gains."""
+        self.pid, self.pid_at = values, t
 
     def message(self, kind: str) -> str:
         """Return the name of a message to or about this motor alone."""
@@ -204,12 +260,13 @@ class RoboclawAdapter(Adapter[Motor]):
         self._skipping = False
         board = self._boards.get(asked[0])
         if board is not None and not data:
-            board.lost += 1
+            board.miss()
         if not data or rt.find_answer(asked, data) != (0, len(data)):
             return (Rx.MALFORMED if hosts else Rx.IGNORED,) if data else ()
         for host in hosts:
-            self._lapse(t, host.own)
-            host.own.board.answered, host.own.board.lost = t, 0
+            host.own.lapse(t)
+        if board is not None:
+            board.hear(t)
         if rt.is_question(asked):
             name, values = rt.read_answer(asked, data)
             if name == "GETVERSION":
@@ -222,12 +279,6 @@ class RoboclawAdapter(Adapter[Motor]):
             reports = [self._obeyed(host, decoded.name, decoded.values) for host in hosts]
         return [_counted(report, at == 0) for at, report in enumerate(reports)]
 
-    def _lapse(self, t: Nanos, motor: Motor) -> None:
-        """Take it that the serial timeout may have passed, if nothing was heard for so long."""
-        if motor.driven and t - motor.board.answered > motor.board.period:
-            motor.driven, motor.duty = False, None
-            motor.board.asked.pop("GETPWMS", None)
-
     def _found(self, address: int, version: str, driver: MotorDriver[Motor]) -> Sequence[Report[Motor] | Rx]:
         reports = []
         for side in rt.SIDES:
@@ -239,15 +290,8 @@ class RoboclawAdapter(Adapter[Motor]):
 
     def _obeyed(self, host: Host[Motor], name: str, values: Values) -> Report[Motor]:
         """Return what an acknowledgement reports."""
-        own, written = host.own, ""
-        if name in ("MIXEDDUTY", own.message("M#DUTY")):
-            own.driven, own.duty = False, 0
-        elif name.startswith(("MIXED", own.message("M#"))):
-            own.driven = True
-        elif name == own.message("SETM#ENCCOUNT"):
-            own.counts = None
-        elif name == "WRITENVM":
-            written = SAVE
+        own, written = host.own, rt.SAVE if name == "WRITENVM" else ""
+        own.obeyed(name)
         mode, detail, faults = own.state()
         return Report(host, host.address, mode, detail, faults if mode else None, written=written)
 
@@ -262,10 +306,8 @@ class RoboclawAdapter(Adapter[Motor]):
                 speed = -speed if values["backwards"] & 1 and speed > 0 else speed
                 velocity = speed * unit if abs(speed) < MOST else None
                 feedback = Feedback(host.name, t, velocity=velocity)
-            case "GETPWMS":
-                own.duty = values[f"duty{own.side}"]
-            case "GETERROR":
-                own.status = values["status"]
+            case "GETPWMS" | "GETERROR":
+                own.see(name, values)
             case "GETCURRENTS":
                 feedback = Feedback(host.name, t, current=values[f"current{own.side}"])
             case "GETMBATT":
@@ -273,13 +315,10 @@ class RoboclawAdapter(Adapter[Motor]):
             case "GETTEMP":
                 feedback = Feedback(host.name, t, temperature=values["temperature"])
             case "GETTIMEOUT":
+                own.see(name, values)
                 parameters = {"timeout": values["timeout"]}
-                if own.board.timeout is not None and own.driven and values["timeout"] != self._timeout(own):
-                    own.driven = False  # it has restarted
-                if host is not None and (own.first or own.board.timeout is None):
-                    own.board.timeout = values["timeout"]
             case _:
-                own.pid, own.pid_at = values, t
+                own.read(t, values)
                 parameters = values
         mode, detail, faults = own.state()
         return Report(
@@ -301,13 +340,13 @@ class RoboclawAdapter(Adapter[Motor]):
         if own.board.timeout != self._timeout(own):
             written = own.board.say("SETTIMEOUT", Rank.SET_POINT, timeout=self._timeout(own))
             return written, own.board.ask(now, "GETTIMEOUT")
-        own.board.wanted[own.side] = msg.Velocity(host.name, 0.0)
+        own.board.want(own.side, msg.Velocity(host.name, 0.0))
         return ()
 
     def command(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
-        self._lapse(now, host.own)
+        host.own.lapse(now)
         if host.own.duty is not None:
-            host.own.board.wanted[host.own.side] = self._aim(host, command)
+            host.own.board.want(host.own.side, self._aim(host, command))
         return ()
 
     def _aim(self, host: Host[Motor], command: Command) -> Command:
@@ -320,7 +359,7 @@ class RoboclawAdapter(Adapter[Motor]):
         return msg.Position(host.name, (counts + HALF) % WHOLE - HALF, options.max_qpps)
 
     def release(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
-        host.own.board.released[host.own.side] = None
+        host.own.board.rest(host.own.side)
         return ()
 
     def poll(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
@@ -359,8 +398,8 @@ class RoboclawAdapter(Adapter[Motor]):
         match request:
             case msg.WriteParameter(_, "timeout"):
                 wrong = "the driver writes it before it arms (timeout_ms)"
-            case msg.WriteParameter(_, name, value) if name == SAVE:
-                wrong = "" if value == 1 else f"{SAVE} takes 1"
+            case msg.WriteParameter(_, name, value) if name == rt.SAVE:
+                wrong = "" if value == 1 else f"{rt.SAVE} takes 1"
             case msg.WriteParameter(_, name, value):
                 wrong = REGISTERS.wrong(name, value)
             case msg.ReadParameter(_, name):
@@ -372,7 +411,7 @@ class RoboclawAdapter(Adapter[Motor]):
         if wrong or host is None:
             return wrong
         # Its memory wears out: it is asked to save once.
-        again = NEVER if getattr(request, "parameter", "") == SAVE else ANSWER // 4
+        again = NEVER if getattr(request, "parameter", "") == rt.SAVE else ANSWER // 4
         return Pending(request, host.name, now, now + 2 * ANSWER, now, host, (), again)
 
     def frames(self, now: Nanos, pending: Pending[Motor]) -> Sequence[Frame]:
@@ -390,7 +429,7 @@ class RoboclawAdapter(Adapter[Motor]):
                 return zero, board.ask(now, own.message("GETM#ENC"))
             case msg.ReadParameter(_, "timeout"):
                 return (board.ask(now, "GETTIMEOUT"),)
-            case msg.WriteParameter(_, name) if name == SAVE:
+            case msg.WriteParameter(_, name) if name == rt.SAVE:
                 return (board.say("WRITENVM", Rank.QUESTION, key=rt.NVM_KEY),)
             case msg.WriteParameter(_, name, value) if own.pid_at > pending.began:
                 written = board.say(own.message("SETM#PID"), Rank.QUESTION, **own.pid | {name: value})
@@ -399,5 +438,4 @@ class RoboclawAdapter(Adapter[Motor]):
 
 
 def _counted(report: Report[Motor], counted: bool) -> Report[Motor]:
-    report.counted = counted
-    return report
+    return replace(report, counted=counted)

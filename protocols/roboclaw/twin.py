@@ -18,7 +18,6 @@ from protocols.frames import Frame
 from protocols.messages import MILLISECOND, Mode, Nanos, Obeyed
 from protocols.plugin import Device, Twin
 from protocols.roboclaw import table as rt
-from protocols.roboclaw.driver import SAVE
 from protocols.roboclaw.options import Options, Settings
 from protocols.toolkit.firmware import ServoFirmware
 from protocols.toolkit.serial import Stream
@@ -97,7 +96,7 @@ class Motor:
             case {"qpps": _}:
                 return tuple(msg.WriteParameter(name, key, float(value)) for key, value in own.items())
             case {"key": key}:
-                return (msg.WriteParameter(name, SAVE, 1.0),) if key == rt.NVM_KEY else ()
+                return (msg.WriteParameter(name, rt.SAVE, 1.0),) if key == rt.NVM_KEY else ()
             case {"count": 0}:
                 return (msg.Zero(name),)
             case {"count": count}:
@@ -175,6 +174,8 @@ class RoboclawTwin(ServoFirmware):
             self.feed(t)
             own = self.memory.own(decoded)
             for obeyed in self.memory.obey(decoded):
+                if isinstance(obeyed, msg.Zero):  # while it is driven, too
+                    self.encoder.set_position(0.0)
                 self.obey(t, obeyed)
             if own is not None and decoded.name not in rt.QUESTIONS:
                 self._take(own)
