@@ -207,22 +207,18 @@ def make_bench(
         Device(name, address, options, plugin.settings() if settings is None else settings)
         for name, address in zip(names, addresses, strict=True)
     )
+    specs = tuple(plugin.spec(device) for device in devices)
+    driver, kinds = plugin.driver(devices), {spec.line for spec in specs}
+    if kinds != {"free"}:
+        driver = OnLine(driver, Line(LINE_RATE, half_duplex="half-duplex" in kinds, slack=2 * STEP))
     return Bench(
-        tuple(plugin.spec(device) for device in devices),
+        specs,
         devices,
-        host_of(plugin, devices),
+        driver,
         plugin.decoder(devices),
         [plugin.twin(device, seed) for seed, device in enumerate(devices)],
         {device.name: Shaft() for device in devices},
     )
-
-
-def host_of(plugin: Plugin, devices: Sequence[Device]) -> Driver:
-    """Return a new driver, with a line before it if its devices speak only when asked."""
-    driver, kinds = plugin.driver(devices), {plugin.spec(device).line for device in devices}
-    if kinds == {"free"}:
-        return driver
-    return OnLine(driver, Line(LINE_RATE, half_duplex="half-duplex" in kinds, slack=2 * STEP))
 
 
 def sensor_events(
