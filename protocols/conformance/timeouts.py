@@ -267,15 +267,17 @@ def _comes_back(rig: Rig, what: str) -> None:
     cable.up = cable.down = True
     back, received = rig.now, list[Feedback]()
 
+    unmeasured = "Feedback.position" not in rig.spec.ranges
+
     def both(step: StepResult) -> bool:
         received.extend(e for e in named(step.events) if isinstance(e, Feedback) and e.position is not None)
-        unmeasured = "Feedback.position" not in rig.spec.ranges
         return rig.mode() is not Mode.OFFLINE and (bool(received) or unmeasured)
 
     if not rig.until(both, RETURNED, [Idle(name) for name in NAMES if Idle in rig.spec.commands]):
         raise rig.failure(f"{what} sends again, and in {RETURNED} ms no State, or no position, is reported")
     room = slack(rig.spec, shaft.position) + SLACK
-    stale = [e for e in received if e.t < back or abs((e.position or 0.0) - shaft.position) > room]
+    away = [e for e in received if abs((e.position or 0.0) - shaft.position) > room and not unmeasured]
+    stale = [e for e in received if e.t < back] or away
     if stale:
         text = f"{what} has been turned to {shaft.position:.6g} rad at {back}, and is reported where it was"
         raise rig.failure(text, (), stale[:1])
