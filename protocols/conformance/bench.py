@@ -207,9 +207,8 @@ def make_bench(
         Device(name, address, options, plugin.settings() if settings is None else settings)
         for name, address in zip(names, addresses, strict=True)
     )
-    specs = tuple(plugin.spec(device) for device in devices)
     return Bench(
-        specs,
+        tuple(plugin.spec(device) for device in devices),
         devices,
         new_driver(plugin, devices),
         plugin.decoder(devices),
@@ -311,7 +310,13 @@ class OnLine(DriverWrapper):
         late = [event for each in self.line.expire(now) for event in self._answer(now, each)]
         events, frames = self.driver.send(now, messages)
         self.line.put(0, [frame for frame in frames if isinstance(frame, bytes)])
-        return [*late, *events], [bytes(frame) for _, frame in self.line.take(now)]
+        more, sent = self.go_on(now)
+        return [*late, *events, *more], sent
+
+    def go_on(self, now: Nanos) -> tuple[Sequence[Event], Sequence[Frame]]:
+        """Hand over what waits, as between two steps of the brain: the driver is given nothing."""
+        late = [event for each in self.line.expire(now) for event in self._answer(now, each)]
+        return late, [bytes(frame) for _, frame in self.line.take(now)]
 
     def due(self) -> Nanos | None:
         """Return when driver or line have something to do."""

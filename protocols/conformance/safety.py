@@ -93,7 +93,7 @@ def _arms_from(case: Case, spec: Spec, kind: type[Command], place: float) -> Non
     if not rig.until(lambda _: rig.mode() is Mode.FAULT, DISARMED, rig.prompt):
         raise rig.failure("a fault of the device is not reported by State FAULT")
     rig.wait(AFTER, [msg.Idle(ALPHA)] if msg.Idle in spec.commands else [])
-    rig.turn(-2.0 * BY_HAND)
+    rig.turn(-0.5 * BY_HAND)  # a servo may have one turn only
     rig.step([msg.ClearFault(ALPHA)])
     if not rig.only_replies and not rig.until(lambda _: rig.mode() is not Mode.FAULT, DISARMED):
         raise rig.failure("ClearFault does not clear")

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeAlias
 
 from protocols import messages as msg
-from protocols.conformance.bench import Shaft
+from protocols.conformance.bench import OnLine, Shaft, new_driver
 from protocols.frames import BusState, CanFrame, Frame
 from protocols.messages import MILLISECOND, Command, Feedback, Nanos
 from protocols.plugin import Device, Driver, Plugin
@@ -120,7 +120,7 @@ class Run:
         self.frames = Frames(names, {each.name: each.frame for each in vectors_of(plugin)}, notation)
         devices = [*{each.name: each for each in map(self._device, head["device"])}.values()]
         drives, simulates = self.tests in ("driver", "both"), self.tests in ("twin", "both")
-        self.driver: Driver | None = plugin.driver(devices) if drives else None
+        self.driver: Driver | None = new_driver(plugin, devices) if drives else None
         self.decoder = plugin.decoder(devices)
         self.twins = {each.name: plugin.twin(each, at) for at, each in enumerate(devices) if simulates}
         self.shafts = {name: Shaft() for name in self.twins}
@@ -315,12 +315,21 @@ class Run:
             due = self.driver.due()
             if due is None or due > START + self.now:
                 return sent
-            sent += self._call(self.driver, ())
+            if isinstance(self.driver, OnLine) and not self._is_due(self.driver.driver):
+                sent += self._went(*self.driver.go_on(START + self.now))
+            else:
+                sent += self._call(self.driver, ())
         self.wrong.append(f"{self.now / MILLISECOND:g}: due at once again after each call of send")
         return sent
 
+    def _is_due(self, driver: Driver) -> bool:
+        due = driver.due()
+        return due is not None and due <= START + self.now
+
     def _call(self, driver: Driver, messages: Sequence[Any]) -> list[Frame]:
-        events, frames = driver.send(START + self.now, messages)
+        return self._went(*driver.send(START + self.now, messages))
+
+    def _went(self, events: Sequence[Any], frames: Sequence[Frame]) -> list[Frame]:
         for event in events:
             self._came("event", event)
         for frame in frames:
