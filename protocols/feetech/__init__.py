@@ -94,7 +94,7 @@ def spec(device: Device) -> Spec:
         ranges=ranges(options),
         watchdog=Watchdog(None, enabled=False, note=NO_WATCHDOG),
         holds_unattended=True,
-        stop_clears_faults=True,
+        stop_clears_faults=False,
         faults=ft.FAULTS,
         parameters=tuple(family.registers),
         configuration=configured(options),

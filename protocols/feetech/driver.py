@@ -427,6 +427,6 @@ class FeetechAdapter(Adapter[Servo]):
         return None
 
 
-def disarms(number: int) -> Frame:
+def disarms(number: int) -> bytes:
     """Return what takes the torque off one servo; nobody answers."""
     return ft.writes(40, {number: b"\x00"})

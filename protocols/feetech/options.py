@@ -19,7 +19,7 @@ class Options:
     """Configuration of the driver."""
 
     model: Literal["sts3215", "sts3250", "sm8512bl", "sts", "scs0009", "scs"] = "sts3215"
-    """What a step is, and the order of bytes. sts, scs: another of the family, whose number is not checked."""
+    """What a step is, and the order of bytes. sts, scs: others of the family; their number is not checked."""
     mode: Mode = "position"
     """position: within a turn (SCS: 300°). wheel: by velocity. pwm: by the share of the supply."""
     stall_torque: float = bounded(2.94, 0.01, 100.0)

@@ -235,7 +235,8 @@ FAULTS = {
         latching=False,
     ),
     0x20: FaultInfo(
-        "overload", "more than Overload_Torque for Protection_Time", "free the shaft, or carry less"
+        "overload", "more than Overload_Torque for Protection_Time", "free the shaft, or carry less",
+        latching=False,
     ),
 }  # fmt: skip
 ALL_FAULTS = Faults(

@@ -27,7 +27,6 @@ GOALS = {0: (42, 2), 1: (46, 2), 2: (44, 2)}
 """First byte and size of the goal of each mode."""
 AT_12_V = 12.0
 PASSES: Nanos = 500 * MILLISECOND
-OVERLOAD = 0x20
 
 
 @dataclass(slots=True)
@@ -274,7 +273,6 @@ class FeetechTwin(ServoFirmware):
                 self.memory.assign("Homing_Offset", offset)
             case msg.Idle():
                 self.disarm()
-                self.clear()
             case msg.Kept() | msg.WriteParameter():
                 memory, model = self.memory, self.device.options.of_model
                 self.fastest = math.inf
@@ -303,16 +301,18 @@ class FeetechTwin(ServoFirmware):
         """Return the position without offset [steps], of the turn in which it is unless all are counted."""
         model = self.device.options.of_model
         steps: int = round(self.encoder.shaft / model.step) + model.middle
-        if model.family.name == "sts" and not self.memory.value("Phase") & 16:
-            steps %= model.steps
-        return steps
+        return steps % model.steps if self._within_a_turn() else steps
+
+    def _within_a_turn(self) -> bool:
+        memory = self.memory
+        counts = memory.value("Phase") & 16 and memory.value("Operating_Mode") == 0
+        return memory.family.name == "sts" and not counts
 
     def _measure(self) -> None:
         """Write what is measured into its registers."""
         memory, model, settings = self.memory, self.device.options.of_model, self.settings
         position = self._actual() - memory.value("Homing_Offset")
-        if model.family.name == "sts" and not memory.value("Phase") & 16:
-            position %= model.steps
+        position = position % model.steps if self._within_a_turn() else position
         share = self.torque / settings.stall_torque
         low, high = model.ends
         measured = {
