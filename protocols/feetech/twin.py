@@ -178,8 +178,8 @@ class FeetechTwin(ServoFirmware):
         super().__init__(device, seed, Gains(torque_limit=settings.stall_torque))
         self.memory = memory_of(device)
         self._stream = Stream(ft.FRAMING)
-        self._behind: tuple[int, int, int] | None = None
-        """In a sync read: the servo after which it answers, and what with."""
+        self._chain: tuple[bytes, int, int] = b"", 0, 0
+        """In a sync read: the servos before it, after the last of which it answers, and what with."""
         self.encoder.bandwidth = math.inf
         self._delivered(settings)
 
@@ -228,11 +228,13 @@ class FeetechTwin(ServoFirmware):
             self._hear(t, ft.unpacked(message))
 
     def _hear(self, t: Nanos, one: Packet) -> None:
-        memory, behind = self.memory, self._behind
-        self._behind = None
-        if behind is not None and one.id == behind[0] and len(one.data) == behind[2]:
-            self._status(t, memory.image[behind[1] : behind[1] + behind[2]])
+        memory, (before, at, size) = self.memory, self._chain
+        if before and one.id in before and len(one.data) == size:
+            if one.id == before[-1]:
+                self._chain = b"", 0, 0
+                self._status(t, memory.image[at : at + size])
             return
+        self._chain = b"", 0, 0  # an instruction ends what was not finished
         mine = one.id == memory.id
         match one.instruction:
             case ft.PING if mine:
@@ -241,7 +243,7 @@ class FeetechTwin(ServoFirmware):
                 self._measure()
                 self._status(t, memory.image[one.data[0] : one.data[0] + one.data[1]])
             case ft.SYNC_READ if self.device.options.of_model.sync_read and len(one.data) > 2:
-                self._chain(t, one.data)
+                self._queue(t, one.data)
             case ft.WRITE | ft.REG_WRITE | ft.ACTION | ft.SYNC_WRITE:
                 for obeyed in memory.obey(one):
                     self.obey(t, obeyed)
@@ -249,13 +251,13 @@ class FeetechTwin(ServoFirmware):
                     self._status(t)
                 memory.id = memory.value("ID")
 
-    def _chain(self, t: Nanos, data: bytes) -> None:
+    def _queue(self, t: Nanos, data: bytes) -> None:
         at, size, order = data[0], data[1], data[2:]
         if (place := order.find(self.memory.id)) < 0:
             return
         self._measure()
         if place:
-            self._behind = order[place - 1], at, size
+            self._chain = order[:place], at, size
         else:
             self._status(t, self.memory.image[at : at + size])
 
