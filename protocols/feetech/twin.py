@@ -79,6 +79,7 @@ class Memory:
     def _write(self, at: int, data: bytes) -> Sequence[Obeyed]:
         before, end = self.image, at + len(data)
         self.put(at, data)
+        self.id = self.image[5] if at <= 5 < end else self.id
         for register in self.family.registers.values():
             if not register.writable:
                 self.put(register.at, before[register.at : register.at + register.size])
@@ -249,7 +250,6 @@ class FeetechTwin(ServoFirmware):
                     self.obey(t, obeyed)
                 if mine and one.instruction != ft.SYNC_WRITE and memory.value("Response_Status_Level"):
                     self._status(t)
-                memory.id = memory.value("ID")
 
     def _queue(self, t: Nanos, data: bytes) -> None:
         at, size, order = data[0], data[1], data[2:]

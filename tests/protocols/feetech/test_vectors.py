@@ -165,7 +165,9 @@ def test_any_write_is_the_bytes_of_the_sdk(order: int) -> None:
             raw = sdk.scservo_def.SCS_TOSCS(value, register.sign) if register.sign else value
             number = chance.randrange(254)
 
-            def write(handler: Any, port: Recorder, n: int = number, r: int = raw, at: Any = register) -> None:
+            def write(
+                handler: Any, port: Recorder, n: int = number, r: int = raw, at: Any = register
+            ) -> None:
                 call = handler.write2ByteTxOnly if at.size == 2 else handler.write1ByteTxOnly
                 call(port, n, at.at, r)
 
