@@ -39,6 +39,9 @@ LATE = 60_000
 """ns by which an answer may come later than the servo's delay"""
 BLOCKS_SET_UP = ("who", "state")
 """What is read back of the set-up"""
+MEASURED = (
+    "Present_Position", "Present_Velocity", "Present_Voltage", "Present_Temperature", "Present_Current"
+)  # fmt: skip
 GOALS = {0: "Goal_Position", 1: "Goal_Velocity", 2: "Goal_Time"}
 """The set-point's register by mode."""
 
@@ -165,10 +168,16 @@ class FeetechAdapter(Adapter[Servo]):
     def heard(
         self, t: Nanos, asked: Exchange, data: bytes, driver: MotorDriver[Servo]
     ) -> Sequence[Report[Servo] | Rx]:
-        instruction, found = asked[4], self._stream.feed(data)
-        self.interrupted()
+        instruction = asked[4]
         to = (asked[2],) if instruction != ft.SYNC_READ else tuple(asked[7:-1])
         places = () if instruction not in (ft.READ, ft.SYNC_READ) else (asked[5], asked[6])
+        if places == BLOCKS["motion"] and (moved := self._motions(t, to, data, driver)):
+            return moved
+        if (whole := ft.answers(to, places[1] if places else 0, data)) is not None:
+            at = places[0] if places else -1
+            return [self._report(t, self._asked(asked, one.id, driver), one, at, driver) for one in whole]
+        found = self._stream.feed(data)
+        self.interrupted()
         reports: list[Report[Servo] | Rx] = []
         answered: set[int] = set()
         for each in found:
@@ -185,6 +194,24 @@ class FeetechAdapter(Adapter[Servo]):
         if instruction == ft.SYNC_READ and len(answered) < len(to):
             silent = next(each for each in to if each not in answered)
             driver.at[silent].own.ask_alone(alone=True)  # those behind it have waited for it
+        return reports
+
+    def _motions(
+        self, t: Nanos, to: Sequence[int], data: bytes, driver: MotorDriver[Servo]
+    ) -> list[Report[Servo]]:
+        """Return what whole answers to the question for motion report; [] if they are not."""
+        reports: list[Report[Servo]] = []
+        for at, number in enumerate(to):
+            host = driver.at.get(number)
+            part = data[ft.MOTION_SIZE * at : ft.MOTION_SIZE * (at + 1)]
+            found = None if host is None else host.options.of_model.family.motion(number, part)
+            if host is None or found is None or len(data) != ft.MOTION_SIZE * len(to):
+                return []
+            error, place, speed, _, volts, degrees = found
+            host.own.ask_alone(alone=False)
+            faults, feedback = ft.faults_in(error), self._measured(t, host, place, speed, volts, degrees)
+            mode = Mode.FAULT if faults else None
+            reports.append(Report(host, number, mode, faults=faults, feedback=feedback))
         return reports
 
     def _asked(self, asked: Exchange, number: int, driver: MotorDriver[Servo]) -> Host[Servo] | None:
@@ -211,29 +238,34 @@ class FeetechAdapter(Adapter[Servo]):
             mode = Mode.ARMED if values["Torque_Enable"] else Mode.READY
             detail = "torque on" if values["Torque_Enable"] else "torque off"
         parameters = {} if at == BLOCKS["motion"][0] else {n: float(v) for n, v in values.items()}
-        feedback = self._measured(t, host, values) if "Present_Velocity" in values else None
+        feedback = (
+            self._measured(t, host, *(values.get(n) for n in MEASURED))
+            if "Present_Velocity" in values
+            else None
+        )
         return Report(host, host.address, mode, detail, faults, feedback, parameters=parameters, note=who)
 
-    def _measured(self, t: Nanos, host: Host[Servo], values: Values) -> Feedback:
+    @staticmethod
+    def _measured(
+        t: Nanos,
+        host: Host[Servo],
+        place: int,
+        speed: int,
+        volts: int,
+        degrees: int,
+        current: int | None = None,
+    ) -> Feedback:
         options: Options = host.options
-        model, steps, speed = options.of_model, values["Present_Position"], values["Present_Velocity"]
+        model = options.of_model
         velocity = None if abs(speed) >= 0x7FFF else speed * model.step
         if options.mode == "position":
             low, high = model.ends
-            position = (steps - model.middle) * model.step if low < steps < high else None
+            position = (place - model.middle) * model.step if low < place < high else None
         else:  # it goes on beyond the turn in which it is reported
-            within = (steps % model.steps - model.middle) * model.step
+            within = (place % model.steps - model.middle) * model.step
             position = host.own.turns.add(t, within, velocity, math.pi)
-        current = values.get("Present_Current")
-        return Feedback(
-            host.name,
-            t,
-            position,
-            velocity,
-            current=None if current is None else current * 6.5e-3,
-            voltage=values["Present_Voltage"] * 0.1,
-            temperature=float(values["Present_Temperature"]),
-        )
+        amperes = None if current is None else current * 6.5e-3
+        return Feedback(host.name, t, position, velocity, None, amperes, volts * 0.1, float(degrees))
 
     # -- commanded ------------------------------------------------------------------------------------
 

@@ -7,6 +7,7 @@ adityakamath/SCServo_Linux@da2ed3a; feetech-servo-sdk 1.0.0.
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple, TypeAlias
@@ -55,11 +56,6 @@ class Register:
     def most(self) -> int:
         """Return the largest value."""
         return (1 << (self.sign or 8 * self.size)) - 1
-
-    def raw(self, value: float) -> int:
-        """Return a value as the number in the register, at the ends of its range beyond it."""
-        number = round(max(-self.most if self.sign else 0, min(self.most, value)))
-        return -number | 1 << self.sign if number < 0 else number
 
     def value(self, raw: int) -> int:
         """Return the value of a number in the register; bits above the sign mean nothing."""
@@ -114,6 +110,21 @@ SCS_BLOCKS = BLOCKS | {"state": (40, 27)}
 Values: TypeAlias = dict[str, int]
 
 
+MOTION_SIZE = 14
+MOTION_HEADS = tuple(b"\xff\xff%c\x0a" % number for number in range(254))
+Motion: TypeAlias = tuple[int, int, int, int, int, int]
+"""Error, position [steps], velocity [steps/s], load [0.1 %], supply [0.1 V], °C"""
+
+
+class Layout(NamedTuple):
+    """How registers lie in a block of bytes."""
+
+    names: tuple[str, ...]
+    numbers: struct.Struct
+    signs: tuple[tuple[str, int], ...]
+    """Those with a sign, and what it is."""
+
+
 class Family:
     """The registers of servos that are programmed alike. A constant."""
 
@@ -121,30 +132,64 @@ class Family:
         self.name, self.order = name, order
         self.registers = {each.name: each for each in registers}
         self.blocks = BLOCKS if order == "little" else SCS_BLOCKS
+        self._layouts: dict[tuple[int, int], Layout] = {}
+        self._motion = struct.Struct("<>"[order == "big"] + "4sBHHHBBB")
+        self._coding = {
+            each.name: (each.size, 1 << each.sign, each.most, -each.most if each.sign else 0)
+            for each in registers
+        }
+        """Of each register: size, what the sign is, and the largest and smallest value."""
         self.modes = (0, 1, 2) if "Operating_Mode" in self.registers else (0,)
 
     def __deepcopy__(self, memo: object) -> Family:
         return self
 
     def data(self, name: str, value: float) -> bytes:
-        """Return a value as the bytes of its register. Raises ValueError if it is not finite."""
-        if not math.isfinite(value):
+        """Return a value as the bytes of its register, at the ends of its range beyond it. Raises ValueError
+        if it is not finite."""
+        size, sign, most, least = self._coding[name]
+        if not -1e9 < value < 1e9 and not math.isfinite(value):
             raise ValueError(f"{name} is {value}")
-        register = self.registers[name]
-        return register.raw(value).to_bytes(register.size, self.order)
-
-    def within(self, at: int, size: int) -> Iterator[Register]:
-        """Yield the registers of which a block of bytes has all."""
-        return (
-            each for each in self.registers.values() if at <= each.at and each.at + each.size <= at + size
-        )
+        number = round(value)
+        number = most if number > most else least if number < least else number
+        return (number if number >= 0 else sign - number).to_bytes(size, self.order)
 
     def values(self, at: int, data: bytes) -> Values:
-        """Return the values of the registers in a block of bytes."""
-        return {
-            each.name: each.value(int.from_bytes(data[each.at - at : each.at - at + each.size], self.order))
-            for each in self.within(at, len(data))
-        }
+        """Return the values of the registers of which a block of bytes has all."""
+        names, numbers, signs = self._layouts.get((at, len(data))) or self._layout(at, len(data))
+        found = dict(zip(names, numbers.unpack(data), strict=True))
+        for name, sign in signs:
+            raw = found[name]
+            if raw >= sign:  # bits above the sign mean nothing
+                found[name] = -(raw & sign - 1) if raw & sign else raw & sign - 1
+        return found
+
+    def motion(self, number: int, data: bytes) -> Motion | None:
+        """Return what a servo answers to the question for its motion; None if that is not its answer."""
+        if len(data) != MOTION_SIZE or sum(data) & 0xFF != 0xFD:  # the sync bytes and the checksum
+            return None
+        head, error, place, speed, load, volts, degrees, _ = self._motion.unpack(data)
+        if head != MOTION_HEADS[number]:
+            return None
+        place = place if place < 0x8000 else 0x8000 - place
+        speed = speed if speed < 0x8000 else 0x8000 - speed
+        load = load & 0x3FF if not load & 0x400 else -(load & 0x3FF)
+        return error, place, speed, load, volts, degrees
+
+    def _layout(self, at: int, size: int) -> Layout:
+        """Return how the registers lie in a block, made once."""
+        inside = [
+            each for each in self.registers.values() if at <= each.at and each.at + each.size <= at + size
+        ]
+        form, end = "<" if self.order == "little" else ">", at
+        for each in sorted(inside, key=lambda one: one.at):
+            form += "x" * (each.at - end) + " BH"[each.size]
+            end = each.at + each.size
+        numbers = struct.Struct(form + "x" * (at + size - end))
+        signs = tuple((each.name, 1 << each.sign) for each in inside if each.sign)
+        made = Layout(tuple(each.name for each in inside), numbers, signs)
+        self._layouts[at, size] = made
+        return made
 
     def wrong(self, name: str, value: float | None = None) -> str:
         """Return why a register cannot be read or (with a value) written, "" if it can."""
@@ -275,8 +320,14 @@ class Packet(NamedTuple):
 
 def packet(address: int, instruction: int, data: bytes = b"") -> bytes:
     """Return a packet."""
-    body = bytes((address, len(data) + 2, instruction)) + data
-    return b"\xff\xff" + body + bytes((inverted_sum8(body),))
+    size = len(data) + 2
+    return b"\xff\xff%c%c%c%b%c" % (
+        address,
+        size,
+        instruction,
+        data,
+        ~(address + size + instruction + sum(data)) & 0xFF,
+    )
 
 
 def unpacked(message: bytes) -> Packet:
@@ -375,10 +426,26 @@ def asks(
 
 def writes(at: int, each: Mapping[int, bytes]) -> bytes:
     """Return what writes the same registers of devices: nobody answers."""
-    size = len(next(iter(each.values())))
-    return packet(
-        EVERYBODY, SYNC_WRITE, bytes((at, size)) + b"".join(bytes((n,)) + d for n, d in each.items())
-    )
+    parts = bytearray((at, 0))
+    for number, data in each.items():
+        parts.append(number)
+        parts += data
+    parts[1] = len(data)
+    return packet(EVERYBODY, SYNC_WRITE, bytes(parts))
+
+
+def answers(ids: Sequence[int], size: int, data: bytes) -> list[Packet] | None:
+    """Return the answers of these devices, each with as many bytes of data, if there is nothing else."""
+    every, at, found = size + 6, 0, list[Packet]()
+    if len(data) != every * len(ids):
+        return None
+    for number in ids:
+        head, body = data[at : at + 4], data[at + 2 : at + every]
+        at += every
+        if head != b"\xff\xff%c%c" % (number, size + 2) or sum(body) & 0xFF != 0xFF:
+            return None
+        found.append(Packet(number, body[2], body[3:-1]))
+    return found
 
 
 def slices(each: Iterable[tuple[int, bytes]]) -> Iterator[dict[int, bytes]]:

@@ -1,5 +1,5 @@
-"""feetech-servo-sdk 1.0.0 as the client of our twins, over a pty, in a process of its own: its byte order is a
-global of the module."""
+"""feetech-servo-sdk 1.0.0 as the client of our twins, over a pty, in a process of its own: its byte order is
+a global of the module."""
 
 from __future__ import annotations
 

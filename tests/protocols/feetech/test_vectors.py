@@ -68,7 +68,8 @@ SENT: dict[str, tuple[dict[str, Any], bytes, tuple[Obeyed, ...]]] = {
             )
         )),
         (
-            msg.Arm("m"), msg.Position("m", (1000 - 2048) * STEP), msg.WriteParameter("m", "Acceleration", 50.0),
+            msg.Arm("m"), msg.Position("m", (1000 - 2048) * STEP),
+            msg.WriteParameter("m", "Acceleration", 50.0),
             msg.WriteParameter("m", "Goal_Time", 0.0), msg.WriteParameter("m", "Goal_Velocity", 1500.0),
         ),
     ),
@@ -140,11 +141,11 @@ class Recorder:
     def __init__(self) -> None:
         self.sent = b""
 
-    def clearPort(self) -> None: ...
+    def clearPort(self) -> None: ...  # noqa: N802
 
-    def setPacketTimeout(self, size: int) -> None: ...
+    def setPacketTimeout(self, size: int) -> None: ...  # noqa: N802
 
-    def writePort(self, data: list[int]) -> int:
+    def writePort(self, data: list[int]) -> int:  # noqa: N802
         self.sent += bytes(data)
         return len(data)
 
