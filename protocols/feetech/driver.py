@@ -439,19 +439,19 @@ class FeetechAdapter(Adapter[Servo]):
         request, step, has = pending.request, pending.notes.get("step"), report.parameters
         if isinstance(request, msg.Zero):  # what was measured before says nothing
             if "Homing_Offset" in has and report.feedback is None:
-                pending.notes["written"] = True
+                pending.notes.update(written=True)
             return super().answer(t, pending, report) if "written" in pending.notes else None
         if not isinstance(request, msg.WriteParameter):
             return super().answer(t, pending, report)
         name, value = request.parameter, request.value
         if step == "unlock" and has.get("Lock") == 0.0:
-            pending.notes["step"] = "write"
+            pending.notes.update(step="write")
         elif step == "write" and name == "Baud_Rate" and not has and report.content == "acknowledged":
             return pending.done(t, "restart it, and give the bus this rate")
         elif step == "write" and has.get(name) == value:
             if pending.host is None or pending.host.options.of_model.family.registers[name].at >= STORED:
                 return pending.done(t)
-            pending.notes["step"] = "lock"
+            pending.notes.update(step="lock")
         elif step == "lock" and has.get("Lock") == 1.0:
             return pending.done(
                 t, "give it this address in the robot file, too" if name == "ID" else "stored"

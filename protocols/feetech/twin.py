@@ -20,7 +20,7 @@ from protocols.messages import MILLISECOND, Command, Mode, Nanos, Obeyed
 from protocols.plugin import Device
 from protocols.toolkit.firmware import ServoFirmware
 from protocols.toolkit.serial import Stream
-from protocols.toolkit.servo import Gains, clamp
+from protocols.toolkit.servo import Encoder, Gains, clamp
 
 SIZE = 128
 GOALS = {0: (42, 2), 1: (46, 2), 2: (44, 2)}
@@ -181,7 +181,7 @@ class FeetechTwin(ServoFirmware):
         self._stream = Stream(ft.FRAMING)
         self._chain: tuple[bytes, int, int] = b"", 0, 0
         """In a sync read: the servos before it, after the last of which it answers, and what with."""
-        self.encoder.bandwidth = math.inf
+        self.encoder = Encoder(counts=1e6)
         self._delivered(settings)
 
     def _delivered(self, settings: Settings) -> None:
@@ -334,7 +334,8 @@ class FeetechTwin(ServoFirmware):
     def cycle(self, now: Nanos, dt: float, position: float, velocity: float) -> float:
         """Run the loops: within what the supply can do at this velocity."""
         settings: Settings = self.settings
-        self.encoder.offset = self.memory.value("Homing_Offset") * self.device.options.of_model.step
+        offset = self.memory.value("Homing_Offset") * self.device.options.of_model.step
+        self.encoder.set_position(self.encoder.shaft - offset)
         torque = super().cycle(now, dt, position, velocity)
         if self.mode is not Mode.ARMED:
             return 0.0
