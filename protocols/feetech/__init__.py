@@ -28,10 +28,7 @@ PROTECTED = {
     "Torque_Enable": "commands switch it",
     "Goal_Position": "commands set it",
 }
-NO_WATCHDOG = (
-    "it has no watchdog: without a host it holds its position, and a wheel turns on at its last velocity; "
-    "have a person at the supply's switch"
-)
+NO_WATCHDOG = "it has no watchdog: without a host it holds its position, or turns on at its last velocity"
 
 
 def ranges(options: Options) -> dict[str, Range]:
