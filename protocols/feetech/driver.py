@@ -10,18 +10,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from protocols import messages as msg
 from protocols.feetech import table as ft
 from protocols.feetech.options import MODES, Options
 from protocols.feetech.table import BLOCKS, IDS, Values
 from protocols.frames import Frame
-from protocols.line import Answer, Exchange, Rank
+from protocols.line import BITS, Answer, Exchange, Rank
 from protocols.messages import MILLISECOND, SECOND, Command, Feedback, Mode, Nanos, Request
 from protocols.plugin import Device
 from protocols.toolkit.host import Host, Phase, Report, Timing
 from protocols.toolkit.motor_driver import Adapter, MotorDriver, Pending, Rx
+from protocols.toolkit.requests import SLICE
 from protocols.toolkit.serial import Stream
 from protocols.toolkit.turns import Turns
 
@@ -35,6 +36,8 @@ ONCE: Nanos = 300 * MILLISECOND
 """Period in which other requests are sent again: a middle is stored each time."""
 STORED = 40
 """Registers below are kept without supply, where Lock is 0."""
+UNANSWERED: Nanos = MILLISECOND
+"""What a question that nobody answers costs beyond that"""
 LATE = 60_000
 """ns by which an answer may come later than the servo's delay"""
 BLOCKS_SET_UP = ("who", "state")
@@ -384,7 +387,8 @@ class FeetechAdapter(Adapter[Servo]):
         self, now: Nanos, request: Request, host: Host[Servo] | None, driver: MotorDriver[Servo]
     ) -> Pending[Servo] | str:
         if host is None:
-            return super().begin(now, request, host, driver)
+            begun = super().begin(now, request, host, driver)
+            return self._paced(begun, driver) if isinstance(begun, Pending) else begun
         family, stop = host.options.of_model.family, self._stopping(host)
         wrong = "the device cannot do that on this bus"
         match request:
@@ -398,6 +402,15 @@ class FeetechAdapter(Adapter[Servo]):
                 wrong = family.wrong(name, value)
         period = STEP if isinstance(request, msg.WriteParameter) else ONCE
         return wrong or Pending(request, host.name, now, now + SECOND, now, host, (), period)
+
+    @staticmethod
+    def _paced(scan: Pending[Servo], driver: MotorDriver[Servo]) -> Pending[Servo]:
+        """Return a scan that asks no faster than its line and ids without a servo let it."""
+        rate = min((host.own.rate for host in driver.hosts.values() if host.own.rate), default=1_000_000)
+        each = 20 * BITS * SECOND // rate + ft.LONGEST_DELAY + UNANSWERED
+        period = max(scan.period, SLICE * each)
+        deadline = scan.deadline + (period - scan.period) * (1 + len(scan.frames) // SLICE)
+        return replace(scan, period=period, deadline=deadline)
 
     def _stopping(self, host: Host[Servo]) -> tuple[Frame, ...]:
         return (Exchange(disarms(host.own.id), None, Rank.RELEASE),)

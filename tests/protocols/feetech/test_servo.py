@@ -130,7 +130,7 @@ def test_one_answer_in_a_hundred_lost_costs_readings_alone(sync: str) -> None:
         seen: list[float] = []
         for target in (3.0, -3.0, 2.0):
             bench.run(
-                1.5, Velocity("left", target), Velocity("right", -target),
+                0.8, Velocity("left", target), Velocity("right", -target),
                 at=lambda _, bench=bench, seen=seen: seen.append(bench.velocity("left")),  # type: ignore[misc]
             )  # fmt: skip
         pushed = [b - a for a, b in pairwise(seen)]
@@ -143,7 +143,7 @@ def test_one_answer_in_a_hundred_lost_costs_readings_alone(sync: str) -> None:
         late = max(b - a for a, b in pairwise(times[20:]))
         assert late < 40 * MILLISECOND
         readings.append(len(times))
-    assert readings[1] < 0.995 * readings[0]
+    assert readings[1] < readings[0]
     assert jerks[1] < 1.2 * jerks[0] + 1e-3
 
 
@@ -220,10 +220,14 @@ def test_what_cannot_be_written_is_refused(name: str, value: float, why: str) ->
     assert why in refused.reason
 
 
-def test_a_scan_finds_every_servo_with_model_and_firmware() -> None:
-    bench = rig()
+@pytest.mark.parametrize(("rate", "seconds"), [("1_000_000", 1.5), ("38_400", 5.0)])
+def test_a_scan_finds_every_servo_with_model_and_firmware(rate: str, seconds: float) -> None:
+    text = LINE.replace("OPTIONS", "feedback_ms = 20.0").replace("SETTINGS", "")
+    bench = Rig(text.replace("1_000_000", rate).replace("rate_hz = 200", "rate_hz = 50"))
     bench.run(0.3)
-    found = [one for one in answers(bench, msg.Scan("line0"), 3.0) if isinstance(one, msg.Found)]
+    made = answers(bench, msg.Scan("line0"), seconds)
+    found = [one for one in made if isinstance(one, msg.Found)]
+    assert isinstance(made[-1], msg.Done), made
     assert sorted(one.address for one in found) == [1, 2]
     assert all("sts3215 (777), firmware 3.10" in one.detail for one in found)
     assert overlaps(bench) == 0
