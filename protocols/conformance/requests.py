@@ -180,10 +180,8 @@ def _check_done(
             if isinstance(request, NOT_DECODED) or not _answers(event, request):
                 continue
             written = case.spec.writes.get(type(request), ())
-            writes = any(
-                isinstance(each, msg.WriteParameter) and each.motor == event.name and each.parameter in written
-                for each in received
-            )
+            changes = [each for each in received if isinstance(each, msg.WriteParameter)]
+            writes = any(each.motor == event.name and each.parameter in written for each in changes)
             if not writes and not any(_equivalent(request, each) for each in received):
                 raise Failure("done, and yet it was not decoded", step.down, (request, event))
 
