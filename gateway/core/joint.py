@@ -202,6 +202,8 @@ class Joint:
         self._holds_loads = "Hold.torque" in spec.ranges
         self._feeds_velocity = "Position.velocity" in spec.ranges
         """Whether Position takes the velocity on the way; else the device follows the position alone."""
+        self._feeds_torque = "Position.torque" in spec.ranges
+        """Likewise a torque: else its own loop must find what the load takes."""
         self._gains = spec.gains
         """Of the spring and damper that the device makes of Position, Velocity and Hold"""
         able_to_carry = {kind for kind in (msg.Hold, *_BY_TORQUE) if f"{kind.__name__}.torque" in spec.ranges}
@@ -785,7 +787,7 @@ class Joint:
                 return msg.Velocity(motor, velocity * ratio, torque / ratio)
             case msg.Position(motor, position, velocity, torque):
                 ahead = velocity * ratio if self._feeds_velocity else 0.0
-                return msg.Position(motor, position * ratio, ahead, torque / ratio)
+                return msg.Position(motor, position * ratio, ahead, torque / ratio * self._feeds_torque)
             case msg.Torque(motor, torque):
                 return msg.Torque(motor, torque / ratio)
             case msg.Hold(motor, torque) if torque:

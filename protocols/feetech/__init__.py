@@ -1,0 +1,117 @@
+"""Feetech bus servos: STS, SMS and SCS on a half-duplex serial line (README.md). Exports `plugin`."""
+
+from __future__ import annotations
+
+from protocols import messages as msg
+from protocols.feetech import table as ft
+from protocols.feetech.driver import FeetechAdapter, disarms
+from protocols.feetech.options import Options, Settings
+from protocols.feetech.twin import FeetechTwin, decoder
+from protocols.messages import MILLISECOND, Command
+from protocols.plugin import DRIVER_WRITES, Device, FeedbackKind, Plugin, Range, Setting, Spec, Watchdog
+from protocols.toolkit.assembly import declared, driver_of
+
+__all__ = ["plugin"]
+
+COMMANDS: dict[str, frozenset[type[Command]]] = {
+    "position": frozenset({msg.Idle, msg.Hold, msg.Position}),
+    "wheel": frozenset({msg.Idle, msg.Velocity}),
+    "pwm": frozenset({msg.Idle, msg.Torque}),
+}
+PROTECTED = {
+    "ID": "the robot file has its address",
+    "Baud_Rate": "the robot file has the rate of the line",
+    "Response_Status_Level": "what is asked for would not be answered",
+    "Homing_Offset": "its calibration: Zero, or a tool of its own",
+    "Phase": "how it is built",
+    "Angular_Resolution": "what a step is",
+    "Torque_Enable": "commands switch it",
+    "Goal_Position": "commands set it",
+}
+NO_WATCHDOG = "it has no watchdog: without a host it holds its position, or turns on at its last velocity"
+
+
+def ranges(options: Options) -> dict[str, Range]:
+    """Return what commands and measurements can carry. Of wheels the position is counted on, not measured."""
+    model, half = options.of_model, 0.501
+    step = model.step
+    fastest = 0x7FFE * step
+    found = {
+        "Feedback.velocity": Range(-fastest, fastest, half * step),
+        "Feedback.voltage": Range(0.0, 25.5, 0.0501),
+        "Feedback.temperature": Range(0.0, 255.0, half),
+    }
+    if "Present_Current" in model.family.registers:
+        found["Feedback.current"] = Range(-0x7FFF * 6.5e-3, 0x7FFF * 6.5e-3, half * 6.5e-3)
+    if options.mode == "wheel":
+        return found | {"Velocity.velocity": Range(-fastest, fastest, half * step)}
+    if options.mode == "pwm":
+        strongest = options.stall_torque
+        return found | {"Torque.torque": Range(-strongest, strongest, half * strongest / 1000.0)}
+    first, last = -model.middle * step, (model.steps - 1 - model.middle) * step
+    low, high = ((end - model.middle) * step for end in model.ends)
+    return found | {
+        "Position.position": Range(first, last, half * step),
+        "Feedback.position": Range(low + step, high - step, half * step),
+    }
+
+
+def configured(options: Options) -> dict[str, Setting]:
+    """Return the registers that are configuration: those that are stored."""
+    written, family = options.written, options.of_model.family
+    found = {}
+    for name, each in family.registers.items():
+        if each.writable and (each.at < 40 or name in written):
+            low = -each.most if each.sign else 0
+            protected = DRIVER_WRITES if name in written else PROTECTED.get(name, "")
+            found[name] = Setting(None, float(low), float(each.most), protected)
+    return found
+
+
+def spec(device: Device) -> Spec:
+    """Return the contract of one servo. Raises ValueError for an id that it cannot have."""
+    if device.address not in ft.IDS:
+        raise ValueError(f"address {device.address} of {device.name}: it must be 0 to {ft.IDS.stop - 1}")
+    options: Options = device.options
+    family = options.of_model.family
+    scales = {"model": "its Model_Number is read" if options.of_model.number else ""}
+    return Spec(
+        bus="serial",
+        kind="motor",
+        line="half-duplex",
+        sends=(),
+        expects=(),
+        read_only=ft.read_only,
+        feedback=FeedbackKind.POLLED,
+        feedback_period=round(options.feedback_ms * MILLISECOND),
+        offline_after=round(options.offline_ms * MILLISECOND),
+        commands=COMMANDS[options.mode],
+        requests=frozenset({msg.ClearFault, msg.Scan, msg.ReadParameter, msg.WriteParameter})
+        | (frozenset({msg.Zero}) if family.name == "sts" else frozenset()),
+        ranges=ranges(options),
+        watchdog=Watchdog(None, enabled=False, note=NO_WATCHDOG),
+        holds_unattended=True,
+        stop_clears_faults=False,
+        faults=ft.FAULTS,
+        parameters=tuple(family.registers),
+        configuration=configured(options),
+        set_up=declared(options.written),
+        stop=(disarms(device.address),),
+        writes={msg.WriteParameter: {"Lock": (0.0, 1.0)}},
+        scales=scales | ({"stall_torque": ""} if options.mode == "pwm" else {}),
+    )
+
+
+plugin = Plugin(
+    name=ft.NAME,
+    title="Feetech bus servos STS, SMS and SCS on a half-duplex serial line",
+    trust="bytes both ways, and the twin driven: feetech-servo-sdk 1.0.0. No hardware yet",
+    options=Options,
+    settings=Settings,
+    spec=spec,
+    driver=driver_of(FeetechAdapter, spec),
+    decoder=decoder,
+    twin=FeetechTwin,
+    messages=ft.messages,
+    vectors=("gateway.fixtures", "vectors/feetech.json"),
+)
