@@ -107,7 +107,7 @@ def spec(device: Device) -> Spec:
         requests=REQUESTS | ({msg.Scan} if options.scan else set()),
         ranges=ranges(options),
         stop_clears_faults=False,
-        faults=dt.ALL_FAULTS,
+        faults=dt.FAULTS,
         parameters=tuple(name for name in table.by_name if not name.startswith("Indirect_Address")),
         configuration=configured(device),
         set_up={**declared(options.set_up), goal: (goal,)},

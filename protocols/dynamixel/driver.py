@@ -37,6 +37,8 @@ AGAIN: Nanos = 100 * MILLISECOND
 """Time after which a stored register is written again."""
 STEP_EARLY: Nanos = 100_000
 """How much before its time something is done, rather than a step later."""
+BACK = " back"
+"""End of the subject of what is read for a request"""
 NEAR = 0.02
 """rad between shaft and set-point of a device that is armed"""
 
@@ -124,6 +126,8 @@ class DynamixelAdapter(Adapter[Own]):
         self.interrupted()
         reports += [self._status(t, each, wanted, question, driver) for each in self._stream.feed(data)]
         self.interrupted()  # what has no end is no beginning of the next answer
+        if not asked.about.endswith(BACK):  # it may have been read before it was written
+            reports = [replace(each, parameters={}) if isinstance(each, Report) else each for each in reports]
         if asked.about.startswith("motion"):
             self._find_break(reports, wanted, driver)
         return reports
@@ -263,7 +267,7 @@ class DynamixelAdapter(Adapter[Own]):
         if stored is not None:
             if now - own.asked_at.get("write", -AGAIN) >= AGAIN:
                 own.asked_at["write"] = now
-                self._write(host, {"Operating_Mode": stored}, "mode")
+                self._write(host, {"Operating_Mode": stored}, "mode", Rank.QUESTION)
             return self._read(now, host, "stored")
         goal = dt.GOALS[options.operating_mode]
         there = (
@@ -330,11 +334,13 @@ class DynamixelAdapter(Adapter[Own]):
 
     # -- by itself ------------------------------------------------------------------------------------
 
-    def _read(self, now: Nanos, host: Host[Own], block: str, rank: Rank = Rank.QUESTION) -> list[Frame]:
+    def _read(
+        self, now: Nanos, host: Host[Own], block: str, rank: Rank = Rank.QUESTION, about: str = ""
+    ) -> list[Frame]:
         """Return the question for a block of registers of one device."""
         host.own.asked_at[block] = now
         target = self._motion(host) if block == "motion" else host.options.table.blocks[block]
-        about = f"{host.address} {block}"
+        about = f"{host.address} {block}{about}"
         return [dx.question(dx.READ, {host.address: target}, rank, about, host.own.delay)]
 
     def _motion(self, host: Host[Own]) -> dx.Target:
@@ -416,7 +422,7 @@ class DynamixelAdapter(Adapter[Own]):
             return Pending(request, request.bus, now, end, now, None, twice, self._ping)
         if host is None:
             return super().begin(now, request, host, driver)
-        table, at, deadline = host.options.table, host.address, now + 3 * ANSWER
+        table, at, deadline, offset = host.options.table, host.address, now + 3 * ANSWER, self._offset(host)
         match request:
             case msg.ClearFault():
                 self.forget(now, host)
@@ -425,7 +431,7 @@ class DynamixelAdapter(Adapter[Own]):
             case msg.ReadParameter(_, name):
                 if wrong := table.wrong(name):
                     return wrong
-                frames = self._read(now, host, _block_of(table, name))
+                frames = self._back(now, host, name)
             case msg.WriteParameter(_, name, value):
                 if wrong := table.wrong(name, value):
                     return wrong
@@ -433,13 +439,17 @@ class DynamixelAdapter(Adapter[Own]):
                     return f"{name} is commanded, not written"
                 frames = self._change(now, host, name, value)
             case msg.Zero():
-                offset = self._offset(host)
                 if isinstance(offset, str):
                     return offset
-                frames = [*self._change(now, host, "Homing_Offset", offset), *self._read(now, host, "state")]
+                frames = self._change(now, host, "Homing_Offset", offset)
             case _:
                 return super().begin(now, request, host, driver)
-        return Pending(request, host.name, now, deadline, now, host, tuple(frames), AGAIN)
+        notes = {"offset": offset} if isinstance(request, msg.Zero) else {}
+        return Pending(request, host.name, now, deadline, now, host, tuple(frames), AGAIN, notes)
+
+    def frames(self, now: Nanos, pending: Pending[Own]) -> Sequence[Frame]:
+        scans = pending.host is None
+        return pending.frames[pending.sent : pending.sent + 1] if scans else pending.frames
 
     def _change(self, now: Nanos, host: Host[Own], name: str, value: float) -> list[Frame]:
         """Return what writes a register, and reads it back."""
@@ -448,7 +458,14 @@ class DynamixelAdapter(Adapter[Own]):
         write = dx.question(dx.WRITE, {at: (0, 0)}, Rank.QUESTION, "", host.own.delay, data)
         if name == "ID":  # it answers there from now on
             return [write, dx.question(dx.PING, {int(value): (0, 3)}, Rank.QUESTION, "", SLOWEST)]
-        return [write, *self._read(now, host, _block_of(table, name))] if name != "Baud_Rate" else [write]
+        return [write, *self._back(now, host, name)] if name != "Baud_Rate" else [write]
+
+    def _back(self, now: Nanos, host: Host[Own], name: str) -> list[Frame]:
+        """Return what reads a register (with its block) for a request."""
+        table: dt.ControlTable = host.options.table
+        number = table.by_name[name].number
+        block = next(block for block, (at, size) in table.blocks.items() if at <= number < at + size)
+        return self._read(now, host, block, Rank.QUESTION, BACK)
 
     def _offset(self, host: Host[Own]) -> int | str:
         """Return the Homing_Offset with which it stands at zero, or why there is none."""
@@ -472,11 +489,12 @@ class DynamixelAdapter(Adapter[Own]):
         if isinstance(request, msg.WriteParameter) and request.parameter == "Baud_Rate":
             plain = report.mode is None and report.feedback is None and not report.parameters
             return pending.done(t, "it answers at the new rate from now on") if plain else None
+        if isinstance(request, msg.Zero) and "zeroed" not in pending.notes:
+            # Where it stands tells nothing before the offset is written, and read back.
+            if report.parameters.get("Homing_Offset") == pending.notes["offset"]:
+                pending.notes["zeroed"] = True
+            return None
         if isinstance(request, msg.ClearFault) and "stored" not in pending.host.own.known_at:  # type: ignore[union-attr]
             return None  # it has not restarted yet, or is not known again
         return super().answer(t, pending, report)
 
-
-def _block_of(table: dt.ControlTable, name: str) -> str:
-    number = table.by_name[name].number
-    return next(block for block, (at, length) in table.blocks.items() if at <= number < at + length)

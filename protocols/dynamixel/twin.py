@@ -28,7 +28,7 @@ SLOT: Nanos = 3 * MILLISECOND
 class DynamixelTwin(ServoFirmware):
     """One servo."""
 
-    faults, lost = dt.ALL_FAULTS, dt.WATCHDOG
+    faults, lost = dt.FAULTS, dt.WATCHDOG
 
     def __init__(self, device: Device, seed: int) -> None:
         self.memory = memory_of(device)
@@ -85,8 +85,6 @@ class DynamixelTwin(ServoFirmware):
                 self.goal = msg.Velocity(name, 0.0)
 
     def provoke(self, code: int) -> None:
-        if code == dt.NOT_ARMED:
-            raise ValueError("the host alone finds that it does not arm")
         if code == dt.WATCHDOG:
             self.on_timeout()
         else:
