@@ -1,8 +1,8 @@
 """The messages of a serial protocol as a table: rows as on CAN, and how a message stands on the line.
 
 Rules. A `Row` has no id of its own on a line: in the place of it stand `uint("address")` and
-`const(function)`, 8 bits each. `Framing` finds messages in the stream; `pack` and `unpack` say where address
-and function are in one. All else is as in `protocols.toolkit.table`: encoding saturates, and raises
+`const(function)`, 8 bits each. A `FrameFormat` finds messages in the stream; `pack` and `unpack` say where
+address and function are in one. All else is as in `protocols.toolkit.table`: encoding saturates, and raises
 ValueError for a number that is not finite; decoding takes any bytes and never raises.
 """
 
@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 
 from protocols.frames import CanFrame, Frame
 from protocols.plugin import Range
-from protocols.toolkit.serial import Framing, Stream
+from protocols.toolkit.serial import FrameFormat, Stream
 from protocols.toolkit.table import Decoded, Direction, Row, Table
 
 Pack: TypeAlias = Callable[[int, int, bytes], bytes]
@@ -26,7 +26,7 @@ Unpack: TypeAlias = Callable[[bytes], tuple[int, int, bytes] | None]
 class Packets:
     """The messages of a serial protocol."""
 
-    def __init__(self, rows: Iterable[Row], framing: Framing, pack: Pack, unpack: Unpack) -> None:
+    def __init__(self, rows: Iterable[Row], framing: FrameFormat, pack: Pack, unpack: Unpack) -> None:
         self.framing = framing
         self._table = Table(replace(row, extended=True) for row in rows)
         self._pack, self._unpack = pack, unpack

@@ -1,17 +1,18 @@
-"""Messages on a byte stream: between sync bytes and a checksum, however the stream was cut.
+"""Messages on a byte stream, however it was cut: between sync bytes and a checksum, or lines of text.
 
-Rules. A `Framing` is a constant; a `Stream` holds at most one message's bytes. Any bytes are accepted, and
-nothing raises.
+Rules. A `Framing` (binary) or `TextLines` is a constant; a `Stream` holds at most one message's bytes, and
+looks at each byte a bounded number of times. Any bytes are accepted, and nothing raises.
 """
 
 from __future__ import annotations
 
+import binascii
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, reduce
 from operator import xor
-from typing import Literal, TypeAlias
+from typing import Literal, Protocol, TypeAlias
 
 from protocols.toolkit.motor_driver import Rx
 
@@ -51,8 +52,13 @@ def _remainders(width: int, polynomial: int, reflected: bool) -> tuple[int, ...]
 
 CRC8_MAXIM = crc(8, 0x31)
 CRC16_MODBUS = crc(16, 0x8005, 0xFFFF)
-CRC16_XMODEM = crc(16, 0x1021, reflected=False)
-"""What most vendors call CCITT, from 0."""
+
+
+def CRC16_XMODEM(data: bytes) -> int:  # noqa: N802 -- as the others
+    """CRC-16/XMODEM: what most vendors call CCITT, from 0."""
+    return binascii.crc_hqx(data, 0)
+
+
 CRC32: Checksum = zlib.crc32
 
 
@@ -66,34 +72,181 @@ def xor8(data: bytes) -> int:
     return reduce(xor, data, 0)
 
 
+class FrameFormat(Protocol):
+    """How messages stand on a line. A constant."""
+
+    def frame(self, message: bytes) -> bytes:
+        """Return a message, as `read` gives it, as it stands on the line."""
+        ...
+
+    def read(self, held: bytes, at: int) -> tuple[bytes | Rx | None, int]:
+        """Return what begins here, and where the search goes on: a message (b"": nothing worth a word);
+        MALFORMED, if its checksum is wrong; IGNORED: none begins here; None: more bytes must come."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Stuffing:
+    """A byte that is inserted in a body wherever it would look like a sync, as Dynamixel 2.0 does."""
+
+    pattern: bytes
+    """Behind these bytes,"""
+    inserted: bytes
+    """this one is inserted."""
+    resize: Callable[[bytes, int], bytes]
+    """From a head, and the bytes of a body: the head of such a body."""
+
+    def stuff(self, body: bytes) -> bytes:
+        """Return a body as it stands on the line."""
+        return body.replace(self.pattern, self.pattern + self.inserted)
+
+    def unstuff(self, body: bytes) -> bytes:
+        """Return a body without what was inserted."""
+        return body.replace(self.pattern + self.inserted, self.pattern)
+
+    def is_broken(self, held: bytes, start: int, end: int) -> bool:
+        """True if in this part of a body, of what has come of it, nothing is inserted where it should be:
+        another message has begun."""
+        bare = held.find(self.pattern, start, end)
+        while bare >= 0:
+            behind = bare + len(self.pattern)
+            if behind >= end or (behind < len(held) and held[behind : behind + 1] != self.inserted):
+                return True
+            bare = held.find(self.pattern, behind, end)
+        return False
+
+
 @dataclass(frozen=True, slots=True)
 class Framing:
-    """How a message stands on the line: head (with the sync bytes), body, checksum."""
+    """How a message stands on the line: head (with the sync bytes), body, checksum, and what ends it.
+    Raises ValueError for one that no stream could be split by."""
 
     sync: bytes
+    """Not empty: by it a message is found behind other bytes."""
     head: int
     """Bytes up to the body, sync included."""
     body: Callable[[bytes], int | None]
-    """From the head: bytes of the body; None if it is no head."""
+    """From the head: bytes of the body, on the line; None if it is no head. As many as this says are held:
+    let it take no more than a device sends."""
     checksum: Checksum
     checksum_size: int
     order: Literal["little", "big"] = "little"
     """Of the checksum's bytes."""
     covers: int = 0
     """The checksum covers the message from this byte on."""
+    tail: bytes = b""
+    """What stands behind the checksum."""
+    stuffing: Stuffing | None = None
+    """Of the body; the checksum covers it as it stands on the line."""
+
+    def __post_init__(self) -> None:
+        """Check that the stream can always go on."""
+        if not self.sync:
+            raise ValueError("a framing needs a sync: without one, no message is found behind other bytes")
+        if self.head < len(self.sync):
+            raise ValueError(f"a head of {self.head} bytes does not hold a sync of {len(self.sync)}")
+        if self.checksum_size < 0 or self.covers < 0:
+            raise ValueError("the size of a checksum, and where it begins, are not negative")
+        if self.stuffing is not None and not (self.stuffing.pattern and len(self.stuffing.inserted) == 1):
+            raise ValueError("stuffing inserts one byte behind a pattern")
 
     def frame(self, message: bytes) -> bytes:
-        """Return a message, head and body, with its checksum."""
-        return message + self.checksum(message[self.covers :]).to_bytes(self.checksum_size, self.order)
+        """Return a message, head and body, as it stands on the line: stuffed, with its checksum."""
+        if self.stuffing is not None and self.stuffing.pattern in message[self.head :]:
+            body = self.stuffing.stuff(message[self.head :])
+            message = self.stuffing.resize(message[: self.head], len(body)) + body
+        check = self.checksum(message[self.covers :]).to_bytes(self.checksum_size, self.order)
+        return message + check + self.tail
 
-    def end(self, held: bytes, at: int) -> int | None:
-        """Return where body and message end without the checksum, the end of the head at least; None: no
-        message begins here."""
+    def read(self, held: bytes, at: int) -> tuple[bytes | Rx | None, int]:
+        """Return what begins here, and where the search goes on, as every `FrameFormat`."""
         head = held[at : at + self.head]
         if not head.startswith(self.sync[: len(head)]):
-            return None
-        size = self.body(head) if len(head) == self.head else 0
-        return None if size is None else at + self.head + size
+            return Rx.IGNORED, self._sync(held, at + 1)
+        if len(head) < self.head:
+            return None, at
+        size = self.body(head)
+        if size is None or size < 0:
+            return Rx.IGNORED, self._sync(held, at + 1)
+        start, end = at + self.head, at + self.head + size
+        whole = end + self.checksum_size + len(self.tail)
+        if self.stuffing is not None and self.stuffing.is_broken(held, start, end):
+            return Rx.MALFORMED, self._sync(held, at + 1)
+        if len(held) < whole:
+            return None, at
+        check = int.from_bytes(held[end : end + self.checksum_size], self.order)
+        right = held[end + self.checksum_size : whole] == self.tail
+        if not right or self.checksum(held[at + self.covers : end]) != check:
+            return Rx.MALFORMED, self._sync(held, at + 1)
+        if self.stuffing is None or self.stuffing.pattern not in held[start:end]:
+            return held[at:end], whole
+        body = self.stuffing.unstuff(held[start:end])
+        return self.stuffing.resize(head, len(body)) + body, whole
+
+    def _sync(self, held: bytes, at: int) -> int:
+        """Return where the next sync begins, whole or as far as it has come."""
+        found = held.find(self.sync, at)
+        if found >= 0:
+            return found
+        for cut in range(max(at, len(held) - len(self.sync) + 1), len(held)):
+            if self.sync.startswith(held[cut:]):
+                return cut
+        return len(held)
+
+
+@dataclass(frozen=True, slots=True)
+class TextLines:
+    """Messages that are lines of text, printable ASCII. A message is a line without its end. Noise in a line
+    spoils that line alone; what stands between two ends is read."""
+
+    end: bytes = b"\n"
+    """What we end a line with."""
+    ends: bytes = b"\r\n"
+    """Each of these bytes ends one."""
+    longest: int = 255
+    """Bytes of a line, without its end."""
+    checksum: Checksum | None = None
+    """Stands behind `mark` in decimal figures, and covers all that is before it."""
+    mark: bytes = b"*"
+    required: bool = True
+    """False: a checksum is compared where there is one, and the message goes with it; `frame` adds none."""
+
+    def __post_init__(self) -> None:
+        """Check that a line that is written is a line that is read."""
+        if not self.ends or not self.end or set(self.end) - set(self.ends):
+            raise ValueError("a line ends with bytes that end it")
+        if self.longest < 1 or len(self.mark) != 1:
+            raise ValueError("a line has at least one byte, and the mark of a checksum is one")
+
+    def frame(self, message: bytes) -> bytes:
+        """Return a line, with its checksum, if it must have one, and its end. Raises ValueError if it is too
+        long, or would not be one line."""
+        if self.checksum is not None and self.required:
+            message += self.mark + b"%d" % self.checksum(message)
+        if len(message) > self.longest or not _is_text(message):
+            raise ValueError(f"no line of text of at most {self.longest} bytes: {message!r}")
+        return message + self.end
+
+    def read(self, held: bytes, at: int) -> tuple[bytes | Rx | None, int]:
+        """Return what begins here, and where the search goes on, as every `FrameFormat`."""
+        found = [end for end in (held.find(end, at) for end in self.ends) if end >= 0]
+        if not found:
+            # One byte more than a line may have: the rest of one that is too long is none.
+            keep = len(held) - self.longest - 1
+            return (Rx.IGNORED, keep) if keep > at else (None, at)
+        line, behind = held[at : min(found)], min(found) + 1
+        if len(line) > self.longest or not _is_text(line):
+            return Rx.IGNORED, behind
+        text, mark, figures = line.rpartition(self.mark)
+        if self.checksum is None or not line or (not mark and not self.required):
+            return line, behind
+        if not mark or (figures.lstrip(b"0") or b"0") != b"%d" % self.checksum(text):
+            return Rx.MALFORMED, behind
+        return text if self.required else line, behind
+
+
+def _is_text(line: bytes) -> bool:
+    return line.isascii() and line.decode("ascii").isprintable()
 
 
 @dataclass(slots=True)
@@ -102,35 +255,29 @@ class Stream:
 
     What is not a message is skipped: MALFORMED stands once for each message whose checksum is wrong, IGNORED
     once for each run of other bytes between two messages. A message behind either is found, since after a
-    wrong checksum the search goes on right behind the sync bytes."""
+    wrong checksum the search goes on at the next byte."""
 
-    framing: Framing
+    framing: FrameFormat
+    skipped: int = 0
+    """Bytes that belonged to no message."""
     _held: bytes = b""
     _skipping: bool = False
     """The run of bytes that is being skipped has been reported."""
 
     def feed(self, data: bytes) -> list[bytes | Rx]:
-        """Return the messages that these bytes complete: head and body."""
-        framing, held, at, found = self.framing, self._held + data, 0, list[bytes | Rx]()
+        """Return the messages that these bytes complete."""
+        held, at, found = self._held + data, 0, list[bytes | Rx]()
         while at < len(held):
-            end = framing.end(held, at)
-            if end is None:
-                found += () if self._skipping else (Rx.IGNORED,)
-                self._skipping = True
-                at = held.find(framing.sync[0], at + 1)
-                at = at if at >= 0 else len(held)
-            elif len(held) < end + framing.checksum_size:
+            one, end = self.framing.read(held, at)
+            if one is None:
                 break
-            elif framing.checksum(held[at + framing.covers : end]) == int.from_bytes(
-                held[end : end + framing.checksum_size], framing.order
-            ):
-                found.append(held[at:end])
-                self._skipping = False
-                at = end + framing.checksum_size
+            if isinstance(one, bytes):
+                found += (one,) if one else ()
             else:
-                found.append(Rx.MALFORMED)
-                self._skipping = True
-                at += len(framing.sync)
+                found += () if one is Rx.IGNORED and self._skipping else (one,)
+                self.skipped += end - at
+            self._skipping = isinstance(one, Rx)
+            at = end
         self._held = held[at:]
         return found
 
@@ -140,4 +287,30 @@ class Stream:
 
     def drop(self) -> None:
         """Discard a partial message: the line was interrupted, its rest will not come."""
+        self.skipped += len(self._held)
         self._held, self._skipping = b"", False
+
+
+@dataclass(frozen=True, slots=True)
+class Finds:
+    """The usual `protocols.line.Answer.find`: the answer is over with the last of so many messages that
+    belong to the question. Noise before, behind and between them is passed over, also where it looks like
+    the beginning of a message."""
+
+    framing: FrameFormat
+    belongs: Callable[[bytes, bytes], bool]
+    """From the question, as it stands on the line, and a message. A function of a module or a frozen
+    dataclass with `__call__`, so that it can be copied."""
+    count: int = 1
+
+    def __call__(self, asked: bytes, held: bytes) -> tuple[int, int] | None:
+        """Return where the answer begins and ends, or None."""
+        at, found, first = 0, 0, 0
+        while at < len(held):
+            one, end = self.framing.read(held, at)
+            if isinstance(one, bytes) and one and self.belongs(asked, one):
+                first, found = at if not found else first, found + 1
+                if found == self.count:
+                    return first, end
+            at = max(end, at + 1)
+        return None

@@ -25,7 +25,7 @@ from protocols.conformance.safety import leads_away
 from protocols.conformance.timeouts import settings_with_watchdog
 from protocols.frames import BusState, CanFrame, Frame
 from protocols.messages import MILLISECOND, Command, Event, Mode, Nanos, Request
-from protocols.plugin import Device, Plugin, Spec, load_all
+from protocols.plugin import Device, FeedbackKind, Plugin, Spec, load_all
 
 Given: TypeAlias = Command | Request
 
@@ -305,6 +305,9 @@ class Session:
             for name, motor in self.motors.items():
                 if at % 1000 == 300 and not motor.does and msg.ClearFault in motor.spec.requests:
                     requests += self.ask(msg.ClearFault(name))
+                if at % 2000 == 1999 and not motor.does and motor.spec.feedback is FeedbackKind.REPLY:
+                    # That it is not in motor mode shows in its torque alone: not at every small set-point.
+                    self.command(motor, self.drawn(motor, armed=True), CALM)
             self.step(requests)
             done = done + 1 if all(motor.does for motor in self.motors.values()) else 0
             at += 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from random import Random
 
 import pytest
@@ -13,8 +14,12 @@ from protocols.toolkit.serial import (
     CRC16_XMODEM,
     CRC32,
     Checksum,
+    Finds,
+    FrameFormat,
     Framing,
     Stream,
+    Stuffing,
+    TextLines,
     crc,
     inverted_sum8,
     xor8,
@@ -49,12 +54,20 @@ def body(head: bytes) -> int | None:
     return head[-1] if head[-1] <= 20 else None
 
 
+def resize(head: bytes, size: int) -> bytes:
+    return head[:-1] + bytes((size,))
+
+
 FRAMINGS = {
     "two sync bytes, CRC-16 of the body": Framing(b"\xaa\x55", 3, body, CRC16_MODBUS, 2, covers=3),
     "two equal sync bytes, an id, complement of the sum": Framing(
         b"\xff\xff", 4, body, inverted_sum8, 1, covers=2
     ),
     "one sync byte, big-endian CRC-16 of all": Framing(b"\x02", 2, body, CRC16_XMODEM, 2, "big"),
+    "a byte behind the checksum": Framing(b"\x02", 2, body, CRC16_XMODEM, 2, "big", 2, b"\x03"),
+    "stuffed": Framing(
+        b"\xff\xff\xfd\x00", 6, body, CRC16_MODBUS, 2, stuffing=Stuffing(b"\xff\xff\xfd", b"\xfd", resize)
+    ),
 }
 EVERY_FRAMING = pytest.mark.parametrize("framing", FRAMINGS.values(), ids=FRAMINGS)
 
@@ -96,8 +109,11 @@ def test_what_is_no_message_is_skipped_and_reported(framing: Framing, parts: str
     }
     data = b"".join(known.get(part) or whole[int(part)] for part in parts.split())
     results = {"ignored": Rx.IGNORED, "malformed": Rx.MALFORMED}
-    wanted = [results.get(each) or whole[int(each)][: -framing.checksum_size] for each in expected.split()]
-    assert Stream(framing).feed(data) == wanted
+    behind = framing.checksum_size + len(framing.tail)
+    wanted = [results.get(each) or whole[int(each)][:-behind] for each in expected.split()]
+    stream = Stream(framing)
+    assert stream.feed(data) == wanted
+    assert stream.skipped == len(data) - len(whole[0]) * sum(each.isdigit() for each in expected.split())
     stream = Stream(framing)
     assert [each for byte in data for each in stream.feed(bytes((byte,)))] == wanted
 
@@ -109,7 +125,8 @@ def test_a_stream_may_be_cut_anywhere_and_what_follows_noise_is_found(framing: F
     pieces = [
         random.choice(
             (
-                framing.frame(message(framing, random.randbytes(random.randint(0, 20)))),
+                framing.frame(message(framing, random.randbytes(random.randint(0, 15)))),
+                framing.frame(message(framing, (b"\xff\xff\xfd" * 5)[: random.randint(0, 15)])),
                 random.randbytes(random.randint(0, 9)),
                 framing.sync,
             )
@@ -119,14 +136,16 @@ def test_a_stream_may_be_cut_anywhere_and_what_follows_noise_is_found(framing: F
     last = message(framing, b"last")
     # The false beginning that noise may end with is refuted when as many bytes have come.
     data = b"".join(pieces) + framing.frame(last) * 3 + bytes(3 * framing.head + 30)
-    whole = Stream(framing).feed(data)
-    assert last in whole, f"seed {seed}"
+    whole, size_of_all = Stream(framing).feed(data), len(data)
+    assert whole.count(last) >= 2, f"seed {seed}"
     stream, parts = Stream(framing), list[bytes | Rx]()
     while data:
         size = random.randint(0, 9)
         parts += stream.feed(data[:size])
         data = data[size:]
-        assert len(stream._held) <= framing.head + 20 + framing.checksum_size
+        assert len(stream._held) <= framing.head + 20 + framing.checksum_size + len(framing.tail)
+        fed = sum(len(framing.frame(part)) for part in parts if isinstance(part, bytes))
+        assert fed + stream.skipped + len(stream._held) == size_of_all - len(data), f"seed {seed}"
     assert parts == whole, f"seed {seed}"
 
 
@@ -136,3 +155,176 @@ def test_a_partial_message_can_be_dropped() -> None:
     assert stream.feed(whole[:5]) == []
     stream.drop()
     assert stream.messages(whole[5:] + whole) == [whole[:-2]]
+
+
+@pytest.mark.parametrize(
+    ("make", "reason"),
+    [
+        (lambda: Framing(b"", 0, body, CRC32, 4), "needs a sync"),
+        (lambda: Framing(b"\xff\xff", 1, body, CRC32, 4), "does not hold a sync"),
+        (lambda: Framing(b"\xff", 1, body, CRC32, -1), "not negative"),
+        (
+            lambda: Framing(b"\xff", 1, body, CRC32, 4, stuffing=Stuffing(b"", b"\xfd", resize)),
+            "behind a pattern",
+        ),
+        (lambda: TextLines(b";"), "bytes that end it"),
+        (lambda: TextLines(longest=0), "at least one byte"),
+        (lambda: TextLines(mark=b""), "is one"),
+    ],
+)
+def test_a_framing_that_no_stream_could_be_split_by_is_refused(
+    make: Callable[[], object], reason: str
+) -> None:
+    with pytest.raises(ValueError, match=reason):
+        make()
+
+
+DYNAMIXEL = Framing(
+    b"\xff\xff\xfd\x00",
+    7,
+    lambda head: size - 2 if 3 <= (size := int.from_bytes(head[5:7], "little")) <= 1024 else None,
+    crc(16, 0x8005, reflected=False),
+    2,
+    stuffing=Stuffing(
+        b"\xff\xff\xfd", b"\xfd", lambda head, size: head[:5] + (size + 2).to_bytes(2, "little")
+    ),
+)
+"""Framing of Dynamixel 2.0 (ROBOTIS e-Manual, Protocol 2.0, "Byte Stuffing")."""
+
+
+@pytest.mark.parametrize(
+    ("plain", "stuffed"),
+    [
+        ("fffffd0001030001", "fffffd0001030001"),
+        ("fffffd00010900037400fffffd00", "fffffd00010a00037400fffffdfd00"),
+        ("fffffd00010900037400fffffdfd", "fffffd00010a00037400fffffdfdfd"),
+        ("fffffd00010c00037400fffffdfffffd00", "fffffd00010e00037400fffffdfdfffffdfd00"),
+        ("fffffd00010800037400fffffd", "fffffd00010900037400fffffdfd"),
+    ],
+)
+def test_stuffing_is_part_of_the_length_and_of_the_checksum(plain: str, stuffed: str) -> None:
+    message, line = bytes.fromhex(plain), bytes.fromhex(stuffed)
+    line += crc(16, 0x8005, reflected=False)(line).to_bytes(2, "little")
+    assert DYNAMIXEL.frame(message) == line
+    assert Stream(DYNAMIXEL).feed(line) == [message]
+
+
+def test_a_stuffed_message_that_is_cut_short_keeps_none_behind_it_waiting() -> None:
+    long = DYNAMIXEL.frame(bytes.fromhex("fffffd0001fe03") + bytes(1020))
+    ping = bytes.fromhex("fffffd0001030001194e")
+    assert Stream(DYNAMIXEL).feed(long[:20] + ping) == [Rx.MALFORMED, ping[:-2]]
+
+
+TEXT = TextLines(longest=20, checksum=xor8)
+"""As that of ODrive (docs/ascii-protocol.rst of its firmware 0.5.6, where the first line below stands)."""
+OPTIONAL = TextLines(longest=20, checksum=xor8, required=False)
+
+
+@pytest.mark.parametrize(
+    ("lines", "data", "expected"),
+    [
+        (TEXT, b"r vbus_voltage *93\n", [b"r vbus_voltage "]),
+        (TEXT, b"0.5 1.0*036\r\n\r\n1*49\r\n", [b"0.5 1.0", b"1"]),
+        (TEXT, b"0.5 1.1*36\n1*49\n", [Rx.MALFORMED, b"1"]),
+        (TEXT, b"0.5 1.0\n1*49\n", [Rx.MALFORMED, b"1"]),
+        (TEXT, b"0.5\x001.0*36\n\xff\xff\n1*49\n\x7f\n", [Rx.IGNORED, b"1", Rx.IGNORED]),
+        (TEXT, b"1" * 21 + b"\n" + b"1" * 99 + b"\n1*49\n", [Rx.IGNORED, b"1"]),
+        (TEXT, b"*0\n", []),
+        (TEXT, b"1*" + b"4" * 18 + b"\n", [Rx.MALFORMED]),
+        (OPTIONAL, b"0.5 1.0*36\n0.5 1.0\n0.5 1.0*9\n", [b"0.5 1.0*36", b"0.5 1.0", Rx.MALFORMED]),
+        (TextLines(), b"a*b\rc\n", [b"a*b", b"c"]),
+    ],
+)
+def test_lines_of_text(lines: TextLines, data: bytes, expected: list[bytes | Rx]) -> None:
+    stream = Stream(lines)
+    assert stream.feed(data) == expected
+    skipped, stream = stream.skipped, Stream(lines)
+    assert [each for byte in data for each in stream.feed(bytes((byte,)))] == expected
+    assert stream.skipped == skipped
+    for each in expected:
+        assert not isinstance(each, bytes) or Stream(lines).feed(lines.frame(each)) == [each]
+
+
+@pytest.mark.parametrize("text", [b"two\nlines", b"\xff", b"1" * 19])
+def test_what_is_no_line_of_text_is_not_made_one(text: bytes) -> None:
+    with pytest.raises(ValueError, match="no line of text"):
+        TEXT.frame(text)
+
+
+HOSTILE: dict[str, tuple[FrameFormat, bytes | None]] = {
+    "plain noise": (FRAMINGS["two sync bytes, CRC-16 of the body"], None),
+    "sync bytes": (FRAMINGS["two equal sync bytes, an id, complement of the sum"], b"\xff"),
+    "heads": (FRAMINGS["one sync byte, big-endian CRC-16 of all"], b"\x02\x14"),
+    "heads of the longest": (DYNAMIXEL, b"\xff\xff\xfd\x00\x01\xff\x03"),
+    "a line without an end": (TEXT, b"1"),
+    "ends": (TEXT, b"\r\n"),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+@pytest.mark.parametrize("chunk", [1, 64, 10_000])
+def test_work_is_bounded_whatever_comes(name: str, chunk: int) -> None:
+    """Counted, not timed: how often a stream looks for a message, and how many bytes it sums up."""
+    framing, pattern = HOSTILE[name]
+    data = Random(7).randbytes(10_000) if pattern is None else (pattern * 10_000)[:10_000]
+    counted = Counted(framing)
+    stream = Stream(counted)
+    for at in range(0, len(data), chunk):
+        stream.feed(data[at : at + chunk])
+    assert counted.reads <= 2 * len(data) + len(data) // chunk
+    assert len(stream._held) <= 1033
+
+
+class Counted:
+    """Counts how often it is asked."""
+
+    def __init__(self, framing: FrameFormat) -> None:
+        self.framing, self.reads = framing, 0
+
+    def frame(self, message: bytes) -> bytes:
+        return self.framing.frame(message)
+
+    def read(self, held: bytes, at: int) -> tuple[bytes | Rx | None, int]:
+        self.reads += 1
+        one, end = self.framing.read(held, at)
+        assert at <= end <= len(held)
+        assert one is None or end > at
+        return one, end
+
+
+def from_device_1(asked: bytes, message: bytes) -> bool:
+    return message[2] == 1
+
+
+@pytest.mark.parametrize(
+    ("parts", "found"),
+    [
+        ("", None),
+        ("own", (0, 9)),
+        ("cut", None),
+        ("other own", (9, 18)),
+        ("begun own", (4, 13)),
+        ("noise own noise", (3, 12)),
+        ("cut own other", (8, 17)),
+    ],
+)
+def test_an_answer_is_found_among_others(parts: str, found: tuple[int, int] | None) -> None:
+    framing = FRAMINGS["two equal sync bytes, an id, complement of the sum"]
+    own = framing.frame(b"\xff\xff\x01\x04abcd")
+    known = {
+        "own": own,
+        "other": framing.frame(b"\xff\xff\x02\x04abcd"),
+        "cut": own[:-1],
+        "begun": b"\xff\xff\x01\x14",
+        "noise": b"\x11\x12\xff",
+    }
+    held = b"".join(known[part] for part in parts.split())
+    assert Finds(framing, from_device_1)(b"", held) == found
+
+
+def test_an_answer_of_several_devices_ends_with_the_last() -> None:
+    framing = FRAMINGS["two equal sync bytes, an id, complement of the sum"]
+    one = framing.frame(b"\xff\xff\x01\x04abcd")
+    finds = Finds(framing, from_device_1, 3)
+    assert finds(b"", b"\x00" + one * 2) is None
+    assert finds(b"", b"\x00" + one * 2 + b"\x00" + one) == (1, 29)
