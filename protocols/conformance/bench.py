@@ -208,17 +208,22 @@ def make_bench(
         for name, address in zip(names, addresses, strict=True)
     )
     specs = tuple(plugin.spec(device) for device in devices)
-    driver, kinds = plugin.driver(devices), {spec.line for spec in specs}
-    if kinds != {"free"}:
-        driver = OnLine(driver, Line(LINE_RATE, half_duplex="half-duplex" in kinds, slack=2 * STEP))
     return Bench(
         specs,
         devices,
-        driver,
+        new_driver(plugin, devices),
         plugin.decoder(devices),
         [plugin.twin(device, seed) for seed, device in enumerate(devices)],
         {device.name: Shaft() for device in devices},
     )
+
+
+def new_driver(plugin: Plugin, devices: Sequence[Device]) -> Driver:
+    """Return a driver that knows nothing of its devices yet: with its line before it, where they are on one."""
+    driver, kinds = plugin.driver(devices), {plugin.spec(device).line for device in devices}
+    if kinds == {"free"}:
+        return driver
+    return OnLine(driver, Line(LINE_RATE, half_duplex="half-duplex" in kinds, slack=2 * STEP))
 
 
 def sensor_events(

@@ -267,7 +267,7 @@ def make_rig(case: Case, count: int = 1, settings: object = None, position: floa
 def takeover(case: Case, before: Rig) -> Rig:
     """Return a rig with the same devices, and a new driver that knows nothing of them."""
     bench = replace(before.bench, modes={})
-    host = Host(case.plugin.driver(bench.devices))
+    host = Host(tools.new_driver(case.plugin, bench.devices))
     bench.driver = host
     return Rig(bench, host, before.cables, given=before.given)
 
