@@ -7,6 +7,7 @@ after growing numbers of steps, so that the first that fails is the shortest.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import TypeAlias
@@ -36,6 +37,7 @@ PLACES = (0.7, -2.9, 61.3, -417.0)
 """rad where shafts stand: none is zero, nor a whole turn."""
 BY_HAND = 1.9
 """rad by which a disarmed shaft is turned."""
+CLEARED = "after a fault, turned by hand"
 AFTER = 60
 """Steps for which a shaft is watched after arming."""
 CUTS = (0, 1, 2, 3, 4, 5, 6, 8, 11, 15, 20, 28, 40, 55, 75, 100, 140, 200)
@@ -95,7 +97,7 @@ def _arms_from(case: Case, spec: Spec, kind: type[Command], place: float) -> Non
     rig.step([msg.ClearFault(ALPHA)])
     if not rig.only_replies and not rig.until(lambda _: rig.mode() is not Mode.FAULT, DISARMED):
         raise rig.failure("ClearFault does not clear")
-    _arms_still(rig, spec, kind, "after a fault, turned by hand")
+    _arms_still(rig, spec, kind, CLEARED)
 
 
 def _arms_still(rig: Rig, spec: Spec, kind: type[Command], when: str) -> None:
@@ -103,13 +105,15 @@ def _arms_still(rig: Rig, spec: Spec, kind: type[Command], when: str) -> None:
     shaft = rig.bench.shafts[ALPHA]
     place = shaft.position
     command = resting(kind, spec, ALPHA, rig.place())
+    # A device that restarts to be cleared counts whole turns anew: it has said where it is.
+    anew = round((rig.place() - place) / math.tau) * math.tau if when == CLEARED else 0.0
     jump: list[tuple[str, StepResult, Messages]] = []
     pushed = 0
 
     def jumps(result: StepResult) -> bool:
         nonlocal pushed
         pushed += torque_of(result) != 0.0
-        away = [m for m in named(result.received) if leads_away(m, spec, place)]
+        away = [m for m in named(result.received) if leads_away(m, spec, place + anew)]
         if away:
             jump.append((f"the device is sent {away[0]}", result, away[:1]))
         elif abs(shaft.position - place) > slack(spec, place) + _drift(spec, kind, shaft, pushed):
