@@ -29,15 +29,11 @@ LIMITS = {"Velocity_Limit": "velocity", "Current_Limit": "torque"}
 def ranges(options: Options) -> dict[str, Range]:
     """Return what commands and measurements can carry."""
     model = options.of
-    half, ends = 0.501 * model.count, (1 << 31) * model.count
-    turn = Range(-model.zero * model.count, (model.counts - 1 - model.zero) * model.count, half)
-    turn = (
-        turn
-        if model.zero
-        else Range(-model.counts // 2 * model.count, (model.counts // 2 - 1) * model.count, half)
-    )
-    measured = turn if options.mode == "position" else Range(-ends, ends, half)
-    most = (1 << 31) * model.step
+    half = 0.501 * model.count
+    low = -(model.counts // 2) * model.count
+    turn = Range(low, low + (model.counts - 1) * model.count, half)
+    measured = turn if options.mode == "position" else _places(model, (1 << 31) - 2)
+    most = ((1 << 31) - 2) * model.step
     found = {
         "Feedback.position": measured,
         "Feedback.velocity": Range(-most, most, 0.501 * model.step),
@@ -56,8 +52,13 @@ def ranges(options: Options) -> dict[str, Range]:
             return found | {"Torque.torque": Range(-end, end, 0.501 * options.newton_metre)}
         case "position":
             return found | {"Position.position": turn}
-    end = model.far * model.count
-    return found | {"Position.position": Range(-end, end, half)}
+    return found | {"Position.position": _places(model, model.far)}
+
+
+def _places(model: dt.Model, counts: int) -> Range:
+    """Return the range of positions that end at so many counts, either way."""
+    low, high = (-counts - model.zero) * model.count, (counts - model.zero) * model.count
+    return Range(low, high, 0.501 * model.count)
 
 
 def configured(device: Device) -> dict[str, Setting]:

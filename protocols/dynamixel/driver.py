@@ -1,9 +1,9 @@
 """The host's end: what devices are sent in each phase, and what their answers report.
 
-Rules. What is written to several devices is one sync write, which nobody answers; what became of it is read back. The
-motion of all is one chain of answers: sync read, or bulk read where they are of several kinds. Who breaks the chain is
-asked alone until it answers, so that those behind it lose one reading. Before a device is armed its stored registers
-are read: it must be the model, and in the mode, that the robot file has.
+Rules. What is written to several devices is one sync write, which nobody answers; what became of it is read
+back. The motion of all is one chain of answers: sync read, or bulk read where they are of several kinds. Who
+breaks the chain is asked alone until it answers, so that those behind it lose one reading. Before a device is
+armed its stored registers are read: it must be the model, and in the mode, that the robot file has.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 from protocols import messages as msg
 from protocols.dynamixel import packets as dx
@@ -37,6 +36,8 @@ AGAIN: Nanos = 100 * MILLISECOND
 """Time after which a stored register is written again."""
 STEP_EARLY: Nanos = 100_000
 """How much before its time something is done, rather than a step later."""
+MOST = (1 << 31) - 1
+"""Steps at which a position or velocity ends"""
 BACK = " back"
 """End of the subject of what is read for a request"""
 NEAR = 0.02
@@ -104,14 +105,14 @@ class DynamixelAdapter(Adapter[Own]):
         self._stream.drop()
 
     def receive(self, t: Nanos, frame: Frame, driver: MotorDriver[Own]) -> Sequence[Report[Own] | Rx]:
-        data = frame if isinstance(frame, bytes) else b""
-        return [self._status(t, each, {}, 0, driver) for each in self._stream.feed(data)]
+        if not isinstance(frame, bytes):
+            return (Rx.IGNORED,)
+        return [self._status(t, each, {}, None, driver) for each in self._stream.feed(frame)]
 
     def heard(
         self, t: Nanos, asked: Exchange, data: bytes, driver: MotorDriver[Own]
     ) -> Sequence[Report[Own] | Rx]:
         question = dx.unpack(asked[:-2])
-        assert question is not None
         wanted = dx.targets(question)
         reports: list[Report[Own] | Rx] = []
         if question.instruction in dx.FAST:
@@ -143,22 +144,31 @@ class DynamixelAdapter(Adapter[Own]):
             driver.at[order[last + 1]].own.alone = True
 
     def _status(
-        self, t: Nanos, message: bytes | Rx, wanted: dx.Targets, question: Any, driver: MotorDriver[Own]
+        self,
+        t: Nanos,
+        message: bytes | Rx,
+        wanted: dx.Targets,
+        question: dx.Packet | None,
+        driver: MotorDriver[Own],
     ) -> Report[Own] | Rx:
         if isinstance(message, Rx):
             return message
         one = dx.unpack(message)
-        ours = message[4] in driver.at
-        if one is None or (one.instruction == dx.STATUS and not one.parameters):
-            return Rx.MALFORMED if ours else Rx.IGNORED
         if one.instruction != dx.STATUS:
             return Rx.IGNORED  # an echo, or another host's
+        if not one.parameters:
+            return Rx.MALFORMED if one.id in driver.at else Rx.IGNORED
         return self._report(t, one, wanted, question, driver)
 
     def _report(
-        self, t: Nanos, one: dx.Packet, wanted: dx.Targets, question: Any, driver: MotorDriver[Own]
+        self,
+        t: Nanos,
+        one: dx.Packet,
+        wanted: dx.Targets,
+        question: dx.Packet | None,
+        driver: MotorDriver[Own],
     ) -> Report[Own] | Rx:
-        """Return what a status reports; `question`: the packet that it answers, or 0."""
+        """Return what a status reports; `question`: the packet that it answers, if it was asked for."""
         host, error, data = driver.at.get(one.id), one.parameters[0], one.parameters[1:]
         if question and question.instruction == dx.PING and len(data) == 3:
             return self._found(one.id, data, host, driver)
@@ -214,15 +224,18 @@ class DynamixelAdapter(Adapter[Own]):
         options: Options = host.options
         model, position = options.of, values["Present_Position"]
         # With the torque off it counts on beyond its turn; when it is armed it begins there anew: it has no place.
-        one_turn = options.mode != "position" or -model.counts <= 2 * (position - model.zero) < model.counts
-        place = (position - model.zero) * model.count if one_turn else None
+        counts, speed = position - model.zero, values["Present_Velocity"]
+        known = (
+            -model.counts <= 2 * counts < model.counts if options.mode == "position" else abs(position) < MOST
+        )
+        place = counts * model.count if known else None
         current = values.get("Present_Current")
         volts, degrees = values.get("Present_Input_Voltage"), values.get("Present_Temperature")
         return Feedback(
             host.name,
             t,
             place,
-            values["Present_Velocity"] * model.step,
+            speed * model.step if abs(speed) < MOST else None,
             None if current is None else current * options.newton_metre,
             None if current is None else current * model.ampere,
             None if volts is None else volts * 0.1,
@@ -344,7 +357,8 @@ class DynamixelAdapter(Adapter[Own]):
         return [dx.question(dx.READ, {host.address: target}, rank, about, host.own.delay)]
 
     def _motion(self, host: Host[Own]) -> dx.Target:
-        """Return where a device has its motion: with its state, where the indirect addresses are known to be set."""
+        """Return where a device has its motion: with its state, where the indirect addresses are known to be
+        set."""
         own, options = host.own, host.options
         table: dt.ControlTable = options.table
         if options.indirect and "indirect" in own.known_at and "stored" in own.known_at:
@@ -497,4 +511,3 @@ class DynamixelAdapter(Adapter[Own]):
         if isinstance(request, msg.ClearFault) and "stored" not in pending.host.own.known_at:  # type: ignore[union-attr]
             return None  # it has not restarted yet, or is not known again
         return super().answer(t, pending, report)
-

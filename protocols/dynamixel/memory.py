@@ -1,18 +1,18 @@
 """What a device keeps of what it was told, and obeys: the same object in the command decoder and in the twin.
 
-Rules. A write is refused whole, or done whole. Stored registers are written with the torque off only, none beyond its
-limits, and a set-point not beyond those that are stored.
+Rules. A write is refused whole, or done whole. Stored registers are written with the torque off only, none
+beyond its limits, and a set-point not beyond those that are stored.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from protocols import messages as msg
 from protocols.asked import waiting
 from protocols.dynamixel import packets as dx
-from protocols.dynamixel.options import STORED, Options, Settings
+from protocols.dynamixel.options import STORED, Options
 from protocols.dynamixel.table import (
     ADDRESSES,
     BAUD_RATES,
@@ -26,6 +26,7 @@ from protocols.dynamixel.table import (
 from protocols.frames import Frame
 from protocols.messages import Nanos, Obeyed
 from protocols.plugin import Device
+from protocols.toolkit.serial import Stream
 
 RESULT_FAIL, INSTRUCTION, RANGE, LENGTH, LIMIT, ACCESS = 1, 2, 4, 5, 6, 7
 OFFSET_OF_ONE_TURN = 1024
@@ -62,7 +63,8 @@ class Memory:
         return self.options.of
 
     def obey(self, one: dx.Packet) -> tuple[int, Sequence[Obeyed]]:
-        """Apply an instruction to any device: return the error of its status, and what the device then does."""
+        """Apply an instruction to any device: return the error of its status, and what the device then
+        does."""
         to_it, error, obeyed = one.id in (self.address, dx.ALL), 0, list[Obeyed]()
         for address, start, data in dx.writes(one):
             if address in (self.address, dx.ALL):
@@ -173,7 +175,8 @@ class Memory:
 
 
 def memory_of(device: Device, mode: int | None = None) -> Memory:
-    """Return that of a device as it is when switched on; `mode`: its Operating_Mode, if not as in its settings."""
+    """Return that of a device as it is when switched on; `mode`: its Operating_Mode, if not as in its
+    settings."""
     settings, options = device.settings, device.options
     model: Model = options.of
     delivered = {name: int(getattr(settings, setting)) for name, setting in STORED.items()}
@@ -202,15 +205,17 @@ def memory_of(device: Device, mode: int | None = None) -> Memory:
 
 
 class DynamixelDecoder:
-    """What the devices on one bus would obey. Their modes are taken to be those that the driver asks for, until others
-    are written: it arms none with another mode."""
+    """What the devices on one bus would obey. Their modes are taken to be those that the driver asks for,
+    until others are written: it arms none with another mode."""
 
     def __init__(self, devices: Sequence[Device]) -> None:
         self._memories = [memory_of(each, each.options.operating_mode) for each in devices]
+        self._stream = Stream(dx.FRAMING)
 
     def __deepcopy__(self, memo: object) -> DynamixelDecoder:
         """Copy what is written: all else is constant."""
         made = DynamixelDecoder(())
+        made._stream = replace(self._stream)
         made._memories = [
             Memory(m.name, m.address, m.options, m.delivered, m.written.copy(), m.armed, m.registered)
             for m in self._memories
@@ -219,5 +224,7 @@ class DynamixelDecoder:
 
     def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
         """Return what the devices would obey in this frame; [] if nothing."""
-        found, _ = dx.packets(frame)
+        if not isinstance(frame, bytes):
+            return ()
+        found = [dx.unpack(message) for message in self._stream.messages(frame)]
         return [does for one in found for memory in self._memories for does in memory.obey(one)[1]]

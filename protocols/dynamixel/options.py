@@ -17,13 +17,15 @@ class Options:
     """Configuration of the driver."""
 
     model: str = "XM430-W350"
-    """As printed on it, without -T and -R: it decides units and limits, and is checked before the device is armed."""
+    """As printed on it, without -T and -R: it decides units and limits, and is checked before the device is
+    armed."""
     mode: Mode = "velocity"
     """Operating_Mode, written before it is armed if it is another one."""
     max_velocity: float = bounded(0.0, 0.0, 100.0)
     """rad/s of Velocity; 0: Velocity_Limit as delivered. The device's Velocity_Limit must not be lower."""
     max_current: float = bounded(0.0, 0.0, 30.0)
-    """A of Torque, and of Position in current_position; 0: Current_Limit as delivered, which must not be lower."""
+    """A of Torque, and of Position in current_position; 0: Current_Limit as delivered, which must not be
+    lower."""
     torque_constant: float = bounded(0.0, 0.0, 30.0)
     """N·m/A; 0: the model's, from its stall torque and current: the true one differs by a fifth or so."""
     profile_velocity: float = bounded(0.0, 0.0, 100.0)
@@ -31,11 +33,11 @@ class Options:
     profile_acceleration: int = bounded(0, 0, 32_767)
     """Profile_Acceleration, in the device's steps; 0: as fast as it can"""
     indirect: bool = False
-    """Every feedback has the device's state, too: six more bytes, and no questions about it beside. Else the state is
-    read every `state_ms`."""
+    """Every feedback has the device's state, too: six more bytes, and no questions about it beside. Else the
+    state is read every `state_ms`."""
     fast: bool = False
-    """Fast sync read: one answer of all devices on a bus that have it, a quarter more of them a second. Firmware 45 or
-    newer; noise in the answer of one costs those behind it their readings, too."""
+    """Fast sync read: one answer of all devices on a bus that have it, a quarter more of them a second.
+    Firmware 45 or newer; noise in the answer of one costs those behind it their readings, too."""
     scan: bool = True
     """A scan may ask all ids."""
     timeout_ms: float = bounded(100.0, 0.0, 2540.0)
@@ -43,8 +45,8 @@ class Options:
     feedback_ms: float = bounded(10.0, 0.2, 1000.0)
     """Period of its feedback"""
     state_ms: float = bounded(200.0, 10.0, 10_000.0)
-    """Period in which torque, hardware errors, watchdog, voltage and temperature are read. Hardware errors show in
-    every feedback before."""
+    """Period in which torque, hardware errors, watchdog, voltage and temperature are read. Hardware errors
+    show in every feedback before."""
     offline_ms: float = bounded(200.0, 20.0, 10_000.0)
     """Time without an answer after which it is offline"""
 
@@ -117,7 +119,8 @@ class Settings:
     # Registers of the same name, as stored. 0 of the limits: as the model is delivered.
     baud_rate: int = bounded(3, 0, 9)
     return_delay_time: int = bounded(250, 0, 254)
-    """Steps of 2 µs. As delivered: half a millisecond for each device, which halves the rate of a line. Write 0."""
+    """Steps of 2 µs. As delivered: half a millisecond for each device, which halves the rate of a line. Write
+    0."""
     drive_mode: int = bounded(0, 0, 13)
     operating_mode: int = bounded(3, 0, 16)
     homing_offset: int = bounded(0, -1_044_479, 1_044_479)

@@ -1,14 +1,15 @@
-"""Packets of protocol 2.0 on a line: head, stuffed body, CRC; what they read and write, and what answers them.
+"""Packets of protocol 2.0 on a line: head, stuffed body, CRC; what they read and write, and what answers
+them.
 
-Rules. In a body, FF FF FD is followed by another FD: a header begins nowhere else. The answer to a fast read is one
-packet which its devices send together, each its block behind that of the one before, with a CRC over all so far: its
-length is fixed, so it is not stuffed. (e-Manual, Protocol 2.0)
+Rules. In a body, FF FF FD is followed by another FD: a header begins nowhere else. The answer to a fast read
+is one packet which its devices send together, each its block behind that of the one before, with a CRC over
+all so far: its length is fixed, so it is not stuffed. (e-Manual, Protocol 2.0)
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -16,10 +17,9 @@ from protocols.dynamixel.table import BY_NUMBER, register_at
 from protocols.frames import Frame
 from protocols.line import Answer, Exchange, Rank
 from protocols.messages import Nanos, value
-from protocols.toolkit.serial import Framing, Stream, crc
+from protocols.toolkit.serial import Framing, Stream, Stuffing, crc
 
-HEADER, ALL = b"\xff\xff\xfd\x00", 0xFE
-PLAIN, STUFFED = b"\xff\xff\xfd", b"\xff\xff\xfd\xfd"
+HEADER, PLAIN, ALL = b"\xff\xff\xfd\x00", b"\xff\xff\xfd", 0xFE
 PING, READ, WRITE, REG_WRITE, ACTION, FACTORY_RESET, REBOOT, CLEAR, STATUS = 1, 2, 3, 4, 5, 6, 8, 0x10, 0x55
 SYNC_READ, SYNC_WRITE, FAST_SYNC_READ, BULK_READ, BULK_WRITE, FAST_BULK_READ = (
     0x82,
@@ -47,7 +47,11 @@ def _body(head: bytes) -> int | None:
     return size - 2 if 3 <= size <= LONGEST and (head[4] < 253 or head[4] == ALL) else None
 
 
-FRAMING = Framing(HEADER, HEAD, _body, CRC, 2)
+def _resize(head: bytes, size: int) -> bytes:
+    return head[:5] + struct.pack("<H", size + 2)
+
+
+FRAMING = Framing(HEADER, HEAD, _body, CRC, 2, stuffing=Stuffing(PLAIN, b"\xfd", _resize))
 
 Target: TypeAlias = tuple[int, int]
 """Address and length of what is read."""
@@ -66,20 +70,12 @@ class Packet:
 
 def packet(address: int, instruction: int, parameters: bytes = b"") -> bytes:
     """Return a packet as it stands on the line."""
-    body = bytes((instruction,)) + parameters
-    if PLAIN in body:
-        body = body.replace(PLAIN, STUFFED)
-    return FRAMING.frame(HEADER + struct.pack("<BH", address, len(body) + 2) + body)
+    return FRAMING.frame(HEADER + struct.pack("<BHB", address, len(parameters) + 3, instruction) + parameters)
 
 
-def unpack(message: bytes) -> Packet | None:
-    """Return what is in a message (as `Stream.feed` gives it); None if its stuffing is wrong."""
-    body = message[HEAD:]
-    if PLAIN in body and (message[4] != ALL or body[0] != STATUS):
-        if body.count(PLAIN) != body.count(STUFFED):
-            return None
-        body = body.replace(STUFFED, PLAIN)
-    return Packet(message[4], body[0], body[1:])
+def unpack(message: bytes) -> Packet:
+    """Return what is in a message (as `Stream.feed` gives it)."""
+    return Packet(message[4], message[HEAD], message[HEAD + 1 :])
 
 
 def targets(one: Packet) -> Targets:
@@ -125,7 +121,7 @@ class Statuses:
 
     def __call__(self, asked: bytes, held: bytes) -> tuple[int, int] | None:
         first = at = held.find(HEADER)
-        while 0 <= at and at + HEAD <= len(held):
+        while at >= 0 and at + HEAD <= len(held):
             end = at + HEAD + (held[at + 5] | held[at + 6] << 8)
             if held[at + 4] == self.last and end <= len(held) and not self._of_another(held[at:end]):
                 return first, end
@@ -136,9 +132,8 @@ class Statuses:
         """True for a whole answer to another question: it is late."""
         if self.last == ALL:
             return False
-        (one,) = Stream(FRAMING).messages(status) or (b"",)
-        found = unpack(one) if one else None
-        return found is not None and len(found.parameters) not in (1, 1 + self.size)
+        found = Stream(FRAMING).messages(status)
+        return bool(found) and len(unpack(found[0]).parameters) not in (1, 1 + self.size)
 
 
 def question(
@@ -154,12 +149,14 @@ def question(
 
     Args:
         instruction: what it is.
-        wanted: what is read of whom, in the order in which they answer; of what is no reading only the length counts.
+        wanted: what is read of whom, in the order in which they answer; of what is no reading only the length
+            counts.
         rank, about, tries: as in `Exchange`.
         delay: the longest that all of them together wait before they answer.
         parameters: of an instruction that reads nothing.
     """
-    last, (_, size) = next(reversed(wanted.items()))
+    last = list(wanted)[-1]
+    size = wanted[last][1]
     fast, single = instruction in FAST, instruction not in READS or instruction == READ
     if instruction in (BULK_READ, FAST_BULK_READ):
         parameters = b"".join(struct.pack("<BHH", each, *at) for each, at in wanted.items())
@@ -181,8 +178,8 @@ def sync_write(start: int, data: Mapping[int, bytes]) -> bytes:
 
 
 def blocks(data: bytes, wanted: Targets) -> tuple[list[Packet], int]:
-    """Return the blocks of the answer to a fast read as statuses, up to the first that is wrong or missing; and how
-    many bytes they are."""
+    """Return the blocks of the answer to a fast read as statuses, up to the first that is wrong or missing;
+    and how many bytes they are."""
     start = data.find(HEADER + bytes((ALL,)))
     at, found = start + 8, list[Packet]()
     for _, length in wanted.values() if start >= 0 else ():
@@ -206,9 +203,9 @@ def packets(frame: Frame) -> tuple[list[Packet], bool]:
     if not isinstance(frame, bytes):
         return [], False
     found = Stream(FRAMING).messages(frame)
-    whole = sum(len(message) + 2 for message in found) == len(frame)
-    unpacked = [unpack(message) for message in found]
-    return [each for each in unpacked if each is not None], whole and None not in unpacked
+    return [unpack(message) for message in found], sum(len(FRAMING.frame(each)) for each in found) == len(
+        frame
+    )
 
 
 def names(frame: Frame) -> tuple[str, ...]:
@@ -220,9 +217,7 @@ def _name(one: Packet) -> str:
     if one.instruction not in (WRITE, REG_WRITE, SYNC_WRITE, BULK_WRITE):
         return NAMES.get(one.instruction, "")
     written = writes(Packet(one.id, WRITE, one.parameters) if one.instruction == REG_WRITE else one)
-    registers = dict.fromkeys(
-        register_at(start, len(data)) or f"{start}+{len(data)}" for _, start, data in written
-    )
+    registers = dict.fromkeys(register_at(start, len(data)) for _, start, data in written)
     return " ".join((NAMES[one.instruction], *registers)) if registers else ""
 
 
@@ -236,8 +231,3 @@ def note(parameters: bytes) -> str:
     """Return what the answer to a ping says: model and firmware."""
     number = parameters[0] | parameters[1] << 8
     return f"{BY_NUMBER.get(number, f'model {number}')}, firmware {parameters[2]}"
-
-
-def together(addresses: Iterable[int]) -> str:
-    """Return the numbers of devices as text."""
-    return ", ".join(map(str, addresses))

@@ -1,7 +1,7 @@
 """Models, and their control tables: registers by address, which protocol 2.0 reads and writes.
 
-Rules. Names are those of the e-Manual, with underscores. Registers below 64 are stored, and written with the torque off
-only. Velocities are in steps of the model, positions in counts, of which `zero` is 0 rad.
+Rules. Names are those of the e-Manual, with underscores. Registers below 64 are stored, and written with the
+torque off only. Velocities are in steps of the model, positions in counts, of which `zero` is 0 rad.
 """
 
 from __future__ import annotations
@@ -208,7 +208,7 @@ def _parsed(text: str, shift: int) -> list[Register]:
 
 
 @cache
-def _table(family: Family, current: bool) -> ControlTable:  # noqa: FBT001 -- a key
+def _table(family: Family, current: bool) -> ControlTable:
     return ControlTable(family, current=current)
 
 
@@ -232,12 +232,13 @@ def modes_of(model: Model) -> Sequence[int]:
 
 
 def register_at(start: int, length: int) -> str:
-    """Return the name of the register that is written so, in whatever model; "" if none is."""
-    for table in (_table("X", True), _table("X330", True), _table("P", True)):
+    """Return the name of what is written there, in whatever model it is: of a register, or of the first of
+    several, with "and on"."""
+    for table in (_table("X330", True), _table("P", True)):
         register = table.by_number.get(start)
-        if register is not None and table.size(register.name) == length:
-            return register.name
-    return ""
+        if register is not None:
+            return register.name + " and on" * (table.size(register.name) != length)
+    return f"{start}"
 
 
 _REBOOT = "then clear: it restarts"

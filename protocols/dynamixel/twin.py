@@ -1,7 +1,7 @@
 """The device's end: the firmware of one servo, as far as the e-Manual tells it.
 
-Rules. Each instruction ends what was not finished of the one before: a chain of answers whose turn has not come. What the
-loops inside do is ours: the manual has their gains, not their form.
+Rules. Each instruction ends what was not finished of the one before: a chain of answers whose turn has not
+come. What the loops inside do is ours: the manual has their gains, not their form.
 """
 
 from __future__ import annotations
@@ -99,27 +99,20 @@ class DynamixelTwin(ServoFirmware):
 
     def on_frame(self, t: Nanos, frame: Frame) -> None:
         data = frame if isinstance(frame, bytes) else b""
-        at = data.find(dx.HEADER)
-        if at < 0:
-            self._take(t, data)
-        while at >= 0:
-            if at:
-                self._take(t, data[:at])
-            data, at = data[at:], data.find(dx.HEADER, at + 1) - at
-            self._stream.drop()  # a header begins nowhere but at a packet: what was held is cut off
-            self._take(t, data[:at] if at > 0 else data)
-            if at <= 0:
-                return
+        while data:  # packet by packet
+            at = data.find(dx.HEADER, 1)
+            piece, data = (data, b"") if at < 0 else (data[:at], data[at:])
+            self._take(t, piece)
 
     def _take(self, t: Nanos, piece: bytes) -> None:
         """Take bytes of one packet, or a part of it."""
         self._heard += piece
         for message in self._stream.messages(piece):
             one = dx.unpack(message)
-            if one is not None and one.instruction != dx.STATUS:
+            if one.instruction != dx.STATUS:
                 self._heard = b""
                 self._instruction(t, one)
-            elif one is not None and self._behind is not None and one.id == self._behind[0]:
+            elif self._behind is not None and one.id == self._behind[0]:
                 (_, target), self._behind = self._behind, None
                 self._answer(t, 0, self._read(*target))
         if self._fast is not None and len(self._heard) == self._fast[0]:
@@ -220,11 +213,15 @@ class DynamixelTwin(ServoFirmware):
             "Torque_Enable": int(self.mode is Mode.ARMED),
             "Hardware_Error_Status": self.fault & 0xFF,
             "Registered_Instruction": int(bool(self.memory.registered)),
-            "Present_Velocity": round(self.encoder.velocity / model.step),
-            "Present_Position": max(-(1 << 31), min((1 << 31) - 1, position)),
-            "Present_Current": max(-32768, min(32767, current)),
+            "Present_Velocity": _within(round(self.encoder.velocity / model.step), 31),
+            "Present_Position": _within(position, 31),
+            "Present_Current": _within(current, 15),
             "Present_Load": round(1000.0 * self.torque / model.strongest),
             "Present_Input_Voltage": 50 if model.family == "X330" else 240 if model.family == "P" else 120,
             "Present_Temperature": 30,
             "Moving": int(abs(self.encoder.velocity) > 10 * model.step),
         }
+
+
+def _within(value: int, bits: int) -> int:
+    return max(-(1 << bits), min((1 << bits) - 1, value))
