@@ -158,6 +158,8 @@ def _accepted(
         benches[addresses] = tools.make_bench(plugin, options, addresses, names)
         benches[addresses].steps(KNOWN)
     driver = benches[addresses].driver
+    if isinstance(driver, tools.OnLine):
+        driver.line.drop()  # it is no part of an answer that is under way
     before = driver.counters.accepted
     driver.receive(benches[addresses].now, frame)
     return driver.counters.accepted == before + 1

@@ -46,6 +46,8 @@ DISARMED = 1500
 """Steps within which Idle must have disarmed."""
 GAINS = {"position": "stiffness", "velocity": "damping"}
 """What makes a set-point of a number of Impedance."""
+_UNCLEARED = (Mode.FAULT, Mode.OFFLINE)
+"""It restarts to be cleared: it is not back yet."""
 LOST = 60
 """Steps for which replies, or the first frames of Idle, are lost."""
 LATE = 2000
@@ -95,7 +97,7 @@ def _arms_from(case: Case, spec: Spec, kind: type[Command], place: float) -> Non
     rig.wait(AFTER, [msg.Idle(ALPHA)] if msg.Idle in spec.commands else [])
     rig.turn(-2.0 * BY_HAND)
     rig.step([msg.ClearFault(ALPHA)])
-    if not rig.only_replies and not rig.until(lambda _: rig.mode() is not Mode.FAULT, DISARMED):
+    if not rig.only_replies and not rig.until(lambda _: rig.mode() not in _UNCLEARED, DISARMED):
         raise rig.failure("ClearFault does not clear")
     _arms_still(rig, spec, kind, CLEARED)
 
@@ -105,14 +107,14 @@ def _arms_still(rig: Rig, spec: Spec, kind: type[Command], when: str) -> None:
     shaft = rig.bench.shafts[ALPHA]
     place = shaft.position
     command = resting(kind, spec, ALPHA, rig.place())
-    # A device that restarts to be cleared counts whole turns anew: it has said where it is.
-    anew = round((rig.place() - place) / math.tau) * math.tau if when == CLEARED else 0.0
     jump: list[tuple[str, StepResult, Messages]] = []
     pushed = 0
 
     def jumps(result: StepResult) -> bool:
         nonlocal pushed
         pushed += torque_of(result) != 0.0
+        # A device that restarts to be cleared counts whole turns anew: it has said where it is.
+        anew = round((rig.place() - place) / math.tau) * math.tau if when == CLEARED else 0.0
         away = [m for m in named(result.received) if leads_away(m, spec, place + anew)]
         if away:
             jump.append((f"the device is sent {away[0]}", result, away[:1]))

@@ -117,7 +117,7 @@ class Statuses:
 
     last: int
     size: int
-    """Bytes of its parameters"""
+    """Bytes of its parameters; of the answer to a fast read, all"""
 
     def __call__(self, asked: bytes, held: bytes) -> tuple[int, int] | None:
         first = at = held.find(HEADER)
@@ -131,7 +131,7 @@ class Statuses:
     def _of_another(self, status: bytes) -> bool:
         """True for a whole answer to another question: it is late."""
         if self.last == ALL:
-            return False
+            return len(status) != self.size
         found = Stream(FRAMING).messages(status)
         return bool(found) and len(unpack(found[0]).parameters) not in (1, 1 + self.size)
 
@@ -163,7 +163,8 @@ def question(
     elif instruction in READS:
         parameters = struct.pack("<HH", *wanted[last]) + (b"" if single else bytes(wanted))
     if fast:
-        most, last, size = 8 + sum(4 + length for _, length in wanted.values()), ALL, 0
+        most = size = 8 + sum(4 + length for _, length in wanted.values())
+        last = ALL
     else:
         most = sum(11 + length + length // 3 for _, length in wanted.values())
     frame = packet(last if single else ALL, instruction, parameters)

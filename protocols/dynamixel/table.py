@@ -242,31 +242,26 @@ def register_at(start: int, length: int) -> str:
 
 
 _REBOOT = "then clear: it restarts"
+_SUPPLY = "the supply is outside of Min_ and Max_Voltage_Limit"
+_ENCODER = "clear: it restarts; if it comes back, replace it"
+_SHOCK = f"check supply and cables, {_REBOOT}"
 FAULTS = {
-    0x01: FaultInfo(
-        "input voltage", "the supply is outside of Min_ and Max_Voltage_Limit", f"check it, {_REBOOT}"
-    ),
+    0x01: FaultInfo("input voltage", _SUPPLY, f"check it, {_REBOOT}"),
     0x04: FaultInfo("overheating", "hotter than Temperature_Limit", f"let it cool, {_REBOOT}"),
-    0x08: FaultInfo(
-        "motor encoder", "the encoder of the motor", "clear: it restarts; if it comes back, replace it"
-    ),
-    0x10: FaultInfo(
-        "electrical shock", "the circuit, or too little power", f"check supply and cables, {_REBOOT}"
-    ),
+    0x08: FaultInfo("motor encoder", "the encoder of the motor", _ENCODER),
+    0x10: FaultInfo("electrical shock", "the circuit, or too little power", _SHOCK),
     0x20: FaultInfo("overload", "more load than it can carry, for too long", f"free it, {_REBOOT}"),
-    0x100: FaultInfo(
-        "bus watchdog", "the host was silent for longer than timeout_ms", f"find out why, {_REBOOT}"
-    ),
 }
+"""Bits of Hardware_Error_Status: each switches the torque off."""
 WATCHDOG, NOT_ARMED = 0x100, 0x200
+_SILENT = "the host was silent for longer than timeout_ms"
+_FIRMWARE = "firmware without a bus watchdog (before 38) or without indirect addresses, or a line that loses much"
+_OPTIONS = "update the firmware, or set timeout_ms = 0, indirect = false"
 ALL_FAULTS = FAULTS | {
-    NOT_ARMED: FaultInfo(
-        "not armed",
-        "a register does not become what is written: firmware without a bus watchdog (before 38), or without indirect "
-        "addresses; or the line loses too much",
-        "update the firmware, or set timeout_ms = 0, indirect = false",
-    )
+    WATCHDOG: FaultInfo("bus watchdog", _SILENT, f"find out why, {_REBOOT}"),
+    NOT_ARMED: FaultInfo("not armed", f"a register does not become what is written: {_FIRMWARE}", _OPTIONS),
 }
+"""With what is none of the device's: it stops where it is, with the torque on, or does not arm."""
 ERRORS = {
     1: "it failed to process the instruction", 2: "it does not know the instruction", 3: "the CRC was wrong",
     4: "the value is out of range", 5: "the length is wrong", 6: "the value is beyond a limit that is stored",

@@ -120,9 +120,11 @@ class DynamixelTwin(ServoFirmware):
             self._block(t, self._heard + head, len(self._heard), target)
 
     def _instruction(self, t: Nanos, one: dx.Packet) -> None:
-        self.feed(t)
         self._behind = self._fast = None
         memory = self.memory
+        to_it = memory.address in {one.id, *dx.targets(one), *(address for address, _, _ in dx.writes(one))}
+        if to_it or one.id == dx.ALL and one.instruction in (dx.PING, dx.ACTION, dx.REBOOT):
+            self.feed(t)
         here, level = one.id == memory.address, memory.get("Status_Return_Level")
         wrong = memory.get("Baud_Rate")
         if self.rate in dt.BAUD_RATES and self.rate != dt.BAUD_RATES[wrong]:
