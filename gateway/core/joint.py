@@ -201,7 +201,9 @@ class Joint:
         """N·m at the output shaft that the device can be commanded"""
         self._holds_loads = "Hold.torque" in spec.ranges
         self._feeds_velocity = "Position.velocity" in spec.ranges
-        """Whether Position takes the velocity on the way; else the device follows the position alone."""
+        """Whether Position takes the velocity on the way; else the device follows the position alone,"""
+        self._feeds_torque = "Position.torque" in spec.ranges
+        """and whether it takes the torque; else its own loop must find it."""
         self._gains = spec.gains
         """Of the spring and damper that the device makes of Position, Velocity and Hold"""
         able_to_carry = {kind for kind in (msg.Hold, *_BY_TORQUE) if f"{kind.__name__}.torque" in spec.ranges}
@@ -764,7 +766,9 @@ class Joint:
                 return msg.Velocity(motor, velocity * ratio, torque / ratio)
             case msg.Position(motor, position, velocity, torque):
                 ahead = velocity * ratio if self._feeds_velocity else 0.0
-                return msg.Position(motor, position * ratio, ahead, torque / ratio)
+                return msg.Position(
+                    motor, position * ratio, ahead, torque / ratio if self._feeds_torque else 0.0
+                )
             case msg.Torque(motor, torque):
                 return msg.Torque(motor, torque / ratio)
             case msg.Hold(motor, torque) if torque:
