@@ -33,8 +33,8 @@ class DynamixelTwin(ServoFirmware):
     def __init__(self, device: Device, seed: int) -> None:
         self.memory = memory_of(device)
         self.model, self.table = self.memory.model, self.memory.table
-        most = self.model.strongest
-        super().__init__(device, seed, Gains(torque_limit=most))
+        most, stiff = self.model.strongest, min(max(self.model.strongest / 4.0, 1.0), 10.0)
+        super().__init__(device, seed, Gains(torque_limit=most).scaled(1.0, stiff, 2.0 * stiff))
         self.encoder = Encoder(counts=1.0 / self.model.count, bandwidth=1000.0)
         self.rate = device.line_rate
         self._stream = Stream(dx.FRAMING)
