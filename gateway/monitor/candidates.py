@@ -58,8 +58,11 @@ def of_plugins(bus: BusSettings, plugins: Sequence[Plugin]) -> list[ProtocolVari
             for address in range(MAX_ADDRESSES):
                 device = Device(f"{plugin.name}:{address}", address, options, plugin.settings())
                 with suppress(ValueError):  # the protocol does not allow this address
-                    specs.append((device, plugin.spec(device)))
-            if specs and all(spec.bus in COMPATIBLE[bus.kind] for _, spec in specs):
+                    spec = plugin.spec(device)
+                    if spec.bus not in COMPATIBLE[bus.kind]:
+                        break
+                    specs.append((device, spec))
+            if specs:
                 variants.append(_with_devices(bus, plugin, specs))
     return variants
 
