@@ -255,7 +255,9 @@ FAULTS = {
 """Bits of Hardware_Error_Status: each switches the torque off."""
 WATCHDOG, NOT_ARMED = 0x100, 0x200
 _SILENT = "the host was silent for longer than timeout_ms"
-_FIRMWARE = "firmware without a bus watchdog (before 38) or without indirect addresses, or a line that loses much"
+_FIRMWARE = (
+    "firmware without a bus watchdog (before 38) or without indirect addresses, or a line that loses much"
+)
 _OPTIONS = "update the firmware, or set timeout_ms = 0, indirect = false"
 ALL_FAULTS = FAULTS | {
     WATCHDOG: FaultInfo("bus watchdog", _SILENT, f"find out why, {_REBOOT}"),

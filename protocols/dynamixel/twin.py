@@ -7,14 +7,14 @@ come. What the loops inside do is ours: the manual has their gains, not their fo
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from protocols import messages as msg
 from protocols.dynamixel import packets as dx
 from protocols.dynamixel import table as dt
 from protocols.dynamixel.memory import OFFSET_OF_ONE_TURN, RESULT_FAIL, memory_of
 from protocols.frames import Frame
-from protocols.messages import MILLISECOND, Mode, Nanos
+from protocols.messages import MILLISECOND, Event, Mode, Nanos
 from protocols.plugin import Device
 from protocols.toolkit.firmware import ServoFirmware
 from protocols.toolkit.serial import Stream
@@ -33,7 +33,7 @@ class DynamixelTwin(ServoFirmware):
     def __init__(self, device: Device, seed: int) -> None:
         self.memory = memory_of(device)
         self.model, self.table = self.memory.model, self.memory.table
-        most, stiff = self.model.strongest, min(max(self.model.strongest / 4.0, 1.0), 10.0)
+        most, stiff = self.model.strongest, min(max(self.model.strongest / 4.0, 1.0), 30.0)
         super().__init__(device, seed, Gains(torque_limit=most).scaled(1.0, stiff, 2.0 * stiff))
         self.encoder = Encoder(counts=1.0 / self.model.count, bandwidth=1000.0)
         self.rate = device.line_rate
@@ -45,6 +45,8 @@ class DynamixelTwin(ServoFirmware):
         self._fast: tuple[int, dx.Target, bytes] | None = None
         """In a fast one: the bytes that come before its own, what it will answer, and with what head."""
         self._offset = 0
+        self._restarts = False
+        """It restarts when it has answered."""
         self._configure()
 
     # -- what it is ------------------------------------------------------------------------------------
@@ -95,6 +97,15 @@ class DynamixelTwin(ServoFirmware):
         self.memory.armed = False
         self.memory.written["Torque_Enable"] = 0
 
+    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[msg.Torque], Sequence[Frame]]:
+        torques, frames = super().step(now, truth)
+        if self._restarts and not self._replies:
+            self._restarts, self.goal = False, msg.Idle(self.device.name)
+            self.memory.restart()
+            self.restart(now, RESTART)
+            self._one_turn()
+        return torques, frames
+
     # -- what it hears -----------------------------------------------------------------------------------
 
     def on_frame(self, t: Nanos, frame: Frame) -> None:
@@ -144,11 +155,7 @@ class DynamixelTwin(ServoFirmware):
             if here and level == 2 and one.instruction != dx.ACTION:
                 self._answer(t, error, b"")
             if one.instruction == dx.REBOOT and (here or one.id == dx.ALL):
-                answers = self._replies
-                self._behind, self.goal = None, msg.Idle(self.device.name)
-                self.restart(t, RESTART)
-                self._replies = answers  # it answers before
-                self._one_turn()
+                self._restarts = True
 
     def _obey(self, t: Nanos, one: dx.Packet) -> int:
         error, obeyed = self.memory.obey(one)
