@@ -148,11 +148,13 @@ class DynamixelTwin(ServoFirmware):
                 data = self._read(0, 2) + self._read(6, 1)
                 self._answer(t if here else t + SLOT * memory.address, 0, data)
         else:
+            if one.instruction == dx.REBOOT and here and level == 2:
+                self._answer(t, 0, b"")
             enables = not memory.armed
             error = self._obey(t, one)
             if enables and memory.armed and self.mode is not Mode.ARMED:
                 memory.armed, memory.written["Torque_Enable"], error = False, 0, RESULT_FAIL
-            if here and level == 2 and one.instruction != dx.ACTION:
+            if here and level == 2 and one.instruction not in (dx.ACTION, dx.REBOOT):
                 self._answer(t, error, b"")
             if one.instruction == dx.REBOOT and (here or one.id == dx.ALL):
                 self._restarts = True
