@@ -123,7 +123,7 @@ def spec(device: Device) -> Spec:
 plugin = Plugin(
     name=dt.NAME,
     title="Dynamixel X, XL330, XC330 and P servos over protocol 2.0 (TTL, RS-485)",
-    trust="bytes of every message both ways, control tables, and the twin driven: dynamixel-sdk 4.1.0. No hardware yet",
+    trust="bytes both ways, control tables, and the twin driven: dynamixel-sdk 4.1.0. No hardware yet",
     options=Options,
     settings=Settings,
     spec=spec,

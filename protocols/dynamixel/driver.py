@@ -40,8 +40,8 @@ MOST = (1 << 31) - 1
 """Steps at which a position or velocity ends"""
 BACK = " back"
 """End of the subject of what is read for a request"""
-NEAR = 0.02
-"""rad between shaft and set-point of a device that is armed"""
+NEAR, MOVING = 0.003, 0.05
+"""rad between shaft and set-point of a device that is armed, and s of its velocity beside"""
 
 
 @dataclass(slots=True)
@@ -223,7 +223,7 @@ class DynamixelAdapter(Adapter[Own]):
     def _feedback(self, t: Nanos, host: Host[Own], values: Mapping[str, int]) -> Feedback:
         options: Options = host.options
         model, position = options.of, values["Present_Position"]
-        # With the torque off it counts on beyond its turn; when it is armed it begins there anew: it has no place.
+        # Disarmed it counts on beyond its turn, and begins anew when it is armed: there it has no place.
         counts, speed = position - model.zero, values["Present_Velocity"]
         known = (
             -model.counts <= 2 * counts < model.counts if options.mode == "position" else abs(position) < MOST
@@ -282,15 +282,11 @@ class DynamixelAdapter(Adapter[Own]):
                 own.asked_at["write"] = now
                 self._write(host, {"Operating_Mode": stored}, "mode", Rank.QUESTION)
             return self._read(now, host, "stored")
-        goal = dt.GOALS[options.operating_mode]
-        there = (
-            round((host.position or 0.0) / options.of.count) + options.of.zero
-            if goal == "Goal_Position"
-            else 0
-        )
-        if abs(own.known.get(goal, 1 << 31) - there) > (
-            NEAR / options.of.count if goal == "Goal_Position" else 0
-        ):
+        goal, there, near = dt.GOALS[options.operating_mode], 0, 0.0
+        if goal == "Goal_Position":  # it is armed where it stands
+            there = round((host.position or 0.0) / options.of.count) + options.of.zero
+            near = (NEAR + MOVING * abs(own.known["Present_Velocity"] * options.of.step)) / options.of.count
+        if abs(own.known.get(goal, 1 << 31) - there) > near:
             wrong[goal] = there
         if wrong:
             self._write(host, wrong, "set-up")
@@ -436,7 +432,8 @@ class DynamixelAdapter(Adapter[Own]):
             return Pending(request, request.bus, now, end, now, None, twice, self._ping)
         if host is None:
             return super().begin(now, request, host, driver)
-        table, at, deadline, offset = host.options.table, host.address, now + 3 * ANSWER, self._offset(host)
+        table: dt.ControlTable = host.options.table
+        at, deadline, offset = host.address, now + 3 * ANSWER, self._offset(host)
         match request:
             case msg.ClearFault():
                 self.forget(now, host)
@@ -483,7 +480,8 @@ class DynamixelAdapter(Adapter[Own]):
 
     def _offset(self, host: Host[Own]) -> int | str:
         """Return the Homing_Offset with which it stands at zero, or why there is none."""
-        known, options, model = host.own.known, host.options, host.options.of
+        known, options = host.own.known, host.options
+        model: dt.Model = options.of
         if host.position is None or "Homing_Offset" not in known:
             return "its position is not known"
         offset = int(known["Homing_Offset"]) - round(host.position / model.count)

@@ -20,7 +20,8 @@ from protocols.messages import Nanos, value
 from protocols.toolkit.serial import Framing, Stream, Stuffing, crc
 
 HEADER, PLAIN, ALL = b"\xff\xff\xfd\x00", b"\xff\xff\xfd", 0xFE
-PING, READ, WRITE, REG_WRITE, ACTION, FACTORY_RESET, REBOOT, CLEAR, STATUS = 1, 2, 3, 4, 5, 6, 8, 0x10, 0x55
+PING, READ, WRITE, REG_WRITE, ACTION, FACTORY_RESET, REBOOT = 1, 2, 3, 4, 5, 6, 8
+CLEAR, STATUS = 0x10, 0x55
 SYNC_READ, SYNC_WRITE, FAST_SYNC_READ, BULK_READ, BULK_WRITE, FAST_BULK_READ = (
     0x82,
     0x83,

@@ -118,17 +118,20 @@ MODELS = {
 BY_NUMBER = {model.number: name for name, model in MODELS.items()}
 
 STORED = """
-0 u16 Model_Number r|2 u32 Model_Information r|6 u8 Firmware_Version r|7 u8 ID|8 u8 Baud_Rate|9 u8 Return_Delay_Time
-10 u8 Drive_Mode|11 u8 Operating_Mode|12 u8 Secondary_ID|13 u8 Protocol_Type|20 i32 Homing_Offset|24 u32 Moving_Threshold
-31 u8 Temperature_Limit|32 u16 Max_Voltage_Limit|34 u16 Min_Voltage_Limit|36 u16 PWM_Limit|44 u32 Velocity_Limit
-48 i32 Max_Position_Limit|52 i32 Min_Position_Limit|63 u8 Shutdown"""
+0 u16 Model_Number r|2 u32 Model_Information r|6 u8 Firmware_Version r|7 u8 ID|8 u8 Baud_Rate
+9 u8 Return_Delay_Time|10 u8 Drive_Mode|11 u8 Operating_Mode|12 u8 Secondary_ID|13 u8 Protocol_Type
+20 i32 Homing_Offset|24 u32 Moving_Threshold|31 u8 Temperature_Limit|32 u16 Max_Voltage_Limit
+34 u16 Min_Voltage_Limit|36 u16 PWM_Limit|44 u32 Velocity_Limit|48 i32 Max_Position_Limit
+52 i32 Min_Position_Limit|63 u8 Shutdown"""
 VOLATILE = """
-64 u8 Torque_Enable|68 u8 Status_Return_Level|69 u8 Registered_Instruction r|70 u8 Hardware_Error_Status r
-76 u16 Velocity_I_Gain|78 u16 Velocity_P_Gain|80 u16 Position_D_Gain|82 u16 Position_I_Gain|84 u16 Position_P_Gain
-88 u16 Feedforward_2nd_Gain|90 u16 Feedforward_1st_Gain|98 u8 Bus_Watchdog|100 i16 Goal_PWM|104 i32 Goal_Velocity
-108 u32 Profile_Acceleration|112 u32 Profile_Velocity|116 i32 Goal_Position|120 u16 Realtime_Tick r|122 u8 Moving r
+64 u8 Torque_Enable|68 u8 Status_Return_Level|69 u8 Registered_Instruction r
+70 u8 Hardware_Error_Status r|76 u16 Velocity_I_Gain|78 u16 Velocity_P_Gain|80 u16 Position_D_Gain
+82 u16 Position_I_Gain|84 u16 Position_P_Gain|88 u16 Feedforward_2nd_Gain|90 u16 Feedforward_1st_Gain
+98 u8 Bus_Watchdog|100 i16 Goal_PWM|104 i32 Goal_Velocity|108 u32 Profile_Acceleration
+112 u32 Profile_Velocity|116 i32 Goal_Position|120 u16 Realtime_Tick r|122 u8 Moving r
 123 u8 Moving_Status r|124 i16 Present_PWM r|128 i32 Present_Velocity r|132 i32 Present_Position r
-136 i32 Velocity_Trajectory r|140 i32 Position_Trajectory r|144 u16 Present_Input_Voltage r|146 u8 Present_Temperature r"""
+136 i32 Velocity_Trajectory r|140 i32 Position_Trajectory r|144 u16 Present_Input_Voltage r
+146 u8 Present_Temperature r"""
 """At the X series; the P series has these 448 further on."""
 
 MODES = {"current": 0, "velocity": 1, "position": 3, "extended_position": 4, "current_position": 5}

@@ -134,7 +134,7 @@ class DynamixelTwin(ServoFirmware):
         self._behind = self._fast = None
         memory = self.memory
         to_it = memory.address in {one.id, *dx.targets(one), *(address for address, _, _ in dx.writes(one))}
-        if to_it or one.id == dx.ALL and one.instruction in (dx.PING, dx.ACTION, dx.REBOOT):
+        if to_it or (one.id == dx.ALL and one.instruction in (dx.PING, dx.ACTION, dx.REBOOT)):
             self.feed(t)
         here, level = one.id == memory.address, memory.get("Status_Return_Level")
         wrong = memory.get("Baud_Rate")

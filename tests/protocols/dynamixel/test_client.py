@@ -1,5 +1,5 @@
-"""The vendor's dynamixel-sdk 4.1.0 as client of the twins over a pty, which they
-answer whenever it looks for bytes. Its sender does not stuff."""
+"""The vendor's dynamixel-sdk 4.1.0 as client of the twins over a pty, which they answer whenever it looks for
+bytes. Its sender does not stuff."""
 
 from __future__ import annotations
 
