@@ -63,6 +63,29 @@ class Own:
         """Return when a block is to be asked for again."""
         return self.asked_at.get(block, -period) + period - STEP_EARLY
 
+    def ask(self, now: Nanos, what: str) -> None:
+        """Record that a block is asked for."""
+        self.asked_at[what] = now
+
+    def heard(self, error: int) -> None:
+        """Record an answer of its own."""
+        self.alert = bool(error & dx.ALERT)
+
+    def put(self, t: Nanos, block: str, values: Mapping[str, int]) -> None:
+        """Record what is read."""
+        self.known.update(values)
+        self.known_at[block], self.alone = t, False
+
+    def breaks(self) -> None:
+        """Record that a chain of answers broke at it."""
+        self.alone = True
+
+    def forget(self) -> None:
+        """Forget everything: it may have restarted."""
+        self.known.clear()
+        self.known_at.clear()
+        self.alone = self.alert = False
+
     @property
     def delay(self) -> Nanos:
         """The longest that it waits before it answers."""
@@ -97,9 +120,7 @@ class DynamixelAdapter(Adapter[Own]):
         return Timing(round(options.offline_ms * MILLISECOND), arming=3 * SECOND)
 
     def forget(self, now: Nanos, host: Host[Own]) -> None:
-        host.own.known.clear()
-        host.own.known_at.clear()
-        host.own.alone = host.own.alert = False
+        host.own.forget()
 
     def interrupted(self) -> None:
         self._stream.drop()
@@ -141,7 +162,7 @@ class DynamixelAdapter(Adapter[Own]):
         order = list(wanted)
         last = max((at for at, each in enumerate(order) if each in heard), default=-1)
         if last + 1 < len(order):
-            driver.at[order[last + 1]].own.alone = True
+            driver.at[order[last + 1]].own.breaks()
 
     def _status(
         self,
@@ -174,7 +195,7 @@ class DynamixelAdapter(Adapter[Own]):
             return self._found(one.id, data, host, driver)
         if host is None:
             return Rx.IGNORED
-        host.own.alert = bool(error & dx.ALERT)
+        host.own.heard(error)
         if wrong := error & ~dx.ALERT:
             at = question.parameters[:2] if question and question.instruction == dx.WRITE else b""
             register = host.options.table.by_number.get(int.from_bytes(at, "little")) if at else None
@@ -197,15 +218,13 @@ class DynamixelAdapter(Adapter[Own]):
 
     def _block(self, t: Nanos, host: Host[Own], start: int, data: bytes) -> Report[Own]:
         """Return what is read from a run of registers."""
-        own, options = host.own, host.options
+        options = host.options
         table: dt.ControlTable = options.table
         form, names = table.feedback
         block = next((name for name, target in table.blocks.items() if target == (start, len(data))), "")
         indirect = not block and len(data) == form.size
         values = dict(zip(names, form.unpack(data), strict=True)) if indirect else table.values(start, data)
-        own.known.update(values)
-        own.known_at["state" if indirect else block] = t
-        own.alone = False
+        host.own.put(t, "state" if indirect else block, values)
         if block and block != "state":
             return Report(
                 host, host.address, parameters={name: float(value) for name, value in values.items()}
@@ -279,7 +298,7 @@ class DynamixelAdapter(Adapter[Own]):
         stored = wrong.pop("Operating_Mode", None)
         if stored is not None:
             if now - own.asked_at.get("write", -AGAIN) >= AGAIN:
-                own.asked_at["write"] = now
+                own.ask(now, "write")
                 self._write(host, {"Operating_Mode": stored}, "mode", Rank.QUESTION)
             return self._read(now, host, "stored")
         goal, there, near = dt.GOALS[options.operating_mode], 0, 0.0
@@ -315,7 +334,7 @@ class DynamixelAdapter(Adapter[Own]):
         self._write(host, {dt.GOALS[options.operating_mode]: raw}, "goal")
         # One that runs already may have been set up by another host.
         if now >= own.due("set-up", AGAIN) and own.known_at.keys() >= {"stored", "state"}:
-            own.asked_at["set-up"] = now
+            own.ask(now, "set-up")
             alive = {n: v for n, v in self._wrong(host).items() if n in ("Bus_Watchdog", "Goal_Current")}
             if alive:
                 self._write(host, alive, "set-up")
@@ -347,7 +366,7 @@ class DynamixelAdapter(Adapter[Own]):
         self, now: Nanos, host: Host[Own], block: str, rank: Rank = Rank.QUESTION, about: str = ""
     ) -> list[Frame]:
         """Return the question for a block of registers of one device."""
-        host.own.asked_at[block] = now
+        host.own.ask(now, block)
         target = self._motion(host) if block == "motion" else host.options.table.blocks[block]
         about = f"{host.address} {block}{about}"
         return [dx.question(dx.READ, {host.address: target}, rank, about, host.own.delay)]
@@ -369,7 +388,7 @@ class DynamixelAdapter(Adapter[Own]):
             if now < due:
                 continue
             if block == "motion" and not own.alone:
-                own.asked_at[block] = now
+                own.ask(now, block)
                 self._chains.setdefault(host.options.fast, {})[host.address] = self._motion(host), own.delay
             else:
                 rank = Rank.QUESTION if block == "motion" else Rank.BACKGROUND
@@ -504,7 +523,7 @@ class DynamixelAdapter(Adapter[Own]):
         if isinstance(request, msg.Zero) and "zeroed" not in pending.notes:
             # Where it stands tells nothing before the offset is written, and read back.
             if report.parameters.get("Homing_Offset") == pending.notes["offset"]:
-                pending.notes["zeroed"] = True
+                pending.notes.update(zeroed=True)
             return None
         if isinstance(request, msg.ClearFault) and "stored" not in pending.host.own.known_at:  # type: ignore[union-attr]
             return None  # it has not restarted yet, or is not known again

@@ -89,6 +89,11 @@ class Memory:
                 return INSTRUCTION, (msg.Kept(self.name, dx.NAMES[one.instruction], 1.0),)
         return error, obeyed
 
+    def put(self, name: str, value: int) -> None:
+        """Change a register from inside; without torque it is not armed."""
+        self.written[name] = value
+        self.armed = self.armed and (name != "Torque_Enable" or value == 1)
+
     def restart(self) -> None:
         """Forget what is not stored."""
         self.armed, self.registered = False, b""
@@ -208,19 +213,17 @@ class DynamixelDecoder:
     """What the devices on one bus would obey. Their modes are taken to be those that the driver asks for,
     until others are written: it arms none with another mode."""
 
-    def __init__(self, devices: Sequence[Device]) -> None:
-        self._memories = [memory_of(each, each.options.operating_mode) for each in devices]
-        self._stream = Stream(dx.FRAMING)
+    def __init__(
+        self, devices: Sequence[Device], memories: Sequence[Memory] = (), stream: Stream | None = None
+    ) -> None:
+        self._memories = memories or [memory_of(each, each.options.operating_mode) for each in devices]
+        self._stream = Stream(dx.FRAMING) if stream is None else replace(stream)
 
     def __deepcopy__(self, memo: object) -> DynamixelDecoder:
         """Copy what is written: all else is constant."""
-        made = DynamixelDecoder(())
-        made._stream = replace(self._stream)
-        made._memories = [
-            Memory(m.name, m.address, m.options, m.delivered, m.written.copy(), m.armed, m.registered)
-            for m in self._memories
-        ]
-        return made
+        return DynamixelDecoder(
+            (), [replace(m, written=m.written.copy()) for m in self._memories], self._stream
+        )
 
     def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
         """Return what the devices would obey in this frame; [] if nothing."""

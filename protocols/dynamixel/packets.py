@@ -34,8 +34,9 @@ READS = frozenset({READ, SYNC_READ, FAST_SYNC_READ, BULK_READ, FAST_BULK_READ})
 FAST = frozenset({FAST_SYNC_READ, FAST_BULK_READ})
 NAMES = {
     PING: "ping", READ: "read", WRITE: "write", REG_WRITE: "reg_write", ACTION: "action", REBOOT: "reboot",
-    FACTORY_RESET: "factory_reset", CLEAR: "clear", SYNC_READ: "sync_read", FAST_SYNC_READ: "fast_sync_read",
-    BULK_READ: "bulk_read", FAST_BULK_READ: "fast_bulk_read", SYNC_WRITE: "sync_write", BULK_WRITE: "bulk_write",
+    FACTORY_RESET: "factory_reset", CLEAR: "clear", SYNC_READ: "sync_read", BULK_READ: "bulk_read",
+    FAST_SYNC_READ: "fast_sync_read", FAST_BULK_READ: "fast_bulk_read", SYNC_WRITE: "sync_write",
+    BULK_WRITE: "bulk_write",
 }  # fmt: skip
 HEAD, LONGEST = 7, 1024
 ALERT = 0x80

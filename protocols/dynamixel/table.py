@@ -141,7 +141,8 @@ COMMANDED = frozenset({"Torque_Enable", "Goal_PWM", *GOALS.values()})
 """Registers that commands write, not requests."""
 FEEDBACK = {
     "Torque_Enable": "B", "Hardware_Error_Status": "B", "Bus_Watchdog": "B", "Present_Current": "h",
-    "Present_Velocity": "i", "Present_Position": "i", "Present_Input_Voltage": "H", "Present_Temperature": "B",
+    "Present_Velocity": "i", "Present_Position": "i", "Present_Input_Voltage": "H",
+    "Present_Temperature": "B",
 }  # fmt: skip
 """What indirect addresses make one block of, with the form of each."""
 
@@ -223,8 +224,8 @@ def table_of(model: str) -> ControlTable:
 
 def data_of(model: Model, firmware: int) -> int:
     """Return where the indirect data begin."""
-    old = model.family == "X330" and firmware < 52  # SDK: xl330_m288.model, xl330_m288_fw52.model
-    return {"X": 224, "X330": 208 if old else 224, "P": 634}[model.family]
+    new = firmware >= 52  # SDK: xl330_m288.model, xl330_m288_fw52.model
+    return {"X": 224, "X330": 208 if new else 224, "P": 634}[model.family]
 
 
 def modes_of(model: Model) -> Sequence[int]:

@@ -58,8 +58,7 @@ class DynamixelTwin(ServoFirmware):
         mode, offset = get("Operating_Mode"), get("Homing_Offset")
         if mode == 3 and abs(offset) > OFFSET_OF_ONE_TURN * model.counts // 4096:
             offset = 0
-        self.encoder.offset += (self._offset - offset) * model.count
-        self.encoder.position += (offset - self._offset) * model.count
+        self.encoder.set_position(self.encoder.position + (offset - self._offset) * model.count)
         self._offset = offset
         self.strongest = get("Goal_Current") * model.ampere * model.torque if mode == 5 else model.strongest
         self.fastest = (get("Profile_Velocity") or model.velocity) * model.step
@@ -76,7 +75,7 @@ class DynamixelTwin(ServoFirmware):
 
     def on_timeout(self) -> None:
         """Stop, with the torque on, and take no set-point any more."""
-        self.memory.written["Bus_Watchdog"] = dt.TRIPPED
+        self.memory.put("Bus_Watchdog", dt.TRIPPED)
         name = self.device.name
         match self.goal:
             case msg.Position():
@@ -94,8 +93,7 @@ class DynamixelTwin(ServoFirmware):
 
     def trip(self, code: int) -> None:
         super().trip(code)
-        self.memory.armed = False
-        self.memory.written["Torque_Enable"] = 0
+        self.memory.put("Torque_Enable", 0)
 
     def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[msg.Torque], Sequence[Frame]]:
         torques, frames = super().step(now, truth)
@@ -153,7 +151,8 @@ class DynamixelTwin(ServoFirmware):
             enables = not memory.armed
             error = self._obey(t, one)
             if enables and memory.armed and self.mode is not Mode.ARMED:
-                memory.armed, memory.written["Torque_Enable"], error = False, 0, RESULT_FAIL
+                memory.put("Torque_Enable", 0)
+                error = RESULT_FAIL
             if here and level == 2 and one.instruction not in (dx.ACTION, dx.REBOOT):
                 self._answer(t, error, b"")
             if one.instruction == dx.REBOOT and (here or one.id == dx.ALL):

@@ -25,7 +25,7 @@ STEP: Nanos = 100_000
 
 @dataclass
 class Line:
-    """Twins on one line: each hears the host, and the others. They run whenever the client looks for bytes."""
+    """Twins on one line: each hears the host and the others. They run when the client looks for bytes."""
 
     twins: dict[int, DynamixelTwin]
     pty: Pty = field(default_factory=Pty)
