@@ -1,6 +1,6 @@
 """Benchmark samples of dynamixel, measured beside the vendor's dynamixel-sdk on the same bytes.
 
-Rules. Data and calls only: the robot uses nothing of this. The package does what it does for each packet, with
+Rules. Data and calls only: the robot uses nothing of this. The package does what it does for each packet, on
 a port that keeps what is written and gives what is to be read. Bare `struct` knows its message beforehand and
 computes no checksum: it is the lower bound.
 """
@@ -17,7 +17,11 @@ from protocols.toolkit.serial import Stream
 
 RIVAL = ("dynamixel_sdk", "dynamixel-sdk", "the vendor's PacketHandler and GroupSyncWrite")
 GOALS = {number: 1000 + 50 * number for number in range(1, 13)}
-_STATUS = dx.packet(1, dx.STATUS, bytes(1) + struct.pack("<hii", -100, -230, 4095))
+_NUMBERS = [(-100 + each, -230 * each, 2000 + each) for each in GOALS]
+_ANSWERS = b"".join(
+    dx.packet(number, dx.STATUS, bytes(1) + struct.pack("<hii", *each))
+    for number, each in zip(GOALS, _NUMBERS, strict=True)
+)
 _GOAL = struct.Struct("<BI")
 _MOTION = struct.Struct("<hii")
 
@@ -40,10 +44,13 @@ class OnePort:
         return len(packet)
 
     def readPort(self, length: int) -> bytes:  # noqa: N802
-        """Return the next bytes of the status."""
-        self.held = self.held or _STATUS
+        """Return the next bytes of the answers."""
+        self.held = self.held or _ANSWERS
         read, self.held = self.held[:length], self.held[length:]
         return read
+
+    def setPacketTimeout(self, length: int) -> None:  # noqa: N802
+        """It comes in time."""
 
     def isPacketTimeout(self) -> bool:  # noqa: N802
         """Never."""
@@ -51,12 +58,15 @@ class OnePort:
 
 
 def prepared(package: Any) -> Any:  # noqa: ANN401 -- a package without types
-    """Return a port, the package's handler, and its sync write."""
+    """Return a port, and the package's sync write and sync read of it."""
     port, handler = OnePort(), package.PacketHandler(2.0)
     writes = package.GroupSyncWrite(port, handler, 116, 4)
     for number in GOALS:
         writes.addParam(number, [0, 0, 0, 0])
-    return port, handler, writes
+    reads = package.GroupSyncRead(port, handler, 126, 10)
+    for number in GOALS:
+        reads.addParam(number)
+    return port, writes, reads
 
 
 def _encode() -> bytes:
@@ -67,10 +77,13 @@ def _encode_bare() -> bytes:
     return b"".join(_GOAL.pack(number, goal) for number, goal in GOALS.items())
 
 
-def _decode() -> tuple[int, ...]:
-    (message,) = Stream(dx.FRAMING).messages(_STATUS)
-    numbers: tuple[int, ...] = _MOTION.unpack(dx.unpack(message).parameters[1:])
-    return numbers
+def _decode() -> list[tuple[int, ...]]:
+    found = map(dx.unpack, Stream(dx.FRAMING).messages(_ANSWERS))
+    return [_MOTION.unpack(one.parameters[1:]) for one in found]
+
+
+def _decode_bare() -> list[tuple[int, ...]]:
+    return [_MOTION.unpack_from(_ANSWERS, at) for at in range(9, len(_ANSWERS), 21)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +97,7 @@ class Sample:
 
     def theirs(self, known: Any) -> Callable[[], Any]:  # noqa: ANN401 -- a package without types
         """Return the same operation in the package."""
-        port, handler, writes = known
+        port, writes, reads = known
 
         def encode() -> bytes:
             for number, goal in GOALS.items():
@@ -94,9 +107,17 @@ class Sample:
             sent: bytes = port.sent
             return sent
 
-        def decode() -> tuple[int, ...]:
-            packet, _ = handler.rxPacket(port, False)
-            return _MOTION.unpack(bytes(packet[9:19]))
+        def decode() -> list[tuple[int, ...]]:
+            reads.rxPacket()
+            port.is_using = False
+            return [
+                tuple(
+                    (value ^ sign) - sign
+                    for at, size, sign in ((126, 2, 1 << 15), (128, 4, 1 << 31), (132, 4, 1 << 31))
+                    for value in (reads.getData(number, at, size),)
+                )
+                for number in GOALS
+            ]
 
         return encode if self.encodes else decode
 
@@ -107,5 +128,5 @@ class Sample:
 
 SAMPLES = (
     Sample("encode a sync write of 12 goals", _encode, _encode_bare, encodes=True),
-    Sample("decode a status", _decode, lambda: _MOTION.unpack(_STATUS[9:19]), encodes=False),
+    Sample("decode the answers of 12 to a sync read", _decode, _decode_bare, encodes=False),
 )

@@ -219,7 +219,7 @@ def make_bench(
 
 
 def new_driver(plugin: Plugin, devices: Sequence[Device]) -> Driver:
-    """Return a driver that knows nothing of its devices yet: with its line before it, where they are on one."""
+    """Return a driver that knows nothing of its devices yet, with its line before it, if they are on one."""
     driver, kinds = plugin.driver(devices), {plugin.spec(device).line for device in devices}
     if kinds == {"free"}:
         return driver

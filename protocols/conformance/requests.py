@@ -173,17 +173,15 @@ def _take_answers(step: StepResult, pending: list[Request], requests: Sequence[R
 def _check_done(
     step: StepResult, requests: Sequence[Request], received: Sequence[Message], case: Case
 ) -> None:
-    """A request to a device that is done was decoded: as such, or as what the spec says that is written for
-    it. Raises Failure."""
+    """A request to a device that is done was decoded: as such, or as what its spec declares for it. Raises
+    Failure."""
     for event in (event for event in step.events if isinstance(event, msg.Done)):
         for request in requests:
             if isinstance(request, NOT_DECODED) or not _answers(event, request):
                 continue
             written = case.spec.writes.get(type(request), ())
-            writes = any(
-                isinstance(each, msg.WriteParameter) and each.motor == event.name and each.parameter in written
-                for each in received
-            )
+            changes = [each for each in received if isinstance(each, msg.WriteParameter)]
+            writes = any(each.motor == event.name and each.parameter in written for each in changes)
             if not writes and not any(_equivalent(request, each) for each in received):
                 raise Failure("done, and yet it was not decoded", step.down, (request, event))
 

@@ -9,11 +9,11 @@ from dataclasses import dataclass, field, replace
 import pytest
 
 from gateway import config
-from gateway.config import resources
 from gateway.buses.virtual import open_world
 from gateway.buses.virtual.bus import HOST, TwinWorld
 from gateway.buses.virtual.halfduplex import HalfDuplex
 from gateway.buses.virtual.medium import Transmission
+from gateway.config import resources
 from gateway.core.clock import SimulatedClock
 from gateway.core.robot import Robot
 from gateway.core.step import Gateway

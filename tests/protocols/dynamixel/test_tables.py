@@ -1,4 +1,4 @@
-"""The control tables, against those that dynamixel-sdk 4.1.0 brings (`dynamixel_easy_sdk/control_table/*.model`)."""
+"""The control tables, against those of dynamixel-sdk 4.1.0 (`dynamixel_easy_sdk/control_table/*.model`)."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ import pytest
 from protocols.dynamixel.table import BY_NUMBER, MODELS, data_of, table_of
 
 FOLDER = Path(dynamixel_easy_sdk.__file__).parent / "control_table"
-NOT_OURS = {"LED_Red", "LED_Green", "LED_Blue", "Indirect_Data_1", "Indirect_Address_Write", "Indirect_Data_Write",
-            "Indirect_Address_Read", "Indirect_Data_Read", "Backup_Ready", "Startup_Configuration",
-            "Acceleration_Limit"}  # fmt: skip
+NOT_OURS = {
+    "LED_Red", "LED_Green", "LED_Blue", "Indirect_Data_1", "Indirect_Address_Write", "Indirect_Data_Write",
+    "Indirect_Address_Read", "Indirect_Data_Read", "Backup_Ready", "Startup_Configuration",
+    "Acceleration_Limit",
+}  # fmt: skip
 OURS = {"Secondary_ID": {"Secondary(Shadow)_ID", "Secondary_ID"}}
 
 

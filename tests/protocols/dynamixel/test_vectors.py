@@ -72,7 +72,9 @@ OBEYED: dict[str, list[Any]] = {
         msg.Velocity("two", -230 * 0.0239691227),
     ],
     "sync_write_torque_enable": [msg.Arm("one"), msg.Velocity("one", 0.0), msg.Idle("two")],
-    "sync_write_bus_watchdog": [msg.WriteParameter("one", "Bus_Watchdog", 5), msg.WriteParameter("two", "Bus_Watchdog", 0)],
+    "sync_write_bus_watchdog": [
+        msg.WriteParameter("one", "Bus_Watchdog", 5), msg.WriteParameter("two", "Bus_Watchdog", 0)
+    ],
     "reboot_id1": [msg.Idle("one"), msg.ClearFault("one")],
     "factory_reset": [msg.Kept("one", "factory_reset", 1.0)],
     "sync_read_motion_12": [],
@@ -91,7 +93,7 @@ def test_what_devices_obey(name: str) -> None:
 
 @pytest.mark.parametrize("broken", range(1, 4))
 def test_blocks_of_a_fast_answer_up_to_where_it_breaks(broken: int) -> None:
-    wanted = {each: (126, 10) for each in (1, 2, 3)}
+    wanted = dict.fromkeys((1, 2, 3), (126, 10))
     whole, ends = dx.HEADER + bytes((dx.ALL, 43, 0, dx.STATUS)), list[int]()
     for each in wanted:
         whole += bytes((0, each)) + bytes([each] * 10)
