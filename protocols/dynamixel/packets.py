@@ -120,6 +120,8 @@ class Statuses:
     last: int
     size: int
     """Bytes of its parameters; of the answer to a fast read, all"""
+    first: int
+    """The first device that was asked"""
 
     def __call__(self, asked: bytes, held: bytes) -> tuple[int, int] | None:
         first = at = held.find(HEADER)
@@ -133,7 +135,7 @@ class Statuses:
     def _of_another(self, status: bytes) -> bool:
         """True for a whole answer to another question: it is late."""
         if self.last == ALL:
-            return len(status) != self.size
+            return len(status) != self.size or status[9] != self.first
         found = Stream(FRAMING).messages(status)
         return bool(found) and len(unpack(found[0]).parameters) not in (1, 1 + self.size)
 
@@ -170,7 +172,7 @@ def question(
     else:
         most = sum(11 + length + length // 3 for _, length in wanted.values())
     frame = packet(last if single else ALL, instruction, parameters)
-    return Exchange(frame, Answer(most, Statuses(last, size), delay), rank, about, tries)
+    return Exchange(frame, Answer(most, Statuses(last, size, next(iter(wanted))), delay), rank, about, tries)
 
 
 def sync_write(start: int, data: Mapping[int, bytes]) -> bytes:

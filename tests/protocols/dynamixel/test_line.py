@@ -17,8 +17,9 @@ from gateway.config import resources
 from gateway.core.clock import SimulatedClock
 from gateway.core.robot import Robot
 from gateway.core.step import Gateway
-from gateway.runtime.loop import LoopStats, Reader, moments, write
+from gateway.runtime.loop import Reader, moments, write
 from gateway.runtime.schedule import _commands
+from gateway.runtime.timing import LoopStats
 from protocols.messages import SECOND, Feedback, Mode, Nanos
 
 FINE: Nanos = 20_000
