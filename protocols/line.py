@@ -190,6 +190,8 @@ class Line:
     """Exchanges dropped, since too many wait."""
     replaced: int = 0
     """Exchanges that were not sent: a newer one took the place, or a set-point was not given again."""
+    overtaken: int = 0
+    """Steps of drivers in which a set-point of the step before was not sent yet: the line is too slow."""
     stray: int = 0
     """Bytes that nobody asked for,"""
     pieces: int = 0
@@ -216,6 +218,7 @@ class Line:
             one for one in self.waiting if one.owner != owner or one.exchange.rank is not Rank.SET_POINT
         ]
         taken_back = before - len(self.waiting)
+        self.overtaken += taken_back > 0
         given = _newest([exchange(frame) for frame in frames])
         for new in given:
             old = places.get(new.key)

@@ -80,6 +80,9 @@ class BusSchedule:
     """The shortest `command_timeout` of its motors: the latency that is allowed."""
     dropped: bool = False
     """Whether frames of the host were dropped."""
+    overtaken: float = 0.0
+    """On a line on which devices speak only when asked: the share of the steps in which a set-point of the
+    step before had not been sent."""
     frames: Counter[str] = field(default_factory=Counter)
     """Frames in the window by identifier (hexadecimal; "→" and "←" of serial bytes, from and to the host)."""
     ages: dict[str, Nanos] = field(default_factory=dict)
@@ -92,7 +95,8 @@ class BusSchedule:
     @property
     def crowded(self) -> bool:
         """True if the wire is full, or frames come too late."""
-        return self.load >= FULL or self.latency > self.patience or self.dropped or bool(self.late)
+        late = self.latency > self.patience or bool(self.late)
+        return self.load >= FULL or late or self.dropped or self.overtaken > 1.0 - FULL
 
     @property
     def fits(self) -> bool:
@@ -198,6 +202,7 @@ def count_buses(
     count = _Count({name: BusSchedule(name) for name in robot.buses}, window)
     world.tamper.transmission = count.transmission
     clock, wanted, last, busy = SimulatedClock(), commands(robot), 0, dict[str, Nanos]()
+    overtaken = dict[str, int]()
     reader, settling = Reader(gateway, world.buses, clock), _Settling(gateway, world.buses)
     for now in moments(clock, robot.period, gateway.due, LoopStats(), reader.wait, reader.least):
         inputs = reader.inputs(now, () if gateway.between(now) else wanted)
@@ -205,6 +210,7 @@ def count_buses(
         last = now
         if count.began is None and settling.ends(now, count.last):
             count.began, busy = now, {name: bus.busy for name, bus in world.buses.items()}
+            overtaken = {name: line.overtaken for name, line in gateway.lines.items()}
         if count.began is not None and now >= count.began + window:
             break
         outputs = gateway.step(now, inputs)
@@ -214,6 +220,9 @@ def count_buses(
             count.dropped(name)
     for name, bus in world.buses.items():
         count.buses[name].load = (bus.busy - busy[name]) / (last - (count.began or 0))
+    for name, line in gateway.lines.items():
+        steps = max(1.0, (last - (count.began or 0)) / robot.period)
+        count.buses[name].overtaken = (line.overtaken - overtaken.get(name, 0)) / steps
     for name, motor in robot.motors.items():
         one = count.buses[motor.bus]
         silent = name not in one.ages and motor.spec.feedback is not FeedbackKind.NONE
@@ -332,6 +341,8 @@ def reason(one: BusSchedule) -> str:
         reasons.append("frames are dropped, since more are sent than it carries")
     elif one.load >= FULL:
         reasons.append("the wire is full")
+    if one.overtaken > 1.0 - FULL:
+        reasons.append(f"in {one.overtaken:.0%} of the steps a set-point of the step before was not sent yet")
     if one.latency > one.patience:
         patience = f"command_timeout allows {one.patience / 1e6:g} ms"
         reasons.append(f"a frame takes up to {one.latency / 1e6:.1f} ms; {patience}")

@@ -14,6 +14,8 @@ from protocols.frames import CanFrame, Frame, IdMask, any_matches
 from protocols.messages import Command, Estop, Idle, Request, Scan
 from protocols.plugin import Spec
 
+ENDED = 20
+"""Steps within which the answer that is under way on a line has come."""
 WATCHED = 800
 """Steps for which a driver is watched."""
 
@@ -52,6 +54,8 @@ def foreign_traffic_changes_nothing(case: Case) -> None:
         for frame in up:
             counter.receive(crowded.now, frame)
         count += len(extra) + (len(up) if spec.bus != "serial" else 0)
+    for bench in (alone, crowded):
+        bench.steps(ENDED)  # what a line holds may be part of an answer: its driver has not been given it
     count += sum(counts(counter.counters)) if spec.bus == "serial" else 0
     counters, base = counts(crowded.driver.counters), counts(alone.driver.counters)
     accepted = counters[0] - base[0]

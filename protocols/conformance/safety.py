@@ -46,6 +46,8 @@ DISARMED = 1500
 """Steps within which Idle must have disarmed."""
 GAINS = {"position": "stiffness", "velocity": "damping"}
 """What makes a set-point of a number of Impedance."""
+_UNCLEARED = (Mode.FAULT, Mode.OFFLINE)
+"""It restarts to be cleared: it is not back yet."""
 LOST = 60
 """Steps for which replies, or the first frames of Idle, are lost."""
 LATE = 2000
@@ -95,7 +97,7 @@ def _arms_from(case: Case, spec: Spec, kind: type[Command], place: float) -> Non
     rig.wait(AFTER, [msg.Idle(ALPHA)] if msg.Idle in spec.commands else [])
     rig.turn(-0.5 * BY_HAND)  # a servo may have one turn only
     rig.step([msg.ClearFault(ALPHA)])
-    if not rig.only_replies and not rig.until(lambda _: rig.mode() is not Mode.FAULT, DISARMED):
+    if not rig.only_replies and not rig.until(lambda _: rig.mode() not in _UNCLEARED, DISARMED):
         raise rig.failure("ClearFault does not clear")
     _arms_still(rig, spec, kind, CLEARED)
 

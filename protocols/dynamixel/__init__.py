@@ -1,0 +1,135 @@
+"""Dynamixel servos over protocol 2.0 on a half-duplex line (README.md). Exports `plugin`."""
+
+from __future__ import annotations
+
+from protocols import messages as msg
+from protocols.dynamixel import packets as dx
+from protocols.dynamixel import table as dt
+from protocols.dynamixel.driver import DynamixelAdapter
+from protocols.dynamixel.memory import DynamixelDecoder
+from protocols.dynamixel.options import STORED, Options, Settings
+from protocols.dynamixel.twin import DynamixelTwin
+from protocols.messages import MILLISECOND, Command
+from protocols.plugin import DRIVER_WRITES, Device, FeedbackKind, Plugin, Range, Setting, Spec
+from protocols.toolkit.assembly import declared, driver_of, fed_by_any_frame
+from protocols.toolkit.options import configuration
+
+__all__ = ["plugin"]
+
+COMMANDS: dict[str, frozenset[type[Command]]] = {
+    "velocity": frozenset({msg.Idle, msg.Velocity}),
+    "current": frozenset({msg.Idle, msg.Torque}),
+}
+PLACED: frozenset[type[Command]] = frozenset({msg.Idle, msg.Hold, msg.Position})
+REQUESTS = frozenset({msg.ClearFault, msg.Zero, msg.ReadParameter, msg.WriteParameter})
+SET_POINT = {"velocity": "Velocity.velocity", "current": "Torque.torque"}
+LIMITS = {"Velocity_Limit": "velocity", "Current_Limit": "torque"}
+
+
+def ranges(options: Options) -> dict[str, Range]:
+    """Return what commands and measurements can carry."""
+    model = options.of
+    half = 0.501 * model.count
+    low = -(model.counts // 2) * model.count
+    turn = Range(low, low + (model.counts - 1) * model.count, half)
+    measured = turn if options.mode == "position" else _places(model, (1 << 31) - 2)
+    most = ((1 << 31) - 2) * model.step
+    found = {
+        "Feedback.position": measured,
+        "Feedback.velocity": Range(-most, most, 0.501 * model.step),
+        "Feedback.voltage": Range(0.0, 6553.5, 0.0501),
+        "Feedback.temperature": Range(0.0, 255.0, 0.501),
+    }
+    if model.current:
+        for name, unit in (("current", model.ampere), ("torque", options.newton_metre)):
+            found[f"Feedback.{name}"] = Range(-32768 * unit, 32767 * unit, 0.501 * unit)
+    match options.mode:
+        case "velocity":
+            end = options.velocity * model.step
+            return found | {"Velocity.velocity": Range(-end, end, 0.501 * model.step)}
+        case "current":
+            end = options.current * options.newton_metre
+            return found | {"Torque.torque": Range(-end, end, 0.501 * options.newton_metre)}
+        case "position":
+            return found | {"Position.position": turn}
+    return found | {"Position.position": _places(model, model.far)}
+
+
+def _places(model: dt.Model, counts: int) -> Range:
+    """Return the range of positions that end at so many counts, either way."""
+    low, high = (-counts - model.zero) * model.count, (counts - model.zero) * model.count
+    return Range(low, high, 0.501 * model.count)
+
+
+def configured(device: Device) -> dict[str, Setting]:
+    """Return the registers that are configuration."""
+    options: Options = device.options
+    has = options.table.by_name
+    protected = {
+        "baud_rate": "it would answer at another rate",
+        "homing_offset": "it is its zero",
+        "operating_mode": DRIVER_WRITES,
+        "status_return_level": "below 1 it answers no question",
+        "max_position_limit": "it depends on how it is built in",
+        "min_position_limit": "it depends on how it is built in",
+    }
+    found = configuration(
+        device.settings, {name: setting for name, setting in STORED.items() if name in has}, (), protected
+    )
+    for name, most, unit in (
+        ("Velocity_Limit", max(options.of.velocity, options.velocity), options.of.step),
+        ("Current_Limit", max(options.of.current, options.current), options.newton_metre),
+    ):
+        if name in found:
+            expected = getattr(device.settings, STORED[name]) or None
+            limit = LIMITS[name]
+            found[name] = Setting(expected, 0.0, most, limit=limit, unit=unit)  # type: ignore[arg-type]
+    return found | {"ID": Setting(protected="it would be another device")}
+
+
+def spec(device: Device) -> Spec:
+    """Return the contract of one device. Raises ValueError if its address cannot be one."""
+    if device.address not in dt.ADDRESSES:
+        raise ValueError(f"id {device.address} of {device.name}: it must be 0 to {dt.ADDRESSES.stop - 1}")
+    options: Options = device.options
+    table, scales = options.table, {"model": "Model_Number is read before it is armed"}
+    goal = SET_POINT.get(options.mode, "Position.position")
+    offset = {"Homing_Offset": ((-float(1 << 31), float(1 << 31)),)}
+    return Spec(
+        bus="serial",
+        kind="motor",
+        sends=(),
+        expects=(),
+        read_only=dx.read_only,
+        feedback=FeedbackKind.POLLED,
+        feedback_period=round(options.feedback_ms * MILLISECOND),
+        offline_after=round(options.offline_ms * MILLISECOND),
+        commands=COMMANDS.get(options.mode, PLACED),
+        requests=REQUESTS | ({msg.Scan} if options.scan else set()),
+        ranges=ranges(options),
+        stop_clears_faults=False,
+        faults=dt.FAULTS,
+        parameters=tuple(name for name in table.by_name if not name.startswith("Indirect_Address")),
+        configuration=configured(device),
+        set_up={**declared(options.set_up), goal: (goal,)},
+        stop=(dx.sync_write(table.torque, {device.address: b"\0"}),),
+        writes={msg.Zero: offset},
+        scales=scales | ({"torque_constant": ""} if options.mode == "current" else {}),
+        line="half-duplex",
+        **fed_by_any_frame(options.watchdog * dt.WATCHDOG_UNIT_MS * MILLISECOND),
+    )
+
+
+plugin = Plugin(
+    name=dt.NAME,
+    title="Dynamixel X, XL330, XC330 and P servos over protocol 2.0 (TTL, RS-485)",
+    trust="bytes both ways, control tables, and the twin driven: dynamixel-sdk 4.1.0. No hardware yet",
+    options=Options,
+    settings=Settings,
+    spec=spec,
+    driver=driver_of(DynamixelAdapter, spec),
+    decoder=DynamixelDecoder,
+    twin=DynamixelTwin,
+    messages=dx.names,
+    vectors=("gateway.fixtures", "vectors/dynamixel.json"),
+)
