@@ -210,6 +210,10 @@ class Joint:
         self._taken_over: tuple[Nanos, float] = (0, 0.0)
         """When a device was first commanded that ran already, and the torque that it gave then [N·m]."""
         self._replies_only = spec.feedback is FeedbackKind.REPLY
+        self.open_loop = spec.feedback is FeedbackKind.NONE
+        """Whether its device reports nothing: what it does is what it was told, as far as anybody knows."""
+        self._presumed = 0.0
+        """rad that such a joint has turned, if it did as it was told, up to the last command."""
         self._ratio = settings.gear * settings.sign
         self._following = Following(
             settings.limits, spec, settings.gear, settings.following_time, settings.following_share
@@ -428,8 +432,20 @@ class Joint:
         """Return the age of the newest motion; None if the device has never reported any."""
         return None if self._received_at is None else max(0, now - self._received_at)
 
+    def presumed(self, now: Nanos) -> msg.Feedback | None:
+        """Return the motion of an open-loop joint if it does as it was told: nothing of it is measured. None:
+        the device of another joint reports its motion."""
+        if not self.open_loop:
+            return None
+        told = self._out.velocity if self.armed and isinstance(self._out, msg.Velocity) else 0.0
+        span = min(now - self._out_at, self.settings.command_timeout) / SECOND if told else 0.0
+        return msg.Feedback(self.name, now, self._presumed + told * span, told)
+
     def feedback_lost(self, now: Nanos) -> bool:
-        """True if there is no feedback, or it is older than the timeout."""
+        """True if there is no feedback, or it is older than the timeout; never of an open-loop joint, which
+        has none to lose."""
+        if self.open_loop:
+            return False
         received = self._received_at
         return received is None or now - received > self.settings.feedback_timeout
 
@@ -445,6 +461,8 @@ class Joint:
         device was armed, a fault latches, since a motor that comes back must not start by itself."""
         if new is not None:
             self._accept(now, new)
+        if (presumed := self.presumed(now)) is not None:
+            self._presumed = presumed.position or 0.0
         if self._received_at is not None and self._received_at > now:
             self._received_at = now  # a stamp from the future must not keep the joint from going blind
         if self.owned and self.armed and self.feedback_lost(now):
@@ -691,7 +709,8 @@ class Joint:
             return False
         if self._braking is None:
             self._braking = self._moved_at = now
-        if abs(self.feedback.velocity or 0.0) > AT_REST * self.settings.limits.velocity:
+        speed = getattr(self._out, "velocity", 0.0) if self.open_loop else self.feedback.velocity or 0.0
+        if abs(speed) > AT_REST * self.settings.limits.velocity:
             self._moved_at = now
         return now - self._moved_at < REST_TIME and now - self._braking < self.braking_time
 
@@ -727,7 +746,7 @@ class Joint:
         return self._command
 
     def _limited(self, now: Nanos, wanted: Command, stopped: bool) -> Command:
-        if self._received_at is None and not isinstance(wanted, msg.Idle):
+        if self._received_at is None and not isinstance(wanted, msg.Idle) and not self.open_loop:
             # Nothing arms a device that has reported nothing, unless it reports only what it is commanded.
             wanted = self._at_rest(msg.Torque, msg.Velocity) if self._replies_only else msg.Idle(self.name)
         elif self._position_lost and isinstance(wanted, msg.Hold):
@@ -744,6 +763,8 @@ class Joint:
     @property
     def _is_known_to_obey(self) -> bool:
         """Whether it is armed, was sent a set-point, and has reported its motion since both."""
+        if self.open_loop:
+            return self.mode is Mode.ARMED
         sent, received = self.driven_since, self._received_at
         answered = sent is not None and received is not None and received > max(sent, self._armed_at)
         return answered and self.mode is Mode.ARMED

@@ -159,7 +159,9 @@ class Gateway:
         self._heard = []
         tasks = self._on_instructions(now, inputs.instructions)
         stopped = self.why_stopped()
-        wanted = {command.motor: command for command in self._think(now, events, tasks, stopped)}
+        presumed = [each for one in self.joints.values() if (each := one.presumed(now)) is not None]
+        thought = self._think(now, [*events, *presumed], tasks, stopped)
+        wanted = {command.motor: command for command in thought}
         commands = {
             name: joint.command(now, wanted.get(name), bool(stopped), self._at_once, self._leaving)
             for name, joint in self.joints.items()

@@ -59,6 +59,8 @@ def _joint(joint: Joint, now: Nanos) -> list[str]:
         ("temperature", feedback.temperature, "degrees C"),
     )
     cells = ["no feedback yet" if age is None else f"feedback {age / MILLISECOND:.0f} ms old"]
+    if joint.open_loop:
+        cells = ["open loop: nothing is measured"]
     cells += [f"{label} {value:.3f} {unit}" for label, value, unit in values if value is not None]
     faults = [f"  fault: {fault.name}; {fault.remedy}" for fault in joint.faults.values()]
     return [f"{joint.name}: {joint.mode}, {', '.join(cells)}", *faults]

@@ -62,7 +62,7 @@ def spec(device: Device) -> Spec:
     if device.address not in rt.ADDRESSES:
         low, middle, high = rt.ADDRESSES.start, rt.BOARDS.stop, rt.ADDRESSES.stop - 1
         raise ValueError(
-            f"address {device.address} of {device.name}: it must be that of its board, {low} to {middle - 1}, "
+            f"address {device.address} of {device.name}: it must be its board's, {low} to {middle - 1}, "
             f"or for the board's second motor that and {rt.SECOND}, {middle} to {high}"
         )
     idle = rt.PACKETS.encode(f"M{rt.side_of(device.address)}DUTY", rt.board_of(device.address), duty=0)

@@ -121,6 +121,8 @@ SEARCHED = 128
 """Bytes behind which an answer is looked for, whatever has come before."""
 _SIZES = {number: sum(field.bits for field in fields) // 8 for number, fields in _WRITTEN.values()}
 _QUESTIONS = {number: name for name, (number, _) in _READ.items()}
+_ANSWERED = {number: 2 + sum(f.bits for f in fields) // 8 for number, fields in _READ.values()}
+"""Bytes of the answer to each question, but for a text."""
 _ADDRESS = re.compile(rb"[\x80-\x87]")
 
 
@@ -205,10 +207,13 @@ def _checked(frame: bytes, data: bytes) -> bytes:
 
 
 def find_answer(frame: bytes, held: bytes) -> tuple[int, int] | None:
-    """Return where the answer to a message begins and ends in what has come, as `Answer.find` does. Only a
-    byte alone is an acknowledgement: in the answer to another question it says nothing."""
-    if not is_question(frame):
-        return (0, 1) if held == ACK else None
+    """Return where the answer to a message begins and ends in what has come, as `Answer.find` does. An
+    acknowledgement is the last byte that has come: inside the answer to another question it says nothing."""
+    usual = _ANSWERED.get(frame[1])
+    if usual is None:
+        return (len(held) - 1, len(held)) if held.endswith(ACK) else None
+    if len(held) == usual and _is_answer(frame, held):
+        return 0, usual
     name, first = _QUESTIONS[frame[1]], max(0, len(held) - SEARCHED)
     sizes = {"GETVERSION": (), "GETERROR": (6, 4)}.get(name, (size_of_answer(frame),))
     places = [(at, at + size) for size in sizes for at in range(first, len(held) - size + 1)]
@@ -222,7 +227,7 @@ def find_answer(frame: bytes, held: bytes) -> tuple[int, int] | None:
 
 
 def _is_answer(frame: bytes, data: bytes) -> bool:
-    return CRC16_XMODEM(frame[:2] + data[:-2]) == int.from_bytes(data[-2:], "big")
+    return not CRC16_XMODEM(frame[:2] + data)  # over what ends with its own checksum it is 0
 
 
 def read_answer(frame: bytes, data: bytes) -> tuple[str, Values]:

@@ -175,6 +175,8 @@ class RoboclawTwin(ServoFirmware):
             self.feed(t)
             own = self.memory.own(decoded)
             for obeyed in self.memory.obey(decoded):
+                if isinstance(obeyed, msg.Zero):  # while it is driven, too
+                    self.encoder.set_position(0.0)
                 self.obey(t, obeyed)
             if own is not None and decoded.name not in rt.QUESTIONS:
                 self._take(own)
