@@ -91,12 +91,19 @@ class BusSchedule:
     """Motors that are commanded, and at the end are not armed or have never reported."""
     late: dict[str, Nanos] = field(default_factory=dict)
     """Motors that reported too late, with the age that is allowed."""
+    asked: bool = False
+    """It is a line on which devices speak only when asked: questions keep it busy, and it may be full."""
+    readings: Counter[str] = field(default_factory=Counter)
+    """Reports of each motor in the window."""
+    replaced: int = 0
+    """On such a line: exchanges in the window that were not sent, since a newer one took their place."""
 
     @property
     def crowded(self) -> bool:
         """True if the wire is full, or frames come too late."""
         late = self.latency > self.patience or bool(self.late)
-        return self.load >= FULL or late or self.dropped or self.overtaken > 1.0 - FULL
+        full = self.load >= FULL and not self.asked  # questions fill a line at any rate
+        return full or late or self.dropped or self.overtaken > 1.0 - FULL
 
     @property
     def fits(self) -> bool:
@@ -135,7 +142,11 @@ class _Settling:
             return False
         before, self.busy = self.busy, {name: bus.busy for name, bus in self.buses.items()}
         self.checked = now
-        return any(busy - before.get(name, 0) >= FULL * passed for name, busy in self.busy.items())
+        return any(
+            busy - before.get(name, 0) >= FULL * passed
+            for name, busy in self.busy.items()
+            if name not in self.gateway.lines
+        )
 
 
 @dataclass(slots=True)
@@ -176,6 +187,7 @@ class _Count:
         for event in outputs.events:
             if isinstance(event, Feedback):
                 self.last[event.motor] = max(event.t, self.last.get(event.motor, 0))
+                self.buses[motors[event.motor].bus].readings[event.motor] += self.began is not None
         for name in self.last if self.began is not None else ():
             ages = self.buses[motors[name].bus].ages
             ages[name] = max(ages.get(name, 0), now - self.last[name])
@@ -211,6 +223,8 @@ def count_buses(
         if count.began is None and settling.ends(now, count.last):
             count.began, busy = now, {name: bus.busy for name, bus in world.buses.items()}
             overtaken = {name: line.overtaken for name, line in gateway.lines.items()}
+            for name, line in gateway.lines.items():
+                count.buses[name].asked, count.buses[name].replaced = True, -line.replaced
         if count.began is not None and now >= count.began + window:
             break
         outputs = gateway.step(now, inputs)
@@ -218,6 +232,8 @@ def count_buses(
         write(world.buses, now, outputs.packets)
         for name in (name for name, bus in world.buses.items() if bus.full):
             count.dropped(name)
+    for name, line in gateway.lines.items():
+        count.buses[name].replaced += line.replaced
     for name, bus in world.buses.items():
         count.buses[name].load = (bus.busy - busy[name]) / (last - (count.began or 0))
     for name, line in gateway.lines.items():
@@ -364,6 +380,9 @@ def table(counted: Sequence[BusSchedule]) -> str:
         lines.append(
             f"{one.bus:12} {one.load:6.1%} {frames:9} {ends:>15}   {ages + ' ms old' if ages else '-'}"
         )
+        if one.asked:
+            each = ", ".join(f"{name} {n * SECOND // WINDOW}" for name, n in one.readings.items())
+            lines.append(f"{'':12} readings/s: {each or '-'}; replaced by newer ones/s: {one.replaced}")
     return "\n".join([*lines, *filter(None, [not_armed(counted)])])
 
 

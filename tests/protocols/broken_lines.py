@@ -191,13 +191,12 @@ class Insists(Altered):
 
 @found_by("newest")
 class AsksTooMuch(Altered):
-    """Asks one more question every 3 ms, whether the last was answered or not."""
+    """Asks each question four times, whether the last was answered or not."""
 
     def send(self, now: Nanos, messages: Messages) -> tuple[Sequence[Event], Sequence[Frame]]:
         own, given = super().send(now, messages)
-        asks = sys.modules[f"{SUBJECT}.line"].question
-        more = [again(each, each.answer, about="") for each in (asks("ask", 1, Rank.QUESTION),)]
-        return own, [*given, *(more if now // MILLISECOND % 3 == 0 else ())]
+        asked = [e for e in given if isinstance(e, Exchange) and e.about.endswith("ask")]
+        return own, [*given, *(again(each, each.answer, about="") for each in asked for _ in range(3))]
 
 
 @found_by("dead", "lost")
