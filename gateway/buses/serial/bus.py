@@ -33,6 +33,8 @@ log = logging.getLogger("gateway")
 
 MOST_READ = 65536
 """Bytes taken in by one read."""
+HELD = 1024
+"""A read that returns as much may have left more: a pty gives 4 kB at a time."""
 PIECE: Nanos = MILLISECOND
 """Of what was read at once, what arrived within this time has one stamp,"""
 LEAST_PIECE = 16
@@ -135,20 +137,23 @@ class SerialBus:
         self._reopen_at = 1 << 63
 
     def _receive(self, now: Nanos) -> bytes:
-        if self._port is None:
+        if self._port is None or not self._poll.poll(0):
             return b""
-        ready = self._poll.poll(0)
-        if not ready:
-            return b""
-        try:
-            data = os.read(self._port.fileno(), MOST_READ)
-        except BlockingIOError:
-            return b""
-        except OSError:
-            data = b""
+        data = self._read_piece()
         if not data:  # it can be read, and there is nothing: the other end has hung up
             self._lose(now)
+        piece = data
+        while len(piece) >= HELD and len(data) < MOST_READ:
+            piece = self._read_piece()
+            data += piece
         return data
+
+    def _read_piece(self) -> bytes:
+        assert self._port is not None
+        try:
+            return os.read(self._port.fileno(), MOST_READ)
+        except OSError:  # nothing is left (EAGAIN), or hung up
+            return b""
 
     def _flush(self, now: Nanos) -> None:
         """Write until the port takes no more. (pyserial's own write spins when its timeout is 0.)"""
