@@ -128,7 +128,7 @@ class Statuses:
         while at >= 0 and at + HEAD <= len(held):
             end = at + HEAD + (held[at + 5] | held[at + 6] << 8)
             if held[at + 4] == self.last and end <= len(held) and not self._of_another(held[at:end]):
-                return first, end
+                return (at if self.last == ALL else first), end
             at = held.find(HEADER, at + HEAD)
         return None
 
