@@ -69,7 +69,7 @@ def _by_pairs(polynomial: int, start: int, end: int, reflected: bool, short: Che
                 value = (value << 8 & 0xFFFF) ^ one[value >> 8 ^ last]
         return value ^ end
 
-    return check8 if width == 8 else check
+    return check
 
 
 @cache

@@ -72,7 +72,7 @@ def test_a_stop_ramps_down_what_it_is_told_then_idle() -> None:
 
 def test_the_brain_is_given_it_and_the_recording_is_not() -> None:
     gateway = Gateway(replace(ROBOT))
-    events = []
+    events: list[object] = []
     for at in range(1, 400):
         now = at * STEP
         outputs = gateway.step(now, Inputs((), (), (Drive(0.2, 0.0),) if at > 300 else ()))

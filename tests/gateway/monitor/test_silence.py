@@ -137,7 +137,10 @@ address = 2
             "front is, on the same line: check its supply",
         ),
         (bytes(range(60, 90)), "the line is alive, 30 bytes came: another baud rate, protocol or address"),
-        (bytes(30), "the line is alive, 30 bytes came: they look like bytes sent at 9600 bit/s, and received"),
+        (
+            bytes(30),
+            "the line is alive, 30 bytes came: they look like bytes sent at 9600 bit/s, and received",
+        ),
         (b"", "nothing at all is: check supply, cable"),
     ],
 )

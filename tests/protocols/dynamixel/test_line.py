@@ -18,11 +18,9 @@ from gateway.core.clock import SimulatedClock
 from gateway.core.robot import Robot
 from gateway.core.step import Gateway
 from gateway.runtime.loop import Reader, moments, write
-from gateway.runtime.schedule import _commands
+from gateway.runtime.schedule import commands as commands_of
 from gateway.runtime.timing import LoopStats
 from protocols.messages import SECOND, Feedback, Mode, Nanos
-
-FINE: Nanos = 20_000
 
 
 @dataclass
@@ -59,16 +57,15 @@ def run(
     robot: Robot,
     rate: float,
     seconds: float,
-    fine: Nanos = FINE,
     armed: Callable[[Run], None] = lambda _: None,
 ) -> Run:
     """Arm all at rest, and go on for a time."""
     robot = replace(robot, period=round(SECOND / rate))
     gateway, world = Gateway(robot), open_world(robot, robot.seed)
-    clock, commands = SimulatedClock(), _commands(robot)
+    clock, commands = SimulatedClock(), commands_of(robot)
     reader, done, began = Reader(gateway, world.buses, clock), Run(gateway, world), 0
     last: dict[str, Nanos] = {}
-    for now in moments(clock, robot.period, gateway.due, LoopStats(), reader.answered, fine):
+    for now in moments(clock, robot.period, gateway.due, LoopStats(), reader.wait, reader.least):
         between = gateway.between(now)
         outputs = gateway.step(now, reader.inputs(now, () if between else commands))
         write(world.buses, now, outputs.packets)
