@@ -126,7 +126,7 @@ def losing(share: float) -> Callable[[Run], None]:
 
 @pytest.mark.parametrize("fast", [False, True])
 def test_a_lost_answer_costs_a_reading(fast: bool) -> None:
-    done = run(twelve(fast=fast), 200.0, 1.0, 100_000, losing(0.01))
+    done = run(twelve(fast=fast), 200.0, 1.0, losing(0.01))
     assert not [note for note in done.notes if "fault" in note or "offline" in note], done.notes
     assert all(joint.armed and not joint.faults for joint in done.gateway.joints.values())
     assert done.fastest < 0.05
@@ -139,7 +139,7 @@ def test_one_that_is_unplugged_stops_alone() -> None:
     def unplug(done: Run) -> None:
         done.world.disconnect("fr_thigh")
 
-    done = run(twelve(on_fault="continue"), 200.0, 1.0, 100_000, unplug)
+    done = run(twelve(on_fault="continue"), 200.0, 1.0, unplug)
     joints = done.gateway.joints
     assert [name for name, joint in joints.items() if joint.faults or joint.mode is not Mode.ARMED] == [
         "fr_thigh"
