@@ -2,11 +2,14 @@
 
 Rules. A driver gives an `Exchange` in place of a frame. The line hands over any number of frames that nobody
 answers, and behind them one that is answered; nothing more until that answer has come, or is overdue. What
-disarms goes first. The rest goes in rounds: all that waited when a round began, set-points first, of the
-background one; so none starves, and a set-point waits for one round at most. Of what waits about one thing
-only the newest is kept, in its place. A set-point that its driver does not give again is taken back: nothing
-arms a device later. What answers goes to who asked, with what was asked. Who has been silent is asked less
-often. No clock, no bus: plain data, in virtual time as on a port.
+disarms goes first, and waits for no answer that does not come. The rest goes in rounds: all that waited when
+a round began, set-points first, of the background one; a round that takes long is left for set-points, and
+gone on with behind them. So none starves. Of what waits about one thing only the newest is kept, in its
+place. Set-points are levels: those that a driver gives in a step take the place of all that it gave before,
+in the order given, so that nothing arms a device later. What answers goes to who asked, with what was asked;
+an exchange that is replaced, taken back or blocked ends without a word. Who has been silent is asked less
+often. All that is kept is bounded, whatever is given and whatever comes. The line knows of no echo: a port
+that hears itself takes that out. No clock, no bus: plain data, in virtual time as on a port.
 """
 
 from __future__ import annotations
@@ -14,24 +17,33 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import TypeAlias
 
 from protocols.messages import MILLISECOND, SECOND, Nanos, value
 
 BITS = 10
 """Bits per byte: start, 8 of data, no parity, stop."""
-CAPACITY = 64
-"""Questions of one driver that may wait."""
+CAPACITY = 256
+"""Exchanges of one driver that may wait: those that disarm, set-points, and questions."""
 SILENT = 3
-"""Answers in a row that are lost before a question is asked less often;"""
+"""Answers in a row that are lost before a device is asked less often;"""
 LONGEST_BACKOFF: Nanos = 250 * MILLISECOND
-"""the longest pause between two of them."""
+"""the longest pause between two of these questions,"""
+LONGEST_RELEASE: Nanos = 20 * MILLISECOND
+"""and between two of what disarms."""
+PATIENCE: Nanos = 20 * MILLISECOND
+"""Silence within an answer, or before it, after which it is given up if something that disarms waits."""
+ROUND: Nanos = 20 * MILLISECOND
+"""Time for the questions of a round before set-points that wait have their turn; more if those of this round
+took longer."""
 
 
 class Rank(IntEnum):
     """What goes first."""
 
     RELEASE = 0
-    """It disarms: it goes before everything, and waits until it is sent."""
+    """It disarms: it goes before everything, and waits until it is sent, once for all that have its bytes.
+    Where it has not been answered for long, it takes turns with set-points."""
     SET_POINT = 1
     """A level: sent in the step in which it is given, or as soon as the line is free if the next step gives
     it too. Also what arms."""
@@ -62,7 +74,8 @@ class Exchange(bytes):
         frame: the bytes.
         answer: what comes back; None: nothing answers.
         rank: what it goes before.
-        about: of those that wait about the same, only the newest is sent; "": each is.
+        about: of those of a rank that wait about the same, only the newest is sent, and less often while
+            nothing answers it. "": each is; of set-points, each that is given again.
         tries: how often it is sent at most, if no answer comes.
     """
 
@@ -84,9 +97,18 @@ class Exchange(bytes):
         made.answer, made.rank, made.about, made.tries = answer, rank, about, tries
         return made
 
-    def same_as(self, other: Exchange) -> bool:
-        """True if it has the same bytes, about the same."""
-        return self == other and (self.rank, self.about) == (other.rank, other.about)
+    def __deepcopy__(self, memo: object) -> Exchange:
+        """It is a constant."""
+        return self
+
+    @property
+    def key(self) -> tuple[Rank, str | bytes] | None:
+        """What two of one driver have in common of which only the newer one is sent; None: each is."""
+        if self.rank is Rank.RELEASE:
+            return self.rank, bytes(self)
+        if self.about or self.rank is Rank.SET_POINT:
+            return self.rank, self.about or bytes(self)
+        return None
 
 
 def exchange(frame: bytes) -> Exchange:
@@ -94,7 +116,7 @@ def exchange(frame: bytes) -> Exchange:
     return frame if isinstance(frame, Exchange) else Exchange(frame, None, Rank.SET_POINT)
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class Waiting:
     """An exchange that waits, or is under way."""
 
@@ -103,11 +125,6 @@ class Waiting:
     left: int
     """How often it may still be sent."""
     round: int
-
-    @property
-    def subject(self) -> tuple[int, str]:
-        """Whose it is, and about what."""
-        return self.owner, self.exchange.about
 
 
 @value
@@ -118,6 +135,10 @@ class Ended:
     exchange: Exchange
     data: bytes
     complete: bool
+
+
+Silence: TypeAlias = tuple[int, Nanos]
+"""Answers lost in a row, and when the last was."""
 
 
 @dataclass(slots=True)
@@ -141,22 +162,29 @@ class Line:
     """when its answer is, and"""
     held: bytes = b""
     """what has come of it."""
+    heard: Nanos = 0
+    """When the last byte of it was sent, or has come."""
     free: Nanos = 0
     """When the wire is idle again."""
     round: int = 0
     """What waited when it began is sent in it."""
+    began: Nanos = 0
+    """When it began,"""
+    asked: Nanos | None = None
+    """and when the first question was sent in it."""
     background: bool = False
     """In this round, one of the background was sent."""
-    last_owner: dict[int, int] = field(default_factory=dict)
+    last_owner: dict[Rank, int] = field(default_factory=dict)
     """The driver that was last in turn, by rank."""
-    silence: dict[tuple[int, str], tuple[int, Nanos]] = field(default_factory=dict)
-    """By subject: answers lost in a row, and before when it is not asked again."""
+    silence: dict[tuple[int, object], Silence] = field(default_factory=dict)
+    """By driver and `Exchange.key`."""
     sent: int = 0
     answered: int = 0
     lost: int = 0
     full: int = 0
-    """Questions dropped, since too many wait."""
+    """Exchanges dropped, since too many wait."""
     replaced: int = 0
+    """Exchanges that were not sent: a newer one took the place, or a set-point was not given again."""
     stray: int = 0
     """Bytes that nobody asked for."""
 
@@ -164,43 +192,52 @@ class Line:
         """Return the time that this many bytes take."""
         return size * BITS * SECOND // self.rate
 
+    # -- what waits ---------------------------------------------------------------------------
+
     def put(self, owner: int, frames: Sequence[bytes]) -> None:
-        """Take what a driver gives in a step. Set-points are levels: those that it gave before, that still
-        wait, and that it does not give again are taken back, so that none arms a device later."""
-        given = [exchange(frame) for frame in frames]
-        places: dict[tuple[Rank, str], Waiting] = {}
-        kept: list[Waiting] = []
-        for one in self.waiting:
-            before, key = one.exchange, (one.exchange.rank, one.exchange.about)
-            released = before.rank is Rank.RELEASE and not any(before.same_as(new) for new in given)
-            if one.owner != owner or released or (before.rank >= Rank.QUESTION and not before.about):
-                kept.append(one)
-            elif before.rank >= Rank.QUESTION or (
-                before.rank is Rank.SET_POINT and any(key == (new.rank, new.about) for new in given)
-            ):
-                places[key] = one
-                kept.append(one)
-            else:
-                self.replaced += 1
-        self.waiting = kept
+        """Take what a driver gives in a step."""
+        places = {one.exchange.key: one for one in self.waiting if one.owner == owner}
+        places.pop(None, None)
+        before = len(self.waiting)
+        self.waiting = [
+            one for one in self.waiting if one.owner != owner or one.exchange.rank is not Rank.SET_POINT
+        ]
+        taken_back = before - len(self.waiting)
+        given = _newest([exchange(frame) for frame in frames])
+        sent = self.out.exchange if self.out is not None and self.out.owner == owner else None
         for new in given:
-            if self.out is not None and self.out.owner == owner and new.same_as(self.out.exchange):
+            if sent is not None and new.rank is Rank.SET_POINT and (new, new.key) == (sent, sent.key):
                 continue  # it is under way
-            old = places.get((new.rank, new.about)) if new.about and new.rank is not Rank.RELEASE else None
-            if old is not None:
+            old = places.get(new.key)
+            if old is None or new.rank is Rank.SET_POINT:
+                self.waiting.append(Waiting(owner, new, new.tries, old.round if old else self.round + 1))
+            else:
                 old.exchange, old.left = new, new.tries
                 self.replaced += 1
-            else:
-                self.waiting.append(Waiting(owner, new, new.tries, self.round + 1))
-        mine = [one for one in self.waiting if one.owner == owner and one.exchange.rank >= Rank.QUESTION]
-        for extra in mine[: max(0, len(mine) - CAPACITY)]:
-            self.waiting.remove(extra)
-            self.full += 1
+        self.replaced += taken_back + len(frames) - len(given)
+        self._bound(owner)
 
-    def blocked(self, held_back: Exchange) -> None:
-        """Note that the guard has held back what was handed over last: no answer will come."""
-        if self.out is not None and self.out.exchange is held_back:
-            self.out, self.held = None, b""
+    def _bound(self, owner: int) -> None:
+        """Drop the oldest, where too many wait."""
+        mine = [one for one in self.waiting if one.owner == owner]
+        if len(mine) <= CAPACITY:
+            return
+        for ranks in ((Rank.RELEASE,), (Rank.SET_POINT,), (Rank.QUESTION, Rank.BACKGROUND)):
+            those = [one for one in mine if one.exchange.rank in ranks]
+            for extra in those[: max(0, len(those) - CAPACITY)]:
+                self.waiting.remove(extra)
+                self.full += 1
+
+    def drop(self, owner: int | None = None) -> None:
+        """Forget what waits, of one driver or (None) of all: the line is lost, or a driver has failed. A
+        device that was asked has the line until its answer would be overdue."""
+        self.waiting = [one for one in self.waiting if owner is not None and one.owner != owner]
+        self.silence = {key: each for key, each in self.silence.items() if owner not in (None, key[0])}
+        if self.out is not None and owner in (None, self.out.owner):
+            self.stray += len(self.held)
+            self.out, self.held, self.free = None, b"", max(self.free, self.overdue)
+
+    # -- out ----------------------------------------------------------------------------------
 
     def take(self, now: Nanos) -> list[tuple[int, Exchange]]:
         """Return what is sent now, each with the number of its driver."""
@@ -216,67 +253,102 @@ class Line:
             answer = one.exchange.answer
             if answer is not None:
                 one.left -= 1
-                self.out, self.held = one, b""
-                self.overdue = now + self.time(size + answer.size) + answer.delay + self.slack
+                self.out, self.held, self.heard = one, b"", now + self.time(size)
+                self.overdue = self.heard + self.time(answer.size) + answer.delay + self.slack
                 break
-        self.free = now + self.time(size)
+        self.free = max(self.free, now + self.time(size))
         return taken
+
+    def blocked(self, held_back: Exchange) -> None:
+        """Note that the guard has held back what was handed over last: no answer will come."""
+        if self.out is not None and self.out.exchange is held_back:
+            self.out, self.held = None, b""
 
     def _next(self, now: Nanos) -> Waiting | None:
         """Return what is next: what disarms; else of this round the first by rank, drivers in turn."""
-        ready = [one for one in self.waiting if self._is_ready(now, one)]
+        ready = [
+            one
+            for one in self.waiting
+            if self._may_be_sent(one) <= now and (self.out is None or one.exchange.answer is None)
+        ]
         if not ready:
             return None
         for one in ready:
-            if one.exchange.rank is Rank.RELEASE:
+            if self._goes_first(one):
                 return one
-        mine = self._of_this_round(ready)
-        if not mine:
-            self.round, self.background = self.round + 1, False
+        mine = self._of_this_round(now, ready)
+        if not mine and self.out is not None:
+            mine = ready  # what is asked in this round waits for the answer under way: it goes on
+        elif not mine:
+            self.round, self.background, self.began, self.asked = self.round + 1, False, now, None
             for one in ready:
                 one.round = min(one.round, self.round)
             mine = ready
-        rank = min(one.exchange.rank for one in mine)
-        mine = [one for one in mine if one.exchange.rank is rank]
+        rank = min(_turn(one) for one in mine)
+        mine = [one for one in mine if _turn(one) is rank]
         last = self.last_owner.get(rank, -1)
         first = min(mine, key=lambda one: (one.owner <= last, one.owner))
         self.last_owner[rank] = first.owner
         self.background |= rank is Rank.BACKGROUND
+        if rank is not Rank.SET_POINT and self.asked is None:
+            self.asked = now
         return first
 
-    def _is_ready(self, now: Nanos, one: Waiting) -> bool:
-        """True unless it must wait for an answer that is under way, or its device has been silent."""
-        if one.exchange.answer is None:
-            return True
-        if self.out is not None:
-            return False
-        return one.exchange.rank is Rank.RELEASE or self.silence.get(one.subject, (0, now))[1] <= now
-
-    def _of_this_round(self, ready: Sequence[Waiting]) -> list[Waiting]:
+    def _of_this_round(self, now: Nanos, ready: Sequence[Waiting]) -> list[Waiting]:
+        """Return what is sent in this round; none if it is over, or set-points have waited long enough."""
+        is_long = self.asked is not None and now - self.asked >= max(ROUND, self.asked - self.began)
+        if is_long and any(_turn(one) is Rank.SET_POINT for one in ready):
+            return []
         return [
             one
             for one in ready
             if one.round <= self.round and not (self.background and one.exchange.rank is Rank.BACKGROUND)
         ]
 
+    def _goes_first(self, one: Waiting) -> bool:
+        """True for what disarms a device that has not been silent for long."""
+        return one.exchange.rank is Rank.RELEASE and self._silence(one)[0] < SILENT
+
+    def _silence(self, one: Waiting) -> Silence:
+        return self.silence.get((one.owner, one.exchange.key), (0, 0))
+
+    def _may_be_sent(self, one: Waiting) -> Nanos:
+        """Return from when on it may be sent: who has been silent is asked less often."""
+        lost, at = self._silence(one)
+        if lost < SILENT or one.exchange.answer is None:
+            return 0
+        longest = LONGEST_RELEASE if one.exchange.rank is Rank.RELEASE else LONGEST_BACKOFF
+        return at + min((1 << (lost - SILENT)) * MILLISECOND, longest)
+
+    # -- in -----------------------------------------------------------------------------------
+
     def receive(self, t: Nanos, data: bytes) -> tuple[list[Ended], bytes]:
         """Take bytes that have come; return what they complete, and what nobody asked for."""
         if self.out is None:  # of one that is late: it has the line until it is silent
-            self.stray += len(data)
-            if data and self.half_duplex:
-                self.free = max(self.free, t + self.quiet)
+            self._on_stray(t, data)
             return [], data
-        self.held += data
         asked = self.out.exchange
-        found = asked.answer.find(asked, self.held) if asked.answer is not None else None
+        size = asked.answer.size if asked.answer is not None else 0
+        # An answer that has not ended yet began within its size; twice that leaves room for noise in it.
+        oldest = max(0, len(self.held) - 2 * size)
+        self.stray += oldest
+        self.held, self.heard = self.held[oldest:] + data, max(self.heard, t) if data else self.heard
+        found = _find(asked, self.held)
         if found is None:
             return [], b""
         start, end = found
-        held = self.held
-        self.stray += len(held) - end + start
+        before, answer, behind = self.held[:start], self.held[start:end], self.held[end:]
         self.answered += 1
-        self.silence.pop(self.out.subject, None)
-        return [self._end(t, held[start:end], complete=True)], held[:start] + held[end:]
+        self.silence.pop((self.out.owner, asked.key), None)
+        ended = self._end(t, answer, complete=True)
+        self.stray += len(before)
+        self._on_stray(t, behind)
+        return [ended], before + behind
+
+    def _on_stray(self, t: Nanos, data: bytes) -> None:
+        self.stray += len(data)
+        if data and self.half_duplex:
+            self.free = max(self.free, t + self.quiet)
 
     def _end(self, t: Nanos, data: bytes, *, complete: bool) -> Ended:
         one = self.out
@@ -287,29 +359,54 @@ class Line:
     def expire(self, now: Nanos) -> list[Ended]:
         """Return the exchange whose answer is overdue, or put it back if it may be tried again."""
         one = self.out
-        if one is None or now < self.overdue:
+        if one is None or now < self._given_up():
             return []
-        self.lost += 1
-        lost = min(self.silence.get(one.subject, (0, 0))[0] + 1, 20)
-        pause = min((1 << max(lost - SILENT, 0)) * MILLISECOND, LONGEST_BACKOFF) if lost >= SILENT else 0
-        self.silence[one.subject] = lost, now + pause
+        key = one.owner, one.exchange.key
+        if now >= self.overdue:
+            self.lost += 1
+            if key[1] is not None:
+                self.silence[key] = min(self._silence(one)[0] + 1, 20), now
+                if len(self.silence) > CAPACITY:  # who was asked with ever new words is forgotten
+                    del self.silence[min(self.silence, key=lambda each: self.silence[each][1])]
         ended = self._end(now, self.held, complete=False)
-        if one.left <= 0 or any(other.subject == one.subject for other in self.waiting if one.exchange.about):
+        newer = one.exchange.key is not None and any(
+            (other.owner, other.exchange.key) == key for other in self.waiting
+        )
+        if one.left <= 0 or newer:
             return [ended]
         one.round = self.round + 1
         self.waiting.append(one)  # behind the others: one that is silent keeps nobody waiting
         return [ended] if ended.data else []
 
-    def drop(self, owner: int | None = None) -> None:
-        """Forget what waits, of one driver or (None) of all: the line is lost, or a driver has failed."""
-        self.waiting = [one for one in self.waiting if owner is not None and one.owner != owner]
-        if self.out is not None and owner in (None, self.out.owner):
-            self.out, self.held = None, b""
+    def _given_up(self) -> Nanos:
+        """Return when the answer under way is not waited for any longer."""
+        if any(self._goes_first(one) for one in self.waiting):
+            return min(self.overdue, self.heard + PATIENCE)
+        return self.overdue
 
     def due(self) -> Nanos | None:
         """Return when there is something to hand over, or an answer is overdue."""
-        if self.out is not None:
-            unanswered = any(one.exchange.answer is None for one in self.waiting)
-            return self.free if unanswered and not self.half_duplex else self.overdue
-        ready = [self.silence.get(one.subject, (0, 0))[1] for one in self.waiting]
-        return max(self.free, min(ready)) if ready else None
+        times = [self._may_be_sent(one) for one in self.waiting]
+        if self.out is None:
+            return max(self.free, min(times)) if times else None
+        unanswered = any(one.exchange.answer is None for one in self.waiting)
+        return min(self.free, self._given_up()) if unanswered and not self.half_duplex else self._given_up()
+
+
+def _find(asked: Exchange, held: bytes) -> tuple[int, int] | None:
+    """Return where the answer begins and ends. A plugin that raises has found none: the wire never raises."""
+    try:
+        return asked.answer.find(asked, held) if asked.answer is not None else None
+    except Exception:  # noqa: BLE001 -- a plugin's; it is told that the answer is lost
+        return None
+
+
+def _turn(one: Waiting) -> Rank:
+    """Return as what it takes its turn: what disarms a device that is silent, with set-points."""
+    return max(one.exchange.rank, Rank.SET_POINT)
+
+
+def _newest(given: Sequence[Exchange]) -> list[Exchange]:
+    """Return those that no later one replaces, in order."""
+    last = {one.key: at for at, one in enumerate(given)}
+    return [one for at, one in enumerate(given) if one.key is None or last[one.key] == at]

@@ -18,6 +18,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import cache, lru_cache
 from importlib.metadata import EntryPoint, distributions, entry_points
 from itertools import groupby
 from math import inf
@@ -244,6 +245,17 @@ class Spec:
     `answer` takes what came. "half-duplex": the same, on one wire for both directions."""
     caution: str = ""
     """What else a person must know of its options, printed at every start."""
+
+
+REMEMBERED = 512
+"""Specs of a protocol that are remembered: those of all addresses, with one choice of options."""
+
+
+@cache
+def remembered(spec: Callable[[Device], Spec]) -> Callable[[Device], Spec]:
+    """Return a plugin's `spec`, which makes that of one device once: driver, decoder and those who ask share
+    it. A spec is a constant."""
+    return lru_cache(REMEMBERED)(spec)
 
 
 # -- what a plugin implements --------------------------------------------------------------------------

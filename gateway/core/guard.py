@@ -205,11 +205,15 @@ class Guard:
                     self._asked.passed(one, self._reported(joints.get(one.motor)))
                     last[one.motor, type(one)] = last[one.motor, None] = (now, one)
             passed.append(frame)
-        for frame in self._stops(now, bus, protocol, joints):
-            receivers.keep(now, frame)
-            passed.append(frame)
         self._last |= last  # only now: frames of one step are compared with those of the steps before
         return passed, blocked
+
+    def stops(self, now: Nanos, bus: str, protocol: str, joints: Mapping[str, Joint]) -> list[Frame]:
+        """Return the devices' own stops that are due; they need no check."""
+        stops = list(self._stops(now, bus, protocol, joints))
+        for frame in stops:
+            self._receivers[bus].keep(now, frame)
+        return stops
 
     def drives(self, motor: str, since: Nanos) -> bool:
         """True if a motor was sent a set-point, Hold among them, at this time or later."""

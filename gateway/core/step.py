@@ -22,7 +22,7 @@ from gateway.core.joint import Joint
 from gateway.core.tick import Inputs, Note, Outputs
 from protocols import messages as msg
 from protocols.frames import BusState, CanFrame, Frame, IdMask, IdSet, Packet, id_number
-from protocols.line import Ended, Line
+from protocols.line import Ended, Exchange, Line, Rank, exchange
 from protocols.messages import SECOND, Command, Event, Instruction, Mode, Nanos, Request, Task
 from protocols.plugin import Driver, LineDriver, RxCounters
 
@@ -125,6 +125,8 @@ class Gateway:
         """What is never changed, hence not copied."""
         self._now: Nanos = 0
         """Time of the last step."""
+        self._wanted: dict[str, Nanos] = {}
+        """Since when each motor is commanded something else than Idle. On a line that goes out later."""
         self._requests: list[Request] = []
         """For the drivers, in this step."""
         self._late: list[Event] = []
@@ -227,6 +229,7 @@ class Gateway:
         _, sent = driver.send(now, last)
         frames = [bytes(frame) if isinstance(frame, bytes) else frame for frame in sent]
         passed, _ = guard.check(now, bus, protocol, frames, self.joints | joints, stopped=True)
+        passed += guard.stops(now, bus, protocol, self.joints | joints)
         return tuple(Packet(now, bus, frame) for frame in passed)
 
     def due(self) -> Nanos | None:
@@ -366,11 +369,10 @@ class Gateway:
         """Return what the lines send now: through the guard, as everything."""
         packets: list[Packet] = []
         for name, line in self.lines.items():
-            for owner, exchange in line.take(now):
-                one = self._on_bus[name][owner]
-                passed = list(self._out(now, one, [bytes(exchange)]))
+            for owner, each in line.take(now):
+                passed = list(self._out(now, self._on_bus[name][owner], [bytes(each)]))
                 if not passed:
-                    line.blocked(exchange)
+                    line.blocked(each)
                 packets += passed
         return packets
 
@@ -521,16 +523,28 @@ class Gateway:
             self._identify(one, events)
             self._late += events
             if one.bus in self.lines:
-                self.lines[one.bus].put(
-                    self._on_bus[one.bus].index(one), [f for f in frames if isinstance(f, bytes)]
-                )
+                self._put(now, one, frames)
             else:
                 packets += self._out(now, one, frames)
+                packets += (Packet(now, one.bus, each) for each in self._stops(now, one))
         packets += self._hand_over(now)
         for name, joint in self.joints.items():
-            if joint.driven_since is not None and not self.guard.drives(name, joint.driven_since):
+            if isinstance(commands[name], msg.Idle):
+                self._wanted.pop(name, None)
+            elif not self.guard.drives(name, self._wanted.setdefault(name, now)):
                 joint.on_held_back()
         return packets
+
+    def _put(self, now: Nanos, one: _BusDriver, frames: Sequence[Frame]) -> None:
+        """Give a line what one of its drivers sends, and the devices' own stops. Of a driver that has failed,
+        that is nothing: its set-points are taken back, and what disarms is still sent."""
+        given = [frame for frame in frames if isinstance(frame, bytes)]
+        stops = [exchange(frame) for frame in self._stops(now, one) if isinstance(frame, bytes)]
+        given += [Exchange(stop, stop.answer, Rank.RELEASE, stop.about) for stop in stops]
+        self.lines[one.bus].put(self._on_bus[one.bus].index(one), given)
+
+    def _stops(self, now: Nanos, one: _BusDriver) -> list[Frame]:
+        return self.guard.stops(now, one.bus, one.protocol, self.joints)
 
     def _out(self, now: Nanos, one: _BusDriver, frames: Sequence[Frame]) -> Iterable[Packet]:
         """Pass frames through the guard: the one place through which every outgoing frame goes."""

@@ -18,7 +18,7 @@ from gateway.core.robot import BusSettings, Motor, Robot, by_protocol
 from gateway.monitor.state import DeviceRecord, ProtocolVariant
 from protocols.frames import IdSet
 from protocols.messages import Nanos
-from protocols.plugin import Device, Plugin, Spec
+from protocols.plugin import Device, Plugin, Spec, remembered
 
 MAX_ADDRESSES = 256
 """Addresses of one protocol that are tried on one bus without a robot file."""
@@ -55,11 +55,15 @@ def of_plugins(bus: BusSettings, plugins: Sequence[Plugin]) -> list[ProtocolVari
     for plugin in plugins:
         for options in choices(plugin.options):
             specs: list[tuple[Device, Spec]] = []
+            settings = plugin.settings()
             for address in range(MAX_ADDRESSES):
-                device = Device(f"{plugin.name}:{address}", address, options, plugin.settings())
+                device = Device(f"{plugin.name}:{address}", address, options, settings)
                 with suppress(ValueError):  # the protocol does not allow this address
-                    specs.append((device, plugin.spec(device)))
-            if specs and all(spec.bus in COMPATIBLE[bus.kind] for _, spec in specs):
+                    spec = remembered(plugin.spec)(device)
+                    if spec.bus not in COMPATIBLE[bus.kind]:
+                        break
+                    specs.append((device, spec))
+            if specs:
                 variants.append(_with_devices(bus, plugin, specs))
     return variants
 
@@ -76,7 +80,7 @@ def of_ids(
             yield
         device = Device(f"{plugin.name}:{address}", address, options, plugin.settings())
         with suppress(ValueError):
-            spec = plugin.spec(device)
+            spec = remembered(plugin.spec)(device)
             sends = IdSet(spec.expects)
             if spec.bus in COMPATIBLE[bus.kind] and any(number in sends for number in heard):
                 specs.append((device, spec))

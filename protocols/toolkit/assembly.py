@@ -9,7 +9,17 @@ from typing import Any, Literal, Protocol
 
 from protocols.frames import Frame, IdMask
 from protocols.messages import COMMANDS, MILLISECOND, Command, Nanos, Obeyed, Scan
-from protocols.plugin import CommandDecoder, Device, Driver, FeedbackKind, Spec, Watchdog, Written, unchanged
+from protocols.plugin import (
+    CommandDecoder,
+    Device,
+    Driver,
+    FeedbackKind,
+    Spec,
+    Watchdog,
+    Written,
+    remembered,
+    unchanged,
+)
 from protocols.toolkit.motor_driver import Adapter, MotorDriver, may_scan
 from protocols.toolkit.table import Decoded, Table
 
@@ -97,7 +107,7 @@ def driver_of(
     one address."""
 
     def driver(devices: Sequence[Device]) -> Driver:
-        specs = {device.name: spec(device) for device in devices}
+        specs = {device.name: remembered(spec)(device) for device in devices}
         held: dict[object, str] = {}
         for device in devices:
             other = held.setdefault((device.address, specs[device.name].sends), device.name)
@@ -183,5 +193,5 @@ def decoder_of(
 ) -> Callable[[Sequence[Device]], CommandDecoder]:
     """Return `Plugin.decoder`; `table`: from the options of a device; `memory` is what it keeps."""
     return lambda devices: TableDecoder(
-        [(table(each.options), memory(each), spec(each).canonical) for each in devices]
+        [(table(each.options), memory(each), remembered(spec)(each).canonical) for each in devices]
     )
