@@ -220,7 +220,10 @@ class Line:
         taken_back = before - len(self.waiting)
         self.overtaken += taken_back > 0
         given = _newest([exchange(frame) for frame in frames])
+        sent = self.out.exchange if self.out is not None and self.out.owner == owner else None
         for new in given:
+            if sent is not None and new.rank is Rank.SET_POINT and (new, new.key) == (sent, sent.key):
+                continue  # it is under way
             old = places.get(new.key)
             if old is None or new.rank is Rank.SET_POINT:
                 self.waiting.append(Waiting(owner, new, new.tries, old.round if old else self.round + 1))

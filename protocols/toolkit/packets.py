@@ -48,8 +48,9 @@ class Packets:
     def encode(self, name: str, address: int = 0, /, **values: Any) -> bytes:  # noqa: ANN401 -- numbers
         """Return a message to or from the device at an address, as it stands on the line. Raises ValueError
         for a number that is not finite, TypeError for a field that is missing or unknown."""
-        frame = self._table.encode(name, address, **values)
-        return self.framing.frame(self._pack(frame.id >> 8, frame.id & 0xFF, frame.data))
+        frame = self._table.encoder(name)(address, **values)
+        number = frame.id
+        return self.framing.frame(self._pack(number >> 8, number & 0xFF, frame.data))
 
     def decode(self, message: bytes, direction: Direction) -> Decoded | None:
         """Return what is in a message (as `Stream.feed` gives it); None if it is none of the table's."""

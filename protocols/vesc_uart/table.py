@@ -48,8 +48,8 @@ class PacketFormat:
         size = len(message)
         if not 0 < size <= LONGEST:
             raise ValueError(f"a payload has 1 to {LONGEST} bytes, not {size}")
-        head = bytes((SHORT, size)) if size < 256 else bytes((LONG, size >> 8, size & 0xFF))
-        return head + message + CRC16_XMODEM(message).to_bytes(2, "big") + bytes((STOP,))
+        head = b"\2%c" % size if size < 256 else b"\3" + size.to_bytes(2, "big")
+        return b"%b%b%b\3" % (head, message, CRC16_XMODEM(message).to_bytes(2, "big"))
 
     def read(self, held: bytes, at: int) -> tuple[bytes | Rx | None, int]:
         """Return what begins here, and where the search goes on, as every `FrameFormat`."""
@@ -85,8 +85,9 @@ FORMAT = PacketFormat()
 
 def pack(address: int, function: int, data: bytes) -> bytes:
     """Return the payload of a command to a controller."""
-    command = bytes((function,)) + data
-    return command if address == DIRECT else bytes((FORWARD_CAN, address)) + command
+    if address == DIRECT:
+        return b"%c%b" % (function, data)
+    return b"%c%c%c%b" % (FORWARD_CAN, address, function, data)
 
 
 def unpack(payload: bytes) -> tuple[int, int, bytes] | None:
