@@ -121,8 +121,8 @@ class Gateway:
             if bus.line != "free"
         }
         """What waits for a serial line on which devices speak only when asked, by bus."""
-        self._full: Nanos = -(1 << 62)
-        """When the brain was last asked,"""
+        self._next: Nanos | None = None
+        """On lines: when the brain is asked next, in steps of its period from the first one on,"""
         self._heard: list[Event] = []
         """and what was heard since then."""
         self.guard = Guard(robot)
@@ -160,7 +160,7 @@ class Gateway:
         if not inputs.states and not inputs.instructions and self.between(now):
             self._heard += self._receive(now, inputs.packets)
             return Outputs(tuple(self._hand_over(now)), (), ())
-        self._full = now
+        self._advance(now)
         self._on_bus_states(now, inputs.states)
         events = [*self._heard, *self._receive(now, inputs.packets)]
         self._heard = []
@@ -177,8 +177,19 @@ class Gateway:
         return Outputs(tuple(packets), tuple(events), self._take_notes())
 
     def between(self, now: Nanos) -> bool:
-        """True if a step now is one between two of the brain's: answers are taken, and the lines go on."""
-        return bool(self.lines) and now < self._full + self.robot.period - SOON
+        """True if a step now is one between two of the brain's: answers are taken, and the lines go on. A
+        driver that is due, and is not on such a line, needs the brain's."""
+        if not self.lines or self._next is None or now >= self._next - SOON:
+            return False
+        others = (self._call(one, None, one.driver.due) for one in self._drivers if one.bus not in self.lines)
+        return all(due is None or due > now for due in others)
+
+    def _advance(self, now: Nanos) -> None:
+        """Note a step of the brain: one that is late, or between two, does not move those that follow."""
+        if self._next is None:
+            self._next = now + self.robot.period
+        elif now >= self._next - SOON:
+            self._next += ((now + SOON - self._next) // self.robot.period + 1) * self.robot.period
 
     def _think(
         self, now: Nanos, events: Sequence[Event], tasks: Sequence[BrainTask], stopped: str
