@@ -152,7 +152,7 @@ class Endless(Altered):
 
 
 @found_by("awaited")
-class Raises(Altered):
+class RaisesInFind(Altered):
     """Looks for an answer in a way that raises where there is none."""
 
     def change(self, each: Exchange) -> bytes:
