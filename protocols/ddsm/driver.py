@@ -58,7 +58,7 @@ class Motor:
     told: tuple[int, int] = (-1, 0)
     """The mode that was written, and the answers since"""
     value: int = 0
-    """As last sent in `drive`"""
+    """As last sent in `drive`; while its mode changes, 1 if it goes on armed"""
     error: int = 0
     asked_at: Nanos = -(1 << 62)
     """When the last question was given that tells its motion,"""
@@ -250,7 +250,8 @@ class DdsmAdapter(Adapter[Motor]):
         if host.own.counts(wanted, options.of_model):
             value = round(number / (options.torque if by_torque else options.of_model.rpm))
             return (self._drive(now, host, value or int(by_torque)),)  # a current of 0 would let go
-        host.own.send(now, 0, motion=False)  # a new mode begins without one
+        # A new mode begins without a value; one that is armed is to get one, and stays so.
+        host.own.send(now, int(host.phase is Phase.ARMED), motion=False)
         return (
             self._mode(host, wanted, Rank.SET_POINT),
             self._query(now, host, Rank.QUESTION, f"set {wanted}"),
