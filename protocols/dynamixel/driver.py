@@ -63,6 +63,11 @@ class Own:
         """Return when a block is to be asked for again."""
         return self.asked_at.get(block, -period) + period - STEP_EARLY
 
+    def next(self, block: str, period: Nanos) -> Nanos:
+        """Return when a block is to be asked for together with that of all devices of this period."""
+        last = self.asked_at.get(block, -period) + STEP_EARLY
+        return last - last % period + period - STEP_EARLY
+
     def ask(self, now: Nanos, what: str) -> None:
         """Record that a block is asked for."""
         self.asked_at[what] = now
@@ -413,7 +418,7 @@ class DynamixelAdapter(Adapter[Own]):
         slow = round(options.state_ms * MILLISECOND) * (10 if complete else 1)
         dues.append(("state", own.due("state", max(period, 20 * MILLISECOND) if hurry else slow)))
         if host.mode is not None and not host.offline:
-            dues.append(("motion", own.due("motion", period)))
+            dues.append(("motion", own.next("motion", period)))
         return dues
 
     def poll_due(self, host: Host[Own]) -> Nanos:
@@ -432,7 +437,8 @@ class DynamixelAdapter(Adapter[Own]):
             at_once = dx.FAST_SYNC_READ if alike else dx.FAST_BULK_READ
             delay = sum(each for _, each in chain.values())
             instruction = at_once if fast else one_by_one
-            frames.append(dx.question(instruction, wanted, Rank.QUESTION, f"motion {int(fast)}", delay))
+            about = f"motion {','.join(map(str, wanted))}"  # it replaces no question to others
+            frames.append(dx.question(instruction, wanted, Rank.QUESTION, about, delay))
         self._chains.clear()
         return frames
 
