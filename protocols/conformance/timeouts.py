@@ -14,7 +14,7 @@ from dataclasses import fields
 from functools import partial
 from typing import Any, get_type_hints
 
-from protocols.conformance.bench import ALPHA, BETA, NAMES, STEP, Messages, StepResult
+from protocols.conformance.bench import ALPHA, BETA, NAMES, STEP, Messages, OnLine, StepResult
 from protocols.conformance.case import Case, Failure, Inapplicable, alternatives, valid
 from protocols.conformance.fault_injection import (
     SLACK,
@@ -41,6 +41,8 @@ SPARED = 0.2
 """Part of the work of a motion that may still be done when the watchdog has ended it."""
 ABSENT = 500
 """Steps for which a command is given to an absent device, and then none: it has aged."""
+IN_FLIGHT = 5
+"""Steps at most within which what a device has sent is reported, on a line where others answer behind it."""
 RETURNED = 2000
 """Steps within which a device that sends again must be reported."""
 
@@ -229,7 +231,11 @@ def _falls_silent(kind: type[Command] | None, case: Case) -> None:
     cable = rig.cables[ALPHA]
     cable.up, cable.down = False, kind is None
     rig.host.lazy, rig.host.echo = kind is None, case.spec.bus != "serial"
-    rig.step(messages)  # what was in flight arrives
+    driver = rig.host.driver
+    for _ in range(IN_FLIGHT):  # what was in flight arrives; of a chain of answers it is read at the end
+        rig.step(messages)
+        if not isinstance(driver, OnLine) or not driver.line.held:
+            break
     _is_reported_offline(rig, cable.sent_at, messages, what)
     _comes_back(rig, what)
 
