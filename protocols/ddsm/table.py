@@ -144,7 +144,12 @@ class Tens:
         return (message, at + SIZE) if self.fits(message) else (Rx.IGNORED, at + 1)
 
 
-COMMANDS = Tens(decode)
+def _is_message(message: bytes) -> bool:
+    """True for a message to a motor, or an answer of one, which the others hear: nothing begins within it."""
+    return not CRC8_MAXIM(message) or decode(message) is not None
+
+
+COMMANDS = Tens(_is_message)
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,8 +172,8 @@ def in_frame(frame: Frame) -> tuple[Sequence[Decoded], bool]:
     """Return the messages to motors in a run of bytes, and whether it holds nothing else."""
     if not isinstance(frame, bytes):
         return (), False
-    found = [decode(each) for each in Stream(COMMANDS).messages(frame)]
-    return [one for one in found if one is not None], len(found) * SIZE == len(frame) > 0
+    found = [one for each in Stream(COMMANDS).messages(frame) if (one := decode(each)) is not None]
+    return found, len(found) * SIZE == len(frame) > 0
 
 
 def names(frame: Frame) -> tuple[str, ...]:
