@@ -412,7 +412,7 @@ DISTURBED = {
 }
 
 
-def _answer_alike(case: Case) -> bool:
+def answer_alike(case: Case) -> bool:
     """True if two devices in the same state send the same: their answers say neither whose they are, nor what
     they answer."""
     wire = on_wire(case)
@@ -433,7 +433,7 @@ def _answer_alike(case: Case) -> bool:
 def wrong_answers_are_none(case: Case) -> None:
     """An answer that is late, doubled, of another device, cut or behind garbage trips nothing, and is taken
     for no other's. Where devices answer with the same bytes, nothing shows that one is another's."""
-    alike = _answer_alike(case)
+    alike = answer_alike(case)
     for what, change in DISTURBED.items():
         if alike and change in (_doubled, _of_another):
             continue
