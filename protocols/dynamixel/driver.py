@@ -63,11 +63,6 @@ class Own:
         """Return when a block is to be asked for again."""
         return self.asked_at.get(block, -period) + period - STEP_EARLY
 
-    def next(self, block: str, period: Nanos) -> Nanos:
-        """Return when a block is to be asked for together with that of all devices of this period."""
-        last = self.asked_at.get(block, -period) + STEP_EARLY
-        return last - last % period + period - STEP_EARLY
-
     def ask(self, now: Nanos, what: str) -> None:
         """Record that a block is asked for."""
         self.asked_at[what] = now
@@ -418,7 +413,7 @@ class DynamixelAdapter(Adapter[Own]):
         slow = round(options.state_ms * MILLISECOND) * (10 if complete else 1)
         dues.append(("state", own.due("state", max(period, 20 * MILLISECOND) if hurry else slow)))
         if host.mode is not None and not host.offline:
-            dues.append(("motion", own.next("motion", period)))
+            dues.append(("motion", own.due("motion", period)))
         return dues
 
     def poll_due(self, host: Host[Own]) -> Nanos:
