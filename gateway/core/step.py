@@ -123,8 +123,10 @@ class Gateway:
         """What waits for a serial line on which devices speak only when asked, by bus."""
         self._full: Nanos = -(1 << 62)
         """When the brain was last asked,"""
+        self._left: Nanos = -(1 << 62)
+        """when the last frames were last made without it,"""
         self._heard: list[Event] = []
-        """and what was heard since then."""
+        """and what was heard since the brain was asked."""
         self.guard = Guard(robot)
         self._values: list[object] = [
             each for motor in robot.motors.values() for each in (motor.spec, motor.device, motor.joint)
@@ -178,7 +180,10 @@ class Gateway:
 
     def between(self, now: Nanos) -> bool:
         """True if a step now is one between two of the brain's: answers are taken, and the lines go on."""
-        return bool(self.lines) and now < self._full + self.robot.period - SOON
+        return self._is_between(now, self._full)
+
+    def _is_between(self, now: Nanos, last: Nanos) -> bool:
+        return bool(self.lines) and now < last + self.robot.period - SOON
 
     def _think(
         self, now: Nanos, events: Sequence[Event], tasks: Sequence[BrainTask], stopped: str
@@ -201,6 +206,9 @@ class Gateway:
     def leave(self, now: Nanos, inputs: Inputs | None = None) -> tuple[Packet, ...]:
         """Return the frames of every commanded motor's stop action, without the brain: after an error.
 
+        What waits for a line comes with later calls, when the line is `due`, or what was asked is answered:
+        with `inputs`, these go on where the one before ended, until `releasing` is empty.
+
         Args:
             now: the time of the last frames [ns].
             inputs: what was received since; its instructions are not carried out.
@@ -212,6 +220,9 @@ class Gateway:
         if inputs is not None:
             self._on_bus_states(now, inputs.states)
             self._receive(now, inputs.packets)
+            if not inputs.states and self._is_between(now, self._left):
+                return tuple(self._hand_over(now))
+        self._left = now
         commands: dict[str, Command] = {}
         for name, joint in self.joints.items():
             commands[name], failure = _last_command(now, joint)
@@ -254,6 +265,10 @@ class Gateway:
     def asked(self) -> list[str]:
         """Return the buses on whose lines an answer is under way."""
         return [name for name, line in self.lines.items() if line.out is not None]
+
+    def releasing(self) -> list[str]:
+        """Return the buses on whose lines something that disarms waits, or for its answer."""
+        return [name for name, line in self.lines.items() if line.releases()]
 
     def completes(self, packets: Sequence[Packet]) -> bool:
         """True if what has come since the last step completes an answer, so that a step has something to do.
