@@ -18,17 +18,19 @@ from brain.bodies import bare
 from gateway import config
 from gateway.buses.virtual.bus import HOST, TwinBus
 from gateway.buses.virtual.medium import Transmission
-from gateway.core.guard import STOPS_WITHIN, decoder_of, text_of
+from gateway.core.guard import STOPS_AGAIN, STOPS_WITHIN, decoder_of, text_of
 from gateway.core.robot import Robot
 from gateway.core.step import DRIVER_FAILED, Gateway
 from gateway.core.tick import Tick
 from gateway.runtime.loop import Reader, moments, write
 from gateway.runtime.timing import LoopStats
 from protocols import messages as msg
+from protocols.conformance.case import addresses_of
 from protocols.line import PATIENCE, Exchange, Line, Rank
 from protocols.messages import MILLISECOND, SECOND, Command, Mode, Nanos, Velocity
-from protocols.plugin import CommandDecoder
+from protocols.plugin import CommandDecoder, Device, Plugin
 from tests.gateway.rig import Rig, notes_in
+from tests.protocols.line_sessions import QUESTIONED
 from tests.sampled import sampled
 
 MS = MILLISECOND
@@ -89,6 +91,8 @@ class Wire:
     """Of what is sent, either way, that is lost;"""
     next_lost: bool = False
     """and what comes next, too."""
+    lost_once: set[str] = field(default_factory=set)
+    """Frames to the devices of which the next is lost."""
     told: list[tuple[Nanos, Command]] = field(default_factory=list)
     """What the devices obey, with the time of its last byte."""
     chance: random.Random = field(default_factory=lambda: random.Random(5))
@@ -110,6 +114,9 @@ class Wire:
     def _arrives(self, _bus: str, one: Transmission) -> Iterable[Transmission]:
         if self.next_lost or (self.share and self.chance.random() < self.share):
             self.next_lost = False
+            return ()
+        if one.sender == HOST and text_of(one.frame) in self.lost_once:
+            self.lost_once.remove(text_of(one.frame))
             return ()
         if one.sender == HOST:
             obeyed = self.decoder.decode(one.t, one.frame)
@@ -257,23 +264,31 @@ def given(monkeypatch: pytest.MonkeyPatch) -> list[Exchange]:
     return every
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize(
+    ("name", "lost"),
+    [*((name, False) for name in ROBOTS[1:]), ("diffbot_feetech", True), ("diffbot_roboclaw", True)],
+)
 def test_a_motor_whose_driver_does_not_stop_it_gets_its_own_stop_before_all_else(
-    name: str, given: list[Exchange]
+    name: str, lost: bool, given: list[Exchange]
 ) -> None:
     rig, wire = driven(of_file(name, stop_action="idle"))
     driver = driver_of(rig)
     send = driver.send
     driver.send = lambda now, messages: send(now, [m for m in messages if not isinstance(m, msg.Idle)])
     given.clear()
+    stops = {text_of(motor.spec.stop[0]) for motor in rig.robot.motors.values()}
+    wire.lost_once = stops.copy() if lost else set()
     began = rig.clock.now()
     rig.run(0.4, msg.Stop())
-    stops = {text_of(motor.spec.stop[0]) for motor in rig.robot.motors.values()}
+    assert not wire.lost_once
     ranks = {text_of(each): each.rank for each in given if text_of(each) in stops}
     assert ranks == dict.fromkeys(stops, Rank.RELEASE)
-    assert STOPS_WITHIN <= wire.disarmed(began) <= STOPS_WITHIN + 20 * MS
+    after = STOPS_WITHIN + lost * STOPS_AGAIN
+    assert after <= wire.disarmed(began) <= after + 20 * MS
     assert wire.bus.overlaps == 0
     assert set(modes(rig).values()) == {Mode.READY}
+    driver.send = send
+    rig.leave()
 
 
 def test_a_driver_that_raises_loses_its_set_points_and_what_disarms_is_still_sent() -> None:
@@ -384,3 +399,15 @@ def test_a_line_that_is_lost_and_back_starts_nothing_and_leaves_nothing_armed() 
     assert wire.disarmed(began) <= 100 * MS
     assert wire.bus.overlaps == 0
     assert set(modes(rig).values()) == {Mode.READY}
+
+
+@pytest.mark.parametrize("plugin", QUESTIONED, ids=lambda each: each.name)
+def test_an_own_stop_that_is_answered_says_so(plugin: Plugin) -> None:
+    """Else the line would not wait for the answer, and two would send at once."""
+    device = Device("one", addresses_of(plugin)[0], plugin.options(), plugin.settings())
+    for stop in plugin.spec(device).stop:
+        twin = plugin.twin(device, 0)
+        twin.step(0, (msg.Feedback("one", 0, 0.0, 0.0),))
+        twin.receive(MS, stop)
+        _, answers = twin.step(20 * MS, (msg.Feedback("one", 20 * MS, 0.0, 0.0),))
+        assert bool(answers) == (isinstance(stop, Exchange) and stop.answer is not None), text_of(stop)
