@@ -23,7 +23,7 @@ from gateway.core.tick import Inputs, Note, Outputs
 from protocols import messages as msg
 from protocols.frames import BusState, CanFrame, Frame, IdMask, IdSet, Packet, id_number
 from protocols.line import Ended, Exchange, Line, Rank, exchange
-from protocols.messages import SECOND, Command, Event, Instruction, Mode, Nanos, Request, Task
+from protocols.messages import MILLISECOND, SECOND, Command, Event, Instruction, Mode, Nanos, Request, Task
 from protocols.plugin import Driver, LineDriver, RxCounters
 
 if TYPE_CHECKING:
@@ -58,6 +58,8 @@ LEFT_ARMED = "still armed: cut its supply"
 Result = TypeVar("Result")
 SOON: Nanos = 100_000
 """A step this much before its time is one of the brain's."""
+APART: Nanos = MILLISECOND
+"""Least time between two of the brain's beside a line, if a driver is due that no line keeps waiting."""
 _NOTHING: Sequence[Event] = ()
 _NO_FRAMES: Sequence[Frame] = ()
 
@@ -183,7 +185,15 @@ class Gateway:
         return self._is_between(now, self._full)
 
     def _is_between(self, now: Nanos, last: Nanos) -> bool:
-        return bool(self.lines) and now < last + self.robot.period - SOON
+        if not self.lines or now >= last + self.robot.period - SOON:
+            return False
+        free = self._free_due()
+        return free is None or now < max(free, last + APART)
+
+    def _free_due(self) -> Nanos | None:
+        """Return when a driver next has to send by itself that no line keeps waiting."""
+        times = (self._call(one, None, one.driver.due) for one in self._drivers if one.bus not in self.lines)
+        return min((due for due in times if due is not None), default=None)
 
     def _think(
         self, now: Nanos, events: Sequence[Event], tasks: Sequence[BrainTask], stopped: str
@@ -254,8 +264,10 @@ class Gateway:
 
     def due(self) -> Nanos | None:
         """Return when a driver next has to send by itself; None if none has to."""
-        times = [self._call(one, None, one.driver.due) for one in self._drivers if one.bus not in self.lines]
-        times += [line.due() for line in self.lines.values()]
+        free = self._free_due()
+        if free is not None and self.lines:
+            free = max(free, max(self._full, self._left) + APART)
+        times = [free, *(line.due() for line in self.lines.values())]
         return min((due for due in times if due is not None), default=None)
 
     def awaiting(self) -> bool:

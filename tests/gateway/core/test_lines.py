@@ -9,7 +9,7 @@ from __future__ import annotations
 import random
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import product
+from itertools import pairwise, product
 from typing import Any
 
 import pytest
@@ -22,7 +22,7 @@ from gateway.core.guard import STOPS_AGAIN, STOPS_WITHIN, decoder_of, text_of
 from gateway.core.robot import Robot
 from gateway.core.step import DRIVER_FAILED, Gateway
 from gateway.core.tick import Tick
-from gateway.runtime.loop import Reader, moments, write
+from gateway.runtime.loop import FINE, Reader, moments, write
 from gateway.runtime.timing import LoopStats
 from protocols import messages as msg
 from protocols.conformance.case import addresses_of
@@ -48,16 +48,17 @@ bus = "wheels"
 gear = 1.0
 feedback_timeout_ms = 300
 limits = { velocity = 20.0, acceleration = 10.0, torque = 2.0 }
-options = { model = "DDSM115", watchdog = "acknowledged" }
-[motors]
 """
+HUB = 'options = { model = "DDSM115", watchdog = "acknowledged" }\n'
 EIGHT = [f"m{number}" for number in range(1, 9)]
 
 
 def many(**joint: Any) -> Robot:
     """Eight hub motors on one line: each is asked alone, and an exchange takes about 2 ms: at one in each
     period, the last is disarmed after 40 ms."""
-    text = MANY + "".join(f"{name} = {{ address = {at} }}\n" for at, name in enumerate(EIGHT, 1))
+    text = f"{MANY}{HUB}[motors]\n" + "".join(
+        f"{name} = {{ address = {at} }}\n" for at, name in enumerate(EIGHT, 1)
+    )
     names = ", ".join(f'"{name}"' for name in EIGHT)
     made = config.parse_robot(f'{text}[brain]\nbody = "joints"\n[brain.joints]\nmotors = [{names}]\n')
     return with_joints(made, **joint)
@@ -399,6 +400,30 @@ def test_a_line_that_is_lost_and_back_starts_nothing_and_leaves_nothing_armed() 
     assert wire.disarmed(began) <= 100 * MS
     assert wire.bus.overlaps == 0
     assert set(modes(rig).values()) == {Mode.READY}
+
+
+CAN0 = """[buses.can0]
+kind = "can"
+bitrate = 1_000_000
+interface = "twin"
+"""
+DRIVE = """protocol = "cia402"
+bus = "can0"
+address = 2
+options = { feedback = "sdo" }
+"""
+
+
+def test_beside_a_line_a_drive_of_many_questions_has_its_steps_and_the_loop_does_not_spin() -> None:
+    """Steps that only look at the line do not serve it: it was due all the time."""
+    text = MANY.replace("[defaults", f"{CAN0}[defaults") + f"[motors.m1]\naddress = 1\n{HUB}"
+    rig = Rig(f'{text}[motors.m2]\n{DRIVE}[brain]\nbody = "joints"\n[brain.joints]\nmotors = ["m1", "m2"]\n')
+    rig.run(0.3)
+    ticks = rig.run(0.5, *(command_of(rig.robot, name, 0.1) for name in ("m1", "m2")))
+    assert all(joint.armed and not joint.faults for joint in rig.gateway.joints.values())
+    assert sum(after.now - before.now <= FINE for before, after in pairwise(ticks)) < 0.4 * len(ticks)
+    rig.leave()
+    assert rig.gateway.still_armed() == []
 
 
 @pytest.mark.parametrize("plugin", QUESTIONED, ids=lambda each: each.name)
