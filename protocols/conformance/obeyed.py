@@ -114,10 +114,10 @@ def _states(case: Case) -> Iterator[_State]:
     commands = {name: resting(kind, case.spec, name, PLACE) for name in NAMES}
     if not bench.arm(lambda name: commands[name]):
         return
+    bench.steps(10, list(commands.values()))  # on a line of questions, what arms may wait for its turn
     for name in NAMES:
         if name not in bench.armed:
             raise Failure(f"{name} is armed, and Arm was decoded of no frame", (), [commands[name]])
-    bench.steps(10, list(commands.values()))
     yield _copied("armed", bench, list(commands.values()))
     if case.spec.faults:
         for twin in bench.twins:

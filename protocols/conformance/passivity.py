@@ -35,7 +35,7 @@ def foreign_traffic_changes_nothing(case: Case) -> None:
         raise Inapplicable(f"no other device can be on its line: {error}") from error
     alone, crowded = case.start(), case.start()
     counter = case.stranger().driver
-    foreign, count = _foreign(case), 0
+    foreign, count, waiting = _foreign(case), 0, list[Frame]()
     ours = {frame for step in case.baseline for frame in step.down}
     for at, messages in enumerate(tools.script(spec, NAMES)):
         if spec.line != "free":  # a stranger's answer while its address is asked would be one to that
@@ -44,8 +44,10 @@ def foreign_traffic_changes_nothing(case: Case) -> None:
         can = [*_without(theirs.down, spec.receives_also), *theirs.up] if spec.bus != "serial" else []
         extra = [foreign[at % len(foreign)]] if at % 5 == 0 else []
         up, down = _without(can or theirs.up, expects), _without(can or theirs.down, sends)
-        if isinstance(crowded.driver, tools.OnLine) and crowded.driver.line.out is not None:
-            up = []  # on its line, a host's question is the only one
+        if isinstance(crowded.driver, tools.OnLine):
+            # On its line, a host's question is the only one: what comes meanwhile comes when it is answered.
+            waiting += up
+            up, waiting = ([], waiting) if crowded.driver.line.out is not None else (waiting, [])
         if spec.line == "asked":  # what has no address is not a stranger's
             down = [frame for frame in down if frame not in ours]
         one, other = alone.step(messages), crowded.step(messages, [*up, *extra], down)

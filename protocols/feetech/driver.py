@@ -381,7 +381,9 @@ class FeetechAdapter(Adapter[Servo]):
     # -- requests -------------------------------------------------------------------------------------
 
     def questions(self, driver: MotorDriver[Servo]) -> Iterable[Frame]:
-        return [ft.asks((n,), (0, 5), f"scan {n}", ft.LONGEST_DELAY + LATE) for n in IDS]
+        # Ids without a servo: one in each round, or those that move are silent meanwhile.
+        delay = ft.LONGEST_DELAY + LATE
+        return [ft.asks((n,), (0, 5), f"scan {n}", delay, Rank.BACKGROUND) for n in IDS]
 
     def begin(
         self, now: Nanos, request: Request, host: Host[Servo] | None, driver: MotorDriver[Servo]

@@ -1,12 +1,13 @@
-"""`Options` of the driver, and `Settings` of the axis as it is in simulation."""
+"""`Options` of the driver; the `Settings` of the axis are those over CAN."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from protocols.odrive_can.options import AxisOptions
-from protocols.odrive_can.options import Settings as DeviceSettings
+from protocols.odrive_can.options import AxisOptions, Settings
 from protocols.toolkit.options import bounded
+
+__all__ = ["Options", "Settings"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,11 +16,3 @@ class Options(AxisOptions):
 
     state_ms: int = bounded(50, 5, 1000)
     """Period in which state and errors are asked for."""
-
-
-@dataclass(frozen=True, slots=True)
-class Settings(DeviceSettings):
-    """The configuration of the device, in simulation."""
-
-    answers_for_board: bool = True
-    """It answers what is asked of the board. False for all axes of a board but one."""

@@ -33,7 +33,8 @@ CUT_OFF = 9
 TO_DEVICE = TextLines(end=b"\n", ends=b"\r\n!", checksum=xor8, required=False)
 """As a device reads."""
 _SENT = TextLines(end=b"\n", checksum=xor8)
-FROM_DEVICE = TextLines(end=b"\r\n", checksum=xor8)
+FROM_DEVICE = TextLines(end=b"\r\n", ends=b"\n", checksum=xor8)
+"""Of one whose end is damaged nothing counts."""
 
 
 def line(text: str) -> bytes:

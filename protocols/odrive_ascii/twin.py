@@ -1,7 +1,7 @@
 """The device's end over a serial line: the firmware is that of `protocols.odrive_can`.
 
-Rules. A twin is one axis; what concerns the board each obeys, and one answers. An answer has a checksum if
-the question had one. Set-points and `u` feed the watchdog, and nothing else does.
+Rules. A twin is one axis; what concerns the board each obeys, and the one that was spoken to last answers. An
+answer has a checksum if the question had one. Set-points and `u` feed the watchdog, and nothing else does.
 """
 
 from __future__ import annotations
@@ -19,11 +19,12 @@ from protocols.odrive_can.firmware import Memory, OdriveTwin, Twin05, Twin06, me
 from protocols.odrive_can.options import SETTING_OF, firmware_of, line_of, serial_of
 from protocols.odrive_can.servo import gains_of
 from protocols.odrive_can.table import ERASE, SAVING
-from protocols.plugin import Device, FaultInfo
+from protocols.plugin import Device, FaultInfo, Twin
 from protocols.toolkit.serial import Stream
 from protocols.toolkit.table import Decoded
 
 HARDWARE = {"0.5": "3.6-56V", "0.6": "5.2-0V"}
+_NAMED = re.compile(r"[pqvctfu] (\d{1,6})$|[rw] axis(\d)\.")
 ANSWER: Nanos = 200_000
 """Until an answer is sent"""
 
@@ -64,8 +65,22 @@ class _OnLines(OdriveTwin):
         super().__init__(device, seed)
         self._stream = Stream(at.TO_DEVICE)
         self.line = line_of(device)
+        self.axes = {self.memory.node}
+        """Of its board,"""
+        self.addressed = self.memory.node
+        """and the one that was spoken to last."""
         self.written: dict[str, float] = {}
         """Properties that were written, and mean nothing here."""
+
+    def join(self, others: Sequence[Twin]) -> None:
+        """Find the other axes of the board."""
+        self.axes = {self.memory.node, *(each.memory.node for each in others if isinstance(each, _OnLines))}
+        self.addressed = min(self.axes)
+
+    @property
+    def answers_for_board(self) -> bool:
+        """True if it is this axis that answers what is asked of the board."""
+        return self.addressed == self.memory.node
 
     def on_frame(self, t: Nanos, frame: Frame) -> None:
         for message in self._stream.messages(frame) if isinstance(frame, bytes) else ():
@@ -81,7 +96,10 @@ class _OnLines(OdriveTwin):
     def _on_line(self, t: Nanos, words: Sequence[str], message: bytes) -> Sequence[str]:
         """Obey a line; return the answers."""
         decoded = at.LINES.decode(message)
-        board: bool = self.settings.answers_for_board
+        named = _NAMED.match(" ".join(words[:2]))
+        if named is not None and (axis := int(named[1] or named[2])) in self.axes:
+            self.addressed = axis
+        board = self.answers_for_board
         match words[0]:
             case "f" | "u" | "p" | "q" | "v" | "c" | "t":
                 if len(words) < 2 or not words[1].isdigit() or (decoded is None and words[0] not in "fu"):
@@ -118,7 +136,7 @@ class _OnLines(OdriveTwin):
     # -- properties -----------------------------------------------------------------------------------
 
     def _info(self) -> list[str]:
-        serial = serial_of(self.settings, self.device.address)
+        serial = serial_of(self.settings, min(self.axes))
         return [
             f"Hardware version: {HARDWARE[self.line]}",
             f"Firmware version: {firmware_of(self.device)}",
@@ -127,7 +145,7 @@ class _OnLines(OdriveTwin):
 
     def _read(self, name: str) -> Sequence[str]:
         found = re.fullmatch(r"axis(\d)\.(\S+)", name)
-        board: bool = self.settings.answers_for_board
+        board = self.answers_for_board
         if found is not None and int(found[1]) != self.memory.node:
             return ["invalid property"] * (board and int(found[1]) not in at.AXES)
         if found is None and not board:
@@ -167,7 +185,7 @@ class _OnLines(OdriveTwin):
         local = name.removeprefix(f"axis{self.memory.node}.")
         setting = SETTING_OF.get(f"axis0.{local}", SETTING_OF.get(name, ""))
         if local not in self.properties():
-            return ["invalid property"] if self.settings.answers_for_board else ()
+            return ["invalid property"] if self.answers_for_board else ()
         if setting in self.servo.gains:
             self.servo.configure([(setting, value)])
         elif setting:

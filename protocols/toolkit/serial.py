@@ -248,7 +248,7 @@ class TextLines:
     spoils that line alone; what stands between two ends is read."""
 
     end: bytes = b"\n"
-    """What we end a line with."""
+    """What we end a line with; of what comes, what stands in it before its last byte may be missing."""
     ends: bytes = b"\r\n"
     """Each of these bytes ends one."""
     longest: int = 255
@@ -261,7 +261,7 @@ class TextLines:
 
     def __post_init__(self) -> None:
         """Check that a line that is written is a line that is read."""
-        if not self.ends or not self.end or set(self.end) - set(self.ends):
+        if not self.ends or not self.end or self.end[-1] not in self.ends:
             raise ValueError("a line ends with bytes that end it")
         if self.longest < 1 or len(self.mark) != 1:
             raise ValueError("a line has at least one byte, and the mark of a checksum is one")
@@ -282,7 +282,7 @@ class TextLines:
             # One byte more than a line may have: the rest of one that is too long is none.
             keep = len(held) - self.longest - 1
             return (Rx.IGNORED, keep) if keep > at else (None, at)
-        line, behind = held[at : min(found)], min(found) + 1
+        line, behind = held[at : min(found)].removesuffix(self.end[:-1]), min(found) + 1
         if len(line) > self.longest or not _is_text(line):
             return Rx.IGNORED, behind
         text, mark, figures = line.rpartition(self.mark)

@@ -2,14 +2,17 @@
 
 Rules. The controller whose id is `uart_id` is at the end of the line, and obeys what is not forwarded; the
 others obey what is forwarded to them. Whether one is at the end of the line or not, the others answer: of the
-one between only the time is simulated. PING_CAN is answered by each for itself.
+one between only the time is simulated. PING_CAN is answered for all by the one at the end, or else the
+lowest: behind its next answer, since all answers come from one port.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from protocols.frames import Frame
-from protocols.messages import MILLISECOND, Nanos
-from protocols.plugin import Device
+from protocols.messages import MILLISECOND, Event, Nanos, Torque
+from protocols.plugin import Device, Twin
 from protocols.toolkit.serial import Stream
 from protocols.vesc.motor import Motor, VescFirmware
 from protocols.vesc.table import EVERY
@@ -41,6 +44,17 @@ class VescTwin(VescFirmware):
         self._stream = Stream(ut.FORMAT)
         self.here = ut.DIRECT in self.memory.addresses
         self.reply_delay = DIRECTLY if self.here else FORWARDED
+        self.answers_pings = True
+        self.found: tuple[int, ...] = () if self.here else (device.address,)
+        """Who is on the CAN of the controller at the end of the line."""
+        self.pinged_until: Nanos | None = None
+        """When the ping that it was asked for is over."""
+
+    def join(self, others: Sequence[Twin]) -> None:
+        """Find the others of the line."""
+        twins = sorted((self, *(each for each in others if isinstance(each, VescTwin))), key=_place)
+        self.answers_pings = twins[0] is self
+        self.found = tuple(dict.fromkeys(each.device.address for each in twins if not each.here))
 
     def on_frame(self, t: Nanos, frame: Frame) -> None:
         for payload in self._stream.messages(frame) if isinstance(frame, bytes) else ():
@@ -51,8 +65,7 @@ class VescTwin(VescFirmware):
         if decoded is None or not decoded.name:
             return
         if decoded.name == "PING_CAN" and decoded.address == ut.DIRECT:
-            found = () if self.here else (self.device.address,)
-            self._answer(t + PINGED, bytes((ut.PING_CAN, *found)))
+            self.pinged_until = t + PINGED if self.answers_pings else None
         if not self.memory.takes(decoded):
             return
         match decoded.name:
@@ -73,6 +86,18 @@ class VescTwin(VescFirmware):
 
     def _answer(self, t: Nanos, payload: bytes) -> None:
         self.reply(t, ut.FORMAT.frame(payload))
+        if self.pinged_until is not None and t >= self.pinged_until:
+            self._answer_ping(t)
+
+    def _answer_ping(self, t: Nanos) -> None:
+        self.pinged_until = None
+        self.reply(t, ut.FORMAT.frame(bytes((ut.PING_CAN, *self.found))))
+
+    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
+        """Answer a ping behind which nothing is asked, too."""
+        if self.pinged_until is not None and now >= self.pinged_until + PINGED:
+            self._answer_ping(now)
+        return super().step(now, truth)
 
     def _version(self) -> bytes:
         settings: Settings = self.settings
@@ -107,3 +132,9 @@ class VescTwin(VescFirmware):
         """Restart: nothing is driven, and what was half received is lost."""
         super().restart(t, silent)
         self._stream.drop()
+        self.pinged_until = None
+
+
+def _place(twin: VescTwin) -> tuple[bool, int]:
+    """Return how near to the end of the line a controller is."""
+    return not twin.here, twin.device.address

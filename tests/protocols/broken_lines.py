@@ -181,7 +181,7 @@ class Insists(Altered):
         if self.lost.get(each[2], 0) < 5:
             return each
         self.count += 1
-        answer = replace(each.answer, delay=3 * MILLISECOND)
+        answer = replace(each.answer, delay=6 * MILLISECOND)
         return again(each, answer, about=f"{each.about} {self.count}")
 
     def answer(self, t: Nanos, asked: Exchange, data: bytes) -> Sequence[Event]:
@@ -242,7 +242,7 @@ class Sulks(Altered):
         return super().answer(t, asked, data)
 
 
-@found_by("wrong", "foreign")
+@found_by("wrong")
 class Trusting(Altered):
     """Takes any answer for that of the device that was asked."""
 
