@@ -255,6 +255,11 @@ class Line:
 
     # -- out ----------------------------------------------------------------------------------
 
+    def releases(self) -> bool:
+        """True while something that disarms waits, or is to be answered."""
+        every = self.waiting if self.out is None else [self.out, *self.waiting]
+        return any(one.exchange.rank is Rank.RELEASE for one in every)
+
     def take(self, now: Nanos) -> list[tuple[int, Exchange]]:
         """Return what is sent now, each with the number of its driver."""
         taken: list[tuple[int, Exchange]] = []

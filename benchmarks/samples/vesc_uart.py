@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
-from pathlib import Path
+from importlib.util import find_spec
 from struct import Struct
 from types import ModuleType
 from typing import Any
@@ -20,21 +20,32 @@ from typing import Any
 from protocols.toolkit.serial import Stream
 from protocols.vesc_uart.table import DIRECT, EVERYTHING, FORMAT, PACKETS, decode_values, encode_values
 
-RIVAL = ("pyvesc_fix", "pyvesc-fix", "the usual package")
+RIVAL = ("pyvesc", "pyvesc-fix", "the usual package")
 _SET = Struct(">BBBiHB")
 _VALUES = Struct(">hhiiiihihiiiiiiBiB")
 _GIVEN = {"temp_fet": 41.5, "rpm": -12345.0, "v_in": 24.5, "tachometer": -4242.0, "controller_id": 23.0}
 ANSWER = FORMAT.frame(encode_values(EVERYTHING, _GIVEN, selective=False))
 
 
+def _found_as_pyvesc() -> None:
+    """Let the package be imported as the one that it replaces: by that name it imports its own parts."""
+    spec = find_spec("pyvesc_fix")
+    if spec is not None and "pyvesc" not in sys.modules:
+        alias = ModuleType("pyvesc")
+        alias.__path__ = list(spec.submodule_search_locations or ())
+        sys.modules["pyvesc"] = alias
+
+
+_found_as_pyvesc()
+
+
 def prepared(package: Any) -> Any:  # noqa: ANN401 -- a package without types
-    """Return its functions: it imports itself by the name of the package that it replaces."""
-    alias = ModuleType("pyvesc")
-    alias.__path__ = [str(Path(package.__file__).parent)]
-    sys.modules["pyvesc"] = alias
+    """Return its functions."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return import_module("pyvesc.protocol.interface"), import_module("pyvesc.VESC.messages")
+        return tuple(
+            import_module(f"{package.__name__}.{part}") for part in ("protocol.interface", "VESC.messages")
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import fields
 from math import inf
+from textwrap import fill
 
 from gateway.config.validate import cautions
 from gateway.core.robot import TWIN, BusDevice, BusSettings, Motor, Robot, Sensor
@@ -19,7 +20,8 @@ FRAME_BITS = 125
 FD_BITS = 32, 100
 """Bits of such a frame of CAN FD with bit rate switching: at the bus's bit rate, and at that of its data."""
 
-
+WIDTH = 120
+"""Columns in which a caution is wrapped."""
 IF_IT_DIES = "what stops it if the gateway dies or hangs"
 
 
@@ -50,7 +52,8 @@ def describe(robot: Robot) -> str:
         stopped = [[name, _stopped_by(robot, motor)] for name, motor in robot.motors.items()]
         blocks.append(_table("motor", IF_IT_DIES, rows=stopped))
     notes = cautions(robot)
-    blocks.append("\n  ".join(["cautions:", *notes]) if notes else "no cautions")
+    wrapped = [fill(note, WIDTH, initial_indent="  ", subsequent_indent="    ") for note in notes]
+    blocks.append("\n".join(["cautions:", *wrapped]) if notes else "no cautions")
     return "\n\n".join(blocks)
 
 

@@ -29,6 +29,8 @@ GOES_ON: Nanos = SECOND
 changes the mode, or that arms at rest, sends other set-points in between."""
 STOPS_WITHIN: Nanos = 250 * MILLISECOND
 """Time in which a driver must have passed on that a device is to stand; then its own stop is sent."""
+STOPS_AGAIN: Nanos = 50 * MILLISECOND
+"""Then they are sent again, each after so long, while it is armed as far as is known: one may be lost."""
 LATENCY: Nanos = 50 * MILLISECOND
 """What a device obeys may be this much ahead of what it last obeyed: a joint's set-point moves on while the
 device is being armed, and while a set-point waits for its SYNC."""
@@ -242,13 +244,14 @@ class Guard:
             since, sent = self._unstopped.get(name, (now, 0))
             if not sent and not self._asked.moves_on(name):
                 self._unstopped.pop(name, None)
-            elif now - since < STOPS_WITHIN or sent == len(spec.stop):
+            elif now - since < (STOPS_WITHIN if sent < len(spec.stop) else STOPS_AGAIN):
                 self._unstopped[name] = since, sent
             else:
                 self._unstopped[name] = now, sent + 1
-                for one in self._receivers[bus].decode(now, spec.stop[sent]):
+                stop = spec.stop[sent % len(spec.stop)]
+                for one in self._receivers[bus].decode(now, stop):
                     self._asked.passed(one, self._reported(joint))
-                yield spec.stop[sent]
+                yield stop
 
     def _unfit(self, bus: str, protocol: str, frame: Frame) -> Objection | None:
         """Return why a frame cannot be one of this driver's, whatever is in it."""

@@ -23,7 +23,7 @@ from gateway.core.tick import Inputs, Note, Outputs
 from protocols import messages as msg
 from protocols.frames import BusState, CanFrame, Frame, IdMask, IdSet, Packet, id_number
 from protocols.line import Ended, Exchange, Line, Rank, exchange
-from protocols.messages import SECOND, Command, Event, Instruction, Mode, Nanos, Request, Task
+from protocols.messages import MILLISECOND, SECOND, Command, Event, Instruction, Mode, Nanos, Request, Task
 from protocols.plugin import Driver, LineDriver, RxCounters
 
 if TYPE_CHECKING:
@@ -58,6 +58,8 @@ LEFT_ARMED = "still armed: cut its supply"
 Result = TypeVar("Result")
 SOON: Nanos = 100_000
 """A step this much before its time is one of the brain's."""
+APART: Nanos = MILLISECOND
+"""Least time between two of the brain's beside a line, if a driver is due that no line keeps waiting."""
 _NOTHING: Sequence[Event] = ()
 _NO_FRAMES: Sequence[Frame] = ()
 
@@ -123,8 +125,12 @@ class Gateway:
         """What waits for a serial line on which devices speak only when asked, by bus."""
         self._next: Nanos | None = None
         """On lines: when the brain is asked next, in steps of its period from the first one on,"""
+        self._full: Nanos = -(1 << 62)
+        """when it was last asked, and"""
+        self._left: Nanos = -(1 << 62)
+        """when the last frames were last made without it;"""
         self._heard: list[Event] = []
-        """and what was heard since then."""
+        """what was heard since it was asked."""
         self.guard = Guard(robot)
         self._values: list[object] = [
             each for motor in robot.motors.values() for each in (motor.spec, motor.device, motor.joint)
@@ -178,18 +184,28 @@ class Gateway:
 
     def between(self, now: Nanos) -> bool:
         """True if a step now is one between two of the brain's: answers are taken, and the lines go on. A
-        driver that is due, and is not on such a line, needs the brain's."""
+        driver that is due, and that no line keeps waiting, needs the brain's."""
         if not self.lines or self._next is None or now >= self._next - SOON:
             return False
-        others = (self._call(one, None, one.driver.due) for one in self._drivers if one.bus not in self.lines)
-        return all(due is None or due > now for due in others)
+        return not self._is_due(now, self._full)
 
     def _advance(self, now: Nanos) -> None:
         """Note a step of the brain: one that is late, or between two, does not move those that follow."""
+        self._full = now
         if self._next is None:
             self._next = now + self.robot.period
         elif now >= self._next - SOON:
             self._next += ((now + SOON - self._next) // self.robot.period + 1) * self.robot.period
+
+    def _is_due(self, now: Nanos, last: Nanos) -> bool:
+        """True if a driver has to send that no line keeps waiting; `last`: the step before."""
+        free = self._free_due()
+        return free is not None and now >= max(free, last + APART)
+
+    def _free_due(self) -> Nanos | None:
+        """Return when a driver next has to send by itself that no line keeps waiting."""
+        times = (self._call(one, None, one.driver.due) for one in self._drivers if one.bus not in self.lines)
+        return min((due for due in times if due is not None), default=None)
 
     def _think(
         self, now: Nanos, events: Sequence[Event], tasks: Sequence[BrainTask], stopped: str
@@ -212,6 +228,9 @@ class Gateway:
     def leave(self, now: Nanos, inputs: Inputs | None = None) -> tuple[Packet, ...]:
         """Return the frames of every commanded motor's stop action, without the brain: after an error.
 
+        What waits for a line comes with later calls, when the line is `due`, or what was asked is answered:
+        with `inputs`, these go on where the one before ended, until `releasing` is empty.
+
         Args:
             now: the time of the last frames [ns].
             inputs: what was received since; its instructions are not carried out.
@@ -223,6 +242,10 @@ class Gateway:
         if inputs is not None:
             self._on_bus_states(now, inputs.states)
             self._receive(now, inputs.packets)
+            soon = self.lines and now < self._left + self.robot.period - SOON
+            if soon and not inputs.states and not self._is_due(now, self._left):
+                return tuple(self._hand_over(now))
+        self._left = now
         commands: dict[str, Command] = {}
         for name, joint in self.joints.items():
             commands[name], failure = _last_command(now, joint)
@@ -254,8 +277,10 @@ class Gateway:
 
     def due(self) -> Nanos | None:
         """Return when a driver next has to send by itself; None if none has to."""
-        times = [self._call(one, None, one.driver.due) for one in self._drivers if one.bus not in self.lines]
-        times += [line.due() for line in self.lines.values()]
+        free = self._free_due()
+        if free is not None and self.lines:
+            free = max(free, max(self._full, self._left) + APART)
+        times = [free, *(line.due() for line in self.lines.values())]
         return min((due for due in times if due is not None), default=None)
 
     def awaiting(self) -> bool:
@@ -265,6 +290,10 @@ class Gateway:
     def asked(self) -> list[str]:
         """Return the buses on whose lines an answer is under way."""
         return [name for name, line in self.lines.items() if line.out is not None]
+
+    def releasing(self) -> list[str]:
+        """Return the buses on whose lines something that disarms waits, or for its answer."""
+        return [name for name, line in self.lines.items() if line.releases()]
 
     def completes(self, packets: Sequence[Packet]) -> bool:
         """True if what has come since the last step completes an answer, so that a step has something to do.

@@ -81,8 +81,10 @@ def of_ids(
         device = Device(f"{plugin.name}:{address}", address, options, plugin.settings())
         with suppress(ValueError):
             spec = remembered(plugin.spec)(device)
+            if spec.bus not in COMPATIBLE[bus.kind]:
+                break
             sends = IdSet(spec.expects)
-            if spec.bus in COMPATIBLE[bus.kind] and any(number in sends for number in heard):
+            if any(number in sends for number in heard):
                 specs.append((device, spec))
     return [_with_devices(bus, plugin, specs)] if specs else []
 

@@ -7,10 +7,11 @@ is missed. Between them there is a step when a driver is due, or when an answer 
 
 The way out (`_leave`) is the same whatever the reason: a signal, a caller that is done or raises, an
 exception in the step, a bus, the recorder or the operator. First the stop action, for the joints' braking
-time at most; then Idle; then motors that still report being armed are noted and logged. Nothing interrupts
-it: a second reason hurries (`Joint.hurried_braking_time`), and is never worse than one; only a third, within
-a second of the second, ends the time to brake. What fails in it is logged, and does not keep the frames from
-the rest. After a failed step, joints and drivers alone give the frames.
+time at most; then Idle; then motors that still report being armed are noted and logged. Lines go on between
+the periods, and until what disarms is out. Nothing interrupts it: a second reason hurries
+(`Joint.hurried_braking_time`), and is never worse than one; only a third, within a second of the second, ends
+the time to brake. What fails in it is logged, and does not keep the frames from the rest. After a failed
+step, joints and drivers alone give the frames.
 """
 
 from __future__ import annotations
@@ -246,12 +247,17 @@ class _Urgency:
     its shell both send SIGHUP, and a supervisor SIGTERM besides."""
 
     reasons: Sequence[str]
+    period: Nanos
+    began: Nanos
     times: list[Nanos] = field(default_factory=list)
     _seen: int = 0
+    _looks: int = -1
 
     def rises(self, now: Nanos) -> bool:
-        """Look at the reasons; True if there is a new one."""
-        new = len(self.reasons) > self._seen
+        """Look at the reasons, once in each period; True if there is a new one."""
+        number, before = (now - self.began) // self.period, self._looks
+        self._looks = number
+        new = number > before and len(self.reasons) > self._seen
         if new:
             self._seen = len(self.reasons)
             self.times.append(now)
@@ -272,8 +278,9 @@ def _leave(run: _Run, reasons: Sequence[str]) -> None:
     joints = gateway.joints.values()
     braking = min(LONGEST_BRAKING, max((joint.braking_time for joint in joints), default=0))
     settled = clock.now() + (SETTLING if any(joint.owned for joint in joints) else 0)
-    urgency = _Urgency(reasons)
-    urgency.rises(clock.now())
+    steps = _moments_of_leaving(run)
+    urgency = _Urgency(reasons, gateway.robot.period, next(steps))
+    urgency.rises(urgency.began)
     done = False
     for at_once, longest in ((False, braking), (True, DISARM_TIMEOUT)):
         end = clock.now() + longest
@@ -284,10 +291,8 @@ def _leave(run: _Run, reasons: Sequence[str]) -> None:
             instructions = ()
             if reasons and first:
                 log.warning("leaving: %s", reasons[0])
-            done = not gateway.still_armed() and clock.now() >= settled
-            if not done:
-                clock.wait(clock.now() + gateway.robot.period)
-            now = clock.now()
+            done = not (gateway.still_armed() or gateway.releasing()) and clock.now() >= settled
+            now = clock.now() if done else next(steps)
             if urgency.rises(now) and urgency.hurried and not at_once:
                 left = max((joint.hurried_braking_time for joint in joints), default=0)
                 end = min(end, now + left)
@@ -298,6 +303,14 @@ def _leave(run: _Run, reasons: Sequence[str]) -> None:
         log.critical("%s: %s", name, LEFT_ARMED)
     for name in run.errors.keys() - known:
         log.error("%s: %r", name, run.errors[name])
+
+
+def _moments_of_leaving(run: _Run) -> Iterator[Nanos]:
+    """Yield the moments to step at: at each period, and while there are lines, as they need it."""
+    clock, period, reader, stats = run.clock, run.gateway.robot.period, run.reader, LoopStats()
+    if not run.gateway.lines:
+        return moments(clock, period, lambda: None, stats)
+    return moments(clock, period, run.gateway.due, stats, reader.wait, reader.least)
 
 
 _URGENCY = {

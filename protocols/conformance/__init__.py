@@ -204,7 +204,8 @@ def _check(clause: Clause, cases: Sequence[Case]) -> Result:
             text = failure.text if case is cases[0] else f"{failure.text} [{case.options}]"
             return Result(clause.name, "failed", text, case.seed, failure.frames, failure.messages)
     if len(reasons) == checked:
-        return Result(clause.name, "not applicable", reasons[0], cases[0].seed)
+        reason = reasons[0] if reasons else "none of these options matters to it"
+        return Result(clause.name, "not applicable", reason, cases[0].seed)
     return Result(clause.name, "passed", clause.text, cases[0].seed)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import zip_longest
@@ -200,9 +199,13 @@ def addresses_of(plugin: Plugin) -> tuple[int, int, int]:
     """Return three addresses that its devices can have: 1, 2 and 3, or else the lowest."""
     able: list[int] = []
     for address in (*tools.ADDRESSES, *range(256)):
-        with suppress(ValueError):
+        try:
             plugin.spec(Device(NAMES[0], address, plugin.options(), plugin.settings()))
-            able += [address] if address not in able else []
+        except ValueError:
+            continue
+        except Exception:  # noqa: BLE001 -- a third party's plugin may raise anything: its clauses say so
+            return tools.ADDRESSES
+        able += [address] if address not in able else []
         if len(able) == len(tools.ADDRESSES):
             break
     first, second, third, *_ = *able, *(each for each in tools.ADDRESSES if each not in able)

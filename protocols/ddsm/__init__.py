@@ -5,9 +5,10 @@ from __future__ import annotations
 
 from protocols import messages as msg
 from protocols.ddsm import table as ds
-from protocols.ddsm.driver import DdsmAdapter
+from protocols.ddsm.driver import DdsmAdapter, answered
 from protocols.ddsm.options import Options, Settings
 from protocols.ddsm.twin import DdsmDecoder, DdsmTwin
+from protocols.line import Rank
 from protocols.messages import MILLISECOND
 from protocols.plugin import Device, FeedbackKind, Plugin, Range, Spec, Watchdog
 from protocols.toolkit.assembly import driver_of
@@ -70,7 +71,7 @@ def spec(device: Device) -> Spec:
         set_up={"mode": (float(model.rest), float(ds.SPEED))},
         stop=(
             ds.encode(f"set mode {model.name[4:]}", at, mode=model.rest),
-            ds.encode("drive", at, value=0, brake=0),
+            answered(options, ds.encode("drive", at, value=0, brake=0), Rank.RELEASE, f"{at} drive"),
         ),
         scales={"model": "answers of the other model are none to it: it is offline then"},
         unprotected=frozenset({"set mode 115"}),

@@ -146,6 +146,12 @@ class Motor:
         return (Mode.ARMED, "current") if drives else (Mode.READY, "released")
 
 
+def answered(options: Options, frame: bytes, rank: Rank, about: str, tries: int = 1) -> Exchange:
+    """Return a frame that a motor answers."""
+    delay = round(options.answer_ms * MILLISECOND)
+    return Exchange(frame, Answer(ds.SIZE, ds.Finds(options.of_model), delay), rank, about, tries)
+
+
 class DdsmAdapter(Adapter[Motor]):
     """What motors are sent, and what they report."""
 
@@ -219,15 +225,10 @@ class DdsmAdapter(Adapter[Motor]):
 
     # -- sent -----------------------------------------------------------------------------------------
 
-    def _asks(self, host: Host[Motor], frame: bytes, rank: Rank, about: str, tries: int = 1) -> Exchange:
-        options: Options = host.options
-        delay = round(options.answer_ms * MILLISECOND)
-        return Exchange(frame, Answer(ds.SIZE, ds.Finds(options.of_model), delay), rank, about, tries)
-
     def _drive(self, now: Nanos, host: Host[Motor], value: int, rank: Rank = Rank.SET_POINT) -> Exchange:
         host.own.send(now, value, motion=host.options.of_model.tells_mode)
         frame = ds.encode("drive", host.address, value=value, brake=0)
-        return self._asks(host, frame, rank, f"{host.address} drive")
+        return answered(host.options, frame, rank, f"{host.address} drive")
 
     def _mode(self, host: Host[Motor], mode: int, rank: Rank) -> Exchange:
         name = f"set mode {host.options.model[4:]}"
@@ -235,7 +236,7 @@ class DdsmAdapter(Adapter[Motor]):
 
     def _query(self, now: Nanos, host: Host[Motor], rank: Rank, about: str) -> Exchange:
         host.own.query(now)
-        return self._asks(host, ds.encode("query", host.address), rank, f"{host.address} {about}")
+        return answered(host.options, ds.encode("query", host.address), rank, f"{host.address} {about}")
 
     def arm(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
         return self._drives(now, host, 0.0, by_torque=isinstance(command, msg.Torque))
@@ -287,7 +288,7 @@ class DdsmAdapter(Adapter[Motor]):
             case msg.Scan():
                 first = next(iter(driver.hosts.values()))
                 frames = tuple(
-                    self._asks(first, ds.encode("query", at), Rank.QUESTION, f"scan {at}", 2)
+                    answered(first.options, ds.encode("query", at), Rank.QUESTION, f"scan {at}", 2)
                     for at in ds.ADDRESSES
                 )
                 period = 2 * (round(first.options.answer_ms * MILLISECOND) + 3 * MILLISECOND)
@@ -314,4 +315,4 @@ class DdsmAdapter(Adapter[Motor]):
             return ()
         if isinstance(request, msg.WriteParameter) and pending.sent < ds.TIMES:
             return (Exchange(ds.encode("set id", id=int(request.value))),)
-        return (self._asks(host, ds.encode("id query"), Rank.QUESTION, "id"),)
+        return (answered(host.options, ds.encode("id query"), Rank.QUESTION, "id"),)

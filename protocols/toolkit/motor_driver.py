@@ -237,24 +237,25 @@ class MotorDriver(Generic[Own]):
 
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
         """Decode a frame; [] for foreign ones."""
-        return self._on_reports(t, self.adapter.receive(t, frame, self))
+        events: list[Event] = []
+        for report in self.adapter.receive(t, frame, self):
+            events += self._on_report(t, report) if isinstance(report, Report) else self._count(report)
+        return events
 
     def answer(self, t: Nanos, asked: Exchange, data: bytes) -> Sequence[Event]:
         """Decode what came as answer to an exchange."""
-        return self._on_reports(t, self.adapter.heard(t, asked, data, self))
-
-    def _on_reports(self, t: Nanos, reports: Sequence[Report[Own] | Rx]) -> Sequence[Event]:
         events: list[Event] = []
-        for report in reports:
-            if isinstance(report, Report):
-                events += self._on_report(t, report)
-            elif report is Rx.IGNORED:
-                self.counters.add(ignored=1)
-            elif report is Rx.EXPECTED:
-                self.counters.add(accepted=1)
-            else:
-                self.counters.add(malformed=1)
+        for report in self.adapter.heard(t, asked, data, self):
+            events += self._on_report(t, report) if isinstance(report, Report) else self._count(report)
         return events
+
+    def _count(self, received: Rx) -> Sequence[Event]:
+        self.counters.add(
+            accepted=received is Rx.EXPECTED,
+            malformed=received is Rx.MALFORMED,
+            ignored=received is Rx.IGNORED,
+        )
+        return ()
 
     def _on_report(self, t: Nanos, report: Report[Own]) -> list[Event]:
         host = report.host

@@ -262,7 +262,7 @@ class TextLines:
     def __post_init__(self) -> None:
         """Check that a line that is written is a line that is read."""
         if not self.ends or not self.end or self.end[-1] not in self.ends:
-            raise ValueError("a line ends with a byte that ends it")
+            raise ValueError("a line ends with bytes that end it")
         if self.longest < 1 or len(self.mark) != 1:
             raise ValueError("a line has at least one byte, and the mark of a checksum is one")
 

@@ -50,9 +50,10 @@ WATCHED = BENCH.replace(
 class Rig:
     """One robot on twins. `run` goes on where the last one ended."""
 
-    def __init__(self, text: str = BENCH, before: Rig | None = None) -> None:
-        """`before`: a rig that is not stepped any more, in whose world this one goes on."""
-        self.robot: Robot = config.parse_robot(text)
+    def __init__(self, of: str | Robot = BENCH, before: Rig | None = None) -> None:
+        """`of`: the text of a robot file, or what it says. `before`: a rig that is not stepped any more, in
+        whose world this one goes on."""
+        self.robot: Robot = config.parse_robot(of) if isinstance(of, str) else of
         self.clock: SimulatedClock = before.clock if before else SimulatedClock()
         self.world: TwinWorld = before.world if before else open_world(self.robot, self.robot.seed)
         self.gateway = Gateway(self.robot)

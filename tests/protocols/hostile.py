@@ -30,7 +30,7 @@ from gateway.runtime.session import open_session
 from protocols import messages as msg
 from protocols.conformance import bench as tools
 from protocols.conformance import noise
-from protocols.conformance.case import Case, variants
+from protocols.conformance.case import Case, addresses_of, variants
 from protocols.conformance.states import Situation, situations
 from protocols.frames import BusState, CanFrame, Frame, Packet
 from protocols.messages import MILLISECOND, Feedback
@@ -51,6 +51,14 @@ ROBOTS = {
     "robstride": "diffbot_robstride",
     "vesc": "diffbot_vesc",
     "zlac8015d": "diffbot_zlac8015d",
+    "dynamixel": "diffbot_dynamixel",
+    "feetech": "diffbot_feetech",
+    "ddsm": "diffbot_ddsm",
+    "roboclaw": "diffbot_roboclaw",
+    "sabertooth": "diffbot_sabertooth",
+    "hoverboard": "diffbot_hoverboard",
+    "vesc_uart": "diffbot_vesc_uart",
+    "odrive_ascii": "diffbot_odrive_ascii",
 }
 NUMBERS = (0.0, -0.0, 5e-324, 1e-40, 1e-19, -1.0, 6.5e4, 3.4e38, 1e300, float("inf"), float("nan"))
 INTEGERS = (0, 1, -1, 2**31, 2**63, -(2**63), 2**64 - 1)
@@ -197,7 +205,7 @@ def counted(most: int) -> Iterator[None]:
 @cache
 def _cases(name: str) -> list[Case]:
     plugin: Plugin = PLUGINS[name]
-    return [Case(plugin, options, 1, tools.ADDRESSES) for options in variants(plugin)]
+    return [Case(plugin, options, 1, addresses_of(plugin)) for options in variants(plugin)]
 
 
 @cache

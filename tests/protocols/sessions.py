@@ -18,7 +18,7 @@ from typing import Any, TypeAlias
 from protocols import messages as msg
 from protocols.conformance import variants
 from protocols.conformance.bench import ADDRESSES, NAMES, START, STEP, Shaft, build, close, numbers, same
-from protocols.conformance.case import Case, valid
+from protocols.conformance.case import Case, addresses_of, valid
 from protocols.conformance.fault_injection import STILL, resting
 from protocols.conformance.random import Random
 from protocols.conformance.safety import leads_away
@@ -459,9 +459,11 @@ class Session:
 
 
 def _moved(plugin: Plugin) -> list[Any]:
-    """Return the options with which its devices take commands."""
-    spec, settings = plugin.spec, plugin.settings()
-    return [o for o in variants(plugin) if spec(Device(NAMES[0], ADDRESSES[0], o, settings)).commands]
+    """Return the options with which its devices take commands. On a line on which they speak only when asked
+    there are sessions of their own (`line_sessions`)."""
+    first, settings = addresses_of(plugin)[0], plugin.settings()
+    specs = [(o, plugin.spec(Device(NAMES[0], first, o, settings))) for o in variants(plugin)]
+    return [options for options, spec in specs if spec.commands and spec.line == "free"]
 
 
 def _unwatched(plugin: Plugin, options: Any) -> tuple[Any, Any]:

@@ -49,7 +49,7 @@ def test_it_is_a_whole_small_distribution(tmp_path: Path, bus: Bus) -> None:
     name = f"a1_{bus}"
     folder = scaffold.new(name, bus, tmp_path).folder
     found = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
-    inside = {*scaffold.PACKAGE, "py.typed"}
+    inside = {*scaffold.PACKAGE, "py.typed"} | ({"asked.py"} if bus == "serial" else set())
     assert found == {"pyproject.toml", "tests/test_contract.py", *(f"{name}/{file}" for file in inside)}
     project: dict[str, Any] = tomllib.loads((folder / "pyproject.toml").read_text())
     assert project["project"]["name"] == f"motor-gateway-a1-{bus}"

@@ -41,8 +41,11 @@ ROOTS = (
     *(kind for plugin in PLUGINS for kind in (plugin.options, plugin.settings)),
     *map(load_body, names()),
 )
-UNBOUNDED = {"protocols.plain.twin.Settings.serial"}
-"""What 64 bits hold: an identifier."""
+UNBOUNDED = {
+    "protocols.plain.twin.Settings.serial",
+    "protocols.vesc_uart.options.Settings.serial_number",
+}
+"""Identifiers, of 64 and of 96 bits: they may be huge."""
 
 
 def _examples() -> dict[str, dict[str, Any]]:

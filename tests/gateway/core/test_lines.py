@@ -1,0 +1,438 @@
+"""Safety on lines whose devices speak only when asked: every way out disarms, in a time that is stated.
+
+Rules. Whole gateways on twins, in virtual time. The judges are the wire, as far as it arrives at the devices,
+and another host, which only reads, afterwards.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise, product
+from typing import Any
+
+import pytest
+
+from brain.bodies import bare
+from gateway import config
+from gateway.buses.virtual.bus import HOST, TwinBus
+from gateway.buses.virtual.medium import Transmission
+from gateway.core.guard import STOPS_AGAIN, STOPS_WITHIN, decoder_of, text_of
+from gateway.core.robot import Robot
+from gateway.core.step import DRIVER_FAILED, Gateway
+from gateway.core.tick import Tick
+from gateway.runtime.loop import FINE, Reader, moments, write
+from gateway.runtime.timing import LoopStats
+from protocols import messages as msg
+from protocols.conformance.case import addresses_of
+from protocols.line import PATIENCE, Exchange, Line, Rank
+from protocols.messages import MILLISECOND, SECOND, Command, Mode, Nanos, Velocity
+from protocols.plugin import CommandDecoder, Device, Plugin
+from tests.gateway.rig import Rig, notes_in
+from tests.protocols.line_sessions import QUESTIONED
+from tests.sampled import sampled
+
+MS = MILLISECOND
+MANY = """
+name = "many"
+rate_hz = 200
+world = "bench"
+[buses.wheels]
+kind = "serial"
+baudrate = 115_200
+interface = "twin"
+[defaults.motors]
+protocol = "ddsm"
+bus = "wheels"
+gear = 1.0
+feedback_timeout_ms = 300
+limits = { velocity = 20.0, acceleration = 10.0, torque = 2.0 }
+"""
+HUB = 'options = { model = "DDSM115", watchdog = "acknowledged" }\n'
+EIGHT = [f"m{number}" for number in range(1, 9)]
+
+
+def many(**joint: Any) -> Robot:
+    """Eight hub motors on one line: each is asked alone, and an exchange takes about 2 ms: at one in each
+    period, the last is disarmed after 40 ms."""
+    text = f"{MANY}{HUB}[motors]\n" + "".join(
+        f"{name} = {{ address = {at} }}\n" for at, name in enumerate(EIGHT, 1)
+    )
+    names = ", ".join(f'"{name}"' for name in EIGHT)
+    made = config.parse_robot(f'{text}[brain]\nbody = "joints"\n[brain.joints]\nmotors = [{names}]\n')
+    return with_joints(made, **joint)
+
+
+def of_file(name: str, **joint: Any) -> Robot:
+    """The motors of a robot that is shipped, on a bench."""
+    robot = with_joints(config.load_robot(name), **joint)
+    used = {motor.bus for motor in robot.motors.values()}
+    return replace(
+        robot,
+        world="bench",
+        plant=None,
+        sensors={},
+        buses={bus: each for bus, each in robot.buses.items() if bus in used},
+        brain=replace(robot.brain, body=bare(list(robot.motors))),
+    )
+
+
+def with_joints(robot: Robot, **joint: Any) -> Robot:
+    motors = {name: replace(each, joint=replace(each.joint, **joint)) for name, each in robot.motors.items()}
+    return replace(robot, motors=motors)
+
+
+@dataclass
+class Wire:
+    """What arrives at the devices of the one line of a rig."""
+
+    rig: Rig
+    share: float = 0.0
+    """Of what is sent, either way, that is lost;"""
+    next_lost: bool = False
+    """and what comes next, too."""
+    lost_once: set[str] = field(default_factory=set)
+    """Frames to the devices of which the next is lost."""
+    told: list[tuple[Nanos, Command]] = field(default_factory=list)
+    """What the devices obey, with the time of its last byte."""
+    chance: random.Random = field(default_factory=lambda: random.Random(5))
+    decoder: CommandDecoder = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.decoder = decoder_of(self.rig.robot, self.bus.name)
+        self.rig.world.tamper.transmission = self._arrives
+
+    @property
+    def bus(self) -> TwinBus:
+        (bus,) = self.rig.world.buses.values()
+        return bus
+
+    @property
+    def line(self) -> Line:
+        return self.rig.gateway.lines[self.bus.name]
+
+    def _arrives(self, _bus: str, one: Transmission) -> Iterable[Transmission]:
+        if self.next_lost or (self.share and self.chance.random() < self.share):
+            self.next_lost = False
+            return ()
+        if one.sender == HOST and text_of(one.frame) in self.lost_once:
+            self.lost_once.remove(text_of(one.frame))
+            return ()
+        if one.sender == HOST:
+            obeyed = self.decoder.decode(one.t, one.frame)
+            self.told += [(one.t, each) for each in obeyed if isinstance(each, Command)]
+        return (one,)
+
+    def disarmed(self, since: Nanos) -> Nanos:
+        """Return how long after a time the last motor has been told Idle, and nothing else from then on."""
+        first: dict[str, Nanos | None] = dict.fromkeys(self.rig.robot.motors)
+        for t, each in self.told:
+            if isinstance(each, msg.Idle):
+                first[each.motor] = first[each.motor] or t
+            elif each != Velocity(each.motor, 0.0):  # some are told that with Idle
+                first[each.motor] = None
+        assert None not in first.values(), first
+        return max(t for t in first.values() if t is not None) - since
+
+
+def command_of(robot: Robot, name: str, share: float = 0.3) -> Command:
+    """Return what turns a motor at a share of its limit, or holds it."""
+    motor = robot.motors[name]
+    able = Velocity in motor.joint.commands(motor.spec)
+    return Velocity(name, share * motor.joint.limits.velocity) if able else msg.Hold(name)
+
+
+def driven(robot: Robot, seconds: float = 0.4) -> tuple[Rig, Wire]:
+    """Every motor armed, and commanded."""
+    rig = Rig(robot)
+    wire = Wire(rig)
+    rig.run(0.2)
+    rig.run(seconds, *(command_of(robot, name) for name in robot.motors))
+    assert {name: (each.mode, each.faults) for name, each in rig.gateway.joints.items()} == dict.fromkeys(
+        robot.motors, (Mode.ARMED, {})
+    )
+    return rig, wire
+
+
+def modes(rig: Rig, seconds: float = 0.2) -> dict[str, Mode]:
+    """What the devices report to another host, which only reads."""
+    rig.world.tamper.transmission = None
+    other, clock, buses = Gateway(rig.robot), rig.clock, rig.world.buses
+    end = clock.now() + round(seconds * SECOND)
+    reader = Reader(other, buses, clock)
+    for now in moments(clock, rig.robot.period, other.due, LoopStats(), reader.wait, reader.least):
+        write(buses, now, other.step(now, reader.inputs(now)).packets)
+        if now >= end:
+            break
+    return {name: joint.mode for name, joint in other.joints.items()}
+
+
+def fail(*_: object, **__: object) -> Any:
+    raise ZeroDivisionError
+
+
+def left(rig: Rig, way: str = "") -> Nanos:
+    """Leave, since the step fails or not; return when it began."""
+    if not way.startswith("the step fails"):
+        began = rig.clock.now()
+        rig.leave()
+        return began
+    failed: list[Nanos] = []
+
+    def step(now: Nanos, inputs: object) -> Any:
+        failed.append(now)
+        raise ZeroDivisionError
+
+    rig.gateway.step = step  # type: ignore[method-assign]  # the fault
+    with pytest.raises(ZeroDivisionError):
+        rig.run(0.1)
+    return failed[0]
+
+
+# -- leaving -----------------------------------------------------------------------------------------------
+
+ROBOTS = ("twelve_dynamixel", "diffbot_roboclaw", "diffbot_feetech", "diffbot_ddsm", "diffbot_odrive_ascii")
+WITHIN = {
+    # ms from the reason to leave until the last motor has been told Idle
+    "": 10,
+    "losses": 40,  # an answer that is lost is waited for 20 ms at most
+    "the step fails": 40,  # and its inputs are lost with it
+    "the step fails, losses": 60,
+}
+
+
+@pytest.mark.parametrize(("way", "name"), sampled(product(WITHIN, ROBOTS), 3))
+def test_every_motor_on_a_line_is_disarmed_in_a_stated_time(way: str, name: str) -> None:
+    rig, wire = driven(of_file(name, stop_action="idle"))
+    wire.share, wire.next_lost = (0.1, True) if "losses" in way else (0.0, False)
+    began = left(rig, way)
+    assert wire.disarmed(began) <= WITHIN[way] * MS
+    assert rig.gateway.still_armed() == []
+    assert wire.bus.overlaps == 0
+    assert set(modes(rig).values()) == {Mode.READY}
+
+
+@pytest.mark.parametrize("way", ["", "the step fails"])
+def test_many_motors_are_disarmed_in_the_time_of_the_line_and_not_one_in_each_period(way: str) -> None:
+    rig, wire = driven(many(stop_action="idle"))
+    began = left(rig, way)
+    assert wire.disarmed(began) <= 30 * MS
+    assert wire.bus.overlaps == 0
+    assert set(modes(rig).values()) == {Mode.READY}
+
+
+def test_many_motors_that_brake_lose_no_readings() -> None:
+    rig, wire = driven(many(stop_action="brake"), 1.4)
+    before = readings(rig.ticks, rig.clock.now() - 300 * MS, rig.clock.now())
+    began = rig.clock.now()
+    last = rig.leave()
+    while_braking = readings(last, began, began + 300 * MS)
+    assert min(while_braking.values()) >= 0.9 * min(before.values())
+    assert wire.bus.overlaps == 0
+    assert set(modes(rig).values()) == {Mode.READY}
+
+
+def readings(ticks: Sequence[Tick], begin: Nanos, end: Nanos) -> dict[str, int]:
+    """Return how often each motor was read in a time."""
+    count: dict[str, int] = {}
+    for tick in ticks:
+        for each in tick.outputs.events:
+            if isinstance(each, msg.Feedback) and begin < each.t <= end:
+                count[each.motor] = count.get(each.motor, 0) + 1
+    return count
+
+
+# -- what disarms ------------------------------------------------------------------------------------------
+
+
+def driver_of(rig: Rig) -> Any:
+    (one,) = rig.gateway._drivers
+    return one.driver
+
+
+@pytest.fixture
+def given(monkeypatch: pytest.MonkeyPatch) -> list[Exchange]:
+    """All that is given to lines."""
+    every: list[Exchange] = []
+    put = Line.put
+
+    def watched(self: Line, owner: int, frames: Sequence[bytes]) -> None:
+        every.extend(frame for frame in frames if isinstance(frame, Exchange))
+        put(self, owner, frames)
+
+    monkeypatch.setattr(Line, "put", watched)
+    return every
+
+
+@pytest.mark.parametrize(
+    ("name", "lost"),
+    [*((name, False) for name in ROBOTS[1:]), ("diffbot_feetech", True), ("diffbot_roboclaw", True)],
+)
+def test_a_motor_whose_driver_does_not_stop_it_gets_its_own_stop_before_all_else(
+    name: str, lost: bool, given: list[Exchange]
+) -> None:
+    rig, wire = driven(of_file(name, stop_action="idle"))
+    driver = driver_of(rig)
+    send = driver.send
+    driver.send = lambda now, messages: send(now, [m for m in messages if not isinstance(m, msg.Idle)])
+    given.clear()
+    stops = {text_of(motor.spec.stop[0]) for motor in rig.robot.motors.values()}
+    wire.lost_once = stops.copy() if lost else set()
+    began = rig.clock.now()
+    rig.run(0.4, msg.Stop())
+    assert not wire.lost_once
+    ranks = {text_of(each): each.rank for each in given if text_of(each) in stops}
+    assert ranks == dict.fromkeys(stops, Rank.RELEASE)
+    after = STOPS_WITHIN + lost * STOPS_AGAIN
+    assert after <= wire.disarmed(began) <= after + 20 * MS
+    assert wire.bus.overlaps == 0
+    assert set(modes(rig).values()) == {Mode.READY}
+    driver.send = send
+    rig.leave()
+
+
+def test_a_driver_that_raises_loses_its_set_points_and_what_disarms_is_still_sent() -> None:
+    rig, wire = driven(of_file("diffbot_ddsm", stop_action="idle"))
+    wire.line.free = rig.clock.now() + 12 * MS  # as while bytes come that nobody asked for
+    rig.run(0.0)
+    assert ranks_of(wire.line, Rank.SET_POINT, Rank.RELEASE) == {Rank.SET_POINT}
+    driver, send = driver_of(rig), driver_of(rig).send
+    driver.send = fail
+    rig.run(0.004)
+    assert ranks_of(wire.line, Rank.SET_POINT, Rank.RELEASE) == set()
+    assert {code for joint in rig.gateway.joints.values() for code, _ in joint.faults} == {DRIVER_FAILED}
+    driver.send = send  # once: what disarms is given, and waits
+    rig.run(0.0)
+    assert ranks_of(wire.line, Rank.SET_POINT, Rank.RELEASE) == {Rank.RELEASE}
+    driver.send = fail
+    began = rig.clock.now()
+    rig.run(0.05)
+    assert wire.disarmed(began) <= 20 * MS
+    driver.send = send
+    rig.leave()
+    assert set(modes(rig).values()) == {Mode.READY}
+
+
+def ranks_of(line: Line, *ranks: Rank) -> set[Rank]:
+    return {one.exchange.rank for one in line.waiting} & set(ranks)
+
+
+@pytest.mark.parametrize("unplugged", [False, True])
+def test_a_stop_while_an_answer_is_under_way_is_what_is_sent_next(unplugged: bool) -> None:
+    rig, wire = driven(of_file("diffbot_ddsm", stop_action="idle"))
+    if unplugged:
+        rig.world.disconnect("left")
+    while wire.line.out is None or (unplugged and wire.line.out.exchange[0] != 1):
+        rig.run(0.0)
+    assert rig.gateway.asked() == [wire.bus.name]
+    began, question = rig.clock.now(), wire.line.heard
+    rig.run(0.05, msg.Stop())
+    told = [(t, each) for t, each in wire.told if t > question]
+    assert all(isinstance(each, msg.Idle) or each == Velocity(each.motor, 0.0) for _, each in told)
+    assert {each.motor for _, each in told} == {"left", "right"}
+    assert wire.disarmed(began) <= (PATIENCE if unplugged else 0) + 10 * MS
+    assert wire.bus.overlaps == 0
+    rig.leave()
+
+
+class NeverFree:
+    """A line that is busy whenever the brain has its step: all goes out between."""
+
+    def __init__(self, line: Line, gateway: Gateway) -> None:
+        self.line, self.gateway = line, gateway
+
+    def take(self, now: Nanos) -> list[tuple[int, Exchange]]:
+        return [] if now == self.gateway._full else self.line.take(now)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.line, name)
+
+
+def test_a_set_point_that_goes_out_between_two_steps_counts_as_sent() -> None:
+    robot = of_file("diffbot_ddsm", stop_action="idle")
+    rig = Rig(robot)
+    wire = Wire(rig)
+    gateway, left = rig.gateway, rig.gateway.joints["left"]
+    gateway.lines[wire.bus.name] = NeverFree(wire.line, gateway)  # type: ignore[assignment]
+    rig.run(0.2)
+    counted: list[tuple[bool, bool]] = []
+    decoder = decoder_of(robot, wire.bus.name)
+    told = [False]
+
+    def look(tick: Tick) -> None:
+        full = tick.now == gateway._full
+        for packet in tick.outputs.packets:
+            assert not full
+            obeyed = decoder.decode(packet.t, packet.frame)
+            told[0] |= any(isinstance(each, Velocity) and each.motor == "left" for each in obeyed)
+        if full:
+            counted.append((told[0], left.driven_since is not None))
+
+    rig.run(0.4, Velocity("left", 3.0), at=look)
+    assert (False, False) in counted, "it is armed at once"
+    assert (True, True) in counted
+    assert all(sent is since for sent, since in counted)
+    assert rig.velocity("left") == pytest.approx(3.0, abs=0.11)
+    assert not left.faults
+
+
+def test_a_line_that_is_lost_and_back_starts_nothing_and_leaves_nothing_armed() -> None:
+    rig, wire = driven(of_file("diffbot_ddsm", stop_action="idle"))
+    wire.bus.lose()
+    ticks = rig.run(0.3)
+    assert any("has vanished" in note.text for note in notes_in(ticks, wire.bus.name))
+    assert len(wire.line.waiting) < 20
+    wire.bus.restore()
+    wire.told.clear()
+    began = rig.clock.now()
+    ticks = rig.run(0.3)
+    assert any("is back" in note.text for note in notes_in(ticks, wire.bus.name))
+    assert wire.disarmed(began) <= 40 * MS
+    assert all(isinstance(each, msg.Idle) for _, each in wire.told)
+    rig.run(0.2, *(msg.ClearFault(name) for name in rig.robot.motors))
+    rig.run(0.5, *(command_of(rig.robot, name) for name in rig.robot.motors))
+    assert {(each.mode, *each.faults) for each in rig.gateway.joints.values()} == {(Mode.ARMED,)}
+    wire.bus.lose()
+    rig.run(0.02)
+    wire.bus.restore()
+    began = left(rig)  # before anything else is known
+    assert wire.disarmed(began) <= 100 * MS
+    assert wire.bus.overlaps == 0
+    assert set(modes(rig).values()) == {Mode.READY}
+
+
+CAN0 = """[buses.can0]
+kind = "can"
+bitrate = 1_000_000
+interface = "twin"
+"""
+DRIVE = """protocol = "cia402"
+bus = "can0"
+address = 2
+options = { feedback = "sdo" }
+"""
+
+
+def test_beside_a_line_a_drive_of_many_questions_has_its_steps_and_the_loop_does_not_spin() -> None:
+    """Steps that only look at the line do not serve it: it was due all the time."""
+    text = MANY.replace("[defaults", f"{CAN0}[defaults") + f"[motors.m1]\naddress = 1\n{HUB}"
+    rig = Rig(f'{text}[motors.m2]\n{DRIVE}[brain]\nbody = "joints"\n[brain.joints]\nmotors = ["m1", "m2"]\n')
+    rig.run(0.3)
+    ticks = rig.run(0.5, *(command_of(rig.robot, name, 0.1) for name in ("m1", "m2")))
+    assert all(joint.armed and not joint.faults for joint in rig.gateway.joints.values())
+    assert sum(after.now - before.now <= FINE for before, after in pairwise(ticks)) < 0.4 * len(ticks)
+    rig.leave()
+    assert rig.gateway.still_armed() == []
+
+
+@pytest.mark.parametrize("plugin", QUESTIONED, ids=lambda each: each.name)
+def test_an_own_stop_that_is_answered_says_so(plugin: Plugin) -> None:
+    """Else the line would not wait for the answer, and two would send at once."""
+    device = Device("one", addresses_of(plugin)[0], plugin.options(), plugin.settings())
+    for stop in plugin.spec(device).stop:
+        twin = plugin.twin(device, 0)
+        twin.step(0, (msg.Feedback("one", 0, 0.0, 0.0),))
+        twin.receive(MS, stop)
+        _, answers = twin.step(20 * MS, (msg.Feedback("one", 20 * MS, 0.0, 0.0),))
+        assert bool(answers) == (isinstance(stop, Exchange) and stop.answer is not None), text_of(stop)
