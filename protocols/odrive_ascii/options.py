@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from protocols.odrive_can.options import AxisOptions
-from protocols.odrive_can.options import Settings as DeviceSettings
+from protocols.odrive_can.options import AxisOptions, AxisSettings
 from protocols.toolkit.options import bounded
 
 
@@ -18,7 +17,7 @@ class Options(AxisOptions):
 
 
 @dataclass(frozen=True, slots=True)
-class Settings(DeviceSettings):
+class Settings(AxisSettings):
     """The configuration of the device, in simulation."""
 
     answers_for_board: bool = True

@@ -159,8 +159,9 @@ class _OnLines(OdriveTwin):
             "controller.config.input_mode": self.memory.input_mode,
         }
         for path, setting in SETTING_OF.items():
-            value = getattr(self.settings, setting)
-            found[path.removeprefix("axis0.")] = self.servo.gains.get(setting, value)
+            value = getattr(self.settings, setting, None)  # None: of CAN alone
+            if value is not None:
+                found[path.removeprefix("axis0.")] = self.servo.gains.get(setting, value)
         return found
 
     def _write(self, name: str, value: float) -> Sequence[str]:
@@ -193,6 +194,11 @@ class Ascii06(_OnLines, Twin06):
             "disarm_reason": signals["Disarm_Reason"],
             "procedure_result": signals["Procedure_Result"],
         }
+
+    def reboot(self, t: Nanos, action: int) -> None:
+        """Restart; its number on the board stays, whatever is erased."""
+        super().reboot(t, action)
+        self.memory.node = self.device.address
 
 
 TOLD05: Mapping[int, FaultInfo] = {
