@@ -137,8 +137,8 @@ def test_a_lost_answer_costs_a_reading(fast: bool) -> None:
 
 @pytest.mark.parametrize(("latency_ms", "least"), [(0, 197), (2, 188)])
 def test_one_that_is_unplugged_stops_alone(latency_ms: int, least: int) -> None:
-    """Each of the questions that it does not answer, 40 or so until it is asked seldom, also costs the latency
-    of the port: that is waited for before an answer is given up."""
+    """Each of the 40 or so questions that it does not answer also costs the latency of the port: that is
+    waited for before an answer is given up."""
 
     def unplug(done: Run) -> None:
         done.world.disconnect("fr_thigh")
