@@ -195,10 +195,9 @@ class Ascii06(_OnLines, Twin06):
             "procedure_result": signals["Procedure_Result"],
         }
 
-    def reboot(self, t: Nanos, action: int) -> None:
-        """Restart; its number on the board stays, whatever is erased."""
-        super().reboot(t, action)
-        self.memory.node = self.device.address
+    def erased_node(self) -> int:
+        """Return its number on the board, which stays."""
+        return self.device.address
 
 
 TOLD05: Mapping[int, FaultInfo] = {

@@ -548,12 +548,16 @@ class Twin06(OdriveTwin):
             self.memory.disarm()
             self.disarm_reason, self.result = self.active(), errors.RESULTS.bits["DISARMED"]
 
+    def erased_node(self) -> int:
+        """Return the node id of an axis whose configuration is erased: none."""
+        return BROADCAST
+
     def reboot(self, t: Nanos, action: int) -> None:
         if action == table.SAVING:
             self._flash = (self.memory.node, dict(self.servo.gains), dict(self.memory.endpoints))
         elif action == table.ERASE:
             delivered = type(self.settings)()
-            self._flash = (BROADCAST, gains_of(delivered), saved(self.device.options, delivered))
+            self._flash = (self.erased_node(), gains_of(delivered), saved(self.device.options, delivered))
         self.restart_with(t, *self._flash)
         self.starts_until = self.silent_until + milliseconds(self.settings.initializing_ms)
         self.silent_until = NEVER if action == table.BOOT_LOADER else self.silent_until
