@@ -243,7 +243,7 @@ class FeetechAdapter(Adapter[Servo]):
         parameters = {} if at == BLOCKS["motion"][0] else {n: float(v) for n, v in values.items()}
         feedback = (
             self._measured(t, host, *(values.get(n) for n in MEASURED))
-            if "Present_Velocity" in values
+            if values.keys() >= set(MEASURED[:-1])
             else None
         )
         return Report(host, host.address, mode, detail, faults, feedback, parameters=parameters, note=who)

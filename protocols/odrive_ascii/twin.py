@@ -177,8 +177,9 @@ class _OnLines(OdriveTwin):
             "controller.config.input_mode": self.memory.input_mode,
         }
         for path, setting in SETTING_OF.items():
-            value = getattr(self.settings, setting)
-            found[path.removeprefix("axis0.")] = self.servo.gains.get(setting, value)
+            value = getattr(self.settings, setting, None)  # None: of CAN alone
+            if value is not None:
+                found[path.removeprefix("axis0.")] = self.servo.gains.get(setting, value)
         return found
 
     def _write(self, name: str, value: float) -> Sequence[str]:
@@ -211,6 +212,10 @@ class Ascii06(_OnLines, Twin06):
             "disarm_reason": signals["Disarm_Reason"],
             "procedure_result": signals["Procedure_Result"],
         }
+
+    def erased_node(self) -> int:
+        """Return its number on the board, which stays."""
+        return self.device.address
 
 
 TOLD05: Mapping[int, FaultInfo] = {

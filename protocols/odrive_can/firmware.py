@@ -22,7 +22,15 @@ from protocols.asked import set_id, waiting
 from protocols.frames import CanFrame, Frame
 from protocols.messages import SECOND, Nanos, Obeyed
 from protocols.odrive_can import errors, table
-from protocols.odrive_can.options import SETTING_OF, Settings, firmware_of, line_of, saved, serial_of, used
+from protocols.odrive_can.options import (
+    SETTING_OF,
+    AxisSettings,
+    firmware_of,
+    line_of,
+    saved,
+    serial_of,
+    used,
+)
 from protocols.odrive_can.servo import GAINS, Servo, gains_of
 from protocols.odrive_can.table import BROADCAST, CLOSED_LOOP, ControlMode, InputMode
 from protocols.plugin import Device, FaultInfo
@@ -262,10 +270,11 @@ class Memory:
 
 def memory(device: Device, node: int | None = None, endpoints: Mapping[int, int] | None = None) -> Memory:
     """Return the memory of a device after power-on; node id and endpoints as saved, if they are."""
-    settings: Settings = device.settings
+    settings: AxisSettings = device.settings
     at = device.address if node is None else node
     serial, modes = serial_of(settings, device.address), (settings.control_mode, settings.input_mode)
-    axis = (device.name, line_of(device), at, settings.other_axis, serial)
+    other = getattr(settings, "other_axis", -1)  # of CAN alone
+    axis = (device.name, line_of(device), at, other, serial)
     held = saved(device.options, settings) if endpoints is None else dict(endpoints)
     return Memory(*axis, *modes, device.options.registers(), held)
 
@@ -301,12 +310,12 @@ class OdriveTwin(Firmware):
         self.disarm_reason = 0
         self.use(device.settings)
 
-    def use(self, settings: Settings) -> None:
+    def use(self, settings: AxisSettings) -> None:
         """Use these settings from now on; its gains are as last set."""
         self.settings = settings
         self.servo.use(settings)
         sent = {row.name for row in self.table.rows if row.direction == "from_device"}
-        periods = {name: getattr(settings, key) for name, key in CYCLIC.items() if name in sent}
+        periods = {name: getattr(settings, key, 0) for name, key in CYCLIC.items() if name in sent}
         self._periods = {name: milliseconds(period) for name, period in periods.items() if period}
 
     # -- the firmware's own ---------------------------------------------------------------------------
@@ -539,12 +548,16 @@ class Twin06(OdriveTwin):
             self.memory.disarm()
             self.disarm_reason, self.result = self.active(), errors.RESULTS.bits["DISARMED"]
 
+    def erased_node(self) -> int:
+        """Return the node id of an axis whose configuration is erased: none."""
+        return BROADCAST
+
     def reboot(self, t: Nanos, action: int) -> None:
         if action == table.SAVING:
             self._flash = (self.memory.node, dict(self.servo.gains), dict(self.memory.endpoints))
         elif action == table.ERASE:
-            delivered = Settings()
-            self._flash = (BROADCAST, gains_of(delivered), saved(self.device.options, delivered))
+            delivered = type(self.settings)()
+            self._flash = (self.erased_node(), gains_of(delivered), saved(self.device.options, delivered))
         self.restart_with(t, *self._flash)
         self.starts_until = self.silent_until + milliseconds(self.settings.initializing_ms)
         self.silent_until = NEVER if action == table.BOOT_LOADER else self.silent_until
@@ -556,7 +569,7 @@ class Twin06(OdriveTwin):
 
     def signals(self) -> Values:
         servo, stage, active = self.servo, self.servo.stage, self.active()
-        version = (2, self.settings.hw_line, 1, 0, *self._version, 0)
+        version = (2, getattr(self.settings, "hw_line", 0), 1, 0, *self._version, 0)
         signals = super().signals() | dict(zip(table.VERSION_SIGNALS, version, strict=True))
         if self.memory.node <= BROADCAST:  # there is one byte for it
             signals |= {"Node_ID": self.memory.node, "Serial_Number": self.memory.serial, "Connection_ID": 0}

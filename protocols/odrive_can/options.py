@@ -98,14 +98,12 @@ class Options(AxisOptions):
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
-    """The configuration of the device: by default a commissioned axis, not the vendor's factory defaults."""
+class AxisSettings:
+    """The configuration of the device, over any transport: by default a commissioned axis, not the vendor's
+    factory defaults."""
 
     serial_number: int = bounded(0, 0, (1 << 48) - 1)  # 48 bits; 0: derived from the address.
     firmware: str = ""  # Firmware, e.g. "0.5.6" or "0.6.10"; "": the newest known of the line under options.
-    other_axis: int = bounded(-1, -1, MAX_EXTENDED_NODE)
-    """Node id of the other axis on the same board (0.5.x): clearing or restarting the board affects both."""
-    hw_line: int = bounded(5, 0, 0xFF)  # Product line 5: ODrive S1 (only reported, never used).
     calibrated: bool = True  # Motor and encoder are calibrated; without it the axis refuses to arm.
 
     procedure_ms: int = bounded(2000, 0, 600_000)  # Duration of a calibration, which then has succeeded.
@@ -159,6 +157,23 @@ class Settings:
     reboot_ms: int = bounded(800, 0, 60_000)  # Time without frames after a reboot.
     initializing_ms: int = bounded(300, 0, 60_000)  # Time for which the axis then reports INITIALIZING.
 
+    def __post_init__(self) -> None:
+        others = []
+        if self.firmware and not re.fullmatch(r"0\.[56]\.\d{1,2}", self.firmware):
+            others.append(f"firmware {self.firmware!r} must be like 0.5.6 or 0.6.10")
+        if self.enable_watchdog and not self.watchdog_timeout > 0:
+            others.append("watchdog_timeout must be above 0 when enable_watchdog is true")
+        check_bounds(self, others)
+
+
+@dataclass(frozen=True, slots=True)
+class Settings(AxisSettings):
+    """The configuration of the device over CAN."""
+
+    other_axis: int = bounded(-1, -1, MAX_EXTENDED_NODE)
+    """Node id of the other axis on the same board (0.5.x): clearing or restarting the board affects both."""
+    hw_line: int = bounded(5, 0, 0xFF)  # Product line 5: ODrive S1 (only reported, never used).
+
     # Periods of cyclic messages; 0: never. Firmware 0.5.x calls them heartbeat_rate_ms, encoder_rate_ms,
     # iq_rate_ms and bus_vi_rate_ms, and has those with its own names below instead of version, error,
     # temperature and torques.
@@ -176,14 +191,6 @@ class Settings:
     sensorless_error_rate_ms: int = bounded(0, 0, 60_000)
     encoder_count_rate_ms: int = bounded(0, 0, 60_000)
     sensorless_rate_ms: int = bounded(0, 0, 60_000)
-
-    def __post_init__(self) -> None:
-        others = []
-        if self.firmware and not re.fullmatch(r"0\.[56]\.\d{1,2}", self.firmware):
-            others.append(f"firmware {self.firmware!r} must be like 0.5.6 or 0.6.10")
-        if self.enable_watchdog and not self.watchdog_timeout > 0:
-            others.append("watchdog_timeout must be above 0 when enable_watchdog is true")
-        check_bounds(self, others)
 
 
 _GROUPS = {
@@ -231,7 +238,7 @@ def configured(options: Options, settings: Settings) -> dict[str, Setting]:
     return found
 
 
-def saved(options: AxisOptions, settings: Settings) -> dict[int, int]:
+def saved(options: AxisOptions, settings: AxisSettings) -> dict[int, int]:
     """Return what the endpoints of the robot file hold as configured, in bits."""
     registers = options.registers()
     held = {
@@ -240,7 +247,7 @@ def saved(options: AxisOptions, settings: Settings) -> dict[int, int]:
     return {registers.by_name[path].number: registers.raw(path, value) for path, value in held.items()}
 
 
-def used(options: AxisOptions, settings: Settings, endpoints: Mapping[int, int]) -> Settings:
+def used(options: AxisOptions, settings: AxisSettings, endpoints: Mapping[int, int]) -> AxisSettings:
     """Return the settings of a device whose endpoints hold this (bits); impossible ones change nothing."""
     registers, before = options.registers(), saved(options, settings)
     changed = (
@@ -253,7 +260,7 @@ def used(options: AxisOptions, settings: Settings, endpoints: Mapping[int, int])
     return settings
 
 
-def serial_of(settings: Settings, address: int) -> int:
+def serial_of(settings: AxisSettings, address: int) -> int:
     """Return the serial number of a device: as configured, or derived from its address."""
     return settings.serial_number or 0x385F_3473_3300 + (address & BROADCAST)
 
@@ -263,7 +270,7 @@ NEWEST = {"auto": "0.6.10", "0.6": "0.6.10", "0.5": "0.5.6"}
 
 def firmware_of(device: Device) -> str:
     """Return the firmware of a device: as configured, or the newest of the line that the driver expects."""
-    settings: Settings = device.settings
+    settings: AxisSettings = device.settings
     options: AxisOptions = device.options
     return settings.firmware or NEWEST[options.firmware]
 

@@ -17,7 +17,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Protocol
 
-from protocols.odrive_can.options import Settings
+from protocols.odrive_can.options import AxisSettings
 from protocols.odrive_can.table import ControlMode, InputMode
 from protocols.toolkit.servo import Encoder, PowerStage, Trapezoid, clamp, lag
 
@@ -50,7 +50,7 @@ class Inputs(Protocol):
         ...
 
 
-def gains_of(settings: Settings) -> dict[str, float]:
+def gains_of(settings: AxisSettings) -> dict[str, float]:
     """Return these settings as configured."""
     return {name: getattr(settings, name) for names in GAINS.values() for name in names}
 
@@ -58,7 +58,7 @@ def gains_of(settings: Settings) -> dict[str, float]:
 class Servo:
     """The loops of one axis. Plain data."""
 
-    def __init__(self, settings: Settings, gains: Mapping[str, float], whole_turns: int = 0) -> None:
+    def __init__(self, settings: AxisSettings, gains: Mapping[str, float], whole_turns: int = 0) -> None:
         s = self.settings = settings
         self.gains = dict(gains)
         # An absolute encoder knows its position within one turn only.
@@ -87,7 +87,7 @@ class Servo:
         most = self.settings.current_hard_max
         self.gains["current_soft_max"] = min(self.gains["current_soft_max"], most)
 
-    def use(self, settings: Settings) -> None:
+    def use(self, settings: AxisSettings) -> None:
         """Use other settings of motor, encoder and limits from now on."""
         s = self.settings = settings
         self.encoder = replace(self.encoder, bandwidth=s.encoder_bandwidth)

@@ -129,7 +129,7 @@ class UartAdapter(ControllerAdapter):
             return Rx.MALFORMED
         mask, values = decoded
         sender = values.get("controller_id")
-        if mask == ut.WHO and sender is not None:
+        if mask == ut.WHO and sender is not None and address == ut.DIRECT:
             self._end = int(sender)
         host = driver.at.get(at)
         if host is None or (sender is not None and sender != at):

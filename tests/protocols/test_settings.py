@@ -20,12 +20,14 @@ import pytest
 from protocols import messages as msg
 from protocols.canopen.objects import PDO_PARAMETERS, RESTORE, STORE, Object, Objects, title, to_bytes
 from protocols.cia402 import objects as cia402
-from protocols.conformance.bench import START, STEP, Shaft, build, request
-from protocols.conformance.case import alternatives, by_name
+from protocols.conformance.bench import START, STEP, Shaft, build, make_driver, request
+from protocols.conformance.case import addresses_of, alternatives, by_name
 from protocols.cubemars.table import SERVO
+from protocols.ddsm import table as ddsm
 from protocols.frames import CanFrame, Frame
 from protocols.messages import Command, Event, Feedback, Mode, Request
 from protocols.moteus.codec import command_id, make_frame, write
+from protocols.odrive_ascii.table import line as ascii_line
 from protocols.odrive_can import options as odrive
 from protocols.odrive_can.table import DIALECTS, OFFSET_CALIBRATION, ControlMode, InputMode, table_of
 from protocols.plain.table import encode
@@ -38,9 +40,11 @@ from tests.sampled import sampled
 PLUGINS = {plugin.name: plugin for plugin in load_all()[0]}
 NAME = "left"
 T = TypeVar("T")
-KNOWN, WRITTEN, ARMS, MOVES, RESTS, LONG, LOST = 2000, 20, 1500, 60, 400, 1200, 1100
+KNOWN, WRITTEN, ARMS, MOVES, RESTS, LOST = 2000, 20, 1500, 60, 400, 1100
 """Steps: at most until it is known; in which something is written; at most until it is armed; of each motion;
-at most until it rests; of homing, and of a restart; without a host."""
+at most until it rests; without a host."""
+ASKED: Mapping[type[Request], int] = {msg.Home: 1200, msg.Reboot: 1200, msg.Scan: 400}
+"""Steps of a request, if not 25"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +57,8 @@ class Way:
     """By another host, whenever it is armed"""
     read: Sequence[str] = ()
     """Parameters that are read"""
+    fault: int = 0
+    """Code of one that is provoked"""
 
 
 AS_DELIVERED = Way()
@@ -86,10 +92,10 @@ class Session:
     """A driver and a twin: what the shaft and the wire do, step by step."""
 
     def __init__(self, plugin: Plugin, way: Way, settings: object, written: Sequence[Frame] = ()) -> None:
-        device = Device(NAME, 1, plugin.options(**way.options), settings)
+        device = Device(NAME, addresses_of(plugin)[0], plugin.options(**way.options), settings)
         self.way, self.written = way, written
         self.spec = plugin.spec(device)
-        self.driver, self.twin = plugin.driver([device]), plugin.twin(device, 0)
+        self.driver, self.twin = make_driver(plugin, [device]), plugin.twin(device, 0)
         self.shaft, self.now = Shaft(friction=0.01), START
         self.mode: Mode | None = None
         self.up: Sequence[Frame] = ()
@@ -141,6 +147,9 @@ class Session:
             yield from self.arm(msg.Hold(NAME))
             yield from self.ask(msg.Home, msg.Hold(NAME))
             yield from self.rest()
+        if self.way.fault:
+            self.twin.provoke(self.way.fault)
+            yield from self.rest()
         for wanted in by_name(self.spec.requests - {msg.Estop}):
             yield from self.ask(wanted)
 
@@ -148,7 +157,7 @@ class Session:
         """Make the requests of a kind, while this is commanded."""
         for each in self.requests(wanted):
             yield self.step([each, *given])
-            yield from (self.step(given) for _ in range(LONG if wanted in (msg.Home, msg.Reboot) else 25))
+            yield from (self.step(given) for _ in range(ASKED.get(wanted, 25)))
 
     def tell(self, frames: Sequence[Frame]) -> Iterator[Step]:
         """Send it frames of another host, whose replies are that one's."""
@@ -226,7 +235,7 @@ def other_values(default: object, name: str) -> Iterator[object]:
     """Yield other values of a setting."""
     declared = next(each for each in fields(default) if each.name == name)  # type: ignore[arg-type]
     value, low, high = getattr(default, name), declared.metadata.get("low"), declared.metadata.get("high")
-    yield from OTHERS.get(name, ())
+    yield from (other for other in OTHERS.get(name, ()) if type(other) is type(value))
     yield from declared.metadata.get("only", ())
     yield from (other for each, other in alternatives(default) if each == name)
     if low is None or high is None:
@@ -297,6 +306,25 @@ OF_ODRIVE: Mapping[str, Way] = {
     "spinout_mechanical_power_threshold": spinout(100.0, 0.01),
     "spinout_power_bandwidth": spinout(0.01, 0.01),
 }
+
+
+def written(name: str, value: int) -> Way:
+    """Return the way of an ODrive of which another host writes a property, in ASCII."""
+    return Way({"firmware": "0.6"}, told=(ascii_line(f"w axis1.{name} {value}"),))
+
+
+_INPUT = "controller.config.input_mode"
+IN_ASCII: Mapping[str, Way] = {
+    **{name: way for name, way in OF_ODRIVE.items() if way.settings},
+    **for_all(
+        "trap_vel_limit trap_accel_limit trap_decel_limit inertia", written(_INPUT, InputMode.TRAP_TRAJ)
+    ),
+    "input_filter_bandwidth": written(_INPUT, InputMode.POS_FILTER),
+    "vel_ramp_rate": written(_INPUT, InputMode.VEL_RAMP),
+    "torque_ramp_rate": written(_INPUT, InputMode.TORQUE_RAMP),
+    "procedure_ms": written("requested_state", OFFSET_CALIBRATION),
+    "motor_thermal_resistance": Way(read=("axis1.motor.motor_thermistor.temperature",)),
+}
 MOTEUS_ON = make_frame(command_id(1), bytes((0x01, 0x00, 0x0A)) + write(0x20, None, 0.1, 0.0))
 """Another host's command of a moteus, without a timeout."""
 _RATES = "motor_error encoder_error controller_error sensorless_error encoder_count sensorless"
@@ -308,6 +336,7 @@ WAYS: Mapping[str, Mapping[str, Way]] = {
         "other_axis": odrive_told("Reboot (0.5.x)", 3, "0.5"),
         "procedure_ms": odrive_told("Set_Axis_State", Axis_Requested_State=OFFSET_CALIBRATION),
     },
+    "odrive_ascii": IN_ASCII,
     "cia402": {"digital_inputs": Way(read=("60FD",)), "sdo_waiting": Way(settings={"sdo_delay_ms": 250})},
     "moteus": {
         "position_derate": Way(settings={"position_min": -0.01, "position_max": 0.01}),
@@ -315,12 +344,13 @@ WAYS: Mapping[str, Mapping[str, Way]] = {
         "default_timeout_s": Way(told=(MOTEUS_ON,)),
     },
     "myactuator": {"timeout_ms": Way({"timeout_ms": 0})},
+    "ddsm": {"fault_ms": Way(fault=next(iter(ddsm.FAULTS)))},
     "cubemars": {"supply": Way(told=(SERVO.encode("SET_DUTY", 1, value=0.1),))},
 }
 """By protocol, how a setting is used that matters only so."""
 SET_BY_DRIVER = "the driver writes it before it arms"
 UNUSED: Mapping[str, Mapping[str, str]] = {
-    "odrive_can": dict.fromkeys(("control_mode", "input_mode"), SET_BY_DRIVER),
+    **for_all("odrive_can odrive_ascii", dict.fromkeys(("control_mode", "input_mode"), SET_BY_DRIVER)),
     "cia402": {"heartbeat_consumer": SET_BY_DRIVER},
     "zlac8015d": {"offline_time_ms": SET_BY_DRIVER},
 }

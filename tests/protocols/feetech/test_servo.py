@@ -194,6 +194,15 @@ def test_what_is_stored_is_unlocked_written_and_locked_again(name: str, value: f
     assert twin(bench).memory.value(name) == value
 
 
+@pytest.mark.parametrize("name", ["Present_Velocity", "Present_Temperature"])
+def test_what_is_measured_can_be_read_alone(name: str) -> None:
+    bench = rig()
+    bench.run(0.3)
+    (read,) = answers(bench, msg.ReadParameter("left", name), 0.2)
+    assert isinstance(read, msg.Parameter), read
+    assert not bench.gateway.joints["left"].faults
+
+
 def test_another_id_is_told_and_the_servo_answers_there() -> None:
     bench = rig()
     bench.run(0.3)

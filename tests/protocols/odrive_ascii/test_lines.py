@@ -9,7 +9,7 @@ import pytest
 from protocols import messages as msg
 from protocols.frames import BusState
 from protocols.line import Exchange
-from protocols.messages import MILLISECOND, Feedback, Obeyed
+from protocols.messages import MILLISECOND, SECOND, Feedback, Obeyed
 from protocols.odrive_ascii import plugin
 from protocols.odrive_ascii.options import Options, Settings
 from protocols.odrive_ascii.table import CUT_OFF, LINES, line, number, plain
@@ -182,3 +182,17 @@ def test_a_twin_answers_as_its_firmware_does(firmware: str) -> None:
     assert ask("w axis0.controller.config.vel_limit 12.5\nr axis0.controller.config.vel_limit\n").startswith(
         "12.5"
     )
+
+
+@pytest.mark.parametrize("firmware", ["0.5", "0.6"])
+def test_an_axis_that_is_erased_keeps_its_number_and_forgets_what_was_written(firmware: str) -> None:
+    twin = plugin.twin(Device("right", 1, Options(firmware=firmware), Settings()), 0)  # type: ignore[arg-type]
+    question, told = line("r axis1.controller.config.vel_limit"), list[object]()
+    for now, asked in ((1, line("w axis1.controller.config.vel_limit 3")), (2, question), (3, line("se"))):
+        twin.step(now * SECOND, ())
+        twin.receive(now * SECOND, asked)
+        told += twin.step(now * SECOND + MILLISECOND, ())[1]
+    twin.step(6 * SECOND, ())
+    twin.receive(6 * SECOND, question)
+    told += twin.step(6 * SECOND + MILLISECOND, ())[1]
+    assert [float(each.partition(b"*")[0]) for each in told if isinstance(each, bytes)] == [3.0, 40.0]

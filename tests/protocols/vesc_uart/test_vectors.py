@@ -9,6 +9,7 @@ import pytest
 
 from protocols import messages as msg
 from protocols.conformance import CLAUSES, check, table
+from protocols.conformance.bench import make_bench
 from protocols.conformance.random import Random
 from protocols.line import Exchange
 from protocols.messages import Feedback, Obeyed
@@ -190,6 +191,17 @@ def test_the_end_of_the_line_must_be_agreed_on() -> None:
     devices = [Device(name, at, Options(uart_id=at), Settings()) for name, at in (("left", 1), ("right", 2))]
     with pytest.raises(ValueError, match="must be the same"):
         plugin.driver(devices)
+
+
+def test_one_that_tells_its_id_through_the_can_is_not_at_the_end_of_the_line() -> None:
+    bench = make_bench(plugin, Options(), (1,), ("left",))
+    bench.steps(100)
+    read = bench.steps(1, (msg.ReadParameter("left", "controller_id"),)) + bench.steps(50)
+    assert [e.value for one in read for e in one.events if isinstance(e, msg.Parameter)] == [1.0]
+    restarted = bench.steps(1, (msg.Reboot("left"),)) + bench.steps(600)
+    events = [event for one in restarted for event in one.events]
+    assert bench.modes["left"] is msg.Mode.OFFLINE
+    assert not [event for event in events if isinstance(event, msg.Fault)]
 
 
 @pytest.mark.parametrize("clause", ["scan", "foreign", "obeyed", "answers", "disarm"])
