@@ -30,10 +30,10 @@ LONGEST = 64
 CUT_OFF = 9
 """Characters of a value to which firmware 0.5 cuts it off"""
 
-TO_DEVICE = TextLines(end=b"\n", ends=b"\r\n!", checksum=xor8, required=False)
+TO_DEVICE = TextLines(end=b"\n", ends=b"\r\n!", check=xor8, required=False)
 """As a device reads."""
-_SENT = TextLines(end=b"\n", checksum=xor8)
-FROM_DEVICE = TextLines(end=b"\r\n", ends=b"\n", checksum=xor8)
+_SENT = TextLines(end=b"\n", check=xor8)
+FROM_DEVICE = TextLines(end=b"\r\n", ends=b"\n", check=xor8)
 """Of one whose end is damaged nothing counts."""
 
 

@@ -253,7 +253,7 @@ class TextLines:
     """Each of these bytes ends one."""
     longest: int = 255
     """Bytes of a line, without its end."""
-    checksum: Checksum | None = None
+    check: Checksum | None = None
     """Stands behind `mark` in decimal figures, and covers all that is before it."""
     mark: bytes = b"*"
     required: bool = True
@@ -269,8 +269,8 @@ class TextLines:
     def frame(self, message: bytes) -> bytes:
         """Return a line, with its checksum, if it must have one, and its end. Raises ValueError if it is too
         long, or would not be one line."""
-        if self.checksum is not None and self.required:
-            message += self.mark + b"%d" % self.checksum(message)
+        if self.check is not None and self.required:
+            message += self.mark + b"%d" % self.check(message)
         if len(message) > self.longest or not _is_text(message):
             raise ValueError(f"no line of text of at most {self.longest} bytes: {message!r}")
         return message + self.end
@@ -286,9 +286,9 @@ class TextLines:
         if len(line) > self.longest or not _is_text(line):
             return Rx.IGNORED, behind
         text, mark, figures = line.rpartition(self.mark)
-        if self.checksum is None or not line or (not mark and not self.required):
+        if self.check is None or not line or (not mark and not self.required):
             return line, behind
-        if not mark or (figures.lstrip(b"0") or b"0") != b"%d" % self.checksum(text):
+        if not mark or (figures.lstrip(b"0") or b"0") != b"%d" % self.check(text):
             return Rx.MALFORMED, behind
         return text if self.required else line, behind
 

@@ -215,9 +215,9 @@ def test_a_stuffed_message_that_is_cut_short_keeps_none_behind_it_waiting() -> N
     assert Stream(DYNAMIXEL).feed(long[:20] + ping) == [Rx.MALFORMED, ping[:-2]]
 
 
-TEXT = TextLines(longest=20, checksum=xor8)
+TEXT = TextLines(longest=20, check=xor8)
 """As that of ODrive (docs/ascii-protocol.rst of its firmware 0.5.6, where the first line below stands)."""
-OPTIONAL = TextLines(longest=20, checksum=xor8, required=False)
+OPTIONAL = TextLines(longest=20, check=xor8, required=False)
 
 
 @pytest.mark.parametrize(
