@@ -1,4 +1,4 @@
-"""Each fault once, of 10,000 runs in `tests.prove.test_fault_campaign`; and that the judge can find fault."""
+"""Each fault once, of 10,000 runs in `tests.prove.test_faults`; and that the judge can find fault."""
 
 from __future__ import annotations
 

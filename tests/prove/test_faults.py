@@ -1,8 +1,8 @@
 """10,000 runs with one fault each: every fault on every robot in every phase, in turn, at random times.
 
-./go prove -k fault_campaign                          all that are left; then the table
-PROVE_PART=0/2 ./go prove -k fault_campaign           every second one: another process does 1/2
-PROVE_SEED=7 FAULTS=500 ./go prove -k fault_campaign  others, and fewer
+./go prove -k faults                          all that are left; then the table
+PROVE_PART=0/2 ./go prove -k faults           every second one: another process does 1/2
+PROVE_SEED=7 FAULTS=500 ./go prove -k faults  others, and fewer
 """
 
 from __future__ import annotations
