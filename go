@@ -65,7 +65,7 @@ TOOLS = (
     ("import-linter", ["-c", "from importlinter.cli import lint_imports_command as run; run()"]),
 )
 DOCS = ["-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", "docs", "out/site"]
-PYTEST = ["-m", "pytest", "-n", "3", "--dist", "loadfile"]
+PYTEST = ["-m", "pytest", "-n", "2", "--dist", "loadfile"]
 
 REAL_CAN = ["-m", "tests.real_can"]
 """The tests of a real CAN; the file named next gets what of them could not run, and why."""
