@@ -21,7 +21,7 @@ from brain.control.pid import Loop, LoopSettings
 from gateway.core import following
 from gateway.core.bounds import Bounds
 from gateway.core.following import Following
-from gateway.core.limits import Limits, Profile, Swing, softened, spring_within
+from gateway.core.limits import Limits, Profile, Swing, no_stronger, softened, spring_within
 from gateway.core.reference import ANEW, Reference
 from protocols import messages as msg
 from protocols.messages import MILLISECOND, SECOND, Command, Mode, Nanos
@@ -594,13 +594,13 @@ class Joint:
         return late and self.feedback.position is None
 
     def _softened(self, now: Nanos, out: Command) -> Command:
-        """Return a command that the device makes a spring of, softened where that would pull too hard once it
-        is in force."""
+        """Return a command that the device makes a spring of, softened where that would pull too hard now, or
+        once it is in force."""
         if not isinstance(out, msg.Hold) or self.mode is not Mode.ARMED or self._held is None:
             self._held = self.feedback.position
         there, limits = self._coming(now), self.settings.limits
         if isinstance(out, msg.Impedance):
-            return spring_within(out, there, limits)
+            return no_stronger(spring_within(out, there, limits), self.feedback, limits)
         if self._gains is None or not isinstance(out, msg.Position | msg.Velocity | msg.Hold):
             return out
         stiffness, damping = (gain * self._ratio * self._ratio for gain in self._gains)

@@ -12,7 +12,7 @@ change of the position means nothing.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import copysign, sqrt
 from typing import Annotated
 
@@ -342,6 +342,20 @@ def spring_within(wanted: Impedance, measured: Feedback, limits: Limits) -> Impe
     most = total if abs(total) <= limits.torque else copysign(SOFTENED * limits.torque, total)
     share = _share(total, limits.torque_now(most, measured))
     return Impedance(wanted.motor, position, velocity, share * torque, share * stiffness, share * damping)
+
+
+def no_stronger(spring: Impedance, measured: Feedback, limits: Limits) -> Impedance:
+    """Return a spring that is within the limits elsewhere, so soft that it is so at this motion too: all of
+    it by the same share, which leaves it within them there."""
+    pull = spring.stiffness * (spring.position - (measured.position or 0.0))
+    total = spring.torque + pull + spring.damping * (spring.velocity - (measured.velocity or 0.0))
+    share = _share(total, limits.torque_now(clamp(total, limits.torque), measured))
+    return replace(
+        spring,
+        torque=share * spring.torque,
+        stiffness=share * spring.stiffness,
+        damping=share * spring.damping,
+    )
 
 
 def softened(
