@@ -18,7 +18,7 @@ from benchmarks.measure import Call, Effort, in_turn, rival
 from benchmarks.rows import Row, against
 from brain.bodies import urdf
 from brain.bodies.chain import Array, Chain, moving, rotation_vector
-from brain.bodies.reach import CLOSE, CLOSE_TURN, LEVER, Search
+from brain.bodies.reach import CLOSE, CLOSE_TURN, LEVER, ReachSearch
 
 GROUP = "an arm of six axes and a gripper"
 POSTURE = np.array((0.3, 0.4, 1.2, -0.4, 0.9, 0.2, 0.25))
@@ -69,7 +69,7 @@ def solved(chain: Chain, goals: list[tuple[Array, Array]]) -> list[Array]:
     """Return the joints for each place; raise if one is not found."""
     found = []
     for attitude, place in goals:
-        search = Search(chain, POSTURE.tolist(), place.tolist(), attitude, chain.aside)
+        search = ReachSearch(chain, POSTURE.tolist(), place.tolist(), attitude, chain.aside)
         while not search.advance(50):
             pass
         if search.found is None:

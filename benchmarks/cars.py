@@ -18,7 +18,7 @@ from benchmarks.measure import Call, Effort, NotMeasured, in_turn, rival
 from benchmarks.paths import EVERYTHING, SEED, Mask, ground_of
 from benchmarks.rows import Row, against
 from brain.belief import Pose
-from brain.planning.astar import CellPath, Search
+from brain.planning.astar import CellPath, CellSearch
 from brain.planning.costmap import NEAR, UNKNOWN
 from brain.planning.footprint import Footprint, Shape
 from brain.planning.hybrid_astar import HybridSearch
@@ -89,7 +89,7 @@ def of_circle(ground: Snapshot) -> float:
     start, end = ground.index(*START[:2]), ground.index(*GOAL[:2])
     assert start is not None
     assert end is not None
-    way = Search(ground, start, end).advance(EVERYTHING)
+    way = CellSearch(ground, start, end).advance(EVERYTHING)
     if not isinstance(way, CellPath):
         raise NotMeasured(f"no way for a circle: {way}")
     return way.cost

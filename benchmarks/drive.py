@@ -19,7 +19,7 @@ from benchmarks.measure import Effort, Figures, NotMeasured, figures
 from benchmarks.rows import Row, Target, span
 from benchmarks.steps import TICK, figures_by_step, timed
 from gateway import config
-from gateway.core.clock import WallClock, processor_time, stopwatch
+from gateway.core.clock import WallClock, processor_time, stopwatch, thread_time
 from gateway.core.robot import Robot
 from gateway.core.step import Gateway
 from gateway.core.tick import Tick
@@ -163,13 +163,13 @@ def recording_cost(made: Drive, file: Path, most: int) -> dict[str, Figures]:
     writer: list[float] = []
     both: list[float] = []
     with Recorder(file, made.robot.text, {}, mounts) as recorder, quiet_collector():
-        begun = processor_time()
+        begun = processor_time(), thread_time()
         in_loop = 0
         for number, (took, work) in enumerate(_paced(made, recorder, most), start=1):
             loop.append(took)
             in_loop += work
             if number % WINDOW == 0:
-                now = processor_time()
+                now = processor_time(), thread_time()
                 others = (now[0] - begun[0]) - (now[1] - begun[1])
                 writer.append(others / WINDOW)
                 both.append((others + in_loop) / WINDOW)
@@ -186,8 +186,8 @@ def _paced(made: Drive, recorder: Recorder, most: int) -> Iterator[tuple[Nanos, 
     for number, tick in enumerate(made.ticks[:most]):
         clock.wait(number * made.robot.period)
         gateway.step(tick.now, tick.inputs)
-        _, work = processor_time()
+        work = thread_time()
         began = stopwatch()
         recorder.record(tick, gateway.belief())
         took = stopwatch() - began
-        yield took, processor_time()[1] - work
+        yield took, thread_time() - work

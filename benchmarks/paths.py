@@ -16,10 +16,11 @@ import numpy.typing as npt
 
 from benchmarks.measure import Call, Effort, in_turn, rival
 from benchmarks.rows import Row, against
-from brain.planning.astar import CellPath, Search
-from brain.planning.costmap import TILE, Costmap, PlannerSettings, Tile
+from brain.planning.astar import CellPath, CellSearch
+from brain.planning.costmap import TILE, Costmap, PlannerSettings
 from brain.planning.footprint import Shape
 from brain.planning.snapshot import Snapshot
+from brain.region import Tile
 from protocols.messages import Nanos
 
 GROUP = "the cheapest way through a house of rooms, corner to corner"
@@ -96,10 +97,6 @@ class Picture:
         """All of them, at first."""
         return [(row, column) for row, column in np.ndindex(self._tiles.shape[:2]) if since < self.version]
 
-    def extent(self) -> tuple[int, int, int, int]:
-        """First row and column, and those after the last."""
-        return 0, 0, len(self._tiles) * TILE, len(self._tiles) * TILE
-
 
 def ground_of(blocked: Mask, resolution: float = 1.0, shape: Shape = POINT) -> Snapshot:
     """All that is not a wall is free, and costs the same everywhere."""
@@ -107,7 +104,7 @@ def ground_of(blocked: Mask, resolution: float = 1.0, shape: Shape = POINT) -> S
     settings = PlannerSettings(margin=0.0, comfort=0.0, dislike=0.0)
     costmap = Costmap(resolution, shape.inner, settings, shape.outer)
     costmap.update(house, corner, 0)
-    ground = Snapshot(costmap, house, corner, corner, ())
+    ground = Snapshot(costmap, corner, corner, ())
     ground.assemble(costmap, house, EVERYTHING)
     return ground
 
@@ -117,7 +114,7 @@ def ours(ground: Snapshot, size: int) -> float:
     start, end = ground.index(0.5, 0.5), ground.index(size - 0.5, size - 0.5)
     assert start is not None
     assert end is not None
-    outcome = Search(ground, start, end).advance(EVERYTHING)
+    outcome = CellSearch(ground, start, end).advance(EVERYTHING)
     assert isinstance(outcome, CellPath), f"no way through {size} × {size} cells: {outcome}"
     return outcome.cost
 

@@ -21,7 +21,7 @@ from brain.bodies.differential import Differential
 from brain.bodies.plane import Twist
 from brain.perception import engine
 from brain.perception.body_scan import BodyScan, to_body, to_world
-from brain.perception.engine import SIZE, Move
+from brain.perception.engine import SIZE, MoveErrors
 from brain.perception.filter import Filter
 from brain.perception.filter_inputs import GyroRate, WheelAngle
 from brain.perception.filter_settings import FilterSettings
@@ -55,6 +55,8 @@ HALL = (9.0, 6.0)
 PILLARS = ((3.0, 2.0, 0.3), (-4.0, 1.0, 0.4), (1.0, -3.0, 0.3), (-2.0, -4.0, 0.5), (5.0, -2.0, 0.25))
 """x, y, radius [m]"""
 PLACES = 24
+AROUND = 256
+"""Cells of a rival's array to each side of the origin"""
 
 
 def perceive(effort: Effort) -> list[Row]:
@@ -80,7 +82,7 @@ def _filter(effort: Effort) -> Row:
     return Row(EKF, "one predict and update, gated", found["ours"], against(found, *names))
 
 
-MOVE = Move(
+MOVE = MoveErrors(
     -1e-3, 2e-3, -2e-3, -1e-3, 1e-3, 2e-3, -0.01, 0.01, 5e-3, 0.99, 0.99,
     4e-8, 0.0, 2e-8, 5e-11, 2e-9, 1e-6, 1e-6, 2e-10, 1e-10,
 )  # fmt: skip
@@ -111,7 +113,7 @@ class OurFilter:
 
 
 def _map(effort: Effort) -> Row:
-    settings = MapSettings(width=24.0, height=24.0)
+    settings = MapSettings()
     drawing = rival("skimage.draw", "scikit-image")
     scans = [(pose, to_body(scan_at(pose), Mount(), settings.farthest)) for pose in places()]
     chart = Map(settings)
@@ -131,10 +133,7 @@ def _map(effort: Effort) -> Row:
         found, "Bresenham in a Python loop", drawing.name, missing=(drawing,)
     )
     longest = max(float(np.max(swept.ranges)) for _, swept in scans)
-    top, left, bottom, right = chart.extent()
-    what = (
-        f"{right - left} × {bottom - top} cells of {settings.resolution:g} m, beams of up to {longest:.0f} m"
-    )
+    what = f"cells of {settings.resolution:g} m, beams of up to {longest:.0f} m"
     return Row(GRID, what, found["ours"], beside)
 
 
@@ -169,14 +168,12 @@ def reach(x: float, y: float, heading: float) -> float:
 
 def loop_over(chart: Map) -> BresenhamLoop:
     """A rival of the size and with the sensor model of a map."""
-    chosen, (top, left, bottom, right) = chart.settings, chart.extent()
-    shape = bottom - top, right - left
-    return BresenhamLoop(shape, chosen.hit, chosen.miss, chosen.low, chosen.high)
+    chosen, side = chart.settings, 2 * AROUND
+    return BresenhamLoop((side, side), chosen.hit, chosen.miss, chosen.low, chosen.high)
 
 
 def cells_of(chart: Map, pose: Pose, swept: BodyScan) -> tuple[tuple[int, int], list[tuple[int, int]]]:
     """Where (row, column) in the rival's array the beams of a scan start and end."""
-    top, left, *_ = chart.extent()
     points = np.concatenate([[(pose.x, pose.y)], to_world(swept.ends, pose)])
-    start, *ends = [(row - top, column - left) for column, row in chart.cells(points).tolist()]
+    start, *ends = [(row + AROUND, column + AROUND) for column, row in chart.cells(points).tolist()]
     return start, ends

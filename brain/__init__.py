@@ -4,6 +4,6 @@ Exports nothing here (so that importing one module stays cheap); the entry point
 `brain.brain.Brain` (step: events and tasks in, one command per motor out), `brain.settings.BrainSettings`
 and the values of `brain.belief`.
 
-Must not import: anything of `gateway`, and of `protocols` only `protocols.messages`. No clock, no I/O, no
+Must not import: anything of `gateway`, and of `protocols` only `messages` and `bounds`. No clock, no I/O, no
 vendor, bus or device protocol.
 """

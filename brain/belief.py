@@ -10,6 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from brain.region import Region, Tile, about, region_of
 from protocols.messages import Command, Goal, Nanos, Task
 
 Floats = npt.NDArray[np.float64]
@@ -42,10 +43,11 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """The filter's state at time t, in the frame "odom"."""
+    """The filter's state at time t."""
 
     t: Nanos
     pose: Pose
+    """In the frame "map": as well as it is known, so it leaps when that is corrected"""
     linear: float
     """m/s, forward"""
     angular: float
@@ -54,6 +56,8 @@ class Estimate:
     """3 × 3, of x, y, yaw"""
     lateral: float = 0.0
     """m/s, to the left"""
+    odom: Pose = Pose(0.0, 0.0, 0.0)
+    """In the frame "odom": by wheels and gyro alone, it drifts and never leaps"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,33 +68,39 @@ class MapView:
     """Incremented at each change."""
     resolution: float
     """m per cell"""
-    tiles: Mapping[tuple[int, int], npt.NDArray[Any]]
+    tiles: Mapping[Tile, npt.NDArray[Any]]
     """Log-odds by row and column of tiles, all of one size: row = y, column = x; unknown is exactly 0"""
     unit: float = 1.0
     """Log-odds of 1 in a tile"""
     corner: tuple[float, float] = (0.0, 0.0)
     """m: lower left one of the tile (0, 0)"""
+    here: Tile = (0, 0)
+    """Where it is looked at"""
+
+    @property
+    def region(self) -> Region:
+        """The tiles of `log_odds`: all; of a very large map those about `here`."""
+        return about(self.here, region_of(self.tiles))
 
     @property
     def origin_x(self) -> float:
         """m, of the lower left corner of `log_odds`"""
-        return self.corner[0] + min(x for _, x in self.tiles) * self._size[1] * self.resolution
+        return self.corner[0] + self.region[1].start * self._size[1] * self.resolution
 
     @property
     def origin_y(self) -> float:
         """m"""
-        return self.corner[1] + min(y for y, _ in self.tiles) * self._size[0] * self.resolution
+        return self.corner[1] + self.region[0].start * self._size[0] * self.resolution
 
     @property
     def log_odds(self) -> npt.NDArray[np.float32]:
         """rows × columns"""
-        (rows, columns), (height, width) = zip(*self.tiles, strict=True), self._size
-        top, left = min(rows), min(columns)
-        shape = (max(rows) + 1 - top) * height, (max(columns) + 1 - left) * width
-        whole = np.zeros(shape, dtype=np.float32)
+        (rows, columns), (height, width) = self.region, self._size
+        whole = np.zeros((len(rows) * height, len(columns) * width), dtype=np.float32)
         for (row, column), tile in self.tiles.items():
-            y, x = (row - top) * height, (column - left) * width
-            np.multiply(tile, self.unit, out=whole[y : y + height, x : x + width], casting="unsafe")
+            if row in rows and column in columns:
+                y, x = (row - rows.start) * height, (column - columns.start) * width
+                np.multiply(tile, self.unit, out=whole[y : y + height, x : x + width], casting="unsafe")
         return whole
 
     @property
@@ -138,7 +148,7 @@ class Belief:
     """None for bare joints, and before the first feedback."""
     goal: Goal | None
     path: tuple[tuple[float, float], ...]
-    """Planned path [m] in the frame "odom"; empty if there is none."""
+    """Planned path [m] in the frame "map"; empty if there is none."""
     path_version: int
     map: MapView | None
     rejected: dict[str, int]

@@ -1,47 +1,22 @@
-"""Checks of settings, for `__post_init__`, and of tasks. A setting's message begins with the field's name.
-
-Rules. Every number of every settings dataclass has a lower and an upper bound, stated once, in that call: the
-robot file and `set` both refuse what lies beyond. Bounds are generous, and such that the work of a step is
-bounded at every combination that they allow.
-"""
+"""Checks of messages and tasks: that their numbers are finite, and what a robot could do."""
 
 from __future__ import annotations
 
-from dataclasses import Field, fields
-from typing import Any, ClassVar, Protocol, TypeAlias
+from dataclasses import fields
+from math import isfinite
 
-from protocols.messages import MILLISECOND
-
-Range: TypeAlias = tuple[float, float] | tuple[float, float, str]
-"""Least and most, and a unit for the message. Of a `Nanos` field: in ms, as in the robot file."""
+from protocols.bounds import Settings, hints
 
 
-class Settings(Protocol):
-    """Any dataclass."""
-
-    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
-
-
-def within(settings: Settings, **ranges: Range) -> None:
-    """Raise ValueError unless each of these fields is finite and from its least to its most value.
-
-    None passes: it means that a field is left to its default."""
-    for field in fields(settings):
-        value = getattr(settings, field.name)
-        if field.name not in ranges or value is None:
+def not_finite(message: Settings) -> str:
+    """Return which field of a message holds no finite number where one belongs; "" if none does."""
+    for field in fields(message):
+        value, hint = getattr(message, field.name), hints(type(message))[field.name]
+        if hint not in (float, float | None) or (value is None and hint is not float):
             continue
-        low, high, *units = ranges[field.name]
-        if "Nanos" in str(field.type):
-            value, units = value / MILLISECOND, ["ms"]
-        if not low <= value <= high:  # NaN is not, either
-            unit = f" {units[0]}" if units else ""
-            raise ValueError(f"{field.name} must be from {low:.10g} to {high:.10g}{unit}, not {value:g}")
-
-
-def ordered(settings: Settings, less: str, more: str) -> None:
-    """Raise ValueError if the second of two numbers is less than the first."""
-    if getattr(settings, more) < getattr(settings, less):
-        raise ValueError(f"{more} must not be less than {less}, {getattr(settings, less):g}")
+        if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
+            return f"its {field.name} is {value!r}, and must be a finite number"
+    return ""
 
 
 MOST = 1e6

@@ -11,9 +11,9 @@ a better one only after it has lasted for `recover`. What stays bad for `give_up
 on by itself. So is a base that has been slow or standing for `too_long`, or `too_often` within
 `often_within`. What can be driven with is slow for as long as it lasts, and drops nothing: a lidar mounted a
 little otherwise than stated, an estimate too sure of itself, a sensor that is only helpful (a gyro, where
-wheels and lidar suffice) and does not report, even from the start on. A motor in fault is lost at once. At
-the start a motor that initialises is missing, even if it already measures; later some do so briefly whenever
-they are armed.
+wheels and lidar suffice) and does not report, even from the start on. A motor in fault is lost at once, a
+sensor in fault is as one that does not report. At the start a motor that initialises is missing, even if it
+already measures; later some do so briefly whenever they are armed.
 
 Declared: after these faults a base with wheels, gyro, and a lidar of at least 10 Hz with a timeout of 500 ms
 begins to stand within this time, or way; a contradiction drops the tasks 1 s later.
@@ -61,23 +61,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from types import MappingProxyType
+from typing import Annotated
 
-from brain.checks import ordered, within
 from brain.perception.consistency import Trust, Verdict
 from brain.perception.motion_check import Contradiction
+from protocols.bounds import Bounds, Duration, check, ordered
 from protocols.messages import (
     MILLISECOND,
     SECOND,
     Event,
     Feedback,
-    Fix,
-    Imu,
-    LaserScan,
-    Marker,
     Measurement,
     Mode,
     Nanos,
-    PoseReading,
     State,
 )
 
@@ -91,50 +87,35 @@ MIN_WINDOW_COUNT = 5
 class HealthSettings:
     """When the brain slows down, stands still, and continues."""
 
-    slow_age: float = 0.5
+    slow_age: Annotated[float, Bounds(0.01, 1.0)] = 0.5
     """Share of a source's timeout: slow when the newest measurement is older than this,"""
-    stand_age: float = 0.9
+    stand_age: Annotated[float, Bounds(0.01, 1.0)] = 0.9
     """and standing when older than this: a little before the joint's own feedback timeout, at 1.0."""
-    give_up: Nanos = 5 * SECOND
+    give_up: Annotated[Duration, Bounds(1.0, 60_000.0)] = 5 * SECOND
     """After standing still for this time the tasks are dropped."""
-    contradicted: Nanos = 1 * SECOND
+    contradicted: Annotated[Duration, Bounds(1.0, 60_000.0)] = 1 * SECOND
     """After a contradiction of the sources for this time the tasks are dropped."""
-    too_long: Nanos = 10 * SECOND
+    too_long: Annotated[Duration, Bounds(100.0, 600_000.0)] = 10 * SECOND
     """After this time of being slow or standing without interruption the tasks are dropped,"""
-    too_often: int = 5
+    too_often: Annotated[int, Bounds(1, 100)] = 5
     """and when it has begun so many times"""
-    often_within: Nanos = 20 * SECOND
+    often_within: Annotated[Duration, Bounds(100.0, 600_000.0)] = 20 * SECOND
     """within this time."""
-    recover: Nanos = 300 * MILLISECOND
+    recover: Annotated[Duration, Bounds(1.0, 60_000.0)] = 300 * MILLISECOND
     """All sources must have been well for this time before full speed is allowed again."""
-    slow: float = 0.3
+    slow: Annotated[float, Bounds(0.01, 1.0)] = 0.3
     """Share of the largest speeds while slow."""
-    window: Nanos = SECOND
+    window: Annotated[Duration, Bounds(10.0, 60_000.0)] = SECOND
     """Time over which rejected measurements are counted."""
-    start_without: Nanos = 3 * SECOND
+    start_without: Annotated[Duration, Bounds(0.0, 60_000.0)] = 3 * SECOND
     """A sensor that is only helpful is awaited for this time at the start."""
-    rejected_slow: float = 0.3
+    rejected_slow: Annotated[float, Bounds(0.01, 1.0)] = 0.3
     """Share of a source's measurements rejected, from which on it is slow,"""
-    rejected_stop: float = 0.8
+    rejected_stop: Annotated[float, Bounds(0.01, 1.0)] = 0.8
     """and from which on it stands."""
 
     def __post_init__(self) -> None:
-        within(
-            self,
-            slow_age=(0.01, 1.0),
-            stand_age=(0.01, 1.0),
-            give_up=(1.0, 60_000.0),
-            contradicted=(1.0, 60_000.0),
-            too_long=(100.0, 600_000.0),
-            too_often=(1, 100),
-            often_within=(100.0, 600_000.0),
-            recover=(1.0, 60_000.0),
-            slow=(0.01, 1.0),
-            window=(10.0, 60_000.0),
-            start_without=(0.0, 60_000.0),
-            rejected_slow=(0.01, 1.0),
-            rejected_stop=(0.01, 1.0),
-        )
+        check(self)
         ordered(self, "slow_age", "stand_age")
         ordered(self, "rejected_slow", "rejected_stop")
 
@@ -161,14 +142,6 @@ class SourceHealth:
 OK = SourceHealth(HealthLevel.OK)
 CONSISTENT = Verdict()
 NOTHING: Mapping[str, str] = MappingProxyType({})
-_MEASUREMENT_NAMES = {
-    Feedback: "feedback",
-    Imu: "reading",
-    LaserScan: "scan",
-    Fix: "fix",
-    PoseReading: "pose",
-    Marker: "image",
-}
 
 
 class Health:
@@ -187,12 +160,14 @@ class Health:
         self._timeouts = {name: timeouts[name] for name in (*motors, *sensors)}
         self._motors, self._sensors = tuple(motors), tuple(sensors)
         self._last: dict[str, Nanos] = {}
-        """Time of the newest measurement, by source,"""
+        """Time of the newest measurement, by source"""
         self._measurement: dict[str, str] = {}
-        """and what it is called."""
+        """What the newest measurement is called, by source"""
         self._absent: Mapping[str, str] = {}
         """Why the newest reading shows nothing, by sensor."""
         self._received: dict[str, int] = {}
+        self._unsound: dict[str, str] = {}
+        """The sensors in fault, with the detail of their state."""
         self._faults: dict[str, str] = {}
         """The motors in fault, with the detail of their state."""
         self._initialising: dict[str, str] = {}
@@ -202,9 +177,9 @@ class Health:
         self._apart_since: Nanos | None = None
         """Since when one motor is armed and another one is not."""
         self._bad = OK
-        """The last assessment worse than OK,"""
+        """The last assessment worse than OK"""
         self._bad_at: Nanos | None = None
-        """and its time; None once recovered."""
+        """The time of that assessment; None once recovered"""
         self._began: Nanos | None = None
         self._waited: Nanos = 0
         """Since the first assessment."""
@@ -221,10 +196,20 @@ class Health:
         """Received and rejected counts at the start of the window, by source."""
         self._rejected_share: dict[str, float] = {}
 
-    def observe(self, events: Sequence[Event], absent: Mapping[str, str] = NOTHING) -> None:
+    def adopt(self, settings: HealthSettings) -> None:
+        """Continue with other settings."""
+        self.settings = settings
+
+    def observe(
+        self,
+        events: Sequence[Event],
+        absent: Mapping[str, str] = NOTHING,
+        helpful: frozenset[str] | None = None,
+    ) -> None:
         """Record which sources have reported, and when they measured; `absent`: sensors whose newest reading
-        shows nothing, and why."""
+        shows nothing, and why; `helpful`: those without which the base drives slowly, from now on."""
         self._absent = dict(absent)
+        self.helpful = self.helpful if helpful is None else helpful
         for event in events:
             if isinstance(event, State):
                 self._on_state(event)
@@ -347,6 +332,8 @@ class Health:
         """Return the health of one source, without memory."""
         if name in self._faults:
             return SourceHealth(HealthLevel.LOST, f"{name} is in fault{self._faults[name]}")
+        if name in self._unsound:
+            return SourceHealth(HealthLevel.HALT, f"{name} is in fault{self._unsound[name]}")
         if name not in self._last:
             return SourceHealth(HealthLevel.HALT, f"{name} has never reported")
         if name not in self._timeouts:
@@ -367,6 +354,10 @@ class Health:
         return OK
 
     def _on_state(self, event: State) -> None:
+        if event.motor in self._sensors:
+            self._unsound.pop(event.motor, None)
+            if event.mode is Mode.FAULT:
+                self._unsound[event.motor] = f": {event.detail}" if event.detail else ""
         if event.motor not in self._motors:
             return
         if event.mode is Mode.ARMED:
@@ -380,9 +371,9 @@ class Health:
                 motors.pop(event.motor, None)
 
     def _on_measurement(self, name: str, event: Feedback | Measurement) -> None:
-        t = event.t + (min(event.duration, SECOND) if isinstance(event, LaserScan) else 0)  # its last beam
+        t = event.t + max(0, min(getattr(event, "duration", 0), SECOND))  # of a scan: of its newest beam
         self._last[name] = max(t, self._last.get(name, t))
-        self._measurement[name] = _MEASUREMENT_NAMES[type(event)]
+        self._measurement[name] = event.noun if isinstance(event, Measurement) else "feedback"
         self._received[name] = self._received.get(name, 0) + 1
 
     def _update_window(self, now: Nanos, rejected: Mapping[str, int]) -> None:

@@ -8,19 +8,22 @@ widens what the robot file allows: `AT_RUN_TIME` states in which direction each 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from math import isfinite
 from typing import Literal, TypeAlias, TypeVar
 
 from brain.bodies.body import Base, Body
-from brain.checks import Settings
+from brain.bodies.limbs import Abilities, abilities, limbs, with_limb
 from brain.control.pursuit import PursuitSettings
 from brain.health import HealthSettings
+from brain.other_brain import Chosen
 from brain.perception.perception import PerceptionSettings
 from brain.planning.behaviours import BehaviourSettings
 from brain.planning.costmap import PlannerSettings
 from brain.planning.stop_zone import StopSettings
+from protocols.bounds import Invalid, Settings
+from protocols.bounds import keys as keys_in_file
 from protocols.messages import MILLISECOND
 
 
@@ -36,14 +39,25 @@ class BrainSettings:
     pursuit: PursuitSettings = field(default_factory=PursuitSettings)
     stop: StopSettings = field(default_factory=StopSettings)
     health: HealthSettings = field(default_factory=HealthSettings)
+    other: Chosen | None = None
+    """Who makes the commands in our brain's place: in the robot file its name, `kind`, and its own table"""
 
     def __post_init__(self) -> None:
-        radius = self.body.radius if isinstance(self.body, Base) else 0.0
+        radius = self.base.radius if self.base is not None else 0.0
         reach = radius + self.planner.margin + self.planner.comfort
         cells = reach / self.perception.map.resolution
         if cells > MAX_REACH:
             text = f"the footprint's radius, margin and comfort are {reach:g} m, {cells:.0f} cells of the map"
-            raise ValueError(f"planner: {text}; expected at most {MAX_REACH}")
+            raise Invalid(("planner", f"planner: {text}; expected at most {MAX_REACH}"))
+
+    @property
+    def base(self) -> Base | None:
+        """What drives; None if nothing does."""
+        return next((b for one in limbs(self.body).values() if (b := one.body.as_base) is not None), None)
+
+    def abilities(self, motors: Iterable[str]) -> Abilities:
+        """Return what a robot with these motors can do."""
+        return abilities(self.body, tuple(motors))
 
 
 S = TypeVar("S", bound=Settings)
@@ -97,23 +111,22 @@ AT_RUN_TIME: tuple[tuple[Direction, str, str], ...] = (
 )
 """How a number may differ from the robot file's at run time, why, and which. It may always be changed back.
 
-"body" stands for the body's own table. All others are fixed at the start: geometry and perception, since a
+"body" stands for a limb's own table. All others are fixed at the start: geometry and perception, since a
 change would invalidate the present estimate and map; the body's accelerations, since more is rougher than the
 file allows, and less makes every stop longer."""
 
 
 def keys(settings: Settings, prefix: str = "") -> Iterator[tuple[str, float]]:
     """Yield every number of a settings dataclass: its dotted key and its value, as in the robot file."""
-    for one in fields(settings):
+    for key, one in keys_in_file(type(settings)).items():
         value = getattr(settings, one.name)
         if isinstance(value, Body):
-            yield from keys(value, f"{value.kind}.")
+            for limb, own in limbs(value).items():
+                yield from keys(own.body, f"{limb}.")
         elif hasattr(value, "__dataclass_fields__"):
             yield from keys(value, f"{prefix}{one.name}.")
-        elif "Nanos" in str(one.type):
-            yield f"{prefix}{one.name}_ms", value / MILLISECOND
         elif isinstance(value, int | float):
-            yield f"{prefix}{one.name}", value
+            yield f"{prefix}{key}", value if key == one.name else value / MILLISECOND
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
@@ -133,7 +146,8 @@ def changed(
         hint = suggestion(key, known) or f"there are {', '.join(known)}"
         return settings, f"there is no setting {key!r}; {hint}"
     table, _, name = key.partition(".")
-    path = f"body.{name}" if table == settings.body.kind else key
+    limb = limbs(settings.body).get(table)
+    path = key if limb is None else f"body.{name}"
     direction = next((kind for kind, _, names in AT_RUN_TIME if path in names.split()), "fixed")
     if direction == "fixed":
         return settings, f"{key} is fixed at the start: change it in the robot file"
@@ -145,7 +159,11 @@ def changed(
     if isinstance(now, int) and not float(value).is_integer():
         return settings, f"{key} must be an integer, not {value:g}"
     try:
-        after = _replaced(settings, path.split("."), type(now)(value))
+        if limb is None:
+            after = _replaced(settings, path.split("."), type(now)(value))
+        else:
+            changed_limb = _replaced(limb.body, name.split("."), type(now)(value))
+            after = replace(settings, body=with_limb(settings.body, table, changed_limb))
     except OverflowError:
         return settings, f"{key} is out of every bound: {value:g}"
     except ValueError as error:
@@ -159,6 +177,5 @@ def _replaced(settings: S, path: list[str], value: float) -> S:
     name, *rest = path
     if rest:
         return replace(settings, **{name: _replaced(getattr(settings, name), rest, value)})
-    if not hasattr(settings, name):
-        return replace(settings, **{name.removesuffix("_ms"): round(value * MILLISECOND)})
-    return replace(settings, **{name: value})
+    field = keys_in_file(type(settings))[name].name
+    return replace(settings, **{field: value if field == name else round(value * MILLISECOND)})

@@ -45,6 +45,10 @@ class StatusReporter:
             self.add_note(level or _LEVELS[state], f"{state}: {reason}" if reason else f"{state}")
         self.state, self.reason = state, reason
 
+    def wait(self, reason: str) -> None:
+        """Stay in the state, for another reason, without a note."""
+        self.reason = reason
+
     def add_note(self, level: NoteLevel, text: str) -> None:
         """Add a note for the operator."""
         self._notes.append((level, text))

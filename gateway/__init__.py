@@ -31,6 +31,8 @@ Every error derives from `GatewayError` (gateway.errors has the tree). Protocol 
 from __future__ import annotations
 
 from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -85,6 +87,7 @@ if TYPE_CHECKING:
     from protocols.messages import Move as Move
     from protocols.messages import MoveTool as MoveTool
     from protocols.messages import Pause as Pause
+    from protocols.messages import Perform as Perform
     from protocols.messages import Position as Position
     from protocols.messages import Reach as Reach
     from protocols.messages import Release as Release
@@ -146,6 +149,7 @@ _MODULES = {
         "Move",
         "MoveTool",
         "Pause",
+        "Perform",
         "Position",
         "Reach",
         "Release",
@@ -161,6 +165,23 @@ _MODULES = {
 }
 _OF = {name: module for module, names in _MODULES.items() for name in names}
 __all__ = [*sorted(_OF), "__version__"]  # noqa: PLE0604 -- names, made from the table above
+
+
+def _check_packages() -> None:
+    """Raise ImportError if a file of the user's, beside a script say, hides one of our packages."""
+    root = Path(__file__).resolve().parents[1]
+    for name in ("brain", "protocols"):
+        found = find_spec(name)
+        places = (found and found.submodule_search_locations) or ()
+        if root / name not in (Path(each).resolve() for each in places):
+            what = (found and found.origin) or ", ".join(places) or "nothing"
+            raise ImportError(
+                f"motor-gateway needs its own package {name!r}, and {what} is found in its place: "
+                "rename that, or start Python where it is not found first"
+            )
+
+
+_check_packages()
 
 
 def __getattr__(name: str) -> object:

@@ -4,6 +4,7 @@
     frames              CanFrame, Packet, BusState: what is on a bus
     plugin              the plugin interface, and `load` to find an installed protocol by name
     toolkit             machinery that protocols share: message table, driver, firmware
+    bounds              what a setting may be; who reads the files keeps it
     message_codec       messages as bytes
     reference_vectors   bytes from independent sources
     conformance         the contract that every plugin must pass

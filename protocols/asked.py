@@ -27,7 +27,7 @@ UNDER_WAY: Nanos = 60 * SECOND
 ENDS: Nanos = SECOND
 """How long after its answer: what it changed is put back."""
 DELAYS: Nanos = 300 * MILLISECOND
-"""How old a command may be that a device is told while it moves: a set-point waits for its SYNC, and for the
+"""How old a command may be that a device is sent while it moves: a set-point waits for its SYNC, and for the
 answer to the one before."""
 TORQUE_DELAYS: Nanos = 30 * MILLISECOND
 """The same of a torque."""
@@ -94,7 +94,7 @@ class _Given:
     since: Nanos = 0
     """When another kind than before was given."""
     before: Command | None = None
-    """What the device was told last,"""
+    """What the device was sent last,"""
     place: float | None = None
     """and where it is held, since it is to stand."""
     start: float | None = None
@@ -110,7 +110,7 @@ class _Given:
     values: dict[str, float] = field(default_factory=dict)
     """The parameters that were asked to be written, ever."""
     kept: dict[str, float] = field(default_factory=dict)
-    """What it was last told of each number: a device that does not run keeps it, and nothing comes of it."""
+    """What it was last sent of each number: a device that does not run keeps it, and nothing comes of it."""
 
     def close(self, one: Command, name: str, value: float) -> bool:
         """True if a number of a command is this one, but for its encoding."""
@@ -137,7 +137,7 @@ class _Given:
 
     def was(self, now: Nanos, one: Command, name: str, most: Nanos = DELAYS) -> bool:
         """True if the device had this number in a command of this type a short time ago: a shorter one if it
-        is to stand now, and is told again what it already does, as by a mode before the set-point."""
+        is to stand now, and is sent again what it already does, as by a mode before the set-point."""
         within = LATENCY if _stands(self.command) and name != "position" else most
         return any(
             now - until <= within and type(each) is type(one) and self.close(one, name, getattr(each, name))
@@ -201,13 +201,13 @@ class Asked:
         device = self._devices.get(name)
         if device is not None and (under_way := device.asked.get(kind)):
             answered = device.answered.get(kind, 0) + 1
-            if answered >= len(under_way):  # which of several is answered is not said
+            if answered >= len(under_way):  # which of several is answered is not known
                 device.asked[kind] = [event.t + ENDS]
                 answered = 0
             device.answered[kind] = answered
 
     def passed(self, one: Obeyed, reported: Reported) -> None:
-        """Note what a device has been told."""
+        """Note what a device has been sent."""
         device = self._devices.get(getattr(one, "motor", ""))
         if device is None:
             return
@@ -225,18 +225,24 @@ class Asked:
         """True if a device is to be disarmed, or to come to rest."""
         return _stands(self._devices[motor].command)
 
-    def moves_on(self, motor: str) -> bool:
-        """True if a device is to stand, and was told last to turn, or to push."""
-        device = self._devices[motor]
-        command, told = device.command, device.before
-        if told is None or isinstance(told, msg.Idle) or not _stands(command):
-            return False
-        if isinstance(command, msg.Idle):
-            return True
-        numbers = ("torque",) if isinstance(told, msg.Torque) else ("velocity",)
-        return any(hasattr(told, name) and not device.close(told, name, 0.0) for name in numbers)
+    def is_to_be_idle(self, motor: str) -> bool:
+        """True if a device is to be disarmed."""
+        return isinstance(self._devices[motor].command, msg.Idle)
 
-    # -- what may be told ---------------------------------------------------------------------------
+    def moves_on(self, motor: str) -> bool:
+        """True if a device is to stand, and was sent last what makes it turn, or push, or keeps it armed."""
+        device = self._devices[motor]
+        if device.before is None or isinstance(device.before, msg.Idle) or not _stands(device.command):
+            return False
+        return self.is_to_be_idle(motor) or _moves(device, device.before)
+
+    def holds(self, motor: str) -> bool:
+        """True if a device is not to be disarmed, and was sent last what neither turns it nor disarms it."""
+        device = self._devices[motor]
+        idle = device.before is None or isinstance(device.before, msg.Idle) or self.is_to_be_idle(motor)
+        return not idle and device.before is not None and not _moves(device, device.before)
+
+    # -- what may be sent ---------------------------------------------------------------------------
 
     def is_asked(self, now: Nanos, motor: str, kinds: Iterable[type[object]]) -> bool:
         """True if a request of one of these kinds to a device is under way."""
@@ -350,6 +356,12 @@ def _stands(command: Command) -> bool:
     return still or isinstance(command, msg.Idle | msg.Hold)
 
 
+def _moves(device: _Given, one: Command) -> bool:
+    """True if a set-point turns a device, or pushes."""
+    numbers = ("torque",) if isinstance(one, msg.Torque) else ("velocity",)
+    return any(hasattr(one, name) and not device.close(one, name, 0.0) for name in numbers)
+
+
 def _objection_to_command(
     now: Nanos, device: _Given, one: Command, reported: Reported, names: Iterable[str]
 ) -> Objection | None:
@@ -359,11 +371,13 @@ def _objection_to_command(
         return NOT_COMMANDED, f"Hold, and it has {device.raw}"
     alike = type(one) is type(command)
     changing = now - device.since <= CHANGES and not _stands(command)
+    # A velocity may go on from where the device is: by a position, again after an outage.
+    turning = changing or isinstance(command, msg.Velocity)
     for name in names:
         value: float = getattr(one, name)
         has: float | None = getattr(command, name, None)
         last: float | None = getattr(before, name, None)
-        if has is not None and (alike or changing or name == "torque") and device.close(one, name, has):
+        if has is not None and (alike or turning or name == "torque") and device.close(one, name, has):
             continue
         if name != "position" and device.close(one, name, 0.0):
             continue

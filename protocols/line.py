@@ -9,7 +9,7 @@ place. Set-points are levels: those that a driver gives in a step take the place
 in the order given, so that nothing arms a device later. What answers goes to who asked, with what was asked;
 an exchange that is replaced, taken back or blocked ends without a word. Who has been silent is asked less
 often. All that is kept is bounded, whatever is given and whatever comes. The line knows of no echo: a port
-that hears itself takes that out. No clock, no bus: plain data, in virtual time as on a port.
+that receives itself takes that out. No clock, no bus: plain data, in virtual time as on a port.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ ROUND: Nanos = 20 * MILLISECOND
 took longer."""
 
 LONGEST_QUIET: Nanos = 2 * MILLISECOND
-"""While bytes go on coming that nobody asked for, silence is waited for longer each time, at most so long."""
+"""While unrequested bytes go on coming, silence is waited for longer each time, at most so long."""
 UNANSWERED = 8
 """Exchanges without an answer that are remembered, since it may come late."""
 
@@ -70,6 +70,9 @@ class Answer:
     frozen dataclass with `__call__`, so that it can be copied."""
     delay: Nanos = 0
     """The longest time that the device (or all of them together) wait before they answer."""
+    usual: int = 0
+    """Bytes, if nothing is wrong and nothing stuffed: it is not looked for before so many can have
+    come. 0: it is looked for whenever something comes."""
 
 
 class Exchange(bytes):
@@ -88,6 +91,8 @@ class Exchange(bytes):
     rank: Rank
     about: str
     tries: int
+    key: tuple[Rank, str | bytes] | None
+    """What two of one driver have in common of which only the newer one is sent; None: each is."""
 
     def __new__(
         cls,
@@ -100,24 +105,19 @@ class Exchange(bytes):
         """Make one."""
         made = super().__new__(cls, frame)
         made.answer, made.rank, made.about, made.tries = answer, rank, about, tries
+        if rank is Rank.RELEASE:
+            made.key = rank, frame
+        else:
+            made.key = (rank, about or frame) if about or rank is Rank.SET_POINT else None
         return made
 
     def __deepcopy__(self, memo: object) -> Exchange:
         """It is a constant."""
         return self
 
-    @property
-    def key(self) -> tuple[Rank, str | bytes] | None:
-        """What two of one driver have in common of which only the newer one is sent; None: each is."""
-        if self.rank is Rank.RELEASE:
-            return self.rank, bytes(self)
-        if self.about or self.rank is Rank.SET_POINT:
-            return self.rank, self.about or bytes(self)
-        return None
-
 
 def exchange(frame: bytes) -> Exchange:
-    """Return a frame as an exchange: without more, it is a set-point that nobody answers."""
+    """Return a frame as an exchange: without more, it is a set-point without an answer."""
     return frame if isinstance(frame, Exchange) else Exchange(frame, None, Rank.SET_POINT)
 
 
@@ -153,21 +153,23 @@ class Line:
     rate: int
     """bit/s"""
     half_duplex: bool = True
-    """Both directions share one wire. False: what nobody answers need not wait for an answer to end."""
+    """Both directions share one wire. False: what has no answer need not wait for an answer to end."""
     slack: Nanos = 300_000
     """What an answer may be late: latency of the port both ways, period of the loop's readings."""
     quiet: Nanos = 100_000
-    """Silence that is waited for after bytes that nobody asked for, and after an answer that did not come."""
+    """Silence that is waited for after unrequested bytes, and after an answer that did not come."""
     gap: Nanos = 0
     """From the end of an answer to the next frame: a device must have released the line."""
     waiting: list[Waiting] = field(default_factory=list)
     out: Waiting | None = None
     """The exchange under way,"""
-    overdue: Nanos = 0
-    """when its answer is, and"""
+    given: Nanos = 0
+    """when it was handed over, and"""
+    latest: Nanos = 0
+    """when its answer is overdue if it has not begun, and"""
     held: bytes = b""
     """what has come of it."""
-    heard: Nanos = 0
+    last_byte: Nanos = 0
     """When the last byte of it was sent, or has come."""
     free: Nanos = 0
     """When the wire is idle again."""
@@ -193,7 +195,7 @@ class Line:
     overtaken: int = 0
     """Steps of drivers in which a set-point of the step before was not sent yet: the line is too slow."""
     stray: int = 0
-    """Bytes that nobody asked for,"""
+    """Bytes that were not requested,"""
     pieces: int = 0
     """and since something was sent, in how many pieces."""
     cut: int = 0
@@ -202,10 +204,21 @@ class Line:
     """Answers that came when they had been given up."""
     unanswered: list[Exchange] = field(default_factory=list)
     """The last that were given up, the newest at the end."""
+    searched: tuple[bytes, tuple[int, int] | None] = (b"", None)
+    """Where the answer under way was last looked for, and found: it is looked for once."""
 
     def time(self, size: int) -> Nanos:
         """Return the time that this many bytes take."""
         return size * BITS * SECOND // self.rate
+
+    @property
+    def overdue(self) -> Nanos:
+        """When the answer under way is. One that has begun is sent to its end, whoever sends in the meantime:
+        while it comes it is waited for, once more as long as it may take."""
+        if not self.held or self.out is None or self.out.exchange.answer is None:
+            return self.latest
+        more = self.time(self.out.exchange.answer.size) + self.slack
+        return max(self.latest, min(self.last_byte + self.slack, self.latest + more))
 
     # -- what waits ---------------------------------------------------------------------------
 
@@ -274,12 +287,20 @@ class Line:
             answer = one.exchange.answer
             if answer is not None:
                 one.left -= 1
-                self.out, self.held, self.heard = one, b"", now + self.time(size)
-                self.overdue = self.heard + self.time(answer.size) + answer.delay + self.slack
+                self.out, self.held, self.given, self.last_byte = one, b"", now, now + self.time(size)
+                self.searched = b"", None
+                self.latest = self.last_byte + self.time(answer.size) + answer.delay + self.slack
                 break
         self.free = max(self.free, now + self.time(size))
         self.pieces = 0 if taken else self.pieces
         return taken
+
+    def written(self, now: Nanos) -> None:
+        """Note that what was handed over last was written by now: what made it took its time, and the answer
+        is waited for from here on."""
+        if self.out is not None and not self.held:
+            late = max(0, now - self.given)
+            self.last_byte, self.latest = self.last_byte + late, self.latest + late
 
     def blocked(self, held_back: Exchange) -> None:
         """Note that the guard has held back what was handed over last: no answer will come."""
@@ -288,11 +309,11 @@ class Line:
 
     def _next(self, now: Nanos) -> Waiting | None:
         """Return what is next: what disarms; else of this round the first by rank, drivers in turn."""
-        ready = [
-            one
-            for one in self.waiting
-            if self._may_be_sent(one) <= now and (self.out is None or one.exchange.answer is None)
-        ]
+        ready = self.waiting
+        if self.silence:
+            ready = [one for one in ready if self._may_be_sent(one) <= now]
+        if self.out is not None:
+            ready = [one for one in ready if one.exchange.answer is None]
         if not ready:
             return None
         for one in ready:
@@ -345,7 +366,7 @@ class Line:
     # -- in -----------------------------------------------------------------------------------
 
     def receive(self, t: Nanos, data: bytes) -> tuple[list[Ended], bytes]:
-        """Take bytes that have come; return what they complete, and what nobody asked for."""
+        """Take bytes that have come; return what they complete, and what was not requested."""
         if self.out is None:  # of one that is late: it has the line until it is silent
             self._on_stray(t, data)
             return [], data
@@ -354,8 +375,11 @@ class Line:
         # An answer that has not ended yet began within its size; twice that leaves room for noise in it.
         oldest = max(0, len(self.held) - 2 * size)
         self.stray += oldest
-        self.held, self.heard = self.held[oldest:] + data, max(self.heard, t) if data else self.heard
-        found = _find(asked, self.held)
+        self.held, self.last_byte = (
+            self.held[oldest:] + data,
+            max(self.last_byte, t) if data else self.last_byte,
+        )
+        found = self._answer_in(self.held)
         if found is None:
             return [], b""
         start, end = found
@@ -384,8 +408,20 @@ class Line:
                 return
 
     def completes(self, data: bytes) -> bool:
-        """True if these bytes, behind those that have come, complete what is awaited. Changes nothing."""
-        return self.out is not None and _find(self.out.exchange, self.held + data) is not None
+        """True if these bytes, behind those that have come, complete what is awaited. Decides nothing."""
+        return self.out is not None and self._answer_in(self.held + data) is not None
+
+    def _answer_in(self, held: bytes) -> tuple[int, int] | None:
+        """Return where in these bytes the answer under way begins and ends."""
+        if self.searched[0] != held:
+            self.searched = held, _find(self.out.exchange, held) if self.out is not None else None
+        return self.searched[1]
+
+    def time_to_complete(self, size: int) -> Nanos:
+        """Return in which time, after so many bytes more than those that have come, the answer under way can
+        be complete."""
+        answer = self.out.exchange.answer if self.out is not None else None
+        return 0 if answer is None else self.time(max(0, answer.usual - len(self.held) - size))
 
     def _end(self, t: Nanos, data: bytes, *, complete: bool) -> Ended:
         one = self.out
@@ -415,20 +451,20 @@ class Line:
         if one.left <= 0 or newer:
             return [ended]
         one.round = self.round + 1
-        self.waiting.append(one)  # behind the others: one that is silent keeps nobody waiting
+        self.waiting.append(one)  # behind the others: one that is silent keeps none waiting
         return [ended] if ended.data else []
 
     def _given_up(self) -> Nanos:
         """Return when the answer under way is not waited for any longer."""
         if any(self._goes_first(one) for one in self.waiting):
-            return min(self.overdue, self.heard + PATIENCE)
+            return min(self.overdue, self.last_byte + PATIENCE)
         return self.overdue
 
     def due(self) -> Nanos | None:
         """Return when there is something to hand over, or an answer is overdue."""
-        times = [self._may_be_sent(one) for one in self.waiting]
         if self.out is None:
-            return max(self.free, min(times)) if times else None
+            soonest = min(map(self._may_be_sent, self.waiting)) if self.waiting and self.silence else 0
+            return max(self.free, soonest) if self.waiting else None
         unanswered = any(one.exchange.answer is None for one in self.waiting)
         return min(self.free, self._given_up()) if unanswered and not self.half_duplex else self._given_up()
 
@@ -437,7 +473,7 @@ def _find(asked: Exchange, held: bytes) -> tuple[int, int] | None:
     """Return where the answer begins and ends. A plugin that raises has found none: the wire never raises."""
     try:
         return asked.answer.find(asked, held) if asked.answer is not None else None
-    except Exception:  # noqa: BLE001 -- a plugin's; it is told that the answer is lost
+    except (Exception, SystemExit):  # noqa: BLE001 -- a plugin's; it learns that the answer is lost
         return None
 
 

@@ -5,9 +5,10 @@ message, bit for bit (float64 throughout, also for the ranges of a scan). `pack`
 no message (a mistake of the caller); `unpack` returns None for malformed bytes, and never raises.
 
 A packed message is a msgpack array: the message's code (`CODES`, never renumbered), then its fields in the
-order of `protocols.messages`. Floats are float64; fixed tuples are arrays; a tuple of any length, of floats
-or of points, is a binary string of little-endian float64, and one of messages an array of them. Decoding
-also accepts integers and float32 for floats, since many msgpack writers shorten numbers.
+order of its class; of a kind of sensor that is not ours the code is the kind's name. Floats are float64;
+fixed tuples are arrays; a tuple of any length, of floats or of points, is a binary string of little-endian
+float64, and one of messages an array of them. Decoding also accepts integers and float32 for floats, since
+many msgpack writers shorten numbers.
 """
 
 from __future__ import annotations
@@ -16,14 +17,15 @@ import math
 import struct
 import types
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
+from functools import cache
 from operator import attrgetter
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 import msgpack
 
-from protocols import messages
-from protocols.messages import Message, Mode
+from protocols import messages, sensors
+from protocols.messages import Message, Mode, Plain
 
 CODES: dict[int, type[Message]] = {
     1: messages.Idle,
@@ -46,21 +48,12 @@ CODES: dict[int, type[Message]] = {
     31: messages.Set,
     32: messages.Leave,
     33: messages.Confirm,
-    50: messages.Goal,
     51: messages.Drive,
     52: messages.Mission,
     53: messages.Pause,
     54: messages.Resume,
     55: messages.Drop,
-    56: messages.Move,
-    57: messages.Turn,
-    58: messages.Follow,
-    59: messages.Wait,
-    60: messages.Dock,
-    61: messages.Reach,
-    62: messages.Repeat,
-    63: messages.Try,
-    64: messages.MoveTool,
+    **messages.STEPS,
     70: messages.Feedback,
     71: messages.State,
     72: messages.Fault,
@@ -68,21 +61,24 @@ CODES: dict[int, type[Message]] = {
     74: messages.Done,
     75: messages.Refused,
     76: messages.Parameter,
-    77: messages.Imu,
-    78: messages.LaserScan,
-    79: messages.Fix,
-    80: messages.PoseReading,
-    81: messages.Marker,
+    **{kind.code: kind.message for kind in sensors.OURS if kind.code is not None},
 }
 """The message type of each code, the first element of a packed message. A code is never reused. Arm and Kept
 have none: they are decoded from frames, and neither sent nor recorded."""
+
+
+def _defaults(kind: type[Message]) -> list[Any]:
+    """Return the defaults of the last fields of a message, of those that have one."""
+    return [one.default for one in fields(kind) if one.default is not MISSING]
+
+
 ADDED_FIELDS: dict[type[Message], list[Any]] = {
     messages.Hold: [0.0],
     messages.Found: [False],
     messages.Leave: [False, False],
-    messages.LaserScan: [0],
-    messages.Goal: [False],
+    **{kind.message: list(kind.added) for kind in sensors.OURS if kind.added},
     messages.Drive: [0.0],
+    **{kind: _defaults(kind) for kind in messages.STEPS.values()},
 }
 """Defaults of fields that were added at the end of a message: older recordings lack them."""
 MAX_ITEMS = 64
@@ -168,6 +164,37 @@ def _decode_points(data: object) -> tuple[tuple[float, float], ...]:
     return tuple(zip(numbers[::2], numbers[1::2], strict=True))
 
 
+def _encode_named(named: object) -> list[list[Any]]:
+    if not isinstance(named, tuple) or not all(isinstance(one, tuple) and len(one) == 2 for one in named):
+        raise TypeError(f"{named!r} is not a tuple of names with values")
+    return [[_str(name), _encode_plain(value)] for name, value in named]
+
+
+def _encode_plain(value: object) -> object:
+    if isinstance(value, tuple) and len(value) <= MAX_ITEMS:
+        return [_encode_plain(one) for one in value]
+    return _plain(value, 0)
+
+
+def _decode_named(rows: object) -> tuple[tuple[str, Plain], ...]:
+    if type(rows) is not list or not all(type(row) is list and len(row) == 2 for row in rows):
+        raise ValueError("not names with values")
+    return tuple((_str(name), _decode_plain(value)) for name, value in rows)
+
+
+def _decode_plain(value: object) -> Any:  # noqa: ANN401 -- a `Plain`
+    return tuple(map(_decode_plain, value)) if type(value) is list else _plain(value, 1)
+
+
+def _plain(value: object, way: int) -> object:
+    """Return a number, text or bool encoded or decoded; None as it is."""
+    if value is None:
+        return None
+    if type(value) not in (float, int, bool, str):
+        raise ValueError(f"{value!r} is no number, text, bool, or tuple of at most {MAX_ITEMS} of them")
+    return _SCALARS[type(value)][way](value)
+
+
 def _check_finite(values: Sequence[float]) -> None:
     # A finite sum proves it in a fifth of the time; only a sum that overflows needs the slow check.
     if not math.isfinite(sum(values)) and not all(map(math.isfinite, values)):
@@ -175,6 +202,13 @@ def _check_finite(values: Sequence[float]) -> None:
 
 
 _Convert = Callable[[object], object]
+_SCALARS: dict[object, tuple[_Convert, _Convert]] = {
+    float: (_encode_float, _decode_float),
+    int: (_int, _int),
+    bool: (_bool, _bool),
+    str: (_str, _str),
+    Mode: (_encode_mode, _decode_mode),
+}
 
 
 def _vector(length: int) -> tuple[_Convert, _Convert]:
@@ -228,21 +262,16 @@ def _optional(encode: _Convert, decode: _Convert) -> tuple[_Convert, _Convert]:
 
 def _converters(hint: object) -> tuple[_Convert, _Convert]:
     """Return the encoder and the decoder of fields of this type."""
-    scalars: dict[object, tuple[_Convert, _Convert]] = {
-        float: (_encode_float, _decode_float),
-        int: (_int, _int),
-        bool: (_bool, _bool),
-        str: (_str, _str),
-        Mode: (_encode_mode, _decode_mode),
-    }
-    if hint in scalars:
-        return scalars[hint]
+    if hint in _SCALARS:
+        return _SCALARS[hint]
     if get_origin(hint) is tuple:
         items = get_args(hint)
         if Ellipsis not in items:
             return _vector(len(items))
         if items[0] is float:
             return _encode_floats, _decode_floats
+        if get_origin(items[0]) is tuple and get_args(items[0])[0] is str:
+            return _encode_named, _decode_named
         if get_origin(items[0]) is tuple:
             return _encode_points, _decode_points
         return _nested(frozenset(get_args(items[0])))
@@ -267,10 +296,10 @@ bits; one to be encoded must be checked."""
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class MessageLayout:
     """How one type of message is encoded and decoded, and which of its fields `plain` leaves out."""
 
-    code: int
+    code: int | str
     message_type: type[Message]
     values: Callable[[Message], tuple[Any, ...]]
     """Returns the values of all fields."""
@@ -284,13 +313,13 @@ class Layout:
     """Index of the field `t`."""
 
 
-def _layout(code: int, message_type: type[Message]) -> Layout:
+def _layout(code: int | str, message_type: type[Message]) -> MessageLayout:
     names = [f.name for f in fields(message_type)]
     hints = get_type_hints(message_type)
     fast = [_AS_IT_IS.get(hints[name], frozenset()) for name in names]
     pairs = [_converters(hints[name]) for name in names]
     subject = next((n for n in ("motor", "sensor", "bus", "name") if n in names), None)
-    return Layout(
+    return MessageLayout(
         code,
         message_type,
         _getter(names),
@@ -311,6 +340,13 @@ LAYOUTS = {code: _layout(code, message_type) for code, message_type in CODES.ite
 _BY_TYPE = {layout.message_type: layout for layout in LAYOUTS.values()}
 
 
+@cache
+def _others() -> dict[object, MessageLayout]:
+    """Return the layouts of readings of kinds of sensors that are not ours, by their names and classes."""
+    layouts = [_layout(kind.name, kind.message) for kind in sensors.kinds().strangers]
+    return {key: layout for layout in layouts for key in (layout.code, layout.message_type)}
+
+
 # -- packed messages -------------------------------------------------------------------------------------
 
 
@@ -326,19 +362,28 @@ def unpack(data: bytes) -> Message | None:
     return None if unpacked is None else unpacked[0].message_type(*unpacked[1])
 
 
-def layout_of(message: Message) -> Layout:
+def kind_in(data: bytes) -> str:
+    """Return the name of the kind of sensor, not one of ours, whose reading these bytes are; "" if none."""
+    try:
+        row = msgpack.unpackb(data, max_array_len=MAX_ITEMS, max_map_len=0, max_ext_len=0)
+    except (ValueError, TypeError, OverflowError, msgpack.UnpackException):
+        return ""
+    return row[0] if type(row) is list and row and type(row[0]) is str else ""
+
+
+def layout_of(message: Message) -> MessageLayout:
     """Return the layout of a message. Raises ValueError for anything else."""
-    layout = _BY_TYPE.get(type(message))
+    layout = _BY_TYPE.get(type(message)) or _others().get(type(message))
     if layout is None:
         raise ValueError(f"{message!r} is not a message")
     return layout
 
 
-def pack_fields(layout: Layout, values: Sequence[Any]) -> bytes:
+def pack_fields(layout: MessageLayout, values: Sequence[Any]) -> bytes:
     """Encode a message with these fields. Raises ValueError as `pack` does."""
     try:
         row = [layout.code, *_converted(layout.encode, values)]
-        if layout.message_type is messages.Mission:
+        if layout.message_type in (messages.Mission, messages.Perform):
             _check_depth(row)
         packed: bytes = msgpack.packb(row)
     except (TypeError, ValueError, OverflowError, RecursionError, struct.error) as error:
@@ -356,7 +401,7 @@ def _converted(converters: Sequence[tuple[frozenset[type], _Convert]], values: S
     return converted
 
 
-def unpack_fields(data: bytes) -> tuple[Layout, list[Any]] | None:
+def unpack_fields(data: bytes) -> tuple[MessageLayout, list[Any]] | None:
     """Decode the layout and fields of a message; None if the bytes hold none. Never raises."""
     try:
         row = msgpack.unpackb(data, max_array_len=MAX_ITEMS, max_map_len=0, max_ext_len=0)
@@ -365,16 +410,18 @@ def unpack_fields(data: bytes) -> tuple[Layout, list[Any]] | None:
         return None
 
 
-def _decoded(row: object) -> tuple[Layout, list[Any]]:
+def _decoded(row: object) -> tuple[MessageLayout, list[Any]]:
     """Return the layout and the fields of a row. Raises ValueError if it is no message."""
-    if type(row) is not list or not row or type(row[0]) is not int or row[0] not in LAYOUTS:
+    if type(row) is not list or not row or type(row[0]) not in (int, str):
         raise ValueError("not a message")
-    layout = LAYOUTS[row[0]]
-    added = ADDED_FIELDS.get(layout.message_type, [])
-    row += added if len(row) + len(added) == len(layout.decode) + 1 else []
+    layout = LAYOUTS.get(row[0]) or _others().get(row[0])
+    if layout is None:
+        raise ValueError(f"no message has the code {row[0]!r}")
+    added, missing = ADDED_FIELDS.get(layout.message_type, []), len(layout.decode) + 1 - len(row)
+    row += added[-missing:] if 0 < missing <= len(added) else []
     if len(row) != len(layout.decode) + 1:
         raise ValueError("too many fields, or too few")
-    if layout.message_type is messages.Mission:
+    if layout.message_type in (messages.Mission, messages.Perform):
         _check_depth(row)
     return layout, _converted(layout.decode, row[1:])
 

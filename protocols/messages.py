@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TypeAlias, TypeVar, dataclass_transform, get_args
+from typing import ClassVar, TypeAlias, TypeVar, dataclass_transform, get_args
 
 Kind = TypeVar("Kind")
 
@@ -21,8 +21,14 @@ def value(kind: type[Kind]) -> type[Kind]:
     """Make a class a value that is never changed.
 
     The type checker enforces that; a dataclass frozen at run time takes three times as long to create, and
-    some ten of these are created for every motor in every step."""
-    return dataclass(slots=True, unsafe_hash=True)(kind)
+    some ten of these are created for every motor in every step. A copy of it is itself."""
+    made = dataclass(slots=True, unsafe_hash=True)(kind)
+    setattr(made, "__deepcopy__", _itself)  # noqa: B010 -- for the type checker it has none
+    return made
+
+
+def _itself(value: Kind, _: object) -> Kind:
+    return value
 
 
 Nanos: TypeAlias = int
@@ -346,7 +352,7 @@ class Reach:
 
 @value
 class MoveTool:
-    """Bring the tip of an arm to a place in the frame of its base [m]."""
+    """Bring the tip of an arm to a place in the robot's frame [m]; an arm alone stands at its origin."""
 
     x: float
     y: float
@@ -355,6 +361,8 @@ class MoveTool:
     """Roll, pitch and yaw of the tip [rad], or None for any"""
     seconds: float = 0.0
     """Time of the motion, if the arm needs no more"""
+    limb: str = ""
+    """Which arm, of a robot with several"""
 
 
 @value
@@ -374,7 +382,36 @@ class Try:
     otherwise: tuple[Step, ...] = ()
 
 
-Step: TypeAlias = Goal | Move | Turn | Follow | Wait | Dock | Reach | MoveTool | Repeat | Try
+Plain: TypeAlias = "bool | int | float | str | tuple[Plain, ...] | None"
+"""What a field of another distribution's skill may hold."""
+
+
+@value
+class Perform:
+    """Do what a skill of another distribution does."""
+
+    skill: str
+    """Its name"""
+    values: tuple[tuple[str, Plain], ...] = ()
+    """Of its fields, by name"""
+
+
+Step: TypeAlias = Goal | Move | Turn | Follow | Wait | Dock | Reach | MoveTool | Repeat | Try | Perform
+STEPS: dict[int, type[Step]] = {
+    50: Goal,
+    56: Move,
+    57: Turn,
+    58: Follow,
+    59: Wait,
+    60: Dock,
+    61: Reach,
+    64: MoveTool,
+    62: Repeat,
+    63: Try,
+    65: Perform,
+}
+"""By the code with which each is packed (`protocols.message_codec`), in the order in which a person reads of
+them. A field that is added to one has a default and stands last: older recordings lack it."""
 
 
 @value
@@ -511,11 +548,20 @@ class Parameter:
 
 
 @value
-class Imu:
-    """An inertial measurement in the sensor's own frame."""
+class Measurement:
+    """What a sensor reports. Each kind of sensor has a class of its own, here or in another's package;
+    `protocols.sensors` has what is known of each."""
 
+    noun: ClassVar[str] = "reading"
+    """What one is called in a sentence."""
     sensor: str
     t: Nanos
+
+
+@value
+class Imu(Measurement):
+    """An inertial measurement in the sensor's own frame."""
+
     angular_velocity: tuple[float, float, float]
     """rad/s about x, y, z"""
     linear_acceleration: tuple[float, float, float]
@@ -525,12 +571,10 @@ class Imu:
 
 
 @value
-class LaserScan:
-    """One revolution of a planar lidar in the sensor's own frame."""
+class LaserScan(Measurement):
+    """One revolution of a planar lidar in the sensor's own frame; `t` is that of its first beam."""
 
-    sensor: str
-    t: Nanos
-    """Time of the first beam"""
+    noun: ClassVar[str] = "scan"
     angle_min: float
     """rad, of the first beam; beams go counter-clockwise"""
     angle_increment: float
@@ -542,15 +586,15 @@ class LaserScan:
     ranges: tuple[float, ...]
     """m, one per beam, finite"""
     duration: Nanos = 0
-    """From the first beam to the last, which are evenly spaced in time; 0: all at one instant"""
+    """From the first beam to the last, which are evenly spaced in time; negative if the last one was measured
+    first, as by a lidar that turns clockwise; 0: all at one instant"""
 
 
 @value
-class Fix:
+class Fix(Measurement):
     """A position on the earth (WGS 84): degrees, degrees, m, and its horizontal variance in m²."""
 
-    sensor: str
-    t: Nanos
+    noun: ClassVar[str] = "fix"
     latitude: float
     longitude: float
     altitude: float | None = None
@@ -558,11 +602,10 @@ class Fix:
 
 
 @value
-class PoseReading:
-    """The robot's pose in its frame "odom", measured from outside: motion capture, markers."""
+class PoseReading(Measurement):
+    """The robot's pose in the frame "map", measured from outside: motion capture, markers."""
 
-    sensor: str
-    t: Nanos
+    noun: ClassVar[str] = "pose"
     x: float
     """m"""
     y: float
@@ -575,13 +618,12 @@ class PoseReading:
 
 
 @value
-class Marker:
+class Marker(Measurement):
     """A marker (a tag, or a target of a known size) in an image of a camera, in the sensor's own frame: x
-    along the optical axis, y to the left, z up. An image without any is reported as one without a number."""
+    along the optical axis, y to the left, z up. An image without any is reported as one without a number; `t`
+    is that of the image."""
 
-    sensor: str
-    t: Nanos
-    """Time of the image"""
+    noun: ClassVar[str] = "image"
     marker: int | None
     """Number of the marker; None: the image shows none"""
     position: tuple[float, float, float] | None = None
@@ -595,6 +637,5 @@ class Marker:
     """rad², of the orientation"""
 
 
-Measurement: TypeAlias = Imu | LaserScan | Fix | PoseReading | Marker
 Event: TypeAlias = Feedback | State | Fault | Found | Done | Refused | Parameter | Measurement
 Message: TypeAlias = Obeyed | Task | Step | Event

@@ -19,19 +19,18 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cache, lru_cache
-from importlib.metadata import EntryPoint, distributions, entry_points
+from importlib.metadata import EntryPoint
 from itertools import groupby
 from math import inf
 from typing import Any, Literal, Protocol, TypeAlias, runtime_checkable
 
+from protocols.entry_points import OURS, is_ours, offered, owner
 from protocols.frames import BusState, Frame, IdMask
 from protocols.line import Exchange
 from protocols.messages import Command, Event, Nanos, Obeyed, Request, Torque
 from protocols.suggest import did_you_mean
 
 GROUP = "motor_gateway.protocols"
-OURS = "motor-gateway"
-"""The distribution that this interface belongs to."""
 
 
 # -- what a plugin describes ---------------------------------------------------------------------------
@@ -60,7 +59,7 @@ class RxCounters:
     accepted: int = 0
     """Valid, and from or for one of the driver's devices."""
     malformed: int = 0
-    """Of one of the driver's devices, but with a wrong length, checksum or content: it had no effect."""
+    """Of one of the driver's devices, and without effect, as its length, checksum or content was wrong."""
     ignored: int = 0
     """Of another device or protocol, or another kind of frame."""
 
@@ -233,6 +232,9 @@ class Spec:
     gains: tuple[float, float] | None = None
     """Stiffness [N·m/rad] and damping [N·m·s/rad], if the device has Impedance, and makes a spring and damper
     of Position and Hold, and a damper of Velocity: their torque is limited as that of an Impedance is."""
+    ramps: Mapping[type[Command], float] = field(default_factory=dict)
+    """By command for which the device has a ramp of its own, by its options: how fast it lets its velocity
+    change [rad/s²]. A joint that is limited to more runs ahead of it, and brakes longer than is expected."""
     scales: Mapping[str, str] = field(default_factory=dict)
     """By option that decides what a number in a frame means (pole pairs, a model): how the driver learns of
     the device that it is right; "": it does not, and a robot file that leaves it out is warned of. An option
@@ -245,6 +247,10 @@ class Spec:
     `answer` takes what came. "half-duplex": the same, on one wire for both directions."""
     caution: str = ""
     """What else a person must know of its options, printed at every start."""
+
+    def __deepcopy__(self, memo: object) -> Spec:
+        """It is a constant."""
+        return self
 
 
 REMEMBERED = 512
@@ -322,7 +328,7 @@ class Twin(Protocol):
 
     def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
         """Run the firmware up to `now`; `truth` is the true motion of the shaft (Feedback) or what the
-        sensor observes (Imu, LaserScan, Fix, PoseReading).
+        sensor observes (a Measurement).
 
         Returns the torque on the shaft, at the device's side of the gear, and the frames that the device
         sends. Steps may be as short as the world's."""
@@ -366,11 +372,11 @@ class Plugin:
     """Which bytes were checked against which package@version or repository@commit."""
     options: type
     """Dataclass of typed options with defaults: how the driver should behave. Checked by `config`
-    (types, unknown names); its `__post_init__` may raise ValueError with a sentence."""
+    (types, unknown names); its `__post_init__` may raise `Invalid`, which names the option."""
     settings: type
     """Dataclass of typed settings with defaults: what is configured on the device (for the twin)."""
     spec: Callable[[Device], Spec]
-    """May raise ValueError with a sentence, for an address or options that a device cannot have."""
+    """May raise `Invalid`, for an address ("address") or options ("options.NAME") that no device can have."""
     driver: Callable[[Sequence[Device]], Driver]
     decoder: Callable[[Sequence[Device]], CommandDecoder]
     twin: Callable[[Device, int], Twin]
@@ -411,7 +417,7 @@ class UnknownProtocol(LookupError):
 
 def installed() -> tuple[EntryPoint, ...]:
     """Return the entry points of every installed protocol, by name. Takes milliseconds: call it at start."""
-    return _entry_points()[0]
+    return offered(GROUP).points
 
 
 def load(name: str) -> Plugin:
@@ -426,32 +432,14 @@ def load(name: str) -> Plugin:
 
 def load_all() -> tuple[tuple[Plugin, ...], tuple[Broken, ...]]:
     """Load every installed plugin; also return those that could not be loaded, with the reason."""
-    found, broken = _entry_points()
+    found, unreadable = offered(GROUP)
+    broken = [Broken("?", one.distribution, one.reason) for one in unreadable]
     plugins: list[Plugin] = []
     for _, points in groupby(found, key=lambda point: point.name):
         loaded, failed = _load_one_name(list(points))
         plugins += loaded
         broken += failed
     return tuple(plugins), tuple(broken)
-
-
-def _entry_points() -> tuple[tuple[EntryPoint, ...], list[Broken]]:
-    """Return the entry points by name, and the distributions that cannot be read."""
-    unreadable: list[Broken] = []
-    try:
-        points = list(entry_points(group=GROUP))
-    except Exception:  # noqa: BLE001 -- one ill-formed file spoils the call for all: so one by one
-        points, seen = [], set[str]()
-        for distribution in distributions():
-            name = distribution.name or "?"
-            try:
-                own = distribution.entry_points.select(group=GROUP)
-            except Exception as error:  # noqa: BLE001 -- whatever is wrong with it
-                unreadable.append(Broken("?", name, f"its entry points cannot be read: {error}"))
-                continue
-            points += own if name not in seen else ()
-            seen.add(name)
-    return tuple(sorted(points, key=lambda point: (point.name, _owner(point)))), unreadable
 
 
 def _load_one_name(points: Sequence[EntryPoint]) -> tuple[list[Plugin], list[Broken]]:
@@ -461,12 +449,12 @@ def _load_one_name(points: Sequence[EntryPoint]) -> tuple[list[Plugin], list[Bro
     moves a motor must not depend on the order of folders."""
     broken: list[Broken] = []
     if len(points) > 1:
-        owners = [_owner(point) for point in points]
-        for at, (point, owner) in enumerate(zip(points, owners, strict=True)):
+        owners = [owner(point) for point in points]
+        for at, point in enumerate(points):
             others = " and ".join(owners[:at] + owners[at + 1 :])
-            if owner != OURS:
-                broken.append(Broken(point.name, owner, f"{others} has a protocol of that name too"))
-        points = [point for point in points if _owner(point) == OURS][:1]
+            if not is_ours(point):
+                broken.append(Broken(point.name, owners[at], f"{others} has a protocol of that name too"))
+        points = [point for point in points if is_ours(point)][:1]
     loaded = [_load(point) for point in points]
     failed = [each for each in loaded if isinstance(each, Broken)]
     return [each for each in loaded if isinstance(each, Plugin)], failed + broken
@@ -475,7 +463,7 @@ def _load_one_name(points: Sequence[EntryPoint]) -> tuple[list[Plugin], list[Bro
 def _load(point: EntryPoint) -> Plugin | Broken:
     """Load a plugin, and try it as far as is possible without a device."""
     if not point.pattern.match(point.value):
-        return Broken(point.name, _owner(point), f"{point.value!r} is not MODULE:NAME")
+        return Broken(point.name, owner(point), f"{point.value!r} is not MODULE:NAME")
     try:
         plugin = point.load()
         mistake = _mistake(point, plugin)
@@ -483,7 +471,7 @@ def _load(point: EntryPoint) -> Plugin | Broken:
         raise
     except BaseException as error:  # noqa: BLE001 -- a third party's module may raise anything, SystemExit too
         mistake = f"{type(error).__name__}: {error}{_required_version(point, error)}"
-    return Broken(point.name, _owner(point), mistake) if mistake else plugin
+    return Broken(point.name, owner(point), mistake) if mistake else plugin
 
 
 def _mistake(point: EntryPoint, plugin: object) -> str:
@@ -508,8 +496,3 @@ def _required_version(point: EntryPoint, error: BaseException) -> str:
     if not ours or not isinstance(error, TypeError | ImportError | AttributeError):
         return ""
     return f" (it requires {ours[0]})"
-
-
-def _owner(point: EntryPoint) -> str:
-    """Return the distribution that an entry point belongs to."""
-    return (point.dist.name if point.dist else None) or "?"

@@ -3,7 +3,8 @@
 Rules. A file is a JSON list; an entry has `name`, `direction` (`to_device`, `from_device`), `bus` (`can`,
 `canfd`, `serial`), `data` (hex), `meaning` (an object) and `source` (package and version, repository and
 commit, or manual and paragraph); of a frame also `id`, `extended`, and where they are so `rtr`, `brs`; of
-an answer on a serial line that does not say what it answers also `asked` (hex). Other keys are the
+an answer on a serial line that does not say what it answers also `asked` (hex); of several messages at once
+`messages`, how many. Other keys are the
 protocol's own. An entry with KNOWN_SDK_BUG in its name, or BUG in its meaning's `note`, records a mistake
 of the source: a driver must not send it.
 """
@@ -38,6 +39,11 @@ class Vector:
     def asked(self) -> bytes:
         """What it answers, if its own bytes do not say that; else b""."""
         return bytes.fromhex(self.entry.get("asked", ""))
+
+    @property
+    def count(self) -> int:
+        """How many messages of a stream it holds."""
+        return int(self.entry.get("messages", 1))
 
 
 def vectors_of(plugin: Plugin) -> tuple[Vector, ...]:

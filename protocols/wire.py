@@ -1,9 +1,9 @@
-"""One wire of a serial line in virtual time: everybody hears everybody, and nobody waits for another.
+"""One wire of a serial line in virtual time: everybody receives from everybody, and nobody waits for another.
 
 Rules. What is sent takes the time of its bytes at the line's rate, from when its sender gives it (or has sent
-what it gave before). Nothing keeps two apart: of bytes that are on the wire at the same time, everybody hears
-the wired AND of both, shifted as they overlap; a collision is counted once for each pair. What is sent
-arrives when it ends. For buses that are simulated, and for the contract; no protocol has one.
+what it gave before). Nothing keeps two apart: of bytes that are on the wire at the same time, everybody
+receives the wired AND of both, shifted as they overlap; a collision is counted once for each pair. What is
+sent arrives when it ends. For buses that are simulated, and for the contract; no protocol has one.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class _Sending:
 
 @value
 class Arrived:
-    """Bytes as everybody hears them, and when they end."""
+    """Bytes as everybody receives them, and when they end."""
 
     t: Nanos
     sender: str

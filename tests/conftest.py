@@ -11,7 +11,7 @@ import os
 import random
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import pytest
 from hypothesis import settings
@@ -35,12 +35,31 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--busy", type=int, default=0, metavar="N", help="beside N processes that compute")
 
 
+@pytest.hookimpl(tryfirst=True)  # before what is left out by its marks is
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    for item in beyond_their_sample(items):
+        item.add_marker("prove")
     seed = config.getoption("--shuffle")
     if seed is not None:
         dice = random.Random(seed)
         files = {path: dice.random() for path in dict.fromkeys(item.path for item in items)}
         items.sort(key=lambda item: (files[item.path], dice.random()))
+
+
+def beyond_their_sample(items: Iterable[pytest.Item]) -> list[pytest.Item]:
+    """Return the tests with a mark `sample(N)` beyond the N of their function that are spread evenly over its
+    parameters. A function without parameters, or with fewer, is whole."""
+    families: dict[str, list[pytest.Item]] = {}
+    for item in items:
+        if item.get_closest_marker("sample") is not None:
+            families.setdefault(item.nodeid.partition("[")[0], []).append(item)
+    rest: list[pytest.Item] = []
+    for family in families.values():
+        mark = family[0].get_closest_marker("sample")
+        count = min(mark.args[0] if mark else 0, len(family))
+        kept = {(2 * n + 1) * len(family) // (2 * count) for n in range(count)}
+        rest += [item for at, item in enumerate(family) if at not in kept]
+    return rest
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -7,13 +7,21 @@ from __future__ import annotations
 
 import os
 import sys
+import tomllib
+from functools import cache
 from pathlib import Path
 
 import pytest
 
+from brain.skills import found
+from gateway.recording import environment
 from protocols.plugin import GROUP, Device, Plugin, Spec
 
 ROOT = Path(__file__).resolve().parents[1]
+
+
+CACHED = ((found, "_offered"), (found, "_loaded"), (environment, "_plugins"))
+"""What is read once in a process: what is installed."""
 
 
 class Site:
@@ -50,6 +58,26 @@ class Site:
         package = entry.partition("=")[2].strip().partition(":")[0]
         (self.path / package).symlink_to(folder / package)
 
+    def project(self, folder: Path, version: str = "") -> None:
+        """The distribution of a project, by its pyproject.toml; its packages stay where they are."""
+        table = tomllib.loads((folder / "pyproject.toml").read_text())
+        project = table["project"]
+        info = self.path / f"{project['name'].replace('-', '_')}-x.dist-info"
+        info.mkdir(exist_ok=True)
+        metadata = (
+            f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {version or project['version']}\n"
+        )
+        (info / "METADATA").write_text(metadata)
+        entries = [
+            f"[{group}]\n" + "".join(f"{name} = {value}\n" for name, value in points.items())
+            for group, points in project["entry-points"].items()
+        ]
+        (info / "entry_points.txt").write_text("".join(entries))
+        for package in table["tool"]["setuptools"]["packages"]:
+            self._forget(package)
+            if not (link := self.path / package).exists():
+                link.symlink_to(folder / package)
+
     def environment(self, **more: str) -> dict[str, str]:
         """For another process that is to find the same."""
         kept = {key: os.environ[key] for key in ("PATH", "HOME") if key in os.environ}
@@ -60,6 +88,8 @@ class Site:
         return plugin.spec(Device("motor", 1, plugin.options(), plugin.settings()))
 
     def _forget(self, module: str) -> None:
+        for place, name in CACHED:
+            self._monkeypatch.setattr(place, name, cache(getattr(place, name).__wrapped__))
         for name in list(sys.modules):
             if name == module or name.startswith(module + "."):
                 self._monkeypatch.delitem(sys.modules, name)

@@ -7,6 +7,7 @@ the few places that may import it, and what a room may lean on at all.
 from __future__ import annotations
 
 import ast
+import re
 import sys
 from collections.abc import Iterator
 
@@ -47,11 +48,17 @@ INPUT_OUTPUT = frozenset({
 # fmt: on
 """What nothing below the loop may import: the outside world comes in as arguments."""
 
+INSTALLED = "protocols.entry_points"
+"""Looks, before a run, for what is installed, and whether that has changed."""
+
+OF_THE_BRAIN = ("protocols.messages", "protocols.bounds", INSTALLED)
+"""What the brain may import of the protocols."""
+
 OUTSIDE = {"protocols": {"msgpack"}, "brain": {"numpy", "filterpy"}}
 """What a room may import beside the standard library and the rooms below it."""
 
-STEP = ("gateway.core.step", "gateway.core.joint", "gateway.core.tick")
-"""The modules of the gateway that are the step itself."""
+STEP, CLOCK = "gateway.core", "gateway.core.clock"
+"""The modules of the gateway that are the step itself, but one."""
 
 CONTRACT = (
     "protocols.messages",
@@ -63,7 +70,10 @@ CONTRACT = (
     "protocols.canopen",
     "protocols.toolkit",
     "protocols.message_codec",
+    "protocols.sensors",
     "protocols.suggest",
+    "protocols.bounds",
+    "protocols.entry_points",
 )
 """What a protocol may import of ours, beside its own folder."""
 
@@ -80,7 +90,8 @@ nothing of it is said twice."""
 
 
 def imports(module: str, source: str, *, package: bool = False) -> Iterator[tuple[int, str]]:
-    """Yield every import in a source as (line, dotted name), also one in a function or by a constant name.
+    """Yield every import in a source as (line, dotted name), one in a function or by a constant name too, and
+    every text that is the name of a package of ours.
 
     `from a import b` gives `a.b`; a relative import is resolved from `module`."""
     for node in ast.walk(ast.parse(source)):
@@ -94,6 +105,8 @@ def imports(module: str, source: str, *, package: bool = False) -> Iterator[tupl
         elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("import_module", "__import__")):
             constants = [a.value for a in node.args if isinstance(a, ast.Constant)]
             yield from ((node.lineno, str(value)) for value in constants[:1])
+        elif isinstance(node, ast.Constant) and re.fullmatch(r"(gateway|brain)(\.\w+)+", str(node.value)):
+            yield node.lineno, str(node.value)
 
 
 def within(name: str, *places: str) -> bool:
@@ -128,10 +141,11 @@ def _broken(module: str, name: str) -> Iterator[str]:
             yield f"{room} imports no {top}"
         if top in ("brain", "gateway") and top != room:
             yield f"{room} lies below {top}"
-    if (room in OUTSIDE or within(module, *STEP)) and top in INPUT_OUTPUT:
+    below = room in OUTSIDE or (within(module, STEP) and not within(module, CLOCK))
+    if below and top in INPUT_OUTPUT and not within(module, INSTALLED):
         yield "no clock, bus, thread or file below the loop"
-    if room == "brain" and top == "protocols" and not within(name, "protocols.messages"):
-        yield "the brain knows the messages alone"
+    if room == "brain" and top == "protocols" and not within(name, *OF_THE_BRAIN):
+        yield "the brain knows the messages alone, the bounds of settings, and what is installed"
     yield from _broken_by_protocol(module, name)
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.distributions import Site
+from tests.guide import Comparison, blocks
 
 FOLDER = Path(__file__).parents[1] / "examples"
 PRINTED = {
@@ -21,6 +22,9 @@ PRINTED = {
     "embed_the_step": [r"right: [23]\.\d\d rad, -?[\d.]+ rad/s on the way to 3 rad"],
 }
 PLUGIN = FOLDER / "robstride_can"
+DOORS = FOLDER / "wiggle_and_steady"
+"""Run by tests/brain/skills/test_found.py and tests/brain/test_other_brain.py"""
+GUIDE = FOLDER.parent / "docs" / "adding-a-skill.md"
 
 
 @pytest.fixture(scope="module")
@@ -32,10 +36,12 @@ def test_none_is_left_out() -> None:
     text = (FOLDER / "README.md").read_text()
     assert set(PRINTED) == {path.stem for path in FOLDER.glob("*.py")}
     assert all(f"[{name}.py]({name}.py)" in text for name in PRINTED)
-    assert {path.name for path in FOLDER.iterdir() if path.is_dir()} == {PLUGIN.name}
+    assert {path.name for path in FOLDER.iterdir() if path.is_dir()} == {PLUGIN.name, DOORS.name}
     assert f"[{PLUGIN.name}]({PLUGIN.name}/{PLUGIN.name}/README.md)" in text
+    assert f"[{DOORS.name}]({DOORS.name}/pyproject.toml)" in text
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("name", PRINTED)
 def test_it_runs_and_prints_what_it_should(name: str, folder: Path) -> None:
     command = [sys.executable, str(FOLDER / f"{name}.py")]
@@ -61,3 +67,14 @@ def test_the_plugin_passes_its_own_tests(tmp_path: Path, monkeypatch: pytest.Mon
     )
     assert done.returncode == 0, done.stdout
     assert re.search(r"^12 passed", done.stdout, re.MULTILINE)
+
+
+def test_the_guide_to_skills_and_brains_quotes_what_is_there() -> None:
+    text = GUIDE.read_text()
+    quoted = [Comparison(b.path, b.body, (DOORS / b.path).read_text()) for b in blocks(text) if b.path]
+    assert len(quoted) == 3
+    for each in quoted:
+        assert each.matches(), f"{each.subject} is\n{each.actual}-- but the guide shows:\n{each.expected}"
+    assert len(text.splitlines()) <= 150
+    for name in re.findall(r"`(brain/[\w./]+)`", text):
+        assert (FOLDER.parent / name).exists(), name

@@ -307,6 +307,7 @@ def lose_base(clone: Clone) -> None:
         python.symlink_to("/nowhere/python")
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("harm", sampled([interrupt, lose_pip, change_lock, lose_base, change_project], 2))
 def test_set_up_is_repaired(clone: Clone, harm: Callable[[Clone], None]) -> None:
     assert clone.go("run").returncode == 7

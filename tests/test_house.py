@@ -65,6 +65,7 @@ BREAKS = [
     ("brain.brain", "from gateway.core.joint import Joint", "brain lies below gateway"),
     ("protocols.messages", "import brain", "protocols lies below brain"),
     ("protocols.plain", "from brain import belief", "protocols lies below brain"),
+    ("protocols.plain", 'vectors = ("gateway.fixtures", "vectors.json")', "protocols lies below gateway"),
     ("protocols.plain.driver", "import socket", "below the loop"),
     ("brain.belief", "from pathlib import Path", "below the loop"),
     ("gateway.core.joint", "import logging", "below the loop"),
@@ -153,6 +154,7 @@ LAYERS = [
 ]
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize(("file", "line", "contract"), LAYERS)
 def test_the_contracts_of_the_layers_hold_and_can_break(
     tmp_path: Path, file: str, line: str, contract: str
@@ -237,9 +239,11 @@ def assigned_elsewhere(source: str) -> list[int]:
     return lines
 
 
-def test_no_protocol_assigns_the_attributes_of_another_object() -> None:
+def test_no_object_assigns_the_attributes_of_another_one() -> None:
+    """In the protocols, and in the brain."""
     assert assigned_elsewhere("a.b = 1\nself.b.c += 1\nd, e.f[0] = 1, 2\nself.g: int = 3") == [1, 2, 3]
-    sources = [path for folder in [*PROTOCOLS, ROOT / "protocols/toolkit"] for path in folder.rglob("*.py")]
+    folders = [*PROTOCOLS, ROOT / "protocols/toolkit", ROOT / "brain"]
+    sources = [path for folder in folders for path in folder.rglob("*.py")]
     wrong = {str(path.relative_to(ROOT)): assigned_elsewhere(path.read_text()) for path in sources}
     assert not {path: lines for path, lines in wrong.items() if lines}
 
@@ -274,6 +278,24 @@ def test_no_body_is_named_outside_its_file() -> None:
         if pattern.search(line) and not line.lstrip().startswith(("#", '"""'))
     ]
     assert not named, "\n".join(named)
+
+
+def class_questions(source: str) -> list[int]:
+    """Return the lines that ask for the class of a body."""
+    classes = {"Base", "Linkage", "Body", "Limbs"}
+    calls = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Call)]
+    asked = [node for node in calls if ast.unparse(node.func) == "isinstance"]
+    return [
+        node.lineno
+        for node in asked
+        if classes & {name.id for name in ast.walk(node.args[1]) if isinstance(name, ast.Name)}
+    ]
+
+
+def test_the_gateway_asks_what_a_body_can_do_and_never_its_class() -> None:
+    assert class_questions("isinstance(a, Base)\nisinstance(b, (int, Linkage))\nisinstance(c, int)") == [1, 2]
+    asked = {str(path): class_questions(path.read_text()) for path in (ROOT / "gateway").rglob("*.py")}
+    assert not {path: lines for path, lines in asked.items() if lines}
 
 
 # -- dependencies -------------------------------------------------------------------------------

@@ -72,3 +72,20 @@ def test_no_name_is_hidden_by_a_package_of_the_same_name() -> None:
     """A package that is imported becomes an attribute of `gateway`, and the lazy name is never asked for."""
     packages = {path.name for path in Path(gateway.__file__).parent.iterdir() if path.is_dir()}
     assert not packages & set(NAMES)
+
+
+@pytest.mark.parametrize("hiding", ["brain.py", "protocols/__init__.py", "protocols/mine.py"])
+def test_a_file_that_hides_a_package_of_ours_is_named(tmp_path: Path, hiding: str) -> None:
+    path = tmp_path / hiding
+    path.parent.mkdir(exist_ok=True)
+    path.write_text("")
+    (tmp_path / "script.py").write_text("import gateway")
+    done = subprocess.run(
+        [sys.executable, tmp_path / "script.py"], capture_output=True, text=True, check=False
+    )
+    if hiding == "protocols/mine.py":  # a folder without __init__ hides nothing
+        assert not done.returncode, done.stderr
+        return
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith("ImportError: motor-gateway needs its own package")
+    assert str(path) in last

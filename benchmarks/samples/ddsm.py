@@ -57,7 +57,7 @@ def _parsed(calc: Callable[[bytes], int]) -> Callable[[], tuple[int, ...]]:
     return parse
 
 
-_FINDS, _ASKED = ds.Finds(ds.MODELS["DDSM115"]), ds.encode("drive", 1, value=-50, brake=0)
+_FINDS, _ASKED = ds.FINDS["DDSM115"], ds.encode("drive", 1, value=-50, brake=0)
 
 
 def _found() -> Any:  # noqa: ANN401 -- numbers

@@ -12,14 +12,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from protocols.dynamixel import packets as dx
+from protocols.dynamixel.packets import PACKETS, STATUS
 from protocols.toolkit.serial import Stream
 
 RIVAL = ("dynamixel_sdk", "dynamixel-sdk", "the vendor's PacketHandler and GroupSyncWrite")
 GOALS = {number: 1000 + 50 * number for number in range(1, 13)}
 _NUMBERS = [(-100 + each, -230 * each, 2000 + each) for each in GOALS]
 _ANSWERS = b"".join(
-    dx.packet(number, dx.STATUS, bytes(1) + struct.pack("<hii", *each))
+    PACKETS.packet(number, STATUS, bytes(1) + struct.pack("<hii", *each))
     for number, each in zip(GOALS, _NUMBERS, strict=True)
 )
 _GOAL = struct.Struct("<BI")
@@ -70,7 +70,7 @@ def prepared(package: Any) -> Any:  # noqa: ANN401 -- a package without types
 
 
 def _encode() -> bytes:
-    return dx.sync_write(116, {number: goal.to_bytes(4, "little") for number, goal in GOALS.items()})
+    return PACKETS.sync_write(116, {number: goal.to_bytes(4, "little") for number, goal in GOALS.items()})
 
 
 def _encode_bare() -> bytes:
@@ -78,8 +78,8 @@ def _encode_bare() -> bytes:
 
 
 def _decode() -> list[tuple[int, ...]]:
-    found = map(dx.unpack, Stream(dx.FRAMING).messages(_ANSWERS))
-    return [_MOTION.unpack(one.parameters[1:]) for one in found]
+    found = map(PACKETS.unpacked, Stream(PACKETS.framing).messages(_ANSWERS))
+    return [_MOTION.unpack(one.data[1:]) for one in found]
 
 
 def _decode_bare() -> list[tuple[int, ...]]:

@@ -12,14 +12,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from protocols.feetech import table as ft
+from protocols.feetech.table import FAMILIES, PACKETS
+from protocols.toolkit.servo_packets import READ, WRITE, Packet
 
 RIVAL = ("scservo_sdk", "feetech-servo-sdk", "the vendor's PacketHandler, its port in memory")
-STS = ft.FAMILIES["sts"]
+STS = FAMILIES["sts"]
 GOALS = {n: 2000 + n for n in range(1, 7)}
 _GOALS = bytes.fromhex("fffffe16832a0201d10702d20703d30704d40705d50706d60708")
 _GOAL = bytes.fromhex("ffff0105032a000cc0")
 _STATUS = bytes.fromhex("ffff010a0000089680c80479246d")
+_QUESTION = Packet(1, READ, bytes((56, 8)))
 _MOTION = struct.Struct("<HHHBB")
 
 
@@ -59,19 +61,18 @@ def prepared(package: Any) -> Any:  # noqa: ANN401 -- a package without types
 
 def goals() -> bytes:
     """Return a sync write of six goals."""
-    return ft.writes(42, {number: STS.data("Goal_Position", goal) for number, goal in GOALS.items()})
+    return PACKETS.sync_write(42, {number: STS.data("Goal_Position", goal) for number, goal in GOALS.items()})
 
 
 def motion() -> tuple[int, ...]:
     """Return what an answer measures."""
-    found = STS.motion(1, _STATUS)
-    assert found is not None
-    return found[1:]
+    (status,), _ = PACKETS.answered({1: (56, 8)}, _QUESTION, _STATUS)
+    return tuple(STS.values(56, status[2]).values())
 
 
 def goal() -> bytes:
     """Return the write of one goal."""
-    return ft.packet(1, ft.WRITE, b"\x2a" + STS.data("Goal_Position", 3072))
+    return PACKETS.packet(1, WRITE, b"\x2a" + STS.data("Goal_Position", 3072))
 
 
 @dataclass(frozen=True, slots=True)

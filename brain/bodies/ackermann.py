@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 from brain.bodies.body import Base
 from brain.bodies.plane import Twist
-from brain.bodies.wheels import Contact, SteeredWheels
-from brain.checks import within
+from brain.bodies.wheels import Contact, SteeredWheels, SteeringError
+from protocols.bounds import Bounds, Invalid
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,23 +22,20 @@ class Ackermann(SteeredWheels):
     wheel midway between them"""
     drive: tuple[str, ...]
     """Motors of the left and the right rear wheel; or one that drives the axle through a differential gear"""
-    wheelbase: float
+    wheelbase: Annotated[float, Bounds(0.01, 10.0, "m")]
     """m, from the rear axle to the front one"""
-    wheel_separation: float
+    wheel_separation: Annotated[float, Bounds(0.01, 10.0, "m")]
     """m, between the rear wheels' points of contact"""
-    steering_separation: float | None = None
+    steering_separation: Annotated[float, Bounds(0.01, 10.0, "m")] | None = None
     """m, between the front ones; None: wheel_separation"""
-    max_steering: float = 0.6
+    max_steering: Annotated[float, Bounds(0.05, 1.5, "rad")] = 0.6
     """rad, of each steering motor, to either side"""
-    steering_error: float = 0.3
+    steering_error: SteeringError = 0.3
 
     def __post_init__(self) -> None:
-        length = (0.01, 10.0, "m")
-        within(self, wheelbase=length, wheel_separation=length, steering_separation=length)
-        within(self, max_steering=(0.05, 1.5, "rad"))
         for key in ("steering", "drive"):
             if len(getattr(self, key)) not in (1, 2):
-                raise ValueError(f"{key} must name one motor, or the left and the right one")
+                raise Invalid((key, f"{key} must name one motor, or the left and the right one"))
         SteeredWheels.__post_init__(self)
 
     @classmethod

@@ -13,41 +13,31 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from brain.bodies import urdf
 from brain.bodies.body import Linkage, Placement
 from brain.bodies.chain import Chain, rotation
-from brain.bodies.reach import Search
-from brain.checks import within
+from brain.bodies.reach import ReachSearch
 from protocols import messages as msg
+from protocols.bounds import Bounds, Invalid, check
 from protocols.messages import Command
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Axis:
+class JointAxis:
     """How a motor moves its joint: rad and N·m, or m and N of a joint that slides."""
 
-    stiffness: float = 50.0
+    stiffness: Annotated[float, Bounds(0.0, 1e6, "N·m/rad")] = 50.0
     """N·m/rad, of the spring about a set-point (control = "impedance")"""
-    damping: float = 2.0
-    """N·m·s/rad"""
-    velocity: float = 1.0
+    damping: Annotated[float, Bounds(0.0, 1e5, "N·m·s/rad")] = 2.0
+    velocity: Annotated[float, Bounds(1e-3, 50.0, "rad/s")] = 1.0
     """rad/s, of a planned motion; so are the next"""
-    acceleration: float = 3.0
-    """rad/s²"""
-    jerk: float = 30.0
-    """rad/s³"""
+    acceleration: Annotated[float, Bounds(1e-2, 1e3, "rad/s²")] = 3.0
+    jerk: Annotated[float, Bounds(0.1, 1e5, "rad/s³")] = 30.0
 
     def __post_init__(self) -> None:
-        within(
-            self,
-            stiffness=(0.0, 1e6, "N·m/rad"),
-            damping=(0.0, 1e5, "N·m·s/rad"),
-            velocity=(1e-3, 50.0, "rad/s"),
-            acceleration=(1e-2, 1e3, "rad/s²"),
-            jerk=(0.1, 1e5, "rad/s³"),
-        )
+        check(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,7 +45,7 @@ class SerialArm(Linkage):
     """Its joints are in the order of the URDF, from the base on."""
 
     kind: ClassVar[str] = "arm"
-    axes: dict[str, Axis]
+    axes: dict[str, JointAxis]
     """By motor."""
     tip: str
     """The link that is brought to a place."""
@@ -73,7 +63,7 @@ class SerialArm(Linkage):
             raise ValueError('an arm needs its links and joints: urdf = "FILE" at the top of the robot file')
         self.check_motors()
         if len({self._joint(motor) for motor in self.axes}) < len(self.axes):
-            raise ValueError("joint_names: two motors move one joint")
+            raise Invalid(("joint_names", "joint_names: two motors move one joint"))
         _ = self.chain
 
     @classmethod
@@ -149,10 +139,10 @@ class SerialArm(Linkage):
             return msg.Torque(motor, torque)
         return msg.Impedance(motor, position, 0.0, torque, 0.0, self.axes[motor].damping)
 
-    def search(self, positions: Sequence[float], place: Placement) -> Search:
+    def search(self, positions: Sequence[float], place: Placement) -> ReachSearch:
         """Return a search that leaves joints alone on which the tip does not depend."""
         attitude = None if place.attitude is None else rotation(*place.attitude)
-        return Search(self.chain, positions, place[:3], attitude, self.chain.aside)
+        return ReachSearch(self.chain, positions, place[:3], attitude, self.chain.aside)
 
 
 @lru_cache(maxsize=8)

@@ -15,11 +15,11 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple, Protocol, TypeAlias
+from typing import Annotated, Any, ClassVar, NamedTuple, Protocol, TypeAlias
 
 from brain.bodies.plane import Twist
-from brain.checks import within
 from protocols import messages as msg
+from protocols.bounds import Bounds, Invalid, check
 from protocols.messages import Command
 
 CIRCLE, MOST_CORNERS = 16, 32
@@ -87,6 +87,16 @@ class Body(ABC):
     def joints(self) -> tuple[str, ...]:
         """The names of the motors that are parts of it."""
 
+    @property
+    def as_base(self) -> Base | None:
+        """Itself, if it moves in the plane."""
+        return None
+
+    @property
+    def as_linkage(self) -> Linkage | None:
+        """Itself, if its joints carry one another."""
+        return None
+
     @classmethod
     @abstractmethod
     def motor_keys(cls) -> tuple[str, ...]:
@@ -99,13 +109,13 @@ class Body(ABC):
         return {}
 
     def check_motors(self) -> None:
-        """Raise ValueError unless every motor has a name and appears once."""
+        """Raise Invalid unless every motor has a name and appears once."""
         names = self.joints
-        keys = " and ".join(self.motor_keys())
+        first, keys = self.motor_keys()[0], " and ".join(self.motor_keys())
         if not names or not all(names):
-            raise ValueError(f"{keys} must name motors")
+            raise Invalid((first, f"{keys} must name motors"))
         if len(set(names)) < len(names):
-            raise ValueError(f"{keys} must each name another motor, not {', '.join(names)}")
+            raise Invalid((first, f"{keys} must each name another motor, not {', '.join(names)}"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,6 +123,11 @@ class Linkage(Body):
     """A body whose joints carry one another, on a base that stands still: what falls if it is let go.
 
     Positions are rad (m of a joint that slides), torques N·m (N), in the order of `joints`."""
+
+    @property
+    def as_linkage(self) -> Linkage:
+        """Itself."""
+        return self
 
     @property
     @abstractmethod
@@ -158,43 +173,34 @@ class Base(Body):
 
     Frames: x forward, y to the left, yaw counter-clockwise, about the robot's origin."""
 
-    radius: float
+    radius: Annotated[float, Bounds(0.01, 3.0, "m")]
     """m, of the circle about the origin that contains the whole robot"""
     footprint: Corners | None = None
     """m: corners of the robot's outline in its frame, convex, counter-clockwise about the origin; None: the
     circle of `radius`"""
-    max_linear: float
+    max_linear: Annotated[float, Bounds(1e-3, 20.0, "m/s")]
     """m/s, forward and backward"""
-    max_lateral: float | None = None
+    max_lateral: Annotated[float, Bounds(1e-3, 20.0, "m/s")] | None = None
     """m/s, to both sides, of a base that moves sideways; None: max_linear"""
-    max_angular: float
+    max_angular: Annotated[float, Bounds(1e-3, 50.0, "rad/s")]
     """rad/s, both ways"""
-    max_linear_acceleration: float
+    max_linear_acceleration: Annotated[float, Bounds(0.01, 100.0, "m/s²")]
     """m/s², in any direction"""
-    max_angular_acceleration: float
-    """rad/s²"""
-    max_linear_jerk: float = 10.0
-    """m/s³"""
-    max_angular_jerk: float = 50.0
-    """rad/s³"""
-    stop_deceleration: float | None = None
+    max_angular_acceleration: Annotated[float, Bounds(0.01, 500.0, "rad/s²")]
+    max_linear_jerk: Annotated[float, Bounds(0.1, 1e4, "m/s³")] = 10.0
+    max_angular_jerk: Annotated[float, Bounds(0.1, 1e5, "rad/s³")] = 50.0
+    stop_deceleration: Annotated[float, Bounds(0.01, 100.0, "m/s²")] | None = None
     """m/s² before an obstacle that appears too near for the ordinary one; None: max_linear_acceleration"""
 
     def __post_init__(self) -> None:
-        within(
-            self,
-            radius=(0.01, 3.0, "m"),
-            max_linear=(1e-3, 20.0, "m/s"),
-            max_lateral=(1e-3, 20.0, "m/s"),
-            max_angular=(1e-3, 50.0, "rad/s"),
-            max_linear_acceleration=(0.01, 100.0, "m/s²"),
-            max_angular_acceleration=(0.01, 500.0, "rad/s²"),
-            max_linear_jerk=(0.1, 1e4, "m/s³"),
-            max_angular_jerk=(0.1, 1e5, "rad/s³"),
-            stop_deceleration=(0.01, 100.0, "m/s²"),
-        )
+        check(self)
         _check_footprint(self.footprint, self.radius)
         self.check_motors()
+
+    @property
+    def as_base(self) -> Base:
+        """Itself."""
+        return self
 
     # -- what a body file provides ---------------------------------------------------------------
 
@@ -306,13 +312,13 @@ def _position(motor: str, setpoint: Setpoint) -> Command:
 
 
 def _check_footprint(corners: Corners | None, radius: float) -> None:
-    """Raise ValueError unless the footprint is a convex polygon, counter-clockwise about the origin."""
+    """Raise Invalid unless the footprint is a convex polygon, counter-clockwise about the origin."""
     if corners is None:
         return
     if not isinstance(corners, tuple) or not 3 <= len(corners) <= MOST_CORNERS:
-        raise ValueError(f"footprint must have from 3 to {MOST_CORNERS} corners")
+        raise Invalid(("footprint", f"footprint must have from 3 to {MOST_CORNERS} corners"))
     if far := [corner for corner in corners if not math.hypot(*corner) <= radius + 1e-9]:
-        raise ValueError(f"footprint: the corner {far[0]} is not within the radius, {radius:g} m")
+        raise Invalid(("footprint", f"footprint: the corner {far[0]} is not within the radius, {radius:g} m"))
     following = (*corners[1:], *corners[:2])
     for (ax, ay), (bx, by), (cx, cy) in zip(corners, following, following[1:], strict=False):
         about_origin = ax * by - ay * bx

@@ -17,7 +17,8 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from brain.bodies.urdf import Joint, Link, Model, Origin
+from brain.bodies.urdf import Link, Origin, UrdfJoint, UrdfModel
+from protocols.bounds import Invalid
 
 Array: TypeAlias = npt.NDArray[np.float64]
 Numbers: TypeAlias = Sequence[float] | Array
@@ -73,13 +74,13 @@ class Chain:
 
     Raises ValueError if the model has not these links and joints, or they do not fit each other."""
 
-    def __init__(self, model: Model, base: str, tip: str, driven: Sequence[str]) -> None:
+    def __init__(self, model: UrdfModel, base: str, tip: str, driven: Sequence[str]) -> None:
         _check(model, base, tip, driven)
         self.base, self.tip = base, tip
         bodies = _Bodies(model, base, frozenset(driven))
         joints = bodies.joints
         if far := [name for name in driven if name not in {one.name for one in joints}]:
-            raise ValueError(f"joint {far[0]!r} is not below the base link, {base!r}")
+            raise Invalid(("axes", f"joint {far[0]!r} is not below the base link, {base!r}"))
         self.joints = tuple(one.name for one in joints)
         """Parents before their children."""
         n = len(joints)
@@ -195,9 +196,9 @@ class Chain:
 class _Bodies:
     """The links below the base, put together where nothing moves between them."""
 
-    def __init__(self, model: Model, base: str, driven: frozenset[str]) -> None:
+    def __init__(self, model: UrdfModel, base: str, driven: frozenset[str]) -> None:
         still: Place = np.eye(3), np.zeros(3)
-        self.joints: list[Joint] = []
+        self.joints: list[UrdfJoint] = []
         self.parents: list[int] = []
         self.places: list[Place] = []
         self.links: dict[str, tuple[int, Place]] = {base: (-1, still)}
@@ -243,7 +244,7 @@ def _after(place: Place, inner: Place) -> Place:
     return place[0] @ inner[0], place[1] + place[0] @ inner[1]
 
 
-def _locked(joint: Joint) -> Place:
+def _locked(joint: UrdfJoint) -> Place:
     """Return the motion of a joint that is not driven."""
     low, high = joint.range or (0.0, 0.0)
     at, axis = max(low, min(high, 0.0)), np.array(joint.axis)
@@ -270,25 +271,28 @@ def _displaced(mass: float, centre: Array) -> Array:
     return added
 
 
-def _check(model: Model, base: str, tip: str, driven: Sequence[str]) -> None:
-    wrong = [f"there is no link {name!r}" for name in (base, tip) if name not in model.links]
+def _check(model: UrdfModel, base: str, tip: str, driven: Sequence[str]) -> None:
+    links = (("base", base), ("tip", tip))
+    wrong = [(key, f"there is no link {name!r}") for key, name in links if name not in model.links]
     for name in driven:
         joint: Any = model.joints.get(name)
         if joint is None:
-            wrong.append(f"there is no joint {name!r}; there are {', '.join(moving(model))}")
+            wrong.append(("axes", f"there is no joint {name!r}; there are {', '.join(moving(model))}"))
         elif not joint.moves:
-            wrong.append(f"joint {name!r} is {joint.kind}: it cannot be driven")
+            wrong.append(("axes", f"joint {name!r} is {joint.kind}: it cannot be driven"))
     if not wrong:
         wrong = [
-            f"joint {one.name!r} moves the base link, {base!r}" for one in model.above(base) if one.moves
+            ("base", f"joint {one.name!r} moves the base link, {base!r}")
+            for one in model.above(base)
+            if one.moves
         ]
         if base != tip and base not in (one.parent for one in model.above(tip)):
-            wrong.append(f"the tip link, {tip!r}, is not below the base link, {base!r}")
+            wrong.append(("tip", f"the tip link, {tip!r}, is not below the base link, {base!r}"))
     if wrong:
-        raise ValueError("; ".join(wrong))
+        raise Invalid(*wrong)
 
 
-def at_rest(model: Model, link: str) -> Place:
+def at_rest(model: UrdfModel, link: str) -> Place:
     """Return a link's frame in that of the root, with every joint at 0, or at the end of its range."""
     place: Place = np.eye(3), np.zeros(3)
     for joint in model.above(link):
@@ -296,6 +300,6 @@ def at_rest(model: Model, link: str) -> Place:
     return place
 
 
-def moving(model: Model) -> tuple[str, ...]:
+def moving(model: UrdfModel) -> tuple[str, ...]:
     """Return the names of the joints that can be driven."""
     return tuple(name for name, joint in model.joints.items() if joint.moves)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 from brain.bodies.body import Base, Setpoint, Travel
 from brain.bodies.from_urdf import wheels
 from brain.bodies.plane import Twist
-from brain.checks import within
+from protocols.bounds import Bounds
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -21,21 +21,11 @@ class Differential(Base):
     """Motor of the left wheel."""
     right: str
     """Motor of the right wheel."""
-    wheel_radius: float
-    """m"""
-    wheel_separation: float
+    wheel_radius: Annotated[float, Bounds(0.005, 2.0, "m")]
+    wheel_separation: Annotated[float, Bounds(0.01, 5.0, "m")]
     """m, between the wheels' points of contact (track width)"""
-    max_wheel_speed: float | None = None
+    max_wheel_speed: Annotated[float, Bounds(1e-3, 1e4, "rad/s")] | None = None
     """rad/s of a wheel; None: what the largest linear and angular speed together need"""
-
-    def __post_init__(self) -> None:
-        within(
-            self,
-            wheel_radius=(0.005, 2.0, "m"),
-            wheel_separation=(0.01, 5.0, "m"),
-            max_wheel_speed=(1e-3, 1e4, "rad/s"),
-        )
-        Base.__post_init__(self)
 
     @classmethod
     def motor_keys(cls) -> tuple[str, ...]:

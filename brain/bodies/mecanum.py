@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 from brain.bodies.from_urdf import wheels
 from brain.bodies.wheels import FixedWheels, Row, roller_row
-from brain.checks import within
+from protocols.bounds import Bounds
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,14 +22,10 @@ class Mecanum(FixedWheels):
     front_right: str
     rear_left: str
     rear_right: str
-    wheelbase: float
+    wheelbase: Annotated[float, Bounds(0.01, 10.0, "m")]
     """m, between the front and the rear points of contact"""
-    wheel_separation: float
+    wheel_separation: Annotated[float, Bounds(0.01, 10.0, "m")]
     """m, between the left and the right ones"""
-
-    def __post_init__(self) -> None:
-        within(self, wheelbase=(0.01, 10.0, "m"), wheel_separation=(0.01, 10.0, "m"))
-        FixedWheels.__post_init__(self)
 
     @classmethod
     def motor_keys(cls) -> tuple[str, ...]:

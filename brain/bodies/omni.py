@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 from brain.bodies.wheels import FixedWheels, Row, roller_row
-from brain.checks import within
+from protocols.bounds import Bounds, Invalid
 
 MOST_WHEELS = 16
 FARTHEST = 10.0
@@ -15,11 +15,13 @@ FARTHEST = 10.0
 
 
 def check_places(places: tuple[tuple[float, float], ...], motors: int) -> None:
-    """Raise ValueError unless there is a place for each of the motors, and few enough of them."""
+    """Raise Invalid unless there is a place for each of the motors, and few enough of them."""
     if len(places) != motors or motors > MOST_WHEELS:
-        raise ValueError(f"places must be those of the wheels, at most {MOST_WHEELS}, not {len(places)}")
+        raise Invalid(
+            ("places", f"places must be those of the wheels, at most {MOST_WHEELS}, not {len(places)}")
+        )
     if not all(math.hypot(*place) <= FARTHEST for place in places):
-        raise ValueError(f"places must lie within {FARTHEST:g} m of the origin")
+        raise Invalid(("places", f"places must lie within {FARTHEST:g} m of the origin"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,18 +33,15 @@ class Omni(FixedWheels):
     """Motors"""
     places: tuple[tuple[float, float], ...]
     """m: x and y of each wheel's point of contact"""
-    directions: tuple[float, ...]
+    directions: tuple[Annotated[float, Bounds(-2.0 * math.pi, 2.0 * math.pi, "rad")], ...]
     """rad, counter-clockwise from forward: where each wheel rolls when its angle grows"""
-    roller: float = 0.0
+    roller: Annotated[float, Bounds(-1.4, 1.4, "rad")] = 0.0
     """rad, from across a wheel to where its rollers let it move freely; 0: an omni wheel"""
 
     def __post_init__(self) -> None:
-        within(self, roller=(-1.4, 1.4, "rad"))
         check_places(self.places, len(self.wheels))
         if len(self.directions) != len(self.wheels):
-            raise ValueError(f"directions must be those of the {len(self.wheels)} wheels")
-        if not all(abs(direction) <= 2.0 * math.pi for direction in self.directions):
-            raise ValueError("directions must be from -2 pi to 2 pi")
+            raise Invalid(("directions", f"directions must be those of the {len(self.wheels)} wheels"))
         FixedWheels.__post_init__(self)
 
     @classmethod

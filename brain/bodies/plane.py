@@ -71,6 +71,13 @@ def moved(start: Pose, by: Pose) -> Pose:
     return Pose(start.x + c * by.x - s * by.y, start.y + s * by.x + c * by.y, wrap(start.yaw + by.yaw))
 
 
+def frame_of(there: Pose, here: Pose) -> Pose:
+    """Return the pose of a frame in another one, of a pose that is `here` in it and `there` in the other."""
+    yaw = wrap(there.yaw - here.yaw)
+    c, s = math.cos(yaw), math.sin(yaw)
+    return Pose(there.x - c * here.x + s * here.y, there.y - s * here.x - c * here.y, yaw)
+
+
 def seen_from(start: Pose, pose: Pose) -> Pose:
     """Return a pose in the frame of another one: the inverse of `moved`."""
     c, s = math.cos(start.yaw), math.sin(start.yaw)

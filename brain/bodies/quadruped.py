@@ -15,15 +15,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 from brain.bodies import urdf
 from brain.bodies.body import Base, Setpoint, Travel
 from brain.bodies.leg import Leg, Point
 from brain.bodies.plane import REST, Twist
 from brain.bodies.trot import Foot, Gait, Plane, Rhythm
-from brain.checks import within
 from protocols import messages as msg
+from protocols.bounds import Bounds, Invalid
 from protocols.messages import Command
 
 GRAVITY = 9.81
@@ -69,62 +69,42 @@ class Quadruped(Base):
     front_right: tuple[str, str, str]
     rear_left: tuple[str, str, str]
     rear_right: tuple[str, str, str]
-    hip_x: float
+    hip_x: Annotated[float, Bounds(0.01, 2.0, "m")]
     """m, of the hips before and behind the origin"""
-    hip_y: float
+    hip_y: Annotated[float, Bounds(0.0, 2.0, "m")]
     """m, of the hips beside it"""
-    offset: float
+    offset: Annotated[float, Bounds(0.0, 1.0, "m")]
     """m, from a hip's axis outward to the leg's plane"""
-    thigh: float
-    """m"""
-    shank: float
+    thigh: Annotated[float, Bounds(0.01, 2.0, "m")]
+    shank: Annotated[float, Bounds(0.01, 2.0, "m")]
     """m, from the knee to the foot's centre"""
-    foot_radius: float = 0.02
-    """m"""
+    foot_radius: Annotated[float, Bounds(0.0, 0.2, "m")] = 0.02
     knees: Literal["backward", "forward"] = "backward"
     """Where they point"""
-    mass: float
+    mass: Annotated[float, Bounds(0.1, 1000.0, "kg")]
     """kg, of all"""
-    height: float
+    height: Annotated[float, Bounds(0.01, 4.0, "m")]
     """m, of the origin above the feet's centres, standing"""
-    lying_height: float = 0.08
+    lying_height: Annotated[float, Bounds(0.001, 4.0, "m")] = 0.08
     """m, likewise on its belly with folded legs"""
-    rise_time: float = 1.0
+    rise_time: Annotated[float, Bounds(0.2, 10.0, "s")] = 1.0
     """s, from there to standing"""
-    period: float = 0.4
+    period: Annotated[float, Bounds(0.1, 5.0, "s")] = 0.4
     """s, of the trot"""
-    stance: float = 0.6
+    stance: Annotated[float, Bounds(0.5, 0.9)] = 0.6
     """Share of the period for which a foot is on the floor"""
-    lift: float = 0.05
+    lift: Annotated[float, Bounds(0.001, 0.5, "m")] = 0.05
     """m, of a foot that swings"""
-    stiffness: float = 60.0
+    stiffness: Annotated[float, Bounds(0.1, 1e4, "N·m/rad")] = 60.0
     """N·m/rad, of each joint"""
-    damping: float = 2.0
-    """N·m·s/rad"""
+    damping: Annotated[float, Bounds(0.001, 1e3, "N·m·s/rad")] = 2.0
 
     def __post_init__(self) -> None:
-        within(
-            self,
-            hip_x=(0.01, 2.0, "m"),
-            hip_y=(0.0, 2.0, "m"),
-            offset=(0.0, 1.0, "m"),
-            thigh=(0.01, 2.0, "m"),
-            shank=(0.01, 2.0, "m"),
-            foot_radius=(0.0, 0.2, "m"),
-            mass=(0.1, 1000.0, "kg"),
-            height=(0.01, 4.0, "m"),
-            lying_height=(0.001, 4.0, "m"),
-            rise_time=(0.2, 10.0, "s"),
-            period=(0.1, 5.0, "s"),
-            stance=(0.5, 0.9),
-            lift=(0.001, 0.5, "m"),
-            stiffness=(0.1, 1e4, "N·m/rad"),
-            damping=(0.001, 1e3, "N·m·s/rad"),
-        )
+        Base.__post_init__(self)
         highest = 0.98 * (self.thigh + self.shank)
         if not self.lying_height < self.height <= highest:
-            raise ValueError(f"height must be above lying_height, and at most {highest:g}: the leg's length")
-        Base.__post_init__(self)
+            text = f"height must be above lying_height, and at most {highest:g}: the leg's length"
+            raise Invalid(("height", text))
 
     @classmethod
     def motor_keys(cls) -> tuple[str, ...]:
@@ -354,7 +334,7 @@ class Quadruped(Base):
         return Travel(ahead, turn, aside, *(tuple(one[i] for one in by) for i in range(3)))
 
 
-def _measured(model: urdf.Model, names: Sequence[str]) -> dict[str, float]:
+def _measured(model: urdf.UrdfModel, names: Sequence[str]) -> dict[str, float]:
     """Return the measures [m] of a leg with these joints, whose frames are parallel."""
     hip, thigh, knee = (model.joints[name] for name in names)
     feet = [

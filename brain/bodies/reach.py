@@ -32,7 +32,7 @@ LONGEST = 0.5
 PRIMES = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53)
 
 
-class Search:
+class ReachSearch:
     """One search. `place`: m, in the base's frame; `attitude`: the tip's rotation, None if any will do.
 
     `fixed` are joints that keep their positions."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 from brain.bodies.wheels import FixedWheels, Row
-from brain.checks import within
+from protocols.bounds import Bounds
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -18,14 +18,10 @@ class TwoSides(FixedWheels):
     (Mandow et al. 2007, "Experimental kinematics for wheeled skid-steer mobile robots"). How far depends on
     the floor, so the turn by its wheels is uncertain; a gyro should tell it."""
 
-    effective_separation: float
+    effective_separation: Annotated[float, Bounds(0.01, 10.0, "m")]
     """m, between the sides' centres of rotation: the distance between wheels or tracks times some 1.3 to 2"""
-    turn_slip: float = 0.3
+    turn_slip: Annotated[float, Bounds(0.0, 1.0)] = 0.3
     """Standard deviation of each side's slip when it turns, as a share of what it rolls"""
-
-    def __post_init__(self) -> None:
-        within(self, effective_separation=(0.01, 10.0, "m"), turn_slip=(0.0, 1.0))
-        FixedWheels.__post_init__(self)
 
     @classmethod
     def motor_keys(cls) -> tuple[str, ...]:

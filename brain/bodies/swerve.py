@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 from brain.bodies.omni import check_places
-from brain.bodies.wheels import Contact, SteeredWheels
-from brain.checks import within
+from brain.bodies.wheels import Contact, SteeredWheels, SteeringError
+from protocols.bounds import Bounds, Invalid
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,12 +23,12 @@ class Swerve(SteeredWheels):
     """Motors that steer them"""
     places: tuple[tuple[float, float], ...]
     """m: x and y of each wheel's point of contact"""
-    steering_error: float = 0.8
+    max_steering: Annotated[float, Bounds(math.pi / 2.0, 1e4, "rad")] | None = None
+    steering_error: SteeringError = 0.8
 
     def __post_init__(self) -> None:
-        within(self, max_steering=(math.pi / 2.0, 1e4, "rad"))
         if len(self.drive) != len(self.steering) or len(self.drive) < 2:
-            raise ValueError("steering must name as many motors as drive, two or more")
+            raise Invalid(("steering", "steering must name as many motors as drive, two or more"))
         check_places(self.places, len(self.drive))
         SteeredWheels.__post_init__(self)
 

@@ -1,4 +1,4 @@
-"""URDF: the text of a robot's links and joints as a `Model`.
+"""URDF: the text of a robot's links and joints as a `UrdfModel`.
 
 Rules. What a brain needs is read: kinematics, limits, inertia, plain shapes; meshes, materials, transmissions
 and what simulators add are skipped. Every mistake becomes a sentence, all of one ValueError. A text with a
@@ -43,7 +43,7 @@ class Inertial(NamedTuple):
     """kg·m²: xx, xy, xz, yy, yz, zz"""
 
 
-class Shape(NamedTuple):
+class Geometry(NamedTuple):
     """A box (x, y, z), cylinder (radius, length along z) or sphere (radius) in its link's frame [m]."""
 
     kind: str
@@ -56,11 +56,11 @@ class Link(NamedTuple):
 
     name: str
     inertial: Inertial | None
-    shapes: tuple[Shape, ...]
+    shapes: tuple[Geometry, ...]
     """What it collides with; where it has nothing, what it looks like."""
 
 
-class Joint(NamedTuple):
+class UrdfJoint(NamedTuple):
     """What connects a link to its parent; limits are None where the kind of joint has none."""
 
     name: str
@@ -86,17 +86,17 @@ class Joint(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Model:
+class UrdfModel:
     """The links and joints of a robot, by name; parents are before their children."""
 
     name: str
     root: str
     links: dict[str, Link]
-    joints: dict[str, Joint]
-    joint_of: dict[str, Joint]
+    joints: dict[str, UrdfJoint]
+    joint_of: dict[str, UrdfJoint]
     """The joint above each link but the root."""
 
-    def above(self, link: str) -> Iterator[Joint]:
+    def above(self, link: str) -> Iterator[UrdfJoint]:
         """Yield the joints from a link up to the root."""
         while link in self.joint_of:
             joint = self.joint_of[link]
@@ -105,7 +105,7 @@ class Model:
 
 
 @lru_cache(maxsize=8)
-def parse(text: str) -> Model:
+def parse(text: str) -> UrdfModel:
     """Return the model of a URDF's text. Raises ValueError with every mistake, in sentences."""
     reader = _Reader()
     root = _read(text)
@@ -221,7 +221,7 @@ class _Reader:
             self.wrong(f"{what}: no body has these moments of inertia, {xx:g}, {yy:g}, {zz:g}")
         return Inertial(self.origin(element.find("origin"), what), kg, (xx, xy, xz, yy, yz, zz))
 
-    def shape(self, element: ET.Element, what: str) -> Shape | None:
+    def shape(self, element: ET.Element, what: str) -> Geometry | None:
         geometry = element.find("geometry")
         sizes = {"box": ("size", 3), "cylinder": ("radius", 1), "sphere": ("radius", 1)}
         for one in () if geometry is None else geometry:
@@ -230,10 +230,10 @@ class _Reader:
                 size = self.numbers(one, key, "", what, count)
                 if one.tag == "cylinder":
                     size += self.numbers(one, "length", "", what, 1)
-                return Shape(one.tag, size, self.origin(element.find("origin"), what))
+                return Geometry(one.tag, size, self.origin(element.find("origin"), what))
         return None
 
-    def joint(self, element: ET.Element) -> Joint | None:
+    def joint(self, element: ET.Element) -> UrdfJoint | None:
         name, kind = self.name(element), element.get("type", "")
         if not name:
             return None
@@ -259,7 +259,7 @@ class _Reader:
         mimic = element.find("mimic")
         mimics = "" if mimic is None else mimic.get("joint", "")
         origin = self.origin(element.find("origin"), what)
-        return Joint(name, cast(Kind, kind), ends[0], ends[1], origin, (x, y, z), *limits, mimics)
+        return UrdfJoint(name, cast(Kind, kind), ends[0], ends[1], origin, (x, y, z), *limits, mimics)
 
     def limits(
         self, element: ET.Element | None, kind: str, what: str
@@ -277,10 +277,10 @@ class _Reader:
             self.wrong(f"{what}: velocity and effort must not be negative")
         return (low, high) if bounded else None, velocity or None, effort or None
 
-    def model(self, name: str, links: dict[str, Link], joints: dict[str, Joint]) -> Model | None:
+    def model(self, name: str, links: dict[str, Link], joints: dict[str, UrdfJoint]) -> UrdfModel | None:
         """Return the tree of these joints, if they form one."""
-        above: dict[str, Joint] = {}
-        below: dict[str, list[Joint]] = {}
+        above: dict[str, UrdfJoint] = {}
+        below: dict[str, list[UrdfJoint]] = {}
         for joint in joints.values():
             for link in (joint.parent, joint.child):
                 if link and link not in links:
@@ -310,4 +310,4 @@ class _Reader:
             lost = next(link for link in links if link not in order)
             self.wrong(f"link {lost!r} is in a loop, expected one tree of links")
             return None
-        return Model(name, roots[0], {link: links[link] for link in order}, ordered, above)
+        return UrdfModel(name, roots[0], {link: links[link] for link in order}, ordered, above)

@@ -13,11 +13,11 @@ from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, NamedTuple, TypeAlias
+from typing import Annotated, Any, NamedTuple, TypeAlias
 
 from brain.bodies.body import Base, Setpoint, Travel
 from brain.bodies.plane import Twist
-from brain.checks import within
+from protocols.bounds import Bounds
 from protocols.messages import Command
 
 Row: TypeAlias = tuple[float, float, float]
@@ -103,14 +103,9 @@ def weighted(columns: Sequence[Row], weights: Sequence[float]) -> Row:
 class WheeledBase(Base):
     """A base on wheels of one radius."""
 
-    wheel_radius: float
-    """m"""
-    max_wheel_speed: float | None = None
+    wheel_radius: Annotated[float, Bounds(0.005, 2.0, "m")]
+    max_wheel_speed: Annotated[float, Bounds(1e-3, 1e4, "rad/s")] | None = None
     """rad/s of a wheel; None: what the largest speeds of the base together need"""
-
-    def __post_init__(self) -> None:
-        within(self, wheel_radius=(0.005, 2.0, "m"), max_wheel_speed=(1e-3, 1e4, "rad/s"))
-        Base.__post_init__(self)
 
     def top_speed(self, row: Row) -> float:
         """Return the largest speed [rad/s] of a wheel with this row."""
@@ -129,7 +124,7 @@ class FixedWheels(WheeledBase):
     """A base whose wheels do not steer: their speeds are linear in the twist."""
 
     def __post_init__(self) -> None:
-        WheeledBase.__post_init__(self)
+        Base.__post_init__(self)
         gains(self.rows, self.unknowns)
 
     @property
@@ -178,24 +173,21 @@ class Contact(NamedTuple):
     """and of the one that steers it, about a vertical axis through its point of contact; None: forward."""
 
 
+SteeringError: TypeAlias = Annotated[float, Bounds(0.02, math.pi / 2.0, "rad")]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SteeredWheels(WheeledBase):
     """A base with wheels that steer, 0 being forward: it goes slowly until they point the right way, each
     wheel driven by what of its velocity lies in its direction; at rest they stay as they are."""
 
-    max_steering: float | None = None
+    max_steering: Annotated[float, Bounds(0.05, 1e4, "rad")] | None = None
     """rad, to either side; None: endless"""
-    steering_error: float
+    steering_error: SteeringError
     """rad: with its fastest wheel this far from its direction the base does not drive; from half of it on,
     its speed is scaled by a cosine"""
-    steering_lag: float = 0.06
+    steering_lag: Annotated[float, Bounds(0.0, 1.0, "s")] = 0.06
     """s from the command of a steering angle to the wheel being there: it is commanded as much earlier"""
-
-    def __post_init__(self) -> None:
-        half = math.pi / 2.0
-        within(self, max_steering=(0.05, 1e4, "rad"), steering_error=(0.02, half, "rad"))
-        within(self, steering_lag=(0.0, 1.0, "s"))
-        WheeledBase.__post_init__(self)
 
     @property
     @abstractmethod

@@ -15,6 +15,7 @@ from typing import Any, Protocol
 from brain.belief import Pose
 from brain.bodies.body import Base
 from brain.bodies.plane import REST, Twist
+from brain.control.carry import Carry
 from brain.control.profile import Commanded, approach
 from brain.control.pursuit import Pursuit, PursuitSettings
 from brain.planning.polyline import Point
@@ -27,7 +28,7 @@ LEAST_READY = 0.02
 """Share of the wanted twist that is commanded while motors arm and wheels steer: it tells them where to"""
 
 
-class Zone(Protocol):
+class Protection(Protocol):
     """What protects the base (`brain.planning.stop_zone`)."""
 
     def is_too_fast(self, twist: Twist) -> bool:
@@ -39,7 +40,7 @@ class Zone(Protocol):
         ...
 
 
-class Way(Protocol):
+class FollowedPath(Protocol):
     """A path (`brain.planning.planner`)."""
 
     @property
@@ -59,11 +60,13 @@ class Way(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
+class MotionInputs:
     """What control needs to know at one moment."""
 
     pose: Pose
-    """Now"""
+    """In the frame "map", now"""
+    odom: Pose
+    """In the frame "odom", now"""
     share: float
     """Of the largest speeds; 0: brake and stand"""
     busy: bool
@@ -74,30 +77,31 @@ class Wish:
     """m between the footprint and the nearest obstacle of the map"""
 
 
-class Motion:
+class MotionControl:
     """Control of one base. State is plain data."""
 
     def __init__(self, settings: PursuitSettings, body: Base, motors: Sequence[str]) -> None:
         self.settings, self.body = settings, body
         self.pursuit = Pursuit()
+        self.carry = Carry()
         self.commanded = Commanded()
         """Twist, and its rate of change"""
         self.commands: Sequence[Command] = ()
         """The last, one per motor"""
         self._motors = tuple(motors)
         self._due: Nanos | None = None
-        """When control is due next,"""
+        """When control is due next"""
         self._ran: Nanos | None = None
-        """and when it last ran."""
+        """When it last ran"""
         self._rest_since: Nanos | None = None
         self._positions: dict[str, float] = {}
         """rad, the newest of each joint"""
         self._memory: Any = None
         """What the body remembers between two commands."""
         self._armed: dict[str, bool] = {}
-        """Whether each motor was last reported as armed,"""
+        """Whether each motor was last reported as armed"""
         self._moved = False
-        """and whether any was commanded to move since all were disarmed."""
+        """Whether any motor was commanded to move since all were disarmed"""
         self._idle()
 
     @property
@@ -107,20 +111,33 @@ class Motion:
 
     @property
     def arrived(self) -> bool:
-        """At rest at the end of the path."""
-        return self.pursuit.arrived
+        """At rest at the end of the path, by the pose believed."""
+        return self.pursuit.arrived and self.carry.settled
+
+    @property
+    def missed(self) -> str:
+        """Why the end of the path cannot be reached on it; "" if it may be."""
+        return self.pursuit.missed
 
     def follow(
-        self, path: Way, yaw: float | None = None, slow: Callable[[float, float], float] | None = None
+        self,
+        path: FollowedPath,
+        yaw: float | None = None,
+        slow: Callable[[float, float], float] | None = None,
     ) -> None:
         """Follow a path, and end in this yaw [rad] if one is given.
 
         `slow`: the largest speed [m/s] at a place [m, m]."""
+        self.carry.begin()
         self.pursuit.follow(path.points, yaw, self.body, self.settings, path.headings, path.gears, slow)
 
     def drop(self) -> None:
         """Forget the path: brake."""
         self.pursuit.drop()
+
+    def adopt(self, body: Base, settings: PursuitSettings) -> None:
+        """Continue with other settings."""
+        self.body, self.settings = body, settings
 
     def observe(self, events: Sequence[Event]) -> None:
         """Process the joints' feedback."""
@@ -130,11 +147,11 @@ class Motion:
             elif isinstance(event, msg.State):
                 self._armed[event.motor] = event.mode is msg.Mode.ARMED
 
-    def is_due(self, now: Nanos, zone: Zone) -> bool:
+    def is_due(self, now: Nanos, zone: Protection) -> bool:
         """Return whether a step is due now; if not, `commands` stay."""
         return self._due is None or now >= self._due or zone.is_too_fast(self.twist)
 
-    def step(self, now: Nanos, wish: Wish, zone: Zone) -> Sequence[Command]:
+    def step(self, now: Nanos, inputs: MotionInputs, zone: Protection) -> Sequence[Command]:
         """Return new commands, one per motor."""
         period = self.settings.period
         if self._due is None or now - self._due >= period:
@@ -144,7 +161,7 @@ class Motion:
         since = seconds(period if self._ran is None else min(now - self._ran, MAX_CONTROL_STEP))
         self._ran = now
         before = self.commanded
-        wanted = self.body.limit(self._wanted(wish))
+        wanted = self.body.limit(self._wanted(inputs, since))
         desired = approach(before, wanted, since, self.body)
         armed = all(self._armed.get(joint, True) for joint in self.body.joints)
         ready = self.body.readiness(desired.twist, self._places()) if armed else 0.0
@@ -153,7 +170,7 @@ class Motion:
             desired = approach(before, slower, since, self.body)
         twist = zone.allowed(before.twist, desired.twist, wanted, since)
         self.commanded = desired if twist == desired.twist else _rated(before.twist, twist, since, self.body)
-        self.commands = self._actuated(now, wish.busy, since)
+        self.commands = self._actuated(now, inputs.busy, since)
         return self.commands
 
     def disarm(self) -> Sequence[Command]:
@@ -163,12 +180,12 @@ class Motion:
 
     # -- private ------------------------------------------------------------------------------
 
-    def _wanted(self, wish: Wish) -> Twist:
+    def _wanted(self, inputs: MotionInputs, dt: float) -> Twist:
         """Return the twist wanted, before the body's limits."""
-        body = self.body
-        if wish.drive is not None:
-            return body.limit(wish.drive).scaled(wish.share)
-        return self.pursuit.step(wish.pose, self.twist, wish.share, wish.clearance, body, self.settings)
+        body, pose = self.body, self.carry.pose(inputs.pose, inputs.odom, self.twist, dt)
+        if inputs.drive is not None:
+            return body.limit(inputs.drive).scaled(inputs.share)
+        return self.pursuit.step(pose, self.twist, inputs.share, inputs.clearance, body, self.settings)
 
     def _actuated(self, now: Nanos, busy: bool, dt: float) -> Sequence[Command]:
         if self.twist != REST or busy:

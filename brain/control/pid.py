@@ -11,40 +11,32 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import copysign
+from typing import Annotated
 
-from brain.checks import within
+from protocols.bounds import Bounds, check
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopSettings:
     """Gains at the joint's output shaft, SI."""
 
-    position_gain: float = 8.0
+    position_gain: Annotated[float, Bounds(0.0, 1e3, "1/s")] = 8.0
     """rad/s of velocity per rad of error"""
-    velocity_gain: float
+    velocity_gain: Annotated[float, Bounds(0.0, 1e4, "N·m·s/rad")]
     """N·m per rad/s of error"""
-    integral_gain: float = 0.0
+    integral_gain: Annotated[float, Bounds(0.0, 1e5, "N·m/rad")] = 0.0
     """N·m per rad/s of error and s"""
-    integral_most: float = 0.0
+    integral_most: Annotated[float, Bounds(0.0, 1e4, "N·m")] = 0.0
     """N·m of the integral, at most"""
-    inertia: float = 0.0
+    inertia: Annotated[float, Bounds(0.0, 1e3, "kg·m²")] = 0.0
     """kg·m², given in advance"""
-    damping: float = 0.0
+    damping: Annotated[float, Bounds(0.0, 1e3, "N·m·s/rad")] = 0.0
     """N·m·s/rad, likewise,"""
-    friction: float = 0.0
+    friction: Annotated[float, Bounds(0.0, 1e3, "N·m")] = 0.0
     """and N·m of dry friction"""
 
     def __post_init__(self) -> None:
-        within(
-            self,
-            position_gain=(0.0, 1e3, "1/s"),
-            velocity_gain=(0.0, 1e4, "N·m·s/rad"),
-            integral_gain=(0.0, 1e5, "N·m/rad"),
-            integral_most=(0.0, 1e4, "N·m"),
-            inertia=(0.0, 1e3, "kg·m²"),
-            damping=(0.0, 1e3, "N·m·s/rad"),
-            friction=(0.0, 1e3, "N·m"),
-        )
+        check(self)
 
 
 CREEP = 0.05

@@ -18,80 +18,62 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import atan2, cbrt, cos, hypot, pi, sin, sqrt
+from typing import Annotated
 
 from brain.belief import Pose
 from brain.bodies.body import Base
 from brain.bodies.plane import REST, Twist, arc, wrap
-from brain.checks import ordered, within
 from brain.control.profile import JERK, clamp
-from brain.control.track import Place, Run, runs
+from brain.control.track import TrackPlace, TrackRun, runs
 from brain.planning.polyline import Point
-from protocols.messages import MILLISECOND, SECOND, Nanos, seconds
+from protocols.bounds import Bounds, Duration, Invalid, check, ordered
+from protocols.messages import MILLISECOND, SECOND, seconds
 
 
 @dataclass(frozen=True, slots=True)
 class PursuitSettings:
     """Parameters of path following, SI."""
 
-    period: Nanos = 20 * MILLISECOND
+    period: Annotated[Duration, Bounds(1.0, 100.0)] = 20 * MILLISECOND
     """Period of the commands."""
-    latency: Nanos = 40 * MILLISECOND
+    latency: Annotated[Duration, Bounds(0.0, 500.0)] = 40 * MILLISECOND
     """From a command to the motion that it causes"""
-    lookahead_time: float = 0.5
+    lookahead_time: Annotated[float, Bounds(0.01, 10.0, "s")] = 0.5
     """s; the distance in which errors vanish is the speed times this,"""
-    lookahead_min: float = 0.2
+    lookahead_min: Annotated[float, Bounds(0.01, 10.0, "m")] = 0.2
     """m, but at least this"""
-    lookahead_max: float = 1.0
+    lookahead_max: Annotated[float, Bounds(0.01, 10.0, "m")] = 1.0
     """m, and at most this"""
-    corner: float = 0.03
+    corner: Annotated[float, Bounds(1e-3, 1.0, "m")] = 0.03
     """m, by which a corner of a path may be cut"""
-    lateral_acceleration: float = 0.5
+    lateral_acceleration: Annotated[float, Bounds(0.01, 20.0, "m/s²")] = 0.5
     """m/s², in bends"""
-    turn_from: float = 0.8
+    turn_from: Annotated[float, Bounds(0.01, 3.2, "rad")] = 0.8
     """rad: error of the heading from which on the robot stops and turns on the spot,"""
-    turn_until: float = 0.1
+    turn_until: Annotated[float, Bounds(0.001, 3.2, "rad")] = 0.1
     """rad: until the error is below this; at rest it turns for more than twice this"""
-    turn_gain: float = 4.0
+    turn_gain: Annotated[float, Bounds(0.01, 50.0)] = 4.0
     """rad/s per rad of heading error, on the spot"""
-    obstacle_distance: float = 0.15
+    obstacle_distance: Annotated[float, Bounds(0.01, 10.0, "m")] = 0.15
     """m between footprint and obstacle, below which the speed is lowered,"""
-    obstacle_speed: float = 0.4
+    obstacle_speed: Annotated[float, Bounds(0.01, 1.0)] = 0.4
     """down to this share of the largest at no distance"""
-    braking: float = 0.8
+    braking: Annotated[float, Bounds(0.05, 1.0)] = 0.8
     """Share of the largest deceleration that is used to brake before bends and the end of the path."""
-    creep: float = 0.04
+    creep: Annotated[float, Bounds(1e-3, 0.5, "m/s")] = 0.04
     """m/s, the lowest speed before the end"""
-    tolerance: float = 0.05
+    tolerance: Annotated[float, Bounds(1e-3, 1.0, "m")] = 0.05
     """m: the goal is reached within this, by the estimate"""
-    yaw_tolerance: float = 0.05
+    yaw_tolerance: Annotated[float, Bounds(1e-3, 3.2, "rad")] = 0.05
     """rad, if the goal has a yaw"""
-    idle_after: Nanos = SECOND
+    idle_after: Annotated[Duration, Bounds(10.0, 60_000.0)] = SECOND
     """After this time at rest with nothing to do, the motors are disarmed."""
 
     def __post_init__(self) -> None:
-        within(
-            self,
-            period=(1.0, 100.0),
-            latency=(0.0, 500.0),
-            lookahead_time=(0.01, 10.0, "s"),
-            lookahead_min=(0.01, 10.0, "m"),
-            lookahead_max=(0.01, 10.0, "m"),
-            corner=(1e-3, 1.0, "m"),
-            lateral_acceleration=(0.01, 20.0, "m/s²"),
-            turn_from=(0.01, 3.2, "rad"),
-            turn_until=(0.001, 3.2, "rad"),
-            turn_gain=(0.01, 50.0),
-            obstacle_distance=(0.01, 10.0, "m"),
-            obstacle_speed=(0.01, 1.0),
-            braking=(0.05, 1.0),
-            creep=(1e-3, 0.5, "m/s"),
-            tolerance=(1e-3, 1.0, "m"),
-            yaw_tolerance=(1e-3, 3.2, "rad"),
-            idle_after=(10.0, 60_000.0),
-        )
+        check(self)
         ordered(self, "lookahead_min", "lookahead_max")
         if self.turn_until >= self.turn_from:
-            raise ValueError(f"turn_until must be less than turn_from, {self.turn_from}")
+            raise Invalid(("turn_until", f"turn_until must be less than turn_from, {self.turn_from}"))
 
 
 STEADY = 0.02
@@ -112,7 +94,7 @@ class Pursuit:
     """Path follower. State: the runs of the path, the one driven, and how far; plain data."""
 
     def __init__(self) -> None:
-        self.runs: tuple[Run, ...] = ()
+        self.runs: tuple[TrackRun, ...] = ()
         self.end: Point | None = None
         """Of the path; None without one."""
         self.yaw: float | None = None
@@ -181,7 +163,7 @@ class Pursuit:
 
     def _along(
         self,
-        run: Run,
+        run: TrackRun,
         pose: Pose,
         rests: bool,
         previous: Twist,
@@ -232,9 +214,9 @@ class Pursuit:
 
     def _sideways(
         self,
-        run: Run,
-        place: Place,
-        ahead: Place,
+        run: TrackRun,
+        place: TrackPlace,
+        ahead: TrackPlace,
         pose: Pose,
         speed: float,
         left: float,

@@ -39,7 +39,7 @@ SHARE = 0.8
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class TrackPlace:
     """One place on a run."""
 
     x: float
@@ -54,7 +54,7 @@ class Place:
     """rad, of the base, if the path says so"""
 
 
-class Run:
+class TrackRun:
     """A part of a path that is driven in one go. Immutable."""
 
     def __init__(self, points: Floats, gear: int, facing: Floats | None, speed: Floats) -> None:
@@ -77,7 +77,7 @@ class Run:
         """Its last place [m]."""
         return float(self.x[-1]), float(self.y[-1])
 
-    def place(self, along: float) -> Place:
+    def place(self, along: float) -> TrackPlace:
         """Return the place at this length [m]."""
         along = min(max(along, 0.0), self.length)
         i = min(max(int(np.searchsorted(self.at, along, "right")) - 1, 0), len(self.at) - 2)
@@ -86,7 +86,7 @@ class Run:
         pairs = (self.x, self.y, self.heading, self.curvature, self.speed)
         x, y, heading, curvature, speed = (float(v[i] + share * (v[i + 1] - v[i])) for v in pairs)
         facing = None if self.facing is None else float(self.facing[i])
-        return Place(x, y, heading, curvature, speed, facing)
+        return TrackPlace(x, y, heading, curvature, speed, facing)
 
     def nearest(self, x: float, y: float, low: float, high: float) -> float:
         """Return the length [m] of the nearest place between two lengths."""
@@ -108,7 +108,7 @@ def runs(
     braking: float,
     lateral_acceleration: float,
     slow: Callable[[float, float], float] | None = None,
-) -> tuple[Run, ...]:
+) -> tuple[TrackRun, ...]:
     """Return the runs of a path; none if it has no length.
 
     `corner`: m, by which a corner may be cut; `braking`: share of the largest deceleration that is used;
@@ -125,7 +125,7 @@ def runs(
         along = np.linspace(0.0, line.length, count)
         curve = _rounded(_sampled(line, along), line.length / (count - 1), corner)
         speed = _speeds(curve, body, braking, lateral_acceleration, slow)
-        made.append(Run(curve, gear, _facing(line, part, facing, along), speed))
+        made.append(TrackRun(curve, gear, _facing(line, part, facing, along), speed))
     return tuple(made)
 
 

@@ -53,9 +53,9 @@ LONGEST: Nanos = SECOND // 2
 """Scans farther apart are not compared."""
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class _Seen:
-    """The scan before, and what is known of each beam."""
+    """A scan, and what is known of each beam."""
 
     t: Nanos
     place: Pose
@@ -104,17 +104,18 @@ class Beams:
         before, where = self._seen, _where(place, beams, ranges)
         zeros = np.zeros(count)
         now = _Seen(scan.t, place, ranges, read, zeros, zeros, ranges, where, nothing, nothing)
-        self._seen = now
         if count < 2 or before is None or len(before.ranges) != count or scan.t - before.t > LONGEST:
+            self._seen = now
             return ""
         same = read & (ranges == before.ranges)
-        now.equal = np.where(same, before.equal + 1.0, 0.0)
-        now.due = np.where(same, before.due + _expected(before, place, beams, scan.angle_increment), 0.0)
+        expected = _expected(before, place, beams, scan.angle_increment)
+        equal, due = np.where(same, before.equal + 1.0, 0.0), np.where(same, before.due + expected, 0.0)
         least = max(FROZEN, STEPS * _step(ranges))
-        frozen = (now.equal >= CONFIRM) & (np.abs(now.due) > least)
-        self._look_for_hanging(before, now, scan, mount, np.where(far, np.inf, ranges))
+        frozen = (equal >= CONFIRM) & (np.abs(due) > least)
+        now = self._with_hanging(before, now, scan, mount, np.where(far, np.inf, ranges))
         turn = abs(wrap(place.yaw - before.place.yaw))
-        _look_for_blind(before, now, SECTOR + turn, scan)
+        blind, scans = _blind(before, now, SECTOR + turn, scan)
+        self._seen = now = replace(now, equal=equal, due=due, blind=blind, scans=scans)
         for bad, least, what in (
             (frozen, WIDE, "repeat their readings while the base moves"),
             (now.hangs, NARROW, "see something near that moves with the lidar"),
@@ -127,23 +128,22 @@ class Beams:
                 return f"{found} of {count} beams, about {about}° from ahead, {what}"
         return ""
 
-    def _look_for_hanging(
+    def _with_hanging(
         self, before: _Seen, now: _Seen, scan: LaserScan, mount: Mount, ranges: Floats
-    ) -> None:
-        """Go on with the near beams that stay as they are; `ranges`: inf where a beam goes on beyond."""
+    ) -> _Seen:
+        """Return a scan with its near beams that stay; `ranges`: inf where a beam goes on beyond."""
         beams = mount.beams(scan)
         stays = now.read & (now.ranges < NEAR) & (np.abs(now.ranges - before.first) < SPREAD)
         if not stays.any():
-            return
-        now.first = np.where(stays, before.first, now.ranges)
-        now.where = np.where(stays, before.where, now.where)
-        x, y, from_x, from_y, from_yaw = now.where
+            return now
+        first, where = np.where(stays, before.first, now.ranges), np.where(stays, before.where, now.where)
+        x, y, from_x, from_y, from_yaw = where
         place = now.place
         gone = np.hypot(place.x - from_x, place.y - from_y) > GONE
         gone |= np.abs(place.yaw - from_yaw) > TURNED
         gone &= stays & self._outside(mount, beams, now.ranges)
         gone[gone] = _seen_beyond(x[gone] - place.x, y[gone] - place.y, place.yaw, beams, scan, ranges)
-        now.hangs = stays & (before.hangs | gone)
+        return replace(now, first=first, where=where, hangs=stays & (before.hangs | gone))
 
     def _outside(self, mount: Mount, beams: Floats, ranges: Floats) -> Bools:
         """Return which beams end outside the footprint."""
@@ -183,15 +183,15 @@ def _sense(beams: Floats) -> float:
     return 1.0 if x * after_y >= y * after_x else -1.0
 
 
-def _look_for_blind(before: _Seen, now: _Seen, least: float, scan: LaserScan) -> None:
-    """Go on with the sector that is blind, or find one that has become so."""
-    now.blind, now.scans = before.blind, before.scans + 1
-    if 2 * np.count_nonzero(now.read[now.blind]) < np.count_nonzero(now.blind):
-        return
+def _blind(before: _Seen, now: _Seen, least: float, scan: LaserScan) -> tuple[Bools, int]:
+    """Return the beams of the sector that is blind, or has become so, and for how many scans."""
+    if 2 * np.count_nonzero(now.read[before.blind]) < np.count_nonzero(before.blind):
+        return before.blind, before.scans + 1
     gone = before.read & ~now.read & (before.ranges < SURELY * scan.range_max)
-    now.blind, now.scans = _longest(~now.read, gone), 1
-    if np.count_nonzero(now.blind) * scan.angle_increment <= least:
-        now.blind, now.scans = np.zeros_like(gone), 0
+    blind = _longest(~now.read, gone)
+    if np.count_nonzero(blind) * scan.angle_increment <= least:
+        return np.zeros_like(gone), 0
+    return blind, 1
 
 
 def _expected(before: _Seen, place: Pose, beams: Floats, increment: float) -> Floats:

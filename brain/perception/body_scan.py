@@ -43,6 +43,11 @@ class BodyScan:
     normals: Floats
     """n × 2: unit normal of that line, towards the lidar; undefined where not straight"""
 
+    def place(self, pose: Pose) -> tuple[float, float]:
+        """Return where the lidar is, with the robot at a pose."""
+        (x, y), c, s = self.origin, math.cos(pose.yaw), math.sin(pose.yaw)
+        return pose.x + c * x - s * y, pose.y + s * x + c * y
+
 
 def to_body(
     scan: LaserScan, mount: Mount, farthest: float = math.inf, motion: Floats | None = None

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from brain.perception.filter_inputs import WINDOW, Nis
-from brain.perception.match import Seen
+from brain.perception.match import MatchShares
 from protocols.messages import MILLISECOND, Nanos
 
 
@@ -45,7 +45,7 @@ class Agreement:
     """One scan against the map."""
 
     t: Nanos
-    seen: Seen
+    seen: MatchShares
     """Compared with the map at the matched pose, else at the believed one"""
     matched: bool
     near: bool = True

@@ -3,7 +3,7 @@
 Rules. A state is 8 numbers, its covariance the 36 numbers of the lower triangle by rows; both are tuples that
 are never changed. STRUCTURED is written out in floats where nearly every factor is 0 or 1, and else corrects
 by an innovation whitened by the Cholesky factor of its covariance. FILTERPY gives the same matrices to
-`filterpy.kalman.ExtendedKalmanFilter`. The mean of a prediction is the caller's: its arcs are exact.
+`predict` and `update` of `filterpy.kalman`. The mean of a prediction is the caller's: its arcs are exact.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ Packed: TypeAlias = tuple[float, ...]
 Result: TypeAlias = tuple[Vector, Packed, float]
 """State and covariance after an update, and the squared Mahalanobis distance of its innovation."""
 LOWER = np.tril_indices(SIZE)
+UPPER = LOWER[::-1]
 AT = tuple(tuple(max(i, j) * (max(i, j) + 1) // 2 + min(i, j) for j in range(SIZE)) for i in range(SIZE))
 """Index of a pair of states in the lower triangle."""
 
@@ -33,7 +34,7 @@ def unpacked(packed: Packed) -> Floats:
     """Return the whole 8 × 8 matrix."""
     P = np.empty((SIZE, SIZE))
     P[LOWER] = packed
-    P.T[LOWER] = packed
+    P[UPPER] = packed
     return P
 
 
@@ -49,7 +50,7 @@ def pack(P: Floats) -> Packed:
     return tuple(packed)
 
 
-class Move(NamedTuple):
+class MoveErrors(NamedTuple):
     """What one travel does to errors: derivatives of the new state by the old one, and noise."""
 
     yaw_x: float
@@ -81,7 +82,7 @@ class Move(NamedTuple):
     """rad²: of the turn, anew in each travel"""
 
 
-def matrices(move: Move) -> tuple[Floats, Floats]:
+def matrices(move: MoveErrors) -> tuple[Floats, Floats]:
     """Return the matrices F and Q of a travel."""
     ax, ay, cx, cy, wx, wy, tl, tr, dt, kl, kr, qxx, qxy, qyy, qb, qs, ql, qr, qg, qk = move
     F = np.eye(SIZE)
@@ -102,7 +103,7 @@ def matrices(move: Move) -> tuple[Floats, Floats]:
 class Engine(Protocol):
     """The three operations."""
 
-    def predict(self, packed: Packed, move: Move) -> Packed:
+    def predict(self, packed: Packed, move: MoveErrors) -> Packed:
         """Return the covariance after a travel."""
 
     def turn(self, x: Vector, packed: Packed, innovation: float, variance: float) -> Result:
@@ -115,7 +116,7 @@ class Engine(Protocol):
 class Structured:
     """Plain floats."""
 
-    def predict(self, packed: Packed, move: Move) -> Packed:
+    def predict(self, packed: Packed, move: MoveErrors) -> Packed:
         """Return the covariance after a travel: F P F' + Q, written out."""
         (
             xx, yx, yy, hx, hy, hh, bx, by, bh, bb, sx, sy, sh, sb, ss, lx, ly, lh, lb, ls, ll,
@@ -198,19 +199,18 @@ class Structured:
 
 
 class Filterpy:
-    """`filterpy.kalman.ExtendedKalmanFilter` on the same numbers."""
+    """`filterpy.kalman` on the same numbers."""
 
     def __init__(self) -> None:
-        from filterpy.kalman import ExtendedKalmanFilter  # here, because it takes seconds to import
+        from filterpy import kalman  # here, because it takes seconds to import
 
-        self._filter: Any = ExtendedKalmanFilter(dim_x=SIZE, dim_z=1)
+        self._predict: Any = kalman.predict
+        self._update: Any = kalman.update
 
-    def predict(self, packed: Packed, move: Move) -> Packed:
+    def predict(self, packed: Packed, move: MoveErrors) -> Packed:
         """Return the covariance after a travel."""
-        self._filter.x, self._filter.P = np.zeros(SIZE), unpacked(packed)
-        self._filter.F, self._filter.Q = matrices(move)
-        self._filter.predict()
-        return pack(self._filter.P)
+        F, Q = matrices(move)
+        return pack(self._predict(np.zeros(SIZE), unpacked(packed), F, Q)[1])
 
     def turn(self, x: Vector, packed: Packed, innovation: float, variance: float) -> Result:
         """Correct by a measurement of TURN."""
@@ -218,11 +218,10 @@ class Filterpy:
 
     def update(self, x: Vector, packed: Packed, rows: Sequence[int], y: Vector, noise: Floats) -> Result:
         """Correct by a measurement of these states."""
-        H = np.eye(SIZE)[list(rows)]
-        self._filter.x, self._filter.P = np.zeros(SIZE), unpacked(packed)
-        self._filter.update(np.array(y), lambda _: H, lambda state: H @ state, R=noise)
-        corrected = tuple(a + b for a, b in zip(x, self._filter.x.tolist(), strict=True))
-        return corrected, pack(self._filter.P), float(self._filter.mahalanobis) ** 2
+        H, P, innovation = np.eye(SIZE)[list(rows)], unpacked(packed), np.array(y)
+        shift, after = self._update(np.zeros(SIZE), P, innovation, noise, H)
+        corrected = tuple(a + b for a, b in zip(x, shift.tolist(), strict=True))
+        return corrected, pack(after), float(innovation @ np.linalg.solve(H @ P @ H.T + noise, innovation))
 
 
 def cross_zeroed(packed: Packed, state: int, variance: float) -> Packed:

@@ -50,7 +50,7 @@ class GyroRate:
 
 @dataclass(frozen=True, slots=True)
 class PoseFix:
-    """A pose, or a position, in the frame "odom", measured by a reference outside the robot."""
+    """A pose, or a position, in the frame "map", measured by a reference outside the robot."""
 
     source: str
     t: Nanos

@@ -1,6 +1,6 @@
 """Positions and poses from outside: GPS fixes and pose readings as measurements for the filter.
 
-Rules. A fix becomes metres in the tangent plane at a datum, the place of the origin of the frame "odom",
+Rules. A fix becomes metres in the tangent plane at a datum, the place of the origin of the frame "map",
 whose x axis points east; without a datum in the settings the first fix is it. Heights are left out. A robot
 whose start yaw is not known needs a large `FilterSettings.start_yaw_sigma`.
 """
@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from brain.checks import within
 from brain.perception.filter_inputs import PoseFix
+from protocols.bounds import Bounds, Invalid, check
 from protocols.messages import Fix, PoseReading
 
 SEMI_MAJOR = 6_378_137.0
@@ -25,33 +26,27 @@ SQUARE = 6.694_379_990_141e-3
 class FixSettings:
     """Datum, and the errors of sources that do not report any."""
 
-    latitude: float | None = None
-    """deg, of the origin of the frame "odom"; None: the first fix"""
-    longitude: float | None = None
-    fix_sigma: float = 2.0
+    latitude: Annotated[float, Bounds(-90.0, 90.0, "deg")] | None = None
+    """deg, of the origin of the frame "map"; None: the first fix"""
+    longitude: Annotated[float, Bounds(-180.0, 180.0, "deg")] | None = None
+    fix_sigma: Annotated[float, Bounds(1e-3, 1000.0, "m")] = 2.0
     """m, of a fix without a variance"""
-    pose_sigma: float = 0.02
+    pose_sigma: Annotated[float, Bounds(1e-4, 100.0, "m")] = 0.02
     """m, of a pose reading without a variance"""
-    yaw_sigma: float = 0.02
+    yaw_sigma: Annotated[float, Bounds(1e-4, 4.0, "rad")] = 0.02
     """rad, of a pose reading without a variance of its yaw"""
 
     def __post_init__(self) -> None:
-        within(
-            self,
-            latitude=(-90.0, 90.0, "deg"),
-            longitude=(-180.0, 180.0, "deg"),
-            fix_sigma=(1e-3, 1000.0, "m"),
-            pose_sigma=(1e-4, 100.0, "m"),
-            yaw_sigma=(1e-4, 4.0, "rad"),
-        )
+        check(self)
         if (self.latitude is None) != (self.longitude is None):
-            raise ValueError("latitude and longitude: both or neither")
+            stated = "longitude" if self.latitude is None else "latitude"
+            raise Invalid((stated, "latitude and longitude: both or neither"))
 
 
 LEAST_VARIANCE, MOST_VARIANCE = 1e-8, 1e12
 """m² and rad²: a smaller one is taken for the least; with a larger one nothing is known."""
 FARTHEST = 1e6
-"""m from the origin of the frame "odom", along x and y"""
+"""m from the origin of the frame "map", along x and y"""
 
 
 def is_possible(event: Fix | PoseReading) -> bool:

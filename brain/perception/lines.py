@@ -29,12 +29,17 @@ PER_CELL, MAX_OFFSET = 8192.0, 3.9
 """Steps per cell; cells"""
 MAX_SCANS = 10
 """In a cell's means: the first ones"""
+TILE = 64
+"""Cells along a tile's sides"""
+AREA = TILE * TILE
 SIDE, BITS = 16, 4
 """Cells along a block's sides, and its logarithm"""
+BLOCK = (SIDE - 1) * (TILE + 1)
+"""Bits of a place that are within a block"""
 GROWTH = 64
-"""Blocks by which their memory grows"""
-MAX_ANCHORS = 16_384
-"""Then the oldest is replaced"""
+"""Blocks, and anchors, by which their memory grows"""
+MAX_ANCHORS = 65_536
+"""As an index has bits for: 20 km of ground never seen before. Then the oldest is replaced"""
 NEW_ANCHOR = 0.3
 """m and rad that the robot moves between two anchors"""
 FEW = 0.06
@@ -42,62 +47,51 @@ FEW = 0.06
 
 
 class Lines:
-    """Lines and anchors, for an extent whose sides are powers of two."""
+    """Lines and anchors, by the places of cells (see `Tiles`); not those of the cells below `AREA`."""
 
-    def __init__(self, rows: int, columns: int) -> None:
-        self._blocks = np.zeros((rows // SIDE, columns // SIDE), dtype=np.int64)
-        """First line of each block of cells; 0: those of the first block, which stays empty"""
+    def __init__(self, tiles: int) -> None:
+        """`tiles`: that there are at most."""
+        self._starts = np.zeros(AREA // SIDE, dtype=np.int32)
+        """First line of each SIDE cells in a row; 0: those of the first block, which stays empty"""
         self._lines: Records = np.zeros(SIDE * SIDE, dtype=LINE)
         self._unused: list[int] = []
-        self._most = self._blocks.size * 3 // 8
+        self._most = tiles * AREA // SIDE**2 * 3 // 8
         """Blocks; with more, further cells have no lines."""
-        self.poses = np.zeros((MAX_ANCHORS, 3))
+        self.poses = np.zeros((GROWTH, 3))
         """Anchors: pose of the robot [m, m, rad]"""
-        self.covariances = np.zeros((MAX_ANCHORS, 3, 3))
+        self.covariances = np.zeros((GROWTH, 3, 3))
         """Anchors: covariance of that pose"""
         self._anchors = 0
 
-    def at(self, columns: Indices, rows: Indices) -> Records:
-        """Return the lines of cells, given by numbers of any shape; they are taken modulo the extent."""
-        lines: Records = self._lines.take(self._places(columns, rows))
+    def at(self, places: Indices) -> Records:
+        """Return the lines of cells."""
+        lines: Records = self._lines.take(self._numbers(places))
         return lines
 
-    def _places(self, columns: Indices, rows: Indices) -> Indices:
-        down, across = self._blocks.shape
-        block = ((rows >> BITS) & (down - 1)) * across + ((columns >> BITS) & (across - 1))
-        places: Indices = self._blocks.take(block)
-        places += ((rows & (SIDE - 1)) << BITS) + (columns & (SIDE - 1))
-        return places
+    def _numbers(self, places: Indices) -> Indices:
+        numbers: Indices = self._starts.take(places >> BITS) + (places & (SIDE - 1))
+        return numbers
 
-    def draw(
-        self,
-        columns: Indices,
-        rows: Indices,
-        points: Floats,
-        normals: Floats,
-        pose: Pose,
-        covariance: Floats,
-    ) -> None:
-        """Add the surfaces [cells] that a scan hit in cells, where these still take them."""
-        wanted = np.flatnonzero(self.at(columns, rows)["scans"] < MAX_SCANS)
-        if len(wanted) < FEW * len(columns):
+    def draw(self, places: Indices, points: Floats, normals: Floats, pose: Pose, covariance: Floats) -> None:
+        """Add the surfaces that a scan hit in cells, where these still take them: a point of each [cells],
+        from the middle of its cell, and its normal."""
+        wanted = np.flatnonzero(self.at(places)["scans"] < MAX_SCANS)
+        if len(wanted) < FEW * len(places):
             return
-        columns, rows, normals = columns[wanted], rows[wanted], normals[wanted]
-        offsets = np.sum((points[wanted] - np.column_stack([columns, rows]) - 0.5) * normals, axis=1)
-        _, first, which = np.unique((rows << 32) + columns, return_index=True, return_inverse=True)
-        columns, rows = columns[first], rows[first]
+        normals = normals[wanted]
+        offsets = np.sum(points[wanted] * normals, axis=1)
+        places, which = np.unique(places[wanted], return_inverse=True)
         number = np.bincount(which)
         nx, ny, offset = (
             np.bincount(which, weights=w) / number for w in (normals[:, 0], normals[:, 1], offsets)
         )
-        self._allocate(columns, rows)
-        places = self._places(columns, rows)
-        lines = self._lines[places]
+        self._allocate(places)
+        numbers = self._numbers(places)
+        lines = self._lines[numbers]
         scans, angle = lines["scans"], lines["angle"] * TURN
         c, s = np.cos(angle), np.sin(angle)
-        kept = (
-            ((scans == 0) | (nx * c + ny * s > 0.0)) & (np.abs(offset) < MAX_OFFSET) & (places >= SIDE * SIDE)
-        )
+        kept = ((scans == 0) | (nx * c + ny * s > 0.0)) & (np.abs(offset) < MAX_OFFSET)
+        kept &= numbers >= SIDE * SIDE
         angle = np.arctan2(scans * s + ny, scans * c + nx)
         lines["angle"] = np.rint(angle / TURN).astype(np.int64).astype(np.int16)
         offset = (scans * (lines["offset"] / PER_CELL) + offset) / (scans + 1)
@@ -105,30 +99,29 @@ class Lines:
         new = scans == 0
         lines["anchor"][new] = self._anchor(pose, covariance)
         lines["scans"] += 1
-        self._lines[places[kept]] = lines[kept]
+        self._lines[numbers[kept]] = lines[kept]
 
-    def forget(self, columns: Indices, rows: Indices) -> None:
+    def forget(self, places: Indices) -> None:
         """Remove the lines of cells."""
-        places = self._places(columns, rows)
-        self._lines[places[places >= SIDE * SIDE]] = 0
+        numbers = self._numbers(places)
+        self._lines[numbers[numbers >= SIDE * SIDE]] = 0
 
-    def drop(self, rows: slice, columns: slice, tile: int) -> None:
-        """Remove the lines of tiles, by where they are in memory."""
-        per = tile // SIDE
-        size = self._blocks.shape
-        blocks = self._blocks.reshape(size[0] // per, per, size[1] // per, per)[rows, :, columns]
-        drawn = blocks > 0
-        used = blocks[drawn]
-        self._lines.reshape(-1, SIDE * SIDE)[used // SIDE**2] = 0
-        self._unused += used.tolist()
-        blocks[drawn] = 0
+    def drop(self, first: int) -> None:
+        """Remove the lines of a tile, from the place of its first cell on."""
+        starts = self._starts[first // SIDE : (first + AREA) // SIDE]
+        used = np.unique(starts[starts > 0] // SIDE**2)
+        self._lines.reshape(-1, SIDE * SIDE)[used] = 0
+        self._unused += (used * SIDE**2).tolist()
+        starts[:] = 0
 
-    def _allocate(self, columns: Indices, rows: Indices) -> None:
+    def extend(self, places: int) -> None:
+        """Make room for cells up to a place."""
+        self._starts.resize(places // SIDE, refcheck=False)
+
+    def _allocate(self, places: Indices) -> None:
         """Make room for the lines of cells."""
-        down, across = self._blocks.shape
-        rows, columns = (rows >> BITS) & (down - 1), (columns >> BITS) & (across - 1)
-        missing = self._blocks[rows, columns] == 0
-        for row, column in sorted(set(zip(rows[missing].tolist(), columns[missing].tolist(), strict=True))):
+        missing = places[self._starts.take(places >> BITS) == 0]
+        for first in np.unique(missing & ~BLOCK).tolist():  # the first cells of blocks
             if not self._unused:
                 have = len(self._lines) // SIDE**2
                 more = min(GROWTH, self._most - have)
@@ -136,16 +129,20 @@ class Lines:
                     return
                 self._lines.resize((have + more) * SIDE**2, refcheck=False)
                 self._unused = [SIDE**2 * block for block in range(have + more - 1, have - 1, -1)]
-            self._blocks[row, column] = self._unused.pop()
+            start, row = self._unused.pop(), first // SIDE
+            self._starts[row : row + TILE : TILE // SIDE] = np.arange(start, start + SIDE**2, SIDE)
 
     def _anchor(self, pose: Pose, covariance: Floats) -> int:
         """Return the anchor of cells drawn from a pose: the last one if it is near."""
-        last = (self._anchors - 1) % MAX_ANCHORS
-        x, y, yaw = self.poses[last]
-        moved = max(math.hypot(pose.x - x, pose.y - y), abs(wrap(pose.yaw - yaw)))
-        if self._anchors and moved < NEW_ANCHOR:
-            return last
+        if self._anchors:
+            last = (self._anchors - 1) % MAX_ANCHORS
+            x, y, yaw = self.poses[last]
+            if max(math.hypot(pose.x - x, pose.y - y), abs(wrap(pose.yaw - yaw))) < NEW_ANCHOR:
+                return last
         new = self._anchors % MAX_ANCHORS
+        if new >= len(self.poses):
+            self.poses.resize((new + GROWTH, 3), refcheck=False)
+            self.covariances.resize((new + GROWTH, 3, 3), refcheck=False)
         self.poses[new] = pose.x, pose.y, pose.yaw
         self.covariances[new] = covariance
         self._anchors += 1

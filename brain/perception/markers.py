@@ -11,15 +11,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from brain.belief import Floats, Pose
 from brain.bodies.plane import moved, wrap
-from brain.checks import within
 from brain.perception.filter_inputs import PoseFix
 from brain.perception.mount import Mount, Vector
+from protocols.bounds import Bounds, Invalid, check
 from protocols.messages import MILLISECOND, Marker, Nanos, seconds
 
 MOST = 256
@@ -40,16 +40,16 @@ TURNED = 16.0
 class KnownMarker:
     """A marker whose place is known."""
 
-    marker: int
+    marker: Annotated[int, Bounds(0, 1e6)]
     """Its number"""
-    x: float
-    """m, in the frame "odom" """
-    y: float
-    yaw: float = 0.0
+    x: Annotated[float, Bounds(-1e4, 1e4, "m")]
+    """m, in the frame "map" """
+    y: Annotated[float, Bounds(-1e4, 1e4, "m")]
+    yaw: Annotated[float, Bounds(-10.0, 10.0, "rad")] = 0.0
     """rad: where its face looks to"""
 
     def __post_init__(self) -> None:
-        within(self, marker=(0, 1e6), x=(-1e4, 1e4, "m"), y=(-1e4, 1e4, "m"), yaw=(-10.0, 10.0, "rad"))
+        check(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,27 +57,27 @@ class MarkerSettings:
     """Known markers, and the errors of cameras that do not report any."""
 
     known: tuple[KnownMarker, ...] = ()
-    sigma: float = 0.03
+    sigma: Annotated[float, Bounds(1e-4, 10.0, "m")] = 0.03
     """m, of a marker's centre in each direction"""
-    turn_sigma: float = 0.05
+    turn_sigma: Annotated[float, Bounds(1e-4, 4.0, "rad")] = 0.05
     """rad, of its orientation"""
 
     def __post_init__(self) -> None:
-        within(self, sigma=(1e-4, 10.0, "m"), turn_sigma=(1e-4, 4.0, "rad"))
+        check(self)
         numbers = [one.marker for one in self.known]
         if len(set(numbers)) < len(numbers):
-            raise ValueError("known: each marker once")
+            raise Invalid(("known", "known: each marker once"))
         if len(numbers) > MOST:
-            raise ValueError(f"known: at most {MOST} markers")
+            raise Invalid(("known", f"known: at most {MOST} markers"))
 
 
-class Place(NamedTuple):
+class MarkerPlace(NamedTuple):
     """Where a marker is."""
 
     t: Nanos
     """When it was seen last"""
     pose: Pose
-    """In the frame "odom". The yaw is where its face looks to; of what never showed it, to where it was seen
+    """In the frame "map". The yaw is where its face looks to; of what never showed it, to where it was seen
     from first."""
     variance: float | None
     """Of the yaw [rad²]; None: it was never shown"""
@@ -88,7 +88,7 @@ class Markers:
     """What was seen. Plain data."""
 
     settings: MarkerSettings
-    places: dict[int, Place] = field(default_factory=dict)
+    places: dict[int, MarkerPlace] = field(default_factory=dict)
     """By number, oldest first."""
 
     def observe(self, event: Marker, mount: Mount, pose: Pose, yaw_variance: float) -> PoseFix | None:
@@ -103,7 +103,7 @@ class Markers:
         before = self.places.pop(event.marker, None)
         if len(self.places) >= MOST:
             del self.places[next(iter(self.places))]
-        self.places[event.marker] = _fused(before, Place(event.t, seen, variance))
+        self.places[event.marker] = _fused(before, MarkerPlace(event.t, seen, variance))
         known = next((one for one in self.settings.known if one.marker == event.marker), None)
         return (
             None if known is None else self._fix(event, known, (ahead, aside), turn, (pose.yaw, yaw_variance))
@@ -167,7 +167,7 @@ def _facing(event: Marker, mount: Mount) -> float | None:
     return math.atan2(aside, ahead) if math.hypot(ahead, aside) > 0.5 else None
 
 
-def _fused(before: Place | None, now: Place) -> Place:
+def _fused(before: MarkerPlace | None, now: MarkerPlace) -> MarkerPlace:
     """Return where a marker is that was seen before, with the mean of both directions."""
     if before is None or before.variance is None:
         return now if before is None or now.variance is not None else _facing_to(now, before.pose.yaw, None)
@@ -181,9 +181,9 @@ def _fused(before: Place | None, now: Place) -> Place:
     return _facing_to(now, wrap(before.pose.yaw + share * off), (1.0 - share) * variance)
 
 
-def _facing_to(place: Place, yaw: float, variance: float | None) -> Place:
+def _facing_to(place: MarkerPlace, yaw: float, variance: float | None) -> MarkerPlace:
     """Return a place with another direction."""
-    return Place(place.t, Pose(place.pose.x, place.pose.y, yaw), variance)
+    return MarkerPlace(place.t, Pose(place.pose.x, place.pose.y, yaw), variance)
 
 
 def _bounded(variance: float) -> float:

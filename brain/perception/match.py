@@ -14,16 +14,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 
 from brain.belief import Floats, Pose
 from brain.bodies.plane import wrap
-from brain.checks import ordered, within
 from brain.perception.body_scan import BodyScan, rotated, to_world
 from brain.perception.lines import PER_CELL, TURN
 from brain.perception.map import Map
+from protocols.bounds import Bounds, check, ordered
 
 Indices = npt.NDArray[np.int64]
 
@@ -32,46 +33,33 @@ Indices = npt.NDArray[np.int64]
 class MatchSettings:
     """Parameters of scan matching."""
 
-    surfaces: int = 100
+    surfaces: Annotated[int, Bounds(10, 500)] = 100
     """Largest number of surfaces of a scan that are used"""
-    steps: int = 8
+    steps: Annotated[int, Bounds(1, 20)] = 8
     """Gauss-Newton steps, at most"""
-    reach: float = 0.1
+    reach: Annotated[float, Bounds(0.01, 1.0, "m")] = 0.1
     """m: search distance to each side for the map's line, where the prediction is good"""
-    widest: float = 0.5
+    widest: Annotated[float, Bounds(0.01, 1.0, "m")] = 0.5
     """m: largest search distance, where the prediction is poor"""
-    sigma: float = 0.02
+    sigma: Annotated[float, Bounds(1e-3, 1.0, "m")] = 0.02
     """m: distance of surfaces from lines beyond twice which they count less (Cauchy)"""
-    least: int = 15
+    least: Annotated[int, Bounds(3, 500)] = 15
     """Least number of surfaces on lines"""
-    overlap: float = 0.25
+    overlap: Annotated[float, Bounds(0.01, 1.0)] = 0.25
     """Least share of lines among the surfaces that are on a line or in free cells"""
-    hold: float = 0.02
+    hold: Annotated[float, Bounds(1e-6, 1.0)] = 0.02
     """A direction is observable if at least this share of the surfaces holds it"""
-    floor: float = 0.0004
+    floor: Annotated[float, Bounds(1e-5, 1.0, "m")] = 0.0004
     """m: error of the map's lines, even drawn from exact poses: it does not average out on the spot"""
-    floor_yaw: float = 0.00025
-    """rad"""
+    floor_yaw: Annotated[float, Bounds(1e-5, 1.0, "rad")] = 0.00025
 
     def __post_init__(self) -> None:
-        within(
-            self,
-            surfaces=(10, 500),
-            steps=(1, 20),
-            reach=(0.01, 1.0, "m"),
-            widest=(0.01, 1.0, "m"),
-            sigma=(1e-3, 1.0, "m"),
-            least=(3, 500),
-            overlap=(0.01, 1.0),
-            hold=(1e-6, 1.0),
-            floor=(1e-5, 1.0, "m"),
-            floor_yaw=(1e-5, 1.0, "rad"),
-        )
+        check(self)
         ordered(self, "reach", "widest")
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class MatchShares:
     """A scan compared with the classes of the map's cells: shares of its hits."""
 
     fit: float
@@ -93,7 +81,7 @@ class Match:
     """3 × 3 covariance of x, y, yaw about where the map's lines place the robot"""
     shared: Floats
     """3 × 3 covariance of those lines at the robot: from the poses that drew them, and in any map"""
-    seen: Seen
+    seen: MatchShares
     """How the scan compares with the map at this pose"""
 
 
@@ -136,6 +124,7 @@ def match(chart: Map, scan: BodyScan, predicted: Pose, sigma: float, settings: M
 
     `sigma` [m]: standard deviation of the prediction. Lines are first searched as far away as that
     requires, then, from the improved pose, nearby."""
+    chart.recenter(*scan.place(predicted))
     chosen = _spread(scan, settings.surfaces)
     if len(chosen) < settings.least:
         return None
@@ -161,15 +150,16 @@ def match(chart: Map, scan: BodyScan, predicted: Pose, sigma: float, settings: M
     return Match(pose, covariance + floor, shared, examine(chart, scan, pose))
 
 
-def examine(chart: Map, scan: BodyScan, pose: Pose) -> Seen:
+def examine(chart: Map, scan: BodyScan, pose: Pose) -> MatchShares:
     """Return how a scan taken at this pose compares with the classes of the map's cells.
 
     (In a new place hits lie in unknown cells: that is no contradiction.)"""
     hits = np.flatnonzero(scan.hit)
     hits = hits[:: math.ceil(len(hits) / EXAMINED) or 1]
     if not len(hits):
-        return Seen(0.0, 0.0, 0.0, 0.0)
-    ends = to_world(scan.ends[hits], pose)
+        return MatchShares(0.0, 0.0, 0.0, 0.0)
+    place, ends = scan.place(pose), to_world(scan.ends[hits], pose)
+    chart.recenter(*place)
     cells = chart.cells(ends)
     beside = WINDOWS[1]
     values = chart.values(cells[:, 0, None] + beside[0], cells[:, 1, None] + beside[1])
@@ -178,9 +168,8 @@ def examine(chart: Map, scan: BodyScan, pose: Pose) -> Seen:
     fits, denied = int(np.count_nonzero(occupied)), int(np.count_nonzero(free))
     known, crossed = max(fits + denied, 1), 0.0
     if fits < FITTING * len(hits):
-        origin = to_world(np.array([scan.origin]), pose)[0]
-        crossed = _crossing(chart, origin, ends[~occupied]) / len(hits)
-    return Seen(fits / known, denied / known, (fits + denied) / len(hits), crossed)
+        crossed = _crossing(chart, np.array(place), ends[~occupied]) / len(hits)
+    return MatchShares(fits / known, denied / known, (fits + denied) / len(hits), crossed)
 
 
 def _crossing(chart: Map, origin: Floats, ends: Floats) -> int:
@@ -231,7 +220,7 @@ def _paired(
     too few of the surfaces have one."""
     columns, rows = chart.cells(to_world(points, pose)).T
     window = WINDOWS[min(math.ceil(reach / chart.resolution - 1e-9), MAX_AWAY)]
-    lines = chart.lines.at(columns[:, None] + window[0], rows[:, None] + window[1])
+    lines = chart.lines_at(columns[:, None] + window[0], rows[:, None] + window[1])
     facing = np.rint((directions + pose.yaw) / TURN).astype(np.int64).astype(np.int16)
     apart = (lines["angle"] - (facing - np.int16(FACING))[:, None]).view(np.uint16)
     valid = (lines["scans"] > 0) & (apart < 2 * FACING)

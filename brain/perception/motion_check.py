@@ -23,8 +23,8 @@ from dataclasses import dataclass
 from brain.bodies.body import Base
 from brain.perception.body_scan import BodyScan
 from brain.perception.mounting import Mounting
-from brain.perception.scan_motion import Reference, Shown
-from brain.perception.track import AHEAD, SLIP_SHARE, Motion, Track
+from brain.perception.scan_motion import ReferenceScan, Shown
+from brain.perception.track import AHEAD, SLIP_SHARE, Motion, SourceTrack
 from protocols.messages import MILLISECOND, SECOND, Nanos, seconds
 
 FORGET: Nanos = 3 * SECOND
@@ -82,7 +82,7 @@ class MotionCheck:
 
     def __init__(self, body: Base) -> None:
         self._any_way, self._slip = body.moves_sideways, SLIP_SHARE + 2.0 * body.turn_slip
-        self._wheels, self._gyro = Track(), Track()
+        self._wheels, self._gyro = SourceTrack(), SourceTrack()
         self._gyro_name, self._gyro_t = "", 0
         self._headed: float | None = None
         """Turn of the gyro when the wheels last reported: it shows the shape of their way best."""
@@ -92,7 +92,7 @@ class MotionCheck:
         """Since when the turns of wheels and gyro are compared,"""
         self._turned_at: Nanos = 0
         """and when they last were."""
-        self._references: dict[str, Reference] = {}
+        self._references: dict[str, ReferenceScan] = {}
         self._past: dict[str, deque[_Turns]] = {}
         """By lidar ("": wheels at rest): the comparisons that renewed its reference."""
         self._mountings: dict[str, Mounting] = {}
@@ -161,7 +161,7 @@ class MotionCheck:
         if shown is None or wheels is None or hidden:
             self._differ.pop(name, None)
             self._past[name] = deque()
-            self._references[name] = Reference(t, scan)
+            self._references[name] = ReferenceScan(t, scan)
             return 0.0
         turn = shown.motion.turn
         now = gyro and self._turns(since, t, turn, wheels, gyro)
@@ -176,7 +176,7 @@ class MotionCheck:
         correction = 0.0 if resting else mounting.add(wheels, shown, keep=renewed)
         if renewed:
             self._learn(self._past[name], now)
-            self._references[name] = Reference(t, scan)
+            self._references[name] = ReferenceScan(t, scan)
         if correction:
             del self._references[name]
         return correction
@@ -294,7 +294,7 @@ class MotionCheck:
             self._differ.pop(name, None)
 
 
-def _shown(reference: Reference, scan: BodyScan, wheels: Motion, gyro: Motion | None) -> Shown | None:
+def _shown(reference: ReferenceScan, scan: BodyScan, wheels: Motion, gyro: Motion | None) -> Shown | None:
     """Return the motion found from that of wheels and gyro; if it does not fit, from others as well."""
     turn = wheels.turn if gyro is None else gyro.turn
     x, y, by = reference.apart
@@ -307,8 +307,7 @@ def _shown(reference: Reference, scan: BodyScan, wheels: Motion, gyro: Motion | 
         one = reference.motion(scan, guess)
         best = one if best is None or (one is not None and one.fit > best.fit) else best
         if best is not None and best.fit >= FIT:
-            found = best.motion
-            reference.apart = found.x - wheels.x, found.y - wheels.y, found.turn - turn
+            reference.keep(best.motion, wheels._replace(turn=turn))
             break
     return best
 

@@ -11,11 +11,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
 
 from brain.belief import Floats
-from brain.checks import within
+from protocols.bounds import Bounds, check
 from protocols.messages import LaserScan
 
 Vector = tuple[float, float, float]
@@ -25,16 +26,15 @@ Vector = tuple[float, float, float]
 class Mount:
     """Pose of a sensor in the robot's frame: m, rad."""
 
-    x: float = 0.0
-    y: float = 0.0
-    z: float = 0.0
-    yaw: float = 0.0
-    pitch: float = 0.0
-    roll: float = 0.0
+    x: Annotated[float, Bounds(-10.0, 10.0, "m")] = 0.0
+    y: Annotated[float, Bounds(-10.0, 10.0, "m")] = 0.0
+    z: Annotated[float, Bounds(-10.0, 10.0, "m")] = 0.0
+    yaw: Annotated[float, Bounds(-2.0 * math.pi, 2.0 * math.pi, "rad")] = 0.0
+    pitch: Annotated[float, Bounds(-2.0 * math.pi, 2.0 * math.pi, "rad")] = 0.0
+    roll: Annotated[float, Bounds(-2.0 * math.pi, 2.0 * math.pi, "rad")] = 0.0
 
     def __post_init__(self) -> None:
-        metres, turn = (-10.0, 10.0, "m"), (-2.0 * math.pi, 2.0 * math.pi, "rad")
-        within(self, x=metres, y=metres, z=metres, yaw=turn, pitch=turn, roll=turn)
+        check(self)
 
     def rotation(self) -> tuple[Vector, Vector, Vector]:
         """Return the rows of R, which rotates a vector of the sensor into the robot's frame."""
@@ -68,5 +68,5 @@ def _beams(mount: Mount, first: float, increment: float, count: int) -> Floats:
     (xx, xy, _), (yx, yy, _), _ = mount.rotation()
     along, across = np.cos(angles), np.sin(angles)
     beams = np.array([xx * along + xy * across, yx * along + yy * across])
-    beams.flags.writeable = False
+    beams.setflags(write=False)
     return beams

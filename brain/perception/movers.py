@@ -1,6 +1,6 @@
 """What moves: the place and velocity of people and the like, from scans alone, without the map.
 
-Rules. All is in the frame "odom", as the pose is known when a scan comes; a leap of it begins anew. A scan
+Rules. All is in the frame "map", as the pose is known when a scan comes; a leap of it begins anew. A scan
 is cut where neighbouring ends lie apart; what is narrow, and in front of what is beside it, is a cluster (two
 legs are one). A wall's end or a corner is not: it is wide, or it goes on behind something nearer. Clusters
 are followed by a Kalman filter of constant velocity each, nearest neighbour within a gate (Bar-Shalom, Li,
@@ -166,7 +166,7 @@ class Movers:
         self._past: dict[str, deque[_Past]] = {}
 
     def moving(self, t: Nanos, here: Pose, there: Pose, *, doubts: bool = False) -> tuple[Moving, ...]:
-        """Return what moves, as it is at a time, in another frame: `here` is the robot in the frame "odom"
+        """Return what moves, as it is at a time, in another frame: `here` is the robot in the frame "map"
         then, `there` in the other one. `doubts`: also what may move."""
         found = []
         turn = there.yaw - here.yaw
@@ -194,7 +194,7 @@ class Movers:
             x, y = to_world(scan.ends, here).T
             for one in moving:
                 dx, dy = x - one.x, y - one.y
-                reach = one.radius + MARGIN + seconds(duration) * math.hypot(one.vx, one.vy)
+                reach = one.radius + MARGIN + seconds(abs(duration)) * math.hypot(one.vx, one.vy)
                 ends |= dx * dx + dy * dy < reach * reach
         return ends & scan.hit
 
@@ -204,7 +204,7 @@ class Movers:
             track.predict(t)
         pairs = []
         for i, cluster in enumerate(clusters):
-            late = seconds(duration) * (1.0 - cluster.share)
+            late = _late(duration, cluster)
             for j, track in enumerate(self._tracks):
                 far = math.hypot(cluster.x - track.x + late * track.vx, cluster.y - track.y + late * track.vy)
                 if far < min(GATE, 0.1 + 3.0 * math.sqrt(track.pp + NOISE**2)):
@@ -214,15 +214,17 @@ class Movers:
             if i not in known and j not in seen:
                 known.add(i)
                 seen.add(j)
-                late, track = seconds(duration) * (1.0 - clusters[i].share), self._tracks[j]
+                late, track = _late(duration, clusters[i]), self._tracks[j]
                 x, y = clusters[i].x + late * track.vx, clusters[i].y + late * track.vy
                 track.update(clusters[i]._replace(x=x, y=y))
         self._tracks = [one for one in self._tracks if t - one.seen < KEPT]
         for i, new in enumerate(clusters):
             if i not in known and len(self._tracks) < MAX_TRACKS:
-                track = _Track(new.x, new.y, new.radius, t, t, new.x, new.y)
-                track.entered, track.fresh = new.entered, 1.0 if new.unseen else new.fresh
-                self._tracks.append(track)
+                fresh = 1.0 if new.unseen else new.fresh
+                place = new.x, new.y
+                self._tracks.append(
+                    _Track(*place, new.radius, t, t, *place, entered=new.entered, fresh=fresh)
+                )
 
 
 def _aged(past: deque[_Past], t: Nanos, age: Nanos) -> list[_Past]:
@@ -292,6 +294,11 @@ def _clusters(scan: BodyScan, here: Pose, past: list[_Past]) -> list[_Cluster]:
         clusters.append((float(ranges[part].min()), disc))
     clusters.sort(key=lambda one: one[0])
     return [cluster for _, cluster in clusters[:MAX_CLUSTERS]]
+
+
+def _late(duration: Nanos, cluster: _Cluster) -> float:
+    """Return how long before the scan's newest beam it was seen [s]."""
+    return seconds(duration) * (1.0 - cluster.share) if duration > 0 else -seconds(duration) * cluster.share
 
 
 def _runs(chosen: Bools) -> list[tuple[int, int]]:

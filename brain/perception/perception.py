@@ -15,20 +15,21 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum, auto
+from typing import Annotated
 
 import numpy as np
 
 from brain.belief import Estimate, Floats, Pose
 from brain.bodies.body import Base
 from brain.bodies.plane import wrap
-from brain.checks import within
 from brain.perception.beams import Beams
 from brain.perception.body_scan import BodyScan, Bools, to_body
 from brain.perception.consistency import OUTLIER, Agreement, Consistency, Verdict
 from brain.perception.engine import pose_part
-from brain.perception.filter import Filter, State
+from brain.perception.filter import Filter
 from brain.perception.filter_inputs import GateResult, GyroRate, Input, Nis, PoseFix, WheelAngle
 from brain.perception.filter_settings import FilterSettings
+from brain.perception.filter_state import FilterState
 from brain.perception.fixes import Fixes, FixSettings, is_possible
 from brain.perception.map import Map, MapSettings
 from brain.perception.markers import Markers, MarkerSettings
@@ -37,8 +38,10 @@ from brain.perception.match import MatchSettings, examine, match
 from brain.perception.motion_check import Contradiction, MotionCheck
 from brain.perception.mount import Mount
 from brain.perception.movers import Movers, Moving
-from brain.perception.relocalise import Found, RelocaliseSettings, Search, Searching
+from brain.perception.percept import Sight, extrapolated
+from brain.perception.relocalise import PoseFound, PoseSearch, PoseSearching, RelocaliseSettings
 from protocols import messages as msg
+from protocols.bounds import Bounds, Duration, check
 from protocols.messages import MILLISECOND, SECOND, Event, Feedback, Fix, Imu, LaserScan, Nanos, PoseReading
 
 
@@ -47,7 +50,7 @@ class PerceptionSettings:
     """All settings of perception."""
 
     filter: FilterSettings = field(default_factory=FilterSettings)
-    gyro_sigma: float = 0.01
+    gyro_sigma: Annotated[float, Bounds(1e-6, 1.0, "rad/s")] = 0.01
     """rad/s: standard deviation of one reading"""
     map: MapSettings = field(default_factory=MapSettings)
     match: MatchSettings = field(default_factory=MatchSettings)
@@ -56,14 +59,14 @@ class PerceptionSettings:
     markers: MarkerSettings = field(default_factory=MarkerSettings)
     matching: bool = True
     """Match scans against the map; if not, they are only added to it."""
-    scan_wait: Nanos = 500 * MILLISECOND
+    scan_wait: Annotated[Duration, Bounds(0.0, 1000.0)] = 500 * MILLISECOND
     """Time that a scan waits for the wheels and the gyro."""
-    least_returns: float = 0.15
+    least_returns: Annotated[float, Bounds(0.0, 1.0)] = 0.15
     """A scan with returns from less than this share of its rays counts as none. 0: in open ground, where no
     return is to be expected; such a scan is no proof of free space, either, and is not added to the map."""
 
     def __post_init__(self) -> None:
-        within(self, gyro_sigma=(1e-6, 1.0, "rad/s"), scan_wait=(0.0, 1000.0), least_returns=(0.0, 1.0))
+        check(self)
 
 
 CONSTANT = "every value is as before: it does not measure"
@@ -101,7 +104,7 @@ class _Part:
     t: Nanos
     """Its end"""
     scan: BodyScan
-    still: Bools
+    static: Bools
     """Of each beam, whether it ends at what does not move: what moves leaves no trace in the map"""
     draw: bool = True
 
@@ -150,9 +153,10 @@ class Perception:
         self._check = MotionCheck(body)
         self._movers = Movers()
         self._joints = frozenset(body.joints)
-        self._compared: State | None = None
+        self._compared: FilterState | None = None
         """Up to which the wheels' motion was compared."""
-        self._search: tuple[Search, Pose] | None = None
+        self._notes: list[str] = []
+        self._search: tuple[PoseSearch, Pose] | None = None
         """The search for the place, and the pose that was believed at its scan."""
 
     @property
@@ -166,6 +170,26 @@ class Perception:
         `raw`, or the estimate's pose. `doubts`: also what may move."""
         now = self.estimate
         return () if now is None else self._movers.moving(now.t, now.pose, there, doubts=doubts)
+
+    def sight(self, now: Nanos) -> Sight:
+        """Return what is known now."""
+        estimate, raw = self.estimate, self.raw
+        pose = None if estimate is None else extrapolated(estimate, estimate.pose, now)
+        return Sight(
+            estimate,
+            pose,
+            None if estimate is None else extrapolated(estimate, estimate.odom, now),
+            raw,
+            self.map,
+            () if pose is None else self.moving(pose),
+            self.moving(raw, doubts=True),
+            self.marker,
+            self.verdict,
+            tuple(self.contradictions()),
+            self.rejected,
+            self.absent,
+            self.helpful,
+        )
 
     @property
     def gyro_bias(self) -> float:
@@ -190,6 +214,11 @@ class Perception:
     def contradictions(self) -> list[Contradiction]:
         """Return what the sources show that cannot all be true."""
         return self._check.contradictions()
+
+    def take_notes(self) -> list[str]:
+        """Return the notes for the operator since the last call."""
+        notes, self._notes = self._notes, []
+        return notes
 
     def observe(self, now: Nanos, events: Sequence[Event]) -> None:
         """Process the events since the last call, and the next part of the scans' work."""
@@ -229,7 +258,8 @@ class Perception:
             x, y, yaw = self._filter.state.x[:3]
             linear, angular, lateral = self._filter.twist
             covariance = pose_part(self._filter.state.P)
-            self.estimate = Estimate(t, Pose(x, y, wrap(yaw)), linear, angular, covariance, lateral)
+            odom = Pose(*self._filter.odom[:2], wrap(self._filter.odom[2]))
+            self.estimate = Estimate(t, Pose(x, y, wrap(yaw)), linear, angular, covariance, lateral, odom)
         return results
 
     def _compare_wheels(self) -> None:
@@ -239,7 +269,9 @@ class Perception:
         before = self._compared
         if before is None or state.t > before.t:
             if before is not None:
-                ahead, aside, slid = (now - then for now, then in zip(state.way, before.way, strict=True))
+                ahead, aside, slid = (
+                    now - then for now, then in zip(state.travelled, before.travelled, strict=True)
+                )
                 self._check.on_wheels(before.t, state.t, ahead, state.raw[2] - before.raw[2], aside, slid)
             self._compared = state
 
@@ -358,12 +390,12 @@ class Perception:
             self._compare(part)
 
     def _is_ready(self, now: Nanos, scan: LaserScan) -> bool:
-        end, t = scan.t + scan.duration, self._filter.t
+        end, t = _end(scan), self._filter.t
         return (t is not None and t >= end) or now - end >= self.settings.scan_wait
 
     def _free(self, scan: LaserScan) -> None:
         """Free a scan from the motion during its sweep."""
-        name, end, t = scan.sensor, scan.t + scan.duration, self._filter.t
+        name, end, t = scan.sensor, _end(scan), self._filter.t
         known = self._filter.at(end)
         if t is None or t < end or known is None:
             self._count(name, GateResult.LATE if known else "no estimate for its time")
@@ -390,7 +422,7 @@ class Perception:
 
     def _motion(self, scan: LaserScan) -> Floats | None:
         """Return the robot's pose at each beam's time, in its frame at the scan's end: n × 3."""
-        if scan.duration <= 0:
+        if not scan.duration:
             return None
         count = len(scan.ranges)
         times = np.linspace(0.0, scan.duration, max(count, 2)).astype(np.int64)
@@ -398,7 +430,7 @@ class Perception:
         poses = self._filter.poses(times)
         if poses is None:
             return None
-        x, y, yaw = poses[-1].tolist()
+        x, y, yaw = poses[-1 if scan.duration > 0 else 0].tolist()
         c, s = math.cos(yaw), math.sin(yaw)
         dx, dy = poses[:count, 0] - x, poses[:count, 1] - y
         return np.column_stack((c * dx + s * dy, c * dy - s * dx, poses[:count, 2] - yaw))
@@ -431,11 +463,16 @@ class Perception:
         at = self._filter.at(part.t)
         if part.draw and at is not None and not self._consistency.lost:
             self._map_began = self._map_began or at[0]
-            self.map.recenter(at[0].x, at[0].y)
-            scan, still = part.scan, part.still
-            if 0 < np.count_nonzero(~still) <= MOST_MOVING * np.count_nonzero(scan.hit):
-                scan = replace(scan, hit=scan.hit & still, straight=scan.straight & still)
+            scan, static = part.scan, part.static
+            if 0 < np.count_nonzero(~static) <= MOST_MOVING * np.count_nonzero(scan.hit):
+                scan = replace(scan, hit=scan.hit & static, straight=scan.straight & static)
+            forgotten = self.map.forgotten
             self.map.add(at[0], scan, at[1])
+            if self.map.forgotten > forgotten:
+                self._count("", "the map is full")
+            if self.map.forgotten > forgotten == 0:
+                most = self.settings.map.tiles
+                self._notes.append(f"the map is full, at {most} tiles: what is farthest is forgotten")
         self._todo.append((_Work.COMPARE, part))
 
     def _compare(self, part: _Part) -> None:
@@ -474,7 +511,7 @@ class Perception:
         if not self._consistency.lost:
             self._search = None
         elif self._search is None or self._search[0].result is not None:
-            search = Search(self.map, part.scan, self.settings.relocalise, self.settings.match)
+            search = PoseSearch(self.map, part.scan, self.settings.relocalise, self.settings.match)
             self._search = search, believed
 
     def _advance_search(self) -> None:
@@ -482,7 +519,7 @@ class Perception:
             return
         search, believed = self._search
         result = search.advance(self.settings.relocalise.operations)
-        if isinstance(result, Searching) or not isinstance(result, Found):
+        if isinstance(result, PoseSearching) or not isinstance(result, PoseFound):
             return
         self._search = None
         t = self._filter.t
@@ -517,6 +554,11 @@ def _moved(start: Pose, a: Pose, b: Pose) -> Pose:
     return Pose(start.x + c * dx - s * dy, start.y + s * dx + c * dy, wrap(start.yaw + b.yaw - a.yaw))
 
 
+def _end(scan: LaserScan) -> Nanos:
+    """Return when its newest beam was measured."""
+    return scan.t + max(scan.duration, 0)
+
+
 def _is_valid(scan: LaserScan) -> bool:
     """True if a scan is what a planar lidar can send: everything else in it would be work, or overflow."""
     count, turn = len(scan.ranges), scan.angle_increment * (len(scan.ranges) - 1)
@@ -527,5 +569,5 @@ def _is_valid(scan: LaserScan) -> bool:
         and abs(scan.angle_min) <= 4.0 * math.pi
         and abs(scan.range_min) <= 1e3
         and 0.0 < scan.range_max <= 1e4
-        and 0 <= scan.duration <= LONGEST_SWEEP
+        and abs(scan.duration) <= LONGEST_SWEEP
     )

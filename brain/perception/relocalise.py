@@ -7,7 +7,8 @@ on the maxima over windows of that size: an upper bound of every pose in the blo
 of arrays per point for all blocks at once. Then the cells of the blocks whose bound is high enough. The best
 pose of each neighbourhood is refined by `match` and judged beam by beam, at the map's own resolution. A pose
 is found only if the scan agrees with the map there, clearly more than at every pose elsewhere, if the match
-constrains every direction, and if the robot stands in free ground. The pose believed before plays no part: a
+constrains every direction, and if the robot stands in free ground. Of a very large map, the part about the
+place that was looked at last is searched. The pose believed before plays no part: a
 robot that was carried may be anywhere. Work is counted in operations; the state in between is plain data.
 Sources: Olson 2009 (real-time correlative matching); Hess et al. 2016, section V-B (bounds by maxima).
 """
@@ -16,47 +17,43 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Annotated, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from brain.belief import Floats, Pose
 from brain.bodies.plane import wrap
-from brain.checks import within
 from brain.perception.body_scan import BodyScan, Bools, to_world
-from brain.perception.map import TILE, Map, Values
+from brain.perception.lines import TILE
+from brain.perception.map import Map
 from brain.perception.match import MatchSettings, match
+from brain.perception.tiles import Values
+from brain.region import about, region_of
+from protocols.bounds import Bounds, check
 
 
 @dataclass(frozen=True, slots=True)
 class RelocaliseSettings:
     """When a pose counts as found, and the work of a step."""
 
-    agree: float = 0.75
+    agree: Annotated[float, Bounds(0.5, 1.0)] = 0.75
     """Least share of the scan that agrees with the map: see `agreement`"""
-    margin: float = 0.05
+    margin: Annotated[float, Bounds(0.01, 1.0)] = 0.05
     """By how much that share must exceed what might agree elsewhere"""
-    caution: float = 0.3
+    caution: Annotated[float, Bounds(0.0, 10.0)] = 0.3
     """By which part of what it lacks to GOOD it must exceed that even more"""
-    sigma: float = 0.15
+    sigma: Annotated[float, Bounds(0.01, 1.0, "m")] = 0.15
     """m: largest standard deviation of the position found, in any direction"""
-    operations: int = 600_000
+    operations: Annotated[int, Bounds(100_000, 10_000_000)] = 600_000
     """Per step, each about 1 ns on a desktop"""
 
     def __post_init__(self) -> None:
-        within(
-            self,
-            agree=(0.5, 1.0),
-            margin=(0.01, 1.0),
-            caution=(0.0, 10.0),
-            sigma=(0.01, 1.0, "m"),
-            operations=(100_000, 10_000_000),
-        )
+        check(self)
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class PoseFound:
     """The only pose that fits."""
 
     pose: Pose
@@ -78,18 +75,18 @@ class Ambiguous:
 
 
 @dataclass(frozen=True, slots=True)
-class NotFound:
+class NoPoseFits:
     """No pose fits."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True)
-class Searching:
+class PoseSearching:
     """No result yet."""
 
 
-Result: TypeAlias = Found | Ambiguous | NotFound
+Result: TypeAlias = PoseFound | Ambiguous | NoPoseFits
 
 CELL = 0.1
 """m: side of a cell of the search, as nearly as whole cells of the map allow"""
@@ -119,7 +116,7 @@ CALL = 1000
 """Operations that a call on arrays counts for, beside those for their elements"""
 
 
-class Search:
+class PoseSearch:
     """One search, for one scan taken while standing."""
 
     def __init__(
@@ -130,26 +127,29 @@ class Search:
         """Cells of the map along the side of one of the search"""
         self._cell = self._fine * chart.resolution
         self._points = _thinned(scan.ends[scan.hit], FAR * self._cell)
-        self._tiles = chart.changed(0)
-        tiles = np.array(self._tiles)
+        known = chart.known()
+        region = about(chart.middle, region_of(known)) if known else (range(0), range(0))
+        self._tiles = [(row, column) for row, column in known if row in region[0] and column in region[1]]
         self.result: Result | None = None
         if len(self._points) < POINTS[0] or not self._tiles:
-            self.result = NotFound(f"{len(self._points)} separate hits, {len(self._tiles)} tiles of the map")
+            self.result = NoPoseFits(
+                f"{len(self._points)} separate hits, {len(self._tiles)} tiles of the map"
+            )
             return
         ranges = np.hypot(*self._points.T) / self._cell
         headings = math.ceil(2.0 * math.pi * float(np.quantile(ranges, 0.8)))
         self._turn = 2.0 * math.pi / min(max(headings, HEADINGS[0]), HEADINGS[1])
         self._headings = round(2.0 * math.pi / self._turn)
-        self._corner = tiles.min(axis=0)
+        self._corner = np.array([region[0].start, region[1].start])
         """Tile (row, column) at the corner of the search"""
-        rows, columns = (tiles.max(axis=0) + 1 - self._corner) * (TILE // self._fine)
+        rows, columns = (len(span) * (TILE // self._fine) for span in region)
         self._border = (math.ceil(float(ranges.max())) // SIDE + 2) * SIDE
         """Unknown cells about the map: no point of a pose inside lies outside"""
-        high, wide = int(rows) + 2 * self._border, int(columns) + 2 * self._border
+        high, wide = rows + 2 * self._border, columns + 2 * self._border
         self._cells: Values = np.zeros((high, wide), dtype=np.int8)
         self._maxima = np.zeros((high // SIDE, SIDE, SIDE, wide // SIDE), dtype=np.int8)
         """Over the window of SIDE × SIDE cells that begins at a cell: block's row, phases, block's column"""
-        self._free = np.zeros((int(rows) // SIDE, int(columns) // SIDE), dtype=np.bool_)
+        self._free = np.zeros((rows // SIDE, columns // SIDE), dtype=np.bool_)
         """Blocks in which a cell of the map is free"""
         self._sum: Values = np.zeros(self._free.shape, dtype=np.int8)
         self._offsets = np.zeros((len(self._points), self._headings), dtype=np.int32)
@@ -167,7 +167,7 @@ class Search:
         self._refined: list[tuple[float, float, Pose, Floats | None]] = []
         """Agreement, least and most; pose; covariance if there is a match"""
 
-    def advance(self, operations: int) -> Result | Searching:
+    def advance(self, operations: int) -> Result | PoseSearching:
         """Work on for about so many operations, at least one part, or until there is a result."""
         while self.result is None and operations > 0:
             if self._tiles:
@@ -182,7 +182,7 @@ class Search:
                 operations -= self._refine(self._left.pop(0))
             else:
                 self.result = self._decide()
-        return self.result or Searching()
+        return self.result or PoseSearching()
 
     # -- cells and maxima ------------------------------------------------------------------------
 
@@ -309,13 +309,13 @@ class Search:
 
     def _decide(self) -> Result:
         if not self._refined:
-            return NotFound("no pose in free ground lets the scan fit the map")
+            return NoPoseFits("no pose in free ground lets the scan fit the map")
         score, _, pose, covariance = max(self._refined, key=lambda one: one[0])
         settings = self._settings
         if score < settings.agree:
-            return NotFound(f"at the best pose only {score:.0%} of the scan agrees with the map")
+            return NoPoseFits(f"at the best pose only {score:.0%} of the scan agrees with the map")
         if covariance is None:
-            return NotFound("the best pose has no match on the map's lines")
+            return NoPoseFits("the best pose has no match on the map's lines")
         margin = settings.margin + settings.caution * max(GOOD - score, 0.0)
         elsewhere = [(most, other) for _, most, other, _ in self._refined if _elsewhere(other, pose)]
         runner_up = max((most for most, _ in elsewhere), default=0.0)
@@ -327,7 +327,7 @@ class Search:
             return Ambiguous("more poses fit than can be examined", alike)
         if np.linalg.eigvalsh(covariance[:2, :2])[-1] > settings.sigma**2:
             return Ambiguous("a direction is open, as along a corridor", alike)
-        return Found(pose, covariance, score, runner_up)
+        return PoseFound(pose, covariance, score, runner_up)
 
 
 EDGES = {
@@ -384,9 +384,10 @@ def agreement(chart: Map, scan: BodyScan, pose: Pose) -> tuple[float, float, flo
     if not len(read):
         return 0.0, 0.0, 0.0
     ranges, hit, ends = scan.ranges[read], scan.hit[read], to_world(scan.ends[read], pose)
+    origin = scan.place(pose)
+    chart.recenter(*origin)
     columns, rows = (chart.cells(ends)[:, None] + BESIDE).reshape(-1, 2).T
     beside = chart.values(columns, rows).reshape(-1, len(BESIDE))
-    origin = to_world(np.array([scan.origin]), pose)[0]
     share = (np.arange(SAMPLES) + 0.5) / SAMPLES * np.maximum(1.0 - CLEAR / ranges, 0.0)[:, None]
     passed = origin + share[:, :, None] * (ends - origin)[:, None, :]
     columns, rows = chart.cells(passed.reshape(-1, 2)).T

@@ -44,7 +44,7 @@ class Shown(NamedTuple):
         return math.sqrt(c * c * xx + s * s * yy + cross), math.sqrt(s * s * xx + c * c * yy - cross)
 
 
-class Reference:
+class ReferenceScan:
     """A scan's surfaces. Plain data."""
 
     def __init__(self, t: Nanos, scan: BodyScan) -> None:
@@ -67,6 +67,11 @@ class Reference:
         self._lines[0, :count][line], self._lines[1, :count][line] = normals.T
         self._lines[2, :count][line] = np.einsum("ij,ij->i", normals, scan.middles[line])
         self._lines[:, -1] = self._lines[:, 0]
+
+    def keep(self, shown: Motion, integrated: Motion) -> None:
+        """Keep by how much a motion that a scan showed differs from what was integrated."""
+        x, y, turn = shown.x, shown.y, shown.turn
+        self.apart = x - integrated.x, y - integrated.y, turn - integrated.turn
 
     def motion(self, scan: BodyScan, guess: Motion) -> Shown | None:
         """Return the motion since the reference that a scan shows, searched from a guess; None if too few of

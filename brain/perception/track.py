@@ -42,7 +42,7 @@ _Row = tuple[Nanos, float, float, float, float, float]
 """Time, then x, y, heading, turn and uncertainty since the beginning of the track."""
 
 
-class Track:
+class SourceTrack:
     """What one source has integrated. Plain data."""
 
     def __init__(self) -> None:

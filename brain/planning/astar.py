@@ -66,7 +66,7 @@ class Searching:
 Outcome: TypeAlias = CellPath | Unreachable | Searching
 
 
-class Search:
+class CellSearch:
     """One search from a cell to a cell; `beyond` is the row and column of a goal beyond the snapshot;
     `through_unknown` is the assumed cost of a metre through unknown ground, if it may be entered. With
     `spread` it goes on without aim until each cell that costs not much more than the goal has its cost."""

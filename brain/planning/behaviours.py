@@ -15,10 +15,11 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from enum import StrEnum
 from math import copysign
+from typing import Annotated
 
 from brain.bodies.body import Base
 from brain.bodies.plane import Twist, wrap
-from brain.checks import within
+from protocols.bounds import Bounds, Duration, check
 from protocols.messages import SECOND, Nanos
 
 LOOK_RATE = 0.4
@@ -37,32 +38,24 @@ MOTION_TIMEOUT: Nanos = 6 * SECOND
 class BehaviourSettings:
     """What is done while there is no way."""
 
-    look_after: Nanos = 4 * SECOND
+    look_after: Annotated[Duration, Bounds(200.0, 60_000.0)] = 4 * SECOND
     """Waiting before a look around, and between two"""
-    look: float = 0.26
+    look: Annotated[float, Bounds(0.0, 3.0, "rad")] = 0.26
     """rad, to each side; 0: none"""
-    stuck_after: Nanos = 3 * SECOND
+    stuck_after: Annotated[Duration, Bounds(200.0, 60_000.0)] = 3 * SECOND
     """Standing before an obstacle, on a path that is free by the map, before backing off"""
-    back: float = 0.2
+    back: Annotated[float, Bounds(0.0, 1.0, "m")] = 0.2
     """m; 0: none"""
-    tries: int = 2
+    tries: Annotated[int, Bounds(0, 20)] = 2
     """How often it backs off for one goal"""
-    crossing: Nanos = 5 * SECOND
+    crossing: Annotated[Duration, Bounds(0.0, 60_000.0)] = 5 * SECOND
     """How long someone in motion on the path is waited for"""
 
     def __post_init__(self) -> None:
-        within(
-            self,
-            look_after=(200.0, 60_000.0),
-            look=(0.0, 3.0, "rad"),
-            stuck_after=(200.0, 60_000.0),
-            back=(0.0, 1.0, "m"),
-            tries=(0, 20),
-            crossing=(0.0, 60_000.0),
-        )
+        check(self)
 
 
-class State(StrEnum):
+class BehaviourState(StrEnum):
     """What planning does."""
 
     IDLE = "idle"
@@ -99,48 +92,48 @@ class Fact(StrEnum):
     IMPATIENT = "patience is over"
 
 
-_PATHS = ((Fact.FRONTIER, State.EXPLORING), (Fact.PATH, State.FOLLOWING))
+_PATHS = ((Fact.FRONTIER, BehaviourState.EXPLORING), (Fact.PATH, BehaviourState.FOLLOWING))
 _ON_A_PATH = (
-    (Fact.NO_GOAL, State.IDLE),
-    (Fact.IMPATIENT, State.GIVEN_UP),
-    (Fact.NO_WAY, State.WAITING),
-    (Fact.NO_PATH, State.PLANNING),
-    (Fact.CROSSING, State.YIELDING),
-    (Fact.STUCK, State.BACKING),
-    (Fact.STUCK_HERE, State.LOOKING),
+    (Fact.NO_GOAL, BehaviourState.IDLE),
+    (Fact.IMPATIENT, BehaviourState.GIVEN_UP),
+    (Fact.NO_WAY, BehaviourState.WAITING),
+    (Fact.NO_PATH, BehaviourState.PLANNING),
+    (Fact.CROSSING, BehaviourState.YIELDING),
+    (Fact.STUCK, BehaviourState.BACKING),
+    (Fact.STUCK_HERE, BehaviourState.LOOKING),
 )
-STATES: dict[State, tuple[tuple[Fact, State], ...]] = {
-    State.IDLE: ((Fact.GOAL, State.PLANNING),),
-    State.PLANNING: (
-        (Fact.NO_GOAL, State.IDLE),
-        (Fact.IMPATIENT, State.GIVEN_UP),
+STATES: dict[BehaviourState, tuple[tuple[Fact, BehaviourState], ...]] = {
+    BehaviourState.IDLE: ((Fact.GOAL, BehaviourState.PLANNING),),
+    BehaviourState.PLANNING: (
+        (Fact.NO_GOAL, BehaviourState.IDLE),
+        (Fact.IMPATIENT, BehaviourState.GIVEN_UP),
         *_PATHS,
-        (Fact.NO_WAY, State.WAITING),
+        (Fact.NO_WAY, BehaviourState.WAITING),
     ),
-    State.FOLLOWING: (*_ON_A_PATH, (Fact.FRONTIER, State.EXPLORING)),
-    State.EXPLORING: (*_ON_A_PATH, (Fact.PATH, State.FOLLOWING)),
-    State.YIELDING: (
-        (Fact.NO_GOAL, State.IDLE),
-        (Fact.NO_PATH, State.PLANNING),
-        (Fact.CLEAR, State.PLANNING),
+    BehaviourState.FOLLOWING: (*_ON_A_PATH, (Fact.FRONTIER, BehaviourState.EXPLORING)),
+    BehaviourState.EXPLORING: (*_ON_A_PATH, (Fact.PATH, BehaviourState.FOLLOWING)),
+    BehaviourState.YIELDING: (
+        (Fact.NO_GOAL, BehaviourState.IDLE),
+        (Fact.NO_PATH, BehaviourState.PLANNING),
+        (Fact.CLEAR, BehaviourState.PLANNING),
     ),
-    State.WAITING: (
-        (Fact.NO_GOAL, State.IDLE),
+    BehaviourState.WAITING: (
+        (Fact.NO_GOAL, BehaviourState.IDLE),
         *_PATHS,
-        (Fact.IMPATIENT, State.GIVEN_UP),
-        (Fact.TIME_TO_LOOK, State.LOOKING),
+        (Fact.IMPATIENT, BehaviourState.GIVEN_UP),
+        (Fact.TIME_TO_LOOK, BehaviourState.LOOKING),
     ),
-    State.LOOKING: (
-        (Fact.NO_GOAL, State.IDLE),
-        (Fact.MOVED, State.PLANNING),
-        (Fact.IMPATIENT, State.GIVEN_UP),
+    BehaviourState.LOOKING: (
+        (Fact.NO_GOAL, BehaviourState.IDLE),
+        (Fact.MOVED, BehaviourState.PLANNING),
+        (Fact.IMPATIENT, BehaviourState.GIVEN_UP),
     ),
-    State.BACKING: (
-        (Fact.NO_GOAL, State.IDLE),
-        (Fact.MOVED, State.PLANNING),
-        (Fact.IMPATIENT, State.GIVEN_UP),
+    BehaviourState.BACKING: (
+        (Fact.NO_GOAL, BehaviourState.IDLE),
+        (Fact.MOVED, BehaviourState.PLANNING),
+        (Fact.IMPATIENT, BehaviourState.GIVEN_UP),
     ),
-    State.GIVEN_UP: ((Fact.GOAL, State.PLANNING),),
+    BehaviourState.GIVEN_UP: ((Fact.GOAL, BehaviourState.PLANNING),),
 }
 
 
@@ -148,7 +141,7 @@ class Behaviour:
     """The state of planning. Plain data."""
 
     def __init__(self) -> None:
-        self.state = State.IDLE
+        self.state = BehaviourState.IDLE
         self.reason = ""
         self.since: Nanos = 0
         """When the state was entered."""
@@ -165,9 +158,12 @@ class Behaviour:
         """Go to the state that follows from the facts, for a reason; return whether it is another one."""
         for fact, after in STATES[self.state]:
             if fact in facts:
-                if after is State.IDLE or self.state in (State.IDLE, State.GIVEN_UP):
+                if after is BehaviourState.IDLE or self.state in (
+                    BehaviourState.IDLE,
+                    BehaviourState.GIVEN_UP,
+                ):
                     self.tried = 0
-                self.tried += after is State.BACKING
+                self.tried += after is BehaviourState.BACKING
                 self.state, self.reason, self.since = after, reason or fact.value, now
                 self._side, self._covered, self._last = 0, 0.0, None
                 return True
@@ -178,11 +174,11 @@ class Behaviour:
     ) -> tuple[Twist | None, bool]:
         """Return the twist of this state, None for that of the path, and whether the motion is over."""
         late = now - self.since > MOTION_TIMEOUT
-        if self.state is State.YIELDING:
+        if self.state is BehaviourState.YIELDING:
             return Twist(), False
-        if self.state is State.LOOKING:
+        if self.state is BehaviourState.LOOKING:
             return self._look(yaw, body, settings, late=late)
-        if self.state is not State.BACKING:
+        if self.state is not BehaviourState.BACKING:
             return None, False
         if self._last is not None:
             dx, dy = here[0] - self._last[0], here[1] - self._last[1]

@@ -21,22 +21,21 @@ from dataclasses import dataclass, field
 from functools import cache
 from itertools import pairwise, product
 from math import ceil, floor, inf
-from typing import Any, Protocol, TypeAlias
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from brain.checks import within
 from brain.planning.polyline import Point
 from brain.planning.zones import MOST_ZONES, Zone, Zones
-from protocols.messages import MILLISECOND, SECOND, Nanos
+from brain.region import Region, Tile, joined
+from protocols.bounds import Bounds, Duration, Invalid, check
+from protocols.messages import MILLISECOND, SECOND
 
 Cells = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
 Levels = npt.NDArray[np.uint8]
 Mask = npt.NDArray[np.bool_]
-Tile: TypeAlias = tuple[int, int]
-"""Row and column of a tile: those of its cells, divided by TILE."""
 
 TILE = 64
 """Cells along a side of a tile"""
@@ -62,58 +61,43 @@ TILE_WORK = 450
 class PlannerSettings:
     """Parameters of planning and replanning, SI."""
 
-    expansions_per_step: int = 2500
+    expansions_per_step: Annotated[int, Bounds(1, 20_000)] = 2500
     """Work of a step of the brain, in A* expansions of about 0.2 µs; all other work is converted."""
-    margin: float = 0.05
+    margin: Annotated[float, Bounds(0.0, 1.0, "m")] = 0.05
     """m, clearance kept beyond the footprint's radius"""
-    comfort: float = 0.3
+    comfort: Annotated[float, Bounds(0.0, 2.0, "m")] = 0.3
     """m: within this distance of obstacles, a metre costs more"""
-    dislike: float = 0.3
+    dislike: Annotated[float, Bounds(0.0, 100.0)] = 0.3
     """Additional cost of a metre next to an obstacle, over one far from any."""
-    unknown_multiplier: float = 1.2
+    unknown_multiplier: Annotated[float, Bounds(1.0, 100.0)] = 1.2
     """Assumed cost of a metre through unknown ground, where no known path leads to the goal.
     The larger, the longer the search."""
     unknown_is_free: bool = False
     """Plan through unknown ground as if it were free. For open ground only."""
-    escape: float = 0.5
+    escape: Annotated[float, Bounds(0.01, 2.0, "m")] = 0.5
     """m: how far the start may lie from the nearest place that fits the footprint"""
-    slack: float = 0.1
+    slack: Annotated[float, Bounds(0.0, 2.0, "m")] = 0.1
     """m: how far a goal too close to an obstacle may be moved to a place that fits"""
-    reverse: float = 2.0
+    reverse: Annotated[float, Bounds(1.0, 100.0)] = 2.0
     """Cost of a metre backward, over one forward"""
-    switch: float = 0.5
+    switch: Annotated[float, Bounds(0.0, 100.0, "m")] = 0.5
     """m that each change between forward and backward costs"""
-    period: Nanos = 250 * MILLISECOND
+    period: Annotated[Duration, Bounds(50.0, 5000.0)] = 250 * MILLISECOND
     """Period of checking the path against the map, and of searching while there is none."""
-    explore: Nanos = 500 * MILLISECOND
+    explore: Annotated[Duration, Bounds(50.0, 60_000.0)] = 500 * MILLISECOND
     """Period of replanning while no known path leads to the goal."""
-    patience: Nanos = 30 * SECOND
+    patience: Annotated[Duration, Bounds(10.0, 600_000.0)] = 30 * SECOND
     """After this time without a path to a goal, or before an obstacle, the goal is given up: longer than a
     door is closed."""
     zones: dict[str, Zone] = field(default_factory=dict)
     """Zones of the map by name: keep_out and slow."""
-    drive_timeout: Nanos = 500 * MILLISECOND
+    drive_timeout: Annotated[Duration, Bounds(10.0, 2000.0)] = 500 * MILLISECOND
     """Watchdog of Drive: not repeated within this time, it ends (a lost operator means stop)."""
 
     def __post_init__(self) -> None:
-        within(
-            self,
-            expansions_per_step=(1, 20_000),
-            margin=(0.0, 1.0, "m"),
-            comfort=(0.0, 2.0, "m"),
-            dislike=(0.0, 100.0),
-            unknown_multiplier=(1.0, 100.0),
-            escape=(0.01, 2.0, "m"),
-            slack=(0.0, 2.0, "m"),
-            reverse=(1.0, 100.0),
-            switch=(0.0, 100.0, "m"),
-            period=(50.0, 5000.0),
-            explore=(50.0, 60_000.0),
-            patience=(10.0, 600_000.0),
-            drive_timeout=(10.0, 2000.0),
-        )
+        check(self)
         if len(self.zones) > MOST_ZONES:
-            raise ValueError(f"zones: there must be at most {MOST_ZONES}, not {len(self.zones)}")
+            raise Invalid(("zones", f"zones: there must be at most {MOST_ZONES}, not {len(self.zones)}"))
 
 
 class Map(Protocol):
@@ -135,10 +119,6 @@ class Map(Protocol):
 
     def changed(self, since: int) -> list[Tile]:
         """Tiles with a cell that became occupied, free or unknown after this version."""
-        ...
-
-    def extent(self) -> tuple[int, int, int, int]:
-        """First row, first column, and those after the last, of the cells that the map can hold now."""
         ...
 
 
@@ -178,16 +158,14 @@ class Costmap:
         self.zones = Zones(settings.zones, resolution, outer, TILE, fastest)
         self.multiplier[SLOW : SLOW + len(self.zones.prices)] = self.zones.prices
         self._halo = ceil((outer + settings.margin) / resolution + 0.5) + rings
-        """Cells around a tile in which obstacles matter to it,"""
+        """Cells around a tile in which obstacles matter to it"""
         self._reach = -(-self._halo // TILE)
-        """and tiles."""
-        self._rows, self._columns = range(0), range(0)
-        """Tiles within the map's extent."""
+        """The same in tiles"""
         self.tiles: dict[Tile, bytes] = {}
         self.pending: dict[Tile, int] = {}
         """Tiles to be drawn, and the map's version in which they had changed."""
-        self.box: tuple[int, int, int, int] | None = None
-        """First row, first column, and those after the last, of the tiles marked so far."""
+        self.region: Region | None = None
+        """That holds the tiles marked so far"""
         self._drawn: dict[Tile, int] = {}
         """The map's version that each tile was drawn from."""
         self._occupied: dict[Tile, bytes] = {}
@@ -198,7 +176,6 @@ class Costmap:
     def update(self, grid: Map, here: Point, most: int) -> int:
         """Draw at most this many of the changed tiles, those about the robot first; return how many."""
         if grid.version != self._version:
-            self._follow(grid.extent())
             for tile in grid.changed(self._version):
                 self._mark(tile, grid.version)
             self._version = grid.version
@@ -260,28 +237,11 @@ class Costmap:
                 if other != tile and self._drawn.get(other, -1) < changed_at:
                     self._mark(other, -1)
 
-    def _follow(self, extent: tuple[int, int, int, int]) -> None:
-        """Drop the tiles that have left the map's extent."""
-        rows, columns = tiles_of(extent)
-        before, self._rows, self._columns = (self._rows, self._columns), rows, columns
-        reach = range(-self._reach, self._reach + 1)
-        for row in before[0]:
-            first, last = (columns.start, columns.stop) if row in rows else (before[1].stop,) * 2
-            left = range(before[1].start, min(first, before[1].stop))
-            for column in (*left, *range(max(last, before[1].start), before[1].stop)):
-                for state in (self.tiles, self.pending, self._drawn):
-                    state.pop((row, column), None)
-                if self._occupied.pop((row, column), None):
-                    for up, right in product(reach, reach):
-                        self._mark((row + up, column + right), -1)
-
     def _mark(self, tile: Tile, version: int) -> None:
-        """Mark a tile within the extent as pending."""
-        if tile[0] not in self._rows or tile[1] not in self._columns:
-            return
+        """Mark a tile as pending."""
         self.pending[tile] = max(version, self.pending.get(tile, -1))
-        (row, column), box = tile, self.box or (*tile, *tile)
-        self.box = (min(box[0], row), min(box[1], column), max(box[2], row + 1), max(box[3], column + 1))
+        if self.region is None or tile[0] not in self.region[0] or tile[1] not in self.region[1]:
+            self.region = joined(self.region, tile)
 
     def _levels_of(self, window: Mask) -> Levels:
         """Return the levels of a tile, unknown cells not flagged, from the occupied cells around it.
@@ -344,12 +304,6 @@ NOTHING = bytes(TILE * TILE // 8)
 """No occupied cell of a tile."""
 ABOUT = sorted(((r, c) for r in range(-2, 3) for c in range(-2, 3)), key=lambda at: at[0] ** 2 + at[1] ** 2)
 """The tiles about one, the nearest first: those that are drawn before all others."""
-
-
-def tiles_of(extent: tuple[int, int, int, int]) -> tuple[range, range]:
-    """Return the rows and columns of the tiles that an extent in cells touches."""
-    bottom, left, top, right = extent
-    return range(bottom // TILE, -(-top // TILE)), range(left // TILE, -(-right // TILE))
 
 
 def dilated(mask: int, side: int, *, diagonal: bool) -> int:

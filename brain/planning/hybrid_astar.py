@@ -22,15 +22,15 @@ from math import atan2, floor, hypot, inf, pi, remainder
 import numpy as np
 
 from brain.belief import Floats, Pose
-from brain.planning.astar import Search, Searching, Unreachable
-from brain.planning.reeds_shepp import Part, lengths, poses
+from brain.planning.astar import CellSearch, Searching, Unreachable
+from brain.planning.reeds_shepp import Arc, lengths, poses
 from brain.planning.snapshot import Halved
-from brain.planning.ways import TURN_PRICE, Shortcuts, Track, Way, Ways, coordinates
+from brain.planning.ways import TURN_PRICE, Shortcuts, Way, Ways, WayShape, coordinates
 
 GOOD_ENOUGH = 1.05
-"""A path is taken if no other can be cheaper than by this factor,"""
+"""A path is taken if no other can be cheaper than by this factor."""
 AFTER = 10
-"""or after so many more batches."""
+"""After so many more batches it is taken in any case."""
 BATCH, BATCH_WORK = 16, 4000
 """Nodes expanded at once, at most; what that costs beside the poses, in expansions of A*"""
 EVERY = 4
@@ -64,7 +64,7 @@ class HybridSearch:
         self._moves = _Moves(ways, self._pitch, 2.0 * pi / self._bins)
         self._ground = Halved(ways.ground)
         """For the cost to go"""
-        self._field: Search | None = None
+        self._field: CellSearch | None = None
         self._ahead: Floats = np.zeros(0)
         """m, cost to go of each cell"""
         self._nodes: list[_Node] = []
@@ -73,7 +73,7 @@ class HybridSearch:
         """m, the least cost of each cell of the lattice"""
         self._found: tuple[float, int, Way] | None = None
         """Cost of the best path, its last node, and the way from there."""
-        self._tries: list[tuple[int, Track]] = []
+        self._tries: list[tuple[int, WayShape]] = []
         """Nodes, and ways from there to the goal that are not priced yet, the cheapest last"""
         self._batches = self._since = 0
         """In all, and since the first path was found."""
@@ -111,7 +111,7 @@ class HybridSearch:
             here, there = ground.index(self.start.x, self.start.y), ground.index(*self.goal[:2])
             assert here is not None
             assert there is not None
-            self._field = Search(ground, there, here, spread=True)
+            self._field = CellSearch(ground, there, here, spread=True)
         field, before = self._field, self._field.work
         outcome = field.advance(work)
         self._field_work += field.work - before + 1
@@ -140,7 +140,7 @@ class HybridSearch:
             number = heappop(self._open)[1]
             if self._nodes[number].cost <= self._best[self._key(self._nodes[number].pose)]:
                 taken.append(number)
-        self.ways.work += BATCH_WORK
+        self.ways.spend(BATCH_WORK)
         if taken:
             here = self._nodes[taken[0]].pose
             away = hypot(self.goal[0] - here.x, self.goal[1] - here.y)
@@ -162,7 +162,7 @@ class HybridSearch:
         tracks = self.ways.tracks(node.pose, ends, node.gear)
         self._tries = [(number, track) for track in reversed(tracks)]
 
-    def _price(self, number: int, track: Track) -> None:
+    def _price(self, number: int, track: WayShape) -> None:
         """Take a way to the goal, if the path is cheaper with it than the best so far."""
         node, best = self._nodes[number], self._found[0] if self._found else inf
         if node.cost + track.price < best:
@@ -244,7 +244,7 @@ class _Moves:
         count = max(2, round(length / (1.5 * ways.ground.resolution)))
         if ways.radius:
             bends = [(gear, bend / ways.radius) for gear in (1, -1) for bend in (0.0, 1.0, -1.0)]
-            parts = [Part(bend, gear * length) for gear, bend in bends]
+            parts = [Arc(bend, gear * length) for gear, bend in bends]
             tracks = [poses(Pose(0.0, 0.0, 0.0), (part,), length / count)[0][1:] for part in parts]
             self.gears = tuple(gear for gear, _ in bends)
         else:

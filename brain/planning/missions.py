@@ -9,31 +9,27 @@ step of the brain, and a failure is followed by a second of standing, so no miss
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TypeAlias
 
 from brain.belief import MissionView
-from brain.bodies.body import Base
-from brain.checks import MOST, objection
-from brain.planning.mission_steps import STAND, Done, Failed, Performer, Seen, Want, perform, text
+from brain.bodies.limbs import Abilities
+from brain.checks import MOST
+from brain.skills import found
+from brain.skills.skill import STAND, Done, Failed, Intent, Observed, Performer
 from brain.status import Note, NoteLevel
 from protocols import messages as msg
-from protocols.messages import SECOND, Command, Goal, Mission, Nanos, Step
+from protocols.messages import SECOND, Mission, Nanos, Repeat, Step, Try
 
 MissionTask: TypeAlias = Mission | msg.Pause | msg.Resume | msg.Drop
 MAX_STEPS, MAX_DEPTH = 500, 6
 """Of a mission: all its steps, and Repeat and Try within each other"""
-FARTHEST = 10_000.0
-"""m: largest coordinate and distance"""
-LONGEST = 86_400.0
-"""s"""
 AFTER_FAILURE: Nanos = SECOND
 """Standing still before what follows a failed step"""
 
 
-class Phase(StrEnum):
+class MissionPhase(StrEnum):
     """The state of the mission."""
 
     NONE = "none"
@@ -58,16 +54,17 @@ class Cause(StrEnum):
     """A step has failed, and no Try is about it."""
 
 
-PHASES: dict[tuple[Phase, Cause], Phase] = {
-    (Phase.RUNNING, Cause.HALT): Phase.PAUSED,
-    (Phase.RUNNING, Cause.DROP): Phase.DROPPED,
-    (Phase.RUNNING, Cause.END): Phase.DONE,
-    (Phase.RUNNING, Cause.FAIL): Phase.FAILED,
-    (Phase.PAUSED, Cause.RESUME): Phase.RUNNING,
-    (Phase.PAUSED, Cause.DROP): Phase.DROPPED,
-    (Phase.FAILED, Cause.DROP): Phase.DROPPED,
+PHASES: dict[tuple[MissionPhase, Cause], MissionPhase] = {
+    (MissionPhase.RUNNING, Cause.HALT): MissionPhase.PAUSED,
+    (MissionPhase.RUNNING, Cause.DROP): MissionPhase.DROPPED,
+    (MissionPhase.RUNNING, Cause.END): MissionPhase.DONE,
+    (MissionPhase.RUNNING, Cause.FAIL): MissionPhase.FAILED,
+    (MissionPhase.PAUSED, Cause.RESUME): MissionPhase.RUNNING,
+    (MissionPhase.PAUSED, Cause.DROP): MissionPhase.DROPPED,
+    (MissionPhase.FAILED, Cause.DROP): MissionPhase.DROPPED,
     **{
-        (phase, Cause.START): Phase.RUNNING for phase in (Phase.NONE, Phase.DONE, Phase.FAILED, Phase.DROPPED)
+        (phase, Cause.START): MissionPhase.RUNNING
+        for phase in (MissionPhase.NONE, MissionPhase.DONE, MissionPhase.FAILED, MissionPhase.DROPPED)
     },
 }
 """All there is: any other cause changes nothing."""
@@ -85,18 +82,28 @@ class _Frame:
     at: int = 0
     round: int = 1
 
+    def advance(self) -> None:
+        """Go to the next step."""
+        self.at += 1
+
+    def repeat(self) -> None:
+        """Begin with the first step again."""
+        self.at, self.round = 0, self.round + 1
+
 
 class Missions:
     """The mission of one brain. State is plain data."""
 
     def __init__(self) -> None:
-        self.phase = Phase.NONE
+        self.phase = MissionPhase.NONE
         self.reason = ""
         """Why it is in this phase; "" if that needs none."""
         self.mission: Mission | None = None
         self.notes: list[Note] = []
         self._frames: list[_Frame] = []
         self._performer: Performer | None = None
+        self._able = Abilities(None, {}, ())
+        """What the robot could do when the mission began."""
         self._not_before: Nanos = 0
 
     @property
@@ -105,25 +112,30 @@ class Missions:
         return self.mission.name if self.mission else ""
 
     @property
+    def running(self) -> bool:
+        """True while it runs."""
+        return self.phase is MissionPhase.RUNNING
+
+    @property
     def active(self) -> bool:
         """True if it is running or paused."""
-        return self.phase in (Phase.RUNNING, Phase.PAUSED)
+        return self.phase in (MissionPhase.RUNNING, MissionPhase.PAUSED)
 
-    def request(self, task: MissionTask, base: Base | None, joints: Sequence[str], may_not_move: str) -> str:
+    def request(self, task: MissionTask, able: Abilities, may_not_move: str) -> str:
         """Carry out what an operator asks; return why not, or ""."""
         match task:
             case Mission():
                 if self.active:
                     return f"{self._why_not('done')}: drop it first"
-                if reason := may_not_move or why_not(task, base, joints):
+                if reason := may_not_move or why_not(task, able):
                     return reason
                 self._happens(Cause.START, "")
                 self.mission, self._frames, self._performer = task, [_Frame(task.steps)], None
-                self._not_before = 0
+                self._able, self._not_before = able, 0
                 self._note("info", f"begins: {len(task.steps)} step{'s' * (len(task.steps) > 1)}")
                 return ""
             case msg.Pause():
-                running = self.phase is Phase.RUNNING
+                running = self.phase is MissionPhase.RUNNING
                 self.halt("an operator sent pause")
                 return "" if running else self._why_not("running")
             case msg.Resume():
@@ -135,8 +147,7 @@ class Missions:
         """Whether the present step gives this joint its target."""
         frame = self._frames[-1] if self._frames else None
         step = frame.steps[frame.at] if frame and frame.at < len(frame.steps) else None
-        here = isinstance(step, msg.Reach) and any(target.motor == motor for target in step.targets)
-        return self.phase is Phase.RUNNING and here
+        return self.phase is MissionPhase.RUNNING and step is not None and motor in found.motors(step)
 
     def halt(self, reason: str) -> None:
         """Pause it, if it is running."""
@@ -163,30 +174,35 @@ class Missions:
 
     def forget(self) -> None:
         """Take a failure as known: something else is to be done."""
-        if self.phase is Phase.FAILED:
+        if self.phase is MissionPhase.FAILED:
             self.drop("")
 
-    def advance(self, seen: Seen) -> Want:
+    def advance(self, seen: Observed) -> Intent:
         """Return what the mission asks for now: of the present step, which ends or fails here."""
-        if self.phase is not Phase.RUNNING or seen.now < self._not_before:
+        if self.phase is not MissionPhase.RUNNING or seen.now < self._not_before:
             return STAND
         if self._performer is None:
             step = self._open()
             if step is None:
                 return STAND
-            self._performer = perform(step)
+            self._performer = found.perform(step, self._able)
             self._note("info", f"{self._where()}: {text(step)}")
         result = self._performer.advance(seen)
-        if isinstance(result, Want):
+        if isinstance(result, Intent):
             return result
         self._performer = None
         if isinstance(result, Done):
             self._note("info", f"{self._where()}: done{f': {result.text}' * bool(result.text)}")
-            self._frames[-1].at += 1
+            self._frames[-1].advance()
             self._open()
         else:
             self._fail(seen.now, result)
         return STAND
+
+    def take_notes(self) -> list[Note]:
+        """Return the notes for the operator since the last call."""
+        notes, self.notes = self.notes, []
+        return notes
 
     def view(self) -> MissionView | None:
         """Return name, state and progress for observers; None before the first mission."""
@@ -221,14 +237,14 @@ class Missions:
             if frame.at < len(frame.steps):
                 step = frame.steps[frame.at]
                 match step:
-                    case msg.Repeat(times, steps):
+                    case Repeat(times, steps):
                         self._frames.append(_Frame(steps, times))
-                    case msg.Try(steps, otherwise):
+                    case Try(steps, otherwise):
                         self._frames.append(_Frame(steps, otherwise=otherwise))
                     case _:
                         return step
             elif frame.round != frame.times:
-                frame.at, frame.round = 0, frame.round + 1
+                frame.repeat()
             else:
                 self._leave()
         if self._happens(Cause.END, ""):
@@ -238,7 +254,7 @@ class Missions:
     def _leave(self) -> None:
         self._frames.pop()
         if self._frames:
-            self._frames[-1].at += 1
+            self._frames[-1].advance()
 
     def _fail(self, now: Nanos, failed: Failed) -> None:
         where = self._where()
@@ -277,10 +293,8 @@ class Missions:
 # -- what is no mission of this robot ----------------------------------------------------------
 
 
-def why_not(mission: Mission, base: Base | None, joints: Sequence[str]) -> str:
-    """Return why a body cannot do a mission, for its first step that is wrong; "" if it can.
-
-    `joints` are the motors that take targets: bare ones, and those that a base carries."""
+def why_not(mission: Mission, able: Abilities) -> str:
+    """Return why a robot cannot do a mission, for its first step that is wrong; "" if it can."""
     todo: list[tuple[str, tuple[Step, ...]]] = [("", mission.steps)]
     count = 0
     while todo:
@@ -294,94 +308,30 @@ def why_not(mission: Mission, base: Base | None, joints: Sequence[str]) -> str:
             return f"step {prefix[:-1]} is nested more than {MAX_DEPTH} deep"
         for number, step in enumerate(steps, 1):
             at = f"{prefix}{number}"
-            if wrong := _wrong(step, base, joints):
+            if wrong := _wrong(step, able):
                 return f"step {at}: {wrong}"
-            if isinstance(step, msg.Repeat | msg.Try):
+            if isinstance(step, Repeat | Try):
                 todo.append((f"{at}.", step.steps))
-            if isinstance(step, msg.Try) and step.otherwise:
+            if isinstance(step, Try) and step.otherwise:
                 todo.append((f"{at}.", step.otherwise))
     return ""
 
 
-def _wrong(step: Step, base: Base | None, joints: Sequence[str]) -> str:
-    """Return what is wrong with a single step."""
-    if base is not None and isinstance(step, msg.MoveTool):
-        return "there is no arm to bring the tool there"
-    if base is None and isinstance(step, Goal | msg.Move | msg.Turn | msg.Follow | msg.Dock):
-        return f"{kind_of(step)}: there is no base to drive"
-    if wrong := objection(step):
-        return wrong
+def _wrong(step: Step, able: Abilities) -> str:
+    """Return what is wrong with a step, but for those that it holds."""
     match step:
-        case Goal(x, y):
-            return _far(((x, y),))
-        case msg.Follow(points):
-            return _far(points) if points else "there are no points to follow"
-        case msg.Move():
-            assert base is not None
-            return _wrong_move(step, base)
-        case msg.Turn(angle):
-            return "" if abs(angle) <= 1000.0 else "an angle beyond 1000 rad"
-        case msg.Wait(span):
-            return "" if 0.0 <= span <= LONGEST else f"its time must be from 0 to {LONGEST:g} s, not {span:g}"
-        case msg.Dock(_, distance, lateral):
-            near = 0.0 < distance <= 5.0 and abs(lateral) <= 5.0
-            return "" if near else "its place must be within 5 m of the marker, and before it"
-        case msg.MoveTool(attitude=attitude) if not all(abs(angle) <= 1000.0 for angle in attitude or ()):
-            return "an angle beyond 1000 rad"
-        case msg.MoveTool(seconds=span):
-            return "" if 0.0 <= span <= LONGEST else f"its time must be from 0 to {LONGEST:g} s, not {span:g}"
-        case msg.Reach(targets, span):
-            return _wrong_reach(targets, span, joints)
-        case msg.Repeat(times):
+        case Try():
+            return ""
+        case Repeat(times):
             return "" if 0 <= times <= MOST else f"it cannot be repeated {times} times"
-    return ""
+    return found.wrong(step, able)
 
 
-def _far(points: Sequence[tuple[float, float]]) -> str:
-    far = next((point for point in points if not all(abs(part) <= FARTHEST for part in point)), None)
-    return "" if far is None else f"({far[0]:g}, {far[1]:g}) is beyond {FARTHEST:g} m"
-
-
-def _wrong_move(move: msg.Move, base: Base) -> str:
-    if move.seconds is None and move.distance is None:
-        return "a motion needs a time or a distance"
-    if move.distance is not None and not (move.linear or move.lateral):
-        return "a distance needs a speed"
-    if not (move.linear or move.lateral or move.angular):
-        return "a motion needs a speed; to stand, wait"
-    if move.lateral and not base.moves_sideways:
-        return "this base does not move sideways"
-    if move.angular and base.turning_radius and abs(move.linear) < base.turning_radius * abs(move.angular):
-        return f"this base turns with a radius of {base.turning_radius:g} m at least"
-    able = (base.max_linear, base.max_lateral or base.max_linear, base.max_angular)
-    asked = (("linear", move.linear), ("lateral", move.lateral), ("angular", move.angular))
-    for (name, value), most in zip(asked, able, strict=True):
-        if abs(value) > most + 1e-9:
-            return f"its {name} speed, {value:g}, is beyond this base's {most:g}"
-    if not 0.0 <= (move.seconds or 0.0) <= LONGEST or not 0.0 <= (move.distance or 0.0) <= FARTHEST:
-        return f"its time must be from 0 to {LONGEST:g} s, and its distance from 0 to {FARTHEST:g} m"
-    return ""
-
-
-def _wrong_reach(targets: Sequence[Command], span: float, joints: Sequence[str]) -> str:
-    if not targets:
-        return "there are no targets"
-    if not 0.0 <= span <= LONGEST:
-        return f"its time must be from 0 to {LONGEST:g} s, not {span:g}"
-    names = [target.motor for target in targets]
-    if len(set(names)) < len(names):
-        return "a joint has two targets"
-    for target in targets:
-        if target.motor not in joints:
-            there = f"there are {', '.join(joints)}" if joints else "there are none"
-            return f"{target.motor!r} is no joint that takes a target; {there}"
-        if wrong := objection(target):
-            return f"{target.motor}: {wrong}"
-    return ""
-
-
-def kind_of(step: Step) -> str:
-    """Return the name of a kind of step, as mission files have it."""
-    return {"Goal": "goto", "Reach": "joints", "MoveTool": "tool"}.get(
-        type(step).__name__, type(step).__name__.lower()
-    )
+def text(step: Step) -> str:
+    """Return a step in words."""
+    match step:
+        case Repeat(times, steps):
+            return f"repeat {len(steps)} steps {f'{times} times' if times else 'without an end'}"
+        case Try(steps):
+            return f"try {len(steps)} steps"
+    return found.text(step)

@@ -20,7 +20,7 @@ import numpy as np
 
 from brain.belief import Pose
 from brain.bodies.plane import wrap
-from brain.planning.astar import BEYOND, CellPath, Search, Searching, Unreachable
+from brain.planning.astar import BEYOND, CellPath, CellSearch, Searching, Unreachable
 from brain.planning.costmap import FREE, NEAR, TOUCHING, UNKNOWN, Costmap, Map, PlannerSettings
 from brain.planning.footprint import Footprint, Shape
 from brain.planning.hybrid_astar import HybridSearch
@@ -116,8 +116,8 @@ class PathQuery:
         self._ends = start, goal
         """Of the path that is shortened"""
         self._assumed: CellPath | None = None
-        self._search: Search | None = None
-        self._reach: Search | None = None
+        self._search: CellSearch | None = None
+        self._reach: CellSearch | None = None
         """Finds every cell that can be reached, if the goal cannot."""
         self._short: Shortening | None = None
         self._tight: Tightening | None = None
@@ -230,7 +230,7 @@ class PathQuery:
 
     def _set_out(self, cell: int) -> Searching:
         self._from = cell
-        self._search = Search(
+        self._search = CellSearch(
             self.ground,
             cell,
             self._to,
@@ -246,7 +246,7 @@ class PathQuery:
             return self._shorten(outcome if isinstance(outcome, CellPath) else self._assumed, known=known)
         if isinstance(outcome, Unreachable):
             if self.near and self._to != BEYOND:
-                self._reach = Search(self.ground, self._from, self._to, spread=True)
+                self._reach = CellSearch(self.ground, self._from, self._to, spread=True)
                 return Searching(0)
             return NoPath(f"everything between {_text(self.start)} and the goal {_text(self.goal)} is closed")
         level = self.ground.level
@@ -254,10 +254,10 @@ class PathQuery:
             return self._shorten(outcome, known=True)
         if self._to == BEYOND or level[self._to] >= UNKNOWN:
             return self._shorten(outcome, known=False)
-        self._assumed, self._search = outcome, Search(self.ground, self._from, self._to)
+        self._assumed, self._search = outcome, CellSearch(self.ground, self._from, self._to)
         return Searching(0)
 
-    def _approach(self, reach: Search) -> PlanResult:
+    def _approach(self, reach: CellSearch) -> PlanResult:
         """Go to the place nearest to the goal, of those that can be reached and where every heading fits."""
         self._reach, self.near, ground = None, False, self.ground
         for within in (1.0, NEARBY):

@@ -24,7 +24,7 @@ TINY = 1e-9
 HALF = pi / 2.0
 
 
-class Part(NamedTuple):
+class Arc(NamedTuple):
     """A part of a path: constant curvature [1/m, left positive], signed distance [m, backward negative]."""
 
     curvature: float
@@ -36,18 +36,18 @@ def lengths(x: Floats, y: Floats, yaw: Floats, radius: float) -> Floats:
     return _shortest(_solutions(x / radius, y / radius, yaw), len(x)) * radius
 
 
-def words(start: Pose, end: Pose, radius: float) -> list[tuple[Part, ...]]:
+def words(start: Pose, end: Pose, radius: float) -> list[tuple[Arc, ...]]:
     """Return every path that a word gives from one pose to another, the shortest first."""
     return words_to(start, (end,), radius, 1)[0]
 
 
-def words_to(start: Pose, ends: Sequence[Pose], radius: float, most: int) -> list[list[tuple[Part, ...]]]:
+def words_to(start: Pose, ends: Sequence[Pose], radius: float, most: int) -> list[list[tuple[Arc, ...]]]:
     """Return the same to each of the ends that are reached soonest, at most so many of them."""
     c, s = cos(start.yaw), sin(start.yaw)
     dx, dy, yaw = np.array([(end.x - start.x, end.y - start.y, end.yaw - start.yaw) for end in ends]).T
     solutions = _solutions((c * dx + s * dy) / radius, (c * dy - s * dx) / radius, yaw)
     soonest = np.argsort(_shortest(solutions, len(ends)), kind="stable")[:most]
-    found: list[list[tuple[float, int, tuple[Part, ...]]]] = [[] for _ in soonest]
+    found: list[list[tuple[float, int, tuple[Arc, ...]]]] = [[] for _ in soonest]
     for letters, order, solved in solutions:
         for variant, each in enumerate(np.stack(solved, axis=-1)[:, soonest].tolist()):
             flipped, mirrored = variant & 1, variant & 2
@@ -56,7 +56,7 @@ def words_to(start: Pose, ends: Sequence[Pose], radius: float, most: int) -> lis
                 if angles[0] != angles[0]:  # not a number: no solution
                     continue
                 parts = tuple(
-                    Part(turn * CURVATURE[letter] / radius, sign * angle)
+                    Arc(turn * CURVATURE[letter] / radius, sign * angle)
                     for letter, angle in zip(letters, angles, strict=True)
                     if abs(angle) > TINY
                 )
@@ -64,7 +64,7 @@ def words_to(start: Pose, ends: Sequence[Pose], radius: float, most: int) -> lis
     return [[parts for _, _, parts in sorted(ways, key=lambda one: one[:2])] for ways in found]
 
 
-def poses(start: Pose, parts: tuple[Part, ...], spacing: float) -> tuple[Floats, list[int]]:
+def poses(start: Pose, parts: tuple[Arc, ...], spacing: float) -> tuple[Floats, list[int]]:
     """Return poses along a path (n × 3), from its start to its end, at most `spacing` [m] apart; and the
     gear, 1 or -1, of each step between two of them."""
     x, y, yaw = start.x, start.y, start.yaw

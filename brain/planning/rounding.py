@@ -99,17 +99,17 @@ class Rounding:
         self._curve, self._share, self._at = [], 0, at + 1
         if ways.footprint.shape.corners is None:
             return
-        ways.work += POSE_WORK * (2 + int(dist(begin, curve[0]) / ways.ground.resolution))
+        ways.spend(POSE_WORK * (2 + int(dist(begin, curve[0]) / ways.ground.resolution)))
         self.fits = ways.footprint.line_fits(ways.ground, begin, curve[0])
         if len(curve) == 1 and at + 1 < len(self._corners) and self.fits:
             after = self._corners[at + 1]
             headings = (atan2(b[1] - a[1], b[0] - a[0]) for a, b in ((begin, here), (here, after)))
-            ways.work += POSE_WORK * 30
+            ways.spend(POSE_WORK * 30)
             self.fits = ways.footprint.turn_fits(ways.ground, here, *headings)
 
 
 def _cost(ways: Ways, a: Point, b: Point) -> float:
-    ways.work += LINE_WORK
+    ways.spend(LINE_WORK)
     return line_cost(ways.ground, a, b)
 
 

@@ -21,17 +21,17 @@ from brain.planning.costmap import (
     Floats,
     Levels,
     Map,
-    tiles_of,
 )
 from brain.planning.polyline import Point
 from brain.planning.zones import Marks, Zones
+from brain.region import about, joined
 
 COPY_WORK = 16
 """Copying a tile into a snapshot, in expansions of A*."""
 LINE_WORK = 140
-"""A straight line, in expansions of A*,"""
+"""A straight line, in expansions of A*, beside its cells"""
 CELLS_PER_WORK = 10
-"""and its cells."""
+"""Cells of a straight line for one expansion"""
 HALVED_PER_WORK = 60
 """Cells that are made part of larger ones"""
 MAX_LINES = 500
@@ -64,24 +64,20 @@ class Ground(Protocol):
 class Snapshot:
     """The levels of a region as one flat array, assembled over several steps, then immutable.
 
-    The region is what is known of the map, and the robot's place. Around it lie one row and column of unknown
-    ground, of level `EXIT` on the sides that face a goal beyond, and one of blocked cells, so that no search
-    has to check whether it has left it. Unknown ground under the robot counts as free. Unknown ground about
-    the places `unreachable`, which stayed unknown when seen from near, counts as blocked."""
+    The region is what is known of the map, of a very large one the part about the robot, and its place.
+    Around it lie one row and column of unknown ground, of level `EXIT` on the sides that face a goal beyond,
+    and one of blocked cells, so that no search has to check whether it has left it. Unknown ground under the
+    robot counts as free. Unknown ground about the places `unreachable`, which stayed unknown when seen from
+    near, counts as blocked."""
 
-    def __init__(
-        self, costmap: Costmap, grid: Map, here: Point, goal: Point, unreachable: tuple[Point, ...]
-    ) -> None:
+    def __init__(self, costmap: Costmap, here: Point, goal: Point, unreachable: tuple[Point, ...]) -> None:
         self.resolution, self.radius, self.wide = costmap.resolution, costmap.outer, costmap.wide
         self.multiplier, self.outside = costmap.multiplier, costmap.outside
         self.standing, self.unreachable = here, unreachable
         self._leaves = costmap.zones.holding(here)
         """Keep-out zones in which the robot stands."""
         row, column = floor(here[1] / self.resolution) // TILE, floor(here[0] / self.resolution) // TILE
-        box, (rows, columns) = costmap.box or (row, column, row, column), tiles_of(grid.extent())
-        self._rows = range(min(row, max(box[0], rows.start)), max(row + 1, min(box[2], rows.stop)))
-        first, last = max(box[1], columns.start), min(box[3], columns.stop)
-        self._columns = range(min(column, first), max(column + 1, last))
+        self._rows, self._columns = about((row, column), joined(costmap.region, (row, column)))
         self.corner = (self._rows.start * TILE - 2, self._columns.start * TILE - 2)
         """Row and column, in the map, of the first cell."""
         self.stride = len(self._columns) * TILE + 4

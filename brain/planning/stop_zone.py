@@ -27,7 +27,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import cos, hypot, inf, isfinite, pi, sin, sqrt
-from typing import Protocol
+from typing import Annotated, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -35,10 +35,10 @@ import numpy.typing as npt
 from brain.belief import Floats, Pose
 from brain.bodies.body import Base
 from brain.bodies.plane import Twist, wrap
-from brain.checks import ordered, within
 from brain.perception.body_scan import Bools
 from brain.perception.mount import Mount
 from brain.planning.outline import Outline
+from protocols.bounds import Bounds, Duration, check, ordered
 from protocols.messages import MILLISECOND, Event, LaserScan, Nanos, seconds
 
 Ints = npt.NDArray[np.int64]
@@ -48,35 +48,25 @@ Ints = npt.NDArray[np.int64]
 class StopSettings:
     """How far from an obstacle, and how soon, the base stops."""
 
-    gap: float = 0.05
+    gap: Annotated[float, Bounds(0.0, 2.0, "m")] = 0.05
     """m between the footprint and any point on its way"""
-    turn_gap: float = 0.015
+    turn_gap: Annotated[float, Bounds(0.0, 2.0, "m")] = 0.015
     """m, the same for a slow turn on the spot of a base that an obstacle makes stand"""
-    latency: Nanos = 100 * MILLISECOND
+    latency: Annotated[Duration, Bounds(0.0, 2000.0)] = 100 * MILLISECOND
     """From a command to the motion that it causes, with the age of the wheels' feedback"""
-    blind_speed: float = 0.1
+    blind_speed: Annotated[float, Bounds(0.0, 20.0, "m/s")] = 0.1
     """m/s: largest speed towards where no lidar looks, and of the footprint's corners in such a slow turn"""
-    walk: float = 1.2
+    walk: Annotated[float, Bounds(0.0, 5.0, "m/s")] = 1.2
     """m/s: how fast what has just appeared may come,"""
-    doubt: float = 1.0
+    doubt: Annotated[float, Bounds(0.0, 5.0)] = 1.0
     """and by how many standard deviations of its velocity what moves is taken to be nearer"""
-    hidden_speed: float = 20.0
+    hidden_speed: Annotated[float, Bounds(0.05, 20.0, "m/s")] = 20.0
     """m/s, down to which an edge ahead that may hide a person slows the base; by default none does"""
-    self_seen: float = 0.0
+    self_seen: Annotated[float, Bounds(0.0, 1.0, "m")] = 0.0
     """m about the footprint, within which a beam ends at the robot's own body and is ignored"""
 
     def __post_init__(self) -> None:
-        within(
-            self,
-            gap=(0.0, 2.0, "m"),
-            turn_gap=(0.0, 2.0, "m"),
-            latency=(0.0, 2000.0),
-            blind_speed=(0.0, 20.0, "m/s"),
-            walk=(0.0, 5.0, "m/s"),
-            doubt=(0.0, 5.0),
-            hidden_speed=(0.05, 20.0, "m/s"),
-            self_seen=(0.0, 1.0, "m"),
-        )
+        check(self)
         ordered(self, "turn_gap", "gap")
 
 
@@ -117,13 +107,13 @@ class _View:
     ends: Floats
     """Of every beam that ends near enough"""
     kept: Floats
-    """Those that count: of this scan,"""
+    """Those of this scan that count"""
     before: Floats
-    """and of the one before"""
+    """Those of the scan before that count"""
     looks: Floats
-    """Directions of all its beams in the robot's frame, unit vectors,"""
+    """Directions of all its beams in the robot's frame, unit vectors"""
     read: Bools
-    """and which of them gave a reading"""
+    """Which of these beams gave a reading"""
     edges: Floats
     """Nearest ends beside which a beam goes much farther"""
 
@@ -139,10 +129,24 @@ class Mover(Protocol):
     def vx(self) -> float: ...  # noqa: D102
     @property
     def vy(self) -> float: ...  # noqa: D102
+
+
+class SizedMover(Mover, Protocol):
+    """One with its size, and how uncertain it is: m."""
+
     @property
     def radius(self) -> float: ...  # noqa: D102
     @property
     def sigma(self) -> float: ...  # noqa: D102
+
+
+class Hindrance(NamedTuple):
+    """What an obstacle makes of the motion wanted."""
+
+    standing: float
+    """s for which it has made the base stand"""
+    reason: str
+    """Why the base is slower than wanted; "" if it is not"""
 
 
 class StopZone:
@@ -170,7 +174,17 @@ class StopZone:
         """Lidars that see the robot's own body."""
         self._notes: list[str] = []
 
-    def observe(self, t: Nanos, here: Pose, events: Sequence[Event], moving: Sequence[Mover] = ()) -> None:
+    def hindrance(self) -> Hindrance:
+        """Return what was in the way at the last step."""
+        return Hindrance(self.standing, self.reason)
+
+    def adopt(self, body: Base, settings: StopSettings) -> None:
+        """Continue with other settings."""
+        self.body, self.settings = body, settings
+
+    def observe(
+        self, t: Nanos, here: Pose, events: Sequence[Event], moving: Sequence[SizedMover] = ()
+    ) -> None:
         """Process the scans since the last call; `here`: dead reckoning by the wheels at time t.
 
         `moving`: what moves, as it is at t, in the frame of dead reckoning."""
@@ -274,10 +288,11 @@ class StopZone:
 
     def _placed(self, points: Floats, t: Nanos, after: Floats) -> Floats:
         """Return points of the robot's frame, each measured `after` [ns] t, in that of dead reckoning."""
+        first = t + round(after.min(initial=0.0))
         rows: list[tuple[float, float, float, float]] = []
         for at, pose in reversed(self._track):
             rows.append((at - t, pose.x, pose.y, wrap(pose.yaw - self._here.yaw)))
-            if at <= t:
+            if at <= first:
                 break
         times, *track = np.array(rows[::-1], dtype=np.float64).T
         x, y, yaw = (np.interp(after, times, values) for values in track)

@@ -17,7 +17,7 @@ import numpy as np
 
 from brain.belief import Floats, Pose
 from brain.planning.footprint import TURN_STEP, Footprint
-from brain.planning.reeds_shepp import Part, poses, words_to
+from brain.planning.reeds_shepp import Arc, poses, words_to
 from brain.planning.snapshot import Snapshot
 
 AUTHORITY = 1.1
@@ -63,7 +63,7 @@ class Way:
         return sum(self.costs)
 
 
-class Track(NamedTuple):
+class WayShape(NamedTuple):
     """A way before it is known what it costs here."""
 
     price: float
@@ -81,6 +81,10 @@ class Ways:
         self.radius = AUTHORITY * footprint.shape.turning_radius
         """m, of arcs; 0: it turns on the spot"""
         self.work = 0
+
+    def spend(self, work: int) -> None:
+        """Count work that is done for it elsewhere."""
+        self.work += work
 
     def factors(self, x: Floats, y: Floats, yaw: Floats) -> Floats:
         """Return the cost of a metre at each of these poses; infinite where the footprint does not fit."""
@@ -100,19 +104,19 @@ class Ways:
         best = min(ways, key=lambda way: way.cost)
         return best if best.cost < inf else None
 
-    def tracks(self, start: Pose, ends: Sequence[Pose], gear: int) -> list[Track]:
+    def tracks(self, start: Pose, ends: Sequence[Pose], gear: int) -> list[WayShape]:
         """Return ways that are cheapest on open ground, to each of the ends that are reached soonest."""
         step = 1.5 * self.ground.resolution
         if not self.radius:
-            return [Track(0.0, *_turn_go_turn(start, end, step)) for end in ends[:ENDS]]
+            return [WayShape(0.0, *_turn_go_turn(start, end, step)) for end in ends[:ENDS]]
         self.work += WORDS_WORK
         tried = []
         for found in words_to(start, ends, self.radius, ENDS):
             cheapest = sorted((self._price(parts, gear), i) for i, parts in enumerate(found))[:TRIED]
-            tried += [Track(price, *poses(start, found[i], step)) for price, i in cheapest]
+            tried += [WayShape(price, *poses(start, found[i], step)) for price, i in cheapest]
         return tried
 
-    def _price(self, parts: tuple[Part, ...], gear: int) -> float:
+    def _price(self, parts: tuple[Arc, ...], gear: int) -> float:
         """Return what a path costs on open ground [m], after a gear."""
         moves = sum(
             -part.distance * self.prices.reverse if part.distance < 0.0 else part.distance for part in parts
@@ -120,7 +124,7 @@ class Ways:
         gears = (gear, *(1 if part.distance > 0.0 else -1 for part in parts))
         return moves + self.prices.switch * sum(a * b < 0 for a, b in pairwise(gears))
 
-    def priced(self, track: Track, gear: int) -> Way:
+    def priced(self, track: WayShape, gear: int) -> Way:
         """Return a way with what it costs here, infinite if it is blocked. `gear` is the one before."""
         (x, y, yaw), gears = track.poses.T, track.gears
         steps = np.hypot(np.diff(x), np.diff(y))

@@ -12,14 +12,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from math import inf
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from brain.belief import Floats
-from brain.checks import within
 from brain.planning.polyline import Point
+from protocols.bounds import Bounds, Invalid, check
 
 MOST_ZONES, MOST_CORNERS = 20, 50
 FARTHEST = 10_000.0
@@ -34,17 +34,19 @@ class Zone:
     corners: tuple[tuple[float, float], ...]
     """m, in order, either way round"""
     kind: Literal["keep_out", "slow"]
-    speed: float | None = None
+    speed: Annotated[float, Bounds(0.01, 20.0, "m/s")] | None = None
     """m/s at most, of a slow zone"""
 
     def __post_init__(self) -> None:
-        within(self, speed=(0.01, 20.0, "m/s"))
+        check(self)
         if not 3 <= len(self.corners) <= MOST_CORNERS:
-            raise ValueError(f"a zone has from 3 to {MOST_CORNERS} corners, not {len(self.corners)}")
+            raise Invalid(
+                ("corners", f"a zone has from 3 to {MOST_CORNERS} corners, not {len(self.corners)}")
+            )
         if not all(abs(value) <= FARTHEST for corner in self.corners for value in corner):
-            raise ValueError(f"corners must be within {FARTHEST:g} m")
+            raise Invalid(("corners", f"corners must be within {FARTHEST:g} m"))
         if (self.kind == "slow") != (self.speed is not None):
-            raise ValueError("speed belongs to a slow zone, and only there")
+            raise Invalid(("speed", "speed belongs to a slow zone, and only there"))
 
     def contains(self, x: float, y: float) -> bool:
         """Return whether a place [m] is inside."""

@@ -14,7 +14,7 @@ from can.typechecking import CanFilter
 from gateway.buses.adapters.dm_serial_client import DmSerialInterface
 from gateway.buses.adapters.fdcanusb_client import FdcanusbInterface
 from gateway.buses.adapters.slcan_client import SlcanInterface
-from gateway.buses.netlink import Link
+from gateway.buses.netlink import NetLink
 from gateway.buses.threaded import ThreadedInterface
 from gateway.buses.usb import NET, can_names, listed, resolved
 from gateway.core.robot import TWIN, BusSettings
@@ -130,7 +130,7 @@ def missing(settings: BusSettings, channel: str, has_can: bool, net: Path = NET)
     return f"{_head(settings)}: {why}\n{_commands(settings, channel)}"
 
 
-def check_fit(settings: BusSettings, link: Link) -> None:
+def check_fit(settings: BusSettings, link: NetLink) -> None:
     """Raise BusError where a SocketCAN interface is configured otherwise than the robot file has the bus."""
     remedy = _set_up(settings, link.name)
     for key, wanted, found in (

@@ -1,10 +1,10 @@
 """The kernel's state of one network interface: cheaply whether it is up, and in full by rtnetlink.
 
-Rules. `Device.status` asks by ioctl, which takes no lock in the kernel: it may be called in the loop.
-`Device.link` asks by rtnetlink, which waits while any interface is being configured: it is called when a bus
-is opened, and rarely while a controller is in trouble, since its error state is available nowhere else. No
-process is started. Sources: rtnetlink(7), netdevice(7), linux/if_link.h, linux/can/netlink.h. `request` and
-`parse` are pure.
+Rules. `NetDevice.status` asks by ioctl, which takes no lock in the kernel: it may be called in the loop.
+`NetDevice.link` asks by rtnetlink, which waits while any interface is being configured: it is called when a
+bus is opened, and rarely while a controller is in trouble, since its error state is available nowhere else.
+No process is started. Sources: rtnetlink(7), netdevice(7), linux/if_link.h, linux/can/netlink.h. `request`
+and `parse` are pure.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _STATES = {0: BusState.UP, 1: BusState.UP, 2: BusState.PASSIVE, 3: BusState.OFF}
 """enum can_state: active, warning, passive, bus-off; stopped and sleeping imply nothing about the bus."""
 
 
-class Status(NamedTuple):
+class NetStatus(NamedTuple):
     """The interface index, whether the interface is up, and whether it can carry frames."""
 
     ifindex: int
@@ -48,7 +48,7 @@ class Status(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Link:
+class NetLink:
     """One interface as rtnetlink reports it. What it does not report is 0 or None."""
 
     name: str
@@ -71,7 +71,7 @@ class Link:
     """The controller's error counters: sending, receiving."""
 
 
-class Device:
+class NetDevice:
     """An interface of this machine, by its name. Holds one socket for the queries."""
 
     def __init__(self, name: str) -> None:
@@ -80,15 +80,15 @@ class Device:
         self._socket = socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, socket.NETLINK_ROUTE)
         self._socket.settimeout(1.0)  # the kernel answers before `send` returns
 
-    def status(self) -> Status | None:
+    def status(self) -> NetStatus | None:
         """Return its index and flags, without a lock; None if there is no interface of this name."""
         try:
             flags, ifindex = self._ioctl(_GET_FLAGS) & 0xFFFF, self._ioctl(_GET_INDEX)
         except OSError:
             return None
-        return Status(ifindex, bool(flags & IFF_UP), bool(flags & IFF_RUNNING))
+        return NetStatus(ifindex, bool(flags & IFF_UP), bool(flags & IFF_RUNNING))
 
-    def link(self) -> Link | None:
+    def link(self) -> NetLink | None:
         """Return all that rtnetlink reports; None if it reports nothing."""
         try:
             self._socket.send(request(self.name))
@@ -111,7 +111,7 @@ def request(name: str, sequence: int = 1) -> bytes:
     return _MESSAGE.pack(_MESSAGE.size + len(body), _GET_LINK, _REQUEST, sequence, 0) + body
 
 
-def parse(reply: bytes) -> Link | None:
+def parse(reply: bytes) -> NetLink | None:
     """Decode the reply to a request; None if it is an error, truncated, or something else."""
     try:
         length, kind, *_ = _MESSAGE.unpack_from(reply)
@@ -122,7 +122,7 @@ def parse(reply: bytes) -> Link | None:
         info = dict(_attributes(found.get(_LINK_INFO, b"")))
         kind_name = _text(info.get(_INFO_KIND, b""))
         data = dict(_attributes(info.get(_INFO_DATA, b""))) if kind_name == "can" else {}
-        return Link(
+        return NetLink(
             name=_text(found.get(_NAME, b"")),
             ifindex=ifindex,
             up=bool(flags & IFF_UP),

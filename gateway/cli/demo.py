@@ -25,7 +25,7 @@ from gateway.config import load_robot
 from gateway.config.mission import load_mission
 from gateway.core.clock import stopwatch
 from gateway.errors import UserError
-from gateway.runtime.realtime import realtime, wished
+from gateway.runtime.realtime import realtime, wanted_of
 from gateway.runtime.session import Session, open_session
 from gateway.runtime.timing import SLOW
 from protocols.messages import SECOND, Goal, Mission, Nanos
@@ -61,7 +61,7 @@ def run(options: Namespace) -> int:
     """Return 1 unless the true pose was near every goal, or the mission is done, and every motor is disarmed
     or holds."""
     check_view(options)
-    wish = wished(options.realtime)
+    wanted = wanted_of(options.realtime)
     robot = load_robot(options.robot)
     try:
         options.out.mkdir(parents=True, exist_ok=True)
@@ -80,7 +80,7 @@ def run(options: Namespace) -> int:
         began = stopwatch()
         metres = round(sum(_straight(goals)), 1)
         what, total = ("tour, metres", metres) if mission is None else ("mission, steps", len(mission.steps))
-        with progress(what, total) as shown, realtime(wish, robot):
+        with progress(what, total) as shown, realtime(wanted, robot):
             (_follow if mission is None else partial(_do, mission))(session, tour, shown)
         took = stopwatch() - began
         done = tour.done if mission else tour.near == len(goals)

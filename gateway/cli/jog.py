@@ -22,7 +22,7 @@ from dataclasses import dataclass, field, replace
 from brain.bodies import bare
 from gateway.cli import arguments
 from gateway.cli.terminal.keys import HeldKey, Key, ask, parse, press, raw_mode, read_keys, speed_share
-from gateway.cli.terminal.screen import Line
+from gateway.cli.terminal.screen import TerminalLine
 from gateway.config import load_robot, with_interfaces
 from gateway.config.errors import unknown
 from gateway.core.joint import Joint
@@ -30,7 +30,7 @@ from gateway.core.robot import Robot
 from gateway.errors import UserError
 from gateway.monitor.render import age_text, fault_text, feedback_texts
 from gateway.operator.commands import FRESH
-from gateway.runtime.realtime import realtime, wished
+from gateway.runtime.realtime import realtime, wanted_of
 from gateway.runtime.session import Session, open_session
 from protocols.messages import MILLISECOND, ClearFault, Idle, Instruction, Nanos, Velocity
 
@@ -73,7 +73,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(options: Namespace) -> int:
     """Return 1 if the motor is left in fault or armed."""
-    wish = wished(options.realtime)
+    wanted = wanted_of(options.realtime)
     robot = with_interfaces(load_robot(options.robot), dict(options.bus))
     robot = single_motor(robot, options.motor, options.speed)
     if not sys.stdin.isatty():
@@ -85,9 +85,9 @@ def run(options: Namespace) -> int:
         )
     terminal = sys.stdin.fileno()
     with open_session(robot) as session:
-        line = Line(sys.stdout)
+        line = TerminalLine(sys.stdout)
         line.print_above(help_text(robot, options.motor))
-        with raw_mode(terminal), log_above(line), realtime(wish, robot, line.print_above):
+        with raw_mode(terminal), log_above(line), realtime(wanted, robot, line.print_above):
             drive(session, options.motor, lambda: read_keys(terminal), line.draw, lambda: ask(terminal))
         line.end()
     return 1 if session.joints[options.motor].faults or session.gateway.still_armed() else 0
@@ -113,7 +113,7 @@ def single_motor(robot: Robot, motor: str, speed: float | None = None) -> Robot:
         buses={settings.bus: robot.buses[settings.bus]},
         motors={motor: replace(settings, joint=joint)},
         sensors={},
-        brain=replace(robot.brain, body=bare([motor])),
+        brain=replace(robot.brain, body=bare([motor]), other=None),
     )
 
 
@@ -240,7 +240,7 @@ def help_text(robot: Robot, motor: str) -> str:
 
 
 @contextmanager
-def log_above(line: Line) -> Iterator[None]:
+def log_above(line: TerminalLine) -> Iterator[None]:
     """While inside, print log records above the line that is redrawn."""
     handler = _LineHandler(line)
     log.addHandler(handler)
@@ -253,7 +253,7 @@ def log_above(line: Line) -> Iterator[None]:
 
 
 class _LineHandler(logging.Handler):
-    def __init__(self, line: Line) -> None:
+    def __init__(self, line: TerminalLine) -> None:
         super().__init__()
         self._line = line
 

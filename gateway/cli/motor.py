@@ -21,7 +21,7 @@ from gateway.core.robot import TWIN, Robot
 from gateway.errors import UserError
 from gateway.recording.new_file import EXISTS, create_with
 from gateway.runtime import configuration
-from gateway.runtime.configuration import Difference, Interrupted, Motors, Readings
+from gateway.runtime.configuration import Interrupted, Motors, ParameterDifference, Readings
 from gateway.runtime.session import open_session
 
 log = logging.getLogger("gateway")
@@ -133,7 +133,7 @@ def _dump(robot: Robot, out: Path | None) -> int:
 _NOTHING = "nothing: its protocol lists no configuration with these options (see the protocol's README)"
 
 
-def _restore(motors: Motors, differences: Sequence[Difference], *, write: bool) -> int:
+def _restore(motors: Motors, differences: Sequence[ParameterDifference], *, write: bool) -> int:
     to_write = [each for each in differences if not each.left]
     _print(str(each) for each in differences if each.left or not write)
     if not write:
@@ -145,7 +145,7 @@ def _restore(motors: Motors, differences: Sequence[Difference], *, write: bool) 
     return 0 if good else 1
 
 
-def _summary(robot: Robot, readings: Readings, differences: Sequence[Difference], other: str) -> int:
+def _summary(robot: Robot, readings: Readings, differences: Sequence[ParameterDifference], other: str) -> int:
     compared = sum(len(one.values) for one in readings.values())
     print(f"{robot.name}: {compared} parameters read, {len(differences)} differ from {other}")
     for name, motor in robot.motors.items():

@@ -15,7 +15,7 @@ import numpy as np
 
 from brain.belief import Pose
 from brain.bodies.plane import moved
-from gateway.cli.side_view import draw_linkage
+from gateway.cli.side_view import draw_arms
 from gateway.cli.tour import Tour
 from gateway.errors import UserError
 from gateway.recording.new_file import replace_with
@@ -38,6 +38,9 @@ MOMENTS = 60
 WINDOW = 4
 """Number of samples over which the bus load is averaged: two scans of the lidar."""
 
+LEGEND_WIDTH = 110
+"""Characters of its names, and 5 for each of its lines, that fit above the axes"""
+
 
 def draw(tour: Tour, file: Path) -> None:
     """Write a PNG: the map with the paths, or the joints, above; speed, bus load and age of feedback
@@ -48,6 +51,7 @@ def draw(tour: Tour, file: Path) -> None:
     figure = Figure(figsize=(11, 11), layout="constrained")
     FigureCanvasAgg(figure)
     if tour.samples:
+        figure.suptitle(_title(tour))  # above the legend, however many rows that has
         grid = figure.add_gridspec(4, 1, height_ratios=(6, 1, 1, 1))
         _map(figure.add_subplot(grid[0]), tour)
         seconds = np.array([sample.t for sample in tour.samples]) / SECOND
@@ -57,16 +61,25 @@ def draw(tour: Tour, file: Path) -> None:
         _age(figure.add_subplot(grid[3], sharex=over_time), tour, seconds)
         over_time.set_xlim(0.0, seconds[-1])
     else:
-        body, grid = tour.linkage, figure.add_gridspec(2, 1, height_ratios=(2, 1))
-        if body is not None:
-            draw_linkage(figure.add_subplot(grid[0]), body, tour)
-        _joints(figure.add_subplot(grid[0:] if body is None else grid[1]), tour)
+        arms, grid = tour.arms, figure.add_gridspec(2, 1, height_ratios=(2, 1))
+        if arms:
+            draw_arms(figure.add_subplot(grid[0]), arms, tour)
+        _joints(figure.add_subplot(grid[1] if arms else grid[0:]), tour)
     drawn = BytesIO()
     figure.savefig(drawn, dpi=110, metadata={"Software": None})
     try:
         replace_with(file, drawn.getvalue())
     except OSError as error:
         raise UserError(f"{file}: {error.strerror}") from error
+
+
+def _title(tour: Tour) -> str:
+    """Return how far it drove, how well it knew where it was, and what became of it."""
+    error = 100 * tour.error([sample.believed for sample in tour.samples]) / max(tour.length, 1e-9)
+    return (
+        f"{tour.length:.1f} m driven; believed path within {error:.2f} % of that from the true one; "
+        f"{tour.outcome}, {tour.contacts} contacts, {tour.touched_people} with people"
+    )
 
 
 def _map(axes: Axes, tour: Tour) -> None:
@@ -97,12 +110,6 @@ def _map(axes: Axes, tour: Tour) -> None:
         goal = arrival.goal
         axes.plot(goal.x, goal.y, "*", color=PLANNED, ms=14, mec="black")
         axes.annotate(str(i), (goal.x, goal.y), textcoords="offset points", xytext=(8, 6))
-    error = 100 * tour.error(believed) / max(tour.length, 1e-9)
-    axes.set_title(
-        f"{tour.length:.1f} m driven; believed path within {error:.2f} % of that from the true one; "
-        f"{tour.outcome}, {tour.contacts} contacts, {tour.touched_people} with people",
-        pad=24.0,
-    )
     axes.set_aspect("equal")
     axes.set_facecolor("0.5")  # as what the map does not know
     axes.set_xlabel("x [m]")
@@ -116,9 +123,9 @@ def _map(axes: Axes, tour: Tour) -> None:
 
 
 def _legend_above(axes: Axes) -> None:
-    """Add the legend above the axes, in one row of up to seven, where it hides nothing."""
+    """Add the legend above the axes, in rows of up to seven that are no wider, where it hides nothing."""
     if labels := axes.get_legend_handles_labels()[1]:
-        columns = min(len(labels), 7)
+        columns = max(1, min(len(labels), 7, LEGEND_WIDTH // (max(map(len, labels)) + 5)))
         axes.legend(
             loc="lower left",
             bbox_to_anchor=(0.0, 1.0),

@@ -48,7 +48,7 @@ class Ending:
     ok: bool = False
     figures: tuple[str, ...] = ()
     walls: tuple[tuple[tuple[float, float], ...], ...] = ()
-    """In the frame "odom"."""
+    """In the frame "map"."""
 
 
 @contextmanager
@@ -88,7 +88,7 @@ def reported(session: Session, file: Path | None, what: str) -> Iterator[Ending]
 
 
 def _truth(world: World, start: Pose) -> Pose:
-    """Return the true pose in the frame "odom"."""
+    """Return the true pose in the frame "map"."""
     return seen_from(start, world.truth())
 
 

@@ -20,7 +20,7 @@ from gateway.core.robot import TWIN, Robot
 from gateway.core.step import LEFT_ARMED
 from gateway.errors import UserError
 from gateway.operator import Operator
-from gateway.runtime.realtime import realtime, wished
+from gateway.runtime.realtime import realtime, wanted_of
 from gateway.runtime.schedule import COUNTING, NotCounted, not_armed, refuse_overload
 from gateway.runtime.session import Session, open_session
 from gateway.runtime.status import status_text
@@ -54,7 +54,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 def run(options: Namespace) -> int:
     """Return 1 if a motor was left in fault or armed, something asked for was not done, or the loop hung."""
     check_view(options)
-    wish = wished(options.realtime)
+    wanted = wanted_of(options.realtime)
     robot = with_interfaces(load_robot(options.robot), dict(options.bus))
     if options.mission and options.goal:
         raise UserError("--mission and --goal exclude each other: put the goals into the mission")
@@ -69,7 +69,7 @@ def run(options: Namespace) -> int:
     ):
         open_view(session, options)
         session.submit(*goals, *([mission] if mission else []))
-        with realtime(wish, robot):
+        with realtime(wanted, robot):
             status = _drive(session, operator, options, mission)
         ending.ok = status == 0
     print_recording(session)

@@ -15,6 +15,7 @@ import numpy as np
 
 from brain.belief import Belief, BrainState, Floats, Pose
 from brain.bodies.body import Base, Linkage
+from brain.bodies.limbs import LimbPlace, limbs
 from brain.bodies.plane import motion, moved, seen_from
 from brain.planning.polyline import Polyline
 from gateway.core.tick import Tick
@@ -28,7 +29,7 @@ SAMPLE_PERIOD: Nanos = 50 * MILLISECOND
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One moment of a tour; poses are in the frame "odom"."""
+    """One moment of a tour; poses are in the frame "map"."""
 
     t: Nanos
     true: Pose
@@ -58,7 +59,7 @@ class Arrival:
 
 
 @dataclass(slots=True)
-class Leg:
+class TourLeg:
     """The way to one goal."""
 
     began: Nanos
@@ -96,7 +97,7 @@ class Tour:
         self.arrivals: list[Arrival] = []
         self.paths: list[tuple[tuple[float, float], ...]] = []
         """The last path planned on the way to each goal."""
-        self.legs: list[Leg] = []
+        self.legs: list[TourLeg] = []
         """Those that have a path; a leg is the way to one goal, of a tour or a mission."""
         self.shafts: list[tuple[float, ...]] = []
         """rad, true positions of all joints, in the order of the robot file, by sample"""
@@ -108,12 +109,12 @@ class Tour:
         """The path that is followed, with its version."""
         self.belief: Belief = session.belief
         self.outlines = [
-            [(corner.x, corner.y) for corner in (self._in_odom(Pose(x, y, 0.0)) for x, y in outline)]
+            [(corner.x, corner.y) for corner in (self._in_map(Pose(x, y, 0.0)) for x, y in outline)]
             for outline in self._world.outlines()
         ]
-        """The true walls and boxes, as polygons [m] in the frame "odom"."""
-        self.tags = [(number, self._in_odom(Pose(x, y, yaw))) for number, x, y, yaw in self._world.tags()]
-        """Number and pose of each tag in the frame "odom"."""
+        """The true walls and boxes, as polygons [m] in the frame "map"."""
+        self.tags = [(number, self._in_map(Pose(x, y, yaw))) for number, x, y, yaw in self._world.tags()]
+        """Number and pose of each tag in the frame "map"."""
         self.contacts = self.touched_people = 0
         self._leg = 0
         """Number of goals that are reached once the present leg is."""
@@ -134,7 +135,7 @@ class Tour:
             self.times.append(tick.now)
             self._sample(tick.now)
         if len(self.goals) > len(self.arrivals) < self.belief.reached:
-            goal, true = self.goals[len(self.arrivals)], self._in_odom(self._world.truth())
+            goal, true = self.goals[len(self.arrivals)], self._in_map(self._world.truth())
             self.arrivals.append(Arrival(goal, tick.now, hypot(true.x - goal.x, true.y - goal.y)))
 
     def _sample(self, now: Nanos) -> None:
@@ -143,10 +144,10 @@ class Tour:
             return
         busy = dict(self._session.stats.busy)
         load = {bus: (busy[bus] - self._busy.get(bus, 0)) / SAMPLE_PERIOD for bus in busy}
-        true, age = self._in_odom(self._world.truth()), max(self._ages, default=0) / MILLISECOND
+        true, age = self._in_map(self._world.truth()), max(self._ages, default=0) / MILLISECOND
         raw, off = belief.raw or estimate.pose, self._follow(now, true)
         people = tuple(
-            (p.x, p.y, r) for x, y, r in self._world.people() for p in [self._in_odom(Pose(x, y, 0.0))]
+            (p.x, p.y, r) for x, y, r in self._world.people() for p in [self._in_map(Pose(x, y, 0.0))]
         )
         if self.samples and self.legs and self.legs[-1].ended is None:
             before = self.samples[-1].true
@@ -168,7 +169,7 @@ class Tour:
             self._line = (belief.path_version, Polyline(belief.path))
         if not self.legs or self.legs[-1].ended is not None:
             self._leg = belief.reached + 1
-            self.legs.append(Leg(now))
+            self.legs.append(TourLeg(now))
         leg, goal = self.legs[-1], belief.goal
         if not leg.whole or goal != leg.goal:
             leg.goal = goal
@@ -178,8 +179,8 @@ class Tour:
         along, off = self._line[1].project((true.x, true.y))
         return off if 0.0 < along < self._line[1].length else None
 
-    def _in_odom(self, pose: Pose) -> Pose:
-        """Return a pose of the world in the frame "odom", whose origin is the robot's pose at the start."""
+    def _in_map(self, pose: Pose) -> Pose:
+        """Return a pose of the world in the frame "map", whose origin is the robot's pose at the start."""
         return seen_from(self._start, pose)
 
     # -- figures ------------------------------------------------------------------------------
@@ -190,15 +191,15 @@ class Tour:
         return tuple(self._session.robot.motors)
 
     @property
-    def linkage(self) -> Linkage | None:
-        """The body, if it is one of links that stands on one place."""
-        body = self._session.robot.brain.body
-        return body if isinstance(body, Linkage) else None
+    def arms(self) -> list[tuple[Linkage, LimbPlace]]:
+        """The arms, and where in the robot's frame each stands."""
+        found = limbs(self._session.robot.brain.body).values()
+        return [(arm, one.at) for one in found if (arm := one.body.as_linkage) is not None]
 
     def footprint(self, pose: Pose) -> list[tuple[float, float]]:
         """Return the robot's outline at a pose, drawn to scale; empty for a body without one."""
-        body = self._session.robot.brain.body
-        corners = body.outline if isinstance(body, Base) else ()
+        base = self._session.robot.brain.base
+        corners = base.outline if base is not None else ()
         places = [moved(pose, Pose(x, y, 0.0)) for x, y in corners]
         return [(place.x, place.y) for place in places]
 
@@ -282,13 +283,13 @@ class Tour:
 
     def _legs(self) -> list[str]:
         """Return how each leg compares with its first plan, and with the shortest time for that."""
-        body = self._session.robot.brain.body
-        if not isinstance(body, Base):
+        base = self._session.robot.brain.base
+        if base is None:
             return []
         rows = []
         for i, leg in enumerate(self.legs, 1):
             took = ((leg.ended or self.samples[-1].t) - leg.began) / SECOND
-            least = leg.least(body)
+            least = leg.least(base)
             rows.append(
                 f"leg {i}: {leg.driven:.2f} m driven, {leg.planned:.2f} m planned "
                 f"({leg.driven / max(leg.planned, 1e-9):.2f}); "

@@ -14,7 +14,7 @@ from gateway.cli.live import add_view, check_view, token_for
 from gateway.config import load_robot, with_interfaces
 from gateway.core.clock import WallClock
 from gateway.core.robot import BusSettings
-from gateway.runtime.realtime import realtime, wished
+from gateway.runtime.realtime import realtime, wanted_of
 from gateway.runtime.twin_process import Devices, devices, without_interfaces
 from protocols.messages import MILLISECOND, SECOND, Nanos
 
@@ -64,13 +64,13 @@ def run(options: Namespace) -> int:
     """Simulate the devices until a signal, on the interfaces that are named here alone."""
     check_view(options)
     robot = with_interfaces(without_interfaces(load_robot(options.robot)), dict(options.bus))
-    wish = wished(options.realtime)
+    wanted = wanted_of(options.realtime)
     adapters = (options.adapter or ["slcan"]) * options.ports
     with devices(robot, WallClock(), options.seed, adapters, options.link, echo=options.echo) as made:
         print("\n".join(invitation(made, options.robot)), flush=True)
         with ExitStack() as stack:
             watch = _view(made, options, stack)
-            with realtime(wish, robot):
+            with realtime(wanted, robot):
                 made.serve(options.seconds, watch)
     stats = made.stats
     stalled = f"; stood still for {stats.stalled / SECOND:.1f} s in all" if stats.stalled else ""

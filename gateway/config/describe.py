@@ -7,6 +7,7 @@ from dataclasses import fields
 from math import inf
 from textwrap import fill
 
+from brain.bodies.limbs import BodyAsLimb, LimbPlace, limbs
 from gateway.config.validate import cautions
 from gateway.core.robot import TWIN, BusDevice, BusSettings, Motor, Robot, Sensor
 from protocols.frames import IdMask
@@ -177,8 +178,21 @@ def _open(number: int, mask: int) -> int:
 
 
 def _brain(robot: Robot) -> str:
-    body = robot.brain.body
-    lines = [f"body: {body.kind}"]
+    parts = limbs(robot.brain.body)
+    heads = {name: f"limb {name}" if len(parts) > 1 else "body" for name in parts}
+    lines = [f"limbs: {', '.join(parts)}"] if len(parts) > 1 else []
+    if (other := robot.brain.other) is not None:
+        lines.append(f"commands by the brain {other.kind.name!r} of {other.maker}: {other.settings}")
+    return "\n".join([*lines, *(line for name, limb in parts.items() for line in _limb(heads[name], limb))])
+
+
+def _limb(head: str, limb: BodyAsLimb) -> list[str]:
+    body, at = limb.body, limb.at
+    lines = [f"{head}: {body.kind}"]
+    if limb.mounted_on:
+        lines.append(f"  on {limb.mounted_on}")
+    if at != LimbPlace():
+        lines.append(f"  at {at.x:g}, {at.y:g}, {at.z:g} m, yaw {at.yaw:g} rad")
     for field in fields(body):
         value = getattr(body, field.name)
         if isinstance(value, dict):
@@ -187,7 +201,7 @@ def _brain(robot: Robot) -> str:
             text = ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
             own = "\n" in text  # a text of its own: a URDF
             lines.append(f"  {field.name} = {f'{len(text.splitlines())} lines' if own else text}")
-    return "\n".join(lines)
+    return lines
 
 
 def _table(*heads: str, rows: Sequence[Sequence[str]]) -> str:

@@ -13,6 +13,7 @@ from functools import cached_property
 from typing import TypeAlias
 
 from gateway.errors import ConfigError, Mistake
+from protocols.bounds import Invalid
 from protocols.suggest import did_you_mean
 
 Key: TypeAlias = tuple[str, ...]
@@ -38,6 +39,11 @@ class Mistakes:
         if key:
             key, line = self._locate(key)
         self._found[Mistake(self.file, line, _shortened(".".join(key)), _shortened(text))] = None
+
+    def invalid(self, at: Key, error: ValueError) -> None:
+        """Add what is wrong with a table there `at`, each at the key that an `Invalid` names."""
+        for key, text in error.wrong if isinstance(error, Invalid) else (("", str(error)),):
+            self.add((*at, *filter(None, key.split("."))), text)
 
     @property
     def full(self) -> bool:

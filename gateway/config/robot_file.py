@@ -17,7 +17,9 @@ dataclasses, so this file knows none of them by name. Files are TOML (toml.io, v
     [sensors.NAME]                      protocol, bus, address, mount, timeout_ms, options, settings
     urdf                                links and joints (gateway.config.urdf); [files] has its text
     [defaults.motors] …                 defaults for every motor (bus, sensor)
-    [brain]                             brain.settings.BrainSettings
+    [brain]                             brain.settings.BrainSettings; [brain.BODY] is the body's own; `kind`
+                                        names a brain of another distribution, [brain.KIND] is its own
+    [limbs.NAME]                        of a robot of several: body, mounted_on, at, the body's own keys
     [bag]                               gateway.core.robot.BagTopics: the topics of a foreign bag
 """
 
@@ -25,28 +27,33 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cache, partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeAlias
 
+from brain import doors, other_brain
 from brain.bodies import bare
 from brain.bodies.body import Body
+from brain.bodies.limbs import BodyAsLimb, LimbPlace, Limbs
+from brain.other_brain import Chosen
 from brain.settings import BrainSettings
 from gateway.config import bodies, resources, validate
-from gateway.config.errors import Mistakes, shown, unknown
+from gateway.config.errors import Key, Mistakes, shown, unknown
 from gateway.config.schema import build
 from gateway.config.sections import Find, Table, check_interface, own_ids, read_bus, read_motor, read_sensor
 from gateway.config.text import read_text, read_toml
 from gateway.config.urdf import Description, with_files
-from gateway.core.bounds import Bounds
 from gateway.core.robot import STALL_TIMEOUT, BagTopics, BusDevice, Robot
 from gateway.errors import UserError
 from protocols import plugin
-from protocols.messages import MILLISECOND, SECOND, Nanos
+from protocols.bounds import Bounds, Duration, keys
+from protocols.messages import SECOND
 
 GROUPS = ("buses", "motors", "sensors")
-SECTIONS = (*GROUPS, "defaults", "brain", "bag", "files")
+SECTIONS = (*GROUPS, "defaults", "brain", "limbs", "bag", "files")
+NAME = "[A-Za-z_][A-Za-z0-9_]{0,63}"
+EXPECTED_NAME = "expected a name of letters, digits and _ that begins with no digit"
 LOWEST_RATE, HIGHEST_RATE = 10.0, 1000.0
 """Steps per second."""
 MAX_NAMED = 64
@@ -60,12 +67,12 @@ RESERVED = ("all", "brain", "operator", "scan")
 @dataclass(frozen=True, slots=True)
 class _Top:
     name: str
-    rate_hz: Annotated[float, "steps per second", Bounds(LOWEST_RATE, HIGHEST_RATE)] = 200.0
+    rate_hz: Annotated[float, Bounds(LOWEST_RATE, HIGHEST_RATE, "steps per second")] = 200.0
     world: str | None = None
     plant: str | None = None
     urdf: str | None = None
     seed: Annotated[int, Bounds(0, 2**32 - 1)] = 0
-    stall_timeout: Annotated[Nanos, Bounds(100 * MILLISECOND, 2 * SECOND)] = STALL_TIMEOUT
+    stall_timeout: Annotated[Duration, Bounds(100, 2000)] = STALL_TIMEOUT
     """How long the loop may stand before the watchdog process sends the stop action."""
 
 
@@ -139,11 +146,12 @@ def parse_robot(
         specs = tuple(one.spec for one in devices if one.bus == n)
         own = own_ids(specs) if groups["buses"][n].get("receive_filter") == "own" else ()
         buses[n] = replace(bus, receive_filter=own, devices=specs)
-    if "brain" not in table:
+    limb_tables = _section(table, "limbs", mistakes) if "limbs" in table else None
+    if "brain" not in table and limb_tables is None:
         mistakes.add(("brain",), "missing; expected a table [brain] that names the body")
     motor_names, sensor_names = tuple(groups["motors"]), tuple(groups["sensors"])
     complete = partial(described.body, joints=moved)
-    brain = _brain(table.get("brain", {}), motor_names, sensor_names, complete, mistakes)
+    brain = _brain(table.get("brain", {}), limb_tables, motor_names, sensor_names, complete, mistakes)
     bag = build(BagTopics, table["bag"], ("bag",), mistakes) if "bag" in table else None
 
     period = round(SECOND / top.rate_hz) if top else 0
@@ -152,7 +160,7 @@ def parse_robot(
     if top is not None:
         validate.check_stall_timeout(top.stall_timeout, period, mistakes)
     if bag is not None and brain is not None:
-        validate.check_bag(bag, brain.body, sensor_names, mistakes)
+        validate.check_bag(bag, brain, sensor_names, mistakes)
     mistakes.check()
     if top is None or brain is None:
         raise AssertionError("a section is missing, and no mistake was added")
@@ -189,39 +197,131 @@ def with_interfaces(robot: Robot, interfaces: Mapping[str, str]) -> Robot:
 # -- sections ----------------------------------------------------------------------------------
 
 
+Complete: TypeAlias = Callable[[type[Body], object, Key], object]
+"""Returns a body's table, there in the file, with what a URDF says."""
+
+
 def _brain(
     table: object,
+    limb_tables: Mapping[str, Table] | None,
     motors: tuple[str, ...],
     sensors: tuple[str, ...],
-    complete: Callable[[type[Body], object], object],
+    complete: Complete,
     mistakes: Mistakes,
 ) -> BrainSettings | None:
-    """Read the table [brain]: the body's name, the body's own table of that name, and the settings.
-
-    `complete` returns a body's table with what a URDF says."""
+    """Read the table [brain]: the body's name, the body's own table of that name, and the settings; or, of a
+    robot of several limbs, the settings alone."""
     if not isinstance(table, dict):
         mistakes.add(("brain",), f"found {shown(table)}, expected a table")
         return None
     name = table.get("body")
     body: Body | None = None
-    if not isinstance(name, str):
-        found = f"found {shown(name)}" if "body" in table else "missing"
-        mistakes.add(("brain", "body"), f"{found}; expected the name of a body: {', '.join(bodies.names())}")
-    else:
-        try:
-            kind = bodies.load_body(name)
-        except UserError as error:
-            mistakes.add(("brain", "body"), str(error))
+    if limb_tables is not None:
+        if "body" in table:
+            mistakes.add(("brain", "body"), "the file has limbs, which are its bodies; expected no such key")
+        body = _limbs(limb_tables, motors, sensors, complete, mistakes)
+    elif (kind := _kind(table, "body", ("brain", "body"), mistakes)) is not None:
+        if kind.kind not in table:
+            mistakes.add(("brain", kind.kind), f"missing; the body {name!r} expects this table")
         else:
-            if name not in table:
-                mistakes.add(("brain", name), f"missing; the body {name!r} expects this table")
-            else:
-                body = build(kind, complete(kind, table[name]), ("brain", name), mistakes)
-                validate.check_body(kind, table[name], motors, sensors, mistakes)
-    also = ("body", *([name] if body else [str(name), *bodies.names()]))  # its table may be right
-    given = {"body": body or bare(["x"])}
+            at = ("brain", kind.kind)
+            body = build(kind, complete(kind, table[kind.kind], at), at, mistakes)
+            validate.check_body(kind, table[kind.kind], at, motors, sensors, mistakes)
+    other = _other_brain(table, motors, mistakes)
+    also = ["body", *([str(name)] if body else [str(name), *bodies.names()])]  # its table may be right
+    also += ["kind", str(table["kind"])] if "kind" in table else []
+    given = {"body": body or bare(["x"]), "other": other}
     settings = build(BrainSettings, table, ("brain",), mistakes, also, given)
     return settings if body else None
+
+
+def _other_brain(table: Table, motors: tuple[str, ...], mistakes: Mistakes) -> Chosen | None:
+    """Read who makes the commands in place of our brain, if the table names one."""
+    if "kind" not in table:
+        return None
+    name, at = table["kind"], ("brain", "kind")
+    if (
+        not isinstance(name, str)
+        or name in keys(BrainSettings)
+        or name in (table.get("body"), "body", "kind")
+    ):
+        mistakes.add(at, f"found {shown(name)}, expected the name of a brain that is installed")
+        return None
+    try:
+        kind, maker = other_brain.load(name)
+    except doors.NotFound as error:
+        ours = "; leave it out for this project's own brain"
+        mistakes.add(at, f"{unknown('brain', name, error.known)}{error.unread}{ours}")
+        return None
+    except doors.Broken as error:
+        mistakes.add(at, str(error))
+        return None
+    settings: object = build(kind.settings, table.get(name, {}), ("brain", name), mistakes)
+    if settings is None:
+        return None
+    try:
+        kind.make(settings, motors)
+    except Exception as error:  # noqa: BLE001 -- another's brain may raise anything
+        kind_of_error = "" if isinstance(error, ValueError) else f"it is broken: {type(error).__name__}: "
+        mistakes.add(("brain", name), f"{kind_of_error}{error}")
+    return Chosen(kind, settings, maker)
+
+
+def _kind(table: Table, key: str, at: Key, mistakes: Mistakes) -> type[Body] | None:
+    """Return the class of the body that a table names."""
+    name = table.get(key)
+    if not isinstance(name, str):
+        found = f"found {shown(name)}" if key in table else "missing"
+        mistakes.add(at, f"{found}; expected the name of a body: {', '.join(bodies.names())}")
+        return None
+    try:
+        return bodies.load_body(name)
+    except UserError as error:
+        mistakes.add(at, str(error))
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class _Mounting:
+    """The keys of a limb beside those of its body."""
+
+    body: str
+    mounted_on: str = ""
+    at: LimbPlace = field(default_factory=LimbPlace)
+
+
+def _limbs(
+    tables: Mapping[str, Table],
+    motors: tuple[str, ...],
+    sensors: tuple[str, ...],
+    complete: Complete,
+    mistakes: Mistakes,
+) -> Limbs | None:
+    """Read the tables [limbs.NAME]."""
+    found: dict[str, BodyAsLimb] = {}
+    settings = [one.name for one in fields(BrainSettings)]
+    for name, table in tables.items():
+        at = ("limbs", name)
+        if not re.fullmatch(NAME, name) or name in settings:
+            text = f"a setting of the brain is called {name!r}; expected another name"
+            mistakes.add(at, text if name in settings else EXPECTED_NAME)
+        kind = _kind(table, "body", (*at, "body"), mistakes)
+        mounting = {key: value for key, value in table.items() if key in keys(_Mounting)}
+        own = {key: value for key, value in table.items() if key not in mounting}
+        mounted = build(_Mounting, mounting, at, mistakes)
+        if kind is None:
+            continue
+        body = build(kind, complete(kind, own, at), at, mistakes)
+        validate.check_body(kind, own, at, motors, sensors, mistakes)
+        if body is not None and mounted is not None:
+            found[name] = BodyAsLimb(body, mounted.mounted_on, mounted.at)
+    if len(found) < len(tables):
+        return None
+    try:
+        return Limbs(limbs=found)
+    except ValueError as error:
+        mistakes.invalid(("limbs",), error)
+        return None
 
 
 def _section(table: Table, name: str, mistakes: Mistakes, known: tuple[str, ...] = ()) -> dict[str, Table]:
@@ -247,8 +347,8 @@ def _group(table: Table, group: str, defaults: Table, mistakes: Mistakes) -> dic
     if not named and group != "sensors":
         mistakes.add((group,), f"missing; expected at least one table [{group}.NAME]")
     for name in named:
-        if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]{0,63}", name):
-            mistakes.add((group, name), "expected a name of letters, digits and _ that begins with no digit")
+        if not re.fullmatch(NAME, name):
+            mistakes.add((group, name), EXPECTED_NAME)
         if name in RESERVED:
             mistakes.add((group, name), f"{name!r} has a meaning of its own; expected another name")
         if group == "sensors" and name in table.get("motors", {}):

@@ -1,32 +1,28 @@
 """A TOML file → tables → frozen dataclasses, by their type hints alone: all mistakes are collected.
 
 Rules. Strict: "5" is not 5, true is not 1, 1.5 is no integer, a number must be finite and an integer fit into
-64 bits; an integer may stand for a float. A key without a field is a mistake. A field annotated `Nanos` is
-written in milliseconds, under its name with `_ms`. A hint may be annotated with `Bounds` and with a unit (a
-string). A ValueError of `__post_init__` ("; " between several texts) is reported at the field that it names.
-So a new setting in any of the dataclasses needs no change here.
+64 bits; an integer may stand for a float. A key without a field is a mistake. A `Duration` is written in
+milliseconds, under its name with `_ms`. A number is within its `Bounds`. What `__post_init__` objects to is
+reported at the field that its `Invalid` names; any other ValueError of it at the table. So a new setting in
+any of the dataclasses needs no change here.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, Field, fields, is_dataclass
+from dataclasses import MISSING, Field, is_dataclass
 from enum import Enum
-from math import isfinite
+from math import inf, isfinite
 from types import MappingProxyType, NoneType, UnionType
-from typing import Annotated, Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, Union, cast, get_args, get_origin
 
 from gateway.config.errors import Key, Mistakes, is_int64, shown, unknown
-from gateway.core.bounds import Bounds
+from protocols.bounds import Bounds, Invalid, bounds_of, hints, is_duration, keys
 from protocols.messages import MILLISECOND
 from protocols.suggest import did_you_mean
 
 T = TypeVar("T")
-
-
-class _Milliseconds:
-    """The hint of a time: a number of milliseconds in the file, which becomes nanoseconds."""
 
 
 MAX_NAMED = 500
@@ -34,7 +30,7 @@ MAX_NAMED = 500
 NOTHING: Mapping[str, object] = MappingProxyType({})
 _INVALID = object()
 """Instead of a value that does not fit its hint."""
-_STAND_INS: dict[object, object] = {float: 1.0, int: 1, str: "x", bool: False}
+_STAND_INS: dict[object, Any] = {float: 1.0, int: 1, str: "x", bool: False}
 """Instead of a required value that is missing or invalid, for `__post_init__` to check the other fields."""
 
 
@@ -61,15 +57,6 @@ def build(
         return None
 
 
-def keys(kind: type) -> dict[str, Field[Any]]:
-    """Return the fields of a dataclass by the key under which each is written in the file."""
-    return {f"{one.name}_ms" if _is_time(one) else one.name: one for one in fields(kind) if one.init}
-
-
-def _is_time(field: Field[Any]) -> bool:
-    return "Nanos" in str(field.type)
-
-
 def _is_required(field: Field[Any]) -> bool:
     return field.default is MISSING and field.default_factory is MISSING
 
@@ -83,14 +70,9 @@ def _build(
     given: Mapping[str, object] = NOTHING,
 ) -> object:
     own = {key: field for key, field in keys(kind).items() if field.name not in given}
-    hints = get_type_hints(kind, include_extras=True)
     values: dict[str, object] = dict(given)
     for key, field in own.items():
-        hint = hints[field.name]
-        if _is_time(field):
-            bounds = (one for one in getattr(hint, "__metadata__", ()) if isinstance(one, Bounds))
-            in_ms = (Bounds(one.least / MILLISECOND, one.most / MILLISECOND) for one in bounds)
-            hint = Annotated[_Milliseconds, "milliseconds", *in_ms]
+        hint = hints(kind)[field.name]
         if key in table:
             values[field.name] = _field_value(hint, table[key], (*at, key), mistakes)
         elif _is_required(field):
@@ -111,32 +93,38 @@ def _build(
 def _construct(kind: type[Any], values: dict[str, object], at: Key, mistakes: Mistakes) -> object:
     """Call the dataclass, and report what its `__post_init__` objects to; None if a value is invalid.
 
-    It raises at the first invalid field. That field is then given its default or a stand-in, and the next
-    call shows the next one.
+    A field that is invalid is then given its default or a stand-in, and the next call may show the next one.
     """
     own = {field.name: (key, field) for key, field in keys(kind).items()}
-    hints = get_type_hints(kind)
     wrong = {name for name, value in values.items() if value is _INVALID}
     while True:
         for name in wrong:
             values.pop(name, None)
             if _is_required(own[name][1]):
-                if _bare(hints[name]) not in _STAND_INS:
+                if (stand_in := _stand_in(hints(kind)[name])) is None:
                     return None
-                values[name] = _STAND_INS[_bare(hints[name])]
+                values[name] = stand_in
         try:
             made: object = kind(**values)
-        except (ValueError, ArithmeticError) as error:
-            before = len(wrong)
-            for sentence in str(error).split("; "):
-                name = next((one for one in re.findall(r"\w+", sentence) if one in own), "")
-                if name not in wrong:
-                    mistakes.add((*at, own[name][0]) if name else at, sentence)
-                    wrong.add(name)
-            if "" in wrong or len(wrong) == before:
+        except Invalid as error:
+            found = [(key.split("."), text) for key, text in error.wrong]
+            more = [(name, below, text) for (name, *below), text in found if name not in wrong]
+            for name, below, text in more:
+                mistakes.add((*at, *filter(None, (own[name][0] if name in own else name, *below))), text)
+            wrong |= {name for name, *_ in more}
+            if not more or not wrong <= own.keys():
                 return None
+        except (ValueError, ArithmeticError) as error:
+            mistakes.add(at, str(error))
+            return None
         else:
             return None if wrong else made
+
+
+def _stand_in(hint: object) -> object:
+    """Return a value for a hint, within its bounds; None if there is none."""
+    value, bounds = _STAND_INS.get(_bare(hint)), bounds_of(hint)
+    return type(value)(min(max(value, bounds.least), bounds.most)) if bounds and value is not None else value
 
 
 def _field_value(hint: object, value: object, at: Key, mistakes: Mistakes) -> object:
@@ -163,7 +151,7 @@ def _converted(hint: object, value: object) -> object:
     """Return the value as its hint wants it, or _INVALID. Types must be the very same: a bool is no int."""
     origin, args = get_origin(hint), get_args(hint)
     if origin is Annotated:
-        made = _converted(args[0], value)
+        made = _nanoseconds(value) if is_duration(hint) else _converted(args[0], value)
         bounds = (one for one in args[1:] if isinstance(one, Bounds))
         return made if made is _INVALID or all(one.admit(cast(float, value)) for one in bounds) else _INVALID
     if origin in (Union, UnionType):
@@ -181,16 +169,20 @@ def _converted(hint: object, value: object) -> object:
         return value if any(type(value) is type(one) and value == one for one in args) else _INVALID
     if isinstance(hint, type) and issubclass(hint, Enum):
         return next((one for one in hint if type(value) is type(one.value) and value == one.value), _INVALID)
-    if hint in (float, _Milliseconds) and isinstance(value, int | float) and not isinstance(value, bool):
-        if isinstance(value, int) and not is_int64(value):
-            return _INVALID
-        if hint is float:
-            return float(value) if isfinite(value) else _INVALID
-        nanos = value * MILLISECOND
-        return round(nanos) if isfinite(nanos) and is_int64(round(nanos)) else _INVALID
+    if hint is float and type(value) is int:
+        return float(value) if is_int64(value) else _INVALID
+    if hint is float and type(value) is float:
+        return value if isfinite(value) else _INVALID
     if hint is Any or (type(value) is hint and (not isinstance(value, int) or is_int64(value))):
         return value
     return _INVALID
+
+
+def _nanoseconds(value: object) -> object:
+    """Return the time of a number of milliseconds, or _INVALID."""
+    number = _converted(float, value)
+    nanos = number * MILLISECOND if isinstance(number, float) else inf
+    return round(nanos) if isfinite(nanos) and is_int64(round(nanos)) else _INVALID
 
 
 def _bare(hint: object) -> object:
@@ -205,7 +197,6 @@ def _bare(hint: object) -> object:
 
 _SIMPLE = {
     float: "a finite number",
-    _Milliseconds: "a finite number",
     int: "an integer",
     str: "a string",
     bool: "true or false",
@@ -219,9 +210,8 @@ def wanted(hint: object) -> str:
     """
     origin, args = get_origin(hint), get_args(hint)
     if origin is Annotated:
-        units = [f" of {one}" for one in args[1:] if isinstance(one, str)]
-        bounds = [f" {one}" for one in args[1:] if isinstance(one, Bounds)]
-        return "".join([wanted(args[0]), *units, *bounds])
+        what = "a finite number of milliseconds" if is_duration(hint) else wanted(args[0])
+        return "".join([what, *(f" {one}" for one in args[1:] if isinstance(one, Bounds))])
     if hint in _SIMPLE:
         return _SIMPLE[hint]
     if origin is Literal:

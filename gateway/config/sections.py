@@ -12,8 +12,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 
 from brain.perception.mount import Mount
 from gateway.config.errors import Key, Mistakes, shown, unknown
-from gateway.config.schema import build, keys
-from gateway.core.bounds import Bounds
+from gateway.config.schema import build
 from gateway.core.joint import JointSettings
 from gateway.core.limits import Limits
 from gateway.core.robot import (
@@ -27,8 +26,9 @@ from gateway.core.robot import (
     Motor,
     Sensor,
 )
+from protocols.bounds import Bounds, Duration, keys
 from protocols.frames import IdMask
-from protocols.messages import MILLISECOND, SECOND, Nanos
+from protocols.messages import MILLISECOND, SECOND
 from protocols.plugin import Device, Plugin, Spec, UnknownProtocol
 
 Find: TypeAlias = Callable[[str], Plugin]
@@ -49,8 +49,8 @@ class _Bus:
     """Whether the consequences of several protocols on one bus are known (gateway.config.validate)."""
     echo: Literal["auto", "yes", "no"] = "auto"
     rs485: Literal["off", "rts_high", "rts_low"] = "off"
-    latency: Annotated[Nanos, Bounds(0, 100 * MILLISECOND)] = LATENCY
-    turnaround: Annotated[Nanos, Bounds(0, 20 * MILLISECOND)] = 0
+    latency: Annotated[Duration, Bounds(0, 100)] = LATENCY
+    turnaround: Annotated[Duration, Bounds(0, 20)] = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ class _Mounting:
     """The further keys of a sensor."""
 
     mount: Mount = field(default_factory=Mount)
-    timeout: Annotated[Nanos, Bounds(MILLISECOND, 5 * SECOND)] = 500 * MILLISECOND
+    timeout: Annotated[Duration, Bounds(1, 5000)] = 500 * MILLISECOND
 
 
 _STAND_IN = JointSettings(
@@ -208,7 +208,7 @@ def _connected(
     try:
         spec = protocol.spec(device)
     except ValueError as error:
-        mistakes.add((*at, "address") if "address" in str(error) else at, str(error))
+        mistakes.invalid(at, error)
         return None
     except Exception as error:  # noqa: BLE001 -- a third party's spec may raise anything
         text = f"protocol {name!r} is broken: its spec raises {type(error).__name__}: {error}"

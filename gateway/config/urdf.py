@@ -20,7 +20,7 @@ from brain.bodies import urdf
 from brain.bodies.body import Body
 from brain.bodies.chain import at_rest
 from gateway.config import resources
-from gateway.config.errors import Mistakes, unknown
+from gateway.config.errors import Key, Mistakes, unknown
 from gateway.config.text import read_text, read_toml
 from gateway.errors import ConfigError
 
@@ -58,7 +58,7 @@ class Description:
 
     def __init__(self, table: Table, mistakes: Mistakes) -> None:
         self.text = ""
-        self._model: urdf.Model | None = None
+        self._model: urdf.UrdfModel | None = None
         self._mistakes = mistakes
         self.broken = False
         """Whether there is one that cannot be used."""
@@ -114,24 +114,24 @@ class Description:
             else:
                 table["mount"] = _mount(self._model, link) | table["mount"]
 
-    def body(self, kind: type[Body], table: object, joints: dict[str, str]) -> object:
-        """Return the table of a body with what the URDF says of the keys that it lacks."""
+    def body(self, kind: type[Body], table: object, at: Key, joints: dict[str, str]) -> object:
+        """Return the table of a body, there `at`, with what the URDF says of the keys that it lacks."""
         if self._model is None or not isinstance(table, dict):
             return table
         try:
             return kind.from_urdf(self.text, joints, table) | table
         except ValueError as error:
-            self._mistakes.add(("brain", kind.kind), f"from the urdf: {error}")
+            self._mistakes.add(at, f"from the urdf: {error}")
             return table
 
 
-def _limits(joint: urdf.Joint) -> Table:
+def _limits(joint: urdf.UrdfJoint) -> Table:
     known = {"velocity": joint.velocity, "torque": joint.effort}
     limits: Table = {key: value for key, value in known.items() if value is not None}
     return limits | ({"position": list(joint.range)} if joint.range else {})
 
 
-def _mount(model: urdf.Model, link: str) -> Table:
+def _mount(model: urdf.UrdfModel, link: str) -> Table:
     turned, (x, y, z) = at_rest(model, link)
     pitch = math.asin(max(-1.0, min(1.0, -turned[2, 0])))
     roll, yaw = math.atan2(turned[2, 1], turned[2, 2]), math.atan2(turned[1, 0], turned[0, 0])

@@ -18,11 +18,13 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import combinations, permutations
 from math import inf
 
-from brain.bodies.body import Base, Body
+from brain.bodies.body import Body
+from brain.settings import BrainSettings
 from gateway.config.errors import Key, Mistakes, shown, unknown
 from gateway.core.robot import TWIN, BagTopics, BusDevice, BusSettings, Motor, Robot, Sensor, by_protocol
+from protocols import sensors
 from protocols.frames import IdMask, id_matches, overlap
-from protocols.messages import MILLISECOND, Nanos, Scan, Velocity
+from protocols.messages import MILLISECOND, Nanos, Position, Scan, Velocity
 from protocols.plugin import FeedbackKind, Spec
 
 HOUR = 3600.0
@@ -129,6 +131,12 @@ def _check_motor(at: Key, motor: Motor, period: Nanos, mistakes: Mistakes) -> No
             else f"with these options no {motor.plugin.name} tells it"
         )
         mistakes.add((*at, "serial"), f"found {shown(joint.serial)}, but it cannot be read: {why}")
+    for kind, ramp in spec.ramps.items():
+        turns = kind is Position and joint.limits.position is None  # it is commanded no positions
+        if kind in joint.commands(spec) and not turns and joint.limits.acceleration * joint.gear > ramp:
+            text = f"found {joint.limits.acceleration:g}, but the device's own ramp of {kind.__name__} is "
+            text += f"{ramp:.4g} rad/s² at its own shaft; expected at most {ramp / joint.gear:.4g}"
+            mistakes.add((*at, "limits", "acceleration"), f"{text}, or an option that makes its ramp steeper")
     timeouts = [("command_timeout_ms", joint.command_timeout, "the robot steps", period)]
     if spec.feedback is not FeedbackKind.NONE:
         reports = spec.feedback_period
@@ -150,9 +158,14 @@ def check_stall_timeout(timeout: Nanos, period: Nanos, mistakes: Mistakes) -> No
 
 
 def check_body(
-    kind: type[Body], table: object, motors: Sequence[str], sensors: Sequence[str], mistakes: Mistakes
+    kind: type[Body],
+    table: object,
+    at: Key,
+    motors: Sequence[str],
+    sensors: Sequence[str],
+    mistakes: Mistakes,
 ) -> None:
-    """Check that the motors exist that a body's table names. `table` is as in the file."""
+    """Check that the motors exist that a body's table names. `table` is as in the file, there `at`."""
     if not isinstance(table, Mapping):
         return
     for key in kind.motor_keys():
@@ -160,7 +173,7 @@ def check_body(
             if name not in motors:
                 sensor = f"{name!r} is a sensor; there is {', '.join(motors)}"
                 text = sensor if name in sensors else unknown("motor", name, motors)
-                mistakes.add(("brain", kind.kind, key), text)
+                mistakes.add((*at, key), text)
 
 
 def _strings(value: object) -> list[str]:
@@ -172,10 +185,10 @@ def _strings(value: object) -> list[str]:
     return [value] if isinstance(value, str) else []
 
 
-def check_bag(bag: BagTopics, body: Body, sensors: Collection[str], mistakes: Mistakes) -> None:
+def check_bag(bag: BagTopics, brain: BrainSettings, sensors: Collection[str], mistakes: Mistakes) -> None:
     """Check the table [bag] against the rest of the robot file."""
-    if not isinstance(body, Base):
-        text = f"a bag moves a base, and the body is {body.kind!r}; expected no such table"
+    if brain.base is None:
+        text = f"a bag moves a base, and the body is {brain.body.kind!r}; expected no such table"
         mistakes.add(("bag",), text)
     for group, named in (("sensors", bag.sensors), ("cameras", bag.cameras)):
         for sensor in named:
@@ -199,6 +212,7 @@ def cautions(robot: Robot) -> list[str]:
     notes = [f"{one.name}: {one.spec.watchdog.note}" for one in robot.devices() if one.spec.watchdog.note]
     notes += [f"{one.name}: {one.spec.caution}" for one in robot.devices() if one.spec.caution]
     notes += [text for one in robot.devices() for text in _assumed_scales(one)]
+    notes += sensors.kinds().left_out if robot.sensors else ()
     notes += [text for motor in robot.motors.values() for text in _falling_load(motor)]
     notes += [text for motor in robot.motors.values() for text in _out_of_range(motor)]
     notes += [text for motor in robot.motors.values() for text in _past_feedback(motor)]
@@ -264,10 +278,8 @@ def _falling_load(motor: Motor) -> list[str]:
 
 def _slow_joints(robot: Robot) -> list[str]:
     """Joints of a base whose limits are below what the body's own limits need."""
-    body = robot.brain.body
-    if not isinstance(body, Base):
-        return []
-    needed = zip(body.joints, body.top_speeds, strict=True)
+    base = robot.brain.base
+    needed = () if base is None else zip(base.joints, base.top_speeds, strict=True)
     return [
         f"{name}: its limit of {limit:g} rad/s is below the {speed:.3g} rad/s that "
         "max_linear and max_angular together need; the base will turn wide"
@@ -278,8 +290,7 @@ def _slow_joints(robot: Robot) -> list[str]:
 
 def _feedback_always_late(robot: Robot) -> list[str]:
     """Motors whose feedback period is longer than the age at which the brain takes feedback for too old."""
-    body, health = robot.brain.body, robot.brain.health
-    wheels = body.joints if isinstance(body, Base) else ()
+    wheels, health = robot.brain.abilities(robot.motors).wheels, robot.brain.health
     notes: list[str] = []
     for motor in robot.motors.values():
         what, share = "its target is dropped", health.stand_age
@@ -297,7 +308,7 @@ def _feedback_always_late(robot: Robot) -> list[str]:
 def _unused_sensors(robot: Robot) -> list[str]:
     """Sensors whose measurements and timeouts are not used."""
     text = "bare joints use no sensor; it is recorded, and a loss of its measurements goes unnoticed"
-    return [] if isinstance(robot.brain.body, Base) else [f"{name}: {text}" for name in robot.sensors]
+    return [f"{name}: {text}" for name in robot.sensors] if robot.brain.base is None else []
 
 
 def _out_of_range(motor: Motor) -> list[str]:

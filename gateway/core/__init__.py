@@ -2,7 +2,7 @@
 
     step     Gateway, decoder_of            tick    Inputs, Outputs, Note, Tick
     joint    Joint, JointSettings           robot   Robot, Motor, Sensor, BusSettings
-    limits   Limits, Profile                bounds  Bounds, for configuration dataclasses
+    limits   Limits, Profile
     clock    WallClock, PacedClock, SimulatedClock: the only file that reads the time
 
 Must not import buses, recordings, simulation, operator or runtime. Nothing is imported here: the values and

@@ -119,6 +119,11 @@ def stopwatch() -> Nanos:
     return time.perf_counter_ns()
 
 
-def processor_time() -> tuple[Nanos, Nanos]:
-    """Return the CPU time of this process, and the part of the calling thread."""
-    return time.process_time_ns(), time.thread_time_ns()
+def processor_time() -> Nanos:
+    """Return the CPU time of this process."""
+    return time.process_time_ns()
+
+
+def thread_time() -> Nanos:
+    """Return the CPU time of the calling thread."""
+    return time.thread_time_ns()

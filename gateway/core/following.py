@@ -36,14 +36,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import inf
-from typing import TypeAlias
 
+from gateway.core.faults import INCONSISTENT, NO_TORQUE, NOT_FOLLOWED, RUNS_AWAY, Finding
 from gateway.core.limits import Limits, toward
 from protocols.messages import MILLISECOND, SECOND, Command, Feedback, Hold, Nanos, Position, Torque, Velocity
 from protocols.plugin import Spec
-
-NOT_FOLLOWED, RUNS_AWAY, INCONSISTENT, NO_TORQUE = -7, -8, -9, -10
-"""Our own fault codes."""
 
 FLOOR = 0.025
 """Share of a limit of velocity within which a velocity is followed."""
@@ -82,9 +79,6 @@ NOTICED_WITHIN: dict[str, Nanos] = {
 }
 """The declared times, by fault, at a following time of 0.3 s: from when the motor is commanded to turn at a
 tenth of its limit or more (no torque: it may coast for a while as fast as it should)."""
-
-Finding: TypeAlias = tuple[int, str]
-"""Code and what was found, in numbers."""
 
 
 @dataclass(slots=True)

@@ -63,23 +63,36 @@ class Blocked:
         return f"{self.rule}{f' ({self.detail})' if self.detail else ''}: {text_of(self.frame)}"
 
 
+@dataclass(frozen=True, slots=True)
+class Failing:
+    """A driver that has raised an exception a short time ago."""
+
+    mute: bool
+    """It raised when it was given the commands of this step: nothing of them is sent."""
+    unknown: frozenset[str]
+    """Its devices of which no motion was received since it began to raise."""
+
+
 class _Receivers:
-    """Command decoders of the devices on a bus: a frame is decoded by those only that listen to its id."""
+    """Command decoders of the devices on a bus: on CAN one for each, so that a frame is decoded by those only
+    that listen to its id; on a serial line, where all hear all, one for each protocol."""
 
     def __init__(self, robot: Robot, bus: str) -> None:
-        devices = [
-            (spec, plugin.decoder([device]))
+        listeners = [
+            (plugin, some)
             for plugin, group in robot.by_protocol(bus)
-            for device in group
-            for spec in [plugin.spec(device)]
+            for some in ([group] if robot.buses[bus].kind == "serial" else [[one] for one in group])
         ]
-        self._decoders = [decoder for _, decoder in devices]
+        self._decoders = [plugin.decoder(some) for plugin, some in listeners]
         self._before = copy.deepcopy(self._decoders)
-        """The decoders as they were some frames ago,"""
-        self._since: list[list[tuple[Nanos, Frame]]] = [[] for _ in devices]
-        """and the frames that each was given since, and that were kept."""
-        self._specs = [spec for spec, _ in devices]
-        self._ids = [(*spec.sends, *spec.obeys_also) for spec in self._specs]
+        """The decoders as they were some frames ago"""
+        self._since: list[list[tuple[Nanos, Frame]]] = [[] for _ in listeners]
+        """The frames that each decoder was given since, and that were kept"""
+        specs = [[plugin.spec(device) for device in some] for plugin, some in listeners]
+        self._read_only = [tuple(dict.fromkeys(spec.read_only for spec in some)) for some in specs]
+        """By decoder: what decides whether a frame leaves its devices unchanged."""
+        self._protocols = [plugin.name for plugin, _ in listeners]
+        self._ids = [[ids for spec in some for ids in (*spec.sends, *spec.obeys_also)] for some in specs]
         self._by_id: dict[tuple[int, bool], list[int]] = {}
         """The decoders by the id of a frame and its format: filled as ids are used."""
 
@@ -105,10 +118,13 @@ class _Receivers:
             for t, before in self._since[number]:
                 self._decoders[number].decode(t, before)
 
-    def read_only(self, frame: Frame) -> bool:
-        """True if a frame changes nothing in any device that listens to it, and one does."""
+    def read_only(self, protocol: str, frame: Frame) -> bool:
+        """True if a frame that nobody obeys changes nothing: in any device that listens to its id, and one
+        does; on a serial line, where others than those of this protocol cannot read it, in any of these."""
         numbers = self._listening(frame)
-        return bool(numbers) and all(self._specs[number].read_only(frame) for number in numbers)
+        if not isinstance(frame, CanFrame):
+            numbers = [number for number in numbers if self._protocols[number] == protocol]
+        return bool(numbers) and all(tells(frame) for number in numbers for tells in self._read_only[number])
 
     def _listening(self, frame: Frame) -> Sequence[int]:
         if not isinstance(frame, CanFrame):
@@ -194,7 +210,7 @@ class Guard:
                 if objection is None:
                     obeyed = receivers.decode(now, frame)
                     objection = self._objection(now, bus, protocol, frame, obeyed, joints, stopped)
-            except Exception as error:  # noqa: BLE001 -- a plugin's: what cannot be read must not go out
+            except (Exception, SystemExit) as error:  # noqa: BLE001 -- a plugin's: what cannot be read must not go out
                 objection = "its decoder failed", f"{type(error).__name__}: {error}"
             if objection is not None:
                 receivers.take_back(frame)
@@ -210,9 +226,21 @@ class Guard:
         self._last |= last  # only now: frames of one step are compared with those of the steps before
         return passed, blocked
 
-    def stops(self, now: Nanos, bus: str, protocol: str, joints: Mapping[str, Joint]) -> list[Frame]:
-        """Return the devices' own stops that are due; they need no check."""
-        stops = list(self._stops(now, bus, protocol, joints))
+    def reads(self, bus: str, protocol: str, frame: Frame) -> bool:
+        """True if a frame of a driver changes nothing in any device, as far as that is seen without decoding
+        it."""
+        return self._receivers[bus].read_only(protocol, frame)
+
+    def stops(
+        self,
+        now: Nanos,
+        bus: str,
+        protocol: str,
+        joints: Mapping[str, Joint],
+        failing: Failing | None = None,
+    ) -> list[Frame]:
+        """Return the devices' own stops that are due; they need no check. `failing`: if their driver is."""
+        stops = list(self._stops(now, bus, protocol, joints, failing))
         for frame in stops:
             self._receivers[bus].keep(now, frame)
         return stops
@@ -228,23 +256,21 @@ class Guard:
         receivers = self._receivers[bus]
         try:
             obeyed = receivers.decode(t, frame)
-        except Exception:  # noqa: BLE001 -- a plugin's; a frame that cannot be read commands nothing
+        except (Exception, SystemExit):  # noqa: BLE001 -- a plugin's; a frame that cannot be read commands nothing
             obeyed = ()
         receivers.take_back(frame)
         return [one for one in obeyed if not isinstance(one, READS | msg.Idle)]
 
-    def _stops(self, now: Nanos, bus: str, protocol: str, joints: Mapping[str, Joint]) -> Iterator[Frame]:
-        """Yield the devices' own stops of those that are armed, are to stand, and were told otherwise for too
-        long: their driver does not stop them."""
+    def _stops(
+        self, now: Nanos, bus: str, protocol: str, joints: Mapping[str, Joint], failing: Failing | None
+    ) -> Iterator[Frame]:
+        """Yield the devices' own stops of those that their driver does not stop."""
         for name, spec in self._specs[bus, protocol].items():
             joint = joints.get(name)
-            if joint is None or not (joint.owned and joint.armed and spec.stop and self._asked.stands(name)):
-                self._unstopped.pop(name, None)
-                continue
             since, sent = self._unstopped.get(name, (now, 0))
-            if not sent and not self._asked.moves_on(name):
+            if joint is None or not spec.stop or not self._is_left_running(joint, failing, sent):
                 self._unstopped.pop(name, None)
-            elif now - since < (STOPS_WITHIN if sent < len(spec.stop) else STOPS_AGAIN):
+            elif now - since < self._patience(name, len(spec.stop), sent, failing):
                 self._unstopped[name] = since, sent
             else:
                 self._unstopped[name] = now, sent + 1
@@ -252,6 +278,26 @@ class Guard:
                 for one in self._receivers[bus].decode(now, stop):
                     self._asked.passed(one, self._reported(joint))
                 yield stop
+
+    def _is_left_running(self, joint: Joint, failing: Failing | None, sent: int) -> bool:
+        """True for a device of ours that is armed as far as is known, is to stand, and was sent otherwise
+        last, or its own stop already. With a mute driver it need not be to stand: what it was sent last goes
+        on. One that holds its place by that, and is to, is left so."""
+        if not joint.owned:
+            return False
+        stands = self._asked.stands(joint.name)
+        if failing is None:
+            return joint.armed and stands and (sent > 0 or self._asked.moves_on(joint.name))
+        may_run = joint.armed or joint.name in failing.unknown
+        return may_run and (failing.mute or stands) and not self._asked.holds(joint.name)
+
+    def _patience(self, name: str, stops: int, sent: int, failing: Failing | None) -> Nanos:
+        """Return how long after the last stop, or since it is left running, the next is sent. A driver that
+        has raised is waited for no longer: but one that is to brake, or hold, may be able to in the next
+        step."""
+        if failing is None and sent < stops:
+            return STOPS_WITHIN
+        return STOPS_AGAIN if sent or not self._asked.is_to_be_idle(name) else 0
 
     def _unfit(self, bus: str, protocol: str, frame: Frame) -> Objection | None:
         """Return why a frame cannot be one of this driver's, whatever is in it."""
@@ -304,7 +350,7 @@ class Guard:
             found = self._objection_to(now, one, joints.get(getattr(one, "motor", "")), ours, stopped)
             if found is not None:
                 return found
-        if obeyed or self._receivers[bus].read_only(frame):
+        if obeyed or self._receivers[bus].read_only(protocol, frame):
             return None
         concerned = self._concerned(bus, protocol, frame)
         if not concerned:

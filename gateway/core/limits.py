@@ -18,8 +18,19 @@ from typing import Annotated
 
 from brain.control.joint_profile import JointLimits, JointState, fastest, velocity_step
 from brain.control.joint_profile import Profile as JointProfile
-from gateway.core.bounds import Bounds
-from protocols.messages import Command, Feedback, Hold, Idle, Impedance, Nanos, Position, Torque, Velocity
+from protocols.bounds import Bounds, Invalid
+from protocols.messages import (
+    SECOND,
+    Command,
+    Feedback,
+    Hold,
+    Idle,
+    Impedance,
+    Nanos,
+    Position,
+    Torque,
+    Velocity,
+)
 
 FARTHEST = 1e5
 """rad: the farthest end of travel."""
@@ -30,6 +41,8 @@ BEGINNING = 0.1
 """s in which a torque may grow to its limit, or ten reports: so it is seen how fast a shaft gathers speed."""
 UNSEEN = 0.015
 """s, beside the period of its reports, until it is seen what a torque has done."""
+CLOSEST: Nanos = 1_000_000
+"""ns between two reports that tell an acceleration: closer ones have stamps that are too rough"""
 FORGOTTEN = 0.9
 """Of what a shaft did by a torque, per report: it may be held up now."""
 SOFTENED = 0.8
@@ -71,9 +84,8 @@ class Limits:
             return
         low, high = self.position
         if not -FARTHEST <= low < high <= FARTHEST:
-            raise ValueError(
-                f"position is [{low:g}, {high:g}], expected the lowest first, within ±{FARTHEST:g}"
-            )
+            text = f"position is [{low:g}, {high:g}], expected the lowest first, within ±{FARTHEST:g}"
+            raise Invalid(("position", text))
 
     def inside(self, position: float) -> float:
         """Return the nearest position within the range."""
@@ -121,7 +133,7 @@ class Limits:
         return max(-down, min(up, velocity))
 
 
-class Profile:
+class SetpointProfile:
     """The current set-point of a joint. Its state is plain data."""
 
     def __init__(self, period: float = 0.0) -> None:
@@ -132,11 +144,11 @@ class Profile:
         self._acceleration = 0.0
         """rad/s², where the jerk is limited"""
         self._sample: Position | None = None
-        """The last position that was wanted,"""
+        """The last position that was wanted"""
         self._age = 0.0
-        """its age [s],"""
+        """The age of that position [s]"""
         self._apart = 0.0
-        """and the time [s] from the sample before; 0: it is not one of a trajectory."""
+        """The time [s] from the position before to that one; 0: it is not one of a trajectory."""
         self._begun = 0.0
         """s since a torque is commanded"""
         self._plan: tuple[JointProfile, JointLimits, float] | None = None
@@ -289,10 +301,12 @@ class Profile:
 
 
 class Swing:
-    """How fast a shaft gathers speed by the torques that it is given; they are limited before it is too fast.
+    """How fast a shaft gathers speed, by the torques that it is given and by its load; torques are limited
+    before it is too fast.
 
     What is measured is old: a light shaft passes its limit of velocity before that is reported. Known are the
-    torque given since then, and what torque did to the velocity between two reports. State is plain data."""
+    torque given since then, what torque did to the velocity between two reports, and how the velocity changed
+    between them, by whatever it was. State is plain data."""
 
     def __init__(self, period: float) -> None:
         self._period = period
@@ -304,26 +318,41 @@ class Swing:
         """N·m·s: torque by time between the last two reports, and since the last"""
         self._per_impulse = 0.0
         """rad/s per N·m·s, as seen in the reports: the inverse of the inertia"""
+        self._acceleration = 0.0
+        """rad/s², between the last two reports"""
+        self._age = 0.0
+        """s since the last report, as far as torques were given since"""
 
     def on_velocity(self, t: Nanos, velocity: float) -> None:
         """Note what was measured at `t`: it shows what was given before the report that it follows."""
         if t <= self._reported_at:
             return
         change, given = velocity - self._velocity, self._given
+        self._acceleration = (
+            change * SECOND / max(t - self._reported_at, CLOSEST) if self._reported_at else 0.0
+        )
         seen = change / given if change * given > 0.0 else 0.0
         self._per_impulse = max(seen, FORGOTTEN * self._per_impulse)
         self._given, self._unseen = self._unseen, 0.0
-        self._reported_at, self._velocity = t, velocity
+        self._reported_at, self._velocity, self._age = t, velocity, 0.0
+
+    def gained(self, seconds: float) -> float:
+        """Return by how much the velocity changes in a time after the last report [rad/s], if it goes on to
+        change as between the last two."""
+        return self._acceleration * seconds
 
     def within(self, torque: float, dt: float, limit: float) -> float:
         """Return a torque [N·m], given for the next `dt` seconds, by which the shaft stays within a limit of
         velocity [rad/s] until that is seen."""
-        soon = self._velocity + self._per_impulse * (self._given + self._unseen)
-        room = max(0.0, limit - (soon if torque > 0.0 else -soon))
+        by_torque = self._per_impulse * (self._given + self._unseen)
+        by_all = self.gained(self._age + UNSEEN)
+        gains = max(by_torque, by_all) if torque > 0.0 else max(-by_torque, -by_all)
+        room = max(0.0, limit - gains - copysign(1.0, torque) * self._velocity)
         span = self._per_impulse * (self._period + UNSEEN)
         if span * abs(torque) > room:
             torque = copysign(room / span, torque)
         self._unseen += torque * dt
+        self._age += dt
         return torque
 
 

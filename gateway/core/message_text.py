@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import MISSING, fields
 
-from protocols.messages import Message
+from protocols.messages import Measurement, Message
+from protocols.sensors import kinds
 
 UNITS = {
     "position": "rad",
@@ -20,9 +22,8 @@ UNITS = {
     "x": "m",
     "y": "m",
     "yaw": "rad",
-    "angular_velocity": "rad/s",
-    "linear_acceleration": "m/s²",
 }
+"""By the name of a field; those of readings are their kind's."""
 _NAMES = ("motor", "sensor", "bus", "name")
 _LIST = 8
 """Values of a long tuple that are shown."""
@@ -40,6 +41,7 @@ def message_text(message: Message, digits: int = 4) -> str:
     names = [field.name for field in fields(message)]
     subject = next((name for name in _NAMES if name in names), None)
     kind = type(message).__name__
+    units = _units(type(message))
     parts = []
     for field in fields(message):
         value = getattr(message, field.name)
@@ -47,10 +49,16 @@ def message_text(message: Message, digits: int = 4) -> str:
         if field.name in (subject, "t") or value is None or is_default:
             continue
         label = "" if field.name == kind.lower() else f"{field.name} "
-        unit = f" {UNITS[field.name]}" if field.name in UNITS else ""
+        unit = f" {units[field.name]}" if units.get(field.name) else ""
         parts.append(f"{label}{_value(value, digits)}{unit}")
     about = f"{getattr(message, subject)}: " if subject and getattr(message, subject) else ""
     return escaped(f"{about}{kind} {', '.join(parts)}".rstrip())
+
+
+def _units(kind: type[Message]) -> Mapping[str, str]:
+    if issubclass(kind, Measurement) and (sensor := kinds().by_type.get(kind)):
+        return {name: quantity.unit for name, quantity in sensor.quantities.items()}
+    return UNITS
 
 
 def _value(value: object, digits: int) -> str:

@@ -73,7 +73,7 @@ class Reference:
         if silent and abs(moved) > self._room:
             whole = round(turns)
             jumped = jumped or bool(whole and abs(turns - whole) < WHOLE) or abs(position) < self._room
-        if not jumped:
+        if not jumped or self.lost:  # it is lost since the first jump
             return ""
         self.lost = (
             f"its position went from {place:.4g} to {position:.4g} rad, {turns:+.2f} turns of the device"

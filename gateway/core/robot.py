@@ -96,7 +96,7 @@ class Motor:
     device: Device
     spec: Spec
     assumed: tuple[str, ...]
-    """Scales that neither the robot file states nor the device tells: "options.pole_pairs = 7"."""
+    """Scales that neither the robot file states nor the device reports: "options.pole_pairs = 7"."""
     joint: JointSettings
 
 

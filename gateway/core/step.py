@@ -11,20 +11,26 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from math import isfinite
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 from brain.belief import Belief, BrainTask
-from brain.brain import Brain
-from gateway.core.guard import Blocked, Guard, text_of
+from brain.brain import brain_of
+from brain.other_brain import BrainFailed
+from gateway.core.bus_driver import BusDriver
+from gateway.core.faults import BRAIN_FAILED, DRIVER_FAILED, FRAME_BLOCKED, OTHER_HOST
+from gateway.core.guard import Blocked, Failing, Guard, text_of
 from gateway.core.joint import Joint
+from gateway.core.notes import Level, Notes
+from gateway.core.other_hosts import OtherHosts
 from gateway.core.tick import Inputs, Note, Outputs
+from gateway.core.turns import APART, BrainTurns
 from protocols import messages as msg
-from protocols.frames import BusState, CanFrame, Frame, IdMask, IdSet, Packet, id_number
+from protocols.frames import BusState, Frame, Packet
 from protocols.line import Ended, Exchange, Line, Rank, exchange
-from protocols.messages import MILLISECOND, SECOND, Command, Event, Instruction, Mode, Nanos, Request, Task
-from protocols.plugin import Driver, LineDriver, RxCounters
+from protocols.messages import Command, Event, Instruction, Mode, Nanos, Request, Task
+from protocols.plugin import LineDriver, RxCounters
 
 if TYPE_CHECKING:
     from gateway.core.robot import Robot
@@ -38,40 +44,13 @@ MotorRequest: TypeAlias = (
 """The requests to one motor, or to all."""
 
 
-FRAME_BLOCKED = -4
-"""Our own fault code: the guard has held back a frame to the device."""
-DRIVER_FAILED = -5
-"""Our own fault code: the driver of the device has raised an exception."""
-OTHER_HOST = -11
-"""Our own fault code: another host commands the device."""
-IDENTIFY: Nanos = 5 * SECOND
-"""Period in which a serial number that is demanded is asked for, until it is known."""
 SLACK: Nanos = 300_000
 """What an answer on a line may be late beside the port's latency: the loop's own."""
-OVERHEARD = 8
-"""Most frames of other hosts that a step reads, by bus."""
-REPEAT: Nanos = SECOND
-"""A refusal that comes again sooner is counted, not noted: a driver may refuse the command of every step."""
-
 LEFT_ARMED = "still armed: cut its supply"
 """The note on a motor that still reports being armed when the run has been left."""
 Result = TypeVar("Result")
-SOON: Nanos = 100_000
-"""A step this much before its time is one of the brain's."""
-APART: Nanos = MILLISECOND
-"""Least time between two of the brain's beside a line, if a driver is due that no line keeps waiting."""
 _NOTHING: Sequence[Event] = ()
 _NO_FRAMES: Sequence[Frame] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class _BusDriver:
-    """One driver, of all devices of its protocol on a bus."""
-
-    bus: str
-    protocol: str
-    motors: frozenset[str]
-    driver: Driver
 
 
 class Gateway:
@@ -84,7 +63,7 @@ class Gateway:
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
         self.joints = {name: Joint(name, motor.joint, motor.spec) for name, motor in robot.motors.items()}
-        self.brain = Brain(
+        self.brain = brain_of(
             robot.brain,
             list(robot.motors),
             {name: sensor.mount for name, sensor in robot.sensors.items()},
@@ -99,19 +78,14 @@ class Gateway:
         """Why the brain is not asked any more."""
         self._leaving = self._at_once = False
         """Whether the run ends, and whether without time to brake."""
-        self._drivers: list[_BusDriver] = []
+        self._drivers: list[BusDriver] = []
         """In the order of the robot file."""
         for bus in robot.buses:
             for plugin, devices in robot.by_protocol(bus):
                 motors = frozenset(one.name for one in devices if one.name in self.joints)
-                self._drivers.append(_BusDriver(bus, plugin.name, motors, plugin.driver(devices)))
-        self._scanned_at: dict[tuple[str, str], Nanos] = {}
-        """By bus and protocol: when serial numbers that are demanded were last asked for."""
+                self._drivers.append(BusDriver(bus, plugin.name, motors, plugin.driver(devices)))
         self._on_bus = {bus: [one for one in self._drivers if one.bus == bus] for bus in robot.buses}
-        self._only_sent = {bus: (IdSet(sent), IdSet(received)) for bus, sent, received in _ids(robot)}
-        """By CAN bus: the ids to its devices, and those that they or others answer with."""
-        self._other_hosts: set[str] = set()
-        """The motors that another host commands, and that are not ours: each is noted once."""
+        self._other_hosts = OtherHosts(robot)
         self.lines = {
             name: Line(
                 bus.baudrate,
@@ -123,14 +97,16 @@ class Gateway:
             if bus.line != "free"
         }
         """What waits for a serial line on which devices speak only when asked, by bus."""
-        self._next: Nanos | None = None
-        """On lines: when the brain is asked next, in steps of its period from the first one on,"""
-        self._full: Nanos = -(1 << 62)
-        """when it was last asked, and"""
-        self._left: Nanos = -(1 << 62)
-        """when the last frames were last made without it;"""
+        self._turns = BrainTurns(robot.period)
         self._heard: list[Event] = []
-        """what was heard since it was asked."""
+        """What was received since the brain was asked."""
+        self._ended: list[tuple[Nanos, str, Ended]] = []
+        """Exchanges of lines that are over, and not decoded yet: when, and on which."""
+        self._long = False
+        """Whether the step before took its time before it handed something over: the next is due at once, and
+        tells the lines by when that was written."""
+        self._postponed = False
+        """Whether the step before took an answer when the brain was due: the brain's is due at once."""
         self.guard = Guard(robot)
         self._values: list[object] = [
             each for motor in robot.motors.values() for each in (motor.spec, motor.device, motor.joint)
@@ -146,9 +122,7 @@ class Gateway:
         """Events that arose while sending: processed first in the next step."""
         self._failures: set[str] = set()
         """Of drivers without motors: each is noted once."""
-        self._notes: list[Note] = []
-        self._refused: dict[tuple[str, str, str], tuple[Nanos, int]] = {}
-        """By request, name and reason: when the refusal was last noted, and how often it has come since."""
+        self._notes = Notes()
 
     # -- the step -----------------------------------------------------------------------------
 
@@ -163,10 +137,15 @@ class Gateway:
             Outputs: the packets to send, in order; the events that the brain saw; notes for a person.
         """
         self._now = now
-        if not inputs.states and not inputs.instructions and self.between(now):
-            self._heard += self._receive(now, inputs.packets)
-            return Outputs(tuple(self._hand_over(now)), (), ())
-        self._advance(now)
+        self._finish(now)
+        if not inputs.states and not inputs.instructions and self.between(now, inputs.packets):
+            self._postponed = not self.between(now)
+            self._heard += self._receive(now, inputs.packets, at_once=False)
+            packets = self._hand_over(now)
+            self._heard += self._decode() if not packets else ()
+            return Outputs(tuple(packets), (), ())
+        self._turns.ask(now)
+        self._postponed = False
         self._on_bus_states(now, inputs.states)
         events = [*self._heard, *self._receive(now, inputs.packets)]
         self._heard = []
@@ -182,20 +161,23 @@ class Gateway:
         packets = self._send(now, commands)
         return Outputs(tuple(packets), tuple(events), self._take_notes())
 
-    def between(self, now: Nanos) -> bool:
+    def between(self, now: Nanos, packets: Sequence[Packet] = ()) -> bool:
         """True if a step now is one between two of the brain's: answers are taken, and the lines go on. A
-        driver that is due, and that no line keeps waiting, needs the brain's."""
-        if not self.lines or self._next is None or now >= self._next - SOON:
+        driver that is due, and that no line keeps waiting, needs the brain's. With `packets` that complete an
+        answer, behind which others wait, the brain's is the one behind: a line does not wait for it."""
+        if not self.lines or not self._turns.begun:
             return False
-        return not self._is_due(now, self._full)
+        if self._turns.is_early(now) and not self._is_due(now, self._turns.asked_at):
+            return True
+        return not self._postponed and any(line.waiting for line in self._completed(packets))
 
-    def _advance(self, now: Nanos) -> None:
-        """Note a step of the brain: one that is late, or between two, does not move those that follow."""
-        self._full = now
-        if self._next is None:
-            self._next = now + self.robot.period
-        elif now >= self._next - SOON:
-            self._next += ((now + SOON - self._next) // self.robot.period + 1) * self.robot.period
+    def _finish(self, now: Nanos) -> None:
+        """Finish the step before: tell the lines that what it has handed over was written by now, and decode
+        the answers behind which it has sent the next questions."""
+        self._heard += self._decode()
+        for line in self.lines.values() if self._long else ():
+            line.written(now)
+        self._long = False
 
     def _is_due(self, now: Nanos, last: Nanos) -> bool:
         """True if a driver has to send that no line keeps waiting; `last`: the step before."""
@@ -210,12 +192,18 @@ class Gateway:
     def _think(
         self, now: Nanos, events: Sequence[Event], tasks: Sequence[BrainTask], stopped: str
     ) -> Sequence[Command]:
-        """Return the brain's commands. One that fails ends the run, unless a joint holds a load by its stop
-        action: then it is not asked again, and the robot is stopped until the run is ended."""
+        """Return the brain's commands. One of another distribution that fails is a fault of every joint. Ours
+        that fails ends the run, unless a joint holds a load by its stop action: then it is not asked again,
+        and the robot is stopped until the run is ended."""
         if self._brain_failed:
             return ()
         try:
             return self.brain.step(now, events, tasks, stopped)
+        except BrainFailed as error:
+            remedy = "report it to its maker, with the recording; `clear all` lets it begin anew"
+            for name, joint in self.joints.items():
+                joint.latch(msg.Fault(name, now, BRAIN_FAILED, error.name, error.cause, remedy))
+            return ()
         except Exception as error:
             if not any(one.owned and one.settings.stop_action == "hold" for one in self.joints.values()):
                 raise
@@ -239,13 +227,14 @@ class Gateway:
             tuple[Packet, ...]: to be sent at once, whatever else fails.
         """
         self._now = now
+        self._finish(now)
         if inputs is not None:
             self._on_bus_states(now, inputs.states)
             self._receive(now, inputs.packets)
-            soon = self.lines and now < self._left + self.robot.period - SOON
-            if soon and not inputs.states and not self._is_due(now, self._left):
+            soon = self.lines and self._turns.is_early_to_leave(now)
+            if soon and not inputs.states and not self._is_due(now, self._turns.left_at):
                 return tuple(self._hand_over(now))
-        self._left = now
+        self._turns.leave(now)
         commands: dict[str, Command] = {}
         for name, joint in self.joints.items():
             commands[name], failure = _last_command(now, joint)
@@ -277,9 +266,11 @@ class Gateway:
 
     def due(self) -> Nanos | None:
         """Return when a driver next has to send by itself; None if none has to."""
+        if self._long or self._postponed or self._ended:
+            return self._now
         free = self._free_due()
         if free is not None and self.lines:
-            free = max(free, max(self._full, self._left) + APART)
+            free = max(free, self._turns.earliest())
         times = [free, *(line.due() for line in self.lines.values())]
         return min((due for due in times if due is not None), default=None)
 
@@ -298,23 +289,35 @@ class Gateway:
     def completes(self, packets: Sequence[Packet]) -> bool:
         """True if what has come since the last step completes an answer, so that a step has something to do.
         Changes nothing."""
-        for name in self.asked():
+        return any(True for _ in self._completed(packets))
+
+    def _completed(self, packets: Sequence[Packet]) -> Iterator[Line]:
+        """Yield the lines on which what has come completes an answer."""
+        for name in self.asked() if packets else ():
             data = b"".join(p.frame for p in packets if p.bus == name and isinstance(p.frame, bytes))
             if data and self.lines[name].completes(data):
-                return True
-        return False
+                yield self.lines[name]
+
+    def earliest_answer(self, bus: str, packets: Sequence[Packet]) -> Nanos:
+        """Return when the answer under way on a line can be complete, by what has come of it since the last
+        step; 0: at any time."""
+        came = [(p.t, len(p.frame)) for p in packets if p.bus == bus and isinstance(p.frame, bytes)]
+        return came[-1][0] + self.lines[bus].time_to_complete(sum(size for _, size in came)) if came else 0
 
     def belief(self) -> Belief:
         """Return the brain's state estimate."""
         return self.brain.belief()
 
     def still_armed(self) -> list[str]:
-        """Return the motors that we have commanded, that are to be disarmed, and that last reported ARMED."""
+        """Return the motors that we have commanded, that are to be disarmed, and that last reported ARMED, or
+        of which nothing is known since their driver began to raise."""
+        failing = [one for one in self._drivers if one.is_failing(self._now)]
+        unknown = {name for one in failing for name in self._unknown(one)}
         return [
             name
             for name, joint in self.joints.items()
             if joint.owned
-            and joint.armed
+            and (joint.armed or name in unknown)
             and not (joint.settings.stop_action == "hold" and joint.settings.unattended == "held")
         ]
 
@@ -325,9 +328,9 @@ class Gateway:
     def in_fault(self) -> str:
         """Return the first fault that stops the whole robot, with its joint; "" if there is none."""
         for name, joint in self.joints.items():
-            if joint.faults and joint.settings.on_fault == "stop":
-                fault = next(iter(joint.faults.values()))
-                return f"{name}: {fault.name}"
+            for fault in joint.faults.values():
+                if joint.settings.on_fault == "stop" or fault.code == BRAIN_FAILED:
+                    return f"{name}: {fault.name}"
         return ""
 
     def rx_counters(self) -> list[tuple[str, str, RxCounters]]:
@@ -347,41 +350,45 @@ class Gateway:
             bad = state in (BusState.OFF, BusState.GONE, BusState.FULL)
             self._note("error" if bad else "warning", bus, _BUS_TEXTS[state])
 
-    def _receive(self, now: Nanos, packets: Sequence[Packet]) -> list[Event]:
+    def _receive(self, now: Nanos, packets: Sequence[Packet], *, at_once: bool = True) -> list[Event]:
+        """Take what has come. Not `at_once`: answers are decoded before something else than a question is
+        sent, or in the next step."""
         events = self._on_events(now, self._late)
         self._late = []
-        heard = dict.fromkeys(self._only_sent, 0)
-        for packet in packets:
+        for packet, another_host in self._other_hosts.among(packets):
             t = min(packet.t, now)
-            if self._is_of_another_host(packet) and heard[packet.bus] < OVERHEARD:
-                heard[packet.bus] += 1
+            if another_host:
                 self._overhear(t, packet)
             frame = packet.frame
             if isinstance(frame, bytes) and (line := self.lines.get(packet.bus)) is not None:
                 ended, frame = line.receive(t, frame)
-                for each in ended:
-                    events += self._on_answer(t, packet.bus, each)
+                self._ended += [(t, packet.bus, each) for each in ended]
+                events += self._decode() if at_once else ()
                 if not frame:
                     continue
             for one in self._on_bus[packet.bus]:
                 events += self._on_received(one, self._call(one, _NOTHING, one.driver.receive, t, frame))
         for name, line in self.lines.items():
-            for each in line.expire(now):
-                events += self._on_answer(now, name, each)
-        return events
+            self._ended += [(now, name, each) for each in line.expire(now)]
+        return events + self._decode() if at_once else events
+
+    def _decode(self) -> list[Event]:
+        """Return what the exchanges that have ended report."""
+        ended, self._ended = self._ended, []
+        return [event for each in ended for event in self._on_answer(*each)]
 
     def _on_answer(self, t: Nanos, bus: str, ended: Ended) -> list[Event]:
         one = self._on_bus[bus][ended.owner]
         driver: LineDriver = one.driver  # type: ignore[assignment]
         return self._on_received(one, self._call(one, _NOTHING, driver.answer, t, ended.exchange, ended.data))
 
-    def _on_received(self, one: _BusDriver, received: Sequence[Event]) -> list[Event]:
+    def _on_received(self, one: BusDriver, received: Sequence[Event]) -> list[Event]:
         if not received:
             return []
         self._identify(one, received)
         return self._on_events(self._now, received)
 
-    def _identify(self, one: _BusDriver, events: Sequence[Event]) -> None:
+    def _identify(self, one: BusDriver, events: Sequence[Event]) -> None:
         """Tell the joints the serial numbers of their devices: what was found names no bus."""
         for found in events:
             if isinstance(found, msg.Found) and found.serial is not None:
@@ -389,28 +396,15 @@ class Gateway:
                     if self.robot.motors[name].device.address == found.address:
                         self.joints[name].identify(found.serial)
 
-    def _demanded(self, now: Nanos, one: _BusDriver) -> list[Request]:
+    def _demanded(self, now: Nanos, one: BusDriver) -> list[Request]:
         """Return a scan, if one of its motors is there, and its serial number is demanded and not known."""
-        place = one.bus, one.protocol
         unknown = [
             name for name in one.motors if (each := self.joints[name]).unidentified and each.is_heard(now)
         ]
-        if not unknown or now - self._scanned_at.get(place, -IDENTIFY) < IDENTIFY:
-            return []
-        if place in self._scanned_at:
-            for name in sorted(unknown):
-                self._note(
-                    "warning", name, "does not tell the serial number that is demanded: it is not armed"
-                )
-        self._scanned_at[place] = now
-        return [msg.Scan(one.bus)]
-
-    def _is_of_another_host(self, packet: Packet) -> bool:
-        """True if only a host sends such a frame: ours are not received."""
-        if not isinstance(packet.frame, CanFrame):
-            return False
-        number, (sent, received) = id_number(packet.frame), self._only_sent[packet.bus]
-        return number in sent and number not in received
+        asks, again = one.asks_identity(now) if unknown else (False, False)
+        for name in sorted(unknown) if asks and again else ():
+            self._note("warning", name, "does not tell the serial number that is demanded: it is not armed")
+        return [msg.Scan(one.bus)] if asks else []
 
     def _overhear(self, t: Nanos, packet: Packet) -> None:
         """Latch a fault of the motors that are ours and that another host commands; note the others."""
@@ -421,16 +415,19 @@ class Gateway:
                 cause = f"a second gateway, a tool or a replay sends {frame}"
                 remedy = "end the other program, then clear the fault"
                 joint.latch(msg.Fault(name, t, OTHER_HOST, "another host commands it", cause, remedy))
-            elif joint is not None and name not in self._other_hosts:
-                self._other_hosts.add(name)
+            elif joint is not None and self._other_hosts.is_news(name):
                 self._note("warning", name, f"another host commands it: {frame}; end it before you command")
 
     def _hand_over(self, now: Nanos) -> list[Packet]:
-        """Return what the lines send now: through the guard, as everything."""
+        """Return what the lines send now: through the guard, as everything. What only reads goes out
+        before the last answer is decoded; all else is judged by that, too."""
         packets: list[Packet] = []
         for name, line in self.lines.items():
             for owner, each in line.take(now):
-                passed = list(self._out(now, self._on_bus[name][owner], [bytes(each)]))
+                one, frame = self._on_bus[name][owner], bytes(each)
+                if self._ended and not (each.answer and self.guard.reads(name, one.protocol, frame)):
+                    self._heard += self._decode()
+                passed = list(self._out(now, one, [frame]))
                 if not passed:
                     line.blocked(each)
                 packets += passed
@@ -451,7 +448,7 @@ class Gateway:
                     self._note("warning", joint.name, f"a value of {event} is not finite: left out")
                     continue
                 if isinstance(event, msg.State) and event.mode is not before:
-                    level: Literal["info", "warning"] = "warning" if event.mode in _BAD_MODES else "info"
+                    level: Level = "warning" if event.mode in _BAD_MODES else "info"
                     self._note(level, joint.name, f"{event.mode}{_in_brackets(event.detail)}")
                 if not joint.unidentified:  # to the brain, it is not there
                     passed.append(moved)
@@ -468,8 +465,7 @@ class Gateway:
                     self.joints[name].clear()
                 self._note("info", name or "operator", f"{request}: done{_in_brackets(detail)}")
             case msg.Refused(t, request, name, reason):
-                if (more := self._again(t, (request, name, reason))) is not None:
-                    self._note("warning", name or "operator", f"{request}: refused: {reason}{more}")
+                self._notes.refuse(t, name or "operator", request, reason)
             case msg.Parameter(motor, _, parameter, value):
                 self._note("info", motor, f"{parameter} = {value:g}")
             case msg.Found(_, protocol, address, serial, detail, duplicate):
@@ -477,16 +473,6 @@ class Gateway:
                 text = f"{protocol} at address {address}{number}{_in_brackets(detail)}"
                 text += "; more than one device holds this address" if duplicate else ""
                 self._note("warning" if duplicate else "info", "scan", text)
-
-    def _again(self, t: Nanos, refusal: tuple[str, str, str]) -> str | None:
-        """Return what to add to the note of a refusal; None if the same was noted within `REPEAT`."""
-        last, left_out = self._refused.get(refusal, (None, 0))
-        if last is not None and t - last < REPEAT:
-            self._refused[refusal] = last, left_out + 1
-            return None
-        self._refused = {key: value for key, value in self._refused.items() if t - value[0] < REPEAT}
-        self._refused[refusal] = t, 0
-        return f" ({left_out} times more in the meantime)" if left_out else ""
 
     # -- instructions -------------------------------------------------------------------------
 
@@ -539,8 +525,8 @@ class Gateway:
             objection = f"{key!r} begins with none of {owners}"
         if not objection:
             self._note("info", "operator", f"{key} = {value:g}")
-        elif (more := self._again(self._now, ("set", key, objection))) is not None:
-            self._note("warning", "operator", f"set {key}: refused: {objection}{more}")
+        else:
+            self._notes.refuse(self._now, "operator", f"set {key}", objection)
 
     def _confirm(self, now: Nanos, motor: str) -> None:
         """Take the reported position of a motor as the true one, and answer."""
@@ -574,20 +560,23 @@ class Gateway:
         requests, self._requests = self._requests, []
         packets: list[Packet] = []
         for one in self._drivers:
-            asked = [request for request in requests if _is_for(request, one)] + self._demanded(now, one)
+            asked = [request for request in requests if one.takes(request)] + self._demanded(now, one)
             given = [*asked, *(command for name, command in commands.items() if name in one.motors)]
             for each in given:
                 self.guard.ask(now, each)
-            nothing = _NOTHING, _NO_FRAMES
-            events, frames = self._call(one, nothing, one.driver.send, now, given)
+            sent = self._call(one, None, one.driver.send, now, given)
+            events, frames = sent if sent is not None else (_NOTHING, _NO_FRAMES)
             self._identify(one, events)
             self._late += events
             if one.bus in self.lines:
-                self._put(now, one, frames)
+                self._put(now, one, frames, mute=sent is None)
             else:
                 packets += self._out(now, one, frames)
-                packets += (Packet(now, one.bus, each) for each in self._stops(now, one))
-        packets += self._hand_over(now)
+                stops = self._stops(now, one, mute=sent is None)
+                packets += (Packet(now, one.bus, each) for each in stops)
+        handed = self._hand_over(now)
+        self._long = bool(handed)
+        packets += handed
         for name, joint in self.joints.items():
             if isinstance(commands[name], msg.Idle):
                 self._wanted.pop(name, None)
@@ -595,18 +584,25 @@ class Gateway:
                 joint.on_held_back()
         return packets
 
-    def _put(self, now: Nanos, one: _BusDriver, frames: Sequence[Frame]) -> None:
+    def _put(self, now: Nanos, one: BusDriver, frames: Sequence[Frame], *, mute: bool) -> None:
         """Give a line what one of its drivers sends, and the devices' own stops. Of a driver that has failed,
         that is nothing: its set-points are taken back, and what disarms is still sent."""
         given = [frame for frame in frames if isinstance(frame, bytes)]
-        stops = [exchange(frame) for frame in self._stops(now, one) if isinstance(frame, bytes)]
+        stops = [exchange(frame) for frame in self._stops(now, one, mute=mute) if isinstance(frame, bytes)]
         given += [Exchange(stop, stop.answer, Rank.RELEASE, stop.about) for stop in stops]
         self.lines[one.bus].put(self._on_bus[one.bus].index(one), given)
 
-    def _stops(self, now: Nanos, one: _BusDriver) -> list[Frame]:
-        return self.guard.stops(now, one.bus, one.protocol, self.joints)
+    def _stops(self, now: Nanos, one: BusDriver, *, mute: bool) -> list[Frame]:
+        """Return the devices' own stops that are due. `mute`: the driver has raised, and sends nothing."""
+        failing = Failing(mute, self._unknown(one)) if one.is_failing(self._now) else None
+        return self.guard.stops(now, one.bus, one.protocol, self.joints, failing)
 
-    def _out(self, now: Nanos, one: _BusDriver, frames: Sequence[Frame]) -> Iterable[Packet]:
+    def _unknown(self, one: BusDriver) -> frozenset[str]:
+        """Return the motors of a failing driver of which nothing is known since it began to raise."""
+        since = one.failing_since
+        return frozenset(name for name in one.motors if not self.joints[name].is_heard_since(since))
+
+    def _out(self, now: Nanos, one: BusDriver, frames: Sequence[Frame]) -> Iterable[Packet]:
         """Pass frames through the guard: the one place through which every outgoing frame goes."""
         stopped = bool(self.why_stopped())
         passed, blocked = self.guard.check(now, one.bus, one.protocol, frames, self.joints, stopped)
@@ -614,7 +610,7 @@ class Gateway:
             self._on_blocked(one, each)
         return [Packet(now, one.bus, frame) for frame in passed]
 
-    def _on_blocked(self, one: _BusDriver, blocked: Blocked) -> None:
+    def _on_blocked(self, one: BusDriver, blocked: Blocked) -> None:
         self._latch(
             one,
             blocked.motors or one.motors,
@@ -625,7 +621,7 @@ class Gateway:
 
     def _call(
         self,
-        one: _BusDriver,
+        one: BusDriver,
         otherwise: Result,
         call: Callable[..., Result],
         *given: Any,  # noqa: ANN401 -- what the call takes
@@ -633,12 +629,13 @@ class Gateway:
         """Call a driver. If it raises, this is a fault of its motors, and `otherwise` is returned."""
         try:
             return call(*given)
-        except Exception as error:  # noqa: BLE001 -- a plugin may raise anything; the others must go on
+        except (Exception, SystemExit) as error:  # noqa: BLE001 -- a plugin's; the others must go on
+            one.on_raised(self._now)
             name = f"the driver {one.protocol} on {one.bus} has failed"
             self._latch(one, one.motors, DRIVER_FAILED, name, f"{type(error).__name__}: {error}")
             return otherwise
 
-    def _latch(self, one: _BusDriver, motors: Iterable[str], code: int, name: str, cause: str) -> None:
+    def _latch(self, one: BusDriver, motors: Iterable[str], code: int, name: str, cause: str) -> None:
         """Latch a fault of a driver in its motors' joints; if it has none, stop the robot."""
         remedy = "this is a defect of the driver: report it with the recording; restart the gateway"
         for motor in motors:
@@ -651,8 +648,8 @@ class Gateway:
 
     # -- notes --------------------------------------------------------------------------------
 
-    def _note(self, level: Literal["info", "warning", "error"], source: str, text: str) -> None:
-        self._notes.append(Note(level, source, text))
+    def _note(self, level: Level, source: str, text: str) -> None:
+        self._notes.add(level, source, text)
 
     def _take_notes(self) -> tuple[Note, ...]:
         """Return the notes of this step: its own, then those of the brain and of the joints."""
@@ -665,8 +662,7 @@ class Gateway:
                 cause = f"; likely cause: {fault.cause}" if fault.cause else ""
                 remedy = f"; {fault.remedy}" if fault.remedy else ""
                 self._note("error", name, f"fault: {fault.name}{cause}{remedy}")
-        notes, self._notes = tuple(self._notes), []
-        return notes
+        return self._notes.take()
 
 
 def _last_command(now: Nanos, joint: Joint) -> tuple[Command, str]:
@@ -675,22 +671,6 @@ def _last_command(now: Nanos, joint: Joint) -> tuple[Command, str]:
         return joint.command(now, None, stopped=True, last=True), ""
     except Exception as error:  # noqa: BLE001 -- whatever has failed, the others get theirs
         return msg.Idle(joint.name), f"{type(error).__name__}: {error}"
-
-
-def _ids(robot: Robot) -> Iterator[tuple[str, list[IdMask], list[IdMask]]]:
-    """Yield each bus with the ids to its devices, and those that they or others answer with."""
-    for bus, settings in robot.buses.items():
-        specs = settings.devices
-        received = [ids for spec in specs for ids in (*spec.expects, *spec.receives_also)]
-        yield bus, [ids for spec in specs for ids in spec.sends], received
-
-
-def _is_for(request: Request, driver: _BusDriver) -> bool:
-    if isinstance(request, msg.Stop):
-        return bool(driver.motors)
-    if isinstance(request, msg.Scan | msg.SetId):
-        return request.bus == driver.bus
-    return getattr(request, "motor", "") in driver.motors
 
 
 def _not_finite(request: Request) -> str:

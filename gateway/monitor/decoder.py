@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 from gateway.buses.frame_time import frame_time
-from gateway.core.joint import MAX_FAULTS
+from gateway.core.faults import MAX_FAULTS
 from gateway.core.robot import BusSettings
 from gateway.monitor.state import (
     BusRecord,

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from math import sqrt
 
-from gateway.core.message_text import message_text
+from gateway.core.message_text import escaped, message_text
 from gateway.monitor.decoder import BusMonitor
 from gateway.monitor.state import BusRecord, DecodedPacket, DeviceRecord
 from protocols.frames import BusState, CanFrame, Packet
@@ -20,14 +19,11 @@ from protocols.messages import (
     Event,
     Fault,
     Feedback,
-    Imu,
-    LaserScan,
-    Marker,
     Measurement,
     Nanos,
-    PoseReading,
     State,
 )
+from protocols.sensors import kinds, reading_text
 
 MAX_UNKNOWN = 12
 """Number of unknown ids on the page; the busiest."""
@@ -140,24 +136,7 @@ def _unknown(monitor: BusMonitor, now: Nanos) -> list[str]:
 
 def measurement_text(event: Measurement) -> str:
     """Return what a sensor measured, in short."""
-    if isinstance(event, Imu):
-        x, y, z = event.linear_acceleration
-        rates = ", ".join(f"{rate:.3f}" for rate in event.angular_velocity)
-        return f"angular velocity {rates} rad/s, acceleration {x:.2f}, {y:.2f}, {z:.2f} m/s²"
-    if isinstance(event, LaserScan):
-        valid = [r for r in event.ranges if event.range_min <= r < event.range_max]
-        nearest = f", the nearest at {min(valid):.3f} m" if valid else ""
-        return f"{len(event.ranges)} beams, {len(valid)} with an echo{nearest}"
-    if isinstance(event, Marker):
-        if event.marker is None or event.position is None:
-            return "no marker"
-        x, y, z = event.position
-        return f"marker {event.marker} at {x:.3f} m, {y:.3f} m, {z:.3f} m"
-    error = "" if event.variance is None else f", ±{sqrt(event.variance):.2f} m"
-    if isinstance(event, PoseReading):
-        yaw = "" if event.yaw is None else f", {event.yaw:.3f} rad"
-        return f"{event.x:.3f} m, {event.y:.3f} m{yaw}{error}"
-    return f"{event.latitude:.7f}°, {event.longitude:.7f}°{error}"
+    return escaped(reading_text(kinds().by_type[type(event)], event))
 
 
 def feedback_texts(feedback: Feedback) -> dict[str, str]:
@@ -224,7 +203,7 @@ def _meaning(decoded: DecodedPacket) -> str:
 
 def _event(event: Event) -> str:
     match event:
-        case Imu() | LaserScan() | PoseReading() | Marker():
+        case Measurement():
             return f"{event.sensor}: {measurement_text(event)}"
         case Fault():
             return f"{event.motor}: FAULT {fault_text(event)}"

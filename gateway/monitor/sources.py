@@ -24,9 +24,10 @@ from gateway.monitor.decoder import BusMonitor
 from protocols.frames import BusState, Packet
 from protocols.messages import Nanos
 from protocols.plugin import Plugin, load_all
+from protocols.sensors import kinds
 
 if TYPE_CHECKING:
-    from gateway.buses.netlink import Link
+    from gateway.buses.netlink import NetLink
 
 DEFAULT_BITRATE = 1_000_000
 """bit/s of a CAN bus whose bit rate neither the command line nor the kernel gives."""
@@ -123,6 +124,8 @@ def _plugins() -> tuple[Plugin, ...]:
     plugins, broken = load_all()
     for one in broken:
         print(f"left out: {one.name} of {one.distribution} is broken: {one.reason}", file=sys.stderr)
+    for text in kinds().left_out:
+        print(text, file=sys.stderr)
     return plugins
 
 
@@ -141,12 +144,12 @@ def _settings(interface: str, options: Namespace) -> BusSettings:
     return BusSettings(name, kind, interface, bitrate, data_bitrate)
 
 
-def _link(name: str) -> Link | None:
+def _link(name: str) -> NetLink | None:
     """Return what the kernel knows of an interface."""
-    from gateway.buses.netlink import Device
+    from gateway.buses.netlink import NetDevice
 
     try:
-        device = Device(name)
+        device = NetDevice(name)
     except OSError:
         return None
     try:

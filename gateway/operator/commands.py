@@ -12,11 +12,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
-from math import isfinite, radians
 from typing import Literal, TypeAlias, TypeVar
 
-from brain.bodies.body import Base
-from brain.planning.mission_steps import text
+from brain import doors, reading
+from brain.reading import InvalidError
+from brain.skills import found
+from brain.skills.skill import Skill
 from gateway.config import resources
 from gateway.config.errors import unknown
 from gateway.config.mission import cannot, load_mission
@@ -25,6 +26,7 @@ from gateway.errors import ConfigError, UserError
 from protocols import messages as msg
 
 Result = TypeVar("Result")
+S = TypeVar("S")
 FRESH: msg.Nanos = 300 * msg.MILLISECOND
 """How long ago something that is held may have been asked for, as far as is known: at most the time there and
 back on a link."""
@@ -58,7 +60,11 @@ def parse(line: str, robot: Robot, *, files: bool = True) -> msg.Instruction | Q
     name, texts = words[0].lower(), words[1:]
     command = COMMANDS.get(name)
     if command is None:
-        return RejectedLine(f"{unknown('command', words[0], COMMANDS)}. Type help for what they do")
+        others, broken = _others()
+        command = others.get(name)
+    if command is None:
+        known = unknown("command", words[0], [*COMMANDS, *others])
+        return RejectedLine(broken.get(name) or f"{known}. Type help for what they do")
     if command.of_file and not files and any(map(resources.is_path, texts)):
         return RejectedLine(f"{name} one that ships: files are for the gateway's own terminal")
     if command.of_base and (wrong := cannot(msg.Drive(0.0, 0.0), robot)):
@@ -73,7 +79,7 @@ def safely(ask: Callable[[], Result], expected: str = "") -> Result | RejectedLi
     `expected` follows what is wrong with an argument."""
     try:
         return ask()
-    except _InvalidError as error:
+    except InvalidError as error:
         return RejectedLine(f"{error}{expected}")
     except Exception as error:  # noqa: BLE001 -- the run goes on, with nothing done
         return RejectedLine(f"nothing was done: a defect of the gateway, {type(error).__name__}: {error}")
@@ -91,17 +97,16 @@ def _words(line: str) -> list[str]:
 
 def help_text() -> str:
     """Return every command, its arguments, and what it does."""
-    rows = [(f"{name} {command.usage}".strip(), command.summary) for name, command in COMMANDS.items()]
+    others, broken = _others()
+    known = {**COMMANDS, **others}
+    rows = [(f"{name} {command.usage}".strip(), command.summary) for name, command in known.items()]
+    rows += broken.items()
     width = max(len(usage) for usage, _ in rows)
     return "\n".join(f"{usage:<{width}}  {summary}" for usage, summary in rows)
 
 
-class _InvalidError(ValueError):
-    """An argument is invalid, missing or too many."""
-
-
 Convert: TypeAlias = Callable[[str, Robot], object]
-"""The text of one argument → its value; raises _InvalidError."""
+"""The text of one argument → its value; raises InvalidError."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,22 +128,22 @@ class _Command:
     """What makes the instruction of all words, in place of `make` and `arguments`."""
 
     def parse(self, texts: list[str], robot: Robot) -> msg.Instruction | Query:
-        """Make the instruction; raises _InvalidError, also if the robot cannot do it."""
+        """Make the instruction; raises InvalidError, also if the robot cannot do it."""
         asked = self._make(texts, robot)
         if not isinstance(asked, Query) and (wrong := cannot(asked, robot)):
-            raise _InvalidError(wrong.removeprefix("step 1: "))
+            raise InvalidError(wrong.removeprefix("step 1: "))
         return asked
 
     def _make(self, texts: list[str], robot: Robot) -> msg.Instruction | Query:
-        """Convert the arguments; raises _InvalidError."""
+        """Convert the arguments; raises InvalidError."""
         if self.of_words is not None:
             return self.of_words(texts, robot)
         if self.free_text:
             return self.make(" ".join(texts))
         if len(texts) < len(self.arguments) - self.optional:
-            raise _InvalidError("an argument is missing")
+            raise InvalidError("an argument is missing")
         if len(texts) > len(self.arguments):
-            raise _InvalidError(f"{texts[-1]!r} is one argument too many")
+            raise InvalidError(f"{texts[-1]!r} is one argument too many")
         return self.make(
             *(convert(text, robot) for convert, text in zip(self.arguments, texts, strict=False))
         )
@@ -152,42 +157,21 @@ def _text(text: str, _: Robot) -> str:
 
 
 def _number(text: str, _: Robot) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        raise _InvalidError(f"{text!r} is not a number") from None
-    if not isfinite(value):
-        raise _InvalidError(f"{text!r} is not a finite number")
-    return value
+    return reading.number_of(text)
 
 
 def _angle(unit: Literal["deg", "rad"]) -> Convert:
     """Return a conversion to rad; `unit` is the unit of a bare number."""
-
-    def convert(text: str, robot: Robot) -> float:
-        suffix = text[-3:] if text.endswith(("deg", "rad")) else ""
-        value = _number(text.removesuffix(suffix), robot)
-        return radians(value) if (suffix or unit) == "deg" else value
-
-    return convert
+    return lambda text, _: reading.angle_of(text, unit)
 
 
 def _integer(base: Literal[10, 16]) -> Convert:
-    def convert(text: str, _: Robot) -> int:
-        try:
-            value = int(text, base)
-        except ValueError:
-            raise _InvalidError(f"{text!r} is not a{' hexadecimal' if base == 16 else 'n'} integer") from None
-        if not 0 <= value < 1 << 64:
-            raise _InvalidError(f"{text!r} is {'negative' if value < 0 else 'longer than 64 bits'}")
-        return value
-
-    return convert
+    return lambda text, _: reading.integer_of(text, base)
 
 
 def _name(what: str, text: str, known: Iterable[str]) -> str:
     if text not in known:
-        raise _InvalidError(unknown(what, text, known))
+        raise InvalidError(unknown(what, text, known))
     return text
 
 
@@ -203,7 +187,7 @@ def _setting(text: str, robot: Robot) -> str:
     owner, dot, _ = text.partition(".")
     _name("owner of settings", owner, ("brain", *robot.motors))
     if not dot:
-        raise _InvalidError(f"{text!r} names no setting")
+        raise InvalidError(f"{text!r} names no setting")
     return text
 
 
@@ -214,106 +198,44 @@ def _bus(text: str, robot: Robot) -> str:
 # -- missions ----------------------------------------------------------------------------------
 
 
-def _quantity(text: str, robot: Robot, units: tuple[str, ...]) -> float:
-    """Take a number with one of these units, or without."""
-    unit = next((unit for unit in units if text.endswith(unit)), "")
-    return _number(text.removesuffix(unit), robot)
+def _of_skill(skill: Skill[S]) -> _Command:
+    """Return the command that begins a mission of one step, named by what it does."""
+    assert skill.words is not None, "it has words"
+    parse = skill.words.parse
+
+    def make(texts: list[str], robot: Robot) -> msg.Instruction:
+        able = robot.brain.abilities(robot.motors)
+        try:
+            step = found.read(skill, lambda: found.crossing(skill, parse(texts, able)))
+        except doors.Broken as error:
+            raise InvalidError(str(error)) from error
+        return msg.Mission(found.text(step), (step,))
+
+    return _Command(skill.words.usage, skill.words.summary, _no, of_words=make, of_base=skill.needs_base)
 
 
-def _joined(texts: list[str]) -> list[str]:
-    """Return the words with each unit joined to its number: "3 s" → "3s"."""
-    words: list[str] = []
-    for word in texts:
-        if words and word in ("m", "s", "m/s", "deg", "rad"):
-            words[-1] += word
-        else:
-            words.append(word)
-    return words
-
-
-def _of_one_step(step: msg.Step) -> msg.Mission:
-    """Return a mission of one step, named by what it does."""
-    return msg.Mission(text(step), (step,))
-
-
-def _turn(texts: list[str], robot: Robot) -> msg.Instruction:
-    words = _joined(texts)
-    side = {"left": 1.0, "right": -1.0}.get(words[0], 0.0) if words else 0.0
-    words = words[1:] if side else words
-    if len(words) != 1:
-        raise _InvalidError("one angle is needed")
-    angle = _angle("deg")(words[0], robot)
-    assert isinstance(angle, float)
-    return _of_one_step(msg.Turn((side or 1.0) * angle))
-
-
-def _move(texts: list[str], robot: Robot) -> msg.Instruction:
-    words = [word for word in _joined(texts) if word not in ("for", "at")]
-    sides = [word for word in words if word in ("left", "right")]
-    words = [word for word in words if word not in sides]
-    given: dict[str, float] = {}
-    for word in words:
-        kind = "speed" if word.endswith("m/s") else "seconds" if word.endswith("s") else "distance"
-        if not word.endswith(("m/s", "s", "m")):
-            kind = "speed" if "speed" not in given and len(words) > 1 else kind
-        if kind in given:
-            raise _InvalidError(f"there are two of what {word!r} is")
-        given[kind] = _quantity(word, robot, ("m/s", "m", "s"))
-    distance, span = given.get("distance"), given.get("seconds")
-    body = robot.brain.body
-    assert isinstance(body, Base)
-    most = (sides and body.max_lateral) or body.max_linear
-    speed = given.get("speed", min(DEFAULT_SPEED, most))
-    if distance is not None and distance < 0.0:
-        speed, distance = -speed, -distance
-    side = {"left": 1.0, "right": -1.0}[sides[0]] if sides else 0.0
-    linear, lateral = (0.0, side * speed) if side else (speed, 0.0)
-    return _of_one_step(msg.Move(linear, lateral, 0.0, span, distance))
-
-
-def _follow(texts: list[str], robot: Robot) -> msg.Instruction:
-    numbers = [_number(text, robot) for text in texts]
-    if not numbers or len(numbers) % 2:
-        raise _InvalidError("points have two numbers each")
-    return _of_one_step(msg.Follow(tuple(zip(numbers[::2], numbers[1::2], strict=True))))
-
-
-def _wait(texts: list[str], robot: Robot) -> msg.Instruction:
-    words = _joined(texts)
-    if len(words) != 1:
-        raise _InvalidError("one time is needed")
-    return _of_one_step(msg.Wait(_quantity(words[0], robot, ("s",))))
-
-
-def _dock(texts: list[str], robot: Robot) -> msg.Instruction:
-    if not 1 <= len(texts) <= 2:
-        raise _InvalidError("a marker is needed")
-    marker = _integer(10)(texts[0], robot)
-    assert isinstance(marker, int)
-    distance = _quantity(texts[1], robot, ("m",)) if len(texts) > 1 else 0.5
-    return _of_one_step(msg.Dock(marker, distance))
-
-
-def _tool(texts: list[str], robot: Robot) -> msg.Instruction:
-    numbers = [_number(text, robot) for text in texts]
-    if len(numbers) not in (3, 6):
-        raise _InvalidError("a place has three numbers, and an attitude three more")
-    roll, pitch, yaw = map(radians, numbers[3:] or (0.0, 0.0, 0.0))
-    attitude = (roll, pitch, yaw) if numbers[3:] else None
-    return _of_one_step(msg.MoveTool(numbers[0], numbers[1], numbers[2], attitude))
+def _others() -> tuple[dict[str, _Command], dict[str, str]]:
+    """Return the commands of other distributions' skills, and why some of these cannot be used."""
+    commands: dict[str, _Command] = {}
+    broken: dict[str, str] = {}
+    for name in found.others():
+        try:
+            skill = found.load(name)
+        except doors.Closed as error:
+            broken[name] = str(error)
+            continue
+        if skill.words is not None and name not in COMMANDS:
+            commands[name] = _of_skill(skill)
+    return commands, broken
 
 
 def _mission(texts: list[str], robot: Robot) -> msg.Instruction:
     if len(texts) != 1:
-        raise _InvalidError("one file is needed")
+        raise InvalidError("one file is needed")
     try:
         return load_mission(texts[0], robot)
     except (ConfigError, UserError) as error:
-        raise _InvalidError(str(error)) from error
-
-
-DEFAULT_SPEED = 0.2
-"""m/s, of a motion whose speed is not given"""
+        raise InvalidError(str(error)) from error
 
 
 # -- the commands ------------------------------------------------------------------------------
@@ -337,16 +259,7 @@ COMMANDS: dict[str, _Command] = {
                       msg.Drive, (_number, _number, _number), optional=1, of_base=True),
     "mission": _Command("FILE", "do the steps of a mission file, or of one that ships", _no,
                         of_words=_mission, of_file=True),
-    "turn": _Command("[left|right] ANGLE", "turn on the spot [degrees]", _no, of_words=_turn, of_base=True),
-    "move": _Command("[left|right] [SPEED] [for SECONDS s | METRES m]",
-                     "drive straight: move 2 m, move 0.3 for 2 m, move -0.2 for 3 s", _no, of_words=_move,
-                     of_base=True),
-    "follow": _Command("X,Y X,Y …", "drive along points on the map [m]", _no, of_words=_follow, of_base=True),
-    "wait": _Command("SECONDS", "stand still", _no, of_words=_wait),
-    "dock": _Command("MARKER [DISTANCE]", "stand before a marker, facing it [m]", _no, of_words=_dock,
-                     of_base=True),
-    "tool": _Command("X Y Z [ROLL PITCH YAW]", "arms: bring the tip to a place [m, degrees]", _no,
-                     of_words=_tool),
+    **{skill.called: _of_skill(skill) for skill in found.ours().values() if skill.words},
     "pause": _Command("", "stand, and keep the mission", msg.Pause),
     "resume": _Command("", "go on with a mission that was paused", msg.Resume),
     "drop": _Command("", "give up the mission, and every goal", msg.Drop),

@@ -16,6 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
+from brain import other_brain
+from brain.skills import found as skills
+from gateway.config import bodies
+from protocols import entry_points, plugin, sensors
+
 PROGRAM = "program sources"
 ROOMS = ("protocols", "brain", "gateway")
 PACKAGES = (
@@ -31,15 +36,20 @@ PACKAGES = (
     "rosbags",
     "scipy",
 )
+PLUGIN = "plugin "
+"""Before the name of another distribution that adds something, with its version."""
+_DOORS = (plugin.GROUP, sensors.GROUP, bodies.GROUP, skills.GROUP, other_brain.GROUP)
 _ENVIRONMENT = ("OPENBLAS_CORETYPE", "OPENBLAS_NUM_THREADS", "PYTHONHASHSEED")
 _CPU_KEYS = ("model name", "Hardware", "CPU implementer", "CPU part", "flags", "Features")
 
 
 def facts(cpuinfo: Path = Path("/proc/cpuinfo")) -> dict[str, str]:
-    """Return name to value: sources, packages, Python, BLAS, processor, platform, environment variables."""
+    """Return name to value: sources, packages, others' kinds of sensors, Python, BLAS, processor, platform,
+    environment variables."""
     found = {PROGRAM: sources()} | {
         f"package {name}": number for name in PACKAGES if (number := _version(name))
     }
+    found |= _plugins() | {f"sensor {name}": whose for name, whose in sensors.versions().items()}
     found["python"] = sys.version.replace("\n", " ")
     found["platform"] = platform.platform()
     found["machine"] = platform.machine()
@@ -50,6 +60,18 @@ def facts(cpuinfo: Path = Path("/proc/cpuinfo")) -> dict[str, str]:
     found |= {f"processor {key}": value for key, value in _processor(cpuinfo).items()}
     found |= {f"environment {name}": os.environ[name] for name in _ENVIRONMENT if name in os.environ}
     return found
+
+
+@cache
+def _plugins() -> dict[str, str]:
+    """Return the other distributions that add protocols, bodies, skills or brains, each with its version."""
+    others = (
+        point
+        for group in _DOORS
+        for point in entry_points.offered(group).points
+        if not entry_points.is_ours(point)
+    )
+    return {f"{PLUGIN}{entry_points.owner(point)}": entry_points.version(point) for point in others}
 
 
 @cache

@@ -7,11 +7,11 @@ from hashlib import blake2b
 
 from gateway.config.errors import RENAMED
 
-FORMAT = "2"
+FORMAT = "3"
 """Format of ticks and metadata that is written."""
-READABLE = ("1", FORMAT)
-"""Formats that can be read. "1" has the same layout, but former robot-file keys (see `modernised`), and its
-texts for people were worded differently."""
+READABLE = ("1", "2", FORMAT)
+"""Formats that can be read, all of one layout. "1" and "2" have every pose in one frame, "odom". "1" has
+former robot-file keys, too, and its texts for people were worded differently; see `modernised`."""
 MAGIC = b"\x89MCAP0\r\n"
 ROBOT_FILE = "robot.toml"
 """Name of the attachment with the robot file."""
@@ -44,10 +44,30 @@ _KEYS_OUTSIDE_STRINGS = re.compile(
 )
 
 
-def modernised(robot_text: str) -> str:
-    """Return a robot file of format 1 with today's keys of motors and buses; all else stays as it is.
+_LINES = re.compile(r"(?m)^[ \t]*(?:\[(?P<table>[\w.]+)\]|(?P<key>[\w.]+)[ \t]*=).*(?:\n|\Z)")
+DROPPED = frozenset({"brain.perception.map.width", "brain.perception.map.height"})
+"""Settings of formats 1 and 2 that there are no longer: the map has no border."""
 
-    A key followed by a table is a motor or bus of that name."""
-    return _KEYS_OUTSIDE_STRINGS.sub(
-        lambda found: RENAMED[found["key"]] if found["key"] else found[0], robot_text
-    )
+
+def modernised(robot_text: str, format_: str) -> str:
+    """Return the robot file of a recording of that format with today's keys; all else stays as it is.
+
+    Format 1 has former keys of motors and buses (one followed by a table is a motor or bus of that name);
+    1 and 2 have `DROPPED`."""
+    if format_ == "1":
+        robot_text = _KEYS_OUTSIDE_STRINGS.sub(
+            lambda found: RENAMED[found["key"]] if found["key"] else found[0], robot_text
+        )
+    return _without_dropped(robot_text) if format_ in ("1", "2") else robot_text
+
+
+def _without_dropped(robot_text: str) -> str:
+    table = ""
+
+    def kept(found: re.Match[str]) -> str:
+        nonlocal table
+        table = found["table"] or table
+        dropped = found["key"] and ".".join(filter(None, (table, found["key"]))) in DROPPED
+        return "" if dropped else found[0]
+
+    return _LINES.sub(kept, robot_text)

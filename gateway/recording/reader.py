@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -16,7 +16,6 @@ from gateway.errors import RecordingError
 from gateway.recording import tick_codec
 from gateway.recording.layout import (
     FACTS,
-    FORMAT,
     MAGIC,
     METADATA,
     READABLE,
@@ -35,8 +34,9 @@ from gateway.recording.mcap_records import (
     records,
     summary,
 )
-from gateway.recording.ros_views import View
-from gateway.recording.tick_codec import TickCodecError
+from gateway.recording.ros_views import ViewMessage
+from gateway.recording.tick_codec import TickCodecError, UnknownKind
+from protocols import sensors
 from protocols.messages import Nanos
 
 _VIEW = 200
@@ -49,19 +49,19 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class FilePlace:
     """Where a tick stands in the file, and what it takes to read on from there without all before it."""
 
     at: tuple[int, int]
     """The byte where its chunk begins, and the byte in the chunk."""
     before: tick_codec.DigestChain
     """The digests written with the tick before it."""
-    known: Known
+    known: FileDeclarations
     """The channels so far."""
 
 
 @dataclass(slots=True)
-class Known:
+class FileDeclarations:
     """What the file has declared so far. It only grows: all places in a recording share it."""
 
     schemas: dict[int, str] = field(default_factory=dict)
@@ -74,12 +74,12 @@ class Step:
     """A recorded tick, with its views."""
 
     tick: Tick
-    views: tuple[View, ...]
+    views: tuple[ViewMessage, ...]
     damage: tuple[str, ...]
     """What was changed since it was written, in words; empty if nothing."""
     whole: bool
     """False for the last one before a cut: views may be missing."""
-    place: Place
+    place: FilePlace
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,11 +109,11 @@ class Recording:
     @property
     def steps(self) -> Iterator[Step]:
         """The ticks with their views and damage. Raises RecordingError as `ticks`."""
-        return _steps(self.path, self.whole)
+        return _steps(self.path, self.whole, self.facts)
 
-    def steps_from(self, place: Place) -> Iterator[Step]:
+    def steps_from(self, place: FilePlace) -> Iterator[Step]:
         """The same from one of them on; what is before it is not read. Raises RecordingError as `ticks`."""
-        return _steps(self.path, self.whole, place)
+        return _steps(self.path, self.whole, self.facts, place)
 
 
 def read_recording(path: Path | str) -> Recording:
@@ -131,7 +131,7 @@ def read_recording(path: Path | str) -> Recording:
     path = Path(path)
     whole = has_end(path)
     format_, robot_text, facts = head(path, whole)
-    robot_text = robot_text if format_ == FORMAT else modernised(robot_text)
+    robot_text = modernised(robot_text, format_)
     indexed, end, recovered = _indexed(path) if whole else (None, None, False)
     if end is None:
         with path.open("rb") as file:
@@ -215,7 +215,7 @@ def head(path: Path, whole: bool) -> tuple[str, str, dict[str, str]]:
     own = metadata[METADATA]
     format_ = own.get("format", "")
     if format_ not in READABLE:
-        readable = " and ".join(READABLE)
+        readable = f"{', '.join(READABLE[:-1])} and {READABLE[-1]}"
         raise RecordingError(
             f"{path}: a recording of format {escaped(format_)}; this program reads formats {readable}"
         )
@@ -261,16 +261,16 @@ def _records(path: Path, whole: bool, start: int = len(MAGIC)) -> Iterator[Recor
             yield piece
 
 
-_START = Place((len(MAGIC), 0), tick_codec.CHAIN_START, Known())
+_START = FilePlace((len(MAGIC), 0), tick_codec.CHAIN_START, FileDeclarations())
 
 
-def _steps(path: Path, whole: bool, start: Place = _START) -> Iterator[Step]:
+def _steps(path: Path, whole: bool, facts: Mapping[str, str], start: FilePlace = _START) -> Iterator[Step]:
     from mcap.records import Channel, Schema
 
-    known = Known(dict(start.known.schemas), dict(start.known.channels))
+    known = FileDeclarations(dict(start.known.schemas), dict(start.known.channels))
     chain, place = start.before, start
-    entry: tick_codec.Entry | None = None
-    views: list[View] = []
+    entry: tick_codec.TickEntry | None = None
+    views: list[ViewMessage] = []
     held = 0
     """Memory of the views, about"""
     for record in _records(path, whole, start.at[0]):
@@ -293,25 +293,36 @@ def _steps(path: Path, whole: bool, start: Place = _START) -> Iterator[Step]:
             topic, type_ = known.channels.get(number, ("", ""))
             data = record.content[MESSAGE_HEAD.size :]
             if topic != tick_codec.TOPIC:
-                views.append(View(topic, type_, published, data))
+                views.append(ViewMessage(topic, type_, published, data))
                 held += _VIEW + len(data)
                 if held > MAX_UNPACKED:
                     raise RecordingError(f"{path}: damaged: more than {MAX_UNPACKED} bytes between two ticks")
                 continue
             if entry is not None:
                 yield Step(entry.tick, tuple(views), entry.damage(), whole=True, place=place)
-            place = Place(record.at, chain, known)
-            entry, views, held = _entry(path, data, chain, entry), [], 0
+            place = FilePlace(record.at, chain, known)
+            entry, views, held = _entry(path, data, chain, entry, facts), [], 0
             chain = entry.written
     if entry is not None:
         yield Step(entry.tick, tuple(views), entry.damage(), whole, place)
 
 
 def _entry(
-    path: Path, data: bytes, chain: tick_codec.DigestChain, last: tick_codec.Entry | None
-) -> tick_codec.Entry:
+    path: Path,
+    data: bytes,
+    chain: tick_codec.DigestChain,
+    last: tick_codec.TickEntry | None,
+    facts: Mapping[str, str],
+) -> tick_codec.TickEntry:
     try:
         return tick_codec.decode(data, chain)
+    except UnknownKind as error:
+        kind = error.kind
+        broken = sensors.kinds().broken.get(kind)
+        why = f"is broken here: {broken}" if broken else "is not installed here"
+        whose = facts.get(f"sensor {kind}", "another program")
+        text = f"it holds readings of the kind of sensor {kind!r} of {whose}, which {why}"
+        raise RecordingError(escaped(f"{path}: {text}")) from error
     except TickCodecError as error:
         where = f"after tick {last.tick.number}" if last else "at its first tick"
         raise RecordingError(f"{path}: damaged {where}: {error}") from error

@@ -12,6 +12,7 @@ The part of a message before its numbers (stamp, names) has a length that depend
 from __future__ import annotations
 
 import math
+import re
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -19,25 +20,25 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from brain.belief import Estimate, Pose
+from brain.bodies.plane import frame_of
 from protocols.frames import CanFrame
-from protocols.messages import SECOND, Imu, LaserScan, Nanos
+from protocols.messages import SECOND, Measurement, Nanos
+from protocols.sensors import RosView
 
-WORLD, BASE = "odom", "base_link"
-"""REP-105: the frames of the odometry and of the robot."""
+MAP, ODOM, BASE = "map", "odom", "base_link"
+"""REP-105: the frames of the map, in which the robot's pose leaps when it is corrected; of the odometry, in
+which it drifts; and of the robot."""
 FLOAT32_MAX = 3.4028234663852886e38
 
 _ENCAPSULATION = b"\x00\x01\x00\x00"
 _CAN = "I4B8s"
-_FD = "I3BxI"
-_IMU = "37d"
+_FD = "I3BI"
 _ODOMETRY = "85d"
+_POSE = "43d"
 _TRANSFORM = "7d"
-_SCAN = "7fI"
 _NO_COVARIANCE = (0.0,) * 36
-_NO_COVARIANCE_3 = (0.0,) * 9
-_NOT_MEASURED_3 = (-1.0, *_NO_COVARIANCE_3[1:])
-_NO_INTENSITIES = bytes(4)
 _U32 = struct.Struct("<I")
+_NUMBERS = re.compile(r"(\d*)([bBhHiIqQfds])")
 
 
 def clock(t: Nanos) -> tuple[int, int]:
@@ -74,8 +75,11 @@ def _layout(numbers: str, names: Sequence[str], many: bool) -> struct.Struct:
         size = len(name.encode(errors="backslashreplace")) + 1
         form += f"{-at % 4}xI{size}s"
         at += -at % 4 + 4 + size
-    widest = 8 if "d" in numbers else 4
-    return struct.Struct(f"{form}{-at % widest}x{numbers}")
+    for count, letter in _NUMBERS.findall(numbers):
+        width = struct.calcsize(f"<{letter}")
+        form += f"{-at % width}x{count}{letter}"
+        at += -at % width + width * int(count or 1)
+    return struct.Struct(form)
 
 
 def _name(name: str) -> tuple[int, bytes]:
@@ -101,65 +105,67 @@ def fd_frame(layouts: Layouts, t: Nanos, bus: str, frame: CanFrame) -> bytes:
 
 
 def odometry(layouts: Layouts, estimate: Estimate) -> bytes:
-    """Encode nav_msgs/Odometry of the filter's estimate; z, roll and pitch are zero with zero variance, the
-    twist has no covariance."""
+    """Encode nav_msgs/Odometry of the filter's estimate in odom; neither the pose nor the twist has a
+    covariance there."""
+    return _odometry(layouts, estimate.t, estimate.odom, estimate.linear, estimate.angular)
+
+
+def pose_in_map(layouts: Layouts, estimate: Estimate) -> bytes:
+    """Encode geometry_msgs/PoseWithCovarianceStamped of the filter's estimate in map; z, roll and pitch are
+    zero with zero variance."""
     (xx, xy, xa), (yx, yy, ya), (ax, ay, aa) = estimate.covariance.tolist()
     none = (0.0, 0.0, 0.0)
     covariance = (xx, xy, *none, xa, yx, yy, *none, ya, *(0.0,) * 18, ax, ay, *none, aa)
-    return _odometry(layouts, estimate.t, estimate.pose, estimate.linear, estimate.angular, covariance)
+    return layouts.stamped(_POSE, MAP).pack(
+        _ENCAPSULATION, *clock(estimate.t), *_name(MAP), *_numbers(estimate.pose), *covariance
+    )
 
 
 def dead_reckoning(layouts: Layouts, t: Nanos, pose: Pose) -> bytes:
     """Encode nav_msgs/Odometry of the wheels alone; neither twist nor covariance."""
-    return _odometry(layouts, t, pose, 0.0, 0.0, _NO_COVARIANCE)
+    return _odometry(layouts, t, pose, 0.0, 0.0)
 
 
-def _odometry(
-    layouts: Layouts, t: Nanos, pose: Pose, linear: float, angular: float, covariance: Sequence[float]
-) -> bytes:
-    return layouts.stamped(_ODOMETRY, WORLD, BASE).pack(
-        _ENCAPSULATION, *clock(t), *_name(WORLD), *_name(BASE),
-        pose.x, pose.y, 0.0, 0.0, 0.0, math.sin(pose.yaw / 2), math.cos(pose.yaw / 2), *covariance,
+def _odometry(layouts: Layouts, t: Nanos, pose: Pose, linear: float, angular: float) -> bytes:
+    return layouts.stamped(_ODOMETRY, ODOM, BASE).pack(
+        _ENCAPSULATION, *clock(t), *_name(ODOM), *_name(BASE), *_numbers(pose), *_NO_COVARIANCE,
         linear, 0.0, 0.0, 0.0, 0.0, angular, *_NO_COVARIANCE,
     )  # fmt: skip
 
 
-def base_transform(layouts: Layouts, estimate: Estimate) -> bytes:
-    """Encode tf2_msgs/TFMessage: base_link in odom."""
-    pose = estimate.pose
-    return layouts.stamped(_TRANSFORM, WORLD, BASE, many=True).pack(
-        _ENCAPSULATION, 1, *clock(estimate.t), *_name(WORLD), *_name(BASE),
-        pose.x, pose.y, 0.0, 0.0, 0.0, math.sin(pose.yaw / 2), math.cos(pose.yaw / 2),
-    )  # fmt: skip
+def _numbers(pose: Pose) -> tuple[float, ...]:
+    """Return position and quaternion."""
+    return pose.x, pose.y, 0.0, 0.0, 0.0, math.sin(pose.yaw / 2), math.cos(pose.yaw / 2)
 
 
-def imu(layouts: Layouts, event: Imu) -> bytes:
-    """Encode sensor_msgs/Imu; a covariance that starts with -1 marks an orientation not measured."""
-    known = event.orientation is not None
-    return layouts.stamped(_IMU, event.sensor).pack(
-        _ENCAPSULATION, *clock(event.t), *_name(event.sensor),
-        *(event.orientation or (0.0, 0.0, 0.0, 1.0)), *(_NO_COVARIANCE_3 if known else _NOT_MEASURED_3),
-        *event.angular_velocity, *_NO_COVARIANCE_3, *event.linear_acceleration, *_NO_COVARIANCE_3,
-    )  # fmt: skip
+def transforms(layouts: Layouts, estimate: Estimate) -> bytes:
+    """Encode tf2_msgs/TFMessage: base_link in odom, and odom in map."""
+    stamp = clock(estimate.t)
+    base = layouts.stamped(_TRANSFORM, ODOM, BASE, many=True).pack(
+        _ENCAPSULATION, 2, *stamp, *_name(ODOM), *_name(BASE), *_numbers(estimate.odom)
+    )
+    odom = layouts.stamped(_TRANSFORM, MAP, ODOM).pack(
+        _ENCAPSULATION, *stamp, *_name(MAP), *_name(ODOM), *_numbers(frame_of(estimate.pose, estimate.odom))
+    )
+    return base + odom[len(_ENCAPSULATION) :]
 
 
-def laser_scan(layouts: Layouts, scan: LaserScan) -> bytes:
-    """Encode sensor_msgs/LaserScan: no hit is +inf (REP-117); no reading stays below range_min.
+def reading(layouts: Layouts, view: RosView, event: Measurement) -> bytes:
+    """Encode a sensor's reading as its kind has it. Raises whatever a third party's view raises."""
+    numbers, arrays = view.content(event)
+    frame = view.frame or event.sensor
+    layout, head = layouts.stamped(view.numbers, frame), (_ENCAPSULATION, *clock(event.t), *_name(frame))
+    try:
+        packed = layout.pack(*head, *numbers)
+    except OverflowError:
+        packed = layout.pack(*head, *map(float32, numbers))
+    return packed + b"".join(_floats32(array, len(packed)) for array in arrays)
 
-    `scan_time` is 0, since one message does not have the time between scans."""
-    ranges = np.array(scan.ranges, np.float64)
-    ranges[ranges >= scan.range_max] = np.inf
+
+def _floats32(values: Sequence[float], at: int) -> bytes:
+    """Encode a sequence of float32 after so many bytes, of which the encapsulation's do not matter."""
     with np.errstate(over="ignore"):
-        ranges32 = ranges.astype("<f4")
-    steps = max(0, len(scan.ranges) - 1)
-    last = scan.angle_min + steps * scan.angle_increment
-    between = scan.duration / SECOND / max(1, steps)
-    head = layouts.stamped(_SCAN, scan.sensor).pack(
-        _ENCAPSULATION, *clock(scan.t), *_name(scan.sensor),
-        float32(scan.angle_min), float32(last), float32(scan.angle_increment), float32(between), 0.0,
-        float32(scan.range_min), float32(scan.range_max), len(ranges32),
-    )  # fmt: skip
-    return head + ranges32.tobytes() + _NO_INTENSITIES
+        return bytes(-at % 4) + _U32.pack(len(values)) + np.array(values, np.float64).astype("<f4").tobytes()
 
 
 def joint_state(t: Nanos, joints: Mapping[str, tuple[float | None, float | None, float | None]]) -> bytes:

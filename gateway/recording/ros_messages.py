@@ -2,10 +2,11 @@
 
 Here are the rare ones, as objects for a general serialiser; frequent ones are in `gateway.recording.ros_cdr`.
 
-Rules. Units and frames are those of REP-103 and REP-105: SI, x forward, y left, z up; "odom" is the fixed
-frame, "base_link" the robot, and every sensor has a frame of its own name. A header's stamp is the time of
-the measurement or estimate, not of the writing. What a message type cannot represent is left out, never
-invented. Nothing here raises: a value that does not fit its field is clamped.
+Rules. Units and frames are those of REP-103 and REP-105: SI, x forward, y left, z up; "map" is the fixed
+frame, in "odom" the robot never leaps, "base_link" is the robot, and every sensor has a frame of its own
+name. A header's stamp is the time of the measurement or estimate, not of the writing. What a message type
+cannot represent is left out, never invented. Nothing here raises: a value that does not fit its field is
+clamped.
 
 `Types` are the message classes by name, as in a typestore; nothing here imports one.
 """
@@ -23,8 +24,8 @@ import numpy.typing as npt
 from brain.belief import MapView, Pose
 from brain.perception.mount import Mount
 from gateway.core.tick import Note
-from gateway.recording.ros_cdr import BASE, WORLD, clock, float32
-from protocols.messages import Fix, Goal, Nanos, PoseReading
+from gateway.recording.ros_cdr import BASE, MAP, clock, float32
+from protocols.messages import Goal, Nanos
 
 
 class Message(Protocol):
@@ -98,11 +99,11 @@ def mount_transforms(types: Types, t: Nanos, mounts: Mapping[str, Mount]) -> Mes
 
 
 def path(types: Types, t: Nanos, points: Sequence[tuple[float, float]]) -> Message:
-    """Make nav_msgs/Path in odom; each pose is directed to the next."""
+    """Make nav_msgs/Path in map; each pose is directed to the next."""
     yaws = [math.atan2(y2 - y1, x2 - x1) for (x1, y1), (x2, y2) in pairwise(points)]
     yaws += yaws[-1:] or [0.0]
     poses = [_pose_stamped(types, t, Pose(x, y, yaw)) for (x, y), yaw in zip(points, yaws, strict=False)]
-    return types["nav_msgs/msg/Path"](header=header(types, t, WORLD), poses=poses)
+    return types["nav_msgs/msg/Path"](header=header(types, t, MAP), poses=poses)
 
 
 def goal_pose(types: Types, t: Nanos, goal: Goal) -> Message:
@@ -129,7 +130,7 @@ def grid(
     """Make nav_msgs/OccupancyGrid: percent, row by row from the lower left."""
     rows, columns = cells.shape
     return types["nav_msgs/msg/OccupancyGrid"](
-        header=header(types, t, WORLD),
+        header=header(types, t, MAP),
         info=types["nav_msgs/msg/MapMetaData"](
             map_load_time=stamp(types, t),
             resolution=float32(resolution),
@@ -138,35 +139,6 @@ def grid(
             origin=_pose(types, Pose(*origin, 0.0)),
         ),
         data=cells.reshape(-1),
-    )
-
-
-def fix(types: Types, event: Fix) -> Message:
-    """Make sensor_msgs/NavSatFix; an altitude not measured is NaN, as that message defines."""
-    covariance = np.zeros(9)
-    if event.variance is not None:
-        covariance[0] = covariance[4] = event.variance
-    return types["sensor_msgs/msg/NavSatFix"](
-        header=header(types, event.t, event.sensor),
-        status=types["sensor_msgs/msg/NavSatStatus"](status=0, service=1),
-        latitude=event.latitude,
-        longitude=event.longitude,
-        altitude=math.nan if event.altitude is None else event.altitude,
-        position_covariance=covariance,
-        position_covariance_type=0 if event.variance is None else 1,
-    )
-
-
-def pose_reading(types: Types, event: PoseReading) -> Message:
-    """Make geometry_msgs/PoseWithCovarianceStamped in odom; variance 0: not known, 1e9: no yaw."""
-    covariance = np.zeros(36)
-    covariance[0] = covariance[7] = event.variance or 0.0
-    covariance[35] = 1e9 if event.yaw is None else event.yaw_variance or 0.0
-    return types["geometry_msgs/msg/PoseWithCovarianceStamped"](
-        header=header(types, event.t, WORLD),
-        pose=types["geometry_msgs/msg/PoseWithCovariance"](
-            pose=_pose(types, Pose(event.x, event.y, event.yaw or 0.0)), covariance=covariance
-        ),
     )
 
 
@@ -238,4 +210,4 @@ def _pose(types: Types, pose: Pose) -> Message:
 
 
 def _pose_stamped(types: Types, t: Nanos, pose: Pose) -> Message:
-    return types["geometry_msgs/msg/PoseStamped"](header=header(types, t, WORLD), pose=_pose(types, pose))
+    return types["geometry_msgs/msg/PoseStamped"](header=header(types, t, MAP), pose=_pose(types, pose))

@@ -8,9 +8,9 @@ most 50 per second, the map one, the diagnostics two or one per change of state.
 |---|---|---|
 | /BUS/from_can_bus, /BUS/to_can_bus | can_msgs/Frame | each classic frame received, sent |
 | /BUS/from_can_bus_fd, /BUS/to_can_bus_fd | ros2_socketcan_msgs/FdFrame | each FD frame received, sent |
-| /scan, /imu/data, /fix | sensor_msgs | each reading; the header names the sensor |
-| /pose | geometry_msgs/PoseWithCovarianceStamped | each PoseReading |
-| /odom, /tf | nav_msgs/Odometry, tf2_msgs/TFMessage | a new estimate, at most 50 Hz |
+| /scan, /imu/data, /fix, /pose, … | as its kind has it (`protocols.sensors`) | each reading of a sensor |
+| /odom, /tf | nav_msgs/Odometry, tf2_msgs/TFMessage | a new estimate, at most 50 Hz; map → odom → base_link |
+| /estimate | geometry_msgs/PoseWithCovarianceStamped | beside /odom: in map |
 | /wheel_odom | nav_msgs/Odometry | beside /odom: the wheels alone |
 | /tf_static | tf2_msgs/TFMessage | once, at the start: the sensors' mountings |
 | /joint_states | sensor_msgs/JointState | new feedback, at most 50 Hz |
@@ -24,6 +24,7 @@ Bytes of serial buses are in the raw tick only: ROS has no message type for them
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -36,8 +37,10 @@ from gateway.core.tick import Note, Tick
 from gateway.recording import ros_cdr, ros_messages
 from gateway.recording.ros_messages import Message
 from protocols import messages as msg
+from protocols import sensors
 from protocols.frames import CanFrame, Packet
 from protocols.messages import MILLISECOND, SECOND, Event, Mode, Nanos
+from protocols.sensors import RosView, SensorKind
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -47,27 +50,32 @@ MAP_PERIOD = SECOND
 DIAGNOSTICS_PERIOD = 500 * MILLISECOND
 
 UINT64 = 2**64 - 1
-SCAN, IMU = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/Imu"
+OF_SENSORS = {kind.ros.topic: kind.ros.type for kind in sensors.OURS if kind.ros}
+"""Topics of our kinds of sensors, with their types."""
 ODOMETRY, TRANSFORMS = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
-JOINT_STATE = "sensor_msgs/msg/JointState"
-_BY_STRUCT = (ros_messages.CAN_FRAME, ros_messages.FD_FRAME, SCAN, IMU, ODOMETRY, TRANSFORMS, JOINT_STATE)
+JOINT_STATE, POSE = "sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseWithCovarianceStamped"
+_BY_STRUCT = (
+    ros_messages.CAN_FRAME,
+    ros_messages.FD_FRAME,
+    *OF_SENSORS.values(),
+    ODOMETRY,
+    TRANSFORMS,
+    POSE,
+    JOINT_STATE,
+)
 _BY_SERIALISER = (
     TRANSFORMS,
     "nav_msgs/msg/OccupancyGrid",
     "nav_msgs/msg/Path",
     "geometry_msgs/msg/PoseStamped",
-    "geometry_msgs/msg/PoseWithCovarianceStamped",
-    "sensor_msgs/msg/NavSatFix",
     "diagnostic_msgs/msg/DiagnosticArray",
     "rcl_interfaces/msg/Log",
 )
 
 TOPICS = {
-    "/scan": SCAN,
-    "/imu/data": IMU,
-    "/fix": "sensor_msgs/msg/NavSatFix",
-    "/pose": "geometry_msgs/msg/PoseWithCovarianceStamped",
+    **OF_SENSORS,
     "/odom": ODOMETRY,
+    "/estimate": POSE,
     "/wheel_odom": ODOMETRY,
     "/tf": TRANSFORMS,
     "/tf_static": TRANSFORMS,
@@ -78,7 +86,7 @@ TOPICS = {
     "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
     "/rosout": "rcl_interfaces/msg/Log",
 }
-"""The type of each topic, but those of frames: `frame_topics`."""
+"""The type of each topic, but those of frames (`frame_topics`) and of others' sensors (`topics`)."""
 
 _OK, _WARN, _ERROR, _STALE = 0, 1, 2, 3
 _BRAIN_LEVELS = {
@@ -98,7 +106,7 @@ _MODE_LEVELS = {
 _NOTE_LEVELS = {"info": _OK, "warning": _WARN, "error": _ERROR}
 
 
-class View(NamedTuple):
+class ViewMessage(NamedTuple):
     """One ROS 2 message."""
 
     topic: str
@@ -118,7 +126,43 @@ def typestore() -> Typestore:
     store = get_typestore(Stores.ROS2_JAZZY)
     store.register(get_types_from_msg(ros_messages.CAN_FRAME_DEFINITION, ros_messages.CAN_FRAME))
     store.register(get_types_from_msg(ros_messages.FD_FRAME_DEFINITION, ros_messages.FD_FRAME))
+    for kind in sensors.kinds().strangers:
+        if kind.ros and kind.ros.definition and kind.ros.type not in store.types:
+            with contextlib.suppress(Exception):  # whatever a third party wrote; `views_of_sensors` names it
+                store.register(get_types_from_msg(kind.ros.definition, kind.ros.type))
     return store
+
+
+def views_of_sensors(store: Typestore) -> tuple[dict[type[msg.Measurement], RosView], list[Note]]:
+    """Return the view of each kind of sensor that has one, and why others' are left out."""
+    views = {kind.message: kind.ros for kind in sensors.OURS if kind.ros}
+    left_out: list[Note] = []
+    for kind in sensors.kinds().strangers:
+        if kind.ros is None:
+            continue
+        if wrong := _wrong(store, kind, kind.ros, {*TOPICS, *(view.topic for view in views.values())}):
+            left_out.append(Note("warning", kind.name, f"its readings have no ROS view: {wrong}"))
+        else:
+            views[kind.message] = kind.ros
+    return views, left_out
+
+
+def _wrong(store: Typestore, kind: SensorKind, view: RosView, taken: Container[str]) -> str:
+    """Return why others' readings cannot be shown so, "" if they can."""
+    if view.topic in taken or not _TOPIC.fullmatch(view.topic):
+        return f"its topic {view.topic!r} is taken, or is none"
+    try:
+        data = ros_cdr.reading(ros_cdr.Layouts(), view, kind.sample("sensor", 0, 1))
+        message = store.deserialize_cdr(data, view.type)
+        same = bytes(store.serialize_cdr(message, view.type, little_endian=True)) == data
+    except Exception as error:  # noqa: BLE001 -- a third party's, which may raise anything
+        return f"{type(error).__name__}: {error}"
+    return "" if same else f"its numbers are not those of a {view.type}"
+
+
+def topics(store: Typestore) -> dict[str, str]:
+    """Return the type of each topic, with those of others' sensors."""
+    return TOPICS | {view.topic: view.type for view in views_of_sensors(store)[0].values()}
 
 
 @cache
@@ -126,10 +170,12 @@ def _definition(store: Typestore, type_: str) -> str:
     return store.generate_msgdef(type_, ros_version=2)[0]
 
 
-def to_view(store: Typestore, topic: str, t: Nanos, message: Message) -> View:
+def to_view(store: Typestore, topic: str, t: Nanos, message: Message) -> ViewMessage:
     """Return a message as it is sent, or stands in a file."""
     type_ = message.__msgtype__
-    return View(topic, type_, _stamp(t), bytes(store.serialize_cdr(message, type_, little_endian=True)))
+    return ViewMessage(
+        topic, type_, _stamp(t), bytes(store.serialize_cdr(message, type_, little_endian=True))
+    )
 
 
 @dataclass(slots=True)
@@ -162,6 +208,7 @@ class Views:
         self._store = store or typestore()
         self._types: ros_messages.Types = self._store.types
         self._layouts = ros_cdr.Layouts()
+        self._of_sensors, self._left_out = views_of_sensors(self._store)
         self._topics: dict[tuple[str, str, bool], str] = {}
         """Topics of frames, by bus, direction and FD."""
         self._sent: dict[str, Nanos] = {}
@@ -172,7 +219,7 @@ class Views:
         self._moved = False
         """True if feedback came since the last joint state."""
 
-    def messages(self, tick: Tick, belief: Belief) -> list[View]:
+    def messages(self, tick: Tick, belief: Belief) -> list[ViewMessage]:
         """Return the messages for a tick, in a fixed order."""
         views = self._mounts_view(tick.now)
         views += self._frames(tick.inputs.packets, "from")
@@ -184,8 +231,9 @@ class Views:
         if self._wants("/rosout"):
             views += [
                 self._view("/rosout", tick.now, ros_messages.log(self._types, tick.now, note))
-                for note in tick.outputs.notes
+                for note in (*tick.outputs.notes, *self._left_out)
             ]
+            self._left_out.clear()
         views += self._diagnostics(tick, belief)
         return views
 
@@ -205,7 +253,7 @@ class Views:
         for type_ in _BY_SERIALISER:
             self._store.get_msgdef(type_)
 
-    def deserialise(self, view: View) -> object:
+    def deserialise(self, view: ViewMessage) -> object:
         """Return the message as an object with its fields; or why its bytes are none, as a text."""
         from rosbags.serde import SerdeError
 
@@ -237,12 +285,12 @@ class Views:
             self._shown.get(topic) != shown and self._due(topic, now, period) and self._is_new(topic, shown)
         )
 
-    def _view(self, topic: str, t: Nanos, message: Message) -> View:
+    def _view(self, topic: str, t: Nanos, message: Message) -> ViewMessage:
         return to_view(self._store, topic, t, message)
 
     # -- frames and events ------------------------------------------------------------------------
 
-    def _frames(self, packets: Sequence[Packet], direction: str) -> list[View]:
+    def _frames(self, packets: Sequence[Packet], direction: str) -> list[ViewMessage]:
         return [
             self._frame(topic, p, p.frame)
             for p in packets
@@ -256,35 +304,35 @@ class Views:
             topic = self._topics[bus, direction, fd] = _frame_topic(bus, direction, fd)
         return topic
 
-    def _frame(self, topic: str, packet: Packet, frame: CanFrame) -> View:
+    def _frame(self, topic: str, packet: Packet, frame: CanFrame) -> ViewMessage:
         if frame.fd:
             data = ros_cdr.fd_frame(self._layouts, packet.t, packet.bus, frame)
-            return View(topic, ros_messages.FD_FRAME, _stamp(packet.t), data)
+            return ViewMessage(topic, ros_messages.FD_FRAME, _stamp(packet.t), data)
         data = ros_cdr.can_frame(self._layouts, packet.t, packet.bus, frame)
-        return View(topic, ros_messages.CAN_FRAME, _stamp(packet.t), data)
+        return ViewMessage(topic, ros_messages.CAN_FRAME, _stamp(packet.t), data)
 
-    def _events(self, events: Sequence[Event]) -> list[View]:
-        views: list[View] = []
+    def _events(self, events: Sequence[Event]) -> list[ViewMessage]:
+        views: list[ViewMessage] = []
         motors = self._wants("/joint_states") or self._wants("/diagnostics")
         for event in events:
-            topic = _TOPIC_OF.get(type(event))
-            if not (motors if topic is None else self._wants(topic)):
-                continue
-            match event:
-                case msg.LaserScan():
-                    data = ros_cdr.laser_scan(self._layouts, event)
-                    views.append(View("/scan", SCAN, _stamp(event.t), data))
-                case msg.Imu():
-                    data = ros_cdr.imu(self._layouts, event)
-                    views.append(View("/imu/data", IMU, _stamp(event.t), data))
-                case msg.Fix():
-                    views.append(self._view("/fix", event.t, ros_messages.fix(self._types, event)))
-                case msg.PoseReading():
-                    pose = ros_messages.pose_reading(self._types, event)
-                    views.append(self._view("/pose", event.t, pose))
-                case _:
-                    self._on_motor_event(event)
+            if isinstance(event, msg.Measurement):
+                views += self._reading(event)
+            elif motors:
+                self._on_motor_event(event)
         return views
+
+    def _reading(self, event: msg.Measurement) -> list[ViewMessage]:
+        view = self._of_sensors.get(type(event))
+        if view is None or not self._wants(view.topic):
+            return []
+        try:
+            data = ros_cdr.reading(self._layouts, view, event)
+        except Exception as error:  # noqa: BLE001 -- a third party's view may raise anything: once
+            del self._of_sensors[type(event)]
+            failed = f"its readings have no ROS view from now on: {type(error).__name__}: {error}"
+            self._left_out.append(Note("warning", event.sensor, failed))
+            return []
+        return [ViewMessage(view.topic, view.type, _stamp(event.t), data)]
 
     def _on_motor_event(self, event: Event) -> None:
         match event:
@@ -309,30 +357,32 @@ class Views:
 
     # -- belief -----------------------------------------------------------------------------------
 
-    def _mounts_view(self, now: Nanos) -> list[View]:
+    def _mounts_view(self, now: Nanos) -> list[ViewMessage]:
         if not self._mounts or not self._wants("/tf_static") or not self._is_new("/tf_static", True):
             return []
         return [self._view("/tf_static", now, ros_messages.mount_transforms(self._types, now, self._mounts))]
 
-    def _estimate_and_map(self, now: Nanos, belief: Belief) -> list[View]:
-        views: list[View] = []
+    def _estimate_and_map(self, now: Nanos, belief: Belief) -> list[ViewMessage]:
+        views: list[ViewMessage] = []
         estimate = belief.estimate if any(map(self._wants, _OF_ESTIMATE)) else None
         if estimate is not None and self._new_and_due("/odom", estimate.t, now, BELIEF_PERIOD):
             t, layouts = _stamp(estimate.t), self._layouts
             if self._wants("/odom"):
-                views.append(View("/odom", ODOMETRY, t, ros_cdr.odometry(layouts, estimate)))
+                views.append(ViewMessage("/odom", ODOMETRY, t, ros_cdr.odometry(layouts, estimate)))
             if self._wants("/tf"):
-                views.append(View("/tf", TRANSFORMS, t, ros_cdr.base_transform(layouts, estimate)))
+                views.append(ViewMessage("/tf", TRANSFORMS, t, ros_cdr.transforms(layouts, estimate)))
+            if self._wants("/estimate"):
+                views.append(ViewMessage("/estimate", POSE, t, ros_cdr.pose_in_map(layouts, estimate)))
             if belief.raw is not None and self._wants("/wheel_odom"):
                 raw = ros_cdr.dead_reckoning(layouts, estimate.t, belief.raw)
-                views.append(View("/wheel_odom", ODOMETRY, t, raw))
+                views.append(ViewMessage("/wheel_odom", ODOMETRY, t, raw))
         grid = belief.map if self._wants("/map") else None
         if grid is not None and self._new_and_due("/map", grid.version, now, MAP_PERIOD):
             views.append(self._view("/map", now, ros_messages.occupancy(self._types, now, grid)))
         return views
 
-    def _goal_and_plan(self, now: Nanos, belief: Belief) -> list[View]:
-        views: list[View] = []
+    def _goal_and_plan(self, now: Nanos, belief: Belief) -> list[ViewMessage]:
+        views: list[ViewMessage] = []
         if belief.goal != self._shown.get("/goal_pose") and self._wants("/goal_pose"):
             self._shown["/goal_pose"] = belief.goal
             if belief.goal is not None:
@@ -344,7 +394,7 @@ class Views:
             views.append(self._view("/plan", now, ros_messages.path(self._types, now, belief.path)))
         return views
 
-    def _joints(self, now: Nanos) -> list[View]:
+    def _joints(self, now: Nanos) -> list[ViewMessage]:
         wanted = self._moved and self._wants("/joint_states")
         if not wanted or not self._due("/joint_states", now, BELIEF_PERIOD):
             return []
@@ -353,11 +403,11 @@ class Views:
             name: (m.measured.get("position"), m.measured.get("velocity"), m.measured.get("torque"))
             for name, m in self._motors.items()
         }
-        return [View("/joint_states", JOINT_STATE, _stamp(now), ros_cdr.joint_state(now, measured))]
+        return [ViewMessage("/joint_states", JOINT_STATE, _stamp(now), ros_cdr.joint_state(now, measured))]
 
     # -- diagnostics ------------------------------------------------------------------------------
 
-    def _diagnostics(self, tick: Tick, belief: Belief) -> list[View]:
+    def _diagnostics(self, tick: Tick, belief: Belief) -> list[ViewMessage]:
         if not self._wants("/diagnostics"):
             return []
         motors = tuple((name, m.mode, m.detail, tuple(m.faults)) for name, m in self._motors.items())
@@ -407,14 +457,8 @@ class Views:
 
 _MEASURED = ("position", "velocity", "torque", "current", "voltage", "temperature")
 _REPORTED = {"current": "A", "voltage": "V", "temperature": "degC"}
-_OF_ESTIMATE = ("/odom", "/tf", "/wheel_odom")
-_TOPIC_OF: dict[type[Event], str] = {
-    msg.LaserScan: "/scan",
-    msg.Imu: "/imu/data",
-    msg.Fix: "/fix",
-    msg.PoseReading: "/pose",
-}
-"""Of a sensor's readings; everything else is of the motors."""
+_OF_ESTIMATE = ("/odom", "/tf", "/estimate", "/wheel_odom")
+_TOPIC = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 
 
 def frame_topics(bus: str, *, fd: bool) -> dict[str, str]:

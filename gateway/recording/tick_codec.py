@@ -21,7 +21,7 @@ from typing import Literal, cast
 
 from gateway.core.tick import Inputs, Note, Outputs, Tick
 from protocols.frames import BusState, CanFrame, Packet
-from protocols.message_codec import pack, unpack
+from protocols.message_codec import kind_in, pack, unpack
 from protocols.messages import Event, Instruction, Message
 
 TYPE = "motor_gateway_msgs/msg/Tick"
@@ -81,6 +81,14 @@ class TickCodecError(ValueError):
     """The bytes are not a tick."""
 
 
+class UnknownKind(TickCodecError):
+    """A reading of a kind of sensor that is not installed here, or is broken."""
+
+    def __init__(self, kind: str) -> None:
+        super().__init__(f"a reading of the unknown kind of sensor {kind!r}")
+        self.kind = kind
+
+
 @dataclass(frozen=True, slots=True)
 class DigestChain:
     """The two chained digests after a tick."""
@@ -94,7 +102,7 @@ CHAIN_START = DigestChain(bytes(_DIGEST), bytes(_DIGEST))
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class TickEntry:
     """A decoded tick, with the digests to verify it."""
 
     tick: Tick
@@ -214,17 +222,19 @@ def _put_messages(out: bytearray, messages: Sequence[Message]) -> None:
 # -- decode ------------------------------------------------------------------------------------
 
 
-def decode(data: bytes, before: DigestChain) -> Entry:
+def decode(data: bytes, before: DigestChain) -> TickEntry:
     """Return the tick in a message; `before` is the chain written with the tick before it.
 
-    Raises TickCodecError if the bytes are not a tick. Whether a tick was changed is in `Entry.damage`."""
+    Raises TickCodecError if the bytes are not a tick. Whether a tick was changed is in `TickEntry.damage`."""
     try:
         return _decode(data, before)
+    except UnknownKind:
+        raise
     except (struct.error, IndexError, UnicodeDecodeError, ValueError, TypeError) as error:
         raise TickCodecError(f"not the bytes of a tick: {error}") from error
 
 
-def _decode(data: bytes, before: DigestChain) -> Entry:
+def _decode(data: bytes, before: DigestChain) -> TickEntry:
     reader = _Reader(data)
     if data[:_BODY] != _ENCAPSULATION:
         raise TickCodecError(f"it starts with {data[:_BODY].hex(' ')}, not with {_ENCAPSULATION.hex(' ')}")
@@ -241,7 +251,7 @@ def _decode(data: bytes, before: DigestChain) -> Entry:
         raise TickCodecError(f"{len(data) - end} bytes after the last note, expected {2 * _DIGEST}")
     bad_packets = [("input", p) for p, good in received if not good]
     bad_packets += [("output", p) for p, good in sent if not good]
-    return Entry(
+    return TickEntry(
         Tick(
             number,
             now,
@@ -296,8 +306,11 @@ class _Reader:
         return tuple(self._message() for _ in range(self.count()))
 
     def _message(self) -> Message:
-        message = unpack(self.bytes(self.count()))
+        data = self.bytes(self.count())
+        message = unpack(data)
         if message is None:
+            if kind := kind_in(data):
+                raise UnknownKind(kind)
             raise TickCodecError("a message of an unknown kind")
         return message
 

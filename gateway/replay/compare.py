@@ -6,7 +6,8 @@ and each view. After a difference the replay continues, so that the result can s
 did to the frames. Nothing here knows a device: the command decoder of a bus gives the meaning of a frame.
 
 A recording of format 1 has texts for people that were worded differently: these, and the contents of the
-views made from them, are left out of the comparison, and the result says so.
+views made from them, are left out of the comparison, and the result says so. So are the views of poses of a
+recording of format 1 or 2, in which all of them are in one frame.
 """
 
 from __future__ import annotations
@@ -27,9 +28,9 @@ from gateway.core.step import Gateway
 from gateway.core.tick import Inputs, Note, Outputs, Tick
 from gateway.errors import RecordingError
 from gateway.recording import Recording, Step, environment
-from gateway.recording.environment import PROGRAM
+from gateway.recording.environment import PLUGIN, PROGRAM
 from gateway.recording.ros_messages import CAN_FRAME, FD_FRAME
-from gateway.recording.ros_views import View, Views
+from gateway.recording.ros_views import ViewMessage, Views
 from gateway.recording.tick_codec import packet_text
 from gateway.replay import diff
 from protocols import messages as msg
@@ -54,9 +55,11 @@ _TEXTS: dict[type[Event], tuple[str, ...]] = {
     msg.Done: ("detail",),
     msg.Refused: ("reason",),
 }
-"""Fields of events that are texts for people,"""
+"""Fields of events that are texts for people."""
 _TEXT_VIEWS = ("/diagnostics", "/rosout")
-"""and the views made from texts."""
+"""Views that are made from such texts."""
+_POSE_VIEWS = ("/odom", "/tf", "/estimate", "/pose", "/map", "/plan", "/goal_pose")
+"""Views of what lies in a frame"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,15 +83,15 @@ class Comparison:
 
     ticks: int
     packets: int
-    """Sent packets that were compared,"""
+    """Sent packets that were compared."""
     bytes: int
-    """and their bytes of data."""
+    """Bytes of data of these packets."""
     views: int
     """View messages that were compared."""
     given: int
-    """Received packets that were given to the gateway again,"""
+    """Received packets that were given to the gateway again."""
     left_over: int
-    """and those that it has no bus for."""
+    """Received packets that it has no bus for."""
     unread: int
     """Ticks that the recording's index counts, and that could not be read."""
     differing: int
@@ -99,6 +102,8 @@ class Comparison:
     """What has changed since the recording."""
     texts_compared: bool = True
     """False for a recording of format 1: see above."""
+    poses_compared: bool = True
+    """False for a recording of format 1 or 2"""
     cut: bool = False
     """True if the recording has no end: what followed its last tick is not known."""
     recovered: bool = False
@@ -138,6 +143,8 @@ class Comparison:
         compared = [counts]
         if not self.texts_compared:
             compared.append("texts for people were left out: they were worded differently in format 1")
+        if not self.poses_compared:
+            compared.append("views of poses were left out: they had one frame before format 3")
         if self.recovered:
             compared.append("it was recovered: what had been cut off or damaged is not in it")
         if self.ok:
@@ -232,7 +239,8 @@ class Comparer:
     ) -> None:
         self._recording, self._observe = recording, observe
         self._step, self._belief, self._decoder = step, belief, decoder
-        self._views, self._buses, self._texts = views, buses, recording.format != "1"
+        self._views, self._buses = views, buses
+        self._texts, self._poses = recording.format != "1", recording.format not in ("1", "2")
         self._start: Nanos = 0
         self._last: Tick | None = None
         self._decoders: dict[str, CommandDecoder | None] | None = None
@@ -272,6 +280,7 @@ class Comparer:
             self.in_order(),
             tuple(causes),
             self._texts,
+            self._poses,
             not self._recording.whole,
             self._recording.recovered,
         )
@@ -381,7 +390,9 @@ class Comparer:
             texts = [f"{note.source}: {note.text} ({note.level})" if note else "" for note in pair]
             self.differ("notes", _both("note", *texts))
 
-    def _compare_views(self, recorded: Sequence[View], now: Sequence[View]) -> None:
+    def _compare_views(self, recorded: Sequence[ViewMessage], now: Sequence[ViewMessage]) -> None:
+        if not self._poses:
+            recorded, now = ([v for v in side if v.topic not in _POSE_VIEWS] for side in (recorded, now))
         self._view_count += len(recorded)
         if not self._texts:
             recorded, now = (
@@ -399,7 +410,7 @@ class Comparer:
                 self._differ_view(*pair)
                 return
 
-    def _differ_view(self, one: View | None, two: View | None) -> None:
+    def _differ_view(self, one: ViewMessage | None, two: ViewMessage | None) -> None:
         if one and two and one[:2] == two[:2]:
             field = (
                 diff.first_field(self._views.deserialise(one), self._views.deserialise(two))
@@ -452,9 +463,9 @@ def _causes(
     damaged = differences.get("recording")
     if damaged and all(damaged.tick <= other.tick for other in differences.values()):
         causes.append("the recording is not as it was written: see above")
-    # Only facts of both sides: a recorder adds some of its own (a date) that no replay has.
-    common = recording.facts.keys() & facts.keys() if facts is not None else set()
-    then, today = ({key: side[key] for key in common} for side in (recording.facts, facts or {}))
+    # Only facts of both sides, and plugins that are gone: a recorder adds some of its own (a date).
+    known = {key for key in recording.facts if key in facts or key.startswith(PLUGIN)} if facts else set()
+    then, today = ({key: side[key] for key in known & side.keys()} for side in (recording.facts, facts or {}))
     environments = diff.mappings(then, today)
     if any(line.startswith(PROGRAM) for line in environments):
         causes.append("the program: its sources have changed since")

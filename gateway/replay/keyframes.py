@@ -20,6 +20,7 @@ import zlib
 from bisect import bisect_right, insort
 from collections.abc import Mapping, Sequence
 from contextlib import closing, suppress
+from importlib.util import find_spec
 from io import BytesIO
 from pathlib import Path
 from struct import Struct
@@ -29,8 +30,10 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from brain.skills import found as skills
 from gateway.recording import Recording, environment
 from gateway.replay.own_folder import OwnFolder
+from protocols.entry_points import is_ours, offered
 
 log = logging.getLogger("gateway")
 
@@ -251,7 +254,8 @@ def folder_name(
     kinds = " ".join(codec.kinds)
     for name, value in sorted({**facts, "robot": robot_text, "constants": kinds}.items()):
         digest.update(f"{name}\0{value}\0".encode(errors="surrogateescape"))
-    for package in sorted({module.partition(".")[0] for module in codec.modules} - _WITH_FACTS):
+    modules = {*codec.modules, *(p.module for p in offered(skills.GROUP).points if not is_ours(p))}
+    for package in sorted({module.partition(".")[0] for module in modules} - _WITH_FACTS):
         for path in _files(package):
             digest.update(f"{package}\0{path.name}\0".encode(errors="surrogateescape"))
             digest.update(path.read_bytes())
@@ -264,10 +268,13 @@ _WITH_FACTS = {*environment.ROOMS, *sys.stdlib_module_names, "filterpy", "numpy"
 
 def _files(package: str) -> list[Path]:
     """Return the sources of a package that is not ours."""
-    module = sys.modules[package]
-    folders = [Path(folder) for folder in getattr(module, "__path__", ())]
+    module = sys.modules.get(package)
+    spec = find_spec(package) if module is None else None  # a skill that no step needed yet
+    within = getattr(module, "__path__", None) or (spec and spec.submodule_search_locations)
+    folders = [Path(folder) for folder in within or ()]
     if not folders:
-        return [Path(module.__file__)] if module.__file__ else []
+        file = getattr(module, "__file__", None) or (spec and spec.origin)
+        return [Path(file)] if file else []
     return sorted(path for folder in folders for path in folder.rglob("*.py"))
 
 

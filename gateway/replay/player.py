@@ -22,7 +22,7 @@ from gateway.core.step import Gateway
 from gateway.core.tick import Outputs, Tick
 from gateway.errors import RecordingError
 from gateway.recording import Recording, Step, environment
-from gateway.recording.reader import Place
+from gateway.recording.reader import FilePlace
 from gateway.recording.ros_views import Views, typestore
 from gateway.replay.compare import Comparer, Comparison, Difference, on_known_buses
 from gateway.replay.keyframes import Frame, Keyframes, StateCodec, folder_name
@@ -35,7 +35,7 @@ class _Saved(NamedTuple):
     """What a keyframe holds."""
 
     played: int
-    place: Place | None
+    place: FilePlace | None
     """Of the tick that was played last; None: none was."""
     gateway: Gateway
     comparer: Comparer
@@ -51,7 +51,7 @@ class _Target(NamedTuple):
 class _Reading:
     """Reads a recording tick by tick, and sees one ahead."""
 
-    def __init__(self, recording: Recording, played: int = 0, place: Place | None = None) -> None:
+    def __init__(self, recording: Recording, played: int = 0, place: FilePlace | None = None) -> None:
         self.played = played
         """Number of ticks taken."""
         self.last: Step | None = None

@@ -15,7 +15,7 @@ from gateway.buses.frame_time import frame_time
 from gateway.core.joint import Joint
 from gateway.core.step import Gateway
 from gateway.core.tick import Note, Tick
-from gateway.report.series import Signals, Track
+from gateway.report.series import DrivenTrack, Signals
 from protocols import messages as msg
 from protocols.messages import MILLISECOND, Goal, Nanos
 
@@ -46,7 +46,7 @@ COMMANDED: dict[type[msg.Command], tuple[str, ...]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Arrival:
+class ReachedGoal:
     """A goal that was reached: when, and the believed and the true place."""
 
     goal: Goal
@@ -65,7 +65,7 @@ class Collector:
 
     Args:
         gateway: the one that steps.
-        truth: returns the true pose in the frame "odom", where something knows it.
+        truth: returns the true pose in the frame "map", where something knows it.
         busy: transmission time of all packets up to the tick before, by bus, where something counts it: that
             is half of the work here.
     """
@@ -85,23 +85,23 @@ class Collector:
         self.longest: Nanos = 0
         """Between two steps."""
         self.received = dict.fromkeys(gateway.robot.buses, 0)
-        """Packets, by bus,"""
+        """Packets that were received, by bus."""
         self.sent = dict.fromkeys(gateway.robot.buses, 0)
-        """and those sent."""
+        """Packets that were sent, by bus."""
         self.busy: dict[str, Nanos] = dict.fromkeys(gateway.robot.buses, 0)
         """Transmission time of all of them."""
         self._busy_before = dict(self.busy)
         self.notes: list[tuple[Nanos, Note]] = []
-        """The first ones,"""
+        """The first ones."""
         self.last_notes: deque[tuple[Nanos, Note]] = deque(maxlen=LAST_NOTES)
-        """the last ones,"""
+        """The last ones."""
         self.note_count = 0
-        """and how many there were in all."""
-        self.driven, self.true, self.raw = Track(), Track(), Track()
+        """How many notes there were in all."""
+        self.driven, self.true, self.raw = DrivenTrack(), DrivenTrack(), DrivenTrack()
         """Paths: believed, true (where that is known), and by the wheels alone."""
         self.paths: list[tuple[Nanos, tuple[tuple[float, float], ...]]] = []
         """Planned, with the times from which they held."""
-        self.arrivals: list[Arrival] = []
+        self.arrivals: list[ReachedGoal] = []
         self.off: tuple[float, Nanos] = (0.0, 0)
         """m: farthest from the path that is followed, by the believed pose, and when."""
         self.error: tuple[float, Nanos] = (0.0, 0)
@@ -184,7 +184,7 @@ class Collector:
         goal = before.goal or belief.goal
         if goal is not None and len(self.arrivals) < MOST_GOALS:
             true = self._truth() if self._truth is not None else None
-            self.arrivals.append(Arrival(goal, now, belief.estimate.pose, true))
+            self.arrivals.append(ReachedGoal(goal, now, belief.estimate.pose, true))
 
     # -- each sample --------------------------------------------------------------------------------
 

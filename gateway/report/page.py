@@ -23,12 +23,11 @@ from pathlib import Path
 import numpy as np
 
 from brain.belief import MapView, Pose
-from brain.bodies.body import Base
 from gateway.core.message_text import escaped
 from gateway.errors import UserError
 from gateway.recording.new_file import replace_with
 from gateway.report.collect import QUANTITIES, Collector, group_of
-from gateway.report.series import Track
+from gateway.report.series import DrivenTrack
 from protocols.messages import MILLISECOND, SECOND, Nanos
 
 SVG = "xmlns='http://www.w3.org/2000/svg' width='1000'"
@@ -65,7 +64,7 @@ class Facts:
     figures: tuple[str, ...] = ()
     """More figures, a line each."""
     walls: tuple[tuple[tuple[float, float], ...], ...] = field(default=())
-    """True outlines [m] in the frame "odom", where they are known."""
+    """True outlines [m] in the frame "map", where they are known."""
 
 
 def write(file: Path, collector: Collector, facts: Facts) -> None:
@@ -337,7 +336,7 @@ def _line(kind: str, points: Iterable[tuple[float, float]]) -> str:
     return f"<polyline class='{kind}' points='{text}'/>"
 
 
-def _track(kind: str, track: Track) -> str:
+def _track(kind: str, track: DrivenTrack) -> str:
     return _line(kind, ((pose.x, pose.y) for _, pose in track.points))
 
 
@@ -348,8 +347,8 @@ def _thinned(path: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
 
 def _outline(collector: Collector) -> str:
     """Return the robot's outline, with a line to its front, as a path about its origin."""
-    body = collector.gateway.robot.brain.body
-    corners = [(x, y) for x, y in body.outline] if isinstance(body, Base) else []
+    base = collector.gateway.robot.brain.base
+    corners = base.outline if base is not None else ()
     if not corners:
         return ""
     front = max(x for x, _ in corners)

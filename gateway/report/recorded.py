@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from brain.belief import Belief
@@ -93,7 +94,7 @@ def recorded_facts(recording: Recording, comparison: Comparison) -> Facts:
 def versions(facts: dict[str, str]) -> list[tuple[str, str]]:
     """Return date, program, packages and processor of the facts of a recording."""
     return [
-        (name.removeprefix("package ").removeprefix("processor "), value)
+        (re.sub("^(package|plugin|processor) ", "", name), value)
         for name, value in facts.items()
         if not name.endswith((" flags", " Features"))
     ]

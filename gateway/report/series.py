@@ -119,7 +119,7 @@ class Signals:
         self._signals = {name: signal.joined() for name, signal in self._signals.items()}
 
 
-class Track:
+class DrivenTrack:
     """A path driven: poses with their times, where it has gone on by some distance; the last one always."""
 
     def __init__(self, most: int = POINTS) -> None:

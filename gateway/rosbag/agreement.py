@@ -62,7 +62,7 @@ GAP = 0.5
 """s without a measurement, in which nothing is compared."""
 
 
-class Turns(NamedTuple):
+class UnwrappedAngles(NamedTuple):
     """Angles [rad], unwrapped, at times [s], in order."""
 
     t: Floats
@@ -86,17 +86,17 @@ class Odometry(NamedTuple):
 # -- gyro and wheels -----------------------------------------------------------------------------
 
 
-def turns_of(t: Floats, rate: Floats) -> Turns:
+def turns_of(t: Floats, rate: Floats) -> UnwrappedAngles:
     """Return the turns that a rate [rad/s] adds up to."""
-    return Turns(t, _integral(t, rate))
+    return UnwrappedAngles(t, _integral(t, rate))
 
 
-def wheel_turns(one: Odometry) -> Turns:
+def wheel_turns(one: Odometry) -> UnwrappedAngles:
     """Return the turns of an odometry by its poses, or by its twists if those are never filled in."""
-    return Turns(one.t, np.unwrap(one.yaw)) if np.ptp(one.yaw) else turns_of(one.t, one.rate)
+    return UnwrappedAngles(one.t, np.unwrap(one.yaw)) if np.ptp(one.yaw) else turns_of(one.t, one.rate)
 
 
-def gyro(measured: Turns, wheels: Turns, slip: float) -> list[str]:
+def gyro(measured: UnwrappedAngles, wheels: UnwrappedAngles, slip: float) -> list[str]:
     """Return how a gyro contradicts the wheels. `slip`: standard deviation of a turn's slip, as a share."""
     width = max(0.1, 3.0 * _period(measured.t), 3.0 * _period(wheels.t))
     reach = min(REACH, (wheels.t[-1] - wheels.t[0]) / 8.0)
@@ -123,7 +123,7 @@ def gyro(measured: Turns, wheels: Turns, slip: float) -> list[str]:
     return found
 
 
-def _unlike(measured: Turns, wheels: Turns, least: float) -> list[str]:
+def _unlike(measured: UnwrappedAngles, wheels: UnwrappedAngles, least: float) -> list[str]:
     """Return that one of two rates hardly follows the other: a wrong axis, a rate that is never filled in.
 
     Over wide windows, in which no noise of a gyro is a turn."""

@@ -14,7 +14,7 @@ from gateway.errors import BagError
 from gateway.rosbag.convert import TYPES, OdometryReading, Reading, converted
 from gateway.rosbag.file import open_bag
 from gateway.rosbag.images import BagImages
-from protocols.messages import Event, Feedback, Fix, Imu, Marker, Nanos, seconds
+from protocols.messages import Event, Feedback, Fix, Measurement, Nanos, seconds
 from protocols.suggest import did_you_mean
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ class Bag:
 
     path: Path
     events: tuple[Event, ...]
-    """Feedback of the joints and Imu, in order."""
+    """Feedback of the joints and readings of sensors, in order."""
     odometry: tuple[OdometryReading, ...]
     """The bag's own odometry, in order; its poses are for comparison."""
     truth: tuple[Fix, ...]
@@ -69,7 +69,7 @@ def read(path: Path, topics: BagTopics | None, body: Base) -> Bag:
         for name, role in topics.parts() if topics else ():
             found[name].role = role
         wanted = [one for one in reader.connections if found[one.topic].role]
-        images, markers = BagImages(topics.cameras if topics else {}), list[Marker]()
+        images, markers = BagImages(topics.cameras if topics else {}), list[Measurement]()
         messages: list[tuple[str, Nanos, object]] = []
         for connection, logged, data in reader.messages(wanted):
             name, message = connection.topic, reader.deserialize(data, connection.msgtype)
@@ -87,7 +87,7 @@ def read(path: Path, topics: BagTopics | None, body: Base) -> Bag:
     for reading in sorted([*markers, *readings], key=lambda reading: reading.t):
         if isinstance(reading, Fix):
             truth.append(reading)
-        elif isinstance(reading, Imu | Marker):
+        elif isinstance(reading, Measurement):
             events.append(reading)
         else:
             events += wheels.feedback(reading)

@@ -68,7 +68,7 @@ def _odometry(readings: Sequence[OdometryReading], start: Nanos) -> agreement.Od
     )
 
 
-def _turns(readings: Sequence[Imu], mount: Mount, start: Nanos) -> agreement.Turns:
+def _turns(readings: Sequence[Imu], mount: Mount, start: Nanos) -> agreement.UnwrappedAngles:
     up = np.array(mount.rotation()[2])
     return agreement.turns_of(
         _times([one.t for one in readings], start), np.array([one.angular_velocity for one in readings]) @ up

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias, cast
 
 from brain.belief import Pose
-from protocols.messages import SECOND, Fix, Imu, Marker, Nanos
+from protocols.messages import SECOND, Fix, Imu, Measurement, Nanos
 
 if TYPE_CHECKING:
     from rosbags.typesys.stores.ros2_jazzy import geometry_msgs__msg__Quaternion as RosQuaternion
@@ -49,7 +49,7 @@ class OdometryReading:
     """m/s to the left"""
 
 
-Reading: TypeAlias = OdometryReading | Imu | Fix | Marker
+Reading: TypeAlias = OdometryReading | Measurement
 
 
 def converted(role: str, message: object) -> Reading | str:

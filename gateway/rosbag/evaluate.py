@@ -216,7 +216,7 @@ def _error_of(poses: Sequence[Pose], truth: Floats) -> PathError | None:
 
 
 def _body(robot: Robot) -> Base:
-    body = robot.brain.body
-    if not isinstance(body, Base):
-        raise BagError(f"{robot.name}: a body of kind {body.kind!r} has no path to evaluate")
-    return body
+    base = robot.brain.base
+    if base is None:
+        raise BagError(f"{robot.name}: a body of kind {robot.brain.body.kind!r} has no path to evaluate")
+    return base

@@ -14,7 +14,7 @@ import numpy as np
 from gateway.core.robot import BagCamera
 from gateway.rosbag.convert import stamp
 from gateway.vision.camera import Image, Intrinsics, events
-from protocols.messages import Marker
+from protocols.messages import Measurement
 
 if TYPE_CHECKING:
     from rosbags.typesys.stores.ros2_jazzy import sensor_msgs__msg__CameraInfo as RosCameraInfo
@@ -40,7 +40,7 @@ class BagImages:
         self._cameras = cameras
         self._known: dict[str, Intrinsics] = {}
 
-    def look(self, role: str, message: object) -> list[Marker] | str:
+    def look(self, role: str, message: object) -> Sequence[Measurement] | str:
         """Take an image or its camera's description; return what was found, or why it is not used."""
         _, sensor, what = role.split(".")
         if what == "info":

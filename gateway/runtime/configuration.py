@@ -64,7 +64,7 @@ Readings: TypeAlias = dict[str, Reading]
 
 
 @dataclass(frozen=True, slots=True)
-class Difference:
+class ParameterDifference:
     """One parameter that is not as it should be."""
 
     motor: str
@@ -91,7 +91,7 @@ class Interrupted(UserError):
 def motors_only(robot: Robot) -> Robot:
     """Return the robot without sensors and without a base: nothing commands its motors."""
     buses = {motor.bus: robot.buses[motor.bus] for motor in robot.motors.values()}
-    brain = replace(robot.brain, body=bare(robot.motors))
+    brain = replace(robot.brain, body=bare(robot.motors), other=None)
     world = robot.world if robot.brain.body.bare else None
     return replace(robot, world=world, buses=buses, sensors={}, brain=brain)
 
@@ -231,9 +231,9 @@ def _reason(answer: Answer | None) -> str:
 # -- comparing ----------------------------------------------------------------------------------------
 
 
-def against_robot(robot: Robot, readings: Readings) -> tuple[list[Difference], list[str]]:
+def against_robot(robot: Robot, readings: Readings) -> tuple[list[ParameterDifference], list[str]]:
     """Return what differs from the robot file, and remarks: devices' limits wider than the joint's."""
-    found, remarks = list[Difference](), list[str]()
+    found, remarks = list[ParameterDifference](), list[str]()
     for name, motor in robot.motors.items():
         for parameter, setting in motor.spec.configuration.items():
             value, expected = readings[name].values.get(parameter), setting.expected
@@ -242,22 +242,24 @@ def against_robot(robot: Robot, readings: Readings) -> tuple[list[Difference], l
             if value is None:
                 if expected is not None or setting.limit:
                     reason = readings[name].not_read.get(parameter, "")
-                    found.append(Difference(name, parameter, None, expected, reason))
+                    found.append(ParameterDifference(name, parameter, None, expected, reason))
             elif expected is not None and not is_same(value, expected):
                 text = f"the robot file has {shown(expected)}"
-                found.append(Difference(name, parameter, value, expected, text, setting.protected))
+                found.append(ParameterDifference(name, parameter, value, expected, text, setting.protected))
             elif setting.limit:
                 gear = motor.joint.gear if setting.limit == "torque" else 1.0 / motor.joint.gear
                 reached, most = abs(value) * setting.unit * gear, getattr(motor.joint.limits, setting.limit)
                 text = f"{reached:.4g} {UNITS[setting.limit]} at the joint, whose limit is {most:g}"
                 if reached < most and not is_same(reached, most):
-                    found.append(Difference(name, parameter, value, None, f"the device allows only {text}"))
+                    found.append(
+                        ParameterDifference(name, parameter, value, None, f"the device allows only {text}")
+                    )
                 elif reached > most and not is_same(reached, most):
                     remarks.append(f"{name}.{parameter} = {shown(value)}: the device allows {text}")
     return found, remarks
 
 
-def against_dump(robot: Robot, readings: Readings, dump: Readings) -> list[Difference]:
+def against_dump(robot: Robot, readings: Readings, dump: Readings) -> list[ParameterDifference]:
     """Return what differs from a dump, in the order of the dump."""
     found = []
     for name, saved in dump.items():
@@ -272,7 +274,7 @@ def against_dump(robot: Robot, readings: Readings, dump: Readings) -> list[Diffe
                 left = f"not read: {now.not_read.get(parameter, '')}"
             if left != DRIVER_WRITES:
                 text = f"the dump has {shown(wanted)}"
-                found.append(Difference(name, parameter, value, wanted, text, left))
+                found.append(ParameterDifference(name, parameter, value, wanted, text, left))
     return found
 
 
@@ -354,7 +356,9 @@ def same_devices(readings: Readings, dump: Readings) -> list[str]:
     return wrong
 
 
-def restore(motors: Motors, differences: Sequence[Difference], report: Callable[[str], None]) -> bool:
+def restore(
+    motors: Motors, differences: Sequence[ParameterDifference], report: Callable[[str], None]
+) -> bool:
     """Write what differs and is not to be left, and save it. Returns whether all was done."""
     concerned = dict.fromkeys(each.motor for each in differences if not each.left)
     if refused := [f"{name} is {motors.mode(name)}" for name in concerned if motors.mode(name) not in KNOWN]:

@@ -14,7 +14,7 @@ from gateway.core.clock import Clock, PacedClock, date, stopwatch
 from gateway.core.tick import Tick
 from gateway.errors import GatewayError
 from gateway.view import Access, Address, Scene, View
-from gateway.view.requests import READ_ONLY, Answer
+from gateway.view.requests import READ_ONLY, ViewAnswer
 from gateway.view.scene import Json
 from protocols.messages import MILLISECOND, SECOND, Instruction, Nanos
 
@@ -100,20 +100,20 @@ class SessionView:
             "trouble": recorder.trouble if recorder is not None else "",
         }
 
-    def _record(self, on: object) -> Answer:
+    def _record(self, on: object) -> ViewAnswer:
         """Switch the recording on or off."""
         if not self._steer:
-            return Answer(ok=False, text=READ_ONLY)
+            return ViewAnswer(ok=False, text=READ_ONLY)
         session = self._session
         try:
             if on and session.recorder is None:
                 name = f"{session.robot.name}-{date()[:19].replace(':', '')}.mcap"
                 session.start_recording(name)
-                return Answer(ok=True, text=f"recording: {name}")
+                return ViewAnswer(ok=True, text=f"recording: {name}")
             if not on and session.recorder is not None:
                 path = session.recorder.path
                 session.stop_recording()
-                return Answer(ok=True, text=f"recorded: {path}")
+                return ViewAnswer(ok=True, text=f"recorded: {path}")
         except GatewayError as error:
-            return Answer(ok=False, text=str(error))
-        return Answer(ok=True, text="nothing to do")
+            return ViewAnswer(ok=False, text=str(error))
+        return ViewAnswer(ok=True, text="nothing to do")

@@ -25,13 +25,13 @@ from typing import TypeAlias
 from brain.belief import Belief
 from gateway.buses import Bus, WakingBus
 from gateway.buses.frame_time import frame_time
+from gateway.core.arming import DISARMING
 from gateway.core.clock import Clock
-from gateway.core.joint import DISARMING
 from gateway.core.robot import Robot
 from gateway.core.step import LEFT_ARMED, Gateway
 from gateway.core.tick import Inputs, Note, Tick
-from gateway.runtime.timing import LoopStats, Timing
-from gateway.runtime.watchdog import Watchdog
+from gateway.runtime.timing import LoopStats, StepTiming
+from gateway.runtime.watchdog import WatchdogProcess
 from protocols.frames import BusState, Packet
 from protocols.messages import MILLISECOND, SECOND, Instruction, Leave, Nanos
 
@@ -74,7 +74,7 @@ def live(
     stats: LoopStats | None = None,
     dry_run: bool = False,
     reasons: Sequence[str] = (),
-    watchdog: Watchdog | None = None,
+    watchdog: WatchdogProcess | None = None,
 ) -> Generator[Tick]:
     """Step the gateway at its period, and when a driver is due, until `until`, a reason, or until closed.
 
@@ -84,7 +84,7 @@ def live(
     time to brake. `watchdog` is told at every step that the loop goes on, and when it has left."""
     stats = stats if stats is not None else LoopStats()
     run = _Run(gateway, buses, clock, record, stats, dry_run, None if dry_run else watchdog)
-    timing = Timing(run.stats, gateway.robot.period, clock)
+    timing = StepTiming(run.stats, gateway.robot.period, clock)
     try:
         for now in moments(
             clock,
@@ -153,8 +153,8 @@ class Reader:
     def _wait_on_lines(self, until: Nanos) -> None:
         """The same, with answers on lines: each bus tells when there may be something to read."""
         looks = 0
+        polled, asked = self.gateway.awaiting(), self.gateway.asked()  # as they are until the next step
         while (now := self.clock.now()) < until:
-            polled, asked = self.gateway.awaiting(), self.gateway.asked()
             files, look = self._wakes(now, asked)
             looks += 1
             if polled:
@@ -169,11 +169,17 @@ class Reader:
                 return
 
     def _wakes(self, now: Nanos, asked: Sequence[str]) -> tuple[list[int], Nanos]:
-        """Return the files of these buses, and when to look at the others."""
+        """Return the files of these buses, and when to look at the others. An answer that has begun is read
+        when it can be complete, not piece by piece."""
         files: list[int] = []
         look: Nanos = 1 << 62
-        for bus in (self.buses[name] for name in asked):
+        for name in asked:
+            bus = self.buses[name]
             own, at = bus.wakes(now) if isinstance(bus, WakingBus) else ((), now + FINE)
+            soonest = self.gateway.earliest_answer(name, self.packets) if own else 0
+            if soonest > now:
+                look = min(look, soonest)
+                continue
             files += own
             look = look if at is None else min(look, at)
         return files, look
@@ -202,7 +208,7 @@ class _Run:
     """None after it has raised."""
     stats: LoopStats
     dry_run: bool
-    watchdog: Watchdog | None = None
+    watchdog: WatchdogProcess | None = None
     leaving: bool = False
     step_failed: bool = False
     """Whether the last step has raised: nothing of it can be trusted but joints and drivers."""

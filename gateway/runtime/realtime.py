@@ -32,7 +32,7 @@ _CAP_IPC_LOCK = 14
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
+class RealtimeWanted:
     """What is asked for."""
 
     priority: int = DEFAULT
@@ -42,48 +42,50 @@ class Wish:
     """Whether the run is not to begin without it."""
 
 
-def wished(text: str | None) -> Wish | None:
+def wanted_of(text: str | None) -> RealtimeWanted | None:
     """Return what PRIORITY, cpu=N and required ask for, each of which may be absent; None for None.
 
     Raises UserError for anything else."""
     if text is None:
         return None
-    wish = Wish()
+    wanted = RealtimeWanted()
     for word in filter(None, text.split(",")):
         if word == "required":
-            wish = replace(wish, required=True)
+            wanted = replace(wanted, required=True)
         elif re.fullmatch(r"cpu=[0-9]{1,4}", word):
-            wish = replace(wish, processor=int(word[4:]))
+            wanted = replace(wanted, processor=int(word[4:]))
         elif re.fullmatch(r"[0-9]{1,2}", word) and LOWEST <= int(word) <= HIGHEST:
-            wish = replace(wish, priority=int(word))
+            wanted = replace(wanted, priority=int(word))
         else:
             raise UserError(
                 f"--realtime: {word!r} is no priority from {LOWEST} to {HIGHEST}, cpu=N or required, as in "
                 "--realtime=40,cpu=1,required"
             )
-    return wish
+    return wanted
 
 
 @contextmanager
-def realtime(wish: Wish | None, robot: Robot, say: Callable[[str], object] = print) -> Iterator[None]:
-    """While inside, have what was wished, as far as it is granted; say what that is, in a line each.
+def realtime(
+    wanted: RealtimeWanted | None, robot: Robot, say: Callable[[str], object] = print
+) -> Iterator[None]:
+    """While inside, have what is wanted, as far as it is granted; say what that is, in a line each.
 
     Raises UserError if it is required and was refused."""
-    if wish is None:
+    if wanted is None:
         yield
         return
     with ExitStack() as stack:
         refused: list[str] = []
-        grants = (_processor(wish.processor, stack), _memory(stack), _priority(wish.priority, stack))
+        grants = (_processor(wanted.processor, stack), _memory(stack), _priority(wanted.priority, stack))
         for granted, text in grants:
             say(f"real time: {text}")
             if not granted:
                 refused.append(text)
-        if refused and wish.required:
+        if refused and wanted.required:
             raise UserError(f"--realtime is required: {'; '.join(refused)}")
         for bus in robot.buses.values():
             if bus.interface != TWIN:
-                say(f"real time: {_interrupts(resolved(bus).interface, wish.priority, stack)}")
+                say(f"real time: {_interrupts(resolved(bus).interface, wanted.priority, stack)}")
         yield
 
 

@@ -18,7 +18,7 @@ from gateway.replay.beside import Beside
 from gateway.replay.compare import Difference
 from gateway.replay.player import Playback, Player
 from gateway.view import Access, Address, Scene, View
-from gateway.view.requests import Answer
+from gateway.view.requests import ViewAnswer
 from gateway.view.scene import Json
 from protocols.messages import MILLISECOND, SECOND, Nanos
 
@@ -202,10 +202,10 @@ class ReplayView:
         found = [] if between is None else [(f"{between.kind}, beside the other recording", between)]
         return [*found, *((each.kind, each) for each in player.differences[:SHOWN])]
 
-    def _play(self, asked: object) -> Answer:
+    def _play(self, asked: object) -> ViewAnswer:
         """Do what a page asks of the playback: each of its keys, the first that is wrong is answered."""
         if not isinstance(asked, dict):
-            return Answer(ok=False, text="play: an object is expected")
+            return ViewAnswer(ok=False, text="play: an object is expected")
         acts: dict[str, Callable[[float], None]] = {
             "playing": self._set_playing,
             "rate": self._set_rate,
@@ -214,11 +214,11 @@ class ReplayView:
         }
         for key, value in asked.items():
             if key not in acts:
-                return Answer(ok=False, text=f"play: {', '.join(acts)} are expected, not {key!r}")
+                return ViewAnswer(ok=False, text=f"play: {', '.join(acts)} are expected, not {key!r}")
             if not isinstance(value, int | float) or not -inf < value < inf:  # an int may be no float
-                return Answer(ok=False, text=f"play: {key} must be a finite number")
+                return ViewAnswer(ok=False, text=f"play: {key} must be a finite number")
             acts[key](value)
-        return Answer(ok=True, text="")
+        return ViewAnswer(ok=True, text="")
 
     def _set_playing(self, value: float) -> None:
         self._playback = self._playback.changed(self._now, playing=bool(value))

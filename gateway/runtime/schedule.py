@@ -16,7 +16,6 @@ from dataclasses import dataclass, field, fields, replace
 from math import floor
 from typing import TypeAlias
 
-from brain.bodies.body import Base
 from gateway import config
 from gateway.buses.frame_time import padded
 from gateway.buses.virtual import open_world
@@ -36,19 +35,19 @@ from protocols.messages import MILLISECOND, SECOND, Drive, Feedback, Hold, Instr
 from protocols.plugin import FeedbackKind
 
 SETTLING: Nanos = 5 * SECOND
-"""The longest time to find the devices, set them up and arm them;"""
+"""The longest time to find the devices, set them up and arm them."""
 REST: Nanos = 100 * MILLISECOND
-"""the time after that for what is under way;"""
+"""The time after that for what is under way."""
 CROWDED: Nanos = SECOND // 2
-"""the time for which a wire must be full for it to end sooner, and"""
+"""The time for which a wire must be full for a measurement to end sooner."""
 LEAST: Nanos = 3 * CROWDED
-"""how soon it may end so."""
+"""How soon it may end so."""
 FULL = 0.98
 """Share of the time from which on a wire is full."""
 WINDOW: Nanos = SECOND
-"""Time that is counted, after settling,"""
+"""Time that is counted, after settling."""
 GLANCE: Nanos = 300 * MILLISECOND
-"""and that which refutes most rates that do not fit."""
+"""Time that refutes most rates that do not fit."""
 FINENESS = 0.01
 """Share of a rate to which the highest is found."""
 COUNTING = "load of the buses"
@@ -388,11 +387,10 @@ def table(counted: Sequence[BusSchedule]) -> str:
 
 def commands(robot: Robot) -> Sequence[Instruction]:
     """Return what keeps every motor commanded, at rest."""
-    body = robot.brain.body
-    wheels = body.joints if isinstance(body, Base) else ()
+    able = robot.brain.abilities(robot.motors)
     joints = [
         Hold(name) if Hold in motor.spec.commands else Velocity(name, 0.0)
         for name, motor in robot.motors.items()
-        if name not in wheels
+        if name in able.joints
     ]
-    return (Drive(0.0, 0.0), *joints) if wheels else joints
+    return (Drive(0.0, 0.0), *joints) if able.wheels else joints

@@ -30,7 +30,7 @@ from gateway.monitor.silence import Silence
 from gateway.runtime import loop
 from gateway.runtime.process import fine_timers, quiet_collector, signals
 from gateway.runtime.timing import LoopStats
-from gateway.runtime.watchdog import Watchdog, covered
+from gateway.runtime.watchdog import WatchdogProcess, covered
 from protocols.messages import SECOND, Goal, Instruction, Release
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ class Session:
     stats: LoopStats = field(default_factory=LoopStats)
     reasons: list[str] = field(default_factory=list)
     """Why the run is to end before its time: `leave`."""
-    watchdog: Watchdog | None = None
+    watchdog: WatchdogProcess | None = None
     """The process that sends the stop action if this one dies; None if there is none."""
     silence: Silence = field(init=False)
     """Says why a device is silent,"""
@@ -270,7 +270,7 @@ class Session:
 
     @property
     def pose(self) -> Pose | None:
-        """The believed pose in the frame "odom" (x, y in m, yaw in rad); None for a body without one."""
+        """The believed pose in the frame "map" (x, y in m, yaw in rad); None for a body without one."""
         estimate = self.belief.estimate
         return estimate.pose if estimate is not None else None
 
@@ -343,12 +343,12 @@ def open_session(
         yield session
 
 
-def _start_watchdog(robot: Robot, clock: Clock, stack: ExitStack) -> Watchdog | None:
+def _start_watchdog(robot: Robot, clock: Clock, stack: ExitStack) -> WatchdogProcess | None:
     """Start the watchdog process, if it can stop a motor. It begins while the rest is opened."""
     if not covered(robot):
         return None
     try:
-        watchdog = Watchdog(robot, clock)
+        watchdog = WatchdogProcess(robot, clock)
     except OSError as error:
         log.warning(NO_WATCHDOG, error)
         return None

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from gateway.core.clock import Clock, PacedClock, processor_time, stopwatch
+from gateway.core.clock import Clock, PacedClock, stopwatch, thread_time
 from protocols.messages import MILLISECOND, SECOND, Nanos
 
 WINDOW: Nanos = 10 * SECOND
@@ -30,11 +30,11 @@ class LoopStats:
     missed: int = 0
     """Deadlines that passed while a step was still running."""
     longest_step: Nanos = 0
-    """In the machine's time, whatever the loop's clock is,"""
+    """In the machine's time, whatever the loop's clock is."""
     longest_at: Nanos = 0
-    """when it began, in the loop's time,"""
+    """When the longest step began, in the loop's time."""
     longest_work: Nanos = 0
-    """and how much of it this thread was computing: the rest of it, it waited."""
+    """How much of the longest step this thread was computing: the rest of it, it waited."""
     sent: int = 0
     """Packets"""
     received: int = 0
@@ -54,14 +54,14 @@ class _Since:
     """The beginning of a window."""
 
     loop: Nanos
-    """By the loop's clock,"""
+    """By the loop's clock."""
     machine: Nanos
-    """and by the one that a paced clock follows; 0 for another."""
+    """By the clock that a paced one follows; 0 for another."""
     missed: int
     """Until then."""
 
 
-class Timing:
+class StepTiming:
     """Watches the steps of one run."""
 
     def __init__(self, stats: LoopStats, period: Nanos, clock: Clock) -> None:
@@ -77,14 +77,14 @@ class Timing:
 
     def begin(self) -> None:
         """Take that a step begins."""
-        self._began, self._worked = stopwatch(), processor_time()[1]
+        self._began, self._worked = stopwatch(), thread_time()
 
     def end(self, now: Nanos) -> str:
         """Take that the step at `now` has ended; return what a person is to be told, if there is anything."""
         stats, ended = self._stats, stopwatch()
         if ended - self._began > stats.longest_step:
             stats.longest_step, stats.longest_at = ended - self._began, now
-            stats.longest_work = processor_time()[1] - self._worked
+            stats.longest_work = thread_time() - self._worked
         if self._machine is not None:
             self._keep_pace(now)
         else:

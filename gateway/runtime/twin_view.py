@@ -40,7 +40,8 @@ class TwinScene(Scene):
         if self._world.scene is None:
             return self.belief
         linear, lateral, angular = self._world.twist()
-        estimate = Estimate(self.now, self._world.truth(), linear, angular, EXACT, lateral)
+        true = self._world.truth()
+        estimate = Estimate(self.now, true, linear, angular, EXACT, lateral, odom=true)
         return replace(self.belief, estimate=estimate)
 
     def hello(self) -> Json:

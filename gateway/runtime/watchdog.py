@@ -49,7 +49,7 @@ def covered(robot: Robot) -> list[str]:
     return [name for name, motor in robot.motors.items() if robot.buses[motor.bus].shareable]
 
 
-class Watchdog:
+class WatchdogProcess:
     """The process, started; `ready` waits for it."""
 
     def __init__(self, robot: Robot, clock: Clock) -> None:

@@ -21,7 +21,7 @@ from gateway.vision.camera import Image, events
 from protocols.messages import SECOND, Marker, Nanos
 
 if TYPE_CHECKING:
-    from gateway.sim.scene import Scene
+    from gateway.sim.scene import SimulatedScene
 
 NEAR, FAR = 0.02, 60.0
 """m: nothing is drawn nearer or farther."""
@@ -30,7 +30,7 @@ NEAR, FAR = 0.02, 60.0
 class Renderer:
     """Draws a scene as cameras see it. Not plain data: it holds a context of OpenGL."""
 
-    def __init__(self, scene: Scene, camera: Camera) -> None:
+    def __init__(self, scene: SimulatedScene, camera: Camera) -> None:
         """Raises WorldError if there is no OpenGL."""
         import mujoco  # the scene has it
 
@@ -52,7 +52,7 @@ class Renderer:
         self._free: Any = mujoco.MjvCamera()
         self._options: Any = mujoco.MjvOption()
 
-    def draw(self, scene: Scene, mount: Mount) -> Image:
+    def draw(self, scene: SimulatedScene, mount: Mount) -> Image:
         """Return the image of a camera on a mount of the robot, at the beginning of the last step."""
         lib, camera, view = self._mujoco, self._camera, self._scene
         self._gl.make_current()
@@ -84,14 +84,14 @@ class CameraSensor:
         self._renderer: Renderer | None = None
         self._found: deque[Marker] = deque()
 
-    def measure(self, t: Nanos, phase: Nanos, scene: Scene) -> Marker | None:
+    def measure(self, t: Nanos, phase: Nanos, scene: SimulatedScene) -> Marker | None:
         """Look at the beginning of a period; return one of what was found and not yet returned."""
         if phase == 0:
             sightings = self.file.detectors.detect(self.image(scene), self.file.intrinsics)
             self._found.extend(events(self.name, t, sightings))
         return self._found.popleft() if self._found else None
 
-    def image(self, scene: Scene) -> Image:
+    def image(self, scene: SimulatedScene) -> Image:
         """Return what it sees now, with noise."""
         if self._renderer is None:
             self._renderer = Renderer(scene, self.file)

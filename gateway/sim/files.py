@@ -2,7 +2,7 @@
 
 Rules. A world is a bench with bare shafts, or a scene: a floor with walls, boxes and people, the same for
 every robot, whose own truth is a plant file (`gateway.sim.plant_files`). All is SI, in the world's frame (z
-up, the floor at z = 0). Invalid combinations raise ValueError in `__post_init__`, naming the field.
+up, the floor at z = 0). Invalid combinations raise Invalid in `__post_init__`, naming the field.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Annotated, Literal, TypeAlias
 
-from gateway.core.bounds import Bounds
+from protocols.bounds import Bounds, Invalid
 from protocols.messages import MILLISECOND, Nanos
 
 STEP: Nanos = MILLISECOND
@@ -63,7 +63,7 @@ class ShaftFile:
 
     def __post_init__(self) -> None:
         if self.stops and not self.stops[0] < 0.0 < self.stops[1]:
-            raise ValueError("stops must be below and above 0, where the shaft starts")
+            raise Invalid(("stops", "stops must be below and above 0, where the shaft starts"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +101,7 @@ class Wall:
 
     def __post_init__(self) -> None:
         if math.dist(self.start, self.end) < self.thickness:
-            raise ValueError("end must be farther from start than the wall is thick")
+            raise Invalid(("end", "end must be farther from start than the wall is thick"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +137,7 @@ class Person:
 
     def __post_init__(self) -> None:
         if not self.path or any(a == b for a, b in pairwise(self.path)):
-            raise ValueError("path must have a point, and no point twice in succession")
+            raise Invalid(("path", "path must have a point, and no point twice in succession"))
 
     def place(self, t: float) -> Point:
         """Return where the person is t [s] after the world began."""
@@ -169,7 +169,7 @@ class Tag:
     z: Place
     yaw: Angle
     """rad: where its face looks to"""
-    size: Annotated[float, "m", Bounds(0.01, 5.0)] = 0.16
+    size: Annotated[float, Bounds(0.01, 5.0, "m")] = 0.16
     """Outer edge of its black border"""
 
 
@@ -181,7 +181,7 @@ class Ball:
     """m, of its centre"""
     y: Place
     z: Place
-    diameter: Annotated[float, "m", Bounds(0.01, 5.0)] = 0.1
+    diameter: Annotated[float, Bounds(0.01, 5.0, "m")] = 0.1
     colour: tuple[Share, Share, Share] = (0.9, 0.1, 0.1)
     """Red, green, blue"""
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -21,59 +21,25 @@ from gateway.config import resources
 from gateway.config.errors import unknown
 from gateway.config.text import read_text
 from gateway.sim import mjcf
+from gateway.sim.assembly_file import AssemblyPart
 from gateway.sim.files import SceneFile, Start
 from gateway.sim.linked_file import LinkedFile
 from gateway.sim.load import WorldError
-from gateway.sim.scene import SETTLING, Scene, import_mujoco
+from gateway.sim.scene import SimulatedScene, import_mujoco
 
 FOOTHOLD = 'condim="4"'
 """A contact with a link resists twisting, too: a gripper's finger, a foot."""
 
 
-class Linked(Scene):
+class Linked(SimulatedScene):
     """A robot of links. `imus`: where each inertial sensor is mounted on the root link."""
 
     def __init__(self, file: SceneFile, plant: LinkedFile, imus: dict[str, Mount]) -> None:
-        mujoco = import_mujoco(file.name)
-        try:
-            xml = mjcf.scene_xml(file, _robot(plant, file.start, imus), imus)
-            model: Any = mujoco.MjModel.from_xml_string(xml)
-        except (ValueError, OSError) as error:
-            raise WorldError.about(f"plant {plant.name!r}", [f"{plant.urdf}: {error}"]) from error
-        super().__init__(file, model, imus)
+        part = AssemblyPart("", plant)
+        super().__init__(file, _model(file, part, _links(part, file.start, imus), imus), imus)
         self._height = plant.height
-        self._start: list[tuple[int, float]] = []
-        """Index of each joint in qpos, and where it starts."""
-        for index, (motor, (name, joint)) in enumerate(zip(plant.motors, plant.joints.items(), strict=True)):
-            at = model.joint(name)
-            self._shafts[motor] = index, int(at.qposadr[0]), int(at.dofadr[0])
-            self._start.append((int(at.qposadr[0]), joint.start))
+        self._add_links(part)
         self.settle()
-
-    def settle(self) -> None:
-        """Settle into the contacts with the joints where they start, then begin time at rest."""
-        data, start, base = self.data, self.file.start, self._free
-        if base is not None:
-            turned = math.cos(start.yaw / 2.0), 0.0, 0.0, math.sin(start.yaw / 2.0)
-            data.qpos[base : base + 7] = start.x, start.y, self._height, *turned
-        for _ in range(SETTLING):
-            self._put_joints()
-            self._mj_step(self.model, data)
-        self._put_joints()
-        if base is not None:
-            data.qpos[base : base + 2] = start.x, start.y
-        data.qvel[:] = 0.0
-        data.time = 0.0
-
-    def _put_joints(self) -> None:
-        for (_, position, velocity), (_, angle) in zip(self._shafts.values(), self._start, strict=True):
-            self.data.qpos[position], self.data.qvel[velocity] = angle, 0.0
-
-    def step(self, torques: Mapping[str, float]) -> None:
-        """Advance by one time step under torques [N·m] at the joints."""
-        for motor, (index, _, _) in self._shafts.items():
-            self.data.ctrl[index] = torques.get(motor, 0.0)
-        self.advance()
 
     def attitude(self) -> tuple[float, float, float]:
         """Return the root link's roll and pitch [rad] and its height [m], now."""
@@ -90,12 +56,49 @@ def find_urdf(name: str) -> Path:
     return path if "/" in name or path.is_file() else resources.shipped("robots") / name
 
 
+class Standing(SimulatedScene):
+    """Robots of links on one place. `imus`: where each inertial sensor is mounted there."""
+
+    def __init__(self, file: SceneFile, parts: Sequence[AssemblyPart], imus: dict[str, Mount]) -> None:
+        robot = mjcf.joined(mjcf.stand(file.start, imus), carried(parts))
+        super().__init__(file, _model(file, parts[0], robot, imus), imus)
+        for part in parts:
+            self._add_links(part)
+        self.settle()
+
+
+def carried(parts: Sequence[AssemblyPart]) -> list[mjcf.MjcfRobot]:
+    """Return robots of links as what another body carries. Raises WorldError if one cannot be made."""
+    return [_links(part, None, {}) for part in parts]
+
+
+def _model(file: SceneFile, part: AssemblyPart, robot: mjcf.MjcfRobot, imus: dict[str, Mount]) -> Any:  # noqa: ANN401
+    """Return MuJoCo's model. Raises WorldError if there can be none."""
+    try:
+        return import_mujoco(file.name).MjModel.from_xml_string(mjcf.scene_xml(file, robot, imus))
+    except ValueError as error:
+        raise _wrong(part, error) from error
+
+
+def _links(part: AssemblyPart, start: Start | None, imus: dict[str, Mount]) -> mjcf.MjcfRobot:
+    """Return a robot of links, on its own or, without a start, as a part. Raises WorldError if it cannot."""
+    try:
+        return _robot(part, start, imus)
+    except (ValueError, OSError) as error:
+        raise _wrong(part, error) from error
+
+
+def _wrong(part: AssemblyPart, error: Exception) -> WorldError:
+    return WorldError.about(f"plant {part.plant.name!r}", [f"{part.plant.urdf}: {error}"])
+
+
 def _element(text: str) -> ET.Element:
     return ET.fromstring(text)  # noqa: S314 - our own text, or one that `urdf.parse` has taken
 
 
-def _robot(plant: LinkedFile, start: Start, imus: dict[str, Mount]) -> mjcf.Robot:
+def _robot(part: AssemblyPart, start: Start | None, imus: dict[str, Mount]) -> mjcf.MjcfRobot:
     """Return the URDF's links as MJCF, with actuators for the motors, in their order."""
+    plant = part.plant
     text = read_text(find_urdf(plant.urdf), urdf.MOST_CHARACTERS)
     model = urdf.parse(text)
     moving = [name for name, joint in model.joints.items() if joint.moves]
@@ -105,26 +108,39 @@ def _robot(plant: LinkedFile, start: Start, imus: dict[str, Mount]) -> mjcf.Robo
     tree = _element(spec.to_xml())
     base = tree.find("worldbody/body")
     assert base is not None, "the root link is the first body"
-    for body in tree.iter("body"):
-        if body.get("name") == "base":
-            body.set("name", "base_link")
-    base.set("name", "base")
     for joint in base.iter("joint"):
         _set_figures(joint, plant)
     for geom in base.iter("geom"):
         for key in ("contype", "conaffinity", "group"):
             geom.attrib.pop(key, None)
         geom.attrib |= _element(f"<geom {mjcf.OF_ROBOT} {FOOTHOLD}/>").attrib
-    if plant.base == "free":
-        base.insert(0, ET.Element("freejoint", name="base"))
+    followers = tree.findall("equality/joint")
+    if start is None:
+        at = part.at
+        _place(base, at.x, at.y, at.z + plant.height, at.yaw)
+        for one in (*base.iter(), *followers):
+            for key in ("name", "joint1", "joint2"):
+                if key in one.attrib:
+                    one.set(key, part.named(one.attrib[key]))
     else:
-        base.set("pos", f"{start.x} {start.y} {plant.height}")
-        base.set("quat", f"{math.cos(start.yaw / 2.0)} 0 0 {math.sin(start.yaw / 2.0)}")
+        for body in tree.iter("body"):
+            if body.get("name") == "base":
+                body.set("name", "base_link")
+        base.set("name", "base")
+        if plant.base == "free":
+            base.insert(0, ET.Element("freejoint", name="base"))
+        else:
+            _place(base, start.x, start.y, plant.height, start.yaw)
     for name, mount in imus.items():
         base.append(_element(mjcf.site(name, mount)))
-    actuators = "".join(f'<motor joint="{name}"/>' for name in plant.joints)
-    followers = "".join(ET.tostring(one, encoding="unicode") for one in tree.findall("equality/joint"))
-    return mjcf.Robot(ET.tostring(base, encoding="unicode"), actuators, followers)
+    actuators = "".join(f'<motor joint="{part.named(name)}"/>' for name in plant.joints)
+    equal = "".join(ET.tostring(one, encoding="unicode") for one in followers)
+    return mjcf.MjcfRobot(ET.tostring(base, encoding="unicode"), actuators, equal)
+
+
+def _place(body: ET.Element, x: float, y: float, z: float, yaw: float) -> None:
+    body.set("pos", f"{x} {y} {z}")
+    body.set("quat", f"{math.cos(yaw / 2.0)} 0 0 {math.sin(yaw / 2.0)}")
 
 
 def _prepared(text: str) -> str:

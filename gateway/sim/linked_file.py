@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
-from gateway.core.bounds import Bounds
 from gateway.sim.files import Angle, Inertia, Resistance
 from gateway.sim.plant_files import PlantFile
+from protocols.bounds import Bounds, Invalid
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,9 +55,9 @@ class LinkedFile(PlantFile):
 
     def __post_init__(self) -> None:
         if not self.joints:
-            raise ValueError("joints must have at least one")
+            raise Invalid(("joints", "joints must have at least one"))
         if len(set(self.motors)) < len(self.joints):
-            raise ValueError("joints: each must have a motor of its own")
+            raise Invalid(("joints", "joints: each must have a motor of its own"))
 
     @property
     def motors(self) -> tuple[str, ...]:

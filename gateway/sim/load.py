@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Literal, TypeAlias, TypeVar
 
@@ -12,6 +12,7 @@ from gateway.config.errors import Mistakes, shown
 from gateway.config.schema import build
 from gateway.config.text import read_text, read_toml
 from gateway.errors import ConfigError, Mistake, UserError
+from gateway.sim.assembly_file import Assembly, AssemblyFile, AssemblyPart, PartFile
 from gateway.sim.files import BenchFile, SceneFile, WorldFile
 from gateway.sim.linked_file import LinkedFile
 from gateway.sim.plant_files import PlantFile, WheeledFile
@@ -20,7 +21,7 @@ T = TypeVar("T")
 Parse: TypeAlias = Callable[[str, str], T]
 
 WORLDS: dict[str, type[WorldFile]] = {"scene": SceneFile, "bench": BenchFile}
-PLANTS: dict[str, type[PlantFile]] = {"wheels": WheeledFile, "linked": LinkedFile}
+PLANTS: dict[str, type[PlantFile]] = {"wheels": WheeledFile, "linked": LinkedFile, "assembly": AssemblyFile}
 """Kinds of files, by their key `kind`."""
 
 
@@ -37,12 +38,38 @@ def load_world(name_or_path: str | Path) -> WorldFile:
     """Load a world that ships with the package, by its name, or any .toml file, by its path.
 
     Raises WorldError with every mistake, each with file, line, key and what was expected."""
-    return _load("worlds", name_or_path, parse_world)
+    return _load("worlds", name_or_path, parse_world)[0]
 
 
 def load_plant(name_or_path: str | Path) -> PlantFile:
     """Load a plant, likewise."""
-    return _load("plants", name_or_path, parse_plant)
+    file, path = _load("plants", name_or_path, parse_plant)
+    return _assembled(file, path) if isinstance(file, AssemblyFile) else file
+
+
+def _assembled(file: AssemblyFile, path: Path) -> Assembly:
+    """Return the robot with its parts read."""
+    wheeled: list[WheeledFile] = []
+    linked: list[AssemblyPart] = []
+    for name, part in file.parts.items():
+        plant = load_plant(resources.beside(part.plant, path))
+        if isinstance(plant, WheeledFile) and not wheeled and part == PartFile(part.plant):
+            wheeled.append(plant)
+        elif isinstance(plant, LinkedFile) and plant.base == "fixed":
+            linked.append(AssemblyPart(name, plant, part.at, part.prefix))
+        else:
+            what = "expected links with a fixed base, or one base on wheels, at the origin"
+            raise WorldError.about(str(path), [f"parts.{name}: plant {plant.name!r} cannot be this; {what}"])
+    base = wheeled[0] if wheeled else None
+    figures = {one.name: getattr(file, one.name) for one in fields(PlantFile)}
+    if base is not None:
+        figures |= {
+            kind: getattr(base, kind) | figures[kind] for kind in ("lidars", "imus", "cameras", "shafts")
+        }
+    try:
+        return Assembly(base=base, parts=tuple(linked), **figures)
+    except ValueError as error:
+        raise WorldError.about(str(path), [str(error)]) from error
 
 
 def parse_world(text: str, source: str = "world.toml") -> WorldFile:
@@ -56,7 +83,7 @@ def parse_plant(text: str, source: str = "plant.toml") -> PlantFile:
     return _parse(text, source, PLANTS)
 
 
-def _load(kind: Literal["worlds", "plants"], name_or_path: str | Path, parse: Parse[T]) -> T:
+def _load(kind: Literal["worlds", "plants"], name_or_path: str | Path, parse: Parse[T]) -> tuple[T, Path]:
     try:
         path = resources.find(kind, str(name_or_path))
         text = read_text(path)
@@ -64,7 +91,7 @@ def _load(kind: Literal["worlds", "plants"], name_or_path: str | Path, parse: Pa
         raise WorldError(error.mistakes) from error
     except UserError as error:
         raise WorldError.about(str(name_or_path), [f"cannot be read: {error}"]) from error
-    return _with_files(parse(text, str(path)), path)
+    return _with_files(parse(text, str(path)), path), path
 
 
 def _with_files(file: T, path: Path) -> T:

@@ -16,11 +16,12 @@ own parts do not touch one another. People touch without force.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
 from brain.perception.mount import Mount
-from gateway.sim.files import STEP, Box, SceneFile, Wall
+from gateway.sim.files import STEP, Box, SceneFile, Start, Wall
 from gateway.sim.marks import ball_xml, tag_xml
 from gateway.sim.plant_files import Caster, Wheel, WheeledBody
 from protocols.messages import seconds
@@ -38,7 +39,7 @@ ONLY_IN_PAIRS = 'group="1" contype="0" conaffinity="0"'
 
 
 @dataclass(frozen=True, slots=True)
-class Robot:
+class MjcfRobot:
     """A robot in MJCF: children of worldbody, actuator, equality and contact."""
 
     bodies: str = ""
@@ -48,7 +49,7 @@ class Robot:
     contacts: str = ""
 
 
-def scene_xml(file: SceneFile, robot: Robot, imus: dict[str, Mount]) -> str:
+def scene_xml(file: SceneFile, robot: MjcfRobot, imus: dict[str, Mount]) -> str:
     """Return the model: floor, walls and boxes, the robot, people and what can be pushed, and for each IMU,
     mounted on a site of its name, a gyro and an accelerometer."""
     sensors = "".join(f'<gyro site="{name}"/><accelerometer site="{name}"/>' for name in imus)
@@ -146,7 +147,25 @@ def site(name: str, mount: Mount) -> str:
     return f'<site name="{name}" pos="{mount.x} {mount.y} {mount.z}" xyaxes="{axes}"/>'
 
 
-def wheeled(body: WheeledBody, imus: dict[str, Mount], friction: float) -> Robot:
+def joined(base: MjcfRobot, parts: Sequence[MjcfRobot]) -> MjcfRobot:
+    """Return a robot whose base carries others."""
+    head, end, rest = base.bodies.rpartition("</body>")
+    return MjcfRobot(
+        head + "".join(part.bodies for part in parts) + end + rest,
+        base.actuators + "".join(part.actuators for part in parts),
+        base.constraints + "".join(part.constraints for part in parts),
+        base.contacts,
+    )
+
+
+def stand(start: Start, imus: dict[str, Mount]) -> MjcfRobot:
+    """Return a base that is nothing but a place: what stands on it is screwed to the floor."""
+    place = f'pos="{start.x} {start.y} 0" quat="{_about_z(start.yaw)}"'
+    sites = "".join(site(name, mount) for name, mount in imus.items())
+    return MjcfRobot(f'<body name="base" {place}>{sites}</body>')
+
+
+def wheeled(body: WheeledBody, imus: dict[str, Mount], friction: float) -> MjcfRobot:
     """Return the base: for each wheel NAME the joint `NAME`, and `NAME_creep`, `NAME_roller`, `NAME_steer`
     where it has one. Actuators: of the wheel `first` for each motor, then of each steered wheel."""
     size = 'size="{} {} {}"'.format(*(side / 2.0 for side in body.size))
@@ -172,7 +191,7 @@ def wheeled(body: WheeledBody, imus: dict[str, Mount], friction: float) -> Robot
     pairs = [(name, 'condim="1"') for name in dragged(body)]
     pairs += [(name, grip) for name, wheel in body.wheels.items() if wheel.roller is not None]
     contacts = "".join(f'<pair geom1="floor" geom2="{name}" {how}/>' for name, how in pairs)
-    return Robot(bodies, actuators, constraints, contacts)
+    return MjcfRobot(bodies, actuators, constraints, contacts)
 
 
 def first(body: WheeledBody) -> dict[str, str]:

@@ -3,7 +3,7 @@
 Rules. A plant file names motors and sensors as the robot file does and knows nothing of how they are driven.
 It is the ground truth: the brain has its own parameters and never reads these. It names no kind of body: a
 base on wheels is where its wheels are, how they roll and steer, and which motors turn them. All is SI, in the
-body's frame (x forward, y left, z up, origin on the floor). Invalid combinations raise ValueError in
+body's frame (x forward, y left, z up, origin on the floor). Invalid combinations raise Invalid in
 `__post_init__`, naming the field.
 """
 
@@ -13,7 +13,6 @@ import math
 from dataclasses import dataclass, field
 from typing import Annotated, Literal, TypeAlias
 
-from gateway.core.bounds import Bounds
 from gateway.sim.files import (
     STEP,
     Angle,
@@ -31,6 +30,7 @@ from gateway.sim.files import (
 )
 from gateway.vision.camera import Intrinsics
 from gateway.vision.detectors import Detectors
+from protocols.bounds import Bounds, Invalid
 from protocols.messages import SECOND
 
 Vector: TypeAlias = tuple[Bias, Bias, Bias]
@@ -40,7 +40,7 @@ Vector: TypeAlias = tuple[Bias, Bias, Bias]
 
 @dataclass(frozen=True, slots=True)
 class Lidar:
-    """A planar lidar: beams evenly over a full turn, the first at -180 degrees, counter-clockwise."""
+    """A planar lidar: beams evenly over a full turn, the first at -180 degrees."""
 
     beams: Annotated[int, Bounds(2, 10_000)] = 360
     rate_hz: Rate = 10.0
@@ -55,10 +55,15 @@ class Lidar:
     sweep: bool = True
     """Whether the beams of a scan are spread evenly over its period, as of a lidar that turns; otherwise all
     are taken at its beginning."""
+    clockwise: bool = False
+    """Whether it turns clockwise, and hands on its beams as they come, in each time step, as a lidar that
+    streams does; otherwise counter-clockwise, and a scan when it is complete."""
 
     def __post_init__(self) -> None:
+        if self.clockwise and not self.sweep:
+            raise Invalid(("clockwise", "what hands on its beams as they come has a sweep"))
         if self.range_min >= self.range_max:
-            raise ValueError("range_min must be less than range_max")
+            raise Invalid(("range_min", "range_min must be less than range_max"))
         _whole_steps(self.rate_hz)
 
 
@@ -90,7 +95,7 @@ class Camera:
     width: Annotated[int, Bounds(16, 4096)] = 640
     """Pixels"""
     height: Annotated[int, Bounds(16, 4096)] = 480
-    view: Annotated[float, "degrees", Bounds(10.0, 150.0)] = 70.0
+    view: Annotated[float, Bounds(10.0, 150.0, "degrees")] = 70.0
     """From its left edge to its right one"""
     rate_hz: Rate = 5.0
     noise: Noise = 0.0
@@ -108,7 +113,8 @@ class Camera:
 
 def _whole_steps(rate_hz: float) -> None:
     if SECOND / rate_hz % STEP:
-        raise ValueError(f"rate_hz must divide the world's {SECOND // STEP} steps a second, not {rate_hz:g}")
+        text = f"rate_hz must divide the world's {SECOND // STEP} steps a second, not {rate_hz:g}"
+        raise Invalid(("rate_hz", text))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -149,7 +155,7 @@ class Steer:
 
     def __post_init__(self) -> None:
         if self.range and not self.range[0] < 0.0 < self.range[1]:
-            raise ValueError("range must be below and above 0, where the wheel starts")
+            raise Invalid(("range", "range must be below and above 0, where the wheel starts"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,18 +234,18 @@ class WheeledBody:
 
     def __post_init__(self) -> None:
         if not self.wheels:
-            raise ValueError("wheels must have at least one")
+            raise Invalid(("wheels", "wheels must have at least one"))
         if self.mass <= len(self.wheels) * self.wheel.mass:
-            raise ValueError("mass must be more than that of the wheels, which it includes")
+            raise Invalid(("mass", "mass must be more than that of the wheels, which it includes"))
         steering = [wheel.steer.motor for wheel in self.wheels.values() if wheel.steer]
         drives = {wheel.motor for wheel in self.wheels.values() if wheel.motor}
         if len(set(steering)) < len(steering) or drives & set(steering):
-            raise ValueError("wheels: a motor that steers one must do nothing else")
+            raise Invalid(("wheels", "wheels: a motor that steers one must do nothing else"))
         for name, wheel in self.wheels.items():
             if not name.isidentifier():
-                raise ValueError(f"wheels: {name!r} must be a name of letters, digits and _")
+                raise Invalid(("wheels", f"wheels: {name!r} must be a name of letters, digits and _"))
             if wheel.steer and wheel.roller is not None:
-                raise ValueError(f"wheels: {name} has rollers and cannot be steered")
+                raise Invalid((f"wheels.{name}.steer", f"wheels: {name} has rollers and cannot be steered"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

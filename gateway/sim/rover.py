@@ -7,16 +7,18 @@ and keeps its speed: the wheel is a ball there, and the axis of the roller on th
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from brain.perception.mount import Mount
 from gateway.sim import mjcf
+from gateway.sim.assembly_file import AssemblyPart
 from gateway.sim.files import SceneFile
+from gateway.sim.linked import carried
 from gateway.sim.plant_files import Slip, WheeledBody, WheeledFile
-from gateway.sim.scene import FLOOR, Scene, import_mujoco
+from gateway.sim.scene import FLOOR, SimulatedScene, import_mujoco
 
 HELD = 0.05
 """m/s, slip up to which a tyre that others drag is held in proportion to it: then Coulomb friction is
@@ -76,12 +78,20 @@ class Dragged:
         return self._c * along - self._s * across, self._s * along + self._c * across, along
 
 
-class Rover(Scene):
-    """A base on wheels. `imus`: where each inertial sensor is mounted."""
+class Rover(SimulatedScene):
+    """A base on wheels. `imus`: where each inertial sensor is mounted; `parts`: what it carries."""
 
-    def __init__(self, file: SceneFile, plant: WheeledFile, imus: dict[str, Mount], seed: int) -> None:
+    def __init__(
+        self,
+        file: SceneFile,
+        plant: WheeledFile,
+        imus: dict[str, Mount],
+        seed: int,
+        parts: Sequence[AssemblyPart] = (),
+    ) -> None:
         body = plant.body
-        xml = mjcf.scene_xml(file, mjcf.wheeled(body, imus, file.friction), imus)
+        robot = mjcf.joined(mjcf.wheeled(body, imus, file.friction), carried(parts))
+        xml = mjcf.scene_xml(file, robot, imus)
         model: Any = import_mujoco(file.name).MjModel.from_xml_string(xml)
         super().__init__(file, model, imus)
         joints = {name: model.joint(name) for name in _joints(body)}
@@ -103,6 +113,8 @@ class Rover(Scene):
             for name in mjcf.dragged(body)
             for axle in [[name, f"{name}_creep"] if mjcf.has_creep(body, name) else [name]]
         ]
+        for part in parts:
+            self._add_links(part)
         self.settle()
         for position, _ in at.values():
             self.data.qpos[position] = 0.0

@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from brain.belief import Pose
 from brain.perception.mount import Mount
+from gateway.sim.assembly_file import AssemblyPart
 from gateway.sim.files import SceneFile
 from gateway.sim.load import WorldError
 
@@ -46,7 +47,7 @@ def import_mujoco(world: str) -> ModuleType:
     return module
 
 
-class Scene:
+class SimulatedScene:
     """A scene with a robot. `imus`: the names of its inertial sensors, in the order of the model's."""
 
     def __init__(self, file: SceneFile, model: Any, imus: Iterable[str]) -> None:  # noqa: ANN401
@@ -77,14 +78,20 @@ class Scene:
         self.touches_by_people = 0
         """How often a person was newly touched while the robot moved."""
         self._shafts: dict[str, tuple[int, int, int]] = {}
-        """Index of each motor in ctrl, and of its shaft in qpos and qvel. Filled by the robot's kind."""
+        """Index of each motor in ctrl, and of its shaft in qpos and qvel. Filled by the robot's kind,"""
+        self._starts: list[tuple[int, int, float]] = []
+        """and of what falls without its motors: indices of its joint, and where that is at time 0."""
+        self._height = 0.0
+        """m, of a base that is free, at time 0"""
         self._move_people()
 
-    # -- what a kind of robot provides -----------------------------------------------------------
+    # -- what a kind of robot may do otherwise -----------------------------------------------------------
 
     def step(self, torques: Mapping[str, float]) -> None:
         """Advance by one time step under torques [N·m] at its motors' output shafts."""
-        raise NotImplementedError
+        for motor, (index, _, _) in self._shafts.items():
+            self.data.ctrl[index] = torques.get(motor, 0.0)
+        self.advance()
 
     # -- what is the same for all ----------------------------------------------------------------
 
@@ -103,13 +110,28 @@ class Scene:
         data, start = self.data, self.file.start
         base = self._free
         if base is not None:
-            data.qpos[base : base + 2] = start.x, start.y
-            data.qpos[base + 3 : base + 7] = math.cos(start.yaw / 2.0), 0.0, 0.0, math.sin(start.yaw / 2.0)
-        self._mj_step(self.model, data, SETTLING)
+            turned = math.cos(start.yaw / 2.0), 0.0, 0.0, math.sin(start.yaw / 2.0)
+            data.qpos[base : base + 7] = start.x, start.y, self._height, *turned
+        for _ in range(SETTLING):
+            self._put_joints()
+            self._mj_step(self.model, data)
+        self._put_joints()
         if base is not None:
             data.qpos[base : base + 2] = start.x, start.y
         data.qvel[:] = 0.0
         data.time = 0.0
+
+    def _put_joints(self) -> None:
+        for position, velocity, angle in self._starts:
+            self.data.qpos[position], self.data.qvel[velocity] = angle, 0.0
+
+    def _add_links(self, part: AssemblyPart) -> None:
+        """Add the joints of a robot of links that is in the model, after those of its motors before."""
+        for motor, (name, joint) in zip(part.motors, part.plant.joints.items(), strict=True):
+            at = self.model.joint(part.named(name))
+            position, velocity = int(at.qposadr[0]), int(at.dofadr[0])
+            self._shafts[motor] = len(self._shafts), position, velocity
+            self._starts.append((position, velocity, joint.start))
 
     def advance(self) -> None:
         """Advance by one time step under `data.ctrl`."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Protocol, TypeAlias
+from typing import Protocol
 
 import numpy as np
 
@@ -17,10 +17,8 @@ from brain.perception.mount import Mount
 from gateway.sim.camera import CameraSensor
 from gateway.sim.files import STEP
 from gateway.sim.plant_files import InertialUnit, Lidar, PlantFile
-from gateway.sim.scene import Floats, Scene
-from protocols.messages import SECOND, Imu, LaserScan, Marker, Nanos
-
-Reading: TypeAlias = Imu | LaserScan | Marker
+from gateway.sim.scene import Floats, SimulatedScene
+from protocols.messages import SECOND, Imu, LaserScan, Measurement, Nanos
 
 
 class WorldSensor(Protocol):
@@ -29,7 +27,7 @@ class WorldSensor(Protocol):
     name: str
     period: Nanos
 
-    def measure(self, t: Nanos, phase: Nanos, scene: Scene) -> Reading | None:
+    def measure(self, t: Nanos, phase: Nanos, scene: SimulatedScene) -> Measurement | None:
         """Return what is complete at time t, `phase` after the beginning of the period."""
 
 
@@ -58,13 +56,15 @@ class LidarSensor:
         self.name, self.file, self.mount = name, file, mount
         self.period: Nanos = round(SECOND / file.rate_hz)
         self._rng = stream(seed, name)
-        self._increment = 2.0 * math.pi / file.beams
-        angles = -math.pi + self._increment * np.arange(file.beams)
+        self._limits = file.range_min, file.range_max
+        self._increment = (-1.0 if file.clockwise else 1.0) * 2.0 * math.pi / file.beams
+        self._first = math.pi if file.clockwise else -math.pi
+        angles = self._first + self._increment * np.arange(file.beams)
         self._directions: Floats = np.stack([np.cos(angles), np.sin(angles), np.zeros(file.beams)], axis=1)
         self._true: Floats = np.zeros(file.beams)
 
-    def measure(self, t: Nanos, phase: Nanos, scene: Scene) -> LaserScan | None:
-        """Measure the beams of this time step; return the scan with the last of them."""
+    def measure(self, t: Nanos, phase: Nanos, scene: SimulatedScene) -> LaserScan | None:
+        """Measure the beams of this time step; return the scan with the last of them, or these."""
         beams, period = self.file.beams, self.period
         first, end = 0, beams if phase == 0 else 0
         if self.file.sweep:
@@ -72,22 +72,38 @@ class LidarSensor:
         if first < end:
             directions = self._directions[first:end]
             self._true[first:end] = scene.rays(self.mount, directions, self.file.range_max)
+        if first < end and self.file.clockwise:
+            return self._part(t - phase, first, end)
         if not first < end == beams:
             return None
         duration = (beams - 1) * period // beams if self.file.sweep else 0
         return self._scan(t - phase, self._true, duration)
 
+    def _part(self, start: Nanos, first: int, end: int) -> LaserScan:
+        """Return beams of a turn that began at a time, counter-clockwise: the newest one first."""
+        times = [start + at * self.period // self.file.beams for at in (first, end - 1)]
+        found = self._read(self._true[first:end])[::-1]
+        limits, angle = self._limits, self._first + self._increment * (end - 1)
+        duration = times[0] - times[1]
+        return LaserScan(
+            self.name, times[1], angle, -self._increment, *limits, tuple(found.tolist()), duration
+        )
+
     def _scan(self, t: Nanos, true: Floats, duration: Nanos) -> LaserScan:
-        """Return a scan of these true ranges. 0.0 is no reading, as for what is nearer than range_min."""
+        """Return a scan of these true ranges."""
+        found = tuple(self._read(true).tolist())
+        return LaserScan(self.name, t, self._first, self._increment, *self._limits, found, duration)
+
+    def _read(self, true: Floats) -> Floats:
+        """Return true ranges as measured. 0.0 is no reading, as of what is nearer than range_min."""
         file = self.file
-        ranges = true + file.noise * self._rng.standard_normal(file.beams)
+        ranges = true + file.noise * self._rng.standard_normal(len(true))
         if file.resolution:
             ranges = np.round(ranges / file.resolution) * file.resolution
         ranges = np.where(true >= file.range_max, file.range_max, np.minimum(ranges, file.range_max))
-        lost = (ranges < file.range_min) | (self._rng.random(file.beams) < file.dropout)
+        lost = (ranges < file.range_min) | (self._rng.random(len(true)) < file.dropout)
         ranges[lost] = 0.0
-        limits, read = (file.range_min, file.range_max), tuple(ranges.tolist())
-        return LaserScan(self.name, t, -math.pi, self._increment, *limits, read, duration)
+        return ranges
 
 
 class ImuSensor:
@@ -101,7 +117,7 @@ class ImuSensor:
         self._accel_bias: Floats = np.array(file.accel_bias)
         self._walk = file.gyro_walk / math.sqrt(file.rate_hz)
 
-    def measure(self, t: Nanos, phase: Nanos, scene: Scene) -> Imu | None:
+    def measure(self, t: Nanos, phase: Nanos, scene: SimulatedScene) -> Imu | None:
         """Return angular rates and accelerations at the beginning of a period; it has no orientation."""
         if phase:
             return None

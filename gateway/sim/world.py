@@ -15,17 +15,18 @@ from typing import TYPE_CHECKING
 from brain.belief import Pose
 from brain.perception.mount import Mount
 from gateway.config.errors import unknown
+from gateway.sim.assembly_file import Assembly
 from gateway.sim.files import STEP, BenchFile, SceneFile, WorldFile
-from gateway.sim.linked import Linked
+from gateway.sim.linked import Linked, Standing
 from gateway.sim.linked_file import LinkedFile
 from gateway.sim.load import WorldError
 from gateway.sim.mjcf import Polygon, outlines
 from gateway.sim.plant_files import PlantFile, WheeledFile
 from gateway.sim.rover import Rover
-from gateway.sim.scene import Scene
-from gateway.sim.sensors import Reading, WorldSensor, sensors
+from gateway.sim.scene import SimulatedScene
+from gateway.sim.sensors import WorldSensor, sensors
 from gateway.sim.shafts import Shafts
-from protocols.messages import Nanos
+from protocols.messages import Measurement, Nanos
 
 if TYPE_CHECKING:
     from gateway.core.robot import Robot
@@ -41,9 +42,9 @@ class World:
         self.now: Nanos = 0
         """The world's time. It may be set before the first step."""
         self._sensors: list[WorldSensor] = []
-        self._readings: list[Reading] = []
+        self._readings: list[Measurement] = []
         self._steps = 0
-        self.scene: Scene | None = None
+        self.scene: SimulatedScene | None = None
         """What is simulated in MuJoCo; None on a bench."""
         self._carrier: BenchFile | PlantFile = file if isinstance(file, BenchFile) else BenchFile()
         moved: tuple[str, ...] = ()
@@ -69,7 +70,7 @@ class World:
         self.now += STEP
         self._steps += 1
 
-    def _measure(self, scene: Scene) -> None:
+    def _measure(self, scene: SimulatedScene) -> None:
         """Measure the state at the beginning of the step, which is what MuJoCo has computed last."""
         for sensor in self._sensors:
             reading = sensor.measure(self.now, self._steps * STEP % sensor.period, scene)
@@ -82,7 +83,7 @@ class World:
             return self._shafts.shaft(motor)
         return self.scene.shaft(motor)
 
-    def readings(self) -> Sequence[Reading]:
+    def readings(self) -> Sequence[Measurement]:
         """Return the sensor readings since the last call, in the order of completion, with their noise."""
         if not self._readings:
             return ()
@@ -140,8 +141,12 @@ class World:
         return outlines(self.file) if isinstance(self.file, SceneFile) else []
 
 
-def _scene(file: SceneFile, plant: PlantFile, imus: dict[str, Mount], seed: int) -> Scene:
+def _scene(file: SceneFile, plant: PlantFile, imus: dict[str, Mount], seed: int) -> SimulatedScene:
     """Return the scene with the robot in it, by the plant's kind."""
+    if isinstance(plant, Assembly):
+        if plant.base is None:
+            return Standing(file, plant.parts, imus)
+        return Rover(file, plant.base, imus, seed, plant.parts)
     if isinstance(plant, WheeledFile):
         return Rover(file, plant, imus, seed)
     if isinstance(plant, LinkedFile):

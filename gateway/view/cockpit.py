@@ -37,7 +37,7 @@ import numpy.typing as npt
 from brain.belief import MapView
 from gateway.config.text import read_json
 from gateway.core.tick import Tick
-from gateway.view.requests import SILENT, Answer, Asking, Requests
+from gateway.view.requests import SILENT, Asking, Requests, ViewAnswer
 from gateway.view.scene import Json, Scene, lidar_mounts, note
 from gateway.view.server import Client, Message
 from protocols.messages import MILLISECOND, SECOND, Instruction, LaserScan, Nanos, Set
@@ -49,7 +49,7 @@ MAX_TILES = 32
 KEPT_NOTES = 200
 """Notes that a page gets on opening."""
 
-Act = Callable[[Any], Answer]
+Act = Callable[[Any], ViewAnswer]
 """What does something that is no instruction of the robot: recording, playback. Gets what the page sent."""
 
 
@@ -102,7 +102,7 @@ class Cockpit:
             else:
                 for key in self._acts.keys() & asked.keys():
                     why = self._requests.refused(now, page.asking, reads=True)
-                    answer = Answer(ok=False, text=why) if why else self._acts[key](asked[key])
+                    answer = ViewAnswer(ok=False, text=why) if why else self._acts[key](asked[key])
             _answer(client, asked, answer)
         if held:
             newest = held[-1]
@@ -192,7 +192,7 @@ class Cockpit:
         page.client.send(_binary("tiles", header, *(tile for _, tile in new)))
 
 
-def _answer(client: Client, asked: Json, answer: Answer) -> None:
+def _answer(client: Client, asked: Json, answer: ViewAnswer) -> None:
     """Answer a page, if there is an answer, with its own number of what it asked."""
     if answer.text:
         number = asked.get("id")

@@ -25,7 +25,16 @@ from functools import partial
 
 from gateway.core.tick import Tick
 from gateway.recording.ros_messages import grid
-from gateway.recording.ros_views import TOPICS, View, Views, frame_topics, to_view, typestore
+from gateway.recording.ros_views import (
+    OF_SENSORS,
+    TOPICS,
+    ViewMessage,
+    Views,
+    frame_topics,
+    to_view,
+    topics,
+    typestore,
+)
 from gateway.view import foxglove_wire as wire
 from gateway.view.cockpit import Act
 from gateway.view.foxglove_map import Drawing
@@ -39,14 +48,14 @@ from protocols.messages import MILLISECOND, SECOND, Instruction, Nanos
 
 EVENTS = frozenset(("/rosout", "/diagnostics"))
 """Topics of which a client gets every message,"""
-STATES = frozenset(TOPICS) - EVENTS - {"/scan", "/imu/data", "/fix", "/pose"}
+STATES = frozenset(TOPICS) - EVENTS - frozenset(OF_SENSORS)
 """and those of which it gets the newest."""
-TRUE = frozenset(("/odom", "/tf", "/tf_static", "/joint_states"))
+TRUE = frozenset(("/odom", "/estimate", "/tf", "/tf_static", "/joint_states"))
 """Topics of simulated devices: what is true, which is in no frame."""
 RECEIVED = {"/goal_pose": "PoseStamped", "/move_base_simple/goal": "PoseStamped", "/cmd_vel": "Twist"}
 """Topics that clients may publish, and the type (of geometry_msgs) of each."""
 MAP = "/map"
-FRAME = "odom"
+FRAME = "map"
 """In which goals are."""
 TIME_PERIOD: Nanos = 20 * MILLISECOND
 PING_PERIOD: Nanos = 50 * MILLISECOND
@@ -94,7 +103,8 @@ class Foxglove:
         """Of these, those whose messages are made of each tick: all but the map, which is drawn in slices."""
         self._map = Drawing()
         self._store = typestore()
-        types = {topic: type_ for topic, type_ in TOPICS.items() if scene.kind != "twin" or topic in TRUE}
+        every = topics(self._store).items()
+        types = {topic: type_ for topic, type_ in every if scene.kind != "twin" or topic in TRUE}
         for bus in scene.robot.buses.values():
             if bus.kind != "serial" and scene.kind != "twin":
                 types |= frame_topics(bus.name, fd=bus.kind == "canfd")
@@ -288,7 +298,7 @@ class Foxglove:
         self._map.anew()
         self._send(self._views.messages(self.scene.present(), self.scene.belief))
 
-    def _send(self, views: Sequence[View]) -> None:
+    def _send(self, views: Sequence[ViewMessage]) -> None:
         for view in views:
             for peer, subscription in self._subscribers.get(view.topic, ()):
                 if view.topic in STATES:

@@ -25,7 +25,7 @@ TILES = 32
 Tile: TypeAlias = npt.NDArray[Any]
 
 
-class Layout(NamedTuple):
+class MapLayout(NamedTuple):
     """Where a map is, and how it is drawn."""
 
     corner: tuple[float, float]
@@ -44,6 +44,10 @@ class Layout(NamedTuple):
     """and how many there are."""
     columns: int
 
+    def holds(self, tile: tuple[int, int]) -> bool:
+        """True if a tile (row, column) is drawn."""
+        return 0 <= tile[0] - self.row < self.rows and 0 <= tile[1] - self.column < self.columns
+
     @property
     def resolution(self) -> float:
         """m"""
@@ -56,7 +60,7 @@ class Layout(NamedTuple):
         return x + self.column * width * self.cell, y + self.row * height * self.cell
 
 
-NOTHING = Layout((0.0, 0.0), 1.0, (1, 1), 1, 0, 0, 0, 0)
+NOTHING = MapLayout((0.0, 0.0), 1.0, (1, 1), 1, 0, 0, 0, 0)
 
 
 class Drawing:
@@ -107,8 +111,9 @@ class Drawing:
             shape = layout.rows * height // factor, layout.columns * width // factor
             self.cells = np.full(shape, UNKNOWN, np.int8)
             drawn.clear()
-        self._left += [(key, tile) for key, tile in view.tiles.items() if drawn.get(key) is not tile]
-        self._left += [(key, None) for key in drawn if key not in view.tiles]
+        shown = {key: view.tiles[key] for key in view.tiles if layout.holds(key)}
+        self._left += [(key, tile) for key, tile in shown.items() if drawn.get(key) is not tile]
+        self._left += [(key, None) for key in drawn if key not in shown]
 
     def _draw(self, tiles: list[tuple[tuple[int, int], Tile | None]], unit: float) -> None:
         _, _, (height, width), factor, first_row, first_column, _, _ = self.layout
@@ -124,15 +129,14 @@ class Drawing:
                 self._drawn[row, column] = tile
 
 
-def _layout(view: MapView) -> Layout:
-    rows, columns = zip(*view.tiles, strict=True)
-    row, column = min(rows), min(columns)
-    count = max(rows) + 1 - row, max(columns) + 1 - column
+def _layout(view: MapView) -> MapLayout:
+    rows, columns = view.region
     height, width = next(iter(view.tiles.values())).shape
-    cells, factor = count[0] * height * count[1] * width, 1
+    cells, factor = len(rows) * height * len(columns) * width, 1
     while cells > MAX_CELLS * factor**2 and not height % (2 * factor) and not width % (2 * factor):
         factor *= 2
-    return Layout(view.corner, view.resolution, (height, width), factor, row, column, *count)
+    count = len(rows), len(columns)
+    return MapLayout(view.corner, view.resolution, (height, width), factor, rows.start, columns.start, *count)
 
 
 def coarser(tiles: Tile, factor: int) -> Tile:

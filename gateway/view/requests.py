@@ -24,11 +24,11 @@ from protocols.messages import MILLISECOND, SECOND, Instruction, Nanos
 HELD: Nanos = 200 * MILLISECOND
 """How long something counts as held after the last message about it."""
 PER_SECOND = 20
-"""Requests of one client,"""
+"""Requests of one client in a second, in the long run."""
 AT_ONCE = 40
-"""at once,"""
+"""Requests of one client at once."""
 PER_POLL = 10
-"""and in one poll."""
+"""Requests of one client in one poll."""
 HOLDS_PER_SECOND = 100
 """Messages of one client that something is held: more are a flood, and hold nothing."""
 MAX_LINE = 1000
@@ -46,14 +46,14 @@ log = logging.getLogger("gateway")
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class ViewAnswer:
     """The answer to a line."""
 
     ok: bool
     text: str
 
 
-SILENT = Answer(ok=True, text="")
+SILENT = ViewAnswer(ok=True, text="")
 """The answer to what needs none."""
 
 
@@ -91,9 +91,9 @@ class Asking:
         default_factory=lambda: _Budget(HOLDS_PER_SECOND, HOLDS_PER_SECOND, debt=HOLDS_PER_SECOND)
     )
     polled: Nanos = -1
-    """The last poll in which it asked,"""
+    """The last poll in which it asked."""
     asked: int = 0
-    """and how often."""
+    """How often it asked in that poll."""
     stopped: Nanos = -1
     """The last poll in which it asked for a stop: once is enough."""
     held: Instruction | None = None
@@ -134,7 +134,7 @@ class Requests:
 
     def line(
         self, now: Nanos, one: Asking, line: str, heard: Nanos | None
-    ) -> tuple[Instruction | None, Answer]:
+    ) -> tuple[Instruction | None, ViewAnswer]:
         """Return what a line asks of the robot, and the answer; None if that is nothing.
 
         `heard`: as in `hold`."""
@@ -142,17 +142,17 @@ class Requests:
         if word == "stop" and self.live:
             return self._stop(now, one, line)
         if refused := self.refused(now, one, reads=word == "help"):
-            return None, Answer(ok=False, text=refused)
+            return None, ViewAnswer(ok=False, text=refused)
         asked = self._parsed(line)
-        if isinstance(asked, Answer):
+        if isinstance(asked, ViewAnswer):
             return None, asked
         if (heard or 0) < self._pressed:
-            return None, Answer(ok=False, text=OVERTAKEN)
-        return asked, Answer(ok=True, text=f"accepted: {line}")
+            return None, ViewAnswer(ok=False, text=OVERTAKEN)
+        return asked, ViewAnswer(ok=True, text=f"accepted: {line}")
 
     def hold(
         self, now: Nanos, one: Asking, line: str, heard: Nanos | None, count: int = 1
-    ) -> tuple[list[Instruction], Answer]:
+    ) -> tuple[list[Instruction], ViewAnswer]:
         """Do what a line asks for as long as it is held; "" ends it. Only Drive and Velocity can be held.
 
         Args:
@@ -171,18 +171,18 @@ class Requests:
         one.barred = False
         if not one.holds.take(now, count):
             one.barred, one.held_until = True, now + HELD
-            return _end_of(one), Answer(ok=False, text="too many messages: what is held has ended")
+            return _end_of(one), ViewAnswer(ok=False, text="too many messages: what is held has ended")
         stopped = f"stopped: {self._stopped}" if self._stopped else ""
         if wrong := self._never() or stopped or _slow(now, one, heard):
             one.barred, one.held_until = True, now + HELD
-            return _end_of(one), Answer(ok=False, text=wrong)
+            return _end_of(one), ViewAnswer(ok=False, text=wrong)
         if heard is None or heard > now:
-            return _end_of(one), Answer(ok=False, text=NO_TIME)
+            return _end_of(one), ViewAnswer(ok=False, text=NO_TIME)
         asked = self._parsed(line)
-        if isinstance(asked, Answer):
+        if isinstance(asked, ViewAnswer):
             return _end_of(one), asked
         if not isinstance(asked, msg.Drive | msg.Velocity):
-            return _end_of(one), Answer(ok=False, text=f"{line!r} is nothing that can be held")
+            return _end_of(one), ViewAnswer(ok=False, text=f"{line!r} is nothing that can be held")
         ended = [] if _motor(one.held) == _motor(asked) else _end_of(one)
         one.held, one.held_until = asked, now + HELD
         return [*ended, asked], SILENT
@@ -222,24 +222,26 @@ class Requests:
         """Return why no client may ask for anything but a stop; "" if they may."""
         return NO_ROBOT if not self.live else READ_ONLY if not self.steer else ""
 
-    def _stop(self, now: Nanos, one: Asking, line: str) -> tuple[Instruction | None, Answer]:
+    def _stop(self, now: Nanos, one: Asking, line: str) -> tuple[Instruction | None, ViewAnswer]:
         again, one.stopped, self._pressed = one.stopped == now, now, now
         asked = None if again else self._parsed(line[:MAX_LINE])
-        return asked if isinstance(asked, msg.Stop) else None, Answer(ok=True, text="stopped")
+        return asked if isinstance(asked, msg.Stop) else None, ViewAnswer(ok=True, text="stopped")
 
-    def _parsed(self, line: str) -> Instruction | Answer:
+    def _parsed(self, line: str) -> Instruction | ViewAnswer:
         if len(line) > MAX_LINE:
-            return Answer(ok=False, text=f"the line is longer than {MAX_LINE} characters")
+            return ViewAnswer(ok=False, text=f"the line is longer than {MAX_LINE} characters")
         line = line.encode(errors="replace").decode()  # half a character, as JSON can write, is no text
         match parse(line, self.robot, files=False):
             case None:
-                return Answer(ok=False, text="nothing was asked")
+                return ViewAnswer(ok=False, text="nothing was asked")
             case RejectedLine(reason):
-                return Answer(ok=False, text=reason)
+                return ViewAnswer(ok=False, text=reason)
             case Query("help"):
-                return Answer(ok=True, text=help_text())
+                return ViewAnswer(ok=True, text=help_text())
             case Query(kind):
-                return Answer(ok=False, text=f"{kind} is for the gateway's own terminal, and `gateway ask`")
+                return ViewAnswer(
+                    ok=False, text=f"{kind} is for the gateway's own terminal, and `gateway ask`"
+                )
             case instruction:
                 return instruction
 

@@ -14,6 +14,7 @@ from typing import Any, Literal, TypeAlias
 
 from brain.belief import Belief, Pose
 from brain.bodies.body import Base
+from brain.bodies.limbs import limbs
 from brain.settings import AT_RUN_TIME, keys
 from gateway.core.joint import LEAST_SHARE, Joint
 from gateway.core.robot import Robot
@@ -91,7 +92,8 @@ class Scene:
 
     def hello(self) -> Json:
         """Return what does not change: joints, buses, body, what the robot can be asked."""
-        robot, body = self.robot, self.robot.brain.body
+        robot, base = self.robot, self.robot.brain.base
+        wheels = base.joints if base is not None else ()
         return {
             "robot": robot.name,
             "mode": self.kind,
@@ -104,7 +106,7 @@ class Scene:
                     "commands": sorted(kind.__name__ for kind in motor.joint.commands(motor.spec)),
                     "requests": sorted(kind.__name__ for kind in motor.spec.requests),
                     "limits": {limit: getattr(motor.joint.limits, limit) for limit in LIMITS},
-                    "moves": "base" if isinstance(body, Base) and name in body.joints else "joint",
+                    "moves": "base" if name in wheels else "joint",
                 }
                 for name, motor in robot.motors.items()
             ],
@@ -112,7 +114,7 @@ class Scene:
                 {"name": bus.name, "kind": bus.kind, "interface": bus.interface, "bitrate": bus.bitrate}
                 for bus in robot.buses.values()
             ],
-            "base": _base(body) if isinstance(body, Base) else None,
+            "base": _base(base) if base is not None else None,
         }
 
     def settings(self) -> list[Json]:
@@ -128,10 +130,10 @@ class Scene:
                 rows.append(
                     {"key": f"{name}.limits.{limit}", "value": getattr(limits, limit), "file": most} | bounds
                 )
-        kind = robot.brain.body.kind
-        for key, value in keys(brain.settings):
+        named = limbs(robot.brain.body)
+        for key, value in brain.numbers().items():
             table, _, rest = key.partition(".")
-            way = ways.get(f"body.{rest}" if table == kind else key)
+            way = ways.get(f"body.{rest}" if table in named else key)
             if way is not None:
                 file = in_file[key]
                 bound = {"at most": {"high": file}, "at least": {"low": file}, "free": {}}[way]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from gateway.vision.camera import Detector, Image, Intrinsics, Sighting
 from gateway.vision.tags import Tags
 from gateway.vision.targets import Target
+from protocols.bounds import Invalid
 
 MOST = 16
 """Targets of one camera"""
@@ -21,10 +22,10 @@ class Detectors:
 
     def __post_init__(self) -> None:
         if not self.parts:
-            raise ValueError("tags or targets must say what to look for")
+            raise Invalid(("", "tags or targets must say what to look for"))
         numbers = [target.marker for target in self.targets]
         if len(set(numbers)) < len(numbers) or len(numbers) > MOST:
-            raise ValueError(f"targets must be at most {MOST}, each with a number of its own")
+            raise Invalid(("targets", f"targets must be at most {MOST}, each with a number of its own"))
 
     @property
     def parts(self) -> tuple[Detector, ...]:

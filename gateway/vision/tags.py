@@ -6,12 +6,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from brain.checks import within
 from gateway.vision.camera import Floats, Image, Intrinsics, Sighting, opencv
+from protocols.bounds import Bounds, check
 
 FAMILY = 587
 """Tags of the family: numbers from 0."""
@@ -32,13 +32,13 @@ LEAST_CONTRAST, LEAST_SINE, MOST_MOVED = 20.0, 0.2, 2.0
 class Tags:
     """Tags of one size."""
 
-    size: float
+    size: Annotated[float, Bounds(0.005, 5.0, "m")]
     """m, outer edge of the black border"""
-    corner_sigma: float = 0.25
+    corner_sigma: Annotated[float, Bounds(0.01, 10.0)] = 0.25
     """Pixels: standard deviation of a corner in each direction"""
 
     def __post_init__(self) -> None:
-        within(self, size=(0.005, 5.0, "m"), corner_sigma=(0.01, 10.0))
+        check(self)
 
     def detect(self, image: Image, intrinsics: Intrinsics) -> list[Sighting]:
         """Return the tags in an image. Of one whose pose is ambiguous (far, seen almost straight) the

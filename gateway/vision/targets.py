@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from brain.checks import within
 from gateway.vision.camera import Image, Intrinsics, Sighting, opencv
+from protocols.bounds import Bounds, check
 
 ROUND = 0.75
 """Least share of its surrounding circle that a ball covers: less is partly hidden, or no ball."""
@@ -20,31 +21,22 @@ SMALLEST = 3.0
 class Target:
     """A ball of one colour, alone of its colour in sight: of several the largest is taken."""
 
-    marker: int
+    marker: Annotated[int, Bounds(0, 1_000_000)]
     """The number under which it is reported"""
-    diameter: float
-    hue: float
+    diameter: Annotated[float, Bounds(0.005, 5.0, "m")]
+    hue: Annotated[float, Bounds(0.0, 360.0, "degrees")]
     """0 is red, 120 green, 240 blue"""
-    hue_width: float = 15.0
+    hue_width: Annotated[float, Bounds(1.0, 90.0, "degrees")] = 15.0
     """To either side"""
-    saturation: float = 0.5
+    saturation: Annotated[float, Bounds(0.0, 1.0)] = 0.5
     """At least"""
-    brightness: float = 0.15
+    brightness: Annotated[float, Bounds(0.0, 1.0)] = 0.15
     """At least"""
-    edge_sigma: float = 0.5
+    edge_sigma: Annotated[float, Bounds(0.01, 10.0)] = 0.5
     """Pixels: standard deviation of its radius and of its middle"""
 
     def __post_init__(self) -> None:
-        within(
-            self,
-            marker=(0, 1_000_000),
-            diameter=(0.005, 5.0, "m"),
-            hue=(0.0, 360.0, "degrees"),
-            hue_width=(1.0, 90.0, "degrees"),
-            saturation=(0.0, 1.0),
-            brightness=(0.0, 1.0),
-            edge_sigma=(0.01, 10.0),
-        )
+        check(self)
 
     def detect(self, image: Image, intrinsics: Intrinsics) -> list[Sighting]:
         """Return the ball, if it is whole in the image."""

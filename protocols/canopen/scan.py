@@ -26,7 +26,7 @@ IDENTITY: tuple[Key, ...] = (o.DEVICE_TYPE, o.VENDOR_ID, o.PRODUCT_CODE, o.SERIA
 
 
 @dataclass(slots=True)
-class Scan:
+class NodeScan:
     """One scan. Plain data."""
 
     skipped: Collection[int]

@@ -13,6 +13,7 @@ from dataclasses import replace
 from typing import Literal
 
 from protocols import messages as msg
+from protocols.bounds import Invalid
 from protocols.canopen import names
 from protocols.canopen import objects as co
 from protocols.canopen import services as cs
@@ -157,9 +158,10 @@ def spec(device: Device) -> Spec:
     if not isinstance(options, Options) or not isinstance(settings, Settings):
         raise TypeError("a cia402 device takes cia402's Options and Settings")
     if not 1 <= node <= cs.MAX_NODE:
-        raise ValueError(f"address {node} of {device.name}: a node id is 1 to {cs.MAX_NODE}")
+        raise Invalid(("address", f"address {node} of {device.name}: a node id is 1 to {cs.MAX_NODE}"))
     if node == options.host_id:
-        raise ValueError(f"address {node} of {device.name} is the host's own node id: set host_id to another")
+        text = f"address {node} of {device.name} is the host's own node id: set host_id to another"
+        raise Invalid(("address", text))
     able = {
         kind
         for kind, families in FAMILIES.items()
@@ -231,5 +233,5 @@ plugin = Plugin(
     decoder=Cia402Decoder,
     twin=Cia402Twin,
     messages=names.messages,
-    vectors=("gateway.fixtures", "vectors/cia402.json"),
+    vectors=("protocols.cia402", "vectors.json"),
 )

@@ -17,11 +17,12 @@ from protocols.canopen import services as cs
 from protocols.canopen.client import DOUBLED, Job, Outcome, Purpose
 from protocols.canopen.master import Master
 from protocols.canopen.objects import Type, to_bytes
-from protocols.canopen.scan import DURATION, PERIOD, Scan, describe
+from protocols.canopen.scan import DURATION, PERIOD, NodeScan, describe
 from protocols.canopen.services import EMCY_BASE, HEARTBEAT_BASE, NODE_MASK, SDO_TX_BASE, SYNC_ID, NmtState
 from protocols.cia402 import objects as o
 from protocols.cia402 import setup
-from protocols.cia402.drive import FAULTY, Drive
+from protocols.cia402.drive import Drive
+from protocols.cia402.drive_state import FAULTY
 from protocols.cia402.faults import DUPLICATE_NODE, FAULTS, HOMING_FAILED, fault_info
 from protocols.cia402.objects import OBJECTS, SIGNATURES
 from protocols.cia402.options import Options
@@ -106,12 +107,12 @@ class Cia402Adapter(Adapter[Drive]):
         drive.take(values)
         # What neither gives torque nor rests for certain confirms no release.
         free, shown = host.phase is not Phase.RELEASING, o.STATUSWORD in values
-        if (shown and drive.rests) or (free and (shown or judged)):
-            mode = drive.mode if host.once_commanded else drive.first_mode
-        faults = drive.codes if drive.codes or host.active else None
+        if (shown and drive.judged.rests) or (free and (shown or judged)):
+            mode = drive.judged.mode if host.once_commanded else drive.judged.first_mode
+        faults = drive.reported.codes if drive.reported.codes or host.active else None
         units = drive.known.units
         measured = None if units is None else feedback(host.name, t, values, units)
-        return Report(host, host.address, mode, drive.detail, faults, measured, **others)
+        return Report(host, host.address, mode, drive.judged.detail, faults, measured, **others)
 
     def _on_sdo(self, t: Nanos, host: DriveHost, frame: CanFrame) -> DriveReport | Rx:
         drive, response = host.own, sdo.decode_response(frame.data)
@@ -130,7 +131,7 @@ class Cia402Adapter(Adapter[Drive]):
         if serial is not None and known not in (None, serial):
             drive.forget(t)
             host.forget(t)
-            return Report(host, host.address, drive.mode, "another device responds", **others)
+            return Report(host, host.address, drive.judged.mode, "another device responds", **others)
         note = drive.describe() if serial is not None else ""
         judged = outcome.job.purpose is Purpose.STARTUP
         return self._report(t, host, values, judged=judged, note=note, events=drive.take_events(), **others)
@@ -139,16 +140,16 @@ class Cia402Adapter(Adapter[Drive]):
         drive = host.own
         match cs.decode(frame):
             case cs.Heartbeat(_, NmtState.INITIALISING):
-                again = host.received_at is not None and (drive.reports > 0 or host.owned)
+                again = host.received_at is not None and (drive.reported.reports > 0 or host.owned)
                 drive.on_boot(t)
                 host.forget(t)
-                detail = "restarted" if again else drive.detail
-                return Report(host, host.address, drive.mode, detail, content=NmtState.INITIALISING)
+                detail = "restarted" if again else drive.judged.detail
+                return Report(host, host.address, drive.judged.mode, detail, content=NmtState.INITIALISING)
             case cs.Heartbeat(_, state):
-                return Report(host, host.address, duplicate=drive.on_heartbeat(t, state))
+                return Report(host, host.address, duplicate=drive.nmt.on_heartbeat(t, state))
             case cs.Emcy(_, code):
-                drive.on_emcy(code)
-                return Report(host, host.address, faults=drive.codes)
+                drive.reported.on_emcy(code)
+                return Report(host, host.address, faults=drive.reported.codes)
         return Rx.MALFORMED
 
     def _on_stranger(self, t: Nanos, frame: CanFrame, driver: Cia402Driver) -> DriveReport | Rx:
@@ -160,7 +161,7 @@ class Cia402Adapter(Adapter[Drive]):
             return Report(None, 0, events=found) if found else Rx.EXPECTED
         for pending in driver.queue.waiting:
             if isinstance(pending.request, msg.Scan) and frame.id & ~NODE_MASK == SDO_TX_BASE:
-                scan: Scan = pending.notes["scan"]
+                scan: NodeScan = pending.notes["scan"]
                 if scan.receive(frame.id & NODE_MASK, sdo.decode_response(frame.data)):
                     return Rx.EXPECTED
         return Rx.IGNORED
@@ -231,7 +232,7 @@ class Cia402Adapter(Adapter[Drive]):
                 return "set node ids with switches or the maker's tool (LSS is not supported)"
             if driver.scanning():
                 return "a scan is under way"
-            notes = {"scan": Scan(tuple(driver.at))}
+            notes = {"scan": NodeScan(tuple(driver.at))}
             return Pending(request, request.bus, now, now + DURATION, now, None, (), PERIOD, notes)
         drive = host.own
         slow = 10 * drive.options.sdo_timeout_ms * MILLISECOND
@@ -266,14 +267,14 @@ class Cia402Adapter(Adapter[Drive]):
 
     def frames(self, now: Nanos, pending: DrivePending) -> Sequence[Frame]:
         if isinstance(pending.request, msg.Scan):
-            scan: Scan = pending.notes["scan"]
+            scan: NodeScan = pending.notes["scan"]
             return scan.frames()
         if isinstance(pending.request, msg.ClearFault) and pending.host is not None:
             pending.host.own.reset(now)
         return pending.frames
 
     def collected(self, pending: DrivePending, driver: Cia402Driver) -> Sequence[DriveReport]:
-        scan: Scan = pending.notes["scan"]
+        scan: NodeScan = pending.notes["scan"]
         reports: list[DriveReport] = []
         for host in driver.hosts.values():
             drive = host.own
@@ -290,8 +291,9 @@ class Cia402Adapter(Adapter[Drive]):
         if host is None:
             return None
         drive, shown = host.own, report.mode is not None
+        reported = drive.reported
         match pending.request:
-            case msg.ClearFault() if shown and drive.power not in (None, *FAULTY) and not drive.emcy:
+            case msg.ClearFault() if shown and reported.power not in (None, *FAULTY) and not reported.emcy:
                 drive.cleared()
                 return pending.done(t)
             case msg.Estop() if shown and not drive.stopping:

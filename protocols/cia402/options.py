@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
+from protocols.bounds import Bounds, Wrong, check
 from protocols.canopen.master import BEATS
 from protocols.canopen.services import MAX_NODE
-from protocols.toolkit.options import bounded, check_bounds
 from protocols.toolkit.table import FLOAT_MAX
 
 
@@ -24,31 +24,31 @@ class Options:
     mapping: Literal["auto", "keep"] = "auto"
     """The PDO mapping that the drive has: "auto": read, kept if it fits, else rewritten; "keep": read and
     never written; what it lacks is transferred by SDO."""
-    sync_ms: int = bounded(10, 0, 1000)
+    sync_ms: Annotated[int, Bounds(0, 1000)] = 10
     """Period of the SYNC that this host produces while it commands a drive; 0: another producer does. The
     same for all drives of one bus."""
-    feedback_ms: int = bounded(10, 1, 1000)
+    feedback_ms: Annotated[int, Bounds(1, 1000)] = 10
     """Period of the drive's event timer with feedback = "event", and of polling by SDO."""
-    offline_ms: int = bounded(500, 20, 60_000)
+    offline_ms: Annotated[int, Bounds(20, 60_000)] = 500
     """Time without a frame after which the drive counts as offline. Longer than its heartbeat period."""
-    heartbeat_ms: int = bounded(100, 0, 0xFFFF)
+    heartbeat_ms: Annotated[int, Bounds(0, 0xFFFF)] = 100
     """Heartbeat producer time (1017) written to the drive if it has none; 0: never written."""
-    watchdog_ms: int = bounded(500, 0, 0xFFFF)
+    watchdog_ms: Annotated[int, Bounds(0, 0xFFFF)] = 500
     """Heartbeat consumer time (1016) for this host's heartbeat written to the drive; 0: never written."""
-    host_id: int = bounded(MAX_NODE, 1, MAX_NODE)
+    host_id: Annotated[int, Bounds(1, MAX_NODE)] = MAX_NODE
     """Node id of this host in its own heartbeat."""
-    sdo_timeout_ms: int = bounded(200, 10, 10_000)
+    sdo_timeout_ms: Annotated[int, Bounds(10, 10_000)] = 200
     """Time after which an SDO request without a response is repeated, in the end given up."""
-    state_timeout_ms: int = bounded(1000, 100, 60_000)
+    state_timeout_ms: Annotated[int, Bounds(100, 60_000)] = 1000
     """Time without progress of arming that is a fault."""
-    home_timeout_ms: int = bounded(30_000, 100, 600_000)
+    home_timeout_ms: Annotated[int, Bounds(100, 600_000)] = 30_000
     """Time without an end of homing that is a fault."""
-    rated_torque: float = bounded(0.0, 0.0, FLOAT_MAX)
+    rated_torque: Annotated[float, Bounds(0.0, FLOAT_MAX)] = 0.0
     """N·m of the motor, for drives without object 6076; 0: then they take no torque."""
-    counts_per_turn: float = bounded(0.0, 0.0, FLOAT_MAX)
+    counts_per_turn: Annotated[float, Bounds(0.0, FLOAT_MAX)] = 0.0
     """Position units per turn of the device's shaft, for drives whose 608F, 6091, 6092 and 60A8 do not define
     them; 0: then they stay unknown, and the drive is not commanded."""
-    velocity_per_turn: float = bounded(0.0, 0.0, FLOAT_MAX)
+    velocity_per_turn: Annotated[float, Bounds(0.0, FLOAT_MAX)] = 0.0
     """Velocity units per turn of the device's shaft and second (60: rpm), for drives whose 60A9 and 6096 do
     not define them; 0: then they stay unknown, and the drive takes no velocity."""
 
@@ -56,13 +56,14 @@ class Options:
         return self
 
     def __post_init__(self) -> None:
-        errors = []
+        errors: list[Wrong] = []
         if 0 < self.watchdog_ms < 2 * BEATS:
-            errors.append(f"watchdog_ms is {self.watchdog_ms}: it must be 0 or at least {2 * BEATS}")
+            text = f"watchdog_ms is {self.watchdog_ms}: it must be 0 or at least {2 * BEATS}"
+            errors.append(("watchdog_ms", text))
         names = ("heartbeat_ms", *(["feedback_ms"] if self.feedback == "event" else []))
         errors += [
-            f"offline_ms ({self.offline_ms}) must be at least twice {name}"
+            ("offline_ms", f"offline_ms ({self.offline_ms}) must be at least twice {name}")
             for name in names
             if self.offline_ms < 2 * getattr(self, name)
         ]
-        check_bounds(self, errors)
+        check(self, *errors)

@@ -146,7 +146,7 @@ class Handshake:
 
 
 @dataclass(slots=True)
-class Arrival:
+class SetpointArrival:
     """Whether set-points arrive: one that is not 0 is read back once, and must be one that was sent. Plain
     data."""
 

@@ -7,16 +7,16 @@ units, so that it can be compared with an EDS or a commissioning tool; the drive
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal
 
+from protocols.bounds import Bounds, bounds_of, check, hints
 from protocols.canopen import objects as co
 from protocols.canopen.objects import Key
 from protocols.cia402 import objects as o
 from protocols.cia402.objects import OBJECTS
 from protocols.cia402.profile import Mode, mode_bit
 from protocols.cia402.units import Units, units_of
-from protocols.toolkit.options import bounded, check_bounds
 
 NEVER_FOLLOWING = 0xFFFFFFFF
 """6065: the following error is not monitored."""
@@ -27,13 +27,20 @@ MILLI_RPM_PER_SECOND = 0xFDC00300
 ALL_MODES = sum(mode_bit(m) for m in (Mode.PP, Mode.PV, Mode.PT, Mode.HM, Mode.CSP, Mode.CSV, Mode.CST))
 
 
-def stored(key: Key, default: int, low: int | None = None, only: Sequence[int] = ()) -> int:
-    """Declare a setting that is an object: its values are those of its type, at least `low`, or `only` these;
-    the drive refuses others by SDO, too."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stored(Bounds):
+    """The bounds of a setting that is an object."""
+
+    key: Key
+    only: Sequence[int]
+    """The values that the twin supports; (): all."""
+
+
+def stored(key: Key, low: int | None = None, only: Sequence[int] = ()) -> Stored:
+    """Return the bounds of an object: its values are those of its type, at least `low`, or `only` these; the
+    drive refuses others by SDO, too."""
     type_ = OBJECTS[key].type
-    bounds = {"low": type_.low if low is None else low, "high": type_.high, "nan": ""}
-    declared: int = field(default=default, metadata=bounds | {"object": key, "only": only})
-    return declared
+    return Stored(type_.low if low is None else low, type_.high, key=key, only=only)
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,109 +48,116 @@ class Settings:
     """What is configured on the drive. Velocities are in units of 60A9, accelerations in those of 60AA."""
 
     device_name: str = "twin402"  # 1008
-    vendor_id: int = stored(co.VENDOR_ID, 0)  # 0 is assigned to no vendor
-    product_code: int = stored(co.PRODUCT_CODE, 402)
-    revision: int = stored(co.REVISION, 0x0001_0000)
-    serial_number: int = stored(co.SERIAL_NUMBER, 0)  # 0: derived from the address
-    supported_modes: int = stored(o.SUPPORTED_MODES, ALL_MODES)
+    vendor_id: Annotated[int, stored(co.VENDOR_ID)] = 0  # 0 is assigned to no vendor
+    product_code: Annotated[int, stored(co.PRODUCT_CODE)] = 402
+    revision: Annotated[int, stored(co.REVISION)] = 0x0001_0000
+    serial_number: Annotated[int, stored(co.SERIAL_NUMBER)] = 0  # 0: derived from the address
+    supported_modes: Annotated[int, stored(o.SUPPORTED_MODES)] = ALL_MODES
     lacks: str = ""
     """Objects that it does not have, as indices: "60A9 60B1"."""
 
-    encoder_increments: int = stored(o.ENCODER_INCREMENTS, 16_384, 1)  # per turn of the motor
-    gear_motor: int = stored(o.GEAR_MOTOR, 1, 1)
-    gear_shaft: int = stored(o.GEAR_SHAFT, 1, 1)
-    feed: int = stored(o.FEED, 0)
+    encoder_increments: Annotated[int, stored(o.ENCODER_INCREMENTS, 1)] = 16_384  # per turn of the motor
+    gear_motor: Annotated[int, stored(o.GEAR_MOTOR, 1)] = 1
+    gear_shaft: Annotated[int, stored(o.GEAR_SHAFT, 1)] = 1
+    feed: Annotated[int, stored(o.FEED)] = 0
     """position units per `feed_shaft` turns of the shaft; 0: positions are encoder increments"""
-    feed_shaft: int = stored(o.FEED_SHAFT, 1, 1)
-    position_unit: int = stored(o.POSITION_UNIT, 0)  # 0: as `feed` has it
-    velocity_unit: int = stored(o.VELOCITY_UNIT, MILLI_RPM)  # 0: position units per second times the factor
-    velocity_numerator: int = stored(o.VELOCITY_NUMERATOR, 1)
-    velocity_divisor: int = stored(o.VELOCITY_DIVISOR, 1, 1)
-    acceleration_unit: int = stored(o.ACCELERATION_UNIT, MILLI_RPM_PER_SECOND)
+    feed_shaft: Annotated[int, stored(o.FEED_SHAFT, 1)] = 1
+    position_unit: Annotated[int, stored(o.POSITION_UNIT)] = 0  # 0: as `feed` has it
+    velocity_unit: Annotated[int, stored(o.VELOCITY_UNIT)] = MILLI_RPM
+    """0: position units per second times the factor"""
+    velocity_numerator: Annotated[int, stored(o.VELOCITY_NUMERATOR)] = 1
+    velocity_divisor: Annotated[int, stored(o.VELOCITY_DIVISOR, 1)] = 1
+    acceleration_unit: Annotated[int, stored(o.ACCELERATION_UNIT)] = MILLI_RPM_PER_SECOND
     """0: velocity units per second times the factor"""
-    acceleration_numerator: int = stored(o.ACCELERATION_NUMERATOR, 1, 1)
-    acceleration_divisor: int = stored(o.ACCELERATION_DIVISOR, 1, 1)
-    rated_torque: int = stored(o.RATED_TORQUE, 1000, 1)  # mN·m of the motor
-    rated_current: int = stored(o.RATED_CURRENT, 5000, 1)  # mA
-    max_torque: int = stored(o.MAX_TORQUE, 3000)  # ‰
-    max_motor_speed: int = stored(o.MAX_MOTOR_SPEED, 6000, 1)  # rpm of the motor
-    max_profile_velocity: int = stored(o.MAX_PROFILE_VELOCITY, 0xFFFFFFFF, 1)
-    profile_velocity: int = stored(o.PROFILE_VELOCITY, 400_000, 1)
-    profile_acceleration: int = stored(o.PROFILE_ACCELERATION, 4_000_000, 1)
-    profile_deceleration: int = stored(o.PROFILE_DECELERATION, 4_000_000, 1)
-    quick_stop_deceleration: int = stored(o.QUICK_STOP_DECELERATION, 8_000_000, 1)
-    torque_slope: int = stored(o.TORQUE_SLOPE, 10_000, 1)  # ‰ per second
-    following_window: int = stored(o.FOLLOWING_WINDOW, NEVER_FOLLOWING)
-    following_time: int = stored(o.FOLLOWING_TIME, 10)  # ms
-    position_window: int = stored(o.POSITION_WINDOW, 50)
-    position_window_time: int = stored(o.POSITION_WINDOW_TIME, 5)  # ms
-    velocity_window: int = stored(o.VELOCITY_WINDOW, 2000)
-    velocity_window_time: int = stored(o.VELOCITY_WINDOW_TIME, 5)  # ms
-    velocity_threshold: int = stored(o.VELOCITY_THRESHOLD, 800)  # below it the shaft is at standstill
-    soft_limit_low: int = stored(o.SOFT_LIMIT_LOW, 0)  # both 0: no limits
-    soft_limit_high: int = stored(o.SOFT_LIMIT_HIGH, 0)
-    home_offset: int = stored(o.HOME_OFFSET, 0)
-    homing_method: int = stored(o.HOMING_METHOD, 35, only=(33, 34, 35, 37))
+    acceleration_numerator: Annotated[int, stored(o.ACCELERATION_NUMERATOR, 1)] = 1
+    acceleration_divisor: Annotated[int, stored(o.ACCELERATION_DIVISOR, 1)] = 1
+    rated_torque: Annotated[int, stored(o.RATED_TORQUE, 1)] = 1000  # mN·m of the motor
+    rated_current: Annotated[int, stored(o.RATED_CURRENT, 1)] = 5000  # mA
+    max_torque: Annotated[int, stored(o.MAX_TORQUE)] = 3000  # ‰
+    max_motor_speed: Annotated[int, stored(o.MAX_MOTOR_SPEED, 1)] = 6000  # rpm of the motor
+    max_profile_velocity: Annotated[int, stored(o.MAX_PROFILE_VELOCITY, 1)] = 0xFFFFFFFF
+    profile_velocity: Annotated[int, stored(o.PROFILE_VELOCITY, 1)] = 400_000
+    profile_acceleration: Annotated[int, stored(o.PROFILE_ACCELERATION, 1)] = 4_000_000
+    profile_deceleration: Annotated[int, stored(o.PROFILE_DECELERATION, 1)] = 4_000_000
+    quick_stop_deceleration: Annotated[int, stored(o.QUICK_STOP_DECELERATION, 1)] = 8_000_000
+    torque_slope: Annotated[int, stored(o.TORQUE_SLOPE, 1)] = 10_000  # ‰ per second
+    following_window: Annotated[int, stored(o.FOLLOWING_WINDOW)] = NEVER_FOLLOWING
+    following_time: Annotated[int, stored(o.FOLLOWING_TIME)] = 10  # ms
+    position_window: Annotated[int, stored(o.POSITION_WINDOW)] = 50
+    position_window_time: Annotated[int, stored(o.POSITION_WINDOW_TIME)] = 5  # ms
+    velocity_window: Annotated[int, stored(o.VELOCITY_WINDOW)] = 2000
+    velocity_window_time: Annotated[int, stored(o.VELOCITY_WINDOW_TIME)] = 5  # ms
+    velocity_threshold: Annotated[int, stored(o.VELOCITY_THRESHOLD)] = 800
+    """below it the shaft is at standstill"""
+    soft_limit_low: Annotated[int, stored(o.SOFT_LIMIT_LOW)] = 0  # both 0: no limits
+    soft_limit_high: Annotated[int, stored(o.SOFT_LIMIT_HIGH)] = 0
+    home_offset: Annotated[int, stored(o.HOME_OFFSET)] = 0
+    homing_method: Annotated[int, stored(o.HOMING_METHOD, only=(33, 34, 35, 37))] = 35
     """35 or 37: the present position; 33 or 34: the encoder's index; it has no switches"""
-    homing_speed: int = stored(o.HOMING_SPEED_ZERO, 40_000, 1)
-    homing_acceleration: int = stored(o.HOMING_ACCELERATION, 4_000_000, 1)
-    interpolation_ms: int = stored(o.INTERPOLATION_VALUE, 0)
+    homing_speed: Annotated[int, stored(o.HOMING_SPEED_ZERO, 1)] = 40_000
+    homing_acceleration: Annotated[int, stored(o.HOMING_ACCELERATION, 1)] = 4_000_000
+    interpolation_ms: Annotated[int, stored(o.INTERPOLATION_VALUE)] = 0
     """time in which a new cyclic set-point is reached; 0: at once"""
-    digital_inputs: int = stored(o.DIGITAL_INPUTS, 0)
+    digital_inputs: Annotated[int, stored(o.DIGITAL_INPUTS)] = 0
 
-    quick_stop_option: int = stored(o.QUICK_STOP_OPTION, 2, only=(0, 1, 2, 3, 5, 6, 7))
+    quick_stop_option: Annotated[int, stored(o.QUICK_STOP_OPTION, only=(0, 1, 2, 3, 5, 6, 7))] = 2
     """0 no torque; 1, 2, 3 slow down (6084, 6085, at the current limit), then no torque; 5, 6, 7 the same,
     and hold"""
-    shutdown_option: int = stored(o.SHUTDOWN_OPTION, 0, only=(0, 1))  # 0 no torque, 1 slow down first
-    disable_option: int = stored(o.DISABLE_OPTION, 0, only=(0, 1))  # 0 no torque, 1 slow down first
-    halt_option: int = stored(o.HALT_OPTION, 1, only=(1, 2, 3))  # slow down, as for a quick stop
-    fault_option: int = stored(o.FAULT_OPTION, 0, only=(0, 1, 2, 3))  # the same; 0 no torque
-    abort_connection: int = stored(o.ABORT_CONNECTION, 1, only=(0, 1, 2, 3))
+    shutdown_option: Annotated[int, stored(o.SHUTDOWN_OPTION, only=(0, 1))] = 0
+    """0 no torque, 1 slow down first"""
+    disable_option: Annotated[int, stored(o.DISABLE_OPTION, only=(0, 1))] = 0
+    """0 no torque, 1 slow down first"""
+    halt_option: Annotated[int, stored(o.HALT_OPTION, only=(1, 2, 3))] = 1  # slow down, as for a quick stop
+    fault_option: Annotated[int, stored(o.FAULT_OPTION, only=(0, 1, 2, 3))] = 0  # the same; 0 no torque
+    abort_connection: Annotated[int, stored(o.ABORT_CONNECTION, only=(0, 1, 2, 3))] = 1
     """when the host's heartbeat is lost: 0 nothing, 1 fault, 2 disable voltage, 3 quick stop"""
-    error_behaviour: int = stored(co.ERROR_BEHAVIOUR, 0, only=(0, 1, 2))
+    error_behaviour: Annotated[int, stored(co.ERROR_BEHAVIOUR, only=(0, 1, 2))] = 0
     """when the host's heartbeat is lost: 0 NMT pre-operational, 1 no change, 2 NMT stopped"""
-    heartbeat_producer: int = stored(co.PRODUCER_HEARTBEAT, 100)  # ms; 0: none
-    heartbeat_consumer: int = stored(co.CONSUMER_HEARTBEAT, 0)
+    heartbeat_producer: Annotated[int, stored(co.PRODUCER_HEARTBEAT)] = 100  # ms; 0: none
+    heartbeat_consumer: Annotated[int, stored(co.CONSUMER_HEARTBEAT)] = 0
     """node << 16 | ms; 0: a lost host is not noticed"""
     pdos: Literal["none", "usual"] = "none"
     """How its PDOs are configured at power-on: all disabled, or a usual mapping on SYNC."""
 
-    position_gain: float = bounded(15.0, 0.0, 1e6)  # 1/s; like all that follows not in the dictionary
-    velocity_gain: float = bounded(0.1, 0.0, 1e6)  # N·m·s/rad at the device's shaft
-    velocity_integral: float = bounded(0.2, 0.0, 1e6)  # N·m/rad
-    torque_bandwidth: float = bounded(1000.0, 1e-3, 1e6)  # rad/s of the current loop
-    velocity_bandwidth: float = bounded(1000.0, 1e-3, 1e6)  # rad/s of the velocity filter
-    dc_voltage: float = bounded(48.0, 1e-3, 1e6)  # V
-    sdo_delay_ms: int = bounded(0, 0, 60_000)
+    position_gain: Annotated[float, Bounds(0.0, 1e6)] = 15.0
+    """1/s; like all that follows not in the dictionary"""
+    velocity_gain: Annotated[float, Bounds(0.0, 1e6)] = 0.1  # N·m·s/rad at the device's shaft
+    velocity_integral: Annotated[float, Bounds(0.0, 1e6)] = 0.2  # N·m/rad
+    torque_bandwidth: Annotated[float, Bounds(1e-3, 1e6)] = 1000.0  # rad/s of the current loop
+    velocity_bandwidth: Annotated[float, Bounds(1e-3, 1e6)] = 1000.0  # rad/s of the velocity filter
+    dc_voltage: Annotated[float, Bounds(1e-3, 1e6)] = 48.0  # V
+    sdo_delay_ms: Annotated[int, Bounds(0, 60_000)] = 0
     """Time in which it serves an SDO request, one after the other; 0: at its next cycle."""
-    sdo_waiting: int = bounded(100, 0, 1000)  # requests that wait while it serves one; others are lost
-    boot_ms: int = bounded(300, 0, 60_000)  # without communication after a reset
+    sdo_waiting: Annotated[int, Bounds(0, 1000)] = 100
+    """requests that wait while it serves one; others are lost"""
+    boot_ms: Annotated[int, Bounds(0, 60_000)] = 300  # without communication after a reset
 
     def __deepcopy__(self, _: dict[int, object]) -> Settings:
         return self
 
     def __post_init__(self) -> None:
         others = [
-            f"{name} is {getattr(self, name)}: the twin supports {ONLY[key]}"
+            (name, f"{name} is {getattr(self, name)}: the twin supports {ONLY[key]}")
             for name, key in SETTING_OBJECTS.items()
             if key in ONLY and getattr(self, name) not in ONLY[key]
         ]
         if self.soft_limit_low > self.soft_limit_high:
-            others.append("soft_limit_low must not be above soft_limit_high")
+            others.append(("soft_limit_low", "soft_limit_low must not be above soft_limit_high"))
         if not self.device_name.isascii() or not self.device_name:
-            others.append("device_name must be ASCII text")
+            others.append(("device_name", "device_name must be ASCII text"))
         if wrong := [index for index in self.lacks.split() if co.parse(index) is None]:
-            others.append(f"lacks: {' '.join(wrong)} is no index of four hexadecimal digits")
-        check_bounds(self, others)
+            others.append(("lacks", f"lacks: {' '.join(wrong)} is no index of four hexadecimal digits"))
+        check(self, *others)
 
 
-_STORED = [each for each in fields(Settings) if "object" in each.metadata]
-SETTING_OBJECTS: dict[str, Key] = {each.name: each.metadata["object"] for each in _STORED}
+_STORED = {
+    name: bounds for name, hint in hints(Settings).items() if isinstance(bounds := bounds_of(hint), Stored)
+}
+SETTING_OBJECTS: dict[str, Key] = {name: bounds.key for name, bounds in _STORED.items()}
 """The settings that are objects of the dictionary."""
-_ROWS = [each.metadata for each in _STORED]
-ONLY: dict[Key, Sequence[int]] = {row["object"]: row["only"] for row in _ROWS if row["only"]}
+ONLY: dict[Key, Sequence[int]] = {row.key: row.only for row in _STORED.values() if row.only}
 """The values that the twin supports of an object; others are refused."""
-LOWEST: dict[Key, int] = {row["object"]: row["low"] for row in _ROWS if row["low"] > 0} | {
+LOWEST: dict[Key, int] = {row.key: int(row.least) for row in _STORED.values() if row.least > 0} | {
     o.ENCODER_REVOLUTIONS: 1,
     o.HOMING_SPEED_SWITCH: 1,
 }

@@ -163,14 +163,15 @@ def check(
     addresses: tuple[int, int, int] | None = None,
     clauses: Sequence[Clause] = CLAUSES,
     options: Sequence[object] = (),
+    brief: bool = False,
 ) -> tuple[Result, ...]:
     """Check each clause on a plugin. Never raises, whatever the plugin does.
 
     `addresses` are those of two devices of one driver and of a stranger; None: see `addresses_of`.
-    `options` are those that it is checked with; (): each of `variants`."""
-    cases = [
-        Case(plugin, each, seed, addresses or addresses_of(plugin)) for each in options or variants(plugin)
-    ]
+    `options` are those that it is checked with; (): each of `variants`. `brief`: a sample of the trials of
+    each clause is made, as a test that runs often."""
+    places = addresses or addresses_of(plugin)
+    cases = [Case(plugin, each, seed, places, brief) for each in options or variants(plugin)]
     return tuple(_check(clause, cases) for clause in clauses)
 
 

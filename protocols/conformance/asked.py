@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from protocols import messages as msg
 from protocols.asked import Asked, Reported
 from protocols.conformance import bench as tools
-from protocols.conformance.bench import ALPHA, NAMES, Bench, Messages
+from protocols.conformance.bench import ALPHA, Bench, Messages
 from protocols.conformance.case import Case, Failure, Inapplicable
 from protocols.conformance.fault_injection import moving, resting
 from protocols.frames import CanFrame, Frame, any_matches, malformed
@@ -92,7 +92,7 @@ def only_what_was_asked(case: Case) -> None:
     """A driver sends nothing but what is read-only, commanded, asked for, or declared as set-up."""
     if not case.spec.commands and not case.spec.requests:
         raise Inapplicable("the spec lists neither commands nor requests")
-    for messages in (tools.script(case.spec, NAMES), _lively(case)):
+    for messages in (tools.script(case.spec, case.names), _lively(case)):
         bench = watched(case)
         for given in messages:
             bench.step(given)
@@ -103,7 +103,7 @@ def only_what_was_asked(case: Case) -> None:
 def watched(case: Case) -> Bench:
     """Set up alpha and beta behind a driver that is watched."""
     bench = case.start()
-    specs = dict(zip(NAMES, bench.specs, strict=True))
+    specs = dict(zip(case.names, bench.specs, strict=True))
     bench.driver = Watched(bench.driver, case.plugin.decoder(bench.devices), specs, Asked(specs), {}, {})
     return bench
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, TypeAlias, TypeVar
 
 from protocols import messages as msg
+from protocols import sensors
 from protocols.conformance.random import Random
 from protocols.frames import BusState, CanFrame, Frame
 from protocols.line import Ended, Line
@@ -229,19 +230,9 @@ def make_driver(plugin: Plugin, devices: Sequence[Device]) -> Driver:
     return OnLine(driver, Line(LINE_RATE, half_duplex="half-duplex" in kinds, slack=2 * STEP, quiet=0))
 
 
-def sensor_events(
-    sensor: str, t: Nanos, count: int
-) -> tuple[msg.Imu, msg.LaserScan, msg.Fix, msg.PoseReading, msg.Marker]:
+def sensor_events(sensor: str, t: Nanos, count: int) -> list[msg.Measurement]:
     """Return a measurement for each kind of sensor, with other numbers for each count."""
-    wave = math.sin(0.37 * count)
-    ranges = tuple(2.0 + math.sin(0.37 * count + 0.1 * beam) for beam in range(36))
-    return (
-        msg.Imu(sensor, t, (0.1 * wave, -0.2 * wave, wave), (0.3 * wave, 0.2, 9.81)),
-        msg.LaserScan(sensor, t, -math.pi, math.pi / 18, 0.1, 10.0, ranges, 1000 * (count % 7)),
-        msg.Fix(sensor, t, 48.0 + 1e-6 * wave, 11.0, 500.0 + wave, 4.0),
-        msg.PoseReading(sensor, t, wave, -wave, 0.5 * wave, 1e-4, 1e-4),
-        msg.Marker(sensor, t, count, (2.0, wave, 0.1), (0.0, 0.0, wave, 0.5), (1e-2, 1e-4), 1e-3),
-    )
+    return [kind.sample(sensor, t, count) for kind in sensors.kinds().by_type.values()]
 
 
 # -- wrappers, put between driver and twins to disturb them ----------------------------------------------

@@ -42,10 +42,17 @@ class Case:
     seed: int
     addresses: tuple[int, int, int]
     """Of alpha and beta, which have one driver, and of a stranger, which it does not know."""
+    brief: bool = False
+    """A sample of the trials is made with the default options, too."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Alpha and beta; alpha alone, where a line has one device, since nothing on it is addressed."""
+        return NAMES[: len(set(self.addresses[:2]))]
 
     def start(self) -> Bench:
         """Set up alpha and beta as delivered."""
-        return tools.make_bench(self.plugin, self.options, self.addresses[:2], NAMES)
+        return tools.make_bench(self.plugin, self.options, self.addresses[: len(self.names)], self.names)
 
     def stranger(self) -> Bench:
         """Set up a third device with a driver of its own."""
@@ -91,7 +98,7 @@ class Case:
     def baseline(self) -> tuple[StepResult, ...]:
         """The steps of the whole `script`, on a bus without faults."""
         bench = self.start()
-        return tuple(bench.step(messages) for messages in tools.script(self.spec, NAMES))
+        return tuple(bench.step(messages) for messages in tools.script(self.spec, self.names))
 
     @property
     def default(self) -> bool:
@@ -128,11 +135,11 @@ class Case:
 
     def share(self, count: int) -> int:
         """Return `count`, or a quarter of it with other options: these seldom make another device."""
-        return count if self.whole else -(-count // 4)
+        return count if self.whole and not self.brief else -(-count // 4)
 
     def sample(self, items: Sequence[T]) -> list[T]:
         """Return all of these, or with other options one in `SAMPLE` of them, chosen by the seed."""
-        if self.whole:
+        if self.whole and not self.brief:
             return list(items)
         first = crc32(f"{self.seed} {self.options}".encode()) % SAMPLE
         return list(items[first::SAMPLE]) or list(items[:1])
@@ -196,7 +203,8 @@ def valid(default: Any, changes: Iterable[dict[str, object]]) -> Iterator[Any]: 
 
 
 def addresses_of(plugin: Plugin) -> tuple[int, int, int]:
-    """Return three addresses that its devices can have: 1, 2 and 3, or else the lowest."""
+    """Return three addresses that its devices can have: 1, 2 and 3, or else the lowest. If there is only one,
+    it is given twice, and then one that none can have."""
     able: list[int] = []
     for address in (*tools.ADDRESSES, *range(256)):
         try:
@@ -208,6 +216,8 @@ def addresses_of(plugin: Plugin) -> tuple[int, int, int]:
         able += [address] if address not in able else []
         if len(able) == len(tools.ADDRESSES):
             break
+    if len(able) == 1:
+        return able[0], able[0], able[0] + 1
     first, second, third, *_ = *able, *(each for each in tools.ADDRESSES if each not in able)
     return first, second, third
 

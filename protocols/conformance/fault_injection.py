@@ -55,7 +55,7 @@ class Cable(tools.TwinWrapper):
 
 
 @dataclass(slots=True)
-class Host(tools.DriverWrapper):
+class FaultyHost(tools.DriverWrapper):
     """The driver in a host that may stop, be lazy, receive its own frames, or share the bus with another."""
 
     alive: bool = True
@@ -98,7 +98,7 @@ class Rig:
     """A bench whose cables and host can fail, with a log."""
 
     bench: Bench
-    host: Host
+    host: FaultyHost
     cables: dict[str, Cable]
     given: list[tuple[Command | Request, ...]] = field(default_factory=list)
     """The messages given to the driver: the last of each run of the same types."""
@@ -257,7 +257,7 @@ def make_rig(case: Case, count: int = 1, settings: object = None, position: floa
     """Set up the first `count` of alpha and beta with a driver, on shafts that stand at `position` [rad]."""
     bench = tools.make_bench(case.plugin, case.options, case.addresses[:count], NAMES[:count], settings)
     cables = {device.name: Cable(twin) for device, twin in zip(bench.devices, bench.twins, strict=True)}
-    host = Host(bench.driver)
+    host = FaultyHost(bench.driver)
     bench.driver, bench.twins = host, list(cables.values())
     for shaft in bench.shafts.values():
         shaft.position, shaft.friction = position, 0.01
@@ -267,7 +267,7 @@ def make_rig(case: Case, count: int = 1, settings: object = None, position: floa
 def takeover(case: Case, before: Rig) -> Rig:
     """Return a rig with the same devices, and a new driver that knows nothing of them."""
     bench = replace(before.bench, modes={})
-    host = Host(tools.make_driver(case.plugin, bench.devices))
+    host = FaultyHost(tools.make_driver(case.plugin, bench.devices))
     bench.driver = host
     return Rig(bench, host, before.cables, given=before.given)
 

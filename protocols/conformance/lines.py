@@ -1,7 +1,7 @@
 """What must hold on a serial line on which devices speak only when asked (`Spec.line`), with a true wire.
 
 Rules. The host may send and read every 100 µs, as often as a loop on a real port; the driver is asked every
-millisecond; devices answer when their answer is due, take the time of their bytes, and everybody hears
+millisecond; devices answer when their answer is due, take the time of their bytes, and everybody receives
 everybody ("asked": host and devices have a wire each). Two that send at once garble each other. Answers may
 be disturbed on their way to the host: the wire is as before, but what the host reads is not.
 """
@@ -65,7 +65,7 @@ class OnWire:
     most: int = 0
     """Exchanges that waited at once."""
     absent: set[str] = field(default_factory=set)
-    """Devices that neither hear nor answer."""
+    """Devices that neither receive nor answer."""
     stepped: dict[str, Nanos] = field(default_factory=dict)
 
     def step(self, messages: Messages = ()) -> None:
@@ -115,7 +115,7 @@ class OnWire:
     # -- the wire -------------------------------------------------------------------------------------
 
     def _run(self, until: Nanos) -> None:
-        """Let devices hear, answer and send up to a time, in order."""
+        """Let devices receive, answer and send up to a time, in order."""
         while True:
             end = min((t for wire in self.wires if (t := wire.first_end()) is not None), default=until + 1)
             at, due = min(((i, self._due(i)) for i in range(len(self.bench.twins))), key=lambda one: one[1])
@@ -216,7 +216,7 @@ def settled(case: Case) -> tuple[OnWire, list[Command]]:
 def one_sends(case: Case) -> None:
     """Of host and devices never two send at once, in any conversation."""
     wire = on_wire(case)
-    for messages in tools.script(case.spec, NAMES):
+    for messages in tools.script(case.spec, case.names):
         wire.step(messages)
         for each in wire.wires:
             for t, one, other in each.collisions:

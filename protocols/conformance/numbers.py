@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
+from protocols import sensors
 from protocols.conformance import bench as tools
 from protocols.conformance import noise
 from protocols.conformance.bench import NAMES, DriverWrapper, Messages
@@ -101,16 +102,22 @@ def _check_finite(events: Sequence[Event], frames: Sequence[Frame]) -> None:
 
 
 def _mad_sensors(sensor: str, t: Nanos, value: float) -> list[Event]:
-    imu, scan, fix, pose, marker = tools.sensor_events(sensor, t, 1)
-    return [
-        replace(imu, angular_velocity=(0.0, value, 0.0)),
-        replace(imu, linear_acceleration=(value, 0.0, 0.0)),
-        replace(scan, ranges=(1.0, value, 1.0)),
-        replace(scan, range_max=value),
-        replace(fix, altitude=value),
-        replace(pose, x=value),
-        replace(marker, position=(value, 0.0, 0.0)),
-    ]
+    """Return a reading of each kind for each of its numbers, which is this one."""
+    return _readings(sensor, t, lambda _: value, 1)
+
+
+def _readings(sensor: str, t: Nanos, number: Callable[[sensors.Quantity], float], items: int) -> list[Event]:
+    """Return a reading of each kind for each of its floats: this number, or of a tuple its first items."""
+    found: list[Event] = []
+    for kind in sensors.kinds().by_type.values():
+        sample: Any = kind.sample(sensor, t, 1)
+        for name, quantity in kind.quantities.items():
+            old, new = getattr(sample, name), number(quantity)
+            if isinstance(old, tuple):
+                found.append(replace(sample, **{name: (*[new] * items, *old[items:])}))
+            elif isinstance(old, float):
+                found.append(replace(sample, **{name: new}))
+    return found
 
 
 # -- −0.0 and denormals ----------------------------------------------------------------------------------
@@ -192,15 +199,8 @@ def _with(message: Any, name: str, number: float) -> Any:  # noqa: ANN401 -- a c
 
 
 def _tiny_sensors(sensor: str, t: Nanos, number: float) -> list[Event]:
-    imu, scan, fix, pose, marker = tools.sensor_events(sensor, t, 1)
     small = abs(number) if number else number
-    return [
-        replace(imu, angular_velocity=(0.0, number, number), linear_acceleration=(number, 0.0, 9.81)),
-        replace(scan, ranges=(1.0, small, 1.0), angle_min=number),
-        replace(fix, longitude=number, altitude=number),
-        replace(pose, y=number, yaw=number),
-        replace(marker, position=(1.0, number, number)),
-    ]
+    return _readings(sensor, t, lambda quantity: small if quantity.low >= 0.0 else number, 2)
 
 
 def _check_normal(events: Sequence[Event], frames: Sequence[Frame]) -> None:

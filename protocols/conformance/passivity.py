@@ -37,7 +37,7 @@ def foreign_traffic_changes_nothing(case: Case) -> None:
     counter = case.stranger().driver
     foreign, count, waiting = _foreign(case), 0, list[Frame]()
     ours = {frame for step in case.baseline for frame in step.down}
-    for at, messages in enumerate(tools.script(spec, NAMES)):
+    for at, messages in enumerate(tools.script(spec, case.names)):
         if spec.line != "free":  # a stranger's answer while its address is asked would be one to that
             messages = tuple(each for each in messages if not isinstance(each, Scan))
         theirs = stranger.step(_theirs(messages))
@@ -129,7 +129,7 @@ def read_only(specs: Sequence[Spec], frame: Frame) -> bool:
 
 def only_declared_frames(case: Case) -> None:
     """All frames in both directions are of the bus's kind, and of an id that the spec lists."""
-    for messages, step in zip(tools.script(case.spec, NAMES), case.baseline, strict=True):
+    for messages, step in zip(tools.script(case.spec, case.names), case.baseline, strict=True):
         for sender, frames, ids in (("driver", step.down, case.sends), ("device", step.up, case.expects)):
             for frame in frames:
                 wrong = _undeclared(case.spec, frame, ids)

@@ -12,12 +12,12 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from protocols.conformance import bench as tools
-from protocols.conformance.bench import NAMES, Bench, OnLine
+from protocols.conformance.bench import Bench, OnLine
 from protocols.conformance.case import Case, Failure, Inapplicable, all_devices, variants
 from protocols.frames import CanFrame, Frame, any_matches
 from protocols.line import Exchange
 from protocols.messages import Command, Request
-from protocols.plugin import Plugin, Spec
+from protocols.plugin import Device, Plugin, Spec
 from protocols.reference_vectors import Vector, vectors_of
 
 SOURCE = re.compile(
@@ -71,7 +71,7 @@ def _format(frame: Frame) -> tuple[bool, ...]:
 def _commanding(case: Case) -> Iterator[tuple[Frame, tuple[Command | Request, ...]]]:
     """Yield what the driver sends in the baseline that is not read-only, with the messages of its step."""
     seen = set[Frame]()
-    for messages, step in zip(tools.script(case.spec, NAMES), case.baseline, strict=True):
+    for messages, step in zip(tools.script(case.spec, case.names), case.baseline, strict=True):
         for frame in step.down:
             if frame not in seen and not all(spec.read_only(frame) for spec in _receivers(case, frame)):
                 yield frame, messages
@@ -128,17 +128,17 @@ def _vectors_to_devices_are_valid(case: Case, vectors: Sequence[Vector]) -> None
 def _vectors_from_devices_are_accepted(case: Case, vectors: Sequence[Vector]) -> None:
     """Each vector is counted as accepted by a driver with some options."""
     left = {vector.name: vector for vector in vectors}
-    every = list(variants(case.plugin))
-    unexpected = (v.name for v in vectors if not any(_senders(case, v.frame, each) for each in every))
+    every = [(options, list(all_devices(case, options))) for options in variants(case.plugin)]
+    unexpected = (v.name for v in vectors if not any(_senders(each, v.frame) for _, each in every))
     for name in sorted(unexpected):
         raise Failure(f"no device would send vector {name}: no spec expects it", (left[name].frame,))
     for apart in (False, True):  # at last each alone: an earlier one may have changed the driver
-        for options in every:
+        for options, devices in every:
             benches: dict[tuple[int, ...], Bench] = {}
             for vector in list(left.values()):
                 if apart:
                     benches.clear()
-                addresses = _senders(case, vector.frame, options)
+                addresses = _senders(devices, vector.frame)
                 if addresses and _accepted(benches, case.plugin, options, addresses, vector):
                     del left[vector.name]
         if not left:
@@ -168,12 +168,11 @@ def _accepted(
         line.answer(now, Exchange(vector.asked), vector.frame)
     else:
         driver.receive(now, vector.frame)
-    return driver.counters.accepted == before + 1
+    return driver.counters.accepted == before + vector.count
 
 
-def _senders(case: Case, frame: Frame, options: object) -> tuple[int, ...]:
-    """Return addresses of devices that may send a frame: on CAN the first whose spec expects it."""
-    devices = all_devices(case, options)
+def _senders(devices: Sequence[tuple[Device, Spec]], frame: Frame) -> tuple[int, ...]:
+    """Return addresses of those that may send a frame: on CAN the first whose spec expects it."""
     if not isinstance(frame, CanFrame):
         return tuple(device.address for device, _ in devices)[:10]
     return tuple(device.address for device, spec in devices if any_matches(spec.expects, frame))[:1]

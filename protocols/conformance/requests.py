@@ -17,6 +17,7 @@ from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from protocols import messages as msg
+from protocols import sensors
 from protocols.conformance import bench as tools
 from protocols.conformance.bench import ALPHA, NAMES, START, Bench, StepResult
 from protocols.conformance.case import Case, Failure, Inapplicable, all_devices, among, by_name
@@ -45,7 +46,9 @@ LISTED = 3
 _ANSWERS = (msg.Done, msg.Refused, msg.Parameter)
 MOTOR_REQUESTS = (msg.ClearFault, msg.Estop, msg.Zero, msg.Home, msg.Reboot)
 ALL_REQUESTS = (msg.Scan, msg.SetId, *MOTOR_REQUESTS, msg.ReadParameter, msg.WriteParameter)
-HINTS: dict[type, dict[str, Any]] = {kind: get_type_hints(kind) for kind in get_args(Message)}
+HINTS: dict[type, dict[str, Any]] = {
+    kind: get_type_hints(kind) for kind in (*get_args(Message), *(kind.message for kind in sensors.OURS))
+}
 
 
 def requests_are_answered(case: Case) -> None:
@@ -289,7 +292,7 @@ def _answer_to(bench: Bench, request: Request) -> msg.Done | msg.Refused | msg.P
 
 def ill_formed(message: Message, now: Nanos) -> str:
     """Return what is wrong with the form of a message reported or decoded at `now`, "" if nothing."""
-    hints = HINTS[type(message)]
+    hints = HINTS.get(type(message)) or get_type_hints(type(message))
     for f in fields(message):
         value = getattr(message, f.name)
         if not _fits(value, hints[f.name]):

@@ -9,9 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, replace
-from typing import Any, get_args
+from typing import Any
 
 from protocols import messages as msg
+from protocols import sensors
+from protocols.bounds import bounds_of, hints
 from protocols.conformance import bench as tools
 from protocols.conformance.bench import ALPHA, NAMES, STEP, Bench
 from protocols.conformance.case import Case, Failure, Inapplicable, alternatives, valid
@@ -253,53 +255,40 @@ def beyond_its_range_is_not_measured(case: Case) -> None:
 
 
 def _sensors_arrive(case: Case, spec: Spec, random: Random) -> None:
-    kinds = [kind for kind in get_args(msg.Measurement) if tools.numbers(kind, spec.ranges)]
+    found = sensors.kinds().by_type.values()
+    kinds = [kind for kind in found if tools.numbers(kind.message, spec.ranges)]
     if not kinds:
         raise Inapplicable("the spec has no range for any measurement")
-    bench = case.start()
+    bench, within = case.start(), 2 + 3 * (spec.feedback_period // STEP)
     for kind in kinds:
-        for values in _samples(kind, spec.ranges, random):
-            truth = [_measurement(kind, name, bench.now + STEP, values) for name in NAMES]
-            step = bench.step(truth=truth)
-            events = (*step.events, *bench.step().events)
-            for measured in truth:
-                if not any(_arrived(measured, event, spec, step.now) for event in events):
-                    reported = tuple(event for event in events if type(event) is kind)[-1:]
-                    text = f"measured {measured}, reported {reported or 'nothing'}"
-                    raise Failure(text, step.up[-2:], (measured, *reported))
+        for values in case.sample(list(_samples(kind.message, spec.ranges, random))):
+            missing, last = set(case.names), list[Event]()
+            for _ in range(within):
+                truth = [sensors.shaped(kind, name, bench.now + STEP, values) for name in case.names]
+                step = bench.step(truth=truth)
+                reported = [event for event in step.events if type(event) is kind.message]
+                missing -= {
+                    e.sensor for e in truth for event in reported if _arrived(kind, e, event, spec, step.now)
+                }
+                last = list(reported[-1:]) or last
+                if not missing:
+                    break
+            else:
+                text = f"measured {truth[0]}, reported {last or 'nothing'} within {within} ms"
+                raise Failure(text, step.up[-2:], (truth[0], *last))
 
 
-def _measurement(kind: type[msg.Measurement], sensor: str, t: Nanos, values: dict[str, float]) -> Event:
-    get = values.get
-    if kind is msg.Imu:
-        rate, push = get("angular_velocity", 0.0), get("linear_acceleration", 0.0)
-        turned = get("orientation")
-        still = None if turned is None else (turned, 0.0, 0.0, turned)
-        return msg.Imu(sensor, t, (rate, 0.0, -rate), (0.0, push, push), still)
-    if kind is msg.LaserScan:
-        near = get("ranges", 0.0)
-        head = [get(n, 0.0) for n in ("angle_min", "angle_increment", "range_min", "range_max")]
-        ranges, duration = (near, 0.5 * near, near), round(get("duration", 0.0))
-        return msg.LaserScan(sensor, t, head[0], head[1], head[2], head[3], ranges, duration)
-    if kind is msg.PoseReading:
-        at = get("x", 0.0), get("y", 0.0)
-        return msg.PoseReading(sensor, t, *at, get("yaw"), get("variance"), get("yaw_variance"))
-    if kind is msg.Marker:
-        put, turned, unsure = get("position", 0.0), get("orientation"), get("variance")
-        return msg.Marker(
-            sensor,
-            t,
-            7,
-            (put, -put, put),
-            None if turned is None else (turned, 0.0, 0.0, turned),
-            None if unsure is None else (unsure, 0.5 * unsure),
-            get("turn_variance"),
-        )
-    return msg.Fix(sensor, t, get("latitude", 0.0), get("longitude", 0.0), get("altitude"), get("variance"))
-
-
-def _arrived(measured: Event, reported: Event, spec: Spec, now: Nanos) -> bool:
-    return tools.same(measured, reported, spec.ranges) and now - 1000 * STEP <= reported.t <= now + STEP
+def _arrived(
+    kind: sensors.SensorKind, true: msg.Measurement, reported: msg.Measurement, spec: Spec, now: Nanos
+) -> bool:
+    """True if this reading is reported as it was measured: exactly, or as by a device that measures at
+    places of its own."""
+    if not now - 1000 * STEP <= reported.t <= now + STEP or true.sensor != reported.sensor:
+        return False
+    named = tools.numbers(kind.message, spec.ranges)
+    if kind.agrees is None or len(named) == len(kind.quantities):
+        return tools.same(true, reported, spec.ranges)
+    return kind.agrees(true, reported, max(spec.ranges[key].resolution for _, key in named))
 
 
 # -- scales ----------------------------------------------------------------------------------------------
@@ -328,7 +317,8 @@ def _other_scales(options: Any) -> Iterator[dict[str, object]]:  # noqa: ANN401 
     for each in fields(options):
         value = getattr(options, each.name)
         if isinstance(value, int | float) and not isinstance(value, bool):
-            other = 2 * value if 2 * value <= each.metadata.get("high", math.inf) else value / 2
+            bounds = bounds_of(hints(type(options))[each.name])
+            other = 2 * value if bounds is None or bounds.admit(2 * value) else value / 2
             yield {each.name: type(value)(other)}
 
 
@@ -342,9 +332,9 @@ def _conversation(case: Case) -> list[tuple[tools.Messages, tools.StepResult]]:
         numbers = [name for name, _ in tools.numbers(kind, spec.ranges)]
         for at in range(tools.ARMING):
             values = dict.fromkeys(numbers, 0.1 * math.sin(0.1 * at))
-            messages = [tools.build(kind, name, spec.ranges, values) for name in NAMES]
+            messages = [tools.build(kind, name, spec.ranges, values) for name in case.names]
             steps.append((messages, bench.step(messages)))
-            armed = all(bench.modes.get(name, Mode.ARMED) is Mode.ARMED for name in NAMES)
+            armed = all(bench.modes.get(name, Mode.ARMED) is Mode.ARMED for name in case.names)
             if armed and at > SCALED:
                 break
     return steps or [((), step) for step in bench.steps(SCALED)]
@@ -354,7 +344,8 @@ def _meant(
     case: Case, options: object, steps: Sequence[tuple[tools.Messages, tools.StepResult]]
 ) -> dict[str, dict[Nanos, float]]:
     """Return the numbers in the frames of a conversation, as these options read them, by name and time."""
-    bench = tools.make_bench(case.plugin, options, case.addresses[:2], NAMES)
+    names = case.names
+    bench = tools.make_bench(case.plugin, options, case.addresses[: len(names)], names)
     meant: dict[str, dict[Nanos, float]] = {}
     up: Sequence[Frame] = ()
     for messages, step in steps:

@@ -107,7 +107,7 @@ def _arms_still(rig: Rig, spec: Spec, kind: type[Command], when: str) -> None:
     shaft = rig.bench.shafts[ALPHA]
     place = shaft.position
     command = resting(kind, spec, ALPHA, rig.place())
-    # A device that restarts to be cleared counts whole turns anew: it has said where it is.
+    # A device that restarts to be cleared counts whole turns anew: it has reported where it is.
     anew = round((rig.place() - place) / math.tau) * math.tau if when == CLEARED else 0.0
     jump: list[tuple[str, StepResult, Messages]] = []
     pushed = 0

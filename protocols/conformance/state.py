@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 from protocols.conformance import bench as tools
-from protocols.conformance.bench import NAMES, Bench
+from protocols.conformance.bench import Bench
 from protocols.conformance.case import Case, Failure, difference
 from protocols.conformance.random import Random
 from protocols.frames import BusState
@@ -40,7 +40,7 @@ def _compare(case: Case, other: Bench, this: str, that: str) -> None:
     if case.spec.bus == "serial":
         one.splitting, other.splitting = case.random(), case.random()
     states = [BusState.PASSIVE, BusState.UP, BusState.FULL, BusState.UP, BusState.OFF, BusState.BACK]
-    for at, messages in enumerate(tools.script(case.spec, NAMES)):
+    for at, messages in enumerate(tools.script(case.spec, case.names)):
         if at % 97 == 96:
             for bench in (one, other):
                 bench.driver.bus(bench.now, states[at // 97 % len(states)])

@@ -1,6 +1,6 @@
 """The states in which bytes may meet a plugin: every phase of a driver, its devices' too, requests under way.
 
-Rules. What the driver is told in a state goes on while bytes arrive. A state is used many times, each time
+Rules. What the driver is given in a state goes on while bytes arrive. A state is used many times, each time
 as a copy: what bytes have changed in one does not protect the next.
 """
 
@@ -22,7 +22,7 @@ KNOWN = 150
 ALONE = 20
 """Steps of a driver whose frames nothing answers any more."""
 LONG = 250 * MILLISECOND
-"""A step of a driver that hears nothing: in `ALONE` of them devices are offline and requests have ended."""
+"""A step of a driver that receives nothing: in `ALONE` of them devices are offline, and requests ended."""
 FAULTY = 50
 """Steps after which a fault of the device is reported."""
 READ = 4
@@ -35,7 +35,7 @@ class Situation:
 
     name: str
     bench: Bench
-    told: Messages = ()
+    given: Messages = ()
     """What the driver is given in each step."""
 
     def again(self) -> Bench:
@@ -91,14 +91,14 @@ def _requests(case: Case) -> Sequence[msg.Request]:
     return [*made, *reads] if msg.ReadParameter in kinds else made
 
 
-def _alone(bench: Bench, told: Messages, step: int = tools.STEP) -> Bench:
+def _alone(bench: Bench, given: Messages, step: int = tools.STEP) -> Bench:
     """Return a copy whose driver goes on alone: requests are given once, commands in each step."""
     bench = _copied(bench)
     bench.in_flight = ()
     for _ in range(ALONE):
         bench.now += step
-        bench.driver.send(bench.now, told)
-        told = [each for each in told if isinstance(each, msg.Command)]
+        bench.driver.send(bench.now, given)
+        given = [each for each in given if isinstance(each, msg.Command)]
     return bench
 
 

@@ -186,7 +186,7 @@ def _scan_running(case: Case) -> None:
 
 def _scan(rig: Rig, case: Case, what: str) -> None:
     """Scan until it has ended: read-only throughout, with every device found."""
-    found, told, ended = set[int](), set[int](), list[Done | Refused]()
+    found, with_serial, ended = set[int](), set[int](), list[Done | Refused]()
     messages: Messages = [Scan("bus")]
     for _ in range(SCANNED):
         step = rig.step(messages)
@@ -197,7 +197,7 @@ def _scan(rig: Rig, case: Case, what: str) -> None:
                 raise rig.failure(f"a scan of {what} sends what is not read-only", (frame,), received)
         founds = [event for event in step.events if isinstance(event, Found)]
         found |= {event.address for event in founds}
-        told |= {event.address for event in founds if event.serial is not None}
+        with_serial |= {event.address for event in founds if event.serial is not None}
         ended += [e for e in step.events if isinstance(e, Done | Refused) and e.request == Scan.__name__]
         if ended:
             break
@@ -206,7 +206,7 @@ def _scan(rig: Rig, case: Case, what: str) -> None:
     expected = set(case.addresses[: len(rig.names)])
     if missing := expected - found:
         raise rig.failure(f"a scan of {what} does not find address {min(missing)}")
-    if case.spec.tells_serial is not (told >= expected):
+    if case.spec.tells_serial is not (with_serial >= expected):
         raise rig.failure(
-            f"a scan of {what} tells the serial numbers of {len(told)} of {len(expected)} devices"
+            f"a scan of {what} tells the serial numbers of {len(with_serial)} of {len(expected)} devices"
         )

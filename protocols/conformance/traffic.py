@@ -61,7 +61,7 @@ def _take(situation: Situation, receiver: str, feed: Feed, series: Sequence[Fram
     bench = situation.again()
     for at, frame in enumerate(series):
         bench.now += STEP
-        error = _raised(feed, bench, frame, situation.told)
+        error = _raised(feed, bench, frame, situation.given)
         if error:
             raise _shortened(situation, receiver, feed, series[max(at - 7, 0) : at + 1], error)
 
@@ -72,23 +72,23 @@ def _shortened(
     """Return the failure, with the one frame that suffices, if one does."""
 
     def alone(frame: Frame) -> bool:
-        return bool(_raised(feed, situation.again(), frame, situation.told))
+        return bool(_raised(feed, situation.again(), frame, situation.given))
 
     if not alone(series[-1]):
         return Failure(f"{receiver}, {situation.name}, raises {error} at the last of these", series)
     return Failure(f"{receiver}, {situation.name}, raises {error}", (tools.shortest(series[-1], alone),))
 
 
-def _feed_driver(bench: Bench, frame: Frame, told: Messages) -> object:
+def _feed_driver(bench: Bench, frame: Frame, given: Messages) -> object:
     driver = bench.driver
-    return driver.receive(bench.now, frame), driver.send(bench.now, told), driver.due(), driver.awaits()
+    return driver.receive(bench.now, frame), driver.send(bench.now, given), driver.due(), driver.awaits()
 
 
-def _feed_decoder(bench: Bench, frame: Frame, _told: Messages) -> object:
+def _feed_decoder(bench: Bench, frame: Frame, _given: Messages) -> object:
     return bench.decoder.decode(bench.now, frame)
 
 
-def _feed_twin(bench: Bench, frame: Frame, _told: Messages) -> object:
+def _feed_twin(bench: Bench, frame: Frame, _given: Messages) -> object:
     twin = bench.twins[0]
     twin.receive(bench.now, frame)
     return twin.step(bench.now, [Feedback(NAMES[0], bench.now, 0.0, 0.0)]), twin.due()
@@ -101,9 +101,9 @@ RECEIVERS: tuple[tuple[str, Feed], ...] = (
 )
 
 
-def _raised(feed: Feed, bench: Bench, frame: Frame, told: Messages) -> str:
+def _raised(feed: Feed, bench: Bench, frame: Frame, given: Messages) -> str:
     try:
-        feed(bench, frame, told)
+        feed(bench, frame, given)
     except Exception as error:  # noqa: BLE001 -- whatever a plugin raises here is the finding
         return f"{type(error).__name__}: {error}"
     return ""
@@ -115,7 +115,7 @@ def _raised(feed: Feed, bench: Bench, frame: Frame, told: Messages) -> str:
 def frames_are_counted(case: Case) -> None:
     """Every frame is counted once, in its class; what is not accepted reports and changes nothing."""
     bench = case.start()
-    steps = [bench.step(messages) for messages in tools.script(case.spec, NAMES)]
+    steps = [bench.step(messages) for messages in tools.script(case.spec, case.names)]
     first = next((step.up for step in steps if step.up), ())
     counters = bench.driver.counters
     if counters.malformed or (first and not counters.accepted):
@@ -180,7 +180,9 @@ def _messages_are_counted(case: Case) -> None:
     if case.spec.feedback is FeedbackKind.NONE and not messages:
         raise Inapplicable("the spec's feedback is none: the devices send no messages")
     if len(messages) < 2 * TAIL:
-        raise Failure(f"in a second the devices send {len(messages)} messages: too few to test")
+        raise Failure(
+            f"in a second, or in 30 periods, the devices send {len(messages)} messages: too few to test"
+        )
     can = CanFrame(1, b"\0")
     if _received(case, [can])[1] != (0, 0, 1):
         raise Failure("a CAN frame on a serial bus is not counted as ignored", (can,))
@@ -212,10 +214,13 @@ def _is_counted_once(case: Case, messages: list[bytes], at: int, damaged: bytes,
 
 
 def _messages_of_devices(case: Case) -> list[bytes]:
-    """Return what the devices send in a second, up to 200 messages."""
-    bench = case.armed() or case.start()
-    frames = [frame for _ in range(1000) for frame in bench.step(case.prompt).up][:200]
-    return [frame for frame in frames if isinstance(frame, bytes) and frame]
+    """Return what the devices send in a second, or in 30 of their periods, up to 200 messages."""
+    bench, frames = case.armed() or case.start(), list[Frame]()
+    for at in range(max(1000, 30 * (case.spec.feedback_period // STEP))):
+        if len(frames) >= 200 or (at >= 1000 and len(frames) >= 2 * TAIL):
+            break
+        frames += bench.step(case.prompt).up
+    return [frame for frame in frames[:200] if isinstance(frame, bytes) and frame]
 
 
 def _received(case: Case, frames: Sequence[Frame]) -> Received:

@@ -10,7 +10,7 @@ from protocols.cubemars.twin import CubeMarsTwin, memory_of
 from protocols.frames import exact
 from protocols.messages import Command
 from protocols.plugin import Device, FeedbackKind, Plugin, Range, Spec, Watchdog
-from protocols.toolkit.assembly import can_motor, decoder_of, driver_of
+from protocols.toolkit.assembly import can_motor, decoder_of, driver_of, own_ramps
 
 __all__ = ["plugin"]
 
@@ -85,6 +85,7 @@ def spec(device: Device) -> Spec:
         scales=dict.fromkeys(reads, ""),
         set_up={"exit": (1.0,)} if mit else {},
         stop=(release,),
+        ramps=own_ramps(0.0 if mit else options.max_acceleration, msg.Position),
         caution=SILENT if mit and not options.sole_host else "",
     )
 
@@ -101,5 +102,5 @@ plugin = Plugin(
     decoder=decoder_of(lambda options: options.table, memory_of, spec),
     twin=CubeMarsTwin,
     messages=cm.names,
-    vectors=("gateway.fixtures", "vectors/cubemars.json"),
+    vectors=("protocols.cubemars", "vectors.json"),
 )

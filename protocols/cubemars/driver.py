@@ -36,7 +36,7 @@ ARMED = ("enter", "control")
 RESTS: Nanos = 200 * MILLISECOND
 """Time for which a motor that has left motor mode is asked for torque and gives none."""
 LEAST, LIMP = 0.02, 0.2
-"""Share of the largest torque from which on a torque can be told, and share of the torque asked for below
+"""Share of the largest torque from which on a torque can be seen, and share of the torque asked for below
 which it is none."""
 State: TypeAlias = tuple[Mode | None, str]
 UNKNOWN: State = None, ""
@@ -114,9 +114,6 @@ class CubeMarsAdapter(Adapter[Motor]):
         offline = options.offline_ms * MILLISECOND
         silent = options.mode == "mit" and not options.sole_host
         return Timing(offline, confirmations=4, only_replies=silent)
-
-    def forget(self, now: Nanos, host: Host[Motor]) -> None:
-        host.own.forget()
 
     # -- received -------------------------------------------------------------------------------------
 

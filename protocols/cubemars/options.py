@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
+from protocols.bounds import Bounds, check
 from protocols.cubemars import table as cm
 from protocols.toolkit.mit import KD_MAX, KP_MAX, ImpedanceGains, gains_of
-from protocols.toolkit.options import bounded, check_bounds
 from protocols.toolkit.table import Table
 
 # fmt: off
@@ -31,34 +31,34 @@ class Options:
     """For wheels: position is counted on by velocity beyond what the motor reports (servo ±3200°, mit the
     model's). Commands are Velocity and Torque then."""
     # -- servo mode
-    pole_pairs: int = bounded(21, 1, 100)
+    pole_pairs: Annotated[int, Bounds(1, 100)] = 21
     """Electrical revolutions in one of the rotor"""
-    gear: float = bounded(9.0, 1.0, 1000.0)
+    gear: Annotated[float, Bounds(1.0, 1000.0)] = 9.0
     """Turns of the rotor in one of the output shaft"""
-    torque_constant: float = bounded(0.82, 1e-3, 100.0)
+    torque_constant: Annotated[float, Bounds(1e-3, 100.0)] = 0.82
     """N·m/A at the output shaft. Uncertain: 0.091 · gear (AK80-9, vendor); TMotorCANControl: 1.04."""
-    max_current: float = bounded(20.0, 0.1, 60.0)
+    max_current: Annotated[float, Bounds(0.1, 60.0)] = 20.0
     """A: largest that Torque is sent as"""
-    idle_current: float = bounded(0.05, 0.01, 10.0)
+    idle_current: Annotated[float, Bounds(0.01, 10.0)] = 0.05
     """A: what is measured beyond it drives a motor that is not commanded here"""
-    max_velocity: float = bounded(5.0, 0.01, 100.0)
+    max_velocity: Annotated[float, Bounds(0.01, 100.0)] = 5.0
     """rad/s on the way to a Position"""
-    max_acceleration: float = bounded(50.0, 1.0, 150.0)
+    max_acceleration: Annotated[float, Bounds(1.0, 150.0)] = 50.0
     """rad/s² on the way to a Position"""
     # -- modes mit and mit_v3
     model: Model = "AK80-9"
     """Decides the ranges of the five numbers."""
-    stiffness: float = bounded(20.0, 0.2, KP_MAX)
+    stiffness: Annotated[float, Bounds(0.2, KP_MAX)] = 20.0
     """N·m/rad of Position and Hold"""
-    damping: float = bounded(1.0, 0.01, KD_MAX)
+    damping: Annotated[float, Bounds(0.01, KD_MAX)] = 1.0
     """N·m·s/rad of Position, Hold and Velocity"""
-    position_end: float = bounded(0.0, 0.0, 100.0)
+    position_end: Annotated[float, Bounds(0.0, 100.0)] = 0.0
     """rad; 0: the model's. These depend on the firmware: see README."""
-    velocity_end: float = bounded(0.0, 0.0, 200.0)
+    velocity_end: Annotated[float, Bounds(0.0, 200.0)] = 0.0
     """rad/s; 0: the model's"""
-    torque_end: float = bounded(0.0, 0.0, 300.0)
+    torque_end: Annotated[float, Bounds(0.0, 300.0)] = 0.0
     """N·m; 0: the model's"""
-    reply_id: int = bounded(0, 0, 0x7FF)
+    reply_id: Annotated[int, Bounds(0, 0x7FF)] = 0
     """Id of all replies. Uncertain: 0 in the published firmware, the motor's own in the vendor's manual."""
     sole_host: bool = False
     """A motor is asked where it is before its first command, too: by the frame that leaves motor mode, since
@@ -66,15 +66,16 @@ class Options:
     # -- both
     watchdog: Literal["unknown", "acknowledged"] = "unknown"
     """"acknowledged": the author of the robot file knows that none is known of the motor."""
-    feedback_ms: int = bounded(10, 1, 1000)
+    feedback_ms: Annotated[int, Bounds(1, 1000)] = 10
     """Servo: period of its reports, as set with the vendor's tool. Both: of releasing a motor that has been
     commanded, and is not."""
-    offline_ms: int = bounded(100, 20, 10_000)
+    offline_ms: Annotated[int, Bounds(20, 10_000)] = 100
     """Time without a frame after which the motor is offline."""
 
     def __post_init__(self) -> None:
         unknown = f"no {self.model} is known in mode {self.mode}: one of {', '.join(self._models)}"
-        check_bounds(self, (unknown if self.mode != "servo" and self.model not in self._models else "",))
+        known = self.mode == "servo" or self.model in self._models
+        check(self, ("model", "" if known else unknown))
 
     @property
     def _models(self) -> Mapping[str, tuple[float, float, float]]:
@@ -121,10 +122,10 @@ class Options:
 class Settings:
     """The motor in simulation; mode and model are those of the options."""
 
-    temperature: int = bounded(30, -20, 120)
+    temperature: Annotated[int, Bounds(-20, 120)] = 30
     """°C"""
-    supply: float = bounded(24.0, 5.0, 100.0)
+    supply: Annotated[float, Bounds(5.0, 100.0)] = 24.0
     """V: how fast a duty cycle turns it"""
 
     def __post_init__(self) -> None:
-        check_bounds(self)
+        check(self)

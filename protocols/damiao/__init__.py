@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from protocols import messages as msg
+from protocols.bounds import Invalid
 from protocols.damiao.driver import DamiaoAdapter
 from protocols.damiao.options import REGISTERS as STORED
 from protocols.damiao.options import Options, Settings
@@ -68,7 +69,8 @@ def spec(device: Device) -> Spec:
     options: Options = device.options
     address, reply = device.address, options.reply(device.address)
     if reply & 0xFF == address:
-        raise ValueError(f"reply_id {options.reply_id:#05x} of {device.name}: the motor itself obeys that id")
+        text = f"reply_id {options.reply_id:#05x} of {device.name}: the motor itself obeys that id"
+        raise Invalid(("options.reply_id", text))
     return can_motor(
         device,
         options.table,
@@ -104,5 +106,5 @@ plugin = Plugin(
     decoder=decoder_of(lambda options: options.table, motor_of, spec),
     twin=DamiaoTwin,
     messages=ANY.names,
-    vectors=("gateway.fixtures", "vectors/damiao.json"),
+    vectors=("protocols.damiao", "vectors.json"),
 )

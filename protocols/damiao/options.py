@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
+from protocols.bounds import Bounds, check
 from protocols.damiao import table as dm
 from protocols.toolkit.mit import KD_MAX, KP_MAX, ImpedanceGains, gains_of
-from protocols.toolkit.options import bounded, check_bounds
 from protocols.toolkit.table import FLOAT_MAX, Table
 
 # fmt: off
@@ -26,34 +26,34 @@ class Options:
     """Decides the ranges of all numbers; the motor is asked for them before it is enabled."""
     mode: Literal["mit", "pos_vel", "vel", "force_pos"] = "mit"
     """CTRL_MODE, written before the motor is enabled."""
-    reply_id: int = bounded(0, -1, 0x7FE)
+    reply_id: Annotated[int, Bounds(-1, 0x7FE)] = 0
     """MST_ID of the motor; 0: its address and 16. −1: it is 0, as many are delivered, and answers by id 0."""
-    position_end: float = bounded(0.0, 0.0, 1000.0)
+    position_end: Annotated[float, Bounds(0.0, 1000.0)] = 0.0
     """rad; 0: PMAX of the model. The ends are those that the motor has; it is asked for them."""
-    velocity_end: float = bounded(0.0, 0.0, 1000.0)
+    velocity_end: Annotated[float, Bounds(0.0, 1000.0)] = 0.0
     """rad/s; 0: VMAX of the model"""
-    torque_end: float = bounded(0.0, 0.0, 1000.0)
+    torque_end: Annotated[float, Bounds(0.0, 1000.0)] = 0.0
     """N·m; 0: TMAX of the model"""
-    stiffness: float = bounded(20.0, 0.2, KP_MAX)
+    stiffness: Annotated[float, Bounds(0.2, KP_MAX)] = 20.0
     """N·m/rad of Position and Hold (mode mit)"""
-    damping: float = bounded(1.0, 0.01, KD_MAX)
+    damping: Annotated[float, Bounds(0.01, KD_MAX)] = 1.0
     """N·m·s/rad of Position, Hold and Velocity (mode mit)"""
-    max_velocity: float = bounded(5.0, 0.01, 300.0)
+    max_velocity: Annotated[float, Bounds(0.01, 300.0)] = 5.0
     """rad/s on the way to a Position (modes pos_vel, force_pos)"""
-    max_force: float = bounded(0.5, 0.001, 1.0)
+    max_force: Annotated[float, Bounds(0.001, 1.0)] = 0.5
     """Current on the way to a Position, as a share of the motor's largest (mode force_pos)"""
     position: Literal["feedback", "xout"] = "feedback"
     """Where the position is from: the feedback, which ends at ±PMAX, or register xout, which counts turns
     (one more frame for each command)."""
-    timeout_ms: float = bounded(100.0, 10.0, 10_000.0)
+    timeout_ms: Annotated[float, Bounds(10.0, 10_000.0)] = 100.0
     """TIMEOUT of the motor's watchdog, written before it is enabled."""
-    feedback_ms: int = bounded(10, 1, 1000)
+    feedback_ms: Annotated[int, Bounds(1, 1000)] = 10
     """Period of questions to a motor that is not commanded."""
-    offline_ms: int = bounded(100, 20, 10_000)
+    offline_ms: Annotated[int, Bounds(20, 10_000)] = 100
     """Time without an answer after which the motor is offline."""
 
     def __post_init__(self) -> None:
-        check_bounds(self)
+        check(self)
 
     @property
     def ends(self) -> dict[str, float]:
@@ -81,36 +81,36 @@ class Options:
 class Settings:
     """Configuration of the motor; its model is that of the options."""
 
-    mode: int = bounded(1, 1, 4)
+    mode: Annotated[int, Bounds(1, 4)] = 1
     """CTRL_MODE as saved"""
-    timeout_ms: float = bounded(0.0, 0.0, 100_000.0)
+    timeout_ms: Annotated[float, Bounds(0.0, 100_000.0)] = 0.0
     """TIMEOUT as saved; 0: no watchdog"""
-    serial: int = bounded(0, 0, 0xFFFF_FFFF)
+    serial: Annotated[int, Bounds(0, 0xFFFF_FFFF)] = 0
     """SN; 0: derived from the address"""
-    temperature: int = bounded(30, 0, 255)
+    temperature: Annotated[int, Bounds(0, 255)] = 30
     """°C"""
     # Registers; bounds as damiao-motor documents them. V, °C, share of the largest current, rad/s², rad/s …
-    UV_Value: float = bounded(15.0, 10.0, FLOAT_MAX)
-    OV_Value: float = bounded(32.0, 0.0, FLOAT_MAX)
-    OT_Value: float = bounded(100.0, 80.0, 200.0)
-    OC_Value: float = bounded(0.98, 0.0, 1.0)
-    ACC: float = bounded(500.0, 0.0, FLOAT_MAX)
-    DEC: float = bounded(-500.0, -FLOAT_MAX, 0.0)
-    MAX_SPD: float = bounded(300.0, 0.0, FLOAT_MAX)
-    KT_Value: float = bounded(0.0, 0.0, FLOAT_MAX)
-    I_BW: float = bounded(1000.0, 100.0, 10_000.0)
-    V_BW: float = bounded(100.0, 0.0, 500.0)
-    KP_ASR: float = bounded(0.004, 0.0, FLOAT_MAX)
-    KI_ASR: float = bounded(0.002, 0.0, FLOAT_MAX)
-    KP_APR: float = bounded(50.0, 0.0, FLOAT_MAX)
-    KI_APR: float = bounded(1.0, 0.0, FLOAT_MAX)
-    GREF: float = bounded(1.0, 0.0, 1.0)
-    Deta: float = bounded(4.0, 1.0, 30.0)
-    IQ_c1: float = bounded(1000.0, 100.0, 10_000.0)
-    VL_c1: float = bounded(1000.0, 0.0, 10_000.0)
+    UV_Value: Annotated[float, Bounds(10.0, FLOAT_MAX)] = 15.0
+    OV_Value: Annotated[float, Bounds(0.0, FLOAT_MAX)] = 32.0
+    OT_Value: Annotated[float, Bounds(80.0, 200.0)] = 100.0
+    OC_Value: Annotated[float, Bounds(0.0, 1.0)] = 0.98
+    ACC: Annotated[float, Bounds(0.0, FLOAT_MAX)] = 500.0
+    DEC: Annotated[float, Bounds(-FLOAT_MAX, 0.0)] = -500.0
+    MAX_SPD: Annotated[float, Bounds(0.0, FLOAT_MAX)] = 300.0
+    KT_Value: Annotated[float, Bounds(0.0, FLOAT_MAX)] = 0.0
+    I_BW: Annotated[float, Bounds(100.0, 10_000.0)] = 1000.0
+    V_BW: Annotated[float, Bounds(0.0, 500.0)] = 100.0
+    KP_ASR: Annotated[float, Bounds(0.0, FLOAT_MAX)] = 0.004
+    KI_ASR: Annotated[float, Bounds(0.0, FLOAT_MAX)] = 0.002
+    KP_APR: Annotated[float, Bounds(0.0, FLOAT_MAX)] = 50.0
+    KI_APR: Annotated[float, Bounds(0.0, FLOAT_MAX)] = 1.0
+    GREF: Annotated[float, Bounds(0.0, 1.0)] = 1.0
+    Deta: Annotated[float, Bounds(1.0, 30.0)] = 4.0
+    IQ_c1: Annotated[float, Bounds(100.0, 10_000.0)] = 1000.0
+    VL_c1: Annotated[float, Bounds(0.0, 10_000.0)] = 1000.0
 
     def __post_init__(self) -> None:
-        check_bounds(self)
+        check(self)
 
     @property
     def registers(self) -> dict[str, float]:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
+from protocols.bounds import Bounds, check
 from protocols.ddsm import table as ds
-from protocols.toolkit.options import bounded, check_bounds
+from protocols.line import Answer
+from protocols.messages import MILLISECOND
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,26 +17,36 @@ class Options:
 
     model: Literal["DDSM115", "DDSM210"] = "DDSM115"
     """The messages, the line (RS-485, or a UART), the scale of speeds, and whether it takes a torque"""
-    torque_constant: float = bounded(0.0, 0.0, 100.0)
+    torque_constant: Annotated[float, Bounds(0.0, 100.0)] = 0.0
     """N·m/A; 0: that of the model (0.75; of a DDSM210 it is not known, and no torque is reported)"""
-    idle_current: float = bounded(0.2, 0.0, 8.0)
+    idle_current: Annotated[float, Bounds(0.0, 8.0)] = 0.2
     """A: what is measured beyond it drives the motor"""
-    feedback_ms: float = bounded(10.0, 1.0, 1000.0)
+    feedback_ms: Annotated[float, Bounds(1.0, 1000.0)] = 10.0
     """Period of queries, where no answer to a set-point tells as much"""
-    offline_ms: float = bounded(250.0, 10.0, 10_000.0)
+    offline_ms: Annotated[float, Bounds(10.0, 10_000.0)] = 250.0
     """Time without an answer after which it is offline"""
-    answer_ms: float = bounded(2.5, 0.1, 100.0)
+    answer_ms: Annotated[float, Bounds(0.1, 100.0)] = 2.5
     """How late an answer may begin: the vendor's code waits 4 ms, with the 1.7 ms of question and answer"""
     watchdog: Literal["unknown", "acknowledged"] = "unknown"
     """Acknowledge that none is known."""
 
     def __post_init__(self) -> None:
-        check_bounds(self)
+        check(self)
 
     @property
     def of_model(self) -> ds.Model:
         """What the model determines."""
         return ds.MODELS[self.model]
+
+    @property
+    def answer(self) -> Answer:
+        """What comes back"""
+        return Answer(ds.SIZE, ds.FINDS[self.model], round(self.answer_ms * MILLISECOND))
+
+    @property
+    def strongest(self) -> float:
+        """N·m that can be commanded; 0: none"""
+        return self.of_model.strongest * self.torque / ds.AMPERE
 
     @property
     def torque(self) -> float:
@@ -48,12 +60,12 @@ class Settings:
 
     start_mode: Literal["released", "speed"] = "released"
     """The mode in which it is switched on; the vendor does not say which."""
-    answer_us: float = bounded(200.0, 0.0, 100_000.0)
+    answer_us: Annotated[float, Bounds(0.0, 100_000.0)] = 200.0
     """From the end of a question to its answer"""
-    fault_ms: float = bounded(500.0, 1.0, 100_000.0)
+    fault_ms: Annotated[float, Bounds(1.0, 100_000.0)] = 500.0
     """How long a fault lasts"""
-    temperature: float = bounded(30.0, 0.0, 255.0)
+    temperature: Annotated[float, Bounds(0.0, 255.0)] = 30.0
     """°C"""
 
     def __post_init__(self) -> None:
-        check_bounds(self)
+        check(self)

@@ -10,14 +10,13 @@ Source: waveshareteam/ddsm_example@79bfd6f `ddsm_ctrl.cpp`, rasheeddo/ddsm115_py
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from protocols.frames import CanFrame, Frame
 from protocols.plugin import FaultInfo
-from protocols.toolkit.motor_driver import Rx
-from protocols.toolkit.serial import CRC8_MAXIM, Stream
-from protocols.toolkit.table import Decoded, Direction, Field, Row, Table, Values, const, sint, uint, unused
+from protocols.toolkit.packets import Packets
+from protocols.toolkit.serial import CRC8_MAXIM, Finds, Unmarked
+from protocols.toolkit.table import Field, Row, Table, Values, const, sint, uint, unused
 
 SIZE = 10
 DRIVE, QUERY, MODE = 0x64, 0x74, 0xA0
@@ -30,6 +29,7 @@ TIMES = 5
 """How often `set id` is sent before it counts"""
 CURRENT, SPEED, POSITION = 1, 2, 3
 """Modes. Of a DDSM210 the first is 0, "open loop": a share of the voltage."""
+LOOPS = frozenset({CURRENT, SPEED, POSITION})
 FULL = (1 << 15) - 1
 AMPERE, ANGLE, COARSE = 8.0 / FULL, math.tau / FULL, math.tau / 255
 """A and rad of a count; rad of a count in the answer of a DDSM115 to a query"""
@@ -50,15 +50,15 @@ class Model:
     """A by the vendor's code; 0: its current cannot be commanded."""
     torque_constant: float
     """N·m/A; 0: not known"""
-    tells_mode: bool
+    names_mode: bool
     """Whether its answers have its mode in the place of what they answer"""
     kinds: frozenset[int]
     """The second byte of its answers"""
 
     @property
-    def told(self) -> int:
+    def confirms(self) -> int:
         """Answers after which a mode counts that was written."""
-        return 1 if self.tells_mode else 2
+        return 1 if self.names_mode else 2
 
     def fits(self, message: bytes) -> bool:
         """True if this can be an answer of this model."""
@@ -67,133 +67,117 @@ class Model:
 
 RPM = math.pi / 30.0
 MODELS: Mapping[str, Model] = {
-    "DDSM115": Model(
-        "DDSM115", CURRENT, RPM, 200 * RPM, 2.7, 0.75, True, frozenset({CURRENT, SPEED, POSITION})
-    ),
+    "DDSM115": Model("DDSM115", CURRENT, RPM, 200 * RPM, 2.7, 0.75, True, LOOPS),
     "DDSM210": Model("DDSM210", 0, 0.1 * RPM, 210 * RPM, 0.0, 0.0, False, frozenset({DRIVE, QUERY})),
 }
 
 
+# -- messages to a motor ------------------------------------------------------------------------------------
+
+
 def _row(name: str, *fields: Field, to: Field | None = None) -> Row:
-    direction: Direction = "from_device" if name.startswith("DDSM") else "to_device"
-    ids = (to or uint("address"),)
-    return Row(name, ids, fields, direction, "big", read_only=name.endswith("query"), extended=True)
+    """Return a message to a motor; its first field is the function."""
+    ids = to or uint("address"), fields[0]
+    return Row(name, ids, fields[1:], order="big", read_only=name.endswith("query"))
+
+
+ROWS = (
+    _row("drive", const(DRIVE), sint("value"), unused(24), uint("brake"), unused()),
+    _row("query", const(QUERY), unused(56)),
+    _row("id query", const(DRIVE), const(0, 16), unused(40), to=const(ANYONE)),
+    _row("set mode 115", const(MODE), const(0, 56), uint("mode")),
+    _row("set mode 210", const(MODE), uint("mode"), unused(48)),
+    _row("set id", const(0x55), const(0x53), uint("id"), unused(40), to=const(0xAA)),
+)
+
+
+def _checked(ten: bytes) -> bytes | None:
+    """Return a message, or an answer, which the others on the line receive: nothing begins within it."""
+    return None if CRC8_MAXIM(ten) else ten[:-1]  # over what ends with its own checksum it is 0
+
+
+def _checked_or_bare(ten: bytes) -> bytes | None:
+    """Return the same; `set mode` of a DDSM115 whole, since it has no checksum."""
+    bare = ten[1] == MODE and not any(ten[2:9]) and ten[9] in LOOPS
+    return ten if bare else _checked(ten)
+
+
+def _packets(message: Callable[[bytes], bytes | None]) -> Packets:
+    return Packets(
+        ROWS,
+        Unmarked(SIZE, message, CRC8_MAXIM),
+        lambda address, function, data: bytes((address, function)) + data,
+        lambda message: (message[0], message[1], message[2:]),
+    )
+
+
+ALL = _packets(_checked_or_bare)
+"""The messages to motors of either model,"""
+PACKETS: Mapping[str, Packets] = {"DDSM115": ALL, "DDSM210": _packets(_checked)}
+"""and to those of one."""
+encode = ALL.encode
+
+
+# -- answers -----------------------------------------------------------------------------------------------
+
+
+def _answer(name: str, *fields: Field) -> Row:
+    return Row(name, (), fields, "from_device", "big")
 
 
 _MOTION = uint("mode"), sint("current"), sint("speed")
-TABLE = Table(
+ANSWERS = Table(
     (
-        _row("drive", const(DRIVE), sint("value"), unused(24), uint("brake"), unused()),
-        _row("query", const(QUERY), unused(56)),
-        _row("id query", const(DRIVE), const(0, 16), unused(40), to=const(ANYONE)),
-        _row("set mode 115", const(MODE), const(0, 56), uint("mode")),
-        _row("set mode 210", const(MODE), uint("mode"), unused(48)),
-        _row("set id", const(0x55), const(0x53), uint("id"), unused(40), to=const(0xAA)),
-        _row("DDSM115 64", *_MOTION, uint("angle", 16), uint("error")),
-        _row("DDSM115 74", *_MOTION, uint("temperature"), uint("coarse"), uint("error")),
-        _row(
+        _answer("DDSM115 64", *_MOTION, uint("angle", 16), uint("error")),
+        _answer("DDSM115 74", *_MOTION, uint("temperature"), uint("coarse"), uint("error")),
+        _answer(
             "DDSM210 64",
             *(const(DRIVE), sint("speed"), sint("current"), unused(), uint("temperature"), uint("error")),
         ),
-        _row("DDSM210 74", const(QUERY), sint("mileage", 32), uint("angle", 16), uint("error")),
+        _answer("DDSM210 74", const(QUERY), sint("mileage", 32), uint("angle", 16), uint("error")),
     )
 )
-_ENCODE = {row.name: TABLE.encoder(row.name) for row in TABLE.rows}
-_ANSWERS = {(model, asked): f"{model} {asked:02X}" for model in MODELS for asked in (DRIVE, QUERY)}
+"""By model and the function that is answered."""
 
 
-def encode(name: str, address: int = 0, /, **values: int) -> bytes:
-    """Return a message to or from the motor at an address. Raises ValueError for a number that is not finite,
-    TypeError for a field that is missing or unknown."""
-    frame = _ENCODE[name](address, **values)
-    message = bytes((frame.id,)) + frame.data
-    return message if len(message) == SIZE else message + bytes((CRC8_MAXIM(message),))
-
-
-def decode(message: bytes, model: str = "") -> Decoded | None:
-    """Return the message to a motor in 10 bytes, None if it is none; `model`: the motor's, if known."""
-    bare = message[1] == MODE and not any(message[2:9]) and message[9] in (CURRENT, SPEED, POSITION)
-    if not (bare and model != "DDSM210"):
-        if CRC8_MAXIM(message[:-1]) != message[-1]:
-            return None
-        message = message[:-1]
-    decoded = TABLE.decode(CanFrame(message[0], message[1:], extended=True), "to_device")
-    return decoded if decoded is not None and decoded.name else None
+def answer(model: str, asked: int, address: int, /, **values: int) -> bytes:
+    """Return the answer of a model to this function, of what it measures."""
+    name = f"{model} {asked:02X}"
+    fields = {each.name: values[each.name] for each in ANSWERS.row(name).fields if each.name}
+    return ALL.framing.frame(bytes((address,)) + ANSWERS.encode(name, **fields).data)
 
 
 def read(model: str, asked: int, message: bytes) -> Values:
     """Return the numbers in an answer of a model to this function."""
-    return TABLE.read(_ANSWERS[model, asked], message[1:-1]) or {}
+    return ANSWERS.read(f"{model} {asked:02X}", message[1:-1]) or {}
 
 
 @dataclass(frozen=True, slots=True)
-class Tens:
-    """How messages stand on the line: any 10 bytes that fit."""
-
-    fits: Callable[[bytes], object]
-
-    def frame(self, message: bytes) -> bytes:
-        """Return a message as it stands on the line."""
-        return message
-
-    def read(self, held: bytes, at: int) -> tuple[bytes | Rx | None, int]:
-        """Return what begins here, and where the search goes on, as every `FrameFormat`."""
-        if len(held) - at < SIZE:
-            return None, at
-        message = held[at : at + SIZE]
-        return (message, at + SIZE) if self.fits(message) else (Rx.IGNORED, at + 1)
-
-
-def _is_message(message: bytes) -> bool:
-    """True for a message to a motor, or an answer of one, which the others hear: nothing begins within it."""
-    return not CRC8_MAXIM(message) or decode(message) is not None
-
-
-COMMANDS = Tens(_is_message)
-
-
-@dataclass(frozen=True, slots=True)
-class Finds:
-    """Where the answer of a model stands in what has come."""
+class Belongs:
+    """Whether 10 bytes can be the answer of a model to a question."""
 
     model: Model
 
-    def __call__(self, asked: bytes, held: bytes) -> tuple[int, int] | None:
-        """Return where the answer to this question begins and ends; None: it has not come."""
-        model, address, function = self.model, asked[0], asked[1]
-        for at in range(len(held) - SIZE + 1):
-            its = held[at] == address or address == ANYONE
-            if its and (model.tells_mode or held[at + 1] == function) and model.fits(held[at : at + SIZE]):
-                return at, at + SIZE
-        return None
+    def __call__(self, asked: bytes, answer: bytes) -> bool:
+        """Return it."""
+        its = answer[0] == asked[0] or asked[0] == ANYONE
+        return its and (self.model.names_mode or answer[1] == asked[1]) and self.model.fits(answer)
 
 
-def in_frame(frame: Frame) -> tuple[Sequence[Decoded], bool]:
-    """Return the messages to motors in a run of bytes, and whether it holds nothing else."""
-    if not isinstance(frame, bytes):
-        return (), False
-    found = [one for each in Stream(COMMANDS).messages(frame) if (one := decode(each)) is not None]
-    return found, len(found) * SIZE == len(frame) > 0
+def answers(fits: Callable[[bytes], bool]) -> Unmarked:
+    """Return how answers stand on the line."""
+    return Unmarked(SIZE, lambda ten: ten if fits(ten) else None, CRC8_MAXIM)
 
 
-def names(frame: Frame) -> tuple[str, ...]:
-    """Return the names of the messages to motors in a run of bytes, as `Plugin.messages` does."""
-    return tuple(one.name for one in in_frame(frame)[0])
+FINDS = {name: Finds(answers(model.fits), Belongs(model)) for name, model in MODELS.items()}
+"""How the answer of a model is found."""
 
 
-def read_only(frame: Frame) -> bool:
-    """True if a run of bytes holds whole messages that change nothing, as `Spec.read_only` does."""
-    found, whole = in_frame(frame)
-    return whole and all(TABLE.row(one.name).read_only for one in found)
-
+# -- faults ------------------------------------------------------------------------------------------------
 
 _TEXTS = (
     ("sensor error", "the Hall sensors or the encoder of the motor", "check the cable; replace the motor"),
-    (
-        "over-current",
-        "a load that is too heavy, or a short circuit",
-        "take the load off; lower the acceleration",
-    ),
+    ("over-current", "a load that is too heavy, or a short circuit", "take it off; accelerate less"),
     ("phase over-current", "a short circuit between phases", "replace the motor, if it comes again"),
     ("stall", "the wheel is blocked", "free it"),
     ("troubleshoot", "the vendor's name for any other failure", "switch it off and on; replace it"),

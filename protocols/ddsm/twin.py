@@ -14,11 +14,9 @@ from dataclasses import dataclass
 from protocols import messages as msg
 from protocols.ddsm import table as ds
 from protocols.ddsm.options import Options
-from protocols.frames import Frame
 from protocols.messages import MILLISECOND, Mode, Nanos, Obeyed
 from protocols.plugin import Device
-from protocols.toolkit.firmware import ServoFirmware
-from protocols.toolkit.serial import Stream
+from protocols.toolkit.packets import PacketFirmware
 from protocols.toolkit.servo import Gains
 from protocols.toolkit.table import Decoded
 
@@ -91,48 +89,28 @@ def memory_of(device: Device) -> Memory:
     return Memory(device.name, device.address, device.options, mode)
 
 
-class DdsmDecoder:
-    """What the motors on one line would obey."""
-
-    def __init__(self, devices: Sequence[Device]) -> None:
-        self._memories, self._stream = [memory_of(device) for device in devices], Stream(ds.COMMANDS)
-
-    def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
-        """Return what the motors would obey in this frame; [] if nothing."""
-        obeyed: list[Obeyed] = []
-        for message in self._stream.messages(frame) if isinstance(frame, bytes) else ():
-            for memory in self._memories:
-                decoded = ds.decode(message, memory.options.model)
-                obeyed += () if decoded is None else memory.obey(decoded)
-        return obeyed
-
-
-class DdsmTwin(ServoFirmware):
+class DdsmTwin(PacketFirmware):
     """One motor; the shaft that it turns is the world's."""
 
     faults = ds.FAULTS
 
     def __init__(self, device: Device, seed: int) -> None:
-        model = device.options.of_model
-        most = model.strongest * (device.options.torque_constant or model.torque_constant) or STRENGTH
-        super().__init__(device, seed, Gains(torque_limit=most))
-        self.fastest, self.strongest = model.fastest, most
-        self.memory, self.stream = memory_of(device), Stream(ds.COMMANDS)
+        most = device.options.strongest or STRENGTH
+        self.messages = ds.PACKETS[device.options.model]
+        super().__init__(device, seed, Gains(torque_limit=most), memory_of(device))
+        self.fastest, self.strongest = device.options.of_model.fastest, most
         self.passing = round(device.settings.fault_ms * MILLISECOND)
         self.reply_delay = round(device.settings.answer_us * 1000)
         if self.memory.mode == ds.SPEED:
             self.mode, self.goal = Mode.ARMED, msg.Velocity(device.name, 0.0)
 
-    def on_frame(self, t: Nanos, frame: Frame) -> None:
-        messages = self.stream.messages(frame) if isinstance(frame, bytes) else ()
-        for message in messages:
-            decoded = ds.decode(message, self.memory.options.model)
-            if decoded is None or not self.memory.takes(decoded):
-                continue
-            for obeyed in self.memory.obey(decoded):
-                self.obey(t, obeyed)
-            if decoded.name in ("drive", "query", "id query"):
-                self.reply(t, self._answer(ds.QUERY if decoded.name == "query" else ds.DRIVE))
+    def takes(self, decoded: Decoded) -> bool:
+        return bool(self.memory.takes(decoded))
+
+    def on_message(self, t: Nanos, message: bytes, decoded: Decoded) -> None:
+        super().on_message(t, message, decoded)
+        if decoded.name in ("drive", "query", "id query"):
+            self.reply(t, self._answer(ds.QUERY if decoded.name == "query" else ds.DRIVE))
 
     def _answer(self, function: int) -> bytes:
         """Return what it measures."""
@@ -150,6 +128,4 @@ class DdsmTwin(ServoFirmware):
             "mileage": math.floor(encoder.position / math.tau),
             "error": self.fault,
         }
-        name = f"{options.model} {function:02X}"
-        fields = {each.name for each in ds.TABLE.row(name).fields if each.name}
-        return ds.encode(name, self.memory.address, **{k: v for k, v in numbers.items() if k in fields})
+        return ds.answer(options.model, function, self.memory.address, **numbers)

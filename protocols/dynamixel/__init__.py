@@ -6,12 +6,12 @@ from protocols import messages as msg
 from protocols.dynamixel import packets as dx
 from protocols.dynamixel import table as dt
 from protocols.dynamixel.driver import DynamixelAdapter
-from protocols.dynamixel.memory import DynamixelDecoder
+from protocols.dynamixel.memory import decoder
 from protocols.dynamixel.options import STORED, Options, Settings
 from protocols.dynamixel.twin import DynamixelTwin
 from protocols.messages import MILLISECOND, Command
-from protocols.plugin import DRIVER_WRITES, Device, FeedbackKind, Plugin, Range, Setting, Spec
-from protocols.toolkit.assembly import declared, driver_of, fed_by_any_frame
+from protocols.plugin import DRIVER_WRITES, Device, Plugin, Range, Setting, Spec
+from protocols.toolkit.assembly import declared, driver_of, fed_by_any_frame, serial_motor
 from protocols.toolkit.options import configuration
 
 __all__ = ["plugin"]
@@ -89,33 +89,25 @@ def configured(device: Device) -> dict[str, Setting]:
 
 def spec(device: Device) -> Spec:
     """Return the contract of one device. Raises ValueError if its address cannot be one."""
-    if device.address not in dt.ADDRESSES:
-        raise ValueError(f"id {device.address} of {device.name}: it must be 0 to {dt.ADDRESSES.stop - 1}")
     options: Options = device.options
-    table, scales = options.table, {"model": "Model_Number is read before it is armed"}
+    scales = {"model": "Model_Number is read before it is armed"}
     goal = SET_POINT.get(options.mode, "Position.position")
     offset = {"Homing_Offset": ((-float(1 << 31), float(1 << 31)),)}
-    return Spec(
-        bus="serial",
-        kind="motor",
-        sends=(),
-        expects=(),
-        read_only=dx.read_only,
-        feedback=FeedbackKind.POLLED,
-        feedback_period=round(options.feedback_ms * MILLISECOND),
-        offline_after=round(options.offline_ms * MILLISECOND),
+    return serial_motor(
+        device,
+        dx.PACKETS.read_only,
+        dx.PACKETS.addresses,
+        "half-duplex",
         commands=COMMANDS.get(options.mode, PLACED),
         requests=REQUESTS | ({msg.Scan} if options.scan else set()),
         ranges=ranges(options),
-        stop_clears_faults=False,
         faults=dt.FAULTS,
-        parameters=tuple(name for name in table.by_name if not name.startswith("Indirect_Address")),
+        parameters=tuple(each for each in options.table.by_name if not each.startswith("Indirect_Address")),
         configuration=configured(device),
         set_up={**declared(options.set_up), goal: (goal,)},
-        stop=(dx.sync_write(table.torque, {device.address: b"\0"}),),
+        stop=(dx.PACKETS.sync_write(options.table.target("Torque_Enable")[0], {device.address: b"\0"}),),
         writes={msg.Zero: offset},
         scales=scales | ({"torque_constant": ""} if options.mode == "current" else {}),
-        line="half-duplex",
         **fed_by_any_frame(options.watchdog * dt.WATCHDOG_UNIT_MS * MILLISECOND),
     )
 
@@ -128,8 +120,8 @@ plugin = Plugin(
     settings=Settings,
     spec=spec,
     driver=driver_of(DynamixelAdapter, spec),
-    decoder=DynamixelDecoder,
+    decoder=decoder,
     twin=DynamixelTwin,
-    messages=dx.names,
-    vectors=("gateway.fixtures", "vectors/dynamixel.json"),
+    messages=dx.PACKETS.messages,
+    vectors=("protocols.dynamixel", "vectors.json"),
 )

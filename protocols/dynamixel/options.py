@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
-from protocols.dynamixel.table import MODELS, MODES, WATCHDOG_UNIT_MS, ControlTable, Model, modes_of, table_of
+from protocols.bounds import Bounds, Wrong, check
+from protocols.dynamixel.table import MODELS, MODES, TABLES, WATCHDOG_UNIT_MS, ControlTable, Model, modes_of
+from protocols.messages import Position, Torque, Velocity
 from protocols.suggest import did_you_mean
-from protocols.toolkit.options import bounded, check_bounds
+from protocols.toolkit.memory_map import GoalRegister
 
 Mode = Literal["velocity", "position", "extended_position", "current", "current_position"]
 
@@ -21,16 +23,16 @@ class Options:
     armed."""
     mode: Mode = "velocity"
     """Operating_Mode, written before it is armed if it is another one."""
-    max_velocity: float = bounded(0.0, 0.0, 100.0)
+    max_velocity: Annotated[float, Bounds(0.0, 100.0)] = 0.0
     """rad/s of Velocity; 0: Velocity_Limit as delivered. The device's Velocity_Limit must not be lower."""
-    max_current: float = bounded(0.0, 0.0, 30.0)
+    max_current: Annotated[float, Bounds(0.0, 30.0)] = 0.0
     """A of Torque, and of Position in current_position; 0: Current_Limit as delivered, which must not be
     lower."""
-    torque_constant: float = bounded(0.0, 0.0, 30.0)
+    torque_constant: Annotated[float, Bounds(0.0, 30.0)] = 0.0
     """N·m/A; 0: the model's, from its stall torque and current: the true one differs by a fifth or so."""
-    profile_velocity: float = bounded(0.0, 0.0, 100.0)
+    profile_velocity: Annotated[float, Bounds(0.0, 100.0)] = 0.0
     """rad/s on the way to a Position; 0: as fast as it can"""
-    profile_acceleration: int = bounded(0, 0, 32_767)
+    profile_acceleration: Annotated[int, Bounds(0, 32_767)] = 0
     """Profile_Acceleration, in the device's steps; 0: as fast as it can"""
     indirect: bool = False
     """Every feedback has the device's state, too: six more bytes, and no questions about it beside. Else the
@@ -40,24 +42,24 @@ class Options:
     Firmware 45 or newer; noise in the answer of one costs those behind it their readings, too."""
     scan: bool = True
     """A scan may ask all ids."""
-    timeout_ms: float = bounded(100.0, 0.0, 2540.0)
+    timeout_ms: Annotated[float, Bounds(0.0, 2540.0)] = 100.0
     """Bus_Watchdog, in steps of 20 ms, written before it is armed; 0: none"""
-    feedback_ms: float = bounded(10.0, 0.2, 1000.0)
+    feedback_ms: Annotated[float, Bounds(0.2, 1000.0)] = 10.0
     """Period of its feedback"""
-    state_ms: float = bounded(200.0, 10.0, 10_000.0)
+    state_ms: Annotated[float, Bounds(10.0, 10_000.0)] = 200.0
     """Period in which torque, hardware errors, watchdog, voltage and temperature are read. Hardware errors
     show in every feedback before."""
-    offline_ms: float = bounded(200.0, 20.0, 10_000.0)
+    offline_ms: Annotated[float, Bounds(20.0, 10_000.0)] = 200.0
     """Time without an answer after which it is offline"""
 
     def __post_init__(self) -> None:
-        others = []
+        others: list[Wrong] = []
         if self.model not in MODELS:
             hint = did_you_mean(self.model, MODELS)
-            others.append(f"no model {self.model!r}{hint}; there are {', '.join(MODELS)}")
+            others.append(("model", f"no model {self.model!r}{hint}; there are {', '.join(MODELS)}"))
         elif MODES[self.mode] not in modes_of(MODELS[self.model]):
-            others.append(f"a {self.model} has no mode {self.mode}")
-        check_bounds(self, others)
+            others.append(("mode", f"a {self.model} has no mode {self.mode}"))
+        check(self, *others)
 
     @property
     def of(self) -> Model:
@@ -67,12 +69,28 @@ class Options:
     @property
     def table(self) -> ControlTable:
         """The model's control table."""
-        return table_of(self.model)
+        return self.of.table
 
     @property
     def operating_mode(self) -> int:
         """The value of Operating_Mode."""
         return MODES[self.mode]
+
+    def goal_in(self, mode: int) -> GoalRegister | None:
+        """Return the register of the set-point in an Operating_Mode."""
+        model = self.of
+        match mode:
+            case 0:
+                return GoalRegister("Goal_Current", Torque, self.newton_metre)
+            case 1:
+                return GoalRegister("Goal_Velocity", Velocity, model.step)
+            case 3:
+                least = model.zero - model.counts // 2
+                ends = least, least + model.counts - 1
+                return GoalRegister("Goal_Position", Position, model.count, model.zero, ends)
+            case 4 | 5:
+                return GoalRegister("Goal_Position", Position, model.count, model.zero)
+        return None
 
     @property
     def watchdog(self) -> int:
@@ -96,14 +114,13 @@ class Options:
 
     @property
     def set_up(self) -> dict[str, int]:
-        """The registers that must be so before it is armed, by name."""
-        wanted = {
-            "Operating_Mode": self.operating_mode,
-            "Bus_Watchdog": self.watchdog,
+        """The registers that must be so before it is armed, by name, in the order of their addresses."""
+        wanted = {"Operating_Mode": self.operating_mode, "Bus_Watchdog": self.watchdog}
+        wanted |= {"Goal_Current": self.current} if self.mode == "current_position" else {}
+        wanted |= {
             "Profile_Acceleration": self.profile_acceleration,
             "Profile_Velocity": round(self.profile_velocity / self.of.step),
         }
-        wanted |= {"Goal_Current": self.current} if self.mode == "current_position" else {}
         if self.indirect:
             wanted |= {f"Indirect_Address_{k + 1}": at for k, at in enumerate(self.table.indirect)}
         return wanted
@@ -113,38 +130,36 @@ class Options:
 class Settings:
     """Configuration of the device; its model is that of the options."""
 
-    firmware: int = bounded(46, 1, 255)
-    model_number: int = bounded(0, 0, 65_535)
+    firmware: Annotated[int, Bounds(1, 255)] = 46
+    model_number: Annotated[int, Bounds(0, 65_535)] = 0
     """0: that of the model"""
     # Registers of the same name, as stored. 0 of the limits: as the model is delivered.
-    baud_rate: int = bounded(3, 0, 9)
-    return_delay_time: int = bounded(250, 0, 254)
+    baud_rate: Annotated[int, Bounds(0, 9)] = 3
+    return_delay_time: Annotated[int, Bounds(0, 254)] = 250
     """Steps of 2 µs. As delivered: half a millisecond for each device, which halves the rate of a line. Write
     0."""
-    drive_mode: int = bounded(0, 0, 13)
-    operating_mode: int = bounded(3, 0, 16)
-    homing_offset: int = bounded(0, -1_044_479, 1_044_479)
-    temperature_limit: int = bounded(80, 0, 100)
-    max_voltage_limit: int = bounded(160, 60, 350)
-    min_voltage_limit: int = bounded(95, 31, 350)
-    pwm_limit: int = bounded(885, 0, 2009)
-    current_limit: int = bounded(0, 0, 32_767)
-    velocity_limit: int = bounded(0, 0, 32_767)
-    max_position_limit: int = bounded(0, -(1 << 31), (1 << 31) - 1)
-    min_position_limit: int = bounded(0, -(1 << 31), (1 << 31) - 1)
-    shutdown: int = bounded(52, 0, 63)
-    status_return_level: int = bounded(2, 0, 2)
+    drive_mode: Annotated[int, Bounds(0, 13)] = 0
+    operating_mode: Annotated[int, Bounds(0, 16)] = 3
+    homing_offset: Annotated[int, Bounds(-1_044_479, 1_044_479)] = 0
+    temperature_limit: Annotated[int, Bounds(0, 100)] = 80
+    max_voltage_limit: Annotated[int, Bounds(60, 350)] = 160
+    min_voltage_limit: Annotated[int, Bounds(31, 350)] = 95
+    pwm_limit: Annotated[int, Bounds(0, 2009)] = 885
+    current_limit: Annotated[int, Bounds(0, 32_767)] = 0
+    velocity_limit: Annotated[int, Bounds(0, 32_767)] = 0
+    max_position_limit: Annotated[int, Bounds(-(1 << 31), (1 << 31) - 1)] = 0
+    min_position_limit: Annotated[int, Bounds(-(1 << 31), (1 << 31) - 1)] = 0
+    shutdown: Annotated[int, Bounds(0, 63)] = 52
+    status_return_level: Annotated[int, Bounds(0, 2)] = 2
 
     def __post_init__(self) -> None:
-        check_bounds(self)
+        check(self)
 
 
 STORED = {
-    register: register.lower()
-    for register in (
-        "Return_Delay_Time", "Drive_Mode", "Operating_Mode", "Homing_Offset", "Temperature_Limit",
-        "Max_Voltage_Limit", "Min_Voltage_Limit", "PWM_Limit", "Current_Limit", "Velocity_Limit",
-        "Max_Position_Limit", "Min_Position_Limit", "Shutdown", "Status_Return_Level", "Baud_Rate",
-    )
-}  # fmt: skip
+    each.name: each.name.lower()
+    for table in TABLES
+    for each in table.by_name.values()
+    if each.writable and each.name.lower() in Settings.__annotations__
+}
 """The settings that are registers, by these."""

@@ -14,22 +14,12 @@ from functools import cache
 from typing import Literal
 
 from protocols.plugin import FaultInfo
-from protocols.toolkit.registers import Register, Registers, Type
+from protocols.toolkit.memory_map import FORMS, MemoryMap, Values, rows
 
 NAME = "dynamixel"
-ADDRESSES = range(253)
 BAUD_RATES = (
-    9600,
-    57_600,
-    115_200,
-    1_000_000,
-    2_000_000,
-    3_000_000,
-    4_000_000,
-    4_500_000,
-    6_000_000,
-    10_500_000,
-)
+    9600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000, 6_000_000, 10_500_000
+)  # fmt: skip
 """bit/s by the value of Baud_Rate"""
 DELAY_UNIT = 2_000
 """ns of Return_Delay_Time"""
@@ -78,6 +68,11 @@ class Model:
     def far(self) -> int:
         """The largest position beyond one turn, either way."""
         return (1 << 31) - 1 if self.family == "P" else 1_048_575
+
+    @property
+    def table(self) -> ControlTable:
+        """The control table."""
+        return table_of(self.family, current=self.current > 0)
 
     @property
     def strongest(self) -> float:
@@ -135,91 +130,62 @@ VOLATILE = """
 """At the X series; the P series has these 448 further on."""
 
 MODES = {"current": 0, "velocity": 1, "position": 3, "extended_position": 4, "current_position": 5}
-GOALS = {0: "Goal_Current", 1: "Goal_Velocity", 3: "Goal_Position", 4: "Goal_Position", 5: "Goal_Position"}
-"""The register of the set-point by Operating_Mode"""
-COMMANDED = frozenset({"Torque_Enable", "Goal_PWM", *GOALS.values()})
+COMMANDED = frozenset({"Torque_Enable", "Goal_PWM", "Goal_Current", "Goal_Velocity", "Goal_Position"})
 """Registers that commands write, not requests."""
-FEEDBACK = {
-    "Torque_Enable": "B", "Hardware_Error_Status": "B", "Bus_Watchdog": "B", "Present_Current": "h",
-    "Present_Velocity": "i", "Present_Position": "i", "Present_Input_Voltage": "H",
-    "Present_Temperature": "B",
-}  # fmt: skip
-"""What indirect addresses make one block of, with the form of each."""
+FEEDBACK = (
+    "Torque_Enable", "Hardware_Error_Status", "Bus_Watchdog", "Present_Current", "Present_Velocity",
+    "Present_Position", "Present_Input_Voltage", "Present_Temperature",
+)  # fmt: skip
+DATA = frozenset({208, 224, 634})
+"""Where the indirect data begin, in one model or another."""
+MORE: dict[Family, list[str]] = {"X": [], "X330": ["62 u8 PWM_Slope"], "P": ["40 u32 Acceleration_Limit"]}
 
 
-class ControlTable(Registers):
+class ControlTable(MemoryMap):
     """The registers of one kind of model."""
 
     def __init__(self, family: Family, *, current: bool) -> None:
         shift = 448 if family == "P" else 0
         load = "126 i16 Present_Current r|102 i16 Goal_Current" if current else "126 i16 Present_Load r"
-        stored = [STORED, "38 u16 Current_Limit"] if current else [STORED]
-        stored += {"X": [], "X330": ["62 u8 PWM_Slope"], "P": ["40 u32 Acceleration_Limit"]}[family]
-        registers = [*_parsed("|".join(stored), 0), *_parsed(f"{VOLATILE}|{load}", shift)]
-        registers += [] if family == "P" else _parsed("65 u8 LED", 0)
-        registers += [Register(f"Indirect_Address_{k + 1}", 168 + 2 * k, "u16") for k in range(INDIRECT)]
-        super().__init__(*sorted(registers, key=lambda each: each.number))
-        self.torque = 64 + shift
-        """Where what is not stored begins."""
-        self.motion = 126 + shift, 10
-        """Address and length: current, velocity and position."""
-        self.blocks = {"stored": (0, 64), "state": (self.torque, 83), "indirect": (168, 2 * INDIRECT)}
-        names = ["Present_Load" if name == "Present_Current" and not current else name for name in FEEDBACK]
-        self.feedback = struct.Struct("<" + "".join(FEEDBACK.values())), tuple(names)
-        self.indirect = tuple(
-            self.by_name[name].number + at
-            for name, form in zip(names, FEEDBACK.values(), strict=True)
-            for at in range(struct.calcsize(form))
+        stored = [STORED, *(["38 u16 Current_Limit"] if current else []), *MORE[family]]
+        super().__init__(
+            [
+                *rows("|".join(stored)),
+                *rows(f"{VOLATILE}|{load}", shift),
+                *([] if family == "P" else rows("65 u8 LED")),
+                *rows("|".join(f"{168 + 2 * k} u16 Indirect_Address_{k + 1}" for k in range(INDIRECT))),
+            ],
+            {
+                "stored": (0, 64),
+                "state": (64 + shift, 83),
+                "motion": (126 + shift, 10),
+                "indirect": (168, 2 * INDIRECT),
+            },
+            stored=64,
         )
-        """What the indirect addresses are set to."""
-        self._inside: dict[tuple[int, int], tuple[struct.Struct, tuple[str, ...]]] = {}
+        names = ["Present_Load" if name == "Present_Current" and not current else name for name in FEEDBACK]
+        form = "<" + "".join(FORMS[self.by_name[name].type] for name in names)
+        self.feedback = struct.Struct(form), tuple(names)
+        """What indirect addresses make one block of,"""
+        places = [(self.by_name[name].number, self.by_name[name].size) for name in names]
+        self.indirect = tuple(at + k for at, size in places for k in range(size))
+        """and what they are set to for it."""
 
-    def size(self, name: str) -> int:
-        """Return the bytes of a register."""
-        return int(self.by_name[name].type[1:]) // 8
-
-    def pack(self, name: str, value: float) -> bytes:
-        """Return the bytes of a value."""
-        return self.raw(name, value).to_bytes(self.size(name), "little")
-
-    def inside(self, start: int, length: int) -> tuple[struct.Struct, tuple[str, ...]]:
-        """Return the form of a run of bytes: of the registers that are whole in it, and their names."""
-        found = self._inside.get((start, length))
-        if found is None:
-            form, names, at = "<", [], start
-            for each in self.by_name.values():
-                size = self.size(each.name)
-                if at <= each.number and each.number + size <= start + length:
-                    form += f"{each.number - at}x" + _FORMS[each.type]
-                    names.append(each.name)
-                    at = each.number + size
-            found = struct.Struct(f"{form}{start + length - at}x"), tuple(names)
-            self._inside[start, length] = found
-        return found
-
-    def values(self, start: int, data: bytes) -> dict[str, int]:
-        """Return the registers that are whole in a run of bytes."""
-        form, names = self.inside(start, len(data))
-        return dict(zip(names, form.unpack(data), strict=True))
-
-
-_FORMS: dict[Type, str] = {"u8": "B", "u16": "H", "u32": "I", "i16": "h", "i32": "i"}
-
-
-def _parsed(text: str, shift: int) -> list[Register]:
-    fields = [each.split() for each in text.strip().replace("\n", "|").split("|")]
-    return [Register(name, int(at) + shift, kind, not access) for at, kind, name, *access in fields]  # type: ignore[arg-type]
+    def values(self, at: int, data: bytes) -> Values:
+        form, names = self.feedback
+        if at in DATA and len(data) == form.size:
+            return dict(zip(names, form.unpack(data), strict=True))
+        return super().values(at, data)
 
 
 @cache
-def _table(family: Family, current: bool) -> ControlTable:
+def table_of(family: Family, *, current: bool) -> ControlTable:
+    """Return the control table of a kind of model."""
     return ControlTable(family, current=current)
 
 
-def table_of(model: str) -> ControlTable:
-    """Return the control table of a model."""
-    one = MODELS[model]
-    return _table(one.family, one.current > 0)
+TABLES = table_of("X330", current=True), table_of("P", current=True)
+"""In which everything that can be written is."""
 
 
 def data_of(model: Model, firmware: int) -> int:
@@ -233,16 +199,6 @@ def modes_of(model: Model) -> Sequence[int]:
     if not model.current:
         return 1, 3, 4, 16
     return (0, 1, 3, 4, 16) if model.family == "P" else (0, 1, 3, 4, 5, 16)
-
-
-def register_at(start: int, length: int) -> str:
-    """Return the name of what is written there, in whatever model it is: of a register, or of the first of
-    several, with "and on"."""
-    for table in (_table("X330", True), _table("P", True)):
-        register = table.by_number.get(start)
-        if register is not None:
-            return register.name + " and on" * (table.size(register.name) != length)
-    return f"{start}"
 
 
 _REBOOT = "then clear: it restarts"

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from protocols import messages as msg
 from protocols.feetech import table as ft
-from protocols.feetech.driver import FeetechAdapter, disarms
+from protocols.feetech.driver import FeetechAdapter
 from protocols.feetech.options import Options, Settings
 from protocols.feetech.twin import FeetechTwin, decoder
-from protocols.messages import MILLISECOND, Command
-from protocols.plugin import DRIVER_WRITES, Device, FeedbackKind, Plugin, Range, Setting, Spec, Watchdog
-from protocols.toolkit.assembly import declared, driver_of
+from protocols.messages import Command
+from protocols.plugin import DRIVER_WRITES, Device, Plugin, Range, Setting, Spec, Watchdog
+from protocols.toolkit.assembly import declared, driver_of, own_ramps, serial_motor
 
 __all__ = ["plugin"]
 
@@ -33,7 +33,7 @@ NO_WATCHDOG = "it has no watchdog: without a host it holds its position, or turn
 
 def ranges(options: Options) -> dict[str, Range]:
     """Return what commands and measurements can carry. Of wheels the position is counted on, not measured."""
-    model, half = options.of_model, 0.501
+    model, half = options.of, 0.501
     step = model.step
     fastest = 0x7FFE * step
     found = {
@@ -41,8 +41,8 @@ def ranges(options: Options) -> dict[str, Range]:
         "Feedback.voltage": Range(0.0, 25.5, 0.0501),
         "Feedback.temperature": Range(0.0, 255.0, half),
     }
-    if "Present_Current" in model.family.registers:
-        found["Feedback.current"] = Range(-0x7FFF * 6.5e-3, 0x7FFF * 6.5e-3, half * 6.5e-3)
+    if "Present_Current" in model.table.by_name:
+        found["Feedback.current"] = Range(-0x7FFF * ft.AMPERE, 0x7FFF * ft.AMPERE, half * ft.AMPERE)
     if options.mode == "wheel":
         return found | {"Velocity.velocity": Range(-fastest, fastest, half * step)}
     if options.mode == "pwm":
@@ -58,46 +58,36 @@ def ranges(options: Options) -> dict[str, Range]:
 
 def configured(options: Options) -> dict[str, Setting]:
     """Return the registers that are configuration: those that are stored."""
-    written, family = options.written, options.of_model.family
-    found = {}
-    for name, each in family.registers.items():
-        if each.writable and (each.at < 40 or name in written):
-            low = -each.most if each.sign else 0
+    written, table, found = options.set_up, options.table, dict[str, Setting]()
+    for name, each in table.by_name.items():
+        if each.writable and (table.is_stored(name) or name in written):
             protected = DRIVER_WRITES if name in written else PROTECTED.get(name, "")
-            found[name] = Setting(None, float(low), float(each.most), protected)
+            found[name] = Setting(None, *each.ends(), protected)
     return found
 
 
 def spec(device: Device) -> Spec:
     """Return the contract of one servo. Raises ValueError for an id that it cannot have."""
-    if device.address not in ft.IDS:
-        raise ValueError(f"address {device.address} of {device.name}: it must be 0 to {ft.IDS.stop - 1}")
     options: Options = device.options
-    family = options.of_model.family
-    scales = {"model": "its Model_Number is read" if options.of_model.number else ""}
-    return Spec(
-        bus="serial",
-        kind="motor",
-        line="half-duplex",
-        sends=(),
-        expects=(),
-        read_only=ft.read_only,
-        feedback=FeedbackKind.POLLED,
-        feedback_period=round(options.feedback_ms * MILLISECOND),
-        offline_after=round(options.offline_ms * MILLISECOND),
+    scales = {"model": "its Model_Number is read" if options.of.number else ""}
+    zero = {msg.Zero} if "Homing_Offset" in options.table.by_name else set()
+    return serial_motor(
+        device,
+        ft.PACKETS.read_only,
+        ft.PACKETS.addresses,
+        "half-duplex",
         commands=COMMANDS[options.mode],
-        requests=frozenset({msg.ClearFault, msg.Scan, msg.ReadParameter, msg.WriteParameter})
-        | (frozenset({msg.Zero}) if family.name == "sts" else frozenset()),
+        requests=frozenset({msg.ClearFault, msg.Scan, msg.ReadParameter, msg.WriteParameter} | zero),
         ranges=ranges(options),
         watchdog=Watchdog(None, enabled=False, note=NO_WATCHDOG),
         holds_unattended=True,
-        stop_clears_faults=False,
         faults=ft.FAULTS,
-        parameters=tuple(family.registers),
+        parameters=tuple(options.table.by_name),
         configuration=configured(options),
-        set_up=declared(options.written),
-        stop=(disarms(device.address),),
+        set_up=declared(options.set_up),
+        stop=(ft.disarms(device.address),),
         writes={msg.WriteParameter: {"Lock": (0.0, 1.0)}},
+        ramps=own_ramps(options.acceleration, msg.Position, msg.Velocity),
         scales=scales | ({"stall_torque": ""} if options.mode == "pwm" else {}),
     )
 
@@ -112,6 +102,6 @@ plugin = Plugin(
     driver=driver_of(FeetechAdapter, spec),
     decoder=decoder,
     twin=FeetechTwin,
-    messages=ft.messages,
-    vectors=("gateway.fixtures", "vectors/feetech.json"),
+    messages=ft.PACKETS.messages,
+    vectors=("protocols.feetech", "vectors.json"),
 )

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
+from protocols.bounds import Bounds, check
 from protocols.feetech.table import MODELS, Model
-from protocols.toolkit.options import bounded, check_bounds
+from protocols.messages import Position, Torque, Velocity
+from protocols.toolkit.memory_map import GoalRegister, MemoryMap
 
 Mode = Literal["position", "wheel", "pwm"]
 MODES: dict[str, int] = {"position": 0, "wheel": 1, "pwm": 2}
@@ -22,37 +24,54 @@ class Options:
     """What a step is, and the order of bytes. sts, scs: others of the family; their number is not checked."""
     mode: Mode = "position"
     """position: within a turn (SCS: 300°). wheel: by velocity. pwm: by the share of the supply."""
-    stall_torque: float = bounded(2.94, 0.01, 100.0)
+    stall_torque: Annotated[float, Bounds(0.01, 100.0)] = 2.94
     """N·m at standstill with the whole supply, in mode pwm; sts3215 at 12 V: 30 kg·cm."""
-    max_velocity: float = bounded(0.0, 0.0, 50.0)
+    max_velocity: Annotated[float, Bounds(0.0, 50.0)] = 0.0
     """rad/s on the way to a position; 0: as fast as it can"""
-    acceleration: float = bounded(0.0, 0.0, 39.0)
+    acceleration: Annotated[float, Bounds(0.0, 39.0)] = 0.0
     """rad/s², on the way to a position or velocity; 0: none is limited"""
-    torque_limit: float = bounded(0.0, 0.0, 1.0)
+    torque_limit: Annotated[float, Bounds(0.0, 1.0)] = 0.0
     """Share of the stall torque that it gives at most, until it is switched off; 0: as configured"""
     sync_read: bool = True
     """Ask all servos at once for their motion (SCS servos have no such instruction)."""
-    feedback_ms: float = bounded(10.0, 1.0, 1000.0)
+    feedback_ms: Annotated[float, Bounds(1.0, 1000.0)] = 10.0
     """Period in which the motion is asked for"""
-    offline_ms: float = bounded(100.0, 10.0, 10_000.0)
+    offline_ms: Annotated[float, Bounds(10.0, 10_000.0)] = 100.0
     """Time without an answer after which the servo is offline"""
 
     def __post_init__(self) -> None:
-        modes = self.of_model.family.modes
+        modes = self.of.modes
         wrong = MODES[self.mode] not in modes
-        check_bounds(self, [f"a {self.model} has no mode {self.mode}" if wrong else ""])
+        check(self, ("mode", f"a {self.model} has no mode {self.mode}" if wrong else ""))
 
     @property
-    def of_model(self) -> Model:
+    def of(self) -> Model:
         """The model."""
         return MODELS[self.model]
 
     @property
-    def written(self) -> dict[str, int]:
+    def table(self) -> MemoryMap:
+        """Its registers."""
+        return self.of.table
+
+    def goal_in(self, mode: int) -> GoalRegister | None:
+        """Return the register of the set-point in an Operating_Mode."""
+        model = self.of
+        match mode:
+            case 0:
+                return GoalRegister("Goal_Position", Position, model.step, model.middle, (0, model.steps - 1))
+            case 1:
+                return GoalRegister("Goal_Velocity", Velocity, model.step)
+            case 2:
+                return GoalRegister("Goal_Time", Torque, self.stall_torque / 1000.0)
+        return None
+
+    @property
+    def set_up(self) -> dict[str, int]:
         """What is written before it is armed, in this order: with Lock, nothing of it is stored."""
-        model, position = self.of_model, self.mode == "position"
+        model, position = self.of, self.mode == "position"
         wanted = {"Lock": 1, "Return_Delay_Time": 0}
-        if model.family.name == "sts":
+        if "Operating_Mode" in self.table.by_name:
             wanted["Operating_Mode"] = MODES[self.mode]
             wanted["Acceleration"] = min(254, round(self.acceleration / model.step / 100.0))
             wanted |= {"Torque_Limit": round(self.torque_limit * 1000.0)} if self.torque_limit else {}
@@ -65,26 +84,26 @@ class Options:
 class Settings:
     """Configuration of the servo in simulation."""
 
-    mode: int = bounded(0, 0, 2)
+    mode: Annotated[int, Bounds(0, 2)] = 0
     """Operating_Mode as stored"""
     full_angle: bool = True
     """Bit 4 of Phase: positions beyond a turn are reported as such (or else within one turn)"""
-    offset: int = bounded(0, -2047, 2047)
+    offset: Annotated[int, Bounds(-2047, 2047)] = 0
     """Homing_Offset"""
-    return_delay: int = bounded(250, 0, 254)
+    return_delay: Annotated[int, Bounds(0, 254)] = 250
     """Return_Delay_Time: 2 µs"""
-    stall_torque: float = bounded(2.94, 0.01, 100.0)
+    stall_torque: Annotated[float, Bounds(0.01, 100.0)] = 2.94
     """N·m at 12 V"""
-    no_load_speed: float = bounded(45.0 * RPM, 0.1, 100.0)
+    no_load_speed: Annotated[float, Bounds(0.1, 100.0)] = 45.0 * RPM
     """rad/s at 12 V"""
-    stall_current: float = bounded(2.7, 0.1, 100.0)
+    stall_current: Annotated[float, Bounds(0.1, 100.0)] = 2.7
     """A"""
-    stiffness: float = bounded(60.0, 0.1, 1e5)
+    stiffness: Annotated[float, Bounds(0.1, 1e5)] = 60.0
     """N·m/rad of its loop for position, as delivered (P_Coefficient 32)"""
-    supply: float = bounded(12.0, 4.0, 25.0)
+    supply: Annotated[float, Bounds(4.0, 25.0)] = 12.0
     """V"""
-    temperature: float = bounded(30.0, 0.0, 120.0)
+    temperature: Annotated[float, Bounds(0.0, 120.0)] = 30.0
     """°C"""
 
     def __post_init__(self) -> None:
-        check_bounds(self)
+        check(self)

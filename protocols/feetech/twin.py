@@ -1,323 +1,171 @@
 """The device's end: what a servo obeys of what it receives, and its firmware.
 
-Rules. Decoder and twin run on the same memory, an image of the registers. A goal arms, as the torque switch
-does: the vendor's examples never switch it on. What is written while Lock is 1 is not stored.
+Rules. A goal arms, as the torque switch does: the vendor's examples never switch it on. What is written while
+Lock is 1 is not stored.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from copy import copy
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 from protocols import messages as msg
 from protocols.feetech import table as ft
 from protocols.feetech.options import Options, Settings
-from protocols.feetech.table import EVERYBODY, Family, Packet
-from protocols.frames import Frame
-from protocols.messages import MILLISECOND, Command, Mode, Nanos, Obeyed
+from protocols.messages import MILLISECOND, Mode, Nanos, Obeyed
 from protocols.plugin import Device
-from protocols.toolkit.firmware import ServoFirmware
-from protocols.toolkit.serial import Stream
 from protocols.toolkit.servo import Encoder, Gains, clamp
+from protocols.toolkit.servo_device import BusServo, ServoDecoder, ServoMemory
 
 SIZE = 128
-GOALS = {0: (42, 2), 1: (46, 2), 2: (44, 2)}
-"""First byte and size of the goal of each mode."""
+SWITCH, MODE = 40, 33
 AT_12_V = 12.0
 PASSES: Nanos = 500 * MILLISECOND
 
 
 @dataclass(slots=True)
-class Memory:
-    """What one servo keeps of what it received. Plain data."""
+class Memory(ServoMemory):
+    """What one servo keeps of what it received."""
 
-    name: str
-    id: int
     options: Options
-    image: bytes = bytes(SIZE)
-    """Its registers"""
-    waiting: tuple[int, bytes] | None = None
-    """What a reg write keeps for the next action."""
 
-    @property
-    def family(self) -> Family:
-        """Its registers' family."""
-        return self.options.of_model.family
-
-    def value(self, name: str) -> int:
-        """Return the value of a register."""
-        register = self.family.registers.get(name)
-        if register is None:
-            return 0
-        raw = self.image[register.at : register.at + register.size]
-        return register.value(int.from_bytes(raw, self.family.order))
-
-    def put(self, at: int, data: bytes) -> None:
-        """Write bytes into the image."""
-        self.image = (self.image[:at] + data + self.image[at + len(data) :])[:SIZE]
-
-    def assign(self, name: str, value: float) -> None:
-        """Write a register."""
-        self.put(self.family.registers[name].at, self.family.data(name, value))
-
-    def obey(self, one: Packet) -> Sequence[Obeyed]:
-        """Apply an instruction to any id; return what the servo then does."""
-        if one.instruction == ft.ACTION and one.id in (self.id, EVERYBODY) and self.waiting:
-            (at, data), self.waiting = self.waiting, None
-            return self._write(at, data)
-        each = ft.written(one)
-        found = each.get(self.id) or (each.get(EVERYBODY) if one.instruction != ft.SYNC_WRITE else None)
-        if found is None or found[0] + len(found[1]) > SIZE:
-            return ()
-        if one.instruction == ft.REG_WRITE:
-            self.waiting = found
-            return (msg.Kept(self.name, f"reg write {found[0]}", float(len(found[1]))),)
-        return self._write(*found)
-
-    def _write(self, at: int, data: bytes) -> Sequence[Obeyed]:
-        before, end = self.image, at + len(data)
-        self.put(at, data)
+    def wrote(self, before: bytes, at: int, size: int) -> Sequence[Obeyed]:
+        end, table = at + size, self.table
         self.id = self.image[5] if at <= 5 < end else self.id
-        for register in self.family.registers.values():
+        touched = table.within(at, size)
+        for register in touched:
             if not register.writable:
-                self.put(register.at, before[register.at : register.at + register.size])
-        first: list[Obeyed] = []
-        switch = self.image[40] if at <= 40 < end else None
-        mode = self.value("Operating_Mode")
-        place, size = GOALS.get(mode, (SIZE, 0))
-        aimed = place < end and at < place + size
-        if switch == ft.MIDDLE_HERE and self.family.name == "sts":
-            self.put(40, before[40:41])
-            first.append(msg.Zero(self.name))
+                self.place(register.number, before[register.number : register.number + register.size])
+        does: list[Obeyed] = []
+        switch = self.image[SWITCH] if at <= SWITCH < end else None
+        sts = "Operating_Mode" in table.by_name
+        goal = self.options.goal_in(self.get("Operating_Mode"))
+        aimed = goal is not None and goal.register in [register.name for register in touched]
+        if switch == ft.MIDDLE_HERE and sts:
+            self.place(SWITCH, before[SWITCH : SWITCH + 1])
+            does.append(msg.Zero(self.name))
         elif switch == 0:
-            first.append(msg.Idle(self.name))
-        if (
-            switch == 1
-            or aimed
-            or (before[33] != self.image[33] and self.family.name == "sts" and self.image[40])
-        ):
-            self.put(40, b"\x01")
-            first += [msg.Arm(self.name), *self.goal()]
-        done = {40, *(range(place, place + size) if aimed else ())}
+            does.append(msg.Idle(self.name))
+        other_mode = sts and before[MODE] != self.image[MODE] and self.image[SWITCH]
+        if switch == 1 or aimed or other_mode:
+            self.put("Torque_Enable", 1)
+            does.append(msg.Arm(self.name))
+            does += [goal.obeyed(self.name, self.get(goal.register))] if goal else []
         if switch not in (None, 0, 1, ft.MIDDLE_HERE):
-            first.append(msg.Kept(self.name, "Torque_Enable", float(switch or 0)))
-        return (*first, *self._kept(at, end, done))
-
-    def _kept(self, at: int, end: int, done: set[int]) -> Sequence[Obeyed]:
-        """Return the other registers that are written, each as it is now."""
-        kept: list[Obeyed] = []
-        for register in self.family.registers.values():
-            if register.writable and register.at < end and at < register.at + register.size:
-                if register.at not in done:
-                    kept.append(
-                        msg.WriteParameter(self.name, register.name, float(self.value(register.name)))
-                    )
-                done |= set(range(register.at, register.at + register.size))
-        return kept + [
-            msg.Kept(self.name, f"register {n}", float(self.image[n]))
-            for n in range(at, end)
-            if n not in done
+            does.append(msg.Kept(self.name, "Torque_Enable", float(switch or 0)))
+        others = [
+            r for r in touched if r.writable and r.name not in ("Torque_Enable", goal and goal.register)
         ]
-
-    def goal(self) -> Sequence[Command]:
-        """Return what the goal of the present mode is."""
-        model, name = self.options.of_model, self.name
-        match self.value("Operating_Mode"):
-            case 0:
-                return (msg.Position(name, (self.value("Goal_Position") - model.middle) * model.step),)
-            case 1:
-                return (msg.Velocity(name, self.value("Goal_Velocity") * model.step),)
-            case 2:
-                duty = self.value("Goal_Time") / 1000.0
-                return (msg.Torque(name, duty * self.options.stall_torque),)
-        return ()
+        does += [msg.WriteParameter(self.name, r.name, float(self.get(r.name))) for r in others]
+        named = {n for r in touched if r.writable for n in range(r.number, r.number + r.size)}
+        bare = [n for n in range(at, end) if n not in named]
+        return does + [msg.Kept(self.name, f"register {n}", float(self.image[n])) for n in bare]
 
 
-def memory_of(device: Device) -> Memory:
-    """Return the memory of a servo as delivered."""
+def memory_of(device: Device, **values: float) -> Memory:
+    """Return the memory of a servo as delivered, as far as what it obeys depends on it, and `values`."""
     made = Memory(device.name, device.address, device.options)
-    made.assign("Lock", 1)
+    made.deliver(SIZE, {"Lock": 1, "ID": device.address} | values)
     return made
 
 
-class FeetechDecoder:
-    """What the servos on one line would obey."""
-
-    def __init__(self, memories: Sequence[Memory], stream: Stream) -> None:
-        self._memories = tuple(memories)
-        self._stream = stream
-
-    def __deepcopy__(self, memo: object) -> FeetechDecoder:
-        """The guard copies it every few frames: all that a memory holds is constant."""
-        return FeetechDecoder([replace(each) for each in self._memories], copy(self._stream))
-
-    def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
-        """Return what the servos would obey in this frame; [] if nothing."""
-        obeyed: list[Obeyed] = []
-        for message in self._stream.messages(frame) if isinstance(frame, bytes) else ():
-            one = ft.unpacked(message)
-            for memory in self._memories:
-                obeyed += memory.obey(one)
-        return obeyed
-
-
-def decoder(devices: Sequence[Device]) -> FeetechDecoder:
+def decoder(devices: Sequence[Device]) -> ServoDecoder:
     """Return the decoder of the servos on one line."""
-    return FeetechDecoder([memory_of(each) for each in devices], Stream(ft.FRAMING))
+    return ServoDecoder(ft.PACKETS, [memory_of(each) for each in devices])
 
 
-class FeetechTwin(ServoFirmware):
+def delivered(options: Options, settings: Settings) -> dict[str, float]:
+    """Return what the registers of a servo hold when it is switched on."""
+    return {
+        "Firmware_Major_Version": 3,
+        "Firmware_Minor_Version": 10,
+        "Model_Number": options.of.number,
+        "Return_Delay_Time": settings.return_delay,
+        "Response_Status_Level": 1,
+        "Max_Position_Limit": options.of.steps - 1,
+        "Max_Temperature_Limit": 70,
+        "Max_Voltage_Limit": 140,
+        "Min_Voltage_Limit": 40,
+        "Max_Torque_Limit": 1000,
+        "Phase": 12 | 16 * settings.full_angle,
+        "Unloading_Condition": 44,
+        "LED_Alarm_Condition": 47,
+        "P_Coefficient": 32,
+        "D_Coefficient": 32,
+        "Protection_Current": 500,
+        "Angular_Resolution": 1,
+        "Homing_Offset": settings.offset,
+        "Operating_Mode": settings.mode,
+        "Protective_Torque": 20,
+        "Protection_Time": 200,
+        "Overload_Torque": 80,
+        "Torque_Limit": 1000,
+        "Goal_Position": options.of.middle,
+    }
+
+
+class FeetechTwin(BusServo):
     """One servo."""
 
     faults = ft.FAULTS
     passing = PASSES
+    packets = ft.PACKETS
+    level, levels = "Response_Status_Level", (0, 1)
 
     def __init__(self, device: Device, seed: int) -> None:
         settings: Settings = device.settings
-        super().__init__(device, seed, Gains(torque_limit=settings.stall_torque))
-        self.memory = memory_of(device)
-        self._stream = Stream(ft.FRAMING)
-        self._chain: tuple[bytes, int, int] = b"", 0, 0
-        """In a sync read: the servos before it, after the last of which it answers, and what with."""
+        memory = memory_of(device, **delivered(device.options, settings))
+        memory.place(2, bytes((device.options.table.order == "big",)))
+        super().__init__(device, seed, Gains(torque_limit=settings.stall_torque), memory)
+        self.model = device.options.of
         self.encoder = Encoder(counts=1e6)
-        self._delivered(settings)
 
-    def _delivered(self, settings: Settings) -> None:
-        memory, model = self.memory, self.device.options.of_model
-        scs = model.family.name == "scs"
-        stored = {
-            "Firmware_Major_Version": 3,
-            "Firmware_Minor_Version": 10,
-            "Model_Number": model.number,
-            "ID": self.device.address,
-            "Return_Delay_Time": settings.return_delay,
-            "Response_Status_Level": 1,
-            "Max_Position_Limit": model.steps - 1,
-            "Max_Temperature_Limit": 70,
-            "Max_Voltage_Limit": 140,
-            "Min_Voltage_Limit": 40,
-            "Max_Torque_Limit": 1000,
-            "Phase": 12 | 16 * settings.full_angle,
-            "Unloading_Condition": 44,
-            "LED_Alarm_Condition": 47,
-            "P_Coefficient": 32,
-            "D_Coefficient": 32,
-            "Protection_Current": 500,
-            "Angular_Resolution": 1,
-            "Homing_Offset": settings.offset,
-            "Operating_Mode": settings.mode,
-            "Protective_Torque": 20,
-            "Protection_Time": 200,
-            "Overload_Torque": 80,
-            "Torque_Limit": 1000,
-            "Goal_Position": model.middle,
-            "Lock": 1,
-        }
-        for name, value in stored.items():
-            if name in model.family.registers:
-                memory.assign(name, value)
-        memory.put(2, bytes((scs,)))
-
-    # -- instructions ---------------------------------------------------------------------------------
-
-    def on_frame(self, t: Nanos, frame: Frame) -> None:
-        if not isinstance(frame, bytes):
-            return
-        for message in self._stream.messages(frame):
-            self._hear(t, ft.unpacked(message))
-
-    def _hear(self, t: Nanos, one: Packet) -> None:
-        memory, (before, at, size) = self.memory, self._chain
-        if before and one.id in before and len(one.data) == size:
-            if one.id == before[-1]:
-                self._chain = b"", 0, 0
-                self._status(t, memory.image[at : at + size])
-            return
-        self._chain = b"", 0, 0  # an instruction ends what was not finished
-        mine = one.id == memory.id
-        match one.instruction:
-            case ft.PING if mine:
-                self._status(t)
-            case ft.READ if mine and len(one.data) == 2:
-                self._measure()
-                self._status(t, memory.image[one.data[0] : one.data[0] + one.data[1]])
-            case ft.SYNC_READ if self.device.options.of_model.sync_read and len(one.data) > 2:
-                self._queue(t, one.data)
-            case ft.WRITE | ft.REG_WRITE | ft.ACTION | ft.SYNC_WRITE:
-                for obeyed in memory.obey(one):
-                    self.obey(t, obeyed)
-                if mine and one.instruction != ft.SYNC_WRITE and memory.value("Response_Status_Level"):
-                    self._status(t)
-
-    def _queue(self, t: Nanos, data: bytes) -> None:
-        at, size, order = data[0], data[1], data[2:]
-        if (place := order.find(self.memory.id)) < 0:
-            return
-        self._measure()
-        if place:
-            self._chain = order[:place], at, size
-        else:
-            self._status(t, self.memory.image[at : at + size])
-
-    def _status(self, t: Nanos, data: bytes = b"") -> None:
-        wait = self.memory.value("Return_Delay_Time") * 2000
-        self.reply(t + wait, ft.packet(self.memory.id, self.fault, data))
-
-    # -- the servo ------------------------------------------------------------------------------------
+    def status(self, error: int, data: bytes) -> bytes:
+        return self.packets.packet(self.memory.id, self.fault, data)
 
     def obey(self, t: Nanos, obeyed: Obeyed) -> None:
-        settings: Settings = self.settings
         match obeyed:
             case msg.Zero():
-                offset = self._actual() - self.device.options.of_model.middle
-                self.memory.assign("Homing_Offset", offset)
+                self.memory.put("Homing_Offset", self._actual() - self.model.middle)
             case msg.Idle():
                 self.disarm()
             case msg.Kept() | msg.WriteParameter():
-                memory, model = self.memory, self.device.options.of_model
-                self.fastest = math.inf
-                if memory.value("Operating_Mode") == 0 and memory.value("Goal_Velocity") > 0:
-                    self.fastest = memory.value("Goal_Velocity") * model.step
-                acceleration = memory.value("Acceleration") * 100.0 * model.step or math.inf
-                self.speed_up = self.slow_down = acceleration
-                self.strongest = settings.stall_torque
-                if "Torque_Limit" in model.family.registers:
-                    self.strongest *= memory.value("Torque_Limit") / 1000.0
-                share = (memory.value("P_Coefficient") or 32) / 32.0
-                self.servo.tune(self._gains(settings, share))
+                self._configure()
             case _:
                 super().obey(t, obeyed)
 
-    @staticmethod
-    def _gains(settings: Settings, share: float = 1.0) -> Gains:
-        stiff = settings.stiffness
-        return Gains(20.0 * share, stiff / 20.0, stiff / 2.0, settings.stall_torque)
+    def _configure(self) -> None:
+        """Take over the limits."""
+        settings: Settings = self.settings
+        memory, step = self.memory, self.model.step
+        slowed = memory.get("Operating_Mode") == 0 and memory.get("Goal_Velocity") > 0
+        self.fastest = memory.get("Goal_Velocity") * step if slowed else math.inf
+        self.speed_up = self.slow_down = memory.get("Acceleration") * 100.0 * step or math.inf
+        limited = "Torque_Limit" in memory.table.by_name
+        self.strongest = settings.stall_torque * (memory.get("Torque_Limit") / 1000.0 if limited else 1.0)
+        share, stiff = (memory.get("P_Coefficient") or 32) / 32.0, settings.stiffness
+        self.servo.tune(Gains(20.0 * share, stiff / 20.0, stiff / 2.0, settings.stall_torque))
 
-    def trip(self, code: int) -> None:
-        super().trip(code)
-        self.memory.put(40, b"\x00")
+    # -- the servo ------------------------------------------------------------------------------------
 
     def _actual(self) -> int:
         """Return the position without offset [steps], of the turn in which it is unless all are counted."""
-        model = self.device.options.of_model
-        steps: int = round(self.encoder.shaft / model.step) + model.middle
-        return steps % model.steps if self._within_a_turn() else steps
+        steps: int = round(self.encoder.shaft / self.model.step) + self.model.middle
+        return steps % self.model.steps if self._within_a_turn() else steps
 
     def _within_a_turn(self) -> bool:
         memory = self.memory
-        counts = memory.value("Phase") & 16 and memory.value("Operating_Mode") == 0
-        return memory.family.name == "sts" and not counts
+        counts = memory.get("Phase") & 16 and memory.get("Operating_Mode") == 0
+        return "Operating_Mode" in memory.table.by_name and not counts
 
-    def _measure(self) -> None:
-        """Write what is measured into its registers."""
-        memory, model, settings = self.memory, self.device.options.of_model, self.settings
-        position = self._actual() - memory.value("Homing_Offset")
+    def present(self) -> Mapping[str, float]:
+        memory, model, settings = self.memory, self.model, self.settings
+        position = self._actual() - memory.get("Homing_Offset")
         position = position % model.steps if self._within_a_turn() else position
         share = self.torque / settings.stall_torque
         low, high = model.ends
-        measured = {
+        return {
             "Present_Position": max(low, min(high, position)),
             "Present_Velocity": self.encoder.velocity / model.step,
             "Present_Load": clamp(share, 1.0) * 1000.0,
@@ -325,16 +173,13 @@ class FeetechTwin(ServoFirmware):
             "Present_Temperature": settings.temperature,
             "Status": self.fault,
             "Moving": abs(self.encoder.velocity) > 0.02,
-            "Present_Current": share * settings.stall_current / 6.5e-3,
+            "Present_Current": share * settings.stall_current / ft.AMPERE,
         }
-        for name, value in measured.items():
-            if name in model.family.registers:
-                memory.assign(name, value)
 
     def cycle(self, now: Nanos, dt: float, position: float, velocity: float) -> float:
         """Run the loops: within what the supply can do at this velocity."""
         settings: Settings = self.settings
-        offset = self.memory.value("Homing_Offset") * self.device.options.of_model.step
+        offset = self.memory.get("Homing_Offset") * self.model.step
         self.encoder.set_position(self.encoder.shaft - offset)
         torque = super().cycle(now, dt, position, velocity)
         if self.mode is not Mode.ARMED:

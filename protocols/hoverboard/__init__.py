@@ -4,13 +4,15 @@
 from __future__ import annotations
 
 from protocols import messages as msg
+from protocols.bounds import Invalid
 from protocols.hoverboard import table as hb
 from protocols.hoverboard.driver import HoverboardAdapter
 from protocols.hoverboard.options import Options, Settings
-from protocols.hoverboard.twin import HoverboardDecoder, HoverboardTwin
+from protocols.hoverboard.twin import HoverboardTwin, memory_of
 from protocols.messages import MILLISECOND
 from protocols.plugin import Device, FeedbackKind, Plugin, Range, Spec, Watchdog
-from protocols.toolkit.assembly import driver_of
+from protocols.toolkit.assembly import driver_of, serial_motor
+from protocols.toolkit.packets import packet_decoder
 
 __all__ = ["plugin"]
 
@@ -35,28 +37,23 @@ def ranges(options: Options) -> dict[str, Range]:
 def spec(device: Device) -> Spec:
     """Return the contract of one motor. Raises ValueError for an address that it cannot have."""
     options: Options = device.options
-    if device.address not in (hb.LEFT, hb.RIGHT):
-        raise ValueError(
+    if device.address not in hb.ADDRESSES:
+        text = (
             f"address {device.address} of {device.name}: the left motor of a board has 1, the right one 2, "
-            "and one board is on a line"
         )
+        raise Invalid(("address", f"{text}and one board is on a line"))
     moves = msg.Torque if options.control == "torque" else msg.Velocity
     decides = {"duty": ("full_scale",), "speed": (), "torque": ("torque_full",)}
-    return Spec(
-        bus="serial",
-        kind="motor",
-        sends=(),
-        expects=(),
-        read_only=hb.read_only,
+    return serial_motor(
+        device,
+        hb.COMMANDS.read_only,
+        hb.ADDRESSES,
+        "free",
         feedback=FeedbackKind.CYCLIC,
-        feedback_period=hb.PERIOD_MS * MILLISECOND,
-        offline_after=round(options.offline_ms * MILLISECOND),
         commands=frozenset({moves} if options.control == "speed" else {msg.Idle, moves}),
         requests=frozenset(),
         ranges=ranges(options),
         watchdog=Watchdog(hb.TIMEOUT_MS * MILLISECOND, enabled=True, fed_by="any command"),
-        holds_unattended=False,
-        stop_clears_faults=False,
         stop=(hb.COMMANDS.encode("command", steer=0, speed=0),),
         scales=dict.fromkeys(("control", "tank", *decides[options.control]), ""),
         caution=HOLDS if options.control == "speed" else "",
@@ -71,8 +68,8 @@ plugin = Plugin(
     settings=Settings,
     spec=spec,
     driver=driver_of(HoverboardAdapter, spec),
-    decoder=HoverboardDecoder,
+    decoder=packet_decoder(lambda _: hb.COMMANDS, memory_of),
     twin=HoverboardTwin,
     messages=hb.COMMANDS.names,
-    vectors=("gateway.fixtures", "vectors/hoverboard.json"),
+    vectors=("protocols.hoverboard", "vectors.json"),
 )

@@ -10,23 +10,22 @@ enabled: it counts as armed while it is commanded, and the feedback returns what
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from protocols import messages as msg
 from protocols.frames import Frame
 from protocols.hoverboard import table as hb
 from protocols.hoverboard.options import Options
-from protocols.messages import MILLISECOND, Command, Feedback, Mode, Nanos, seconds
+from protocols.messages import MILLISECOND, Command, Feedback, Mode, Nanos
 from protocols.plugin import Device
-from protocols.toolkit.host import Host, Report, Timing
-from protocols.toolkit.motor_driver import NEVER, Adapter, MotorDriver, Rx
-from protocols.toolkit.serial import Stream
+from protocols.toolkit.host import Host, Report, counted_once
+from protocols.toolkit.lines import LineAdapter
+from protocols.toolkit.motor_driver import NEVER, MotorDriver, Rx
 from protocols.toolkit.table import Values
+from protocols.toolkit.turns import LONGEST, Shaft
 
 PACE: Nanos = 2 * MILLISECOND
 """From one message to the next at least: 0.7 ms of bytes, and a pause"""
-LONGEST: Nanos = 50 * MILLISECOND
-"""Time for which a velocity tells where a shaft went meanwhile"""
 ECHO: Nanos = 100 * MILLISECOND
 """Time within which the feedback must return what is sent"""
 SENT = 64
@@ -37,11 +36,8 @@ SENT = 64
 class Wheel:
     """What is known of one motor beyond its phase. Plain data."""
 
-    position: float = 0.0
-    """rad since it first reported: the integral of its speed, since a board counts nothing"""
-    velocity: float = 0.0
-    at: Nanos | None = None
-    """When it last reported"""
+    shaft: Shaft = field(default_factory=lambda: Shaft(0.0, longest=LONGEST))
+    """Its position is the integral of its speed, since a board counts nothing."""
     driven: bool = False
     """It is commanded."""
 
@@ -49,24 +45,14 @@ class Wheel:
         """Record whether it is commanded."""
         self.driven = driven
 
-    def forget(self) -> None:
-        """Forget what it reported: it may have restarted."""
-        self.at, self.velocity = None, 0.0
 
-    def see(self, t: Nanos, velocity: float) -> None:
-        """Record its velocity."""
-        since = seconds(0 if self.at is None else min(t - self.at, LONGEST))
-        self.position += 0.5 * (self.velocity + velocity) * since
-        self.at, self.velocity = t, velocity
-
-
-class HoverboardAdapter(Adapter[Wheel]):
+class HoverboardAdapter(LineAdapter[Wheel]):
     """What a board is sent, and what it reports."""
 
-    name = "hoverboard"
+    name, confirmations = "hoverboard", 4
 
     def __init__(self) -> None:
-        self._stream = Stream(hb.FEEDBACK.framing)
+        super().__init__(hb.FEEDBACK.framing)
         self._options: Options | None = None
         self._given: dict[int, int] = {}
         """Counts that were given in this step, by address."""
@@ -79,26 +65,12 @@ class HoverboardAdapter(Adapter[Wheel]):
         self._options = device.options
         return Wheel()
 
-    def timing(self, options: Options) -> Timing:
-        return Timing(round(options.offline_ms * MILLISECOND), confirmations=4)
-
-    def interrupted(self) -> None:
-        self._stream.drop()
-
     def forget(self, now: Nanos, host: Host[Wheel]) -> None:
-        host.own.forget()
+        host.own.shaft.forget(host.own.shaft.position)
 
     # -- received -------------------------------------------------------------------------------------
 
-    def receive(self, t: Nanos, frame: Frame, driver: MotorDriver[Wheel]) -> Sequence[Report[Wheel] | Rx]:
-        if not isinstance(frame, bytes):
-            return (Rx.IGNORED,)
-        reports: list[Report[Wheel] | Rx] = []
-        for each in self._stream.feed(frame):
-            reports += [each] if isinstance(each, Rx) else self._reports(t, each, driver)
-        return reports
-
-    def _reports(self, t: Nanos, message: bytes, driver: MotorDriver[Wheel]) -> Sequence[Report[Wheel] | Rx]:
+    def unasked(self, t: Nanos, message: bytes, driver: MotorDriver[Wheel]) -> Sequence[Report[Wheel] | Rx]:
         decoded = hb.FEEDBACK.decode(message, "from_device")
         if decoded is None or not decoded.name:
             return (Rx.MALFORMED,)
@@ -108,25 +80,24 @@ class HoverboardAdapter(Adapter[Wheel]):
             for address, name in ((hb.LEFT, "left"), (hb.RIGHT, "right"))
             if (host := driver.at.get(address)) is not None and values[name] != hb.UNKNOWN
         ]
-        reports = [self._report(t, host, values, counted=not at) for at, host in enumerate(there)]
-        return reports or (Rx.IGNORED,)
+        return counted_once(self._report(t, host, values) for host in there) or (Rx.IGNORED,)
 
-    def _report(self, t: Nanos, host: Host[Wheel], values: Values, *, counted: bool) -> Report[Wheel]:
+    def _report(self, t: Nanos, host: Host[Wheel], values: Values) -> Report[Wheel]:
         own, options = host.own, host.options
         rpm = values["left" if host.address == hb.LEFT else "right"]
-        own.see(t, options.sign(host.address) * rpm * hb.RPM)
+        own.shaft.add(t, None, options.sign(host.address) * rpm * hb.RPM)
         inside = abs(rpm) < (1 << 15) - 1  # it may as well be faster
         feedback = Feedback(
             host.name,
             t,
-            own.position,
-            own.velocity + 0.0 if inside else None,
+            own.shaft.position,
+            own.shaft.velocity + 0.0 if inside else None,
             voltage=values["voltage"],
             temperature=values["temperature"],
         )
         echo = values["steer"], values["speed"]
         mode, detail = self._mode(t, host, echo)
-        return Report(host, host.address, mode, detail, feedback=feedback, counted=counted)
+        return Report(host, host.address, mode, detail, feedback=feedback)
 
     def _mode(self, t: Nanos, host: Host[Wheel], echo: tuple[int, int]) -> tuple[Mode, str]:
         options: Options = host.options

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
+from protocols.bounds import Bounds, check
 from protocols.hoverboard import table as hb
-from protocols.toolkit.options import bounded, check_bounds
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,21 +15,21 @@ class Options:
 
     control: Literal["duty", "speed", "torque"] = "duty"
     """CTRL_MOD_REQ: VLT_MODE (as delivered: a share of the voltage), SPD_MODE or TRQ_MODE"""
-    full_scale: float = bounded(70.0, 1.0, 1000.0)
+    full_scale: Annotated[float, Bounds(1.0, 1000.0)] = 70.0
     """rad/s of a wheel without a load at 1000, of VLT_MODE: measure it, with the battery half full"""
-    torque_full: float = bounded(7.5, 0.1, 1000.0)
+    torque_full: Annotated[float, Bounds(0.1, 1000.0)] = 7.5
     """N·m at 1000, of TRQ_MODE: I_MOT_MAX (15 A) times the torque constant (0.5 N·m/A)"""
     tank: bool = False
     """TANK_STEERING; without it the firmware mixes steer and speed (coefficients as delivered), and a motor
     can be given half of the full scale."""
     mirrored: bool = True
     """The right motor's reported speed has the other sign (a build without INVERT_R_DIRECTION)."""
-    offline_ms: float = bounded(100.0, 20.0, 10_000.0)
+    offline_ms: Annotated[float, Bounds(20.0, 10_000.0)] = 100.0
     """Time without feedback after which it is offline"""
     feedback_ms: ClassVar[int] = hb.PERIOD_MS
 
     def __post_init__(self) -> None:
-        check_bounds(self)
+        check(self)
 
     @property
     def unit(self) -> float:
@@ -56,15 +56,15 @@ class Options:
 class Settings:
     """The board in simulation."""
 
-    torque_constant: float = bounded(0.5, 1e-3, 100.0)
+    torque_constant: Annotated[float, Bounds(1e-3, 100.0)] = 0.5
     """N·m/A"""
-    resistance: float = bounded(0.3, 1e-3, 100.0)
+    resistance: Annotated[float, Bounds(1e-3, 100.0)] = 0.3
     """Ω of a motor, its cables and the battery"""
-    current_most: float = bounded(15.0, 0.1, 100.0)
+    current_most: Annotated[float, Bounds(0.1, 100.0)] = 15.0
     """A, I_MOT_MAX"""
-    voltage: float = bounded(36.0, 1.0, 300.0)
-    temperature: float = bounded(30.0, -40.0, 150.0)
+    voltage: Annotated[float, Bounds(1.0, 300.0)] = 36.0
+    temperature: Annotated[float, Bounds(-40.0, 150.0)] = 30.0
     """°C of the board"""
 
     def __post_init__(self) -> None:
-        check_bounds(self)
+        check(self)

@@ -13,13 +13,13 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from protocols.frames import Frame
 from protocols.toolkit.packets import Packets
 from protocols.toolkit.serial import Framing, xor8
 from protocols.toolkit.table import Row, const, sint, uint
 
 LEFT, RIGHT = 1, 2
-"""The address of each motor of a board."""
+"""The address of each motor of a board: one board is on a line."""
+ADDRESSES = range(LEFT, RIGHT + 1)
 MOST, LITTLE = 1000, 50
 """Counts: the ends of an input; and what both must be below when the motors are enabled"""
 RPM = math.pi / 30.0
@@ -86,8 +86,3 @@ def unmix(steer: int, speed: int, *, tank: bool) -> Counts:
         return Counts(steer, speed)
     left, right = ((speed << 4) + sign * (steer << 4 >> 1) >> 4 for sign in (1, -1))
     return Counts(max(-MOST, min(MOST, left)), max(-MOST, min(MOST, right)))
-
-
-def read_only(_: Frame) -> bool:
-    """Return False: the one message to a board commands it."""
-    return False

@@ -18,8 +18,7 @@ from protocols.hoverboard import table as hb
 from protocols.hoverboard.options import Options
 from protocols.messages import MILLISECOND, Mode, Nanos, Obeyed
 from protocols.plugin import Device, FaultInfo
-from protocols.toolkit.firmware import ServoFirmware
-from protocols.toolkit.serial import Stream
+from protocols.toolkit.packets import PacketFirmware
 from protocols.toolkit.servo import Gains, approach, clamp
 from protocols.toolkit.table import Decoded
 
@@ -56,36 +55,17 @@ def memory_of(device: Device) -> Memory:
     return Memory(device.name, device.address, device.options)
 
 
-class HoverboardDecoder:
-    """What the motors of one board would obey."""
-
-    def __init__(self, devices: Sequence[Device]) -> None:
-        self._memories = [memory_of(device) for device in devices]
-        self._stream = Stream(hb.COMMANDS.framing)
-
-    def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
-        """Return what the motors would obey in this frame; [] if nothing."""
-        messages = self._stream.messages(frame) if isinstance(frame, bytes) else ()
-        return [
-            obeyed
-            for message in messages
-            if (decoded := hb.COMMANDS.decode(message, "to_device")) is not None and decoded.name
-            for memory in self._memories
-            for obeyed in memory.obey(decoded)
-        ]
-
-
-class HoverboardTwin(ServoFirmware):
+class HoverboardTwin(PacketFirmware):
     """One motor, and its half of the board."""
 
     faults: Mapping[int, FaultInfo] = {}
+    messages = hb.COMMANDS
 
     def __init__(self, device: Device, seed: int) -> None:
         settings, options = device.settings, device.options
         most = settings.current_most * settings.torque_constant
-        super().__init__(device, seed, Gains(torque_limit=most))
+        super().__init__(device, seed, Gains(torque_limit=most), memory_of(device))
         self.speed_up = self.slow_down = SLOPE * options.unit
-        self.memory, self.stream = memory_of(device), Stream(hb.COMMANDS.framing)
         self.echo = (0, 0)
         self.silent = True
         """The timeout has passed."""
@@ -99,16 +79,10 @@ class HoverboardTwin(ServoFirmware):
         self.silent, self.echo = True, (0, 0)
         self.disarm()
 
-    def on_frame(self, t: Nanos, frame: Frame) -> None:
-        messages = self.stream.messages(frame) if isinstance(frame, bytes) else ()
-        for message in messages:
-            decoded = hb.COMMANDS.decode(message, "to_device")
-            if decoded is None or not decoded.name:
-                continue
-            self.feed(t)
-            self.silent, self.echo = False, (decoded.values["steer"], decoded.values["speed"])
-            for obeyed in self.memory.obey(decoded):
-                self.obey(t, obeyed)
+    def on_message(self, t: Nanos, message: bytes, decoded: Decoded) -> None:
+        self.feed(t)
+        self.silent, self.echo = False, (decoded.values["steer"], decoded.values["speed"])
+        super().on_message(t, message, decoded)
 
     def cycle(self, now: Nanos, dt: float, position: float, velocity: float) -> float:
         torque = super().cycle(now, dt, position, velocity)

@@ -21,7 +21,7 @@ from protocols.moteus.messages import STOP, names
 from protocols.moteus.table import FAULTS, UUID_MASK, beside, decoded
 from protocols.moteus.twin import MoteusTwin
 from protocols.plugin import Device, Plugin, Range, Setting, Spec, Watchdog
-from protocols.toolkit.assembly import can_motor, driver_of
+from protocols.toolkit.assembly import can_motor, driver_of, own_ramps
 from protocols.toolkit.table import BINARY32, Table
 
 __all__ = ["plugin"]
@@ -104,6 +104,7 @@ def spec(device: Device) -> Spec:
         ),
         ranges=RANGES | ranges | {"Feedback.position": position},
         watchdog=Watchdog(options.timeout_ms * MILLISECOND, enabled=True),
+        ramps=own_ramps(options.acceleration_limit, msg.Position, msg.Velocity),
         stop_clears_faults=True,
         faults=FAULTS,
         parameters=("mode", "voltage"),
@@ -130,5 +131,5 @@ plugin = Plugin(
     decoder=MoteusDecoder,
     twin=MoteusTwin,
     messages=names,
-    vectors=("gateway.fixtures", "vectors/moteus.json"),
+    vectors=("protocols.moteus", "vectors.json"),
 )

@@ -17,9 +17,10 @@ import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import isclose, isnan, nan, tau
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from protocols import messages as msg
+from protocols.bounds import Bounds, check
 from protocols.frames import CanFrame, Frame
 from protocols.messages import MILLISECOND, SECOND, Command, Event, Mode, Nanos, Request
 from protocols.moteus import codec
@@ -30,7 +31,6 @@ from protocols.moteus.table import LATCHED, NUMBERS, RISING
 from protocols.plugin import Device
 from protocols.toolkit.host import Host, Phase, Report
 from protocols.toolkit.motor_driver import ARMED, NEVER, Adapter, MotorDriver, Pending, Rx
-from protocols.toolkit.options import bounded, check_bounds
 from protocols.toolkit.requests import subject
 from protocols.toolkit.table import FLOAT_MAX, TINY
 
@@ -67,27 +67,35 @@ NOT_WRITTEN: Mapping[int, str] = {
 class Options:
     """Configuration of the driver. It never repeats what the device knows, except to be stricter."""
 
-    host_id: int = bounded(0, 0, 126)  # our own id, to which devices reply: another one for each host
-    can_prefix: int = bounded(0, 0, 0x1FFF)  # the upper 13 bits of the device's identifiers
-    timeout_ms: int = bounded(100, 10, 10_000)  # of the watchdog, written with every command
-    max_torque: float = bounded(0.0, 0.0, 1e6)  # N·m, in every command; 0: as configured on the device
-    velocity_limit: float = bounded(0.0, 0.0, 1e6)  # rad/s of the device's own trajectories, likewise
-    acceleration_limit: float = bounded(0.0, 0.0, 1e9)  # rad/s², likewise
-    kp: float = bounded(0.0, 0.0, 1e6)  # N·m/rev, servo.pid_position.kp of the device, for Impedance
-    kd: float = bounded(0.0, 0.0, 1e6)  # N·m/(rev/s), likewise; 0: not known, and Impedance is refused
-    within_min: float = bounded(nan, -1e5, 1e5, nan="none")  # rad: a Torque does not push further
-    within_max: float = bounded(nan, -1e5, 1e5, nan="none")
+    host_id: Annotated[int, Bounds(0, 126)] = 0
+    """our own id, to which devices reply: another one for each host"""
+    can_prefix: Annotated[int, Bounds(0, 0x1FFF)] = 0  # the upper 13 bits of the device's identifiers
+    timeout_ms: Annotated[int, Bounds(10, 10_000)] = 100  # of the watchdog, written with every command
+    max_torque: Annotated[float, Bounds(0.0, 1e6)] = 0.0
+    """N·m, in every command; 0: as configured on the device"""
+    velocity_limit: Annotated[float, Bounds(0.0, 1e6)] = 0.0
+    """rad/s of the device's own trajectories, likewise"""
+    acceleration_limit: Annotated[float, Bounds(0.0, 1e9)] = 0.0  # rad/s², likewise
+    kp: Annotated[float, Bounds(0.0, 1e6)] = 0.0
+    """N·m/rev, servo.pid_position.kp of the device, for Impedance"""
+    kd: Annotated[float, Bounds(0.0, 1e6)] = 0.0
+    """N·m/(rev/s), likewise; 0: not known, and Impedance is refused"""
+    within_min: Annotated[float, Bounds(-1e5, 1e5, nan="none")] = nan  # rad: a Torque does not push further
+    within_max: Annotated[float, Bounds(-1e5, 1e5, nan="none")] = nan
     at_rest: Literal["hold", "damp", "brake"] = "hold"
     """What Velocity 0 is: position control, damping by kd (mode 12), or shorted phases (mode 15)."""
-    feedback_ms: int = bounded(10, 1, 1000)  # period of queries to a device that is not commanded
-    details_ms: int = bounded(200, 1, 60_000)  # … for current, voltage and temperatures as well
-    offline_ms: int = bounded(200, 20, 10_000)  # time without a reply after which it is offline
+    feedback_ms: Annotated[int, Bounds(1, 1000)] = 10  # period of queries to a device that is not commanded
+    details_ms: Annotated[int, Bounds(1, 60_000)] = 200  # … for current, voltage and temperatures as well
+    offline_ms: Annotated[int, Bounds(20, 10_000)] = 200  # time without a reply after which it is offline
 
     def __post_init__(self) -> None:
         late = f"offline_ms ({self.offline_ms}) must be at least twice feedback_ms ({self.feedback_ms})"
         inverted = f"within_min ({self.within_min}) must be below within_max ({self.within_max})"
-        others = [late] if self.offline_ms < 2 * self.feedback_ms else []
-        check_bounds(self, [*others, inverted if self.within_min >= self.within_max else ""])
+        check(
+            self,
+            ("offline_ms", late if self.offline_ms < 2 * self.feedback_ms else ""),
+            ("within_min", inverted if self.within_min >= self.within_max else ""),
+        )
 
     @property
     def gains(self) -> tuple[float, float]:
@@ -281,9 +289,6 @@ class MoteusAdapter(Adapter[Motor]):
     def poll_due(self, host: Host[Motor]) -> Nanos:
         period = OFFLINE_PERIOD if host.offline else host.own.options.feedback_ms * MILLISECOND
         return host.own.queried_at + period
-
-    def forget(self, now: Nanos, host: Host[Motor]) -> None:
-        host.own.forget()
 
     def resend(self, host: Host[Motor]) -> None:
         host.own.place(None)

@@ -12,10 +12,11 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import copysign, inf, isnan, nan, sqrt, tau
+from typing import Annotated
 
+from protocols.bounds import Bounds, check
 from protocols.messages import SECOND, Nanos
 from protocols.moteus.table import LATCHED, RISING, Mode
-from protocols.toolkit.options import bounded, check_bounds
 from protocols.toolkit.servo import Encoder, PowerStage, clamp
 
 CAPTURED = 0.05  # rev/s: at less, a set-point that begins at the shaft begins at rest
@@ -33,52 +34,57 @@ class Settings:
 
     uuid: str = ""  # 32 hexadecimal digits, as on the packaging; "": from the address and the twin's seed
     firmware: str = "1.3.4"
-    model: int = bounded(0x030404, 0, 0x7FFFFFFF)
-    register_map: int = bounded(5, 0, 0x7FFFFFFF)
+    model: Annotated[int, Bounds(0, 0x7FFFFFFF)] = 0x030404
+    register_map: Annotated[int, Bounds(0, 0x7FFFFFFF)] = 5
 
-    kp: float = bounded(10.0, 0.0, 1e6)  # servo.pid_position.kp, N·m/rev
-    ki: float = bounded(10.0, 0.0, 1e6)  # N·m/(rev·s)
-    kd: float = bounded(0.4, 0.0, 1e6)  # N·m/(rev/s)
-    ilimit: float = bounded(0.3, 0.0, 1e6)  # N·m
-    position_min: float = bounded(nan, -1e6, 1e6, nan="none")  # servopos.position_min
-    position_max: float = bounded(nan, -1e6, 1e6, nan="none")
-    position_derate: float = bounded(0.02, 1e-6, 1e6)  # beyond a limit, until the torque outwards is zero
-    default_velocity_limit: float = bounded(nan, 0.0, 1e6, nan="none")
-    default_accel_limit: float = bounded(nan, 0.0, 1e9, nan="none")
-    default_timeout_s: float = bounded(0.1, 0.0, 1e6, nan="no watchdog unless a command has one")
-    timeout_mode: int = bounded(int(Mode.ZERO_VELOCITY), 0, 15)
-    timeout_max_torque: float = bounded(5.0, 0.0, 1e6)
-    fault_position_error: float = bounded(nan, 0.0, 1e6, nan="not watched")
-    velocity_threshold: float = bounded(0.0005, 0.0, 1e6)  # rev/s: an error of less is none
-    fault_velocity_error: float = bounded(nan, 0.0, 1e6, nan="not watched")
+    kp: Annotated[float, Bounds(0.0, 1e6)] = 10.0  # servo.pid_position.kp, N·m/rev
+    ki: Annotated[float, Bounds(0.0, 1e6)] = 10.0  # N·m/(rev·s)
+    kd: Annotated[float, Bounds(0.0, 1e6)] = 0.4  # N·m/(rev/s)
+    ilimit: Annotated[float, Bounds(0.0, 1e6)] = 0.3  # N·m
+    position_min: Annotated[float, Bounds(-1e6, 1e6, nan="none")] = nan  # servopos.position_min
+    position_max: Annotated[float, Bounds(-1e6, 1e6, nan="none")] = nan
+    position_derate: Annotated[float, Bounds(1e-6, 1e6)] = 0.02
+    """beyond a limit, until the torque outwards is zero"""
+    default_velocity_limit: Annotated[float, Bounds(0.0, 1e6, nan="none")] = nan
+    default_accel_limit: Annotated[float, Bounds(0.0, 1e9, nan="none")] = nan
+    default_timeout_s: Annotated[float, Bounds(0.0, 1e6, nan="no watchdog unless a command has one")] = 0.1
+    timeout_mode: Annotated[int, Bounds(0, 15)] = int(Mode.ZERO_VELOCITY)
+    timeout_max_torque: Annotated[float, Bounds(0.0, 1e6)] = 5.0
+    fault_position_error: Annotated[float, Bounds(0.0, 1e6, nan="not watched")] = nan
+    velocity_threshold: Annotated[float, Bounds(0.0, 1e6)] = 0.0005  # rev/s: an error of less is none
+    fault_velocity_error: Annotated[float, Bounds(0.0, 1e6, nan="not watched")] = nan
 
-    motor_kv: float = bounded(304.0, 1e-3, 1e6)  # rpm/V
-    max_current: float = bounded(40.0, 1e-3, 1e6)
-    max_velocity: float = bounded(500.0, 1e-3, 1e6)  # above it the torque falls
-    max_velocity_derate: float = bounded(2.0, 1e-3, 1e6)
-    current_bandwidth: float = bounded(2000.0, 1e-3, 1e6)  # rad/s of the current loop
-    phase_resistance: float = bounded(0.05, 1e-6, 1e6)  # Ω
-    encoder_cpr: int = bounded(16384, 1, 1 << 31)  # counts per revolution of the output
-    encoder_bandwidth: float = bounded(1500.0, 1e-3, 1e6)  # rad/s of the velocity's filter
-    enable_ms: int = bounded(5, 0, 1_000_000)  # from stopped to a mode with torque
-    reply_delay_us: int = bounded(0, 0, 1_000_000_000)  # from the end of a frame to its reply
+    motor_kv: Annotated[float, Bounds(1e-3, 1e6)] = 304.0  # rpm/V
+    max_current: Annotated[float, Bounds(1e-3, 1e6)] = 40.0
+    max_velocity: Annotated[float, Bounds(1e-3, 1e6)] = 500.0  # above it the torque falls
+    max_velocity_derate: Annotated[float, Bounds(1e-3, 1e6)] = 2.0
+    current_bandwidth: Annotated[float, Bounds(1e-3, 1e6)] = 2000.0  # rad/s of the current loop
+    phase_resistance: Annotated[float, Bounds(1e-6, 1e6)] = 0.05  # Ω
+    encoder_cpr: Annotated[int, Bounds(1, 1 << 31)] = 16384  # counts per revolution of the output
+    encoder_bandwidth: Annotated[float, Bounds(1e-3, 1e6)] = 1500.0  # rad/s of the velocity's filter
+    enable_ms: Annotated[int, Bounds(0, 1_000_000)] = 5  # from stopped to a mode with torque
+    reply_delay_us: Annotated[int, Bounds(0, 1_000_000_000)] = 0  # from the end of a frame to its reply
 
-    bus_voltage: float = bounded(24.0, 1e-3, 1e6)  # without load
-    bus_resistance: float = bounded(0.05, 0.0, 1e6)  # Ω of battery and cables
-    max_voltage: float = bounded(46.0, 1e-3, 1e6)
-    min_voltage: float = bounded(4.0, 0.0, 1e6)
-    ambient: float = bounded(25.0, -273.0, 1e6)
-    fault_temperature: float = bounded(75.0, -273.0, 1e6)
-    motor_fault_temperature: float = bounded(nan, -273.0, 1e6, nan="no motor thermistor")
-    temperature_margin: float = bounded(20.0, 1e-3, 1e6)  # K below a fault's, in which the current is limited
+    bus_voltage: Annotated[float, Bounds(1e-3, 1e6)] = 24.0  # without load
+    bus_resistance: Annotated[float, Bounds(0.0, 1e6)] = 0.05  # Ω of battery and cables
+    max_voltage: Annotated[float, Bounds(1e-3, 1e6)] = 46.0
+    min_voltage: Annotated[float, Bounds(0.0, 1e6)] = 4.0
+    ambient: Annotated[float, Bounds(-273.0, 1e6)] = 25.0
+    fault_temperature: Annotated[float, Bounds(-273.0, 1e6)] = 75.0
+    motor_fault_temperature: Annotated[float, Bounds(-273.0, 1e6, nan="no motor thermistor")] = nan
+    temperature_margin: Annotated[float, Bounds(1e-3, 1e6)] = 20.0
+    """K below a fault's, in which the current is limited"""
 
     def __post_init__(self) -> None:
         hexadecimal = not self.uuid or re.fullmatch(r"[0-9a-f]{32}", self.uuid)
         version = re.fullmatch(r"\d{1,2}\.\d{1,2}\.\d{1,2}", self.firmware)
         known = self.timeout_mode in (Mode.STOPPED, Mode.POSITION, Mode.ZERO_VELOCITY, Mode.BRAKE)
-        others = ["" if hexadecimal else "uuid must be 32 hexadecimal digits (0-9, a-f), without dashes"]
-        others.append("" if version else f"firmware {self.firmware!r} must be like 1.3.4")
-        check_bounds(self, [*others, "" if known else "timeout_mode must be 0, 10, 12 or 15"])
+        check(
+            self,
+            ("uuid", "" if hexadecimal else "uuid must be 32 hexadecimal digits (0-9, a-f), without dashes"),
+            ("firmware", "" if version else f"firmware {self.firmware!r} must be like 1.3.4"),
+            ("timeout_mode", "" if known else "timeout_mode must be 0, 10, 12 or 15"),
+        )
 
     @property
     def torque_constant(self) -> float:

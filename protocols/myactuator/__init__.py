@@ -13,7 +13,7 @@ from protocols.myactuator.options import Options, Settings
 from protocols.myactuator.twin import RmdTwin, memory_of
 from protocols.plugin import Device, FeedbackKind, Plugin, Range, Spec
 from protocols.toolkit import mit
-from protocols.toolkit.assembly import can_motor, decoder_of, driver_of, fed_by_any_frame
+from protocols.toolkit.assembly import can_motor, decoder_of, driver_of, fed_by_any_frame, own_ramps
 
 __all__ = ["plugin"]
 
@@ -55,6 +55,7 @@ def spec(device: Device) -> Spec:
     """Return the contract of one motor. Raises ValueError if its address cannot be one."""
     options: Options = device.options
     timeout = (options.timeout_ms or device.settings.timeout_ms) * MILLISECOND
+    own = math.radians(device.settings.acceleration)
     extra = options.gains.of_spec() if options.mode == "motion" else {}
     return can_motor(
         device,
@@ -74,6 +75,7 @@ def spec(device: Device) -> Spec:
         },
         receives_also=(ANSWERS,) if options.scan else (),
         obeys_also=(exact(rmd.ALL_MOTORS), exact(rmd.SET_ID)),
+        ramps=own_ramps(0.0 if options.mode == "motion" else own, msg.Position, msg.Velocity),
         scales=dict.fromkeys(SCALES[options.mode], ""),
         **fed_by_any_frame(timeout),
         **extra,
@@ -92,5 +94,5 @@ plugin = Plugin(
     decoder=decoder_of(lambda options: options.table, memory_of, spec),
     twin=RmdTwin,
     messages=rmd.ANY.names,
-    vectors=("gateway.fixtures", "vectors/myactuator.json"),
+    vectors=("protocols.myactuator", "vectors.json"),
 )

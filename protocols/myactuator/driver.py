@@ -49,7 +49,7 @@ class Motor:
     timeout: int | None = None
     """ms of its watchdog, as it confirmed it"""
     released: bool = False
-    """Its brake is, and was not told to lock since it reported so."""
+    """Its brake is, and was not sent to lock since it reported so."""
     runtime: int = 0
     """ms"""
 
@@ -84,7 +84,7 @@ class Motor:
                 self.driven = True
 
     def lock(self) -> None:
-        """Note that it is told to lock its brake: what it reported before says nothing any more."""
+        """Note that it is sent to lock its brake: what it reported before says nothing any more."""
         self.released = False
 
     def mode(self) -> Mode | None:
@@ -120,9 +120,6 @@ class RmdAdapter(Adapter[Motor]):
 
     def own(self, device: Device) -> Motor:
         return Motor(device.options.idle_current)
-
-    def forget(self, now: Nanos, host: Host[Motor]) -> None:
-        host.own.forget()
 
     # -- received -------------------------------------------------------------------------------------
 
@@ -181,8 +178,9 @@ class RmdAdapter(Adapter[Motor]):
         if options.timeout_ms and own.timeout != options.timeout_ms:
             frames.append(rmd.ANY.encode("set timeout", address, value=options.timeout_ms))
         frames += self._opening(host)
-        if not frames:  # what starts it where it stands
-            kind = msg.Torque if isinstance(command, msg.Torque) else msg.Velocity
+        if not frames:  # what starts it where it stands; a damper would jerk a shaft that turns
+            by_torque = options.mode == "motion" or isinstance(command, msg.Torque)
+            kind = msg.Torque if by_torque else msg.Velocity
             return own.answers.sent(now, (self._set_point(host, kind(host.name, 0.0)),))
         return own.answers.sent(now, frames) if own.is_due(now, "write") else ()
 

@@ -27,7 +27,7 @@ TURN = 2.0 * math.pi
 GAINS = dict(zip(rmd.GAINS, (85, 25) * 3, strict=True))
 """As delivered: the manual's example."""
 RUNNING = {msg.Torque: 1, msg.Velocity: 2, msg.Position: 3}
-"""The loop that runs, by what it is told."""
+"""The loop that runs, by what it is sent."""
 BOOT, PASSES = 300 * MILLISECOND, 500 * MILLISECOND
 """How long a restart takes, and after which time a fault of level 2 passes."""
 

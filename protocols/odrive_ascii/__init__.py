@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 from protocols import messages as msg
-from protocols.messages import SECOND
 from protocols.odrive_ascii.driver import AsciiAdapter
 from protocols.odrive_ascii.options import Options, Settings
-from protocols.odrive_ascii.table import AXES, COMMANDS, LINES, SUPPLY, line
-from protocols.odrive_ascii.twin import TOLD05, memory_of, twin
-from protocols.odrive_can import CONTROL_MODES, errors
+from protocols.odrive_ascii.table import AXES, LINES, SUPPLY, line
+from protocols.odrive_ascii.twin import REPORTED05, memory_of, twin
+from protocols.odrive_can import CONTROL_MODES, common, errors
 from protocols.odrive_can.options import line_of
 from protocols.odrive_can.table import IDLE, ControlMode, InputMode
-from protocols.plugin import CommandDecoder, Device, Plugin, Range, Spec, Watchdog
+from protocols.plugin import Device, Plugin, Range, Spec
 from protocols.toolkit.assembly import driver_of, serial_motor
-from protocols.toolkit.packets import PacketDecoder
+from protocols.toolkit.packets import packet_decoder
 from protocols.toolkit.table import BINARY32
 
 __all__ = ["plugin"]
@@ -50,27 +48,20 @@ RANGES: dict[str, Range] = {
 
 def spec(device: Device) -> Spec:
     """Return the contract of one axis. ValueError if its address cannot be one."""
-    options, settings = device.options, device.settings
-    acknowledged = options.watchdog == "acknowledged" or settings.enable_watchdog
     # A position is reported to half a count of the encoder, and to six decimals of a turn.
-    step = math.pi / settings.encoder_cpr * 1.001 + DIGITS * math.tau
+    step = math.pi / device.settings.encoder_cpr * 1.001 + DIGITS * math.tau
     old = line_of(device) == "0.5"
     axis = f"axis{device.address}."
     return serial_motor(
         device,
         LINES.read_only,
         AXES,
-        commands=frozenset(COMMANDS),
-        requests=frozenset({msg.ClearFault, msg.Scan, msg.Reboot, msg.ReadParameter, msg.WriteParameter}),
+        requests=frozenset(
+            {msg.ClearFault, msg.Home, msg.Scan, msg.Reboot, msg.ReadParameter, msg.WriteParameter}
+        ),
         tells_serial=True,
         ranges=RANGES | {"Feedback.position": Range(-1e9 * math.tau, 1e9 * math.tau, step, BINARY32)},
-        watchdog=Watchdog(
-            round(settings.watchdog_timeout * SECOND) or None,
-            settings.enable_watchdog,
-            "" if acknowledged else WATCHDOG_NOTE,
-        ),
-        holds_unattended=not settings.enable_watchdog,
-        faults=TOLD05 if old else errors.DEVICE06,
+        faults=REPORTED05 if old else errors.DEVICE06,
         parameters=(SUPPLY, f"{axis}controller.config.vel_limit"),
         stop=(line(f"w {axis}requested_state {IDLE}"),),
         set_up={
@@ -78,12 +69,8 @@ def spec(device: Device) -> Spec:
             "Input_Mode": (float(InputMode.PASSTHROUGH),),
         },
         unprotected=frozenset(LINES.letters()),
+        **common(device, WATCHDOG_NOTE),
     )
-
-
-def decoder(devices: Sequence[Device]) -> CommandDecoder:
-    """Return what the axes on a line would obey."""
-    return PacketDecoder(LINES, map(memory_of, devices))
 
 
 plugin = Plugin(
@@ -97,8 +84,8 @@ plugin = Plugin(
     settings=Settings,
     spec=spec,
     driver=driver_of(AsciiAdapter, spec),
-    decoder=decoder,
+    decoder=packet_decoder(lambda _: LINES, memory_of),
     twin=twin,
     messages=LINES.names,
-    vectors=("gateway.fixtures", "vectors/odrive_ascii.json"),
+    vectors=("protocols.odrive_ascii", "vectors.json"),
 )

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from typing import TypeAlias
 
 from protocols import messages as msg
@@ -21,20 +21,23 @@ from protocols.odrive_ascii import table as at
 from protocols.odrive_ascii.options import Options
 from protocols.odrive_can import errors
 from protocols.odrive_can.options import COMMANDS
+from protocols.odrive_can.setpoints import armed_of, control_mode, inputs, outcome, refusal
 from protocols.odrive_can.table import (
     CLOSED_LOOP,
     DIALECTS,
+    HOMING,
     IDLE,
     PROCEDURES,
     SAVE,
-    ControlMode,
     Dialect,
     InputMode,
     state_text,
 )
 from protocols.plugin import Device
-from protocols.toolkit.host import Host, Phase, Report, Timing
-from protocols.toolkit.motor_driver import ARMED, Adapter, MotorDriver, Pending, Rx
+from protocols.toolkit.host import Host, Phase, Report, Timing, counted_once
+from protocols.toolkit.lines import LineAdapter
+from protocols.toolkit.motor_driver import ARMED, MotorDriver, Pending, Rx
+from protocols.toolkit.questions import Questions
 from protocols.toolkit.requests import subject
 from protocols.toolkit.serial import Stream
 
@@ -53,15 +56,14 @@ ATTEMPTS = 2
 SCAN: Nanos = 600 * MILLISECOND
 SCAN_AGAIN: Nanos = 200 * MILLISECOND
 READ: Nanos = 600 * MILLISECOND
+HOME: Nanos = 120 * SECOND
+HOME_AGAIN: Nanos = 500 * MILLISECOND
 RESTART: Nanos = 8 * SECOND
 RESTARTED: Nanos = 300 * MILLISECOND
 """Silence that shows a restart."""
 
-MODES: Mapping[type[Command], ControlMode] = {
-    msg.Velocity: ControlMode.VELOCITY,
-    msg.Torque: ControlMode.TORQUE,
-}
-"""By command; of all others it is position control."""
+LETTERS = {"Set_Input_Vel": "v", "Set_Input_Torque": "c", "Set_Input_Pos": "p"}
+"""Of set-points, by the message over CAN"""
 _VERSION = re.compile(r"Firmware version: (\d+)\.(\d+)\.(\d+)")
 _SERIAL = re.compile(r"Serial number: ([0-9A-Fa-f]{1,16})")
 _PROPERTY = re.compile(r"[A-Za-z_][A-Za-z0-9_.]{0,99}")
@@ -78,19 +80,18 @@ class Axis:
         self.next_attempt: Nanos = 0
         self.failure = 0
         """Code of the result that ended arming; until cleared, or Idle."""
-        self.due: dict[str, Nanos] = {}
-        """When each question is asked next, by its kind."""
+        self.asked = Questions()
         self.forget()
 
     def forget(self) -> None:
-        """Forget what it told: it may have restarted, or been replaced."""
+        """Forget what it reported: it may have restarted, or been replaced."""
         self.line = self.version = ""
         self.state = self.errors = self.result = 0
         self.words: dict[str, int] = {}
         """Error words of the components, by message (0.5.x); and the reason why it disarmed (0.6.x)."""
         self.reason = 0
         self.awaited: tuple[str, ...] = ()
-        """Properties that tell why it is not armed, which are being asked for."""
+        """Properties that say why it is not armed, which are being asked for."""
         self.attempts = self.next_attempt = 0
 
     @property
@@ -122,7 +123,7 @@ class Axis:
                 self.awaited = tuple(names[part] for part in parts)
 
     def on_value(self, name: str, value: float | None) -> None:
-        """Note the value of a property of it; None: it cannot be told."""
+        """Note the value of a property of it; None: it is not known."""
         self.awaited = tuple(each for each in self.awaited if each != name)
         names = {path: kind for kind, path in at.PROPERTIES.get(self.line, {}).items()}
         kind = names.get(name, "")
@@ -132,6 +133,12 @@ class Axis:
             self.reason = int(value)
         elif kind == "result" and value is not None:
             self.result = int(value)
+
+    def questions(self, name: str) -> list[str]:
+        """Return what asks the axis of this name for its state, and (0.6.x) how its last procedure ended."""
+        names = at.PROPERTIES[self.line]
+        asked = "current_state", names["errors"], names.get("result")
+        return [f"r {name}{each}" for each in asked if each]
 
     def codes(self) -> Collection[int]:
         """Return the codes of all that is wrong with it."""
@@ -149,7 +156,7 @@ class Axis:
         if self.attempts >= ATTEMPTS - 1 and bad and self.state != CLOSED_LOOP:
             self.failure = errors.PROCEDURE + result
         self.attempts, self.next_attempt = self.attempts + 1, t + retry
-        self.due["state"] = t + SOON
+        self.asked.set_due("state", t + SOON)
 
     def on_lost(self, t: Nanos) -> None:
         """Note that the answer to what arms it was lost: others may have their turn first."""
@@ -166,30 +173,23 @@ class Axis:
         self.wrong = self.failure = self.reason = self.attempts = 0
         self.words, self.awaited = {}, ()
 
-    def take(self, now: Nanos, kind: str, period: Nanos) -> bool:
-        """True if this kind of question is due; then it counts as asked."""
-        if now < self.due.get(kind, 0):
-            return False
-        self.due[kind] = now + period
-        return True
-
 
 AxisHost: TypeAlias = Host[Axis]
 AxisDriver: TypeAlias = MotorDriver[Axis]
 AxisReport: TypeAlias = Report[Axis]
 
 
-class AsciiAdapter(Adapter[Axis]):
+class AsciiAdapter(LineAdapter[Axis]):
     """What axes are sent, and what they report."""
 
     name = "odrive_ascii"
     faults = errors.FAULTS
     not_armed = errors.NOT_ARMED
-    needs_idle = (msg.Reboot,)
+    needs_idle = (msg.Reboot, msg.Home)
     clearing = SECOND
 
     def __init__(self) -> None:
-        self._stream = Stream(at.FROM_DEVICE)
+        super().__init__(at.FROM_DEVICE)
 
     def own(self, device: Device) -> Axis:
         return Axis(device.options)
@@ -198,18 +198,7 @@ class AsciiAdapter(Adapter[Axis]):
         arming = 5 * options.arm_retry_ms * MILLISECOND
         return Timing(options.offline_ms * MILLISECOND, release=50 * MILLISECOND, arming=arming)
 
-    def interrupted(self) -> None:
-        self._stream.drop()
-
-    def forget(self, now: Nanos, host: AxisHost) -> None:
-        host.own.forget()
-
     # -- received -------------------------------------------------------------------------------------
-
-    def receive(self, t: Nanos, frame: Frame, driver: AxisDriver) -> Sequence[AxisReport | Rx]:
-        if not isinstance(frame, bytes):
-            return (Rx.IGNORED,)
-        return [Rx.IGNORED if isinstance(one, bytes) else one for one in self._stream.feed(frame)]
 
     def heard(self, t: Nanos, asked: Exchange, data: bytes, driver: AxisDriver) -> Sequence[AxisReport | Rx]:
         questions = at.questions(asked)
@@ -235,23 +224,22 @@ class AsciiAdapter(Adapter[Axis]):
         return (self._values(t, host, answers, arms=arms),)
 
     def _on_info(self, texts: Sequence[str], driver: AxisDriver) -> Sequence[AxisReport | Rx]:
-        """Take what the board tells of itself, for each of its axes. It says of none that it is there."""
+        """Take what the board reports of itself, for each of its axes; it names none of them."""
         version = next((found for text in texts if (found := _VERSION.match(text))), None)
         serial = next((found for text in texts if (found := _SERIAL.match(text))), None)
         if version is None:
             return (Rx.MALFORMED,)
-        told = ".".join(version.groups())
+        firmware = ".".join(version.groups())
         for host in driver.hosts.values():
             if not host.own.version:
-                host.own.identify(told)
+                host.own.identify(firmware)
         if serial is None:
             return (Rx.EXPECTED,)
         number = int(serial[1], 16)
-        return [
-            Report(None, each, serial=number, note=f"{host.name}, firmware {told}", counted=each == first)
-            for first in list(driver.at)[:1]
+        return counted_once(
+            Report(None, each, serial=number, note=f"{host.name}, firmware {firmware}")
             for each, host in driver.at.items()
-        ]
+        )
 
     def _motion(self, t: Nanos, host: AxisHost, text: str) -> AxisReport | Rx:
         numbers = [float(part) + 0.0 for part in text.split(" ")] if not text.startswith(at.WRONG) else []
@@ -269,7 +257,7 @@ class AsciiAdapter(Adapter[Axis]):
         values = {name.removeprefix(prefix): read.get(name) for name in answers if name.startswith(prefix)}
         names = at.PROPERTIES.get(axis.line, {})
         state, bits = values.pop("current_state", None), values.pop(names.get("errors", ""), None)
-        told = state is not None and bits is not None and bool(axis.line)
+        known = state is not None and bits is not None and bool(axis.line)
         if state is not None and bits is not None and axis.line:
             fell = host.phase is Phase.ARMED and int(state) != CLOSED_LOOP
             axis.on_status(int(state), int(bits), fell)
@@ -278,15 +266,15 @@ class AsciiAdapter(Adapter[Axis]):
         if arms:
             axis.on_attempt(t, host.options.arm_retry_ms * MILLISECOND, axis.result)
         measured = {each: values.get(names.get(each, "")) for each in ("current", "temperature")}
-        known = {name: value for name, value in measured.items() if value is not None}
+        found = {name: value for name, value in measured.items() if value is not None}
         codes, detail = axis.codes(), state_text(axis.state, axis.result)
         return Report(
             host,
             host.address,
-            axis.mode() if told else None,
+            axis.mode() if known else None,
             detail,
-            codes if told or codes else None,
-            Feedback(host.name, t, **known) if known else None,
+            codes if known or codes else None,
+            Feedback(host.name, t, **found) if found else None,
             content=answers,
             parameters=read,
         )
@@ -298,7 +286,7 @@ class AsciiAdapter(Adapter[Axis]):
     # -- sent -----------------------------------------------------------------------------------------
 
     def refuse(self, host: AxisHost, command: Command) -> str:
-        return "the device has no impedance control" if isinstance(command, msg.Impedance) else ""
+        return refusal(command)
 
     def ready(self, host: AxisHost) -> bool:
         axis = host.own
@@ -309,16 +297,14 @@ class AsciiAdapter(Adapter[Axis]):
         axis, name = host.own, f"axis{host.address}."
         if now < axis.next_attempt:
             return ()
-        asked = ["current_state", at.PROPERTIES[axis.line]["errors"]]
-        asked += [at.PROPERTIES["0.6"]["result"]] if axis.line == "0.6" else []
-        lines = [f"r {name}{each}" for each in asked]
+        lines = axis.questions(name)
+        asked = len(lines)
         lines.append(f"w {name}controller.config.input_mode {int(InputMode.PASSTHROUGH)}")
         # Position control takes the present position as its input: so this is the same until it is sent.
         lines.append(_set_point(host, msg.Velocity(host.name, 0.0)))
-        mode = MODES.get(type(command), ControlMode.POSITION)
-        lines.append(f"w {name}controller.config.control_mode {int(mode)}")
+        lines.append(f"w {name}controller.config.control_mode {int(control_mode(command))}")
         lines.append(f"w {name}requested_state {CLOSED_LOOP}")
-        return (_exchange(lines, len(asked), Rank.SET_POINT, f"closed loop {host.name}"),)
+        return (_exchange(lines, asked, Rank.SET_POINT, f"closed loop {host.name}"),)
 
     def command(self, now: Nanos, host: AxisHost, command: Command) -> Sequence[Frame]:
         return (_exchange([_set_point(host, command)], 0, Rank.SET_POINT, f"command {host.name}"),)
@@ -337,9 +323,9 @@ class AsciiAdapter(Adapter[Axis]):
     def poll(self, now: Nanos, host: AxisHost) -> Sequence[Frame]:
         axis, options, name = host.own, host.options, f"axis{host.address}."
         frames: list[Frame] = []
-        if not axis.version and axis.take(now, INFO, RETRY):
+        if not axis.version and axis.asked.take(now, INFO, RETRY):
             frames.append(WHO)
-        if axis.take(now, "f", options.feedback_ms * MILLISECOND):
+        if axis.asked.take(now, "f", options.feedback_ms * MILLISECOND):
             # 0.5.x watches its host while it is idle too.
             rests = axis.line == "0.5" and host.phase is Phase.FREE
             lines = [f"u {host.address}"] * rests + [f"f {host.address}"]
@@ -347,19 +333,19 @@ class AsciiAdapter(Adapter[Axis]):
         if not axis.line:
             return frames
         names = at.PROPERTIES[axis.line]
-        if axis.take(now, "state", options.state_ms * MILLISECOND):
+        if axis.asked.take(now, "state", options.state_ms * MILLISECOND):
             lines = [f"r {name}current_state", f"r {name}{names['errors']}"]
             frames.append(_exchange(lines, 2, Rank.QUESTION, f"state {host.name}"))
-        if axis.awaited and axis.take(now, "why", AGAIN):
+        if axis.awaited and axis.asked.take(now, "why", AGAIN):
             lines = [f"r {name}{each}" for each in axis.awaited]
             frames.append(_exchange(lines, len(lines), Rank.QUESTION, f"why {host.name}"))
-        if options.poll_ms and axis.take(now, "slow", options.poll_ms * MILLISECOND):
+        if options.poll_ms and axis.asked.take(now, "slow", options.poll_ms * MILLISECOND):
             lines = [f"r {name}{names['current']}", f"r {name}{names['temperature']}"]
             frames.append(_exchange(lines, 2, Rank.BACKGROUND, f"slow {host.name}"))
         return frames
 
     def poll_due(self, host: AxisHost) -> Nanos:
-        return host.own.due.get("f", 0)
+        return host.own.asked.due("f", host.options.feedback_ms * MILLISECOND)
 
     # -- requests -------------------------------------------------------------------------------------
 
@@ -379,13 +365,22 @@ class AsciiAdapter(Adapter[Axis]):
             case msg.Reboot() | msg.WriteParameter(_, "save_configuration"):
                 if getattr(request, "value", 1.0) != 1.0:
                     return f"{SAVE} takes 1"
-                beside = next((each.name for each in driver.hosts.values() if each.running), "")
+                beside = armed_of(driver.hosts.values())
                 if beside:
                     reason = f"it restarts its whole board, and {beside} is armed"
                     return ARMED if beside == host.name else f"{reason}: command Idle first"
                 letters = "sr" if isinstance(request, msg.Reboot) else "ss"
                 frame, timeout = _exchange([letters], 0, Rank.QUESTION, letters), RESTART
                 period = 2 * RESTART
+            case msg.Home():
+                if not host.own.line:
+                    return "its firmware is not known"
+                prefix = f"axis{host.address}."
+                lines, about = host.own.questions(prefix), f"home {host.name}"
+                begins = [f"w {prefix}requested_state {HOMING}", *lines]
+                looks = _exchange(lines, len(lines), Rank.QUESTION, about)
+                frames = _exchange(begins, len(lines), Rank.QUESTION, about), looks
+                return Pending(request, host.name, now, now + HOME, now, host, frames, HOME_AGAIN)
             case msg.ReadParameter(_, name) | msg.WriteParameter(_, name) if not _PROPERTY.fullmatch(name):
                 return f"{name!r} is no property"
             case msg.ReadParameter(_, name):
@@ -399,6 +394,12 @@ class AsciiAdapter(Adapter[Axis]):
                 return "the device cannot do that on this line"
         return Pending(request, subject(request), now, now + timeout, now, host, (frame,), period)
 
+    def frames(self, now: Nanos, pending: Pending[Axis]) -> Sequence[Frame]:
+        if not isinstance(pending.request, msg.Home):
+            return super().frames(now, pending)
+        begins, looks = pending.frames  # a procedure that has begun would begin anew
+        return (looks if pending.notes.get("ran") else begins,)
+
     def answer(self, t: Nanos, pending: Pending[Axis], report: AxisReport) -> Event | None:
         request, axis = pending.request, report.host.own if report.host is not None else None
         content: dict[str, str] = report.content or {}
@@ -408,8 +409,14 @@ class AsciiAdapter(Adapter[Axis]):
                 pending.notes.update(up=pending.restarted(t, RESTARTED) or pending.notes.get("up"))
                 return pending.done(t, "it has restarted, and every axis of its board") if up else None
             case msg.ClearFault():
-                told = report.mode is not None and axis is not None and not axis.errors
-                return pending.done(t, "and every axis of its board") if told else None
+                clear = report.mode is not None and axis is not None and not axis.errors
+                return pending.done(t, "and every axis of its board") if clear else None
+            case msg.Home() if axis is not None and report.host is not None and report.mode is not None:
+                prefix = f"axis{report.host.address}."
+                whole = all(line.removeprefix("r ") in content for line in axis.questions(prefix))
+                text = ", ".join((report.detail, *(self.faults[each].name for each in axis.codes())))
+                faulty = bool(axis.errors)
+                return outcome(t, pending, axis.state, axis.result, text, faulty=faulty) if whole else None
             case msg.ReadParameter(_, name) | msg.WriteParameter(_, name) if name in content:
                 if name not in report.parameters:
                     return pending.refuse(t, f"it answers {content[name]!r}")
@@ -418,20 +425,15 @@ class AsciiAdapter(Adapter[Axis]):
     def give_up(self, now: Nanos, pending: Pending[Axis]) -> str:
         if isinstance(pending.request, msg.Reboot):
             return "it showed no sign of a restart"
+        if isinstance(pending.request, msg.Home):
+            return "it did not end" if pending.notes.get("ran") else "it did not begin"
         return super().give_up(now, pending)
 
 
 def _set_point(host: AxisHost, command: Command) -> str:
     """Return the line of a command."""
-    axis, number = host.address, at.number
-    match command:
-        case msg.Velocity(_, velocity, torque):
-            return f"v {axis} {number(velocity / math.tau)} {number(torque)}"
-        case msg.Torque(_, torque):
-            return f"c {axis} {number(torque)}"
-        case msg.Position(_, position, velocity, torque):
-            return f"p {axis} {number(position / math.tau)} {number(velocity / math.tau)} {number(torque)}"
-    return f"p {axis} {number((host.held or 0.0) / math.tau)} 0 0"
+    name, values = inputs(command, host.held)
+    return " ".join((LETTERS[name], str(host.address), *map(at.number, values.values())))
 
 
 def _value(value: float) -> str:

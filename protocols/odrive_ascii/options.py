@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
+from protocols.bounds import Bounds
 from protocols.odrive_can.options import AxisOptions, AxisSettings
-from protocols.toolkit.options import bounded
 
 __all__ = ["Options", "Settings"]
 
@@ -14,7 +15,7 @@ __all__ = ["Options", "Settings"]
 class Options(AxisOptions):
     """How the driver behaves, over a serial line."""
 
-    state_ms: int = bounded(50, 5, 1000)
+    state_ms: Annotated[int, Bounds(5, 1000)] = 50
     """Period in which state and errors are asked for."""
 
 

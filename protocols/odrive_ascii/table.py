@@ -15,7 +15,6 @@ import re
 import struct
 from collections.abc import Mapping, Sequence
 
-from protocols import messages as msg
 from protocols.frames import Frame
 from protocols.odrive_can.table import ERASE, REBOOT, SAVING, ControlMode, InputMode
 from protocols.toolkit.serial import Finds, Stream, TextLines, xor8
@@ -241,4 +240,3 @@ FLAGS = {
     "SENSORLESS_ESTIMATOR_FAILED": "Get_Sensorless_Error",
 }
 """By the axis' error (0.5.x): the message with the word of the component."""
-COMMANDS: tuple[type[msg.Command], ...] = (msg.Idle, msg.Hold, msg.Position, msg.Velocity, msg.Torque)

@@ -218,7 +218,7 @@ class Ascii06(_OnLines, Twin06):
         return self.device.address
 
 
-TOLD05: Mapping[int, FaultInfo] = {
+REPORTED05: Mapping[int, FaultInfo] = {
     code: info for code, info in errors.DEVICE05.items() if code not in errors.MOTOR.faults
 }
 """The error word of a motor is a number of 64 bits, which this firmware does not print."""
@@ -227,7 +227,7 @@ TOLD05: Mapping[int, FaultInfo] = {
 class Ascii05(_OnLines, Twin05):
     """An axis of firmware 0.5.x."""
 
-    faults = TOLD05
+    faults = REPORTED05
 
     def __init__(self, device: Device, seed: int) -> None:
         super().__init__(device, seed)

@@ -10,15 +10,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 from protocols import messages as msg
 from protocols.frames import EXTENDED_BIT
 from protocols.messages import SECOND
 from protocols.odrive_can import errors, table
-from protocols.odrive_can.driver import MODES, OdriveAdapter
+from protocols.odrive_can.driver import OdriveAdapter
 from protocols.odrive_can.firmware import memory
 from protocols.odrive_can.options import Options, Settings, configured, line_of
-from protocols.odrive_can.table import IDLE, ControlMode, InputMode
+from protocols.odrive_can.setpoints import COMMANDS, control_mode
+from protocols.odrive_can.table import IDLE, InputMode
 from protocols.odrive_can.twin import twin
 from protocols.plugin import (
     CommandDecoder,
@@ -67,8 +69,8 @@ REQUESTS: frozenset[type[msg.Request]] = frozenset(
     }
 )
 CONTROL_MODES = tuple(
-    (float(MODES.get(kind, ControlMode.POSITION)), kind)
-    for kind in (msg.Velocity, msg.Torque, msg.Position, msg.Hold)
+    (float(control_mode(each)), type(each))
+    for each in (msg.Velocity("", 0.0), msg.Torque("", 0.0), msg.Position("", 0.0), msg.Hold(""))
 )
 NOT_WITH_POSITIONS = {
     "pos_filter": {"Position.torque"},
@@ -88,6 +90,18 @@ def ranges_of(options: Options) -> dict[str, Range]:
     return {name: each for name, each in RANGES.items() if name not in without}
 
 
+def common(device: Device, note: str) -> dict[str, Any]:
+    """Return what the spec has over any transport; `note`: what a person must know if its watchdog is off."""
+    settings = device.settings
+    acknowledged = device.options.watchdog == "acknowledged" or settings.enable_watchdog
+    timeout = round(settings.watchdog_timeout * SECOND) or None
+    return {
+        "commands": COMMANDS,
+        "watchdog": Watchdog(timeout, settings.enable_watchdog, "" if acknowledged else note),
+        "holds_unattended": not settings.enable_watchdog,
+    }
+
+
 def spec(device: Device) -> Spec:
     """Return the contract of one ODrive. ValueError if its address cannot be one."""
     options, settings = device.options, device.settings
@@ -96,7 +110,9 @@ def spec(device: Device) -> Spec:
     highest = table.MAX_EXTENDED_NODE if options.is_extended else table.MAX_NODE
     line, extended, address = options.firmware, options.is_extended, device.address
     tables = [table.table_of(each, extended) for each in table.LINES[line]]
-    acknowledged = options.watchdog == "acknowledged" or settings.enable_watchdog
+    fields = common(device, WATCHDOG_NOTE)
+    if line_of(device) == "0.5":
+        fields["watchdog"] = replace(fields["watchdog"], fed_by="any frame")
     # A position is reported to half a count of the encoder, and rounded to binary32.
     position = replace(RANGES["Feedback.position"], resolution=math.pi / settings.encoder_cpr * 1.001)
     return can_motor(
@@ -106,17 +122,9 @@ def spec(device: Device) -> Spec:
         sends=table.ids_of_driver(line, extended, address),
         expects=tuple(dict.fromkeys(one for each in tables for one in each.ids("from_device", address))),
         feedback=FeedbackKind.CYCLIC,
-        commands=frozenset({msg.Idle, msg.Hold, msg.Position, msg.Velocity, msg.Torque}),
         requests=REQUESTS if line == "0.5" else REQUESTS | {msg.SetId},
         tells_serial=line != "0.5",
         ranges=ranges_of(options) | {"Feedback.position": position},
-        watchdog=Watchdog(
-            round(settings.watchdog_timeout * SECOND) or None,
-            settings.enable_watchdog,
-            "" if acknowledged else WATCHDOG_NOTE,
-            "any frame" if line_of(device) == "0.5" else "its commands",
-        ),
-        holds_unattended=not settings.enable_watchdog,
         faults=errors.DEVICE05 if line_of(device) == "0.5" else errors.DEVICE06,
         parameters=("Bus_Voltage", "Iq_Measured"),
         stop=tuple(
@@ -133,6 +141,7 @@ def spec(device: Device) -> Spec:
         save="" if line_of(device) == "0.5" else table.SAVE,
         receives_also=((0x06, 0x1F), (0x01, 0x1F)),
         obeys_also=((address << table.CMD_BITS | extended * EXTENDED_BIT, 0x9FFF_FFE0),),
+        **fields,
     )
 
 
@@ -168,5 +177,5 @@ plugin = Plugin(
     decoder=decoder,
     twin=twin,
     messages=table.names,
-    vectors=("gateway.fixtures", "vectors/odrive_can.json"),
+    vectors=("protocols.odrive_can", "vectors.json"),
 )

@@ -4,7 +4,7 @@ Rules. Plain data; only its own methods change it. A reply to Get_Version means 
 sends heartbeats and repeatedly answers another request (one that both lines answer alike), but never
 Get_Version and the discovery: silence alone proves nothing, since the host's frames may not arrive. The robot
 file states an expectation; the device decides, and a difference is a fault. Until the line is known, and
-after a fault, nothing moves. A host that only listens (a dry run, a monitor) never knows the line; for
+after a fault, nothing moves. A host that only receives (a dry run, a monitor) never knows the line; for
 decoding, and for nothing else, the form of a heartbeat is enough where only one line can have sent it. What a
 device sends cyclically is not requested, and nothing faster than the periods below and those of the options.
 """
@@ -18,6 +18,7 @@ from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, SECOND, Mode, Nanos
 from protocols.odrive_can import errors, table
 from protocols.odrive_can.options import Options
+from protocols.odrive_can.setpoints import HEARTBEATS
 from protocols.odrive_can.table import ControlMode, InputMode
 from protocols.toolkit.duplicates import ShaftCheck, StateCheck
 from protocols.toolkit.motor_driver import NEVER
@@ -32,7 +33,6 @@ VERSION_PERIOD = 5 * SECOND
 HEARTBEAT_TIMEOUT = 250 * MILLISECOND  # Time without a heartbeat after which one is requested.
 ATTEMPTS = 5
 """After this number of requests an error word is not awaited, and closed loop not requested any more."""
-HEARTBEATS = 2  # Since a request of a state, until one is sure to be from after it.
 POSITION_TOLERANCE = 0.05  # turns: a smaller difference may be vibration.
 IDENTIFY_ATTEMPTS = 10
 """After this number of requests, a device that sends heartbeats and answers nothing is a fault."""

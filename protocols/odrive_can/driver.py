@@ -17,8 +17,9 @@ from protocols import messages as msg
 from protocols.frames import EXTENDED_BIT, CanFrame, Frame
 from protocols.messages import MILLISECOND, SECOND, Command, Event, Feedback, Mode, Nanos, Request
 from protocols.odrive_can import errors, table
-from protocols.odrive_can.axis import HEARTBEATS, NO_DISCOVERY, Axis
+from protocols.odrive_can.axis import NO_DISCOVERY, Axis
 from protocols.odrive_can.options import Options
+from protocols.odrive_can.setpoints import armed_of, control_mode, inputs, outcome, refusal
 from protocols.odrive_can.table import CLOSED_LOOP, SAVE, WRITABLE, ControlMode
 from protocols.plugin import Device
 from protocols.toolkit.duplicates import IDENTIFY_PERIOD
@@ -46,11 +47,6 @@ TIMES: Mapping[object, Times] = {
     STATE: PROCEDURE,
 }
 """By what is requested."""
-MODES: Mapping[type[Command], ControlMode] = {
-    msg.Velocity: ControlMode.VELOCITY,
-    msg.Torque: ControlMode.TORQUE,
-}
-"""By command; of all others it is position control."""
 MEASURED = {
     "Get_Iq": ("Iq_Measured", "current"),
     "Get_Torques": ("Torque_Estimate", "torque"),
@@ -181,13 +177,13 @@ class OdriveAdapter(Adapter[Axis]):
     # -- sent -----------------------------------------------------------------------------------------
 
     def refuse(self, host: OdriveHost, command: Command) -> str:
-        return "the device has no impedance control" if isinstance(command, msg.Impedance) else ""
+        return refusal(command)
 
     def ready(self, host: OdriveHost) -> bool:
         return host.own.commandable
 
     def arm(self, now: Nanos, host: OdriveHost, command: Command) -> Sequence[Frame]:
-        axis, mode = host.own, MODES.get(type(command), ControlMode.POSITION)
+        axis, mode = host.own, control_mode(command)
         still: dict[ControlMode, Command] = {
             ControlMode.VELOCITY: msg.Velocity(host.name, 0.0),
             ControlMode.TORQUE: msg.Torque(host.name, 0.0),
@@ -199,7 +195,7 @@ class OdriveAdapter(Adapter[Axis]):
         return frames
 
     def command(self, now: Nanos, host: OdriveHost, command: Command) -> Sequence[Frame]:
-        mode = MODES.get(type(command), ControlMode.POSITION)
+        mode = control_mode(command)
         again = frame = self._set_point(host, command)
         other = mode is not host.own.control_mode
         set_mode = host.own.set_mode(now, mode)
@@ -217,16 +213,8 @@ class OdriveAdapter(Adapter[Axis]):
         return (still, host.own.encode("Set_Axis_State", Axis_Requested_State=table.IDLE))
 
     def _set_point(self, host: OdriveHost, command: Command) -> CanFrame:
-        encoder, at = host.own.identity.table.encoder, host.address
-        match command:
-            case msg.Velocity(_, velocity, torque):
-                return encoder("Set_Input_Vel")(at, Input_Vel=velocity / math.tau, Input_Torque_FF=torque)
-            case msg.Torque(_, torque):
-                return encoder("Set_Input_Torque")(at, Input_Torque=torque)
-            case msg.Position(_, position, velocity, torque):
-                encode = encoder("Set_Input_Pos")
-                return encode(at, Input_Pos=position / math.tau, Vel_FF=velocity / math.tau, Torque_FF=torque)
-        return self._set_point(host, msg.Position(host.name, host.held or 0.0))
+        name, values = inputs(command, host.held)
+        return host.own.identity.table.encoder(name)(host.address, **values)
 
     # -- by itself ------------------------------------------------------------------------------------
 
@@ -302,7 +290,8 @@ class OdriveAdapter(Adapter[Axis]):
                 text = ", ".join(filter(None, ("it has restarted", board)))
                 return pending.done(t, text) if seen and up else None
             case msg.Home() | msg.WriteParameter(_, "Axis_Requested_State") if beat:
-                return self._outcome(t, pending, axis)
+                text = ", ".join((axis.detail(), *(self.faults[each].name for each in axis.codes())))
+                return outcome(t, pending, axis.state, axis.result, text, faulty=axis.faulty)
             case msg.WriteParameter(_, "Position", value) if not board:
                 turns = content.values.get("Pos_Estimate", math.inf)
                 return pending.done(t) if abs(turns - value) * math.tau < self.zero_tolerance else None
@@ -314,22 +303,6 @@ class OdriveAdapter(Adapter[Axis]):
                     return pending.refuse(t, "the device has no sensor for it")
                 return msg.Parameter(pending.name, t, name, float(value))
         return None
-
-    def _outcome(self, t: Nanos, pending: OdrivePending, axis: Axis) -> Event | None:
-        """Return how a procedure ended, once it ran, or a heartbeat is sure to be from after its request."""
-        notes = pending.notes
-        if axis.state != table.IDLE or axis.result == errors.BUSY:
-            notes["ran"] = True
-            return None
-        notes["beats"] = notes.get("beats", 0) + 1
-        certain = notes["beats"] >= HEARTBEATS and (axis.faulty or axis.result not in errors.INCONCLUSIVE)
-        if not (notes.get("ran") or certain):
-            return None
-        if axis.result == errors.SUCCESS and not axis.faulty:
-            return pending.done(t, "it has ended")
-        return pending.refuse(
-            t, ", ".join((axis.detail(), *(self.faults[each].name for each in axis.codes())))
-        )
 
     def give_up(self, now: Nanos, pending: OdrivePending) -> str:
         host, request = pending.host, pending.request
@@ -383,7 +356,7 @@ def _first_frames(
             return _write(axis, name, value)
         case msg.Reboot() if identity.dialect.boards:
             boards = [each for each in driver.hosts.values() if each.own.identity.dialect.boards]
-            beside = next((each.name for each in boards if each.running), "")
+            beside = armed_of(boards)
             if beside:
                 reason = f"it restarts its whole board, and {beside}, which is armed, may be on it"
                 return f"{reason}: command Idle first"

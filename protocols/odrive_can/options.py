@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Annotated, Literal
 
+from protocols.bounds import Bounds, Wrong, check
 from protocols.odrive_can.table import BROADCAST, MAX_EXTENDED_NODE, ControlMode, InputMode
 from protocols.plugin import Device, Setting
-from protocols.toolkit.options import bounded, check_bounds, configuration
+from protocols.toolkit.options import configuration
 from protocols.toolkit.registers import Register, Registers, Type
 
 TYPES: Mapping[str, Type] = {
@@ -41,14 +42,14 @@ class AxisOptions:
     checked in the same way, and another one is a fault."""
     watchdog: Literal["unknown", "acknowledged"] = "unknown"
     """"acknowledged": the author of the robot file knows that the device's watchdog is off."""
-    feedback_ms: int = bounded(10, 1, 1000)
+    feedback_ms: Annotated[int, Bounds(1, 1000)] = 10
     """Expected period of encoder estimates; the polling period of a device that does not send them
     cyclically."""
-    poll_ms: int = bounded(200, 0, 60_000)
+    poll_ms: Annotated[int, Bounds(0, 60_000)] = 200
     """Polling period of each of current, voltage, temperature and torque; 0: never."""
-    offline_ms: int = bounded(250, 20, 10_000)
+    offline_ms: Annotated[int, Bounds(20, 10_000)] = 250
     """Time without a frame after which the device counts as offline."""
-    arm_retry_ms: int = bounded(250, 50, 10_000)
+    arm_retry_ms: Annotated[int, Bounds(50, 10_000)] = 250
     """Period of arming attempts. At least two heartbeats: the first one may be stale."""
 
     def registers(self) -> Registers:
@@ -56,12 +57,12 @@ class AxisOptions:
         return Registers()
 
     def __post_init__(self) -> None:
-        self.check(())
+        self.check()
 
-    def check(self, others: Sequence[str]) -> None:
-        """Raise ValueError with every mistake; `others`: more."""
+    def check(self, *others: Wrong) -> None:
+        """Raise Invalid with every mistake; `others`: more."""
         too_soon = f"offline_ms ({self.offline_ms}) must be at least twice feedback_ms ({self.feedback_ms})"
-        check_bounds(self, [*others, too_soon * (self.offline_ms < 2 * self.feedback_ms)])
+        check(self, *others, ("offline_ms", too_soon * (self.offline_ms < 2 * self.feedback_ms)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,17 +85,21 @@ class Options(AxisOptions):
         return Registers(*(Register(path, int(number), TYPES[kind]) for path, number, kind in parts))
 
     def __post_init__(self) -> None:
-        others = []
+        others: list[Wrong] = []
         for endpoint in self.endpoints:
             if not re.fullmatch(rf"\S+ \d{{1,5}} ({'|'.join(TYPES)})", endpoint):
-                others.append(f"endpoints: {endpoint!r} is not a path, a number and {', '.join(TYPES)}")
+                text = f"endpoints: {endpoint!r} is not a path, a number and {', '.join(TYPES)}"
+                others.append(("endpoints", text))
             elif endpoint.split()[0].endswith(COMMANDS):
-                others.append(f"endpoints: {endpoint!r} is for commands, which have messages of their own")
+                text = f"endpoints: {endpoint!r} is for commands, which have messages of their own"
+                others.append(("endpoints", text))
         if self.endpoints and not re.fullmatch(r"0\.6\.\d{1,2}", self.endpoints_version):
-            others.append(f"endpoints_version {self.endpoints_version!r} must be like 0.6.10")
+            text = f"endpoints_version {self.endpoints_version!r} must be like 0.6.10"
+            others.append(("endpoints_version", text))
         if self.is_extended and self.firmware != "0.5":
-            others.append('is_extended needs firmware = "0.5": no other line has extended identifiers')
-        self.check(others)
+            text = 'is_extended needs firmware = "0.5": no other line has extended identifiers'
+            others.append(("is_extended", text))
+        self.check(*others)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,95 +107,102 @@ class AxisSettings:
     """The configuration of the device, over any transport: by default a commissioned axis, not the vendor's
     factory defaults."""
 
-    serial_number: int = bounded(0, 0, (1 << 48) - 1)  # 48 bits; 0: derived from the address.
+    serial_number: Annotated[int, Bounds(0, (1 << 48) - 1)] = 0  # 48 bits; 0: derived from the address.
     firmware: str = ""  # Firmware, e.g. "0.5.6" or "0.6.10"; "": the newest known of the line under options.
     calibrated: bool = True  # Motor and encoder are calibrated; without it the axis refuses to arm.
 
-    procedure_ms: int = bounded(2000, 0, 600_000)  # Duration of a calibration, which then has succeeded.
+    procedure_ms: Annotated[int, Bounds(0, 600_000)] = 2000
+    """Duration of a calibration, which then has succeeded."""
 
-    control_mode: int = bounded(int(ControlMode.VELOCITY), 0, 3)
-    input_mode: int = bounded(int(InputMode.PASSTHROUGH), 0, 8)
-    pos_gain: float = bounded(20.0, 0.0, 1e4)  # (turn/s)/turn
-    vel_gain: float = bounded(0.16, 0.0, 1e3)  # N·m/(turn/s)
-    vel_integrator_gain: float = bounded(0.32, 0.0, 1e4)  # N·m/turn
-    vel_limit: float = bounded(40.0, 1e-3, 1e4)  # turn/s
-    vel_limit_tolerance: float = bounded(1.2, 0.0, 100.0)
+    control_mode: Annotated[int, Bounds(0, 3)] = int(ControlMode.VELOCITY)
+    input_mode: Annotated[int, Bounds(0, 8)] = int(InputMode.PASSTHROUGH)
+    pos_gain: Annotated[float, Bounds(0.0, 1e4)] = 20.0  # (turn/s)/turn
+    vel_gain: Annotated[float, Bounds(0.0, 1e3)] = 0.16  # N·m/(turn/s)
+    vel_integrator_gain: Annotated[float, Bounds(0.0, 1e4)] = 0.32  # N·m/turn
+    vel_limit: Annotated[float, Bounds(1e-3, 1e4)] = 40.0  # turn/s
+    vel_limit_tolerance: Annotated[float, Bounds(0.0, 100.0)] = 1.2
     """Factor on vel_limit above which the axis disarms; 0: never."""
     enable_torque_mode_vel_limit: bool = True
-    vel_ramp_rate: float = bounded(10.0, 0.0, 1e5)  # turn/s², input mode VEL_RAMP
-    torque_ramp_rate: float = bounded(1.0, 0.0, 1e4)  # N·m/s, input mode TORQUE_RAMP
-    input_filter_bandwidth: float = bounded(20.0, 1e-3, 1e4)  # rad/s, input mode POS_FILTER
-    inertia: float = bounded(0.0, -1e3, 1e3)  # N·m/(turn/s²): feed-forward of acceleration
-    trap_vel_limit: float = bounded(10.0, 1e-3, 1e4)  # turn/s, input mode TRAP_TRAJ
-    trap_accel_limit: float = bounded(20.0, 1e-3, 1e5)
-    trap_decel_limit: float = bounded(20.0, 1e-3, 1e5)
+    vel_ramp_rate: Annotated[float, Bounds(0.0, 1e5)] = 10.0  # turn/s², input mode VEL_RAMP
+    torque_ramp_rate: Annotated[float, Bounds(0.0, 1e4)] = 1.0  # N·m/s, input mode TORQUE_RAMP
+    input_filter_bandwidth: Annotated[float, Bounds(1e-3, 1e4)] = 20.0  # rad/s, input mode POS_FILTER
+    inertia: Annotated[float, Bounds(-1e3, 1e3)] = 0.0  # N·m/(turn/s²): feed-forward of acceleration
+    trap_vel_limit: Annotated[float, Bounds(1e-3, 1e4)] = 10.0  # turn/s, input mode TRAP_TRAJ
+    trap_accel_limit: Annotated[float, Bounds(1e-3, 1e5)] = 20.0
+    trap_decel_limit: Annotated[float, Bounds(1e-3, 1e5)] = 20.0
 
-    torque_constant: float = bounded(8.27 / 270.0, 1e-5, 100.0)  # N·m/A: a motor of 270 rpm/V
-    current_soft_max: float = bounded(30.0, 1e-3, 1e3)  # A: limit of the controller's current command
-    current_hard_max: float = bounded(50.0, 1e-3, 1e3)  # A: above it the axis disarms
-    current_bandwidth: float = bounded(1000.0, 1.0, 1e5)  # rad/s of the current loop
-    phase_resistance: float = bounded(0.05, 1e-4, 100.0)  # Ω
-    encoder_cpr: int = bounded(16384, 1, 1 << 24)  # Counts per turn of the encoder on the motor's shaft.
-    encoder_bandwidth: float = bounded(1000.0, 1.0, 1e5)  # rad/s of the velocity estimate
+    torque_constant: Annotated[float, Bounds(1e-5, 100.0)] = 8.27 / 270.0  # N·m/A: a motor of 270 rpm/V
+    current_soft_max: Annotated[float, Bounds(1e-3, 1e3)] = 30.0
+    """A: limit of the controller's current command"""
+    current_hard_max: Annotated[float, Bounds(1e-3, 1e3)] = 50.0  # A: above it the axis disarms
+    current_bandwidth: Annotated[float, Bounds(1.0, 1e5)] = 1000.0  # rad/s of the current loop
+    phase_resistance: Annotated[float, Bounds(1e-4, 100.0)] = 0.05  # Ω
+    encoder_cpr: Annotated[int, Bounds(1, 1 << 24)] = 16384
+    """Counts per turn of the encoder on the motor's shaft."""
+    encoder_bandwidth: Annotated[float, Bounds(1.0, 1e5)] = 1000.0  # rad/s of the velocity estimate
 
-    bus_voltage: float = bounded(24.0, 1.0, 100.0)  # V, without load
-    bus_resistance: float = bounded(0.05, 0.0, 100.0)  # Ω of battery and cables
-    dc_bus_undervoltage_trip_level: float = bounded(10.5, 0.0, 100.0)
-    dc_bus_overvoltage_trip_level: float = bounded(56.0, 0.0, 1e3)
-    dc_max_positive_current: float = bounded(60.0, 0.0, 1e4)  # A
-    dc_max_negative_current: float = bounded(-30.0, -1e4, 0.0)
+    bus_voltage: Annotated[float, Bounds(1.0, 100.0)] = 24.0  # V, without load
+    bus_resistance: Annotated[float, Bounds(0.0, 100.0)] = 0.05  # Ω of battery and cables
+    dc_bus_undervoltage_trip_level: Annotated[float, Bounds(0.0, 100.0)] = 10.5
+    dc_bus_overvoltage_trip_level: Annotated[float, Bounds(0.0, 1e3)] = 56.0
+    dc_max_positive_current: Annotated[float, Bounds(0.0, 1e4)] = 60.0  # A
+    dc_max_negative_current: Annotated[float, Bounds(-1e4, 0.0)] = -30.0
     """A fed back that the supply or brake resistor can take"""
-    ambient: float = bounded(25.0, -50.0, 200.0)  # °C
-    motor_thermal_resistance: float = bounded(2.0, 1e-3, 1e3)  # K/W from winding to ambient
-    motor_thermal_capacity: float = bounded(80.0, 1e-3, 1e5)  # J/K
-    motor_temp_limit_lower: float = bounded(80.0, -50.0, 1e3)  # °C from which on the current limit falls
-    motor_temp_limit_upper: float = bounded(100.0, -50.0, 1e3)  # °C at which it is zero; 5 °C more disarm
-    fet_temp_limit_lower: float = bounded(80.0, -50.0, 1e3)
-    fet_temp_limit_upper: float = bounded(100.0, -50.0, 1e3)
-    spinout_electrical_power_threshold: float = bounded(100.0, 0.0, 1e6)
+    ambient: Annotated[float, Bounds(-50.0, 200.0)] = 25.0  # °C
+    motor_thermal_resistance: Annotated[float, Bounds(1e-3, 1e3)] = 2.0  # K/W from winding to ambient
+    motor_thermal_capacity: Annotated[float, Bounds(1e-3, 1e5)] = 80.0  # J/K
+    motor_temp_limit_lower: Annotated[float, Bounds(-50.0, 1e3)] = 80.0
+    """°C from which on the current limit falls"""
+    motor_temp_limit_upper: Annotated[float, Bounds(-50.0, 1e3)] = 100.0
+    """°C at which it is zero; 5 °C more disarm"""
+    fet_temp_limit_lower: Annotated[float, Bounds(-50.0, 1e3)] = 80.0
+    fet_temp_limit_upper: Annotated[float, Bounds(-50.0, 1e3)] = 100.0
+    spinout_electrical_power_threshold: Annotated[float, Bounds(0.0, 1e6)] = 100.0
     """W; the factory's ±10 W trips on hard but honest braking of a loaded wheel"""
-    spinout_mechanical_power_threshold: float = bounded(-100.0, -1e6, 0.0)  # W
-    spinout_power_bandwidth: float = bounded(20.0, 1e-3, 1e4)  # rad/s of the filters of both powers
+    spinout_mechanical_power_threshold: Annotated[float, Bounds(-1e6, 0.0)] = -100.0  # W
+    spinout_power_bandwidth: Annotated[float, Bounds(1e-3, 1e4)] = 20.0  # rad/s of the filters of both powers
 
     enable_watchdog: bool = False
-    watchdog_timeout: float = bounded(0.0, 0.0, 3600.0)  # s
-    reboot_ms: int = bounded(800, 0, 60_000)  # Time without frames after a reboot.
-    initializing_ms: int = bounded(300, 0, 60_000)  # Time for which the axis then reports INITIALIZING.
+    watchdog_timeout: Annotated[float, Bounds(0.0, 3600.0)] = 0.0  # s
+    reboot_ms: Annotated[int, Bounds(0, 60_000)] = 800  # Time without frames after a reboot.
+    initializing_ms: Annotated[int, Bounds(0, 60_000)] = 300
+    """Time for which the axis then reports INITIALIZING."""
 
     def __post_init__(self) -> None:
-        others = []
+        others: list[Wrong] = []
         if self.firmware and not re.fullmatch(r"0\.[56]\.\d{1,2}", self.firmware):
-            others.append(f"firmware {self.firmware!r} must be like 0.5.6 or 0.6.10")
+            others.append(("firmware", f"firmware {self.firmware!r} must be like 0.5.6 or 0.6.10"))
         if self.enable_watchdog and not self.watchdog_timeout > 0:
-            others.append("watchdog_timeout must be above 0 when enable_watchdog is true")
-        check_bounds(self, others)
+            text = "watchdog_timeout must be above 0 when enable_watchdog is true"
+            others.append(("watchdog_timeout", text))
+        check(self, *others)
 
 
 @dataclass(frozen=True, slots=True)
 class Settings(AxisSettings):
     """The configuration of the device over CAN."""
 
-    other_axis: int = bounded(-1, -1, MAX_EXTENDED_NODE)
+    other_axis: Annotated[int, Bounds(-1, MAX_EXTENDED_NODE)] = -1
     """Node id of the other axis on the same board (0.5.x): clearing or restarting the board affects both."""
-    hw_line: int = bounded(5, 0, 0xFF)  # Product line 5: ODrive S1 (only reported, never used).
+    hw_line: Annotated[int, Bounds(0, 0xFF)] = 5  # Product line 5: ODrive S1 (only reported, never used).
 
     # Periods of cyclic messages; 0: never. Firmware 0.5.x calls them heartbeat_rate_ms, encoder_rate_ms,
     # iq_rate_ms and bus_vi_rate_ms, and has those with its own names below instead of version, error,
     # temperature and torques.
-    version_msg_rate_ms: int = bounded(0, 0, 60_000)
-    heartbeat_msg_rate_ms: int = bounded(100, 0, 60_000)
-    encoder_msg_rate_ms: int = bounded(10, 0, 60_000)
-    iq_msg_rate_ms: int = bounded(0, 0, 60_000)
-    error_msg_rate_ms: int = bounded(0, 0, 60_000)
-    temperature_msg_rate_ms: int = bounded(0, 0, 60_000)
-    bus_voltage_msg_rate_ms: int = bounded(0, 0, 60_000)
-    torques_msg_rate_ms: int = bounded(0, 0, 60_000)
-    motor_error_rate_ms: int = bounded(0, 0, 60_000)
-    encoder_error_rate_ms: int = bounded(0, 0, 60_000)
-    controller_error_rate_ms: int = bounded(0, 0, 60_000)
-    sensorless_error_rate_ms: int = bounded(0, 0, 60_000)
-    encoder_count_rate_ms: int = bounded(0, 0, 60_000)
-    sensorless_rate_ms: int = bounded(0, 0, 60_000)
+    version_msg_rate_ms: Annotated[int, Bounds(0, 60_000)] = 0
+    heartbeat_msg_rate_ms: Annotated[int, Bounds(0, 60_000)] = 100
+    encoder_msg_rate_ms: Annotated[int, Bounds(0, 60_000)] = 10
+    iq_msg_rate_ms: Annotated[int, Bounds(0, 60_000)] = 0
+    error_msg_rate_ms: Annotated[int, Bounds(0, 60_000)] = 0
+    temperature_msg_rate_ms: Annotated[int, Bounds(0, 60_000)] = 0
+    bus_voltage_msg_rate_ms: Annotated[int, Bounds(0, 60_000)] = 0
+    torques_msg_rate_ms: Annotated[int, Bounds(0, 60_000)] = 0
+    motor_error_rate_ms: Annotated[int, Bounds(0, 60_000)] = 0
+    encoder_error_rate_ms: Annotated[int, Bounds(0, 60_000)] = 0
+    controller_error_rate_ms: Annotated[int, Bounds(0, 60_000)] = 0
+    sensorless_error_rate_ms: Annotated[int, Bounds(0, 60_000)] = 0
+    encoder_count_rate_ms: Annotated[int, Bounds(0, 60_000)] = 0
+    sensorless_rate_ms: Annotated[int, Bounds(0, 60_000)] = 0
 
 
 _GROUPS = {

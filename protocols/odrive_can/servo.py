@@ -35,7 +35,7 @@ GAINS: dict[str, tuple[str, ...]] = {
 """The settings that can be changed while it runs, by the message that does, in the order of its fields."""
 
 
-class Inputs(Protocol):
+class AxisInputs(Protocol):
     """What the axis was sent."""
 
     armed: bool
@@ -109,7 +109,7 @@ class Servo:
         self.here = self.encoder.position
         self._lead(self.here, self.set_point.velocity)
 
-    def cycle(self, dt: float, inputs: Inputs) -> Iterator[str]:
+    def cycle(self, dt: float, inputs: AxisInputs) -> Iterator[str]:
         """Run one cycle of the loop; yield the errors that it raised, by the names of 0.6.x."""
         overspeed = False
         if inputs.armed:
@@ -126,7 +126,7 @@ class Servo:
 
     # -- input modes: from inputs to set-points -------------------------------------------------------------
 
-    def _follow(self, dt: float, inputs: Inputs) -> None:
+    def _follow(self, dt: float, inputs: AxisInputs) -> None:
         to, gains = self.set_point, self.gains
         goal = self.here if inputs.position is None else inputs.position
         match inputs.input_mode:

@@ -7,10 +7,12 @@ point. One serial line carries any number of devices; numbers are sent exactly. 
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import get_args
 
 from protocols import messages as msg
+from protocols import sensors
+from protocols.bounds import Invalid
 from protocols.frames import Frame
 from protocols.messages import COMMANDS, MILLISECOND, Command, Request
 from protocols.plain import table
@@ -51,12 +53,11 @@ def read_only(frame: Frame) -> bool:
 def ranges(options: Options) -> dict[str, Range]:
     """Return what commands and measurements can carry. Everything is float64 on the line: only what lies
     below the smallest normal binary32 is rounded."""
-    kinds = (*COMMANDS, msg.Feedback) if options.kind == "motor" else get_args(msg.Measurement)
+    kinds = (*COMMANDS, msg.Feedback) if options.kind == "motor" else sensors.kinds().by_type
     return {
-        f"{kind.__name__}.{field.name}": Range(*table.LIMITS[field.name], TINY)
+        f"{kind.__name__}.{name}": Range(*bounds, TINY)
         for kind in kinds
-        for field in fields(kind)
-        if field.name in table.LIMITS
+        for name, bounds in table.limits(kind).items()
     }
 
 
@@ -70,7 +71,8 @@ def configured(settings: Settings) -> dict[str, Setting]:
 def spec(device: Device) -> Spec:
     """Return the contract of one plain device. Raises ValueError for an address that it cannot have."""
     if device.address not in table.ADDRESSES:
-        raise ValueError(f"a plain device has an address of 1 … 255, not {device.address}")
+        text = f"a plain device has an address of 1 … 255, not {device.address}"
+        raise Invalid(("address", text))
     motor, settings = device.options.kind == "motor", device.settings
     timeout = round(settings.watchdog_ms * MILLISECOND)
     return Spec(
@@ -99,7 +101,7 @@ def spec(device: Device) -> Spec:
 plugin = Plugin(
     name=table.NAME,
     title="the project's own messages on a serial line: sensors and motors without a protocol of their own",
-    trust="defined here; the bytes of fixtures/vectors/plain.json are made with msgpack and zlib alone",
+    trust="defined here; the bytes of vectors.json are made with msgpack and zlib alone",
     options=Options,
     settings=Settings,
     spec=spec,
@@ -107,5 +109,5 @@ plugin = Plugin(
     decoder=PlainDecoder,
     twin=PlainTwin,
     messages=messages,
-    vectors=("gateway.fixtures", "vectors/plain.json"),
+    vectors=("protocols.plain", "vectors.json"),
 )

@@ -15,10 +15,12 @@ from __future__ import annotations
 import math
 import struct
 from dataclasses import fields
+from functools import cache
 from typing import Any
 
 from protocols import messages as msg
-from protocols.message_codec import CODES, Layout, layout_of, pack_fields, unpack_fields
+from protocols import sensors
+from protocols.message_codec import CODES, MessageLayout, layout_of, pack_fields, unpack_fields
 from protocols.messages import Message, Nanos
 from protocols.plugin import FaultInfo
 from protocols.toolkit.serial import CRC32, Framing
@@ -30,7 +32,7 @@ TO_MOTOR = msg.ClearFault | msg.Estop | msg.Zero | msg.ReadParameter | msg.Write
 TO_ALL = msg.Scan | msg.SetId
 """Requests to all devices on the line."""
 BROADCAST, ADDRESSES = 0, range(1, 0x100)
-"""The address to which all devices listen, and those that a device may have."""
+"""The address to which all devices obey, and those that a device may have."""
 MAX_BODY = 0x4000
 """Bytes in the body of one message: a scan of some 2,000 beams."""
 MAX_AGE: Nanos = 10 * msg.SECOND
@@ -59,28 +61,35 @@ LIMITS: dict[str, tuple[float, float]] = {
     "position": (-1e6, 1e6), "velocity": (-1e5, 1e5), "torque": (-1e4, 1e4),
     "stiffness": (0.0, 1e6), "damping": (0.0, 1e5),
     "current": (-1e5, 1e5), "voltage": (-1e4, 1e4), "temperature": (-273.15, 1e4),
-    "angular_velocity": (-1e4, 1e4), "linear_acceleration": (-1e5, 1e5), "orientation": (-1.001, 1.001),
-    "angle_min": (-1e3, 1e3), "angle_increment": (-1e3, 1e3),
-    "range_min": (0.0, 1e6), "range_max": (0.0, 1e6), "ranges": (0.0, 1e6),
-    "duration": (0.0, float(MAX_AGE)),
-    "latitude": (-90.0, 90.0), "longitude": (-180.0, 180.0), "altitude": (-1e7, 1e7), "variance": (0.0, 1e15),
-    "x": (-1e6, 1e6), "y": (-1e6, 1e6), "yaw": (-1e3, 1e3), "yaw_variance": (0.0, 1e6),
-    "turn_variance": (0.0, 1e6),
     "value": (math.nextafter(-math.inf, 0.0), math.nextafter(math.inf, 0.0)),
 }
 # fmt: on
 """Permitted numbers by the name of the field, in the units of `protocols.messages`. A sender refuses to
 encode what lies outside, a receiver takes it for malformed."""
-_LIMITED = {
-    code: [(at, f.name, *LIMITS[f.name]) for at, f in enumerate(fields(kind)) if f.name in LIMITS]
-    for code, kind in CODES.items()
-}
-"""By message code: index of a field, its name, lowest and highest value."""
 
 
-def _refused(layout: Layout, values: list[Any]) -> str:
+def limits(kind: type[Message]) -> dict[str, tuple[float, float]]:
+    """Return the permitted numbers of a message, by field: of a reading, as its kind of sensor has them."""
+    sensor = sensors.kinds().by_type.get(kind) if issubclass(kind, msg.Measurement) else None
+    if sensor:
+        return {name: (each.low, each.high) for name, each in sensor.quantities.items()}
+    return {f.name: LIMITS[f.name] for f in fields(kind) if f.name in LIMITS}
+
+
+@cache
+def _limited() -> dict[type[Message], list[tuple[int, str, float, float]]]:
+    """Return, by message, index, name, lowest and highest value of each number that has limits."""
+    every: list[type[Message]] = [*CODES.values(), *sensors.kinds().by_type]
+    found = {kind: limits(kind) for kind in every}
+    return {
+        kind: [(at, f.name, *bounds[f.name]) for at, f in enumerate(fields(kind)) if f.name in bounds]
+        for kind, bounds in found.items()
+    }
+
+
+def _refused(layout: MessageLayout, values: list[Any]) -> str:
     """Return which number lies outside `LIMITS`, "" if none does; then make what is too small 0.0."""
-    for at, name, low, high in _LIMITED[layout.code]:
+    for at, name, low, high in _limited()[layout.message_type]:
         value = values[at]
         if value is None or value == ():
             continue

@@ -10,15 +10,15 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 from protocols import messages as msg
+from protocols.bounds import Bounds, check
 from protocols.frames import Frame
 from protocols.messages import MILLISECOND, SECOND, Command, Event, Mode, Nanos, Obeyed, Request
 from protocols.plain import table
 from protocols.plugin import Device
 from protocols.toolkit.firmware import ServoFirmware, milliseconds
-from protocols.toolkit.options import bounded, check_bounds
 from protocols.toolkit.serial import Stream
 from protocols.toolkit.servo import Encoder, Gains, Servo
 
@@ -32,31 +32,31 @@ BITS_PER_BYTE = 10
 class Settings:
     """Configuration of a plain device. All but `serial` can be read and written while it runs."""
 
-    serial: int = bounded(0, 0, 2**64 - 1)
+    serial: Annotated[int, Bounds(0, 2**64 - 1)] = 0
     """Serial number, sent in answer to Scan."""
-    watchdog_ms: float = bounded(100.0, 0.0, 1e6)
+    watchdog_ms: Annotated[float, Bounds(0.0, 1e6)] = 100.0
     """Time without a command after which an armed motor faults; 0 is never."""
-    feedback_ms: float = bounded(5.0, 1e-3, 1e6)
+    feedback_ms: Annotated[float, Bounds(1e-3, 1e6)] = 5.0
     """Period of Feedback."""
-    state_ms: float = bounded(100.0, 1e-3, 1e6)
+    state_ms: Annotated[float, Bounds(1e-3, 1e6)] = 100.0
     """Period of State, which is sent at every change too."""
-    position_gain: float = bounded(1.0, 0.0, 1e6)
+    position_gain: Annotated[float, Bounds(0.0, 1e6)] = 1.0
     """N·m/rad"""
-    position_damping: float = bounded(0.05, 0.0, 1e5)
+    position_damping: Annotated[float, Bounds(0.0, 1e5)] = 0.05
     """N·m·s/rad"""
-    velocity_gain: float = bounded(0.05, 0.0, 1e5)
+    velocity_gain: Annotated[float, Bounds(0.0, 1e5)] = 0.05
     """N·m·s/rad"""
-    velocity_integral: float = bounded(0.5, 0.0, 1e6)
+    velocity_integral: Annotated[float, Bounds(0.0, 1e6)] = 0.5
     """N·m/rad"""
-    torque_limit: float = bounded(2.0, 0.0, 1e4)
+    torque_limit: Annotated[float, Bounds(0.0, 1e4)] = 2.0
     """N·m; every command is limited to it"""
-    torque_constant: float = bounded(0.1, 1e-3, 1e3)
+    torque_constant: Annotated[float, Bounds(1e-3, 1e3)] = 0.1
     """N·m/A"""
-    supply: float = bounded(24.0, 0.0, 1e4)
+    supply: Annotated[float, Bounds(0.0, 1e4)] = 24.0
     """V"""
 
     def __post_init__(self) -> None:
-        check_bounds(self)
+        check(self)
 
 
 WRITABLE = tuple(name for name in Settings.__slots__ if name != "serial")

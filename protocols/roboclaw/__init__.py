@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from protocols import messages as msg
-from protocols.line import Answer, Exchange, Rank
+from protocols.line import Exchange, Rank
 from protocols.messages import MILLISECOND
 from protocols.plugin import (
     DRIVER_WRITES,
     Device,
     Driver,
-    FeedbackKind,
     Plugin,
     Range,
     Setting,
@@ -21,9 +21,10 @@ from protocols.plugin import (
 from protocols.roboclaw import table as rt
 from protocols.roboclaw.driver import RoboclawAdapter
 from protocols.roboclaw.options import MOST, Options, Settings
-from protocols.roboclaw.twin import RoboclawDecoder, RoboclawTwin
-from protocols.toolkit.assembly import declared, driver_of, fed_by_any_frame
+from protocols.roboclaw.twin import RoboclawTwin, motor_of
+from protocols.toolkit.assembly import declared, driver_of, fed_by_any_frame, own_ramps, serial_motor
 from protocols.toolkit.options import configuration
+from protocols.toolkit.packets import packet_decoder
 
 __all__ = ["plugin"]
 
@@ -52,47 +53,34 @@ def ranges(options: Options) -> dict[str, Range]:
 def configured(settings: Settings, options: Options) -> dict[str, Setting]:
     """Return what is configured on a board."""
     found = configuration(settings, {name: name for name in rt.PID})
-    timeout = float(options.timeout_ms // rt.TIMEOUT_UNIT_MS)
-    return found | {"timeout": Setting(timeout, 0.0, 255.0, DRIVER_WRITES)}
+    return found | {"timeout": Setting(float(options.timeout), 0.0, 255.0, DRIVER_WRITES)}
 
 
 def spec(device: Device) -> Spec:
     """Return the contract of one motor. Raises ValueError if its address cannot be one."""
     options: Options = device.options
-    if device.address not in rt.ADDRESSES:
-        low, middle, high = rt.ADDRESSES.start, rt.BOARDS.stop, rt.ADDRESSES.stop - 1
-        raise ValueError(
-            f"address {device.address} of {device.name}: it must be its board's, {low} to {middle - 1}, "
-            f"or for the board's second motor that and {rt.SECOND}, {middle} to {high}"
-        )
-    idle = rt.PACKETS.encode(f"M{rt.side_of(device.address)}DUTY", rt.board_of(device.address), duty=0)
-    answer = Answer(len(rt.ACK), rt.find_answer, round(options.answer_ms * MILLISECOND))
+    rt.BOARDS.check(device)
+    idle = rt.PACKETS.encode(rt.name_of("M#DUTY", device.address), rt.BOARDS.board(device.address), duty=0)
     parameters = configured(device.settings, options)
     any_gains: Written = {name: ((0.0, float(MOST * 2 + 1)),) for name in rt.PID}
-    return Spec(
-        bus="serial",
-        kind="motor",
-        sends=(),
-        expects=(),
-        read_only=rt.PACKETS.read_only,
-        feedback=FeedbackKind.POLLED,
-        feedback_period=options.feedback_ms * MILLISECOND,
-        offline_after=options.offline_ms * MILLISECOND,
+    return serial_motor(
+        device,
+        rt.PACKETS.read_only,
+        rt.BOARDS.motors,
         commands=frozenset({msg.Idle, msg.Hold, msg.Position, msg.Velocity}),
         requests=frozenset({msg.ClearFault, msg.Zero, msg.ReadParameter, msg.WriteParameter})
         | (frozenset({msg.Scan}) if options.scan else frozenset()),
         ranges=ranges(options),
         faults=rt.FAULTS,
-        stop_clears_faults=False,
         parameters=tuple(parameters),
         configuration=parameters,
-        set_up=declared({"timeout": float(options.timeout_ms // rt.TIMEOUT_UNIT_MS)}),
+        set_up=declared({"timeout": float(options.timeout)}),
         writes={msg.WriteParameter: any_gains},
         save=rt.SAVE,
-        stop=(Exchange(idle, answer, Rank.RELEASE),),
+        stop=(Exchange(idle, options.answer(idle), Rank.RELEASE),),
+        ramps=own_ramps(math.tau * options.acceleration / options.counts, msg.Position),
         scales={"counts": ""},
         unprotected=rt.QUESTIONS,
-        line="asked",
         **fed_by_any_frame(options.timeout_ms * MILLISECOND),
     )
 
@@ -110,8 +98,8 @@ plugin = Plugin(
     settings=Settings,
     spec=spec,
     driver=driver,
-    decoder=RoboclawDecoder,
+    decoder=packet_decoder(lambda _: rt.PACKETS, motor_of, rt.GAP),
     twin=RoboclawTwin,
     messages=rt.PACKETS.names,
-    vectors=("gateway.fixtures", "vectors/roboclaw.json"),
+    vectors=("protocols.roboclaw", "vectors.json"),
 )

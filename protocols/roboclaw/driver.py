@@ -1,7 +1,7 @@
 """The host's end: what boards are sent and asked in each phase, and what their answers report.
 
-Rules. Any set-point drives a motor, and no message reports that it is driven. What a motor was told last is
-what its board has acknowledged; and a duty that is not 0, though it was not told anything, is another
+Rules. Any set-point drives a motor, and no message reports that it is driven. What a motor was sent last is
+what its board has acknowledged; and a duty that is not 0, though it was not sent anything, is another
 host's. The serial timeout, which any message feeds, is written and read back before a motor is armed by a
 speed of 0; after a silence that it may have ended, the duty decides. A serial timeout that has another
 value is a board that has restarted. Set-points of both motors of a board go in one message. Counts of 32
@@ -11,22 +11,26 @@ bits are continued beyond them.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from protocols import messages as msg
 from protocols.frames import Frame
-from protocols.line import Answer, Exchange, Rank
+from protocols.line import Exchange, Rank
 from protocols.messages import MILLISECOND, SECOND, Command, Feedback, Mode, Nanos, Request
 from protocols.plugin import Device
 from protocols.roboclaw import table as rt
 from protocols.roboclaw.options import MOST, Options
-from protocols.toolkit.host import Host, Report, Timing
-from protocols.toolkit.motor_driver import NEVER, Adapter, MotorDriver, Pending, Rx
+from protocols.toolkit.boards import SIDES, both
+from protocols.toolkit.host import Host, Report, counted_once
+from protocols.toolkit.lines import LineAdapter
+from protocols.toolkit.motor_driver import NEVER, MotorDriver, Pending, Rx
+from protocols.toolkit.questions import Questions
 from protocols.toolkit.registers import Register, Registers
 from protocols.toolkit.requests import ANSWER
 from protocols.toolkit.table import Values
 
 REGISTERS = Registers(Register("timeout", 14, "u8"), *(Register(name, 28, "u32") for name in rt.PID))
+PROTECTED = {"timeout": "the driver writes it before it arms (timeout_ms)"}
 SELDOM = 10
 """Supply, current and temperature are asked for so many times less often than the state."""
 POLLED = {
@@ -38,6 +42,8 @@ POLLED = {
     "GETTEMP": SELDOM,
 }
 """Questions about a whole board, and in how many periods each is asked."""
+SET_POINTS = {"SPEED": Rank.SET_POINT, "SPEEDACCELDECCELPOS": Rank.SET_POINT, "DUTY": Rank.RELEASE}
+"""What drives motors, in the order in which it is sent"""
 SILENT = 3
 """Answers in a row that are lost before a board is silent."""
 HALF, WHOLE = 1 << 31, 1 << 32
@@ -45,100 +51,67 @@ HALF, WHOLE = 1 << 31, 1 << 32
 
 @dataclass(slots=True)
 class Board:
-    """What is known of a board, and what its motors are to be told in this step. Plain data."""
+    """What is known of a board, and what its motors are to do in this step. Plain data."""
 
     address: int
     options: Options
     timeout: int | None = None
     """As read back, in 0.1 s."""
-    answered: Nanos = -NEVER
+    answered_at: Nanos = -NEVER
     lost: int = SILENT
     """Answers that have not come since one did."""
-    asked: dict[str, Nanos] = field(default_factory=dict)
-    """When each question was last asked."""
-    wanted: dict[int, Command] = field(default_factory=dict)
-    released: dict[int, None] = field(default_factory=dict)
+    asked: Questions = field(default_factory=Questions)
+    wanted: dict[str, dict[int, Mapping[str, int]]] = field(default_factory=dict)
+    """Numbers by message, without its side, and by side"""
 
     @property
     def silent(self) -> bool:
         """True if nothing is to be expected of it: it is asked for one thing only."""
         return self.lost >= SILENT
 
-    @property
-    def period(self) -> Nanos:
-        """Of the serial timeout."""
-        return self.options.timeout_ms * MILLISECOND
-
     def forget(self) -> None:
         """Forget what it reported."""
         self.timeout = None
-        self.asked.clear()
+        self.asked.forget()
 
-    def hear(self, t: Nanos) -> None:
-        """Note an answer."""
-        self.answered, self.lost = t, 0
-
-    def miss(self) -> None:
-        """Note an answer that has not come."""
-        self.lost += 1
+    def on_answer(self, t: Nanos, data: bytes) -> None:
+        """Note an answer; b"": that it has not come."""
+        self.lost = 0 if data else self.lost + 1
+        self.answered_at = t if data else self.answered_at
 
     def keep(self, timeout: int) -> None:
         """Note its serial timeout as read back."""
         self.timeout = timeout
 
-    def want(self, side: int, command: Command) -> None:
-        """Note a set-point of this step, in counts."""
-        self.wanted[side] = command
-
-    def rest(self, side: int) -> None:
-        """Note that a motor is to be released in this step."""
-        self.released[side] = None
+    def want(self, name: str, side: int, **values: int) -> None:
+        """Note what a motor is to do in this step."""
+        self.wanted.setdefault(name, {})[side] = values
 
     def due(self, name: str) -> Nanos:
         """Return when a question is due that is not of one motor alone."""
-        return self.asked.get(name, -NEVER) + POLLED[name] * self.options.poll_ms * MILLISECOND
+        return self.asked.due(name, POLLED[name] * self.options.poll_ms * MILLISECOND)
 
-    def say(self, name: str, rank: Rank, about: str = "", /, **values: float) -> Exchange:
+    def message(self, name: str, rank: Rank = Rank.QUESTION, /, **values: float) -> Exchange:
         """Return a message, with what comes back."""
         frame = rt.PACKETS.encode(name, self.address, **values)
-        delay = round(self.options.answer_ms * MILLISECOND)
-        answer = Answer(rt.size_of_answer(frame), rt.find_answer, delay)
-        return Exchange(frame, answer, rank, f"{self.address} {about or name}")
+        return Exchange(frame, self.options.answer(frame), rank, f"{self.address} {name}")
 
     def ask(self, now: Nanos, name: str, rank: Rank = Rank.QUESTION) -> Exchange:
         """Return a question."""
-        self.asked[name] = now
-        return self.say(name, rank)
+        self.asked.ask(now, name)
+        return self.message(name, rank)
 
     def set_points(self) -> Iterable[Exchange]:
-        """Return what the motors are told, of both in one message where they do the same."""
+        """Return what the motors are to do, of both in one message where they do the same."""
         wanted, self.wanted = self.wanted, {}
-        for kind, name in ((msg.Velocity, "SPEED"), (msg.Position, "SPEEDACCELDECCELPOS")):
-            of_kind = {side: self._values(each) for side, each in wanted.items() if isinstance(each, kind)}
-            yield from self._said(name, of_kind, Rank.SET_POINT)
-        released, self.released = self.released, {}
-        yield from self._said("DUTY", {side: {"duty": 0} for side in released}, Rank.RELEASE)
-
-    def _said(self, name: str, motors: Mapping[int, Mapping[str, int]], rank: Rank) -> Iterable[Exchange]:
-        once = {"buffer": 1} if name.endswith("POS") else {}
-        if len(motors) == len(rt.SIDES):
-            values = {f"{key}{side}": value for side, each in motors.items() for key, value in each.items()}
-            yield self.say(f"MIXED{name}", rank, **values, **once)
-            return
-        for side, each in motors.items():
-            yield self.say(f"M{side}{name}", rank, **each, **once)
-
-    def _values(self, command: msg.Velocity | msg.Position) -> Mapping[str, int]:
-        # What was rounded before: `aim` has made counts of rad.
-        if isinstance(command, msg.Velocity):
-            return {"speed": round(command.velocity)}
-        path = self.options.acceleration
-        return {
-            "accel": path,
-            "speed": round(command.velocity),
-            "deccel": path,
-            "position": round(command.position),
-        }
+        for name, rank in SET_POINTS.items():
+            motors = wanted.get(name, {})
+            once = {"buffer": 1} if name.endswith("POS") else {}
+            if len(motors) == len(SIDES):
+                yield self.message(f"MIXED{name}", rank, **both(motors), **once)
+            else:
+                for side, each in motors.items():
+                    yield self.message(f"M{side}{name}", rank, **each, **once)
 
 
 @dataclass(slots=True)
@@ -182,11 +155,11 @@ class Motor:
         return self.counts
 
     def lapse(self, t: Nanos) -> None:
-        """Take it that the serial timeout may have passed, if nothing was heard for so long: its duty is
+        """Take it that the serial timeout may have passed, if nothing was answered for so long: its duty is
         asked for."""
-        if self.driven and t - self.board.answered > self.board.period:
+        if self.driven and t - self.board.answered_at > self.board.options.timeout_ms * MILLISECOND:
             self.driven, self.duty = False, None
-            self.board.asked.pop("GETPWMS", None)
+            self.board.asked.forget("GETPWMS")
 
     def obeyed(self, name: str) -> None:
         """Note that a message was acknowledged."""
@@ -205,8 +178,7 @@ class Motor:
             self.status = values["status"]
         elif name == "GETTIMEOUT":
             known, timeout = self.board.timeout, values["timeout"]
-            wanted = self.board.options.timeout_ms // rt.TIMEOUT_UNIT_MS
-            if known is not None and timeout != wanted:
+            if known is not None and timeout != self.board.options.timeout:
                 self.driven = False  # it has restarted
             self.board.keep(timeout)
 
@@ -219,54 +191,42 @@ class Motor:
         return kind.replace("#", str(self.side))
 
 
-class RoboclawAdapter(Adapter[Motor]):
+class RoboclawAdapter(LineAdapter[Motor]):
     """What boards are sent, and what they report."""
 
     name = "roboclaw"
     faults, not_armed, latch, clearing = rt.ALL_FAULTS, rt.NOT_ARMED, True, SECOND
 
     def __init__(self, devices: Sequence[Device]) -> None:
-        self._skipping = False
-        """What nobody asked for goes on: it is counted once."""
+        super().__init__()
         self._boards: dict[int, Board] = {}
         for device in devices:
-            at = rt.board_of(device.address)
+            at = rt.BOARDS.board(device.address)
             board = self._boards.setdefault(at, Board(at, device.options))
             if board.options.timeout_ms != device.options.timeout_ms:
                 raise ValueError(f"{device.name}: both motors of a board have the same timeout_ms")
-        self._first = {rt.board_of(each.address): each.name for each in reversed(devices)}
+        self._first = {rt.BOARDS.board(each.address): each.name for each in reversed(devices)}
 
     def own(self, device: Device) -> Motor:
-        at = rt.board_of(device.address)
-        return Motor(self._boards[at], rt.side_of(device.address), self._first[at] == device.name)
-
-    def timing(self, options: Options) -> Timing:
-        return Timing(options.offline_ms * MILLISECOND)
-
-    def forget(self, now: Nanos, host: Host[Motor]) -> None:
-        host.own.forget()
+        at = rt.BOARDS.board(device.address)
+        return Motor(self._boards[at], rt.BOARDS.side(device.address), self._first[at] == device.name)
 
     # -- received -------------------------------------------------------------------------------------
-
-    def receive(self, t: Nanos, frame: Frame, driver: MotorDriver[Motor]) -> Sequence[Report[Motor] | Rx]:
-        before, self._skipping = self._skipping, self._skipping or isinstance(frame, bytes)
-        # Nobody asked for it, and it does not say whose it is.
-        return () if before and isinstance(frame, bytes) else (Rx.IGNORED,)
 
     def heard(
         self, t: Nanos, asked: Exchange, data: bytes, driver: MotorDriver[Motor]
     ) -> Sequence[Report[Motor] | Rx]:
         hosts = [host for host in driver.hosts.values() if host.own.board.address == asked[0]]
-        self._skipping = False
+        self.answered()
         board = self._boards.get(asked[0])
         if board is not None and not data:
-            board.miss()
+            board.on_answer(t, data)
         if not data or rt.find_answer(asked, data) != (0, len(data)):
             return (Rx.MALFORMED if hosts else Rx.IGNORED,) if data else ()
         for host in hosts:
             host.own.lapse(t)
         if board is not None:
-            board.hear(t)
+            board.on_answer(t, data)
         if rt.is_question(asked):
             name, values = rt.read_answer(asked, data)
             if name == "GETVERSION":
@@ -277,16 +237,15 @@ class RoboclawAdapter(Adapter[Motor]):
             decoded = rt.PACKETS.in_frame(bytes(asked))[0][0]
             assert decoded is not None
             reports = [self._obeyed(host, decoded.name, decoded.values) for host in hosts]
-        return [_counted(report, at == 0) for at, report in enumerate(reports)]
+        return counted_once(reports)
 
     def _found(self, address: int, version: str, driver: MotorDriver[Motor]) -> Sequence[Report[Motor] | Rx]:
-        reports = []
-        for side in rt.SIDES:
-            at = address + rt.SECOND * (side - 1)
-            report = Report(driver.at.get(at), at, note=f"motor {side} of {version}")
-            reports.append(_counted(report, side == 1))
-        known = any(report.host is not None for report in reports)
-        return reports if driver.scanning() or known else (Rx.IGNORED,)
+        motors = {side: rt.BOARDS.motor(address, side) for side in SIDES}
+        if not driver.scanning() and driver.at.keys().isdisjoint(motors.values()):
+            return (Rx.IGNORED,)
+        return counted_once(
+            Report(driver.at.get(at), at, note=f"motor {side} of {version}") for side, at in motors.items()
+        )
 
     def _obeyed(self, host: Host[Motor], name: str, values: Values) -> Report[Motor]:
         """Return what an acknowledgement reports."""
@@ -325,10 +284,6 @@ class RoboclawAdapter(Adapter[Motor]):
             host, host.address, mode, detail, faults if mode else None, feedback, parameters=parameters
         )
 
-    @staticmethod
-    def _timeout(own: Motor) -> int:
-        return own.board.options.timeout_ms // rt.TIMEOUT_UNIT_MS
-
     # -- sent -----------------------------------------------------------------------------------------
 
     def ready(self, host: Host[Motor]) -> bool:
@@ -336,30 +291,29 @@ class RoboclawAdapter(Adapter[Motor]):
         return own.duty is not None and own.status is not None and own.board.timeout is not None
 
     def arm(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
-        own = host.own
-        if own.board.timeout != self._timeout(own):
-            written = own.board.say("SETTIMEOUT", Rank.SET_POINT, timeout=self._timeout(own))
-            return written, own.board.ask(now, "GETTIMEOUT")
-        own.board.want(own.side, msg.Velocity(host.name, 0.0))
+        board = host.own.board
+        if board.timeout != board.options.timeout:
+            written = board.message("SETTIMEOUT", Rank.SET_POINT, timeout=board.options.timeout)
+            return written, board.ask(now, "GETTIMEOUT")
+        board.want("SPEED", host.own.side, speed=0)
         return ()
 
     def command(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
-        host.own.lapse(now)
-        if host.own.duty is not None:
-            host.own.board.want(host.own.side, self._aim(host, command))
+        own, options = host.own, host.options
+        own.lapse(now)
+        if own.duty is None:
+            return ()
+        if isinstance(command, msg.Velocity):
+            own.board.want("SPEED", own.side, speed=round(command.velocity / options.unit))
+            return ()
+        place = host.held if isinstance(command, msg.Hold) else getattr(command, "position", None)
+        position = round(((place or 0.0) / options.unit + HALF) % WHOLE - HALF)
+        ramp = {"accel": options.acceleration, "speed": options.max_qpps, "deccel": options.acceleration}
+        own.board.want("SPEEDACCELDECCELPOS", own.side, **ramp, position=position)
         return ()
 
-    def _aim(self, host: Host[Motor], command: Command) -> Command:
-        """Return a set-point in counts."""
-        unit, options = host.options.unit, host.options
-        if isinstance(command, msg.Velocity):
-            return msg.Velocity(host.name, command.velocity / unit)
-        place = host.held if isinstance(command, msg.Hold) else getattr(command, "position", None)
-        counts = (place or 0.0) / unit
-        return msg.Position(host.name, (counts + HALF) % WHOLE - HALF, options.max_qpps)
-
     def release(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
-        host.own.board.rest(host.own.side)
+        host.own.board.want("DUTY", host.own.side, duty=0)
         return ()
 
     def poll(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
@@ -369,7 +323,7 @@ class RoboclawAdapter(Adapter[Motor]):
             return () if waits else (board.ask(now, "GETERROR"),)
         asked: list[Exchange] = []
         encoder, speed = own.message("GETM#ENC"), own.message("GETM#SPEED")
-        if now >= board.asked.get(encoder, -NEVER) + host.options.feedback_ms * MILLISECOND:
+        if now >= self._motion_due(host):
             asked += [board.ask(now, encoder), board.ask(now, speed)]
         if own.first:
             asked += [board.ask(now, name, Rank.BACKGROUND) for name in POLLED if now >= board.due(name)]
@@ -379,8 +333,13 @@ class RoboclawAdapter(Adapter[Motor]):
         own, board = host.own, host.own.board
         if board.silent:
             return board.due("GETERROR") if own.first else NEVER
-        at: Nanos = board.asked.get(own.message("GETM#ENC"), -NEVER) + host.options.feedback_ms * MILLISECOND
+        at = self._motion_due(host)
         return min(at, *(board.due(name) for name in POLLED)) if own.first else at
+
+    @staticmethod
+    def _motion_due(host: Host[Motor]) -> Nanos:
+        period = host.options.feedback_ms * MILLISECOND
+        return host.own.board.asked.due(host.own.message("GETM#ENC"), period)
 
     def poll_bus(self, now: Nanos) -> Sequence[Frame]:
         return [each for board in self._boards.values() for each in board.set_points()]
@@ -389,53 +348,38 @@ class RoboclawAdapter(Adapter[Motor]):
 
     def questions(self, driver: MotorDriver[Motor]) -> Iterable[Frame]:
         options = next(iter(driver.hosts.values())).options
-        return (Board(at, options).say("GETVERSION", Rank.QUESTION) for at in rt.BOARDS)
+        return (Board(at, options).message("GETVERSION") for at in rt.BOARDS.addresses)
 
     def begin(
         self, now: Nanos, request: Request, host: Host[Motor] | None, driver: MotorDriver[Motor]
     ) -> Pending[Motor] | str:
-        wrong = ""
-        match request:
-            case msg.WriteParameter(_, "timeout"):
-                wrong = "the driver writes it before it arms (timeout_ms)"
-            case msg.WriteParameter(_, name, value) if name == rt.SAVE:
-                wrong = "" if value == 1 else f"{rt.SAVE} takes 1"
-            case msg.WriteParameter(_, name, value):
-                wrong = REGISTERS.wrong(name, value)
-            case msg.ReadParameter(_, name):
-                wrong = REGISTERS.wrong(name)
-            case msg.Zero():
-                pass
-            case _:
-                return super().begin(now, request, host, driver)
+        wrong = REGISTERS.wrong_request(request, rt.SAVE, PROTECTED)
+        if wrong is None and not isinstance(request, msg.Zero):
+            return super().begin(now, request, host, driver)
         if wrong or host is None:
-            return wrong
+            return wrong or ""
         # Its memory wears out: it is asked to save once.
         again = NEVER if getattr(request, "parameter", "") == rt.SAVE else ANSWER // 4
         return Pending(request, host.name, now, now + 2 * ANSWER, now, host, (), again)
 
     def frames(self, now: Nanos, pending: Pending[Motor]) -> Sequence[Frame]:
         if pending.host is None:
-            return pending.slice()
+            return super().frames(now, pending)
         own = pending.host.own
         board = own.board
         match pending.request:
             case msg.ClearFault():
                 reset = (own.status or 0) & rt.ESTOP
-                resets = (board.say("RESETESTOP", Rank.QUESTION),) if reset else ()
+                resets = (board.message("RESETESTOP"),) if reset else ()
                 return *resets, board.ask(now, "GETERROR")
             case msg.Zero():
-                zero = board.say(own.message("SETM#ENCCOUNT"), Rank.QUESTION, count=0)
+                zero = board.message(own.message("SETM#ENCCOUNT"), count=0)
                 return zero, board.ask(now, own.message("GETM#ENC"))
             case msg.ReadParameter(_, "timeout"):
                 return (board.ask(now, "GETTIMEOUT"),)
             case msg.WriteParameter(_, name) if name == rt.SAVE:
-                return (board.say("WRITENVM", Rank.QUESTION, key=rt.NVM_KEY),)
+                return (board.message("WRITENVM", key=rt.NVM_KEY),)
             case msg.WriteParameter(_, name, value) if own.pid_at > pending.began:
-                written = board.say(own.message("SETM#PID"), Rank.QUESTION, **own.pid | {name: value})
+                written = board.message(own.message("SETM#PID"), **own.pid | {name: value})
                 return written, board.ask(now, own.message("READM#PID"))
         return (board.ask(now, own.message("READM#PID")),)
-
-
-def _counted(report: Report[Motor], counted: bool) -> Report[Motor]:
-    return replace(report, counted=counted)

@@ -10,23 +10,19 @@ question, too. How long a message is follows from its command.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from typing import Any
 
+from protocols.messages import MILLISECOND, Nanos
 from protocols.plugin import FaultInfo
-from protocols.toolkit.motor_driver import Rx
+from protocols.toolkit.boards import SIDES, Boards
 from protocols.toolkit.packets import Packets
-from protocols.toolkit.serial import CRC16_XMODEM
+from protocols.toolkit.serial import CRC16_XMODEM, Coded, Covered
 from protocols.toolkit.table import Field, Row, Table, Values, const, sint, uint
 
-BOARDS = range(0x80, 0x88)
-SECOND = len(BOARDS)
-"""The second motor of a board has the board's address and this."""
-ADDRESSES = range(BOARDS.start, BOARDS.stop + SECOND)
-SIDES = 1, 2
+BOARDS = Boards(range(0x80, 0x88))
 ACK = b"\xff"
-GAP_MS = 10
+GAP: Nanos = 10 * MILLISECOND
 """A pause of this length within a message ends it."""
 NVM_KEY = 0xE22EAB7A
 SAVE = "save"
@@ -38,14 +34,9 @@ FULL = 32767
 """Duty: all of the supply's voltage."""
 
 
-def board_of(address: int) -> int:
-    """Return the address of the board of a motor."""
-    return address - SECOND * (address >= BOARDS.stop)
-
-
-def side_of(address: int) -> int:
-    """Return which motor of its board an address is: 1 or 2."""
-    return 1 + (address >= BOARDS.stop)
+def name_of(kind: str, motor: int) -> str:
+    """Return the name of a message to or about one motor."""
+    return kind.replace("#", str(BOARDS.side(motor)))
 
 
 # -- messages ----------------------------------------------------------------------------------------------
@@ -116,48 +107,13 @@ _READ: Mapping[str, tuple[int, tuple[Field, ...]]] = {
     "GETERROR": (90, (uint("status", 32),)),
     "GETSPEEDS": (108, _signed(32, "speed1", "speed2")),
 }
-OLDER_STATUS = Row("GETERROR", (), (uint("status", 16),), order="big")
-"""The answer of firmware before 4.1.3x."""
 LONGEST_VERSION = 48
-SEARCHED = 128
-"""Bytes behind which an answer is looked for, whatever has come before."""
-_SIZES = {number: sum(field.bits for field in fields) // 8 for number, fields in _WRITTEN.values()}
 _QUESTIONS = {number: name for name, (number, _) in _READ.items()}
-_ANSWERED = {number: 2 + sum(f.bits for f in fields) // 8 for number, fields in _READ.values()}
+_SIZES = {number: sum(field.bits for field in fields) // 8 for number, fields in _WRITTEN.values()}
+_ANSWERED = {number: 2 + sum(f.bits for f in fields) // 8 for number, fields in _READ.values() if fields}
 """Bytes of the answer to each question, but for a text."""
-_ADDRESS = re.compile(rb"[\x80-\x87]")
-
-
-class Requests:
-    """How messages to boards stand on the line."""
-
-    def frame(self, message: bytes) -> bytes:
-        """Return a message, address, command and numbers, as it stands on the line."""
-        if message[1] in _QUESTIONS:
-            return message
-        return message + CRC16_XMODEM(message).to_bytes(2, "big")
-
-    def read(self, held: bytes, at: int) -> tuple[bytes | Rx | None, int]:
-        """Return what begins here, and where the search goes on, as every `FrameFormat`."""
-        if held[at] not in BOARDS:
-            return Rx.IGNORED, _next(held, at)
-        if len(held) < at + 2:
-            return None, at
-        if held[at + 1] in _QUESTIONS:
-            return held[at : at + 2], at + 2
-        if held[at + 1] not in _SIZES:
-            return Rx.IGNORED, _next(held, at)
-        end = at + 2 + _SIZES[held[at + 1]]
-        if len(held) < end + 2:
-            return None, at
-        if CRC16_XMODEM(held[at:end]) != int.from_bytes(held[end : end + 2], "big"):
-            return Rx.MALFORMED, _next(held, at)
-        return held[at:end], end + 2
-
-
-def _next(held: bytes, at: int) -> int:
-    found = _ADDRESS.search(held, at + 1)
-    return found.start() if found else len(held)
+OLDER_STATUS = 4
+"""Bytes of the answer to GETERROR of firmware before 4.1.3x."""
 
 
 PACKETS = Packets(
@@ -165,14 +121,15 @@ PACKETS = Packets(
         *(_row(name, number, *fields) for name, (number, fields) in _WRITTEN.items()),
         *(_row(name, number, read=True) for name, (number, _) in _READ.items()),
     ),
-    Requests(),
+    Coded(BOARDS.addresses, _SIZES | dict.fromkeys(_QUESTIONS, 0), _QUESTIONS, CRC16_XMODEM, 2),
     lambda address, function, data: bytes((address, function)) + data,
     lambda message: (message[0], message[1], message[2:]),
 )
 ANSWERS = Table(
     (_row(name, number, *fields, answer=True) for name, (number, fields) in _READ.items() if fields)
 )
-_OLDER = Table((OLDER_STATUS,))
+COVERED = Covered(2, CRC16_XMODEM, 2)
+"""An answer's checksum covers address and command of the question."""
 QUESTIONS = frozenset(_READ)
 
 
@@ -185,51 +142,35 @@ def size_of_answer(frame: bytes) -> int:
     """Return the bytes of the answer to a message, at most."""
     if not is_question(frame):
         return len(ACK)
-    fields = _READ[_QUESTIONS[frame[1]]][1]
-    return 2 + (sum(field.bits for field in fields) // 8 if fields else LONGEST_VERSION + 1)
+    return _ANSWERED.get(frame[1], 2 + LONGEST_VERSION + 1)
 
 
 def answer(frame: bytes, name: str, /, **values: Any) -> bytes:  # noqa: ANN401 -- numbers
     """Return the answer to a question."""
-    return _checked(frame, ANSWERS.encode(name, frame[0], **values).data)
+    return COVERED.frame(frame, ANSWERS.encode(name, frame[0], **values).data)
 
 
 def older_status(frame: bytes, status: int) -> bytes:
     """Return the answer of older firmware to GETERROR."""
-    return _checked(frame, status.to_bytes(2, "big"))
+    return COVERED.frame(frame, status.to_bytes(OLDER_STATUS - 2, "big"))
 
 
 def version(frame: bytes, text: str) -> bytes:
     """Return the answer to GETVERSION."""
-    return _checked(frame, text.encode("ascii") + b"\0")
-
-
-def _checked(frame: bytes, data: bytes) -> bytes:
-    return data + CRC16_XMODEM(frame[:2] + data).to_bytes(2, "big")
+    return COVERED.frame(frame, text.encode("ascii") + b"\0")
 
 
 def find_answer(frame: bytes, held: bytes) -> tuple[int, int] | None:
     """Return where the answer to a message begins and ends in what has come, as `Answer.find` does. An
     acknowledgement is the last byte that has come: inside the answer to another question it says nothing."""
-    usual = _ANSWERED.get(frame[1])
-    if usual is None:
+    if not is_question(frame):
         return (len(held) - 1, len(held)) if held.endswith(ACK) else None
-    if len(held) == usual and _is_answer(frame, held):
-        return 0, usual
-    name, first = _QUESTIONS[frame[1]], max(0, len(held) - SEARCHED)
-    sizes = {"GETVERSION": (), "GETERROR": (6, 4)}.get(name, (size_of_answer(frame),))
-    places = [(at, at + size) for size in sizes for at in range(first, len(held) - size + 1)]
-    if name == "GETVERSION":
-        ends = (found.end() + 2 for found in re.finditer(rb"\0", held[first:]))
-        places = [(at, first + end) for end in ends for at in range(first, first + end - 2)]
-    for at, end in places:
-        if end <= len(held) and _is_answer(frame, held[at:end]):
-            return at, end
-    return None
-
-
-def _is_answer(frame: bytes, data: bytes) -> bool:
-    return not CRC16_XMODEM(frame[:2] + data)  # over what ends with its own checksum it is 0
+    name, size = _QUESTIONS[frame[1]], _ANSWERED.get(frame[1])
+    if size is None:
+        return COVERED.find_text(frame, held)
+    if len(held) == size and COVERED.fits(frame, held):
+        return 0, size  # nearly always
+    return COVERED.find(frame, held, (size, OLDER_STATUS) if name == "GETERROR" else (size,))
 
 
 def read_answer(frame: bytes, data: bytes) -> tuple[str, Values]:

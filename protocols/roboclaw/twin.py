@@ -10,41 +10,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from protocols import messages as msg
-from protocols.frames import Frame
 from protocols.messages import MILLISECOND, Mode, Nanos, Obeyed
 from protocols.plugin import Device, Twin
 from protocols.roboclaw import table as rt
 from protocols.roboclaw.options import Options, Settings
-from protocols.toolkit.firmware import ServoFirmware
-from protocols.toolkit.serial import Stream
+from protocols.toolkit.packets import PacketFirmware
 from protocols.toolkit.servo import Encoder, Gains, clamp
 from protocols.toolkit.table import Decoded, Values
 
 VERSION = "USB Roboclaw 2x15a v4.2.3\n"
 FAULT_PASSES: Nanos = 500 * MILLISECOND
-GAP: Nanos = rt.GAP_MS * MILLISECOND
-
-
-@dataclass(slots=True)
-class Line:
-    """The bytes to the boards of a line, as every board reads them."""
-
-    stream: Stream = field(default_factory=lambda: Stream(rt.Requests()))
-    at: Nanos = 0
-
-    def read(self, t: Nanos, frame: Frame) -> list[tuple[bytes, Decoded]]:
-        """Return the messages that a frame completes: as they came, and decoded."""
-        if not isinstance(frame, bytes):
-            return []
-        if t - self.at > GAP:
-            self.stream.drop()
-        self.at = t
-        found = ((each, rt.PACKETS.decode(each, "to_device")) for each in self.stream.messages(frame))
-        return [(each, decoded) for each, decoded in found if decoded is not None and decoded.name]
 
 
 @dataclass(slots=True)
@@ -56,28 +35,9 @@ class Motor:
     options: Options
     settings: Settings
 
-    @property
-    def board(self) -> int:
-        """Address of its board."""
-        return rt.board_of(self.address)
-
-    @property
-    def side(self) -> int:
-        """Which of its board's motors it is."""
-        return rt.side_of(self.address)
-
-    def own(self, decoded: Decoded) -> Values | None:
-        """Return what of a message is for this motor; None: nothing."""
-        numbers = [int(each) for each in decoded.name if each.isdigit()]
-        if decoded.address != self.board or (numbers and self.side not in numbers):
-            return None
-        other = str(sum(rt.SIDES) - self.side)
-        values = {name: value for name, value in decoded.values.items() if not name.endswith(other)}
-        return {name.rstrip("12"): value for name, value in values.items()}
-
     def obey(self, decoded: Decoded) -> Sequence[Obeyed]:
         """Return what it does on a message."""
-        own, name, unit = self.own(decoded), self.name, self.options.unit
+        own, name, unit = rt.BOARDS.own(self.address, decoded), self.name, self.options.unit
         match own:
             case None:
                 return ()
@@ -114,29 +74,16 @@ def motor_of(device: Device) -> Motor:
     return Motor(device.name, device.address, device.options, device.settings)
 
 
-class RoboclawDecoder:
-    """The motors of one line, as receivers of commands."""
-
-    def __init__(self, devices: Sequence[Device]) -> None:
-        self._line = Line()
-        self._motors = [motor_of(device) for device in devices]
-
-    def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
-        """Return what the motors would obey in this frame; [] if nothing."""
-        found = [decoded for _, decoded in self._line.read(t, frame)]
-        return [each for decoded in found for motor in self._motors for each in motor.obey(decoded)]
-
-
-class RoboclawTwin(ServoFirmware):
+class RoboclawTwin(PacketFirmware):
     """One motor, and its half of the board."""
 
     faults = rt.FAULTS
     passing = FAULT_PASSES
+    messages, gap = rt.PACKETS, rt.GAP
 
     def __init__(self, device: Device, seed: int) -> None:
-        super().__init__(device, seed, Gains(torque_limit=device.settings.max_torque))
-        self.memory = motor_of(device)
-        self.line = Line()
+        super().__init__(device, seed, Gains(torque_limit=device.settings.max_torque), motor_of(device))
+        self.board, self.side = rt.BOARDS.board(device.address), rt.BOARDS.side(device.address)
         self.encoder = Encoder(1.0 / device.options.unit, bandwidth=1000.0)
         self.pid: Values = {name: getattr(device.settings, name) for name in rt.PID}
         self.serial_timeout: int = device.settings.timeout
@@ -147,9 +94,8 @@ class RoboclawTwin(ServoFirmware):
 
     def join(self, others: Sequence[Twin]) -> None:
         """Find the other motor of the board among the twins of its line."""
-        mine = self.memory.board, sum(rt.SIDES) - self.memory.side
-        twins = [each for each in others if isinstance(each, RoboclawTwin)]
-        self.other = next((each for each in twins if (each.memory.board, each.memory.side) == mine), None)
+        twins = [each for each in others if isinstance(each, RoboclawTwin) and each.board == self.board]
+        self.other = next((each for each in twins if each.side != self.side), None)
 
     # -- serial timeout and faults --------------------------------------------------------------------
 
@@ -167,20 +113,22 @@ class RoboclawTwin(ServoFirmware):
 
     # -- messages -------------------------------------------------------------------------------------
 
-    def on_frame(self, t: Nanos, frame: Frame) -> None:
-        for message, decoded in self.line.read(t, frame):
-            if decoded.address != self.memory.board:
-                continue
-            self.feed(t)
-            own = self.memory.own(decoded)
-            for obeyed in self.memory.obey(decoded):
-                if isinstance(obeyed, msg.Zero):  # while it is driven, too
-                    self.encoder.set_position(0.0)
-                self.obey(t, obeyed)
-            if own is not None and decoded.name not in rt.QUESTIONS:
-                self._take(own)
-            if self.other is None or self.memory.side == 1:
-                self.reply(t, self._answer(message, decoded.name))
+    def takes(self, decoded: Decoded) -> bool:
+        return decoded.address == self.board
+
+    def on_message(self, t: Nanos, message: bytes, decoded: Decoded) -> None:
+        self.feed(t)
+        super().on_message(t, message, decoded)
+        own = rt.BOARDS.own(self.device.address, decoded)
+        if own is not None and decoded.name not in rt.QUESTIONS:
+            self._take(own)
+        if self.other is None or self.side == 1:
+            self.reply(t, self._answer(message, decoded.name))
+
+    def obey(self, t: Nanos, obeyed: Obeyed) -> None:
+        if isinstance(obeyed, msg.Zero):  # while it is driven, too
+            self.encoder.set_position(0.0)
+        super().obey(t, obeyed)
 
     def _take(self, own: Values) -> None:
         """Take over what is no command of its own: timeout, gains, duty, and the path to a position."""
@@ -204,7 +152,7 @@ class RoboclawTwin(ServoFirmware):
             return rt.ACK
         if name == "GETVERSION":
             return rt.version(message, VERSION)
-        first, second = (self, self.other) if self.memory.side == 1 else (self.other, self)
+        first, second = (self, self.other) if self.side == 1 else (self.other, self)
         if name == "GETERROR" and self.settings.older_status:
             return rt.older_status(message, rt.older(_status(first, second)))
         asked = second if "2" in name.removesuffix("TEMP2") else first
@@ -222,12 +170,7 @@ class RoboclawTwin(ServoFirmware):
             "buffer2": 0x80,
         }
         for side, each in ((1, first), (2, second)):
-            measured = (
-                (0, 0.0, 0, 0) if each is None else (each.put, each.current, each.counted, each.turning)
-            )
-            values |= zip(
-                (f"duty{side}", f"current{side}", f"count{side}", f"speed{side}"), measured, strict=True
-            )
+            values |= {f"{name}{side}": value for name, value in _measured(each).items()}
         fields = rt.ANSWERS.row(name).fields
         return rt.answer(message, name, **{each.name: values[each.name] for each in fields})
 
@@ -276,10 +219,17 @@ class RoboclawTwin(ServoFirmware):
         return clamp(current * constant, self.servo.gains.torque_limit)
 
 
+def _measured(motor: RoboclawTwin | None) -> dict[str, float]:
+    """Return what a motor reports beside the other one; None: it is not there."""
+    if motor is None:
+        return {"duty": 0, "current": 0.0, "count": 0, "speed": 0}
+    return {"duty": motor.put, "current": motor.current, "count": motor.counted, "speed": motor.turning}
+
+
 def _status(first: RoboclawTwin | None, second: RoboclawTwin | None) -> int:
     """Return the bits of the faults of both motors."""
-    codes = (each.fault if each is not None else 0 for each in (first, second))
     status = 0
-    for side, code in enumerate(codes):
-        status |= code << side if code & rt.OF_MOTOR else code
+    for at, each in enumerate((first, second)):
+        code = 0 if each is None else each.fault
+        status |= code << at if code & rt.OF_MOTOR else code
     return status

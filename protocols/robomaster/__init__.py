@@ -69,5 +69,5 @@ plugin = Plugin(
     decoder=decoder_of(lambda _: TABLE, motor_of, spec),
     twin=RoboMasterTwin,
     messages=TABLE.names,
-    vectors=("gateway.fixtures", "vectors/robomaster.json"),
+    vectors=("protocols.robomaster", "vectors.json"),
 )

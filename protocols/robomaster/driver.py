@@ -5,7 +5,7 @@ the currents that were given in this step; one that was given none gets 0, which
 only if one of its four was given something. No word enables a controller, and no report says that it is
 driven: it counts as armed while it was last sent a current other than 0, and when it measures one that we did
 not send. Released, it is sent 0 for the time in which its timeout lets it go, whatever it received; and from
-then on again and again, if it was ever commanded: a late frame may drive it with less than can be told.
+then on again and again, if it was ever commanded: a late frame may drive it with less than is seen.
 """
 
 from __future__ import annotations
@@ -115,9 +115,6 @@ class RoboMasterAdapter(Adapter[Controller]):
     def timing(self, options: Options) -> Timing:
         reports = (11 * options.timeout_ms // 10 + 5) // rm.PERIOD_MS
         return Timing(options.offline_ms * MILLISECOND, confirmations=reports)
-
-    def forget(self, now: Nanos, host: Host[Controller]) -> None:
-        host.own.forget()
 
     # -- received -------------------------------------------------------------------------------------
 

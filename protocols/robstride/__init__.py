@@ -11,7 +11,7 @@ from protocols.robstride.driver import RobStrideAdapter
 from protocols.robstride.options import STORED, Options, Settings
 from protocols.robstride.twin import RobStrideTwin, memory_of
 from protocols.toolkit import mit
-from protocols.toolkit.assembly import can_motor, declared, decoder_of, driver_of, fed_by_any_frame
+from protocols.toolkit.assembly import can_motor, declared, decoder_of, driver_of, fed_by_any_frame, own_ramps
 from protocols.toolkit.options import configuration
 from protocols.toolkit.table import BINARY32
 
@@ -59,6 +59,7 @@ def spec(device: Device) -> Spec:
     """Return the contract of one motor. Raises ValueError if its address cannot be one."""
     options: Options = device.options
     has = rs.parameters_of(options.model)
+    ramped = options.mode == "speed" and "acc_rad" in has
     return can_motor(
         device,
         options.table,
@@ -77,6 +78,7 @@ def spec(device: Device) -> Spec:
         save=rs.SAVE if rs.SAVE in has else "",
         receives_also=((EXTENDED_BIT | 0xFE, EXTENDED_BIT | 0x1F0000FF),) if options.scan else (),
         **options.gains.of_spec() if options.mode == "mit" else {},
+        ramps=own_ramps(options.max_acceleration if ramped else 0.0, msg.Velocity),
         scales={"model": ""},
         **fed_by_any_frame(
             round(options.timeout * MILLISECOND),
@@ -97,5 +99,5 @@ plugin = Plugin(
     decoder=decoder_of(lambda options: options.table, memory_of, spec),
     twin=RobStrideTwin,
     messages=rs.ANY.names,
-    vectors=("gateway.fixtures", "vectors/robstride.json"),
+    vectors=("protocols.robstride", "vectors.json"),
 )

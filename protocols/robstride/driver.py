@@ -44,6 +44,8 @@ class RobStrideAdapter(RegisterAdapter):
         timeout = {rs.MODELS[options.model].timeout: round(options.timeout * rs.PER_MS)}
         wanted |= timeout if options.timeout else {}
         wanted |= {rs.SET_POINT[options.run_mode]: 0.0} if options.run_mode else {}
+        if options.mode == "speed" and "acc_rad" in rs.parameters_of(options.model):
+            wanted["acc_rad"] = options.max_acceleration
         return wanted | ({"limit_spd": options.max_velocity} if options.mode == "position" else {})
 
     def wanted(self, host: Host[Motor]) -> Mapping[str, float]:
@@ -123,6 +125,15 @@ class RobStrideAdapter(RegisterAdapter):
         if operation == "read":
             return (read,)
         return rs.ANY.encode("write", address, number=number, value=rs.REGISTERS.raw(name, value)), read
+
+    def arm(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
+        frames, address = super().arm(now, host, command), host.address
+        name = rs.SET_POINT.get(host.options.run_mode)
+        if name is None or self.message(self.enable, address) not in frames:
+            return frames
+        # What it is enabled with is written just before: a restart may have changed it.
+        first = self.about("write", address, name, self.wanted(host)[name])[:1]
+        return [*host.own.answers.sent(now, first), *frames]
 
     def set_point(self, host: Host[Motor], command: Command) -> Frame:
         options: Options = host.options

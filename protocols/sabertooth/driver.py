@@ -1,4 +1,4 @@
-"""The host's end: a board only listens, so all that is known of a motor is what it was told.
+"""The host's end: a board only receives, so all that is known of a motor is what it was sent.
 
 Rules. A share of the power drives a motor; full power is taken to be `full_scale`. A velocity of 0 is sent as
 reverse 0, Idle as forward 0: the same to the board, and told apart by the guard. The mode is what was sent
@@ -18,133 +18,126 @@ from protocols.plugin import Device
 from protocols.sabertooth import table as st
 from protocols.sabertooth.options import Options
 from protocols.toolkit.host import Host, Phase, Report, Timing
-from protocols.toolkit.motor_driver import NEVER, Adapter, MotorDriver, Rx
+from protocols.toolkit.lines import LineAdapter
+from protocols.toolkit.motor_driver import NEVER
 
 AGAIN: Nanos = 500 * MILLISECOND
 """Period of the serial timeout while a motor is driven."""
-TOLD_OFTEN = 10
-"""Times that it is told to rest, since it confirms none."""
-NOTED: Nanos = 50 * MILLISECOND
-"""Period in which it is looked whether what it was told has lapsed."""
-TOLD, LAPSED, RESTS = "open loop: as told", "open loop: its serial timeout has passed", "open loop: at rest"
+RESTS = 10
+"""Times that it is sent to rest, since it confirms none."""
+SENT, LAPSED, AT_REST = "open loop: as sent", "open loop: its serial timeout has passed", "open loop: at rest"
 
 
 @dataclass(slots=True)
 class Motor:
-    """What one motor was told. Plain data."""
+    """What one motor was sent. Plain data."""
 
     driven: bool = False
-    sent: Nanos = -NEVER
-    """When it was last told anything,"""
+    at: Nanos = -NEVER
+    """When it was last sent anything,"""
     bounded: Nanos = -NEVER
     """and its serial timeout."""
     woken: bool = False
     """The byte of the baud rate was sent."""
     noted: Nanos = -NEVER
-    """When its state was last looked at."""
-    released: Nanos = -NEVER
-    """When it was told what was last reported."""
+    """When its state was last looked at,"""
+    reported: Nanos = -NEVER
+    """and of what was sent when it was reported."""
     lapsed: bool = False
 
     def look(self, now: Nanos, timeout: Nanos) -> None:
         """Note that its serial timeout has passed, if it has."""
         self.noted = now
-        if self.driven and now - self.sent > timeout:
+        if self.driven and now - self.at > timeout:
             self.driven, self.lapsed = False, True
 
-    def report(self) -> None:
-        """Note that what it was told has been reported."""
-        self.released = self.sent
+    def report(self) -> tuple[Mode, str]:
+        """Return its state, as it is reported now."""
+        self.reported = self.at
+        if self.driven:
+            return Mode.ARMED, SENT
+        return Mode.READY, LAPSED if self.lapsed else AT_REST
 
     def begin(self) -> None:
         """Begin to drive it: its serial timeout goes first."""
         self.bounded, self.lapsed = -NEVER, False
 
-    def wake(self) -> None:
-        """Note that the byte of the baud rate is sent."""
-        self.woken = True
+    def wakes(self) -> bool:
+        """True if the byte of the baud rate is to be sent; then it counts as sent."""
+        before, self.woken = self.woken, True
+        return not before
 
-    def bound(self, now: Nanos) -> None:
-        """Note that its serial timeout is sent."""
-        self.bounded = now
+    def bounds(self, now: Nanos) -> bool:
+        """True if its serial timeout is to be sent; then it counts as sent."""
+        due = now - self.bounded >= AGAIN
+        self.bounded = now if due else self.bounded
+        return due
 
-    def tell(self, now: Nanos, *, driven: bool) -> None:
-        """Note what it is told."""
-        self.driven, self.sent = driven, now
+    def send(self, now: Nanos, *, driven: bool) -> None:
+        """Note what it is sent."""
+        self.driven, self.at = driven, now
 
     def forget(self) -> None:
-        """Forget what it was told: the line was away."""
+        """Forget what it was sent: the line was away."""
         self.driven = self.woken = self.lapsed = False
-        self.sent = self.bounded = self.released = -NEVER
+        self.at = self.bounded = self.reported = -NEVER
 
 
-class SabertoothAdapter(Adapter[Motor]):
-    """What boards are told."""
+class SabertoothAdapter(LineAdapter[Motor]):
+    """What boards are sent; they have no transmitter."""
 
     name = "sabertooth"
     blind = True
-
-    def __init__(self) -> None:
-        self._skipping = False
-        """Bytes have come: whose they are is not known, and they are counted once."""
 
     def own(self, device: Device) -> Motor:
         return Motor()
 
     def timing(self, options: Options) -> Timing:
-        return Timing(NEVER, confirmations=TOLD_OFTEN)
-
-    def receive(self, t: Nanos, frame: Frame, driver: MotorDriver[Motor]) -> Sequence[Report[Motor] | Rx]:
-        before, self._skipping = self._skipping, self._skipping or isinstance(frame, bytes)
-        return () if before and isinstance(frame, bytes) else (Rx.IGNORED,)  # it has no transmitter
-
-    def forget(self, now: Nanos, host: Host[Motor]) -> None:
-        host.own.forget()
+        return Timing(NEVER, confirmations=RESTS)
 
     def notice(self, now: Nanos, host: Host[Motor]) -> Sequence[Event]:
-        """Report what it was told as its state."""
+        """Report what it was sent as its state."""
         own = host.own
         own.look(now, host.options.timeout_ms * MILLISECOND)
-        if host.phase is Phase.RELEASING and own.released == own.sent:
-            return ()  # it counts as released when it was told so often enough
-        own.report()
-        mode = Mode.ARMED if own.driven else Mode.READY
-        detail = TOLD if own.driven else LAPSED if own.lapsed else RESTS
+        if host.phase is Phase.RELEASING and own.reported == own.at:
+            return ()  # it counts as released when it was sent to rest often enough
+        mode, detail = own.report()
         return host.on_report(now, Report(host, host.address, mode, detail))
 
     def poll_due(self, host: Host[Motor]) -> Nanos:
-        return host.own.noted + NOTED
+        at: Nanos = host.own.noted + host.options.feedback_ms * MILLISECOND
+        return at
 
     # -- sent -----------------------------------------------------------------------------------------
 
     def arm(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
         host.own.begin()
-        return self._tell(now, host, 0.0)
+        return self._drive(now, host, 0.0)
 
     def command(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
-        return self._tell(now, host, getattr(command, "velocity", 0.0) / host.options.full_scale)
+        return self._drive(now, host, getattr(command, "velocity", 0.0) / host.options.full_scale)
 
-    def _tell(self, now: Nanos, host: Host[Motor], share: float) -> Sequence[Frame]:
+    def _drive(self, now: Nanos, host: Host[Motor], share: float) -> Sequence[Frame]:
         own, frames = host.own, list[Frame]()
-        if host.options.autobaud and not own.woken:
-            own.wake()
+        if host.options.autobaud and own.wakes():
             frames.append(Exchange(st.PACKETS.encode("AUTOBAUD"), None, Rank.QUESTION))
-        if now - own.bounded >= AGAIN:
-            own.bound(now)
+        if own.bounds(now):
             units = host.options.timeout_ms // st.TIMEOUT_UNIT_MS
-            frames.append(self._say(host, "SERIALTIMEOUT", units, "timeout"))
-        own.tell(now, driven=True)
+            frames.append(self._message(host, "SERIALTIMEOUT", units, "timeout"))
+        own.send(now, driven=True)
         value = round(share * st.FULL)
         way = "FORWARD" if value > 0 else "REVERSE"
-        frames.append(self._say(host, f"M{st.side_of(host.address)}{way}", abs(value), "power"))
+        frames.append(self._message(host, f"M{st.BOARDS.side(host.address)}{way}", abs(value), "power"))
         return frames
 
     def release(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
-        host.own.tell(now, driven=False)
-        name = f"M{st.side_of(host.address)}FORWARD"
-        return (self._say(host, name, 0, "power", Rank.RELEASE),)
+        host.own.send(now, driven=False)
+        name = f"M{st.BOARDS.side(host.address)}FORWARD"
+        return (self._message(host, name, 0, "power", Rank.RELEASE),)
 
     @staticmethod
-    def _say(host: Host[Motor], name: str, value: int, about: str, rank: Rank = Rank.SET_POINT) -> Exchange:
-        frame = st.PACKETS.encode(name, st.board_of(host.address), value=value)
+    def _message(
+        host: Host[Motor], name: str, value: int, about: str, rank: Rank = Rank.SET_POINT
+    ) -> Exchange:
+        frame = st.PACKETS.encode(name, st.BOARDS.board(host.address), value=value)
         return Exchange(frame, None, rank, f"{host.address} {about}")

@@ -7,14 +7,12 @@ from __future__ import annotations
 
 import re
 
+from protocols.toolkit.boards import Boards
 from protocols.toolkit.motor_driver import Rx
 from protocols.toolkit.packets import Packets
 from protocols.toolkit.table import Row, const, uint
 
-BOARDS = range(128, 136)
-SECOND = len(BOARDS)
-"""The second motor of a board has the board's address and this."""
-ADDRESSES = range(BOARDS.start, BOARDS.stop + SECOND)
+BOARDS = Boards(range(128, 136))
 FULL = 127
 TIMEOUT_UNIT_MS = 100
 AUTOBAUD = 0xAA
@@ -27,16 +25,6 @@ _NAMES = (
 COMMANDS = tuple(_NAMES.split())
 """By number."""
 _BEGINS = re.compile(rb"[\x80-\x87\xaa]")
-
-
-def board_of(address: int) -> int:
-    """Return the address of the board of a motor."""
-    return address - SECOND * (address >= BOARDS.stop)
-
-
-def side_of(address: int) -> int:
-    """Return which motor of its board an address is: 1 or 2."""
-    return 1 + (address >= BOARDS.stop)
 
 
 class Format:
@@ -52,7 +40,7 @@ class Format:
             return held[at : at + 1], at + 1
         found = _BEGINS.search(held, at + 1)
         following = found.start() if found else len(held)
-        if held[at] not in BOARDS:
+        if held[at] not in BOARDS.addresses:
             return Rx.IGNORED, following
         part = held[at + 1 : at + SIZE]
         if any(byte > FULL for byte in part) or (part and part[0] >= len(COMMANDS)):

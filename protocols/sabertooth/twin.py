@@ -7,17 +7,15 @@ pair have come, as on the board. It never sends.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from protocols import messages as msg
-from protocols.frames import Frame
 from protocols.messages import MILLISECOND, Mode, Nanos, Obeyed
-from protocols.plugin import Device
+from protocols.plugin import Device, FaultInfo
 from protocols.sabertooth import table as st
 from protocols.sabertooth.options import Options
-from protocols.toolkit.firmware import ServoFirmware
-from protocols.toolkit.serial import Stream
+from protocols.toolkit.packets import PacketFirmware
 from protocols.toolkit.servo import Gains, clamp
 from protocols.toolkit.table import Decoded
 
@@ -37,7 +35,7 @@ class Motor:
 
     def share(self, decoded: Decoded) -> float | None:
         """Return the share of the power that a message puts on the motor; None: it changes nothing."""
-        name, side = decoded.name, str(st.side_of(self.address))
+        name, side = decoded.name, str(st.BOARDS.side(self.address))
         value = decoded.values.get("value", 0) / st.FULL
         centred = max(2.0 * decoded.values.get("value", 0) - 2 * 64, -st.FULL) / (st.FULL - 1)
         if name.startswith("MIXED"):
@@ -61,7 +59,7 @@ class Motor:
 
     def obey(self, decoded: Decoded) -> Sequence[Obeyed]:
         """Return what it does on a message."""
-        if decoded.name == "AUTOBAUD" or decoded.address != st.board_of(self.address):
+        if decoded.name == "AUTOBAUD" or decoded.address != st.BOARDS.board(self.address):
             return ()
         name, share = self.name, self.share(decoded)
         if decoded.name == "SERIALTIMEOUT":
@@ -80,34 +78,14 @@ def motor_of(device: Device) -> Motor:
     return Motor(device.name, device.address, device.options)
 
 
-def read(stream: Stream, frame: Frame) -> list[Decoded]:
-    """Return the messages that a frame completes."""
-    found = stream.messages(frame) if isinstance(frame, bytes) else []
-    decoded = (st.PACKETS.decode(each, "to_device") for each in found)
-    return [each for each in decoded if each is not None and each.name]
-
-
-class SabertoothDecoder:
-    """The motors of one line, as receivers of commands."""
-
-    def __init__(self, devices: Sequence[Device]) -> None:
-        self._stream = Stream(st.Format())
-        self._motors = [motor_of(device) for device in devices]
-
-    def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
-        """Return what the motors would obey in this frame; [] if nothing."""
-        found = read(self._stream, frame)
-        return [each for decoded in found for motor in self._motors for each in motor.obey(decoded)]
-
-
-class SabertoothTwin(ServoFirmware):
+class SabertoothTwin(PacketFirmware):
     """One motor, and its half of the board."""
 
+    faults: Mapping[int, FaultInfo] = {}
+    messages = st.PACKETS
+
     def __init__(self, device: Device, seed: int) -> None:
-        super().__init__(device, seed, Gains(torque_limit=device.settings.max_torque))
-        self.faults = {}
-        self.memory = motor_of(device)
-        self.stream = Stream(st.Format())
+        super().__init__(device, seed, Gains(torque_limit=device.settings.max_torque), motor_of(device))
         self.serial_timeout = 0
         """0.1 s; 0: off"""
 
@@ -115,15 +93,14 @@ class SabertoothTwin(ServoFirmware):
         timeout = self.serial_timeout * st.TIMEOUT_UNIT_MS * MILLISECOND
         return timeout if self.mode is Mode.ARMED else 0
 
-    def on_frame(self, t: Nanos, frame: Frame) -> None:
-        for decoded in read(self.stream, frame):
-            if decoded.address != st.board_of(self.memory.address):
-                continue
-            self.feed(t)
-            if decoded.name == "SERIALTIMEOUT":
-                self.serial_timeout = decoded.values["value"]
-            for obeyed in self.memory.obey(decoded):
-                self.obey(t, obeyed)
+    def takes(self, decoded: Decoded) -> bool:
+        return decoded.address == st.BOARDS.board(self.device.address)
+
+    def on_message(self, t: Nanos, message: bytes, decoded: Decoded) -> None:
+        self.feed(t)
+        if decoded.name == "SERIALTIMEOUT":
+            self.serial_timeout = decoded.values["value"]
+        super().on_message(t, message, decoded)
 
     def cycle(self, now: Nanos, dt: float, position: float, velocity: float) -> float:
         super().cycle(now, dt, position, velocity)

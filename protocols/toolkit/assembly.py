@@ -7,6 +7,7 @@ from copy import deepcopy
 from dataclasses import fields, is_dataclass
 from typing import Any, Literal, Protocol
 
+from protocols.bounds import Invalid
 from protocols.frames import Frame, IdMask
 from protocols.messages import COMMANDS, MILLISECOND, Command, Nanos, Obeyed, Scan
 from protocols.plugin import (
@@ -14,6 +15,7 @@ from protocols.plugin import (
     Device,
     Driver,
     FeedbackKind,
+    Range,
     Spec,
     Watchdog,
     Written,
@@ -74,16 +76,27 @@ def serial_motor(
 def _motor(device: Device, addresses: range, others: dict[str, Any]) -> Spec:
     if device.address not in addresses:
         low, high = addresses.start, addresses.stop - 1
-        raise ValueError(f"address {device.address} of {device.name}: it must be {low} to {high}")
+        text = f"address {device.address} of {device.name}: it must be {low} to {high}"
+        raise Invalid(("address", text))
     usual: dict[str, Any] = {
         "kind": "motor",
         "feedback": FeedbackKind.POLLED,
-        "feedback_period": device.options.feedback_ms * MILLISECOND,
-        "offline_after": device.options.offline_ms * MILLISECOND,
+        "feedback_period": round(device.options.feedback_ms * MILLISECOND),
+        "offline_after": round(device.options.offline_ms * MILLISECOND),
         "holds_unattended": False,
         "stop_clears_faults": False,
     }
     return Spec(**usual | others)
+
+
+def own_ramps(rate: float, *kinds: type[Command]) -> Mapping[type[Command], float]:
+    """Return `Spec.ramps` of a device with one ramp [rad/s²] for these commands; 0: it has none."""
+    return dict.fromkeys(kinds, rate) if rate else {}
+
+
+def both_ways(most: float, resolution: float, relative: float = 0.0) -> Range:
+    """Return the range of a quantity with a sign."""
+    return Range(-most, most, resolution, relative)
 
 
 def declared(values: Mapping[str, float]) -> Written:

@@ -107,7 +107,7 @@ class StateCheck:
 @dataclass(slots=True)
 class AnswerCount:
     """Half as many answers again as there were questions, over a second, are those of two devices. Who asks
-    nothing only listens: then they answer another host."""
+    nothing only receives: then they answer another host."""
 
     since: Nanos | None = None
     asked: int = 0

@@ -13,7 +13,7 @@ def unknown(code: int) -> FaultInfo:
 
 
 class Faults(dict[int, FaultInfo]):
-    """The faults that are known, and what is said of any other code. A constant."""
+    """The faults that are known, and what is known of any other code. A constant."""
 
     def __init__(self, known: Mapping[int, FaultInfo], other: Callable[[int], FaultInfo] = unknown) -> None:
         super().__init__(known)

@@ -174,10 +174,10 @@ class Firmware:
         """Return when it next sends a report or reply, trips its watchdog, or has restarted."""
         if self.now is not None and self.now < self.silent_until < NEVER:
             return self.silent_until
-        times = [*self._next.values(), *(at for at, _ in self._replies)]
         timeout = self.timeout()
-        if timeout:
-            times.append(self.fed + timeout + 1)
+        times = [self.fed + timeout + 1] if timeout else []
+        if self._next or self._replies:  # most that speak only when asked have neither
+            times += [*self._next.values(), *(at for at, _ in self._replies)]
         return min(times, default=None)
 
 
@@ -200,9 +200,9 @@ class ServoFirmware(Firmware):
         self.strongest = math.inf
         """N·m"""
         self.speed_up = self.slow_down = math.inf
-        """rad/s² by which the loop for velocity follows what it is told"""
+        """rad/s² by which the loop for velocity follows its set-point"""
         self._pace: float | None = None
-        """rad/s that this loop is told now; None: it begins at that of the shaft."""
+        """rad/s, the set-point of this loop now; None: it begins at that of the shaft."""
 
     def obey(self, t: Nanos, obeyed: Obeyed) -> None:
         """Do what a frame means to this device."""
@@ -249,7 +249,7 @@ class ServoFirmware(Firmware):
         return clamp(torque, min(self.strongest, servo.gains.torque_limit))
 
     def _paced(self, dt: float, wanted: float) -> float:
-        """Return the velocity that the loop is told on the way to this one [rad/s]."""
+        """Return the set-point of the loop on the way to this velocity [rad/s]."""
         pace = self.encoder.velocity if self._pace is None else self._pace
         faster = abs(wanted) > abs(pace) and wanted * pace >= 0.0
         limit = self.speed_up if faster else self.slow_down

@@ -8,8 +8,8 @@ stays `owned` through silence and bus trouble, until two reports have confirmed 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any, Generic, TypeVar
 
@@ -126,6 +126,16 @@ class Report(Generic[Own]):
     """False: the frame is counted with another device's report."""
 
 
+Given = TypeVar("Given")
+
+
+def counted_once(reports: Iterable[Given]) -> list[Given]:
+    """Return what one frame reports of several devices: it is counted with the first of them."""
+    given = [*reports]
+    others = [replace(each, counted=False) if isinstance(each, Report) else each for each in given[1:]]
+    return given[:1] + others
+
+
 class Host(Generic[Own]):
     """One device. Plain data; protocols read it, and change nothing but what is in `own`."""
 
@@ -149,7 +159,7 @@ class Host(Generic[Own]):
         self.position: float | None = None
         """rad, as last reported."""
         self.held: float | None = None
-        """rad, where the first of the present Holds was given."""
+        """rad, where the first of the present Holds was given, or where it was once it could hold."""
         self.active: frozenset[int] = frozenset()
         """Codes of the faults that were reported, and are still active."""
         self.received_at: Nanos | None = None
@@ -260,7 +270,7 @@ class Host(Generic[Own]):
                 self._fire(now, Trigger.ARMED)
         if not hold:
             self.held = None
-        elif self.held is None:
+        elif self.held is None or self.phase is not Phase.ARMED:  # a load may move it until it holds
             self.held = self.position
         return self.phase
 
@@ -331,7 +341,7 @@ class Host(Generic[Own]):
         if timing.only_replies and self._unasked():
             return []
         if self.received_at is None:
-            self.received_at = now  # when we began to listen
+            self.received_at = now  # when we began to receive
         if self.offline or now - self.received_at < timing.offline:
             return []
         self.forget(now)

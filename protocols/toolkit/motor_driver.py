@@ -56,8 +56,12 @@ class Adapter(Generic[Own]):
     """What clears faults disarms a device, too: it is not sent to one that is armed and has none."""
     clearing: Nanos = 0
     """Time for ClearFault: in it, faults that pass by themselves must have passed. 0: see `begin`."""
+    confirmations: int = 2
+    """Reports that it is disarmed which end a release."""
     zero_tolerance: float = 0.01
     """rad within which the position is zero after Zero"""
+    restarted: Nanos = 0
+    """Silence that shows that a device has restarted, for Reboot; 0: see `answer`."""
     set_id_detail: str = ""
     """What is still to be done when a device has taken its new address."""
 
@@ -69,7 +73,7 @@ class Adapter(Generic[Own]):
 
     def timing(self, options: Any) -> Timing:  # noqa: ANN401 -- the protocol's own type
         """Return the periods and timeouts of a device."""
-        return Timing(options.offline_ms * MILLISECOND)
+        return Timing(round(options.offline_ms * MILLISECOND), confirmations=self.confirmations)
 
     def receive(self, t: Nanos, frame: Frame, driver: MotorDriver[Own]) -> Sequence[Report[Own] | Rx]:
         """Return what a frame (on a stream: each message that it completes) reports."""
@@ -132,7 +136,10 @@ class Adapter(Generic[Own]):
         return NEVER
 
     def forget(self, now: Nanos, host: Host[Own]) -> None:
-        """Forget what is in `host.own` of a device that may have restarted."""
+        """Forget what is in `host.own` of a device that may have restarted: by its own `forget`, if any."""
+        own: Any = host.own
+        if hasattr(own, "forget"):
+            own.forget()
 
     def interrupted(self) -> None:
         """Note that what the line was carrying is lost (on a stream: the rest of a message)."""
@@ -167,7 +174,7 @@ class Adapter(Generic[Own]):
 
     def frames(self, now: Nanos, pending: Pending[Own]) -> Sequence[Frame]:
         """Return what is sent for a request now."""
-        return pending.frames
+        return pending.slice() if pending.at_once else pending.frames
 
     def answer(self, t: Nanos, pending: Pending[Own], report: Report[Own]) -> Event | None:
         """Return the answer to a request, if this report of its device is one: what was asked for is so."""
@@ -180,6 +187,8 @@ class Adapter(Generic[Own]):
                 return pending.done(t, "it stays in fault until cleared")
             case msg.Zero() if position is not None and abs(position) < self.zero_tolerance:
                 return pending.done(t)
+            case msg.Reboot() if self.restarted and pending.restarted(t, self.restarted):
+                return pending.done(t, "it has restarted")
             case msg.ReadParameter(_, name) if name in report.parameters and report.written != name:
                 return msg.Parameter(pending.name, t, name, float(report.parameters[name]))
             case msg.WriteParameter(_, name, value):
@@ -198,6 +207,8 @@ class Adapter(Generic[Own]):
             names = [host.faults[code].name for code in sorted(host.active)]
             host.report_again()
             return f"still in fault: {', '.join(names)}"
+        if isinstance(pending.request, msg.Reboot) and self.restarted:
+            return "it showed no sign of a restart"
         if isinstance(pending.request, msg.Zero):
             return "its position did not become zero: is it turning?"
         return "no reply to this request"

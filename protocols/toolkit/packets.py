@@ -1,4 +1,5 @@
-"""The messages of a serial protocol as a table: rows as on CAN, and how a message stands on the line.
+"""The messages of a serial protocol as a table, rows as on CAN; how a message stands on the line; and what a
+device is that obeys such messages: its command decoder, and its firmware.
 
 Rules. A `Row` has no id of its own on a line: in the place of it stand `uint("address")` and
 `const(function)`, 8 bits each. A `FrameFormat` finds messages in the stream; `pack` and `unpack` say where
@@ -9,14 +10,16 @@ ValueError for a number that is not finite; decoding takes any bytes and never r
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Protocol, TypeAlias
 
 from protocols.frames import CanFrame, Frame
 from protocols.messages import Nanos, Obeyed
-from protocols.plugin import Range
+from protocols.plugin import CommandDecoder, Device, Range
 from protocols.toolkit.assembly import Memory, copied
+from protocols.toolkit.firmware import Firmware, ServoFirmware
 from protocols.toolkit.serial import FrameFormat, Stream
+from protocols.toolkit.servo import Gains
 from protocols.toolkit.table import Decoded, Direction, Row, Table
 
 Pack: TypeAlias = Callable[[int, int, bytes], bytes]
@@ -91,25 +94,100 @@ class Messages(Protocol):
         ...
 
 
+@dataclass(slots=True)
+class Receiver:
+    """A device, or several, that reads messages off a line. Plain data."""
+
+    messages: Messages
+    stream: Stream
+    gap: Nanos = 0
+    """A pause of this length within a message ends it; 0: none does."""
+    at: Nanos = 0
+
+    def read(self, t: Nanos, frame: Frame) -> list[tuple[bytes, Decoded]]:
+        """Return the messages to devices that a frame completes: as `Stream.feed` gives them, and decoded."""
+        if not isinstance(frame, bytes):
+            return []
+        if self.gap and t - self.at > self.gap:
+            self.stream.drop()
+        self.at = t
+        found = ((one, self.messages.decode(one, "to_device")) for one in self.stream.messages(frame))
+        return [(one, each) for one, each in found if each is not None and each.name]
+
+
 class PacketDecoder:
     """The command decoder of the devices on one line: their messages, and of each its memory as it is when
     switched on."""
 
-    def __init__(self, packets: Messages, memories: Iterable[Memory], stream: Stream | None = None) -> None:
-        self._packets, self._memories = packets, list(memories)
-        self._stream = stream or Stream(packets.framing)
+    def __init__(
+        self,
+        packets: Messages,
+        memories: Iterable[Memory],
+        stream: Stream | None = None,
+        gap: Nanos = 0,
+        at: Nanos = 0,
+    ) -> None:
+        self._receiver = Receiver(packets, stream or Stream(packets.framing), gap, at)
+        self._memories = list(memories)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> PacketDecoder:
         """Copy what the devices keep, as the guard does every few frames."""
-        memories = [copied(each, memo) for each in self._memories]
-        return PacketDecoder(self._packets, memories, replace(self._stream))
+        one, memories = self._receiver, [copied(each, memo) for each in self._memories]
+        return PacketDecoder(one.messages, memories, replace(one.stream), one.gap, one.at)
 
     def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
         """Return what the devices would obey in the messages that this frame completes."""
-        obeyed: list[Obeyed] = []
-        for message in self._stream.messages(frame) if isinstance(frame, bytes) else ():
-            decoded = self._packets.decode(message, "to_device")
-            if decoded is not None and decoded.name:
-                for memory in self._memories:
-                    obeyed += memory.obey(decoded)
-        return obeyed
+        found = self._receiver.read(t, frame)
+        return [each for _, decoded in found for memory in self._memories for each in memory.obey(decoded)]
+
+
+def packet_decoder(
+    messages: Callable[[Any], Messages], memory: Callable[[Device], Memory], gap: Nanos = 0
+) -> Callable[[Sequence[Device]], CommandDecoder]:
+    """Return `Plugin.decoder`; `messages`: from the options of the devices of a line, which have the same;
+    `memory` is what a device keeps; `gap` as in `Receiver`."""
+    return lambda devices: PacketDecoder(messages(devices[0].options), map(memory, devices), None, gap)
+
+
+class LineFirmware(Firmware):
+    """Firmware that reads messages off a line. A protocol gives what it does with each."""
+
+    messages: Messages
+    """To devices on the line"""
+    gap: Nanos = 0
+    """As in `Receiver`"""
+
+    def __init__(self, device: Device, seed: int, *others: Any) -> None:  # noqa: ANN401 -- of the other base
+        super().__init__(device, seed, *others)
+        self.receiver = Receiver(self.messages, Stream(self.messages.framing), self.gap)
+
+    def on_frame(self, t: Nanos, frame: Frame) -> None:
+        for message, decoded in self.receiver.read(t, frame):
+            if self.takes(decoded):
+                self.on_message(t, message, decoded)
+
+    def takes(self, decoded: Decoded) -> bool:
+        """True if a message is for this device, or all."""
+        return True
+
+    def on_message(self, t: Nanos, message: bytes, decoded: Decoded) -> None:
+        """Obey a message to this device, and answer it."""
+        raise NotImplementedError
+
+    def restart(self, t: Nanos, silent: Nanos) -> None:
+        """Restart: what was half received is lost."""
+        super().restart(t, silent)
+        self.receiver.stream.drop()
+
+
+class PacketFirmware(LineFirmware, ServoFirmware):
+    """A motor that obeys messages on a line with the loops of `Servo`."""
+
+    def __init__(self, device: Device, seed: int, gains: Gains, memory: Any) -> None:  # noqa: ANN401 -- the protocol's own
+        super().__init__(device, seed, gains)
+        self.memory = memory
+
+    def on_message(self, t: Nanos, message: bytes, decoded: Decoded) -> None:
+        """Obey a message to this device."""
+        for obeyed in self.memory.obey(decoded):
+            self.obey(t, obeyed)

@@ -176,9 +176,6 @@ class RegisterAdapter(Adapter[Motor]):
     def own(self, device: Device) -> Motor:
         return Motor(self.expected(device.options), self.written(device.options))
 
-    def forget(self, now: Nanos, host: Host[Motor]) -> None:
-        host.own.forget()
-
     def refuse(self, host: Host[Motor], command: Command) -> str:
         known, wrong = host.own.known, host.own.wrong
         differences = ", ".join(f"{name} is {known[name]:g}, not {wrong[name]:g}" for name in wrong)
@@ -243,16 +240,9 @@ class RegisterAdapter(Adapter[Motor]):
             for each in driver.hosts.values():
                 each.own.ask(now, self.serial)
             return scan(now, request, once)
-        wrong = "the device cannot do that on this bus"
-        match request:
-            case msg.ReadParameter(_, name):
-                wrong = self.registers.wrong(name)
-            case msg.WriteParameter(_, name, value) if name == self.save:
-                wrong = "" if value == 1 else f"{name} takes 1"
-            case msg.WriteParameter(_, name, value):
-                wrong = self.registers.wrong(name, value)
-            case _ if type(request) in self.actions:
-                wrong = ""
+        wrong = self.registers.wrong_request(request, self.save or "")
+        if wrong is None:
+            wrong = "" if type(request) in self.actions else "the device cannot do that on this bus"
         if wrong or host is None:
             return wrong
         # Its memory wears out: it is asked to save once.

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
+from protocols.messages import ReadParameter, Request, WriteParameter
 from protocols.suggest import did_you_mean
 from protocols.toolkit.table import Field, Row, Table, f32, sint, uint
 
@@ -30,6 +31,18 @@ class Register:
     number: int
     type: Type
     writable: bool = True
+    sign: int = 0
+    """The bit that is the sign of a magnitude, of an unsigned type; 0: there is none."""
+
+    @property
+    def size(self) -> int:
+        """Return its bytes."""
+        return _FIELDS[self.type].bits // 8
+
+    def ends(self) -> tuple[float, float]:
+        """Return the lowest and the highest value."""
+        most = (1 << self.sign) - 1
+        return (-most, most) if self.sign else _FIELDS[self.type].ends()
 
 
 class Registers:
@@ -53,10 +66,27 @@ class Registers:
             return ""
         if not register.writable:
             return f"{name} is read only"
-        low, high = _FIELDS[register.type].ends()
+        low, high = register.ends()
         if low <= value <= high and (register.type == "f32" or value == int(value)):
             return ""
         return f"{name} cannot be {value:g}: it is {register.type}, {low:g} … {high:g}"
+
+    def wrong_request(
+        self, request: Request, save: str = "", protected: Mapping[str, str] | None = None
+    ) -> str | None:
+        """Return why a request to read or write a parameter cannot be carried out, "" if it can; None if it
+        is another request. `save`: the parameter that saves all when 1 is written; `protected`: why others
+        are not written, by name."""
+        match request:
+            case WriteParameter(_, name, value) if save and name == save:
+                return "" if value == 1 else f"{name} takes 1"
+            case WriteParameter(_, name) if protected and name in protected:
+                return protected[name]
+            case WriteParameter(_, name, value):
+                return self.wrong(name, value)
+            case ReadParameter(_, name):
+                return self.wrong(name)
+        return None
 
     def raw(self, name: str, value: float) -> int:
         """Return a value as the bits of its register, unsigned."""
@@ -68,6 +98,5 @@ class Registers:
         register = self.by_number.get(number)
         if register is None:
             return "", None
-        size = _FIELDS[register.type].bits // 8
-        values = _TABLE.read(register.type, raw.to_bytes(8, "little")[:size])
+        values = _TABLE.read(register.type, raw.to_bytes(8, "little")[: register.size])
         return register.name, float(values["value"]) if values else None

@@ -12,7 +12,17 @@ from math import isfinite
 from typing import Any, Generic, TypeAlias
 
 from protocols.frames import Frame
-from protocols.messages import MILLISECOND, Command, Done, Nanos, Refused, Request, Scan
+from protocols.messages import (
+    MILLISECOND,
+    Command,
+    Done,
+    Nanos,
+    Refused,
+    Request,
+    Scan,
+    Torque,
+    Velocity,
+)
 from protocols.plugin import Range
 from protocols.toolkit.host import Host, Own
 
@@ -46,6 +56,11 @@ def outside(command: Command, bounds: Bounds) -> str:
             return f"the device has no {name} for {type(command).__name__}"
         return f"{name} {value:.6g} lies outside {low:.6g} … {high:.6g}"
     return ""
+
+
+def still(command: Command) -> Command:
+    """Return what arms a device for a command by velocity or torque, and does not move it."""
+    return Torque(command.motor, 0.0) if isinstance(command, Torque) else Velocity(command.motor, 0.0)
 
 
 class RejectionFilter:
@@ -85,6 +100,8 @@ class Pending(Generic[Own]):
     notes: dict[str, Any] = field(default_factory=dict)
     """What the protocol keeps about it."""
     sent: int = 0
+    at_once: int = 0
+    """How many of the frames are sent at once, of a scan; 0: all, each time."""
     found: dict[tuple[int, int | None], str] = field(default_factory=dict)
     """Devices found by a scan: their details, by address and serial number."""
 
@@ -95,14 +112,14 @@ class Pending(Generic[Own]):
         return frames
 
     def restarted(self, t: Nanos, silence: Nanos) -> bool:
-        """Record that its device was heard. True if it had been silent for so long before: it restarted."""
-        last = self.notes.get("heard", self.began)
-        self.notes["heard"] = t
+        """Record that its device has sent. True if it had been silent for so long before: it restarted."""
+        last = self.notes.get("received", self.began)
+        self.notes["received"] = t
         return bool(t - last >= silence)
 
     def slice(self) -> Sequence[Frame]:
         """Return the next questions of a scan."""
-        return self.frames[self.sent : self.sent + SLICE]
+        return self.frames[self.sent : self.sent + (self.at_once or SLICE)]
 
     def done(self, t: Nanos, detail: str = "") -> Done:
         """Return the answer that it was carried out."""
@@ -113,11 +130,20 @@ class Pending(Generic[Own]):
         return Refused(t, type(self.request).__name__, self.name, reason)
 
 
-def scan(now: Nanos, request: Scan, questions: Iterable[Frame]) -> Pending[Own]:
-    """Return a scan that asks all this twice, since a question may be lost, in slices."""
-    twice = 2 * tuple(questions)
-    end = now + SLICE_PERIOD * (1 + len(twice) // SLICE) + ANSWER
-    return Pending(request, request.bus, now, end, now, None, twice, SLICE_PERIOD)
+def scan(
+    now: Nanos,
+    request: Scan,
+    questions: Iterable[Frame],
+    times: int = 2,
+    at_once: int = SLICE,
+    period: Nanos = SLICE_PERIOD,
+    last: Nanos = ANSWER,
+) -> Pending[Own]:
+    """Return a scan that asks all this, twice since a question may be lost, in slices; `last`: the time for
+    the last answer."""
+    frames = times * tuple(questions)
+    end = now + period * (1 + len(frames) // at_once) + last
+    return Pending(request, request.bus, now, end, now, None, frames, period, at_once=at_once)
 
 
 class RequestQueue(Generic[Own]):

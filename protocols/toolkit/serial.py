@@ -7,11 +7,12 @@ looks at each byte a bounded number of times. Any bytes are accepted, and nothin
 from __future__ import annotations
 
 import binascii
+import re
 import struct
 import zlib
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cache, reduce
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cache, lru_cache, reduce
 from operator import xor
 from typing import Literal, Protocol, TypeAlias
 
@@ -123,6 +124,10 @@ def xor8(data: bytes) -> int:
 class FrameFormat(Protocol):
     """How messages stand on a line. A constant."""
 
+    def __hash__(self) -> int:
+        """As every constant: what it has split is remembered."""
+        ...
+
     def frame(self, message: bytes) -> bytes:
         """Return a message, as `read` gives it, as it stands on the line."""
         ...
@@ -133,7 +138,7 @@ class FrameFormat(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Stuffing:
     """A byte that is inserted in a body wherever it would look like a sync, as Dynamixel 2.0 does."""
 
@@ -164,7 +169,7 @@ class Stuffing:
         return False
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Framing:
     """How a message stands on the line: head (with the sync bytes), body, checksum, and what ends it.
     Raises ValueError for one that no stream could be split by."""
@@ -197,6 +202,10 @@ class Framing:
             raise ValueError("the size of a checksum, and where it begins, are not negative")
         if self.stuffing is not None and not (self.stuffing.pattern and len(self.stuffing.inserted) == 1):
             raise ValueError("stuffing inserts one byte behind a pattern")
+
+    def __deepcopy__(self, memo: object) -> Framing:
+        """It is a constant."""
+        return self
 
     def frame(self, message: bytes) -> bytes:
         """Return a message, head and body, as it stands on the line: stuffed, with its checksum."""
@@ -242,7 +251,172 @@ class Framing:
         return len(held)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Unmarked:
+    """Messages of one size that nothing marks: any bytes that fit are one."""
+
+    size: int
+    """Bytes on the line"""
+    message: Callable[[bytes], bytes | None]
+    """From so many bytes: what is read, with or without a checksum; None if they are no message."""
+    checksum: Checksum
+    """Of a message that is shorter."""
+
+    def frame(self, message: bytes) -> bytes:
+        """Return a message as it stands on the line."""
+        rest = self.size - len(message)
+        return message + self.checksum(message).to_bytes(rest, "big") if rest else message
+
+    def read(self, held: bytes, at: int) -> tuple[bytes | Rx | None, int]:
+        """Return what begins here, and where the search goes on, as every `FrameFormat`."""
+        if len(held) - at < self.size:
+            return None, at
+        message = self.message(held[at : at + self.size])
+        return (Rx.IGNORED, at + 1) if message is None else (message, at + self.size)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Coded:
+    """Messages that begin with an address and a code, from which their size follows."""
+
+    addresses: range
+    """Of one byte"""
+    sizes: Mapping[int, int]
+    """By code: the bytes behind it, without the checksum."""
+    bare: Collection[int]
+    """Codes of messages without a checksum."""
+    checksum: Checksum
+    checksum_size: int
+    order: Literal["little", "big"] = "big"
+
+    def frame(self, message: bytes) -> bytes:
+        """Return a message, address, code and numbers, as it stands on the line."""
+        if message[1] in self.bare:
+            return message
+        return message + self.checksum(message).to_bytes(self.checksum_size, self.order)
+
+    def read(self, held: bytes, at: int) -> tuple[bytes | Rx | None, int]:
+        """Return what begins here, and where the search goes on, as every `FrameFormat`."""
+        if held[at] not in self.addresses:
+            return Rx.IGNORED, self._next(held, at)
+        if len(held) < at + 2:
+            return None, at
+        size = self.sizes.get(held[at + 1])
+        if size is None:
+            return Rx.IGNORED, self._next(held, at)
+        bare = held[at + 1] in self.bare
+        end = at + 2 + size
+        whole = end if bare else end + self.checksum_size
+        if len(held) < whole:
+            return None, at
+        if not bare and self.checksum(held[at:end]) != int.from_bytes(held[end:whole], self.order):
+            return Rx.MALFORMED, self._next(held, at)
+        return held[at:end], whole
+
+    def _next(self, held: bytes, at: int) -> int:
+        places = range(at + 1, len(held))
+        return next((place for place in places if held[place] in self.addresses), len(held))
+
+
 @dataclass(frozen=True, slots=True)
+class Covered:
+    """Answers that have neither a beginning nor an address: one is known by its size, and by a checksum, big
+    endian, which covers the beginning of the question, too."""
+
+    head: int
+    """Bytes of the question that it covers"""
+    checksum: Checksum
+    """It must be 0 of what ends with it."""
+    checksum_size: int
+    searched: int = 128
+    """Bytes behind which an answer is looked for, whatever has come before."""
+
+    def frame(self, asked: bytes, data: bytes) -> bytes:
+        """Return the answer to a question as it stands on the line."""
+        return data + self.checksum(asked[: self.head] + data).to_bytes(self.checksum_size, "big")
+
+    def fits(self, asked: bytes, answer: bytes) -> bool:
+        """True if this may be the answer to a question."""
+        return not self.checksum(asked[: self.head] + answer)
+
+    def find(self, asked: bytes, held: bytes, sizes: Iterable[int]) -> tuple[int, int] | None:
+        """Return where an answer of one of these sizes, with its checksum, begins and ends."""
+        first = max(0, len(held) - self.searched)
+        places = ((at, at + size) for size in sizes for at in range(first, len(held) - size + 1))
+        return next((each for each in places if self.fits(asked, held[slice(*each)])), None)
+
+    def find_text(self, asked: bytes, held: bytes, end: bytes = b"\0") -> tuple[int, int] | None:
+        """Return where a text with this end, and its checksum, begins and ends."""
+        first = max(0, len(held) - self.searched)
+        ends = (found.end() + self.checksum_size for found in re.finditer(re.escape(end), held[first:]))
+        places = ((at, first + stop) for stop in ends for at in range(first, first + stop - 2))
+        whole = (each for each in places if each[1] <= len(held))
+        return next((each for each in whole if self.fits(asked, held[slice(*each)])), None)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Envelope:
+    """Messages in an envelope: a first byte that says of what kind the length is, the length, the message,
+    its checksum, an end. One that is damaged is as noise: any first byte in it may begin another."""
+
+    lengths: Mapping[int, range]
+    """By first byte: the bytes that a message may have. A length has one byte, or two if it must."""
+    checksum: Checksum
+    checksum_size: int
+    order: Literal["little", "big"]
+    """Of the bytes of length and checksum"""
+    end: bytes
+    starts: re.Pattern[bytes] = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Make the pattern by which the next message is looked for."""
+        starts = b"[" + re.escape(bytes(self.lengths)) + b"]"
+        object.__setattr__(self, "starts", re.compile(starts))
+
+    def frame(self, message: bytes) -> bytes:
+        """Return a message as it stands on the line. Raises ValueError if none has its length."""
+        size = len(message)
+        for first, sizes in self.lengths.items():
+            if size in sizes:
+                length = size.to_bytes(_bytes_of(sizes), self.order)
+                check = self.checksum(message).to_bytes(self.checksum_size, self.order)
+                return b"%c%b%b%b%b" % (first, length, message, check, self.end)
+        least = min(sizes.start for sizes in self.lengths.values())
+        most = max(sizes.stop for sizes in self.lengths.values()) - 1
+        raise ValueError(f"a message has {least} to {most} bytes, not {size}")
+
+    def read(self, held: bytes, at: int) -> tuple[bytes | Rx | None, int]:
+        """Return what begins here, and where the search goes on, as every `FrameFormat`."""
+        sizes = self.lengths.get(held[at])
+        if sizes is None:
+            return Rx.IGNORED, self._next(held, at)
+        start = at + 1 + _bytes_of(sizes)
+        if len(held) < start:
+            return None, at
+        size = int.from_bytes(held[at + 1 : start], self.order)
+        if size not in sizes:
+            return Rx.IGNORED, self._next(held, at)
+        end = start + size
+        behind = end + self.checksum_size
+        whole = behind + len(self.end)
+        if len(held) < whole:
+            return None, at
+        message = held[start:end]
+        right = held[behind:whole] == self.end
+        if not right or self.checksum(message) != int.from_bytes(held[end:behind], self.order):
+            return Rx.IGNORED, self._next(held, at)
+        return message, whole
+
+    def _next(self, held: bytes, at: int) -> int:
+        found = self.starts.search(held, at + 1)
+        return found.start() if found else len(held)
+
+
+def _bytes_of(sizes: range) -> int:
+    return 1 if sizes.stop <= 256 else 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class TextLines:
     """Messages that are lines of text, printable ASCII. A message is a line without its end. Noise in a line
     spoils that line alone; what stands between two ends is read."""
@@ -265,6 +439,10 @@ class TextLines:
             raise ValueError("a line ends with bytes that end it")
         if self.longest < 1 or len(self.mark) != 1:
             raise ValueError("a line has at least one byte, and the mark of a checksum is one")
+
+    def __deepcopy__(self, memo: object) -> TextLines:
+        """It is a constant."""
+        return self
 
     def frame(self, message: bytes) -> bytes:
         """Return a line, with its checksum, if it must have one, and its end. Raises ValueError if it is too
@@ -308,13 +486,14 @@ class Stream:
     framing: FrameFormat
     skipped: int = 0
     """Bytes that belonged to no message."""
-    _held: bytes = b""
-    _skipping: bool = False
+    held: bytes = b""
+    """What has come of a message that is not complete."""
+    skipping: bool = False
     """The run of bytes that is being skipped has been reported."""
 
     def feed(self, data: bytes) -> list[bytes | Rx]:
         """Return the messages that these bytes complete."""
-        held, at, found = self._held + data, 0, list[bytes | Rx]()
+        held, at, found = self.held + data, 0, list[bytes | Rx]()
         while at < len(held):
             one, end = self.framing.read(held, at)
             if one is None:
@@ -322,21 +501,33 @@ class Stream:
             if isinstance(one, bytes):
                 found += (one,) if one else ()
             else:
-                found += () if one is Rx.IGNORED and self._skipping else (one,)
+                found += () if one is Rx.IGNORED and self.skipping else (one,)
                 self.skipped += end - at
-            self._skipping = isinstance(one, Rx)
+            self.skipping = isinstance(one, Rx)
             at = end
-        self._held = held[at:]
+        self.held = held[at:]
         return found
 
     def messages(self, data: bytes) -> list[bytes]:
         """Return only the messages that these bytes complete."""
-        return [each for each in self.feed(data) if isinstance(each, bytes)]
+        found, self.held, skipped, self.skipping = _split(self.framing, self.held + data, self.skipping)
+        self.skipped += skipped
+        return list(found)
 
     def drop(self) -> None:
         """Discard a partial message: the line was interrupted, its rest will not come."""
-        self.skipped += len(self._held)
-        self._held, self._skipping = b"", False
+        self.skipped += len(self.held)
+        self.held, self.skipping = b"", False
+
+
+@lru_cache(maxsize=16)
+def _split(framing: FrameFormat, held: bytes, skipping: bool) -> tuple[tuple[bytes, ...], bytes, int, bool]:
+    """Return the messages in a run of bytes, what is left of it, how many bytes were skipped, and whether a
+    run of them goes on. All that are on a line are given the same bytes one after the other: so they are
+    split once."""
+    stream = Stream(framing, skipping=skipping)
+    found = tuple(each for each in stream.feed(held) if isinstance(each, bytes))
+    return found, stream.held, stream.skipped, stream.skipping
 
 
 @dataclass(frozen=True, slots=True)

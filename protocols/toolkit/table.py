@@ -74,7 +74,7 @@ class Field:
 
     def range(self, unit: float = 1.0, inside: int = 0) -> Range:
         """Return the range in other units (`unit`: SI per unit of the field); `inside`: without as many
-        counts at either end, where a device that saturates cannot be told from one that measures."""
+        counts at either end, where a device that saturates cannot be distinguished from one that measures."""
         low, high = self.ends()
         if self.kind == "f32":
             return Range(low * min(unit, 1.0), high * min(unit, 1.0), 1e-12, BINARY32)
@@ -312,8 +312,8 @@ class Table:
 
 # -- compiling ---------------------------------------------------------------------------------------------
 
-_CODES = {("uint", 8): "B", ("uint", 16): "H", ("uint", 32): "I", ("uint", 64): "Q", ("f32", 32): "f"}
-_CODES |= {("int", 8): "b", ("int", 16): "h", ("int", 32): "i", ("int", 64): "q"}
+CODES = {("uint", 8): "B", ("uint", 16): "H", ("uint", 32): "I", ("uint", 64): "Q", ("f32", 32): "f"}
+CODES |= {("int", 8): "b", ("int", 16): "h", ("int", 32): "i", ("int", 64): "q"}
 """How `struct` has a field that is a number of its own."""
 
 
@@ -432,7 +432,7 @@ def _words(fields: Sequence[Field]) -> list[tuple[str, int, int]]:
             cut = start
         while start % 8 == 0 and cut < start:
             width = max(width for width in (8, 16, 32, 64) if width <= start - cut)
-            words.append((_CODES["uint", width], cut, cut + width))
+            words.append((CODES["uint", width], cut, cut + width))
             cut += width
     return words
 
@@ -440,7 +440,7 @@ def _words(fields: Sequence[Field]) -> list[tuple[str, int, int]]:
 def _code(field: Field) -> str:
     """Return how `struct` has a field; "" if it has none like it."""
     kind = "uint" if field.kind in ("const", "span") else field.kind
-    return _CODES.get((kind, field.bits), "")
+    return CODES.get((kind, field.bits), "")
 
 
 def _raw(field: Field) -> str:

@@ -16,7 +16,7 @@ STIMULI = ("host", "bus", "cyclic", "reply", "peer", "silence", "shaft", "fault"
 
 
 @dataclass(frozen=True)
-class Line:
+class TranscriptLine:
     """One line. Times are from the beginning of its block."""
 
     place: str
@@ -47,9 +47,9 @@ class Block:
 
     file: Traversable
     title: str
-    head: tuple[Line, ...]
+    head: tuple[TranscriptLine, ...]
     """Of the file, then of the block."""
-    lines: tuple[Line, ...] = ()
+    lines: tuple[TranscriptLine, ...] = ()
     table: bool = False
     """Each line is run by itself."""
     after: Block | None = None
@@ -57,21 +57,21 @@ class Block:
     def __str__(self) -> str:
         return f"{self.file.name.removesuffix('.txt')}: {self.title}"
 
-    def runs(self) -> list[tuple[Line, ...]]:
+    def runs(self) -> list[tuple[TranscriptLine, ...]]:
         """Return the lines of each run: all of them, or each of its own after those of the blocks before."""
         if not self.table:
             return [self.timeline()[0]]
         before, end = self.after.timeline() if self.after else ((), 0)
         return [(*before, _moved(line, end)) for line in self.lines]
 
-    def timeline(self) -> tuple[tuple[Line, ...], Nanos]:
+    def timeline(self) -> tuple[tuple[TranscriptLine, ...], Nanos]:
         """Return the lines of the blocks before it and its own, and when the last one ends."""
         before, end = self.after.timeline() if self.after else ((), 0)
         lines = (*before, *(_moved(line, end) for line in self.lines))
         return lines, max((line.stop for line in lines), default=0)
 
 
-def _moved(line: Line, by: Nanos) -> Line:
+def _moved(line: TranscriptLine, by: Nanos) -> TranscriptLine:
     return replace(line, start=line.start + by, stop=line.stop + by)
 
 
@@ -86,7 +86,7 @@ def blocks(folder: Traversable) -> list[Block]:
 
 def read(file: Traversable) -> list[Block]:
     """Return the blocks of a file. Raises ValueError for a line that cannot be read."""
-    head: tuple[Line, ...] = ()
+    head: tuple[TranscriptLine, ...] = ()
     found: dict[str, Block] = {}
     first: str | None = None
     for place, text in _logical_lines(file):
@@ -130,7 +130,7 @@ def _with(block: Block, place: str, text: str, found: dict[str, Block]) -> Block
     return replace(block, lines=(*block.lines, line))
 
 
-def _line(place: str, text: str, before: Sequence[Line]) -> Line:
+def _line(place: str, text: str, before: Sequence[TranscriptLine]) -> TranscriptLine:
     found = TIME.fullmatch(text)
     plus, start, stop, low, high, rest = found.groups() if found else ("", "0", None, None, None, text)
     kind, _, rest = rest.partition(" ")
@@ -141,7 +141,7 @@ def _line(place: str, text: str, before: Sequence[Line]) -> Line:
     gap = (nanos(low), nanos(high or low)) if low else None
     parts = tuple(part.strip() for part in results.split(" ; ")) if arrow else ()
     times = (zero + nanos(start), zero + nanos(stop or start))
-    return Line(place, text, kind, body.strip(), parts, *times, gap)
+    return TranscriptLine(place, text, kind, body.strip(), parts, *times, gap)
 
 
 def nanos(milliseconds: str) -> Nanos:

@@ -12,7 +12,7 @@ from protocols.frames import BusState, CanFrame, Frame
 from protocols.messages import MILLISECOND, Command, Feedback, Nanos
 from protocols.plugin import Device, Driver, Plugin, join
 from protocols.reference_vectors import vectors_of
-from protocols.transcripts.file import HEAD, Block, Line, nanos
+from protocols.transcripts.file import HEAD, Block, TranscriptLine, nanos
 from protocols.transcripts.notation import (
     MESSAGES,
     Frames,
@@ -60,7 +60,7 @@ def run(
 ) -> None:
     """Run a block. Raises AssertionError with each line that is not so."""
     __tracebackhide__ = True
-    runs = (Run(block, plugin, notation, lines, peer) for lines in block.runs())
+    runs = (TranscriptRun(block, plugin, notation, lines, peer) for lines in block.runs())
     wrong = [mistake for each in runs for mistake in each.mistakes()]
     if wrong:
         raise AssertionError("\n".join(["", *wrong]))
@@ -70,7 +70,7 @@ def run(
 class Expectation:
     """What a line expects: a message, or frames in this order at one moment; perhaps repeatedly."""
 
-    line: Line
+    line: TranscriptLine
     kind: str
     matches: Sequence[Callable[[Nanos, Any], bool]]
     seen: list[Nanos] = field(default_factory=list)
@@ -99,7 +99,7 @@ class Expectation:
         return self.part == 0 and bool(self.seen) and self.seen[-1] > last
 
 
-class Run:
+class TranscriptRun:
     """Driver, decoder or twins, stepped from moment to moment through the lines."""
 
     def __init__(
@@ -107,7 +107,7 @@ class Run:
         block: Block,
         plugin: Plugin,
         notation: FrameNotation,
-        lines: Sequence[Line],
+        lines: Sequence[TranscriptLine],
         peer: Callable[[Device], Peer] | None,
     ) -> None:
         self.plugin = plugin
@@ -159,10 +159,10 @@ class Run:
 
     # -- what is expected ------------------------------------------------------------------------
 
-    def _is_expected(self, line: Line) -> bool:
+    def _is_expected(self, line: TranscriptLine) -> bool:
         return line.kind in ("tx", "rx", "event", "obeys") and line.kind != GIVEN[self.tests]
 
-    def _expectations(self, line: Line) -> Iterator[Expectation]:
+    def _expectations(self, line: TranscriptLine) -> Iterator[Expectation]:
         if self._is_expected(line):
             yield self._expectation(line, line.kind, line.body)
         elif line.kind != "reply":
@@ -173,7 +173,7 @@ class Run:
                     kind = frame if not is_message else "event" if self.driver else "obeys"
                     yield self._expectation(line, kind, text)
 
-    def _expectation(self, line: Line, kind: str, text: str) -> Expectation:
+    def _expectation(self, line: TranscriptLine, kind: str, text: str) -> Expectation:
         return Expectation(line, kind, [self._matcher(kind, part) for part in text.split(" | ")])
 
     def _matcher(self, kind: str, text: str) -> Callable[[Nanos, Any], bool]:
@@ -222,7 +222,7 @@ class Run:
         times += [] if due is None else [max(due - START, self.now + 1)]
         return min((t for t in times if t is not None), default=None)
 
-    def _moment(self, lines: Sequence[Line]) -> None:
+    def _moment(self, lines: Sequence[TranscriptLine]) -> None:
         for line in lines:
             if line.kind not in ("host", "tx", "rx"):
                 self._change(line)
@@ -242,7 +242,7 @@ class Run:
             if line.kind == "measure":
                 self._measure(line)
 
-    def _change(self, line: Line) -> None:
+    def _change(self, line: TranscriptLine) -> None:
         """Change the bus, the devices or their shafts."""
         first, *rest = tokens(line.body) or [""]
         if line.kind == "bus" and self.driver:
@@ -285,7 +285,7 @@ class Run:
     def _counts(driver: Driver) -> list[int]:
         return [driver.counters.accepted, driver.counters.malformed, driver.counters.ignored]
 
-    def _given(self, line: Line) -> list[Frame]:
+    def _given(self, line: TranscriptLine) -> list[Frame]:
         """Return the frame of a host in a file that has no driver."""
         frame = self.frames.frame(line.body)
         for received in self.decoder.decode(START + self.now, frame) if self.tests == "decoder" else ():
@@ -297,7 +297,7 @@ class Run:
                 self.wrong.append(f"{line}\n    its messages are named {named}")
         return [frame]
 
-    def _send(self, lines: Sequence[Line]) -> list[Frame]:
+    def _send(self, lines: Sequence[TranscriptLine]) -> list[Frame]:
         """Call the driver's `send`: with what the host is given, in each cycle, and while it is due."""
         if self.driver is None:
             return []
@@ -358,7 +358,7 @@ class Run:
                     self._came("rx", frame)
                 self.arriving.append((self.now + DELAY, frame))
 
-    def _measure(self, line: Line) -> None:
+    def _measure(self, line: TranscriptLine) -> None:
         """Compare position, velocity and torque of a shaft with what is written."""
         name, *rest = tokens(line.body)
         shaft = self.shafts[name]

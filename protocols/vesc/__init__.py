@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from protocols import messages as msg
+from protocols.bounds import Invalid
 from protocols.frames import exact
 from protocols.messages import MILLISECOND
 from protocols.plugin import Device, FeedbackKind, Plugin, Range, Spec, Watchdog
@@ -42,14 +45,28 @@ def caution(options: MotorOptions) -> str:
     )
 
 
+def common(device: Device) -> dict[str, Any]:
+    """Return what the spec has over any transport."""
+    options, settings = device.options, device.settings
+    timeout = (settings.timeout_ms or options.timeout_ms) * MILLISECOND
+    return {
+        "commands": frozenset({msg.Idle, msg.Velocity, msg.Torque}),
+        "ranges": ranges(options),
+        "watchdog": Watchdog(timeout, enabled=True),
+        "faults": FAULTS,
+        "scales": dict.fromkeys(("pole_pairs", "torque_constant", "min_erpm"), ""),
+        "caution": caution(options),
+    }
+
+
 def spec(device: Device) -> Spec:
     """Return the contract of one controller. Raises ValueError if its address cannot be one."""
-    options, settings = device.options, device.settings
+    options = device.options
     if device.address == options.host_id:
-        raise ValueError(f"address {device.address} of {device.name}: it is the host_id, to which all reply")
+        text = f"address {device.address} of {device.name}: it is the host_id, to which all reply"
+        raise Invalid(("address", text))
     replies = [(number << 8) | options.host_id for number in (SHORT_BUFFER, PONG)]
     status = [number << 8 | device.address for number, _ in STATUS.values()]
-    timeout = (settings.timeout_ms or options.timeout_ms) * MILLISECOND
     return can_motor(
         device,
         TABLE,
@@ -57,15 +74,10 @@ def spec(device: Device) -> Spec:
         (TABLE.row("PING").id_mask(),),
         expects=tuple(exact(number, extended=True) for number in (*status, *replies)),
         feedback=FeedbackKind.CYCLIC,
-        commands=frozenset({msg.Idle, msg.Velocity, msg.Torque}),
         requests=frozenset({msg.ClearFault}),
-        ranges=ranges(options),
-        watchdog=Watchdog(timeout, enabled=True),
-        faults=FAULTS,
         stop=(TABLE.encode("SET_CURRENT", device.address, value=0.0),),
         obeys_also=TABLE.ids("to_device", EVERY),
-        scales=dict.fromkeys(("pole_pairs", "torque_constant", "min_erpm"), ""),
-        caution=caution(options),
+        **common(device),
     )
 
 
@@ -80,5 +92,5 @@ plugin = Plugin(
     decoder=decoder_of(lambda _: TABLE, motor_of, spec),
     twin=VescTwin,
     messages=TABLE.names,
-    vectors=("gateway.fixtures", "vectors/vesc.json"),
+    vectors=("protocols.vesc", "vectors.json"),
 )

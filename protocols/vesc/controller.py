@@ -123,9 +123,6 @@ class ControllerAdapter(Adapter[Controller]):
     def timing(self, options: MotorOptions) -> Timing:
         return Timing(options.offline_ms * MILLISECOND, confirmations=4)
 
-    def forget(self, now: Nanos, host: Host[Controller]) -> None:
-        host.own.forget()
-
     # -- the transport's own --------------------------------------------------------------------------
 
     @abstractmethod

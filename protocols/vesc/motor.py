@@ -32,7 +32,7 @@ class Motor:
 
     name: str
     addresses: tuple[int, ...]
-    """To which it listens."""
+    """Whose messages it obeys."""
     options: MotorOptions
     settings: MotorSettings
 

@@ -3,7 +3,7 @@
 Rules. Motion, fault and timeout are one question: its answer names its sender, so that none is taken for
 another's. An answer that nobody asked for, such as a late one, shows that a device is there, and nothing
 else: what it tells of the timeout may be from before the last command. A host that asks nothing, and only
-listens, decodes all of them.
+receives, decodes all of them.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from protocols.frames import Frame
 from protocols.line import Answer, Exchange, Rank
 from protocols.messages import MILLISECOND, SECOND, Event, Feedback, Mode, Nanos, Request
 from protocols.toolkit.host import Host, Report
+from protocols.toolkit.lines import LineAdapter
 from protocols.toolkit.motor_driver import MotorDriver, Pending, Rx
 from protocols.toolkit.requests import subject
 from protocols.toolkit.serial import Stream
@@ -44,14 +45,15 @@ VescDriver: TypeAlias = MotorDriver[Controller]
 VescReport: TypeAlias = Report[Controller]
 
 
-class UartAdapter(ControllerAdapter):
+class UartAdapter(ControllerAdapter, LineAdapter[Controller]):
     """What controllers are sent, and what they report."""
 
     name = "vesc_uart"
     faults = ut.FAULTS
+    restarted = RESTARTED
 
     def __init__(self) -> None:
-        self._stream = Stream(ut.FORMAT)
+        super().__init__(ut.FORMAT)
         self._slow_at: dict[str, Nanos] = {}
         """When temperature and voltage were last asked for, by name."""
         self._modes: dict[str, Mode] = {}
@@ -63,36 +65,25 @@ class UartAdapter(ControllerAdapter):
         self._silent = False
         """A controller does not answer."""
 
-    def interrupted(self) -> None:
-        self._stream.drop()
-
     def forget(self, now: Nanos, host: VescHost) -> None:
         super().forget(now, host)
         self._modes.pop(host.name, None)
 
     # -- received -------------------------------------------------------------------------------------
 
-    def receive(self, t: Nanos, frame: Frame, driver: VescDriver) -> Sequence[VescReport | Rx]:
-        if not isinstance(frame, bytes):
-            return (Rx.IGNORED,)
-        return [
-            one if isinstance(one, Rx) else self._unasked(t, one, driver) for one in self._stream.feed(frame)
-        ]
-
-    def _unasked(self, t: Nanos, payload: bytes, driver: VescDriver) -> VescReport | Rx:
-        """Return what a packet reports that answers nothing that is under way."""
-        if payload[0] == ut.PING_CAN:
-            return self._pinged(payload, driver)
-        decoded = ut.decode_values(payload)
+    def unasked(self, t: Nanos, message: bytes, driver: VescDriver) -> Sequence[VescReport | Rx]:
+        if message[0] == ut.PING_CAN:
+            return (self._pinged(message, driver),)
+        decoded = ut.decode_values(message)
         sender = decoded[1].get("controller_id") if decoded is not None else None
         host = None if sender is None else driver.at.get(int(sender))
         if decoded is None or host is None:
-            return Rx.IGNORED if ut.decode_version(payload) is None else Rx.EXPECTED
+            return (Rx.IGNORED if ut.decode_version(message) is None else Rx.EXPECTED,)
         answers = host.own.answers
         if answers.sent_at < 0:
-            return self._values(t, host, *decoded)
+            return (self._values(t, host, *decoded),)
         twice = answers.add(t) if decoded[0] == ut.MOTION else ""
-        return Report(host, host.address, duplicate=twice)
+        return (Report(host, host.address, duplicate=twice),)
 
     def _pinged(self, payload: bytes, driver: VescDriver) -> Rx:
         """Note whom a ping has found: each is asked for its version."""
@@ -146,10 +137,10 @@ class UartAdapter(ControllerAdapter):
                 own.see(t, "state", {"value": int(known["status"])})
             mode, detail = own.mode(self._modes.get(host.name))
             self._modes[host.name] = mode
-            told = mode if own.faults or "status" in known else None
+            reported = mode if own.faults or "status" in known else None
             feedback = self._motion(t, host, known)
             return Report(
-                host, address, told, detail, own.faults, feedback, own.answers.add(t), parameters=known
+                host, address, reported, detail, own.faults, feedback, own.answers.add(t), parameters=known
             )
         feedback = None
         if mask & ut.SLOW == ut.SLOW:
@@ -158,7 +149,7 @@ class UartAdapter(ControllerAdapter):
         return Report(host, address, feedback=feedback, parameters=known)
 
     def _motion(self, t: Nanos, host: VescHost, known: dict[str, float]) -> Feedback | None:
-        """Return the motion; None if a number of it is beyond what can be told."""
+        """Return the motion; None if a number of it is beyond what can be known."""
         if not {"rpm", "avg_motor_current", "tachometer"} <= known.keys():
             return None
         position = inside(int(known["tachometer"]), host.options.step)
@@ -245,16 +236,6 @@ class UartAdapter(ControllerAdapter):
         new = [each for each, asked in there.items() if not asked or again]
         there |= dict.fromkeys(new, True)
         return [*(pending.frames if again else ()), *map(_version, new)]
-
-    def answer(self, t: Nanos, pending: Pending[Controller], report: VescReport) -> Event | None:
-        if isinstance(pending.request, msg.Reboot):
-            return pending.done(t, "it has restarted") if pending.restarted(t, RESTARTED) else None
-        return super().answer(t, pending, report)
-
-    def give_up(self, now: Nanos, pending: Pending[Controller]) -> str:
-        if isinstance(pending.request, msg.Reboot):
-            return "it showed no sign of a restart"
-        return super().give_up(now, pending)
 
 
 def _end_of(driver: VescDriver) -> int:

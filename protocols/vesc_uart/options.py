@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
-from protocols.toolkit.options import bounded
+from protocols.bounds import Bounds
 from protocols.vesc.options import MotorOptions, MotorSettings
 
 
@@ -12,12 +13,12 @@ from protocols.vesc.options import MotorOptions, MotorSettings
 class Options(MotorOptions):
     """Configuration of the driver over a serial line."""
 
-    uart_id: int = bounded(0, 0, 253)
+    uart_id: Annotated[int, Bounds(0, 253)] = 0
     """VESC ID of the controller at the end of the line; the others are reached through its CAN. The same for
     all controllers of a line."""
-    feedback_ms: int = bounded(20, 2, 1000)
+    feedback_ms: Annotated[int, Bounds(2, 1000)] = 20
     """Period in which motion, fault and timeout are asked for."""
-    slow_ms: int = bounded(200, 20, 60_000)
+    slow_ms: Annotated[int, Bounds(20, 60_000)] = 200
     """Period in which temperature and voltage are asked for."""
 
 
@@ -25,8 +26,8 @@ class Options(MotorOptions):
 class Settings(MotorSettings):
     """Configuration of the controller in simulation, on a serial line."""
 
-    firmware_major: int = bounded(6, 0, 255)
-    firmware_minor: int = bounded(6, 0, 255)
+    firmware_major: Annotated[int, Bounds(0, 255)] = 6
+    firmware_minor: Annotated[int, Bounds(0, 255)] = 6
     """Below 5.03 it tells no timeout."""
-    serial_number: int = bounded(0, 0, (1 << 96) - 1)
+    serial_number: Annotated[int, Bounds(0, (1 << 96) - 1)] = 0
     """The processor's; 0: derived from the address."""

@@ -13,7 +13,8 @@ from collections.abc import Sequence
 from protocols.frames import Frame
 from protocols.messages import MILLISECOND, Event, Nanos, Torque
 from protocols.plugin import Device, Twin
-from protocols.toolkit.serial import Stream
+from protocols.toolkit.packets import LineFirmware
+from protocols.toolkit.table import Decoded
 from protocols.vesc.motor import Motor, VescFirmware
 from protocols.vesc.table import EVERY
 from protocols.vesc_uart import table as ut
@@ -36,12 +37,13 @@ def motor_of(device: Device) -> Motor:
     return Motor(device.name, to, options, device.settings)
 
 
-class VescTwin(VescFirmware):
+class VescUartTwin(LineFirmware, VescFirmware):
     """One controller with its motor."""
+
+    messages = ut.PACKETS
 
     def __init__(self, device: Device, seed: int) -> None:
         super().__init__(device, seed, motor_of(device))
-        self._stream = Stream(ut.FORMAT)
         self.here = ut.DIRECT in self.memory.addresses
         self.reply_delay = DIRECTLY if self.here else FORWARDED
         self.answers_pings = True
@@ -52,25 +54,18 @@ class VescTwin(VescFirmware):
 
     def join(self, others: Sequence[Twin]) -> None:
         """Find the others of the line."""
-        twins = sorted((self, *(each for each in others if isinstance(each, VescTwin))), key=_place)
+        twins = sorted((self, *(each for each in others if isinstance(each, VescUartTwin))), key=_place)
         self.answers_pings = twins[0] is self
         self.found = tuple(dict.fromkeys(each.device.address for each in twins if not each.here))
 
-    def on_frame(self, t: Nanos, frame: Frame) -> None:
-        for payload in self._stream.messages(frame) if isinstance(frame, bytes) else ():
-            self._on_packet(t, payload)
+    def takes(self, decoded: Decoded) -> bool:
+        return decoded.name == "PING_CAN" or self.memory.takes(decoded)
 
-    def _on_packet(self, t: Nanos, payload: bytes) -> None:
-        decoded = ut.PACKETS.decode(payload, "to_device")
-        if decoded is None or not decoded.name:
-            return
-        if decoded.name == "PING_CAN" and decoded.address == ut.DIRECT:
-            self.pinged_until = t + PINGED if self.answers_pings else None
-        if not self.memory.takes(decoded):
-            return
+    def on_message(self, t: Nanos, message: bytes, decoded: Decoded) -> None:
         match decoded.name:
             case "PING_CAN":
-                pass
+                answers = decoded.address == ut.DIRECT and self.answers_pings
+                self.pinged_until = t + PINGED if answers else None
             case "FW_VERSION":
                 self._answer(t, self._version())
             case "GET_VALUES":
@@ -125,16 +120,15 @@ class VescTwin(VescFirmware):
         }
         values |= {f"temp_mos{number}": measured["fet"] for number in (1, 2, 3)}
         payload = ut.encode_values(mask, values, selective=selective)
-        told = (settings.firmware_major, settings.firmware_minor) >= WITH_STATUS
-        return payload if told or not mask & ut.BIT["status"] else payload[:-1]
+        has_status = (settings.firmware_major, settings.firmware_minor) >= WITH_STATUS
+        return payload if has_status or not mask & ut.BIT["status"] else payload[:-1]
 
     def restart(self, t: Nanos, silent: Nanos) -> None:
-        """Restart: nothing is driven, and what was half received is lost."""
+        """Restart: nothing is driven."""
         super().restart(t, silent)
-        self._stream.drop()
         self.pinged_until = None
 
 
-def _place(twin: VescTwin) -> tuple[bool, int]:
+def _place(twin: VescUartTwin) -> tuple[bool, int]:
     """Return how near to the end of the line a controller is."""
     return not twin.here, twin.device.address

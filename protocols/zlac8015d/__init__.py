@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 from protocols import messages as msg
+from protocols.bounds import Invalid
 from protocols.canopen import names, services
 from protocols.canopen.services import NODE_MASK
 from protocols.frames import exact
@@ -21,7 +22,7 @@ from protocols.plugin import (
     Spec,
     Watchdog,
 )
-from protocols.toolkit.assembly import driver_of
+from protocols.toolkit.assembly import driver_of, own_ramps
 from protocols.zlac8015d import table as z
 from protocols.zlac8015d.driver import EXPECTED, RPDO, ZlacAdapter, set_up
 from protocols.zlac8015d.options import Options, Settings
@@ -37,11 +38,13 @@ def spec(device: Device) -> Spec:
     """Return the contract of one motor. Raises ValueError if its address cannot be one."""
     options, node = device.options, device.address & NODE_MASK
     if not node or not 0 < device.address <= 0xFF:
-        raise ValueError(f"address {device.address} of {device.name}: it must be 1 to 127, or 129 to 255")
+        text = f"address {device.address} of {device.name}: it must be 1 to 127, or 129 to 255"
+        raise Invalid(("address", text))
     side = z.side_of(device.address)
     keys = z.OFFLINE_TIME, z.SYNCHRONOUS, (z.ACCELERATION, side), (z.DECELERATION, side)
     configured = {z.OBJECTS[key].name: Setting(protected=DRIVER_WRITES) for key in keys}
     fastest, turns = options.max_rpm * z.RPM, 2**31 / options.counts * math.tau
+    slowest = max(options.acceleration_ms, options.deceleration_ms)
     return Spec(
         bus="can",
         kind="motor",
@@ -59,6 +62,7 @@ def spec(device: Device) -> Spec:
             "Feedback.velocity": Range(-1e6, 1e6, z.RPM / 20 * MARGIN),
         },
         watchdog=Watchdog(options.timeout_ms * MILLISECOND, enabled=True, fed_by="any frame"),
+        ramps=own_ramps(1000.0 * fastest / slowest if slowest else 0.0, msg.Velocity),
         holds_unattended=False,
         stop_clears_faults=False,
         faults=z.FAULTS,
@@ -90,5 +94,5 @@ plugin = Plugin(
     decoder=ZlacDecoder,
     twin=ZlacTwin,
     messages=names.messages,
-    vectors=("gateway.fixtures", "vectors/zlac8015d.json"),
+    vectors=("protocols.zlac8015d", "vectors.json"),
 )

@@ -266,6 +266,8 @@ class ZlacAdapter(Adapter[Motor]):
             sides.setdefault(device.address & NODE_MASK, []).append(z.side_of(device.address))
         options = {device.address & NODE_MASK: device.options for device in devices}
         self.drives = {node: Drive(node, options[node], held) for node, held in sides.items()}
+        self._aiming: dict[int, Drive] = {}
+        """Those that are given a set-point in this step."""
 
     def own(self, device: Device) -> Motor:
         return self.drives[device.address & NODE_MASK], z.side_of(device.address)
@@ -340,7 +342,13 @@ class ZlacAdapter(Adapter[Motor]):
     def command(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
         drive, side = host.own
         drive.want(side, round(getattr(command, "velocity", 0.0) / z.RPM * host.options.steps_per_rpm))
-        return drive.aim(now)
+        self._aiming[drive.node] = drive
+        return ()
+
+    def poll_bus(self, now: Nanos) -> Sequence[Frame]:
+        # One frame has both motors: it is made once it is known what becomes of each in this step.
+        aiming, self._aiming = self._aiming, {}
+        return [frame for drive in aiming.values() for frame in drive.aim(now)]
 
     def release(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
         host.own[0].release()

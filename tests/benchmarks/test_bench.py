@@ -407,8 +407,8 @@ def test_the_loop_over_beams_sees_the_walls_that_our_map_sees() -> None:
     loop.add(start, ends)
     drawn.add_by(_line, start, ends)
     np.testing.assert_allclose(drawn.log_odds, loop.log_odds, atol=1e-5)
-    top, left, bottom, right = chart.extent()
-    ours = chart.values(np.arange(left, right), np.arange(top, bottom)[:, None])
+    cells = np.arange(-perceive.AROUND, perceive.AROUND)
+    ours = chart.values(cells, cells[:, None])
     walls, occupied = loop.log_odds > 0.0, ours > 0
     assert walls.sum() > 200
     assert (walls & occupied).sum() / (walls | occupied).sum() > 0.95
@@ -489,6 +489,7 @@ def test_the_steps_that_count_are_those_of_every_motor() -> None:
     assert steps.counting(ticks, twelve) == set()
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("protocol", ["damiao", "robstride"])
 def test_twelve_other_motors_are_commanded_as_springs(protocol: str) -> None:
     robot = steps.springs(protocol)
@@ -497,6 +498,7 @@ def test_twelve_other_motors_are_commanded_as_springs(protocol: str) -> None:
     assert {motor.plugin.name for motor in robot.motors.values()} == {protocol}
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("name", drivers.OPTIONS)
 def test_four_motors_report_and_are_commanded(name: str) -> None:
     received, sent = drivers.timed(drivers.session(name, 3 * SECOND))

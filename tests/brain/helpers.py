@@ -14,9 +14,7 @@ from brain.belief import Belief, BrainTask, Pose
 from brain.bodies.differential import Differential
 from brain.bodies.plane import arc
 from brain.brain import Brain, BrainSettings
-from brain.perception.map import MapSettings
 from brain.perception.mount import Mount
-from brain.perception.perception import PerceptionSettings
 from brain.planning.costmap import UNKNOWN
 from brain.planning.snapshot import Snapshot
 from protocols import messages as msg
@@ -180,10 +178,6 @@ class Office:
         return [e for e in events if getattr(e, "motor", getattr(e, "sensor", "")) not in self.silent]
 
 
-SMALL = PerceptionSettings(map=MapSettings(width=9.0, height=7.0))
-"""A map no larger than the office: quicker."""
-
-
 class Trip:
     """A brain in an office, with a log of what it did."""
 
@@ -192,7 +186,7 @@ class Trip:
     ) -> None:
         self.office = office
         self.brain = Brain(
-            settings or BrainSettings(office.body, perception=SMALL),
+            settings or BrainSettings(office.body),
             [office.body.left, office.body.right],
             MOUNTS,
             timeouts,

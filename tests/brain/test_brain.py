@@ -13,7 +13,7 @@ from math import hypot, inf, isfinite, nan
 
 import pytest
 
-from brain.base_brain import BaseBrain
+from brain.base_limb import BaseLimb
 from brain.belief import Belief, BrainState, BrainTask, Pose
 from brain.bodies.joints import Joints
 from brain.bodies.plane import arc, wrap
@@ -23,7 +23,7 @@ from brain.planning.behaviours import Fact
 from brain.planning.costmap import PlannerSettings
 from protocols import messages as msg
 from protocols.messages import MILLISECOND, SECOND, Command, Mode, Nanos
-from tests.brain.helpers import BODY, MOUNTS, ROOMS, SMALL, TICK, TIMEOUTS, Noise, Office, Trip
+from tests.brain.helpers import BODY, MOUNTS, ROOMS, TICK, TIMEOUTS, Noise, Office, Trip
 
 NEXT_ROOM = msg.Goal(4.5, -1.0)
 ACROSS = msg.Goal(-1.0, 3.0)
@@ -251,7 +251,7 @@ def test_a_lost_source_stops_the_base_and_nothing_resumes_by_itself() -> None:
     assert trip.go(ACROSS).reached == 1
 
 
-IMPATIENT = BrainSettings(BODY, perception=SMALL, planner=PlannerSettings(patience=8 * SECOND))
+IMPATIENT = BrainSettings(BODY, planner=PlannerSettings(patience=8 * SECOND))
 
 
 def test_demand_stop_when_no_path_arrives() -> None:
@@ -340,9 +340,9 @@ def test_stop_disarms_at_once_and_release_does_not_resume() -> None:
     assert trip.go(ACROSS).reached == 1
 
 
-def base_of(trip: Trip) -> BaseBrain:
-    body = trip.brain._body
-    assert isinstance(body, BaseBrain)
+def base_of(trip: Trip) -> BaseLimb:
+    body = trip.brain.base
+    assert isinstance(body, BaseLimb)
     return body
 
 
@@ -508,7 +508,7 @@ def test_an_estimate_is_extrapolated_by_its_own_twist_up_to_a_limit() -> None:
     body, estimate = base_of(trip), trip.brain.belief().estimate
     assert estimate is not None
     for late, span in ((0, 0.0), (40, 0.04), (100, 0.1), (900, 0.1)):
-        there = body._pose(estimate.t + late * MILLISECOND)
+        there = body.perception.sight(estimate.t + late * MILLISECOND).pose
         assert there == arc(estimate.pose, estimate.linear * span, estimate.angular * span)
 
 

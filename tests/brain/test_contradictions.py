@@ -19,10 +19,10 @@ from brain.belief import BrainState
 from brain.brain import Brain, BrainSettings
 from brain.perception.motion_check import MotionCheck
 from brain.perception.mount import Mount
-from brain.perception.perception import Perception
+from brain.perception.perception import Perception, PerceptionSettings
 from protocols import messages as msg
 from protocols.messages import MILLISECOND, SECOND, Command, Event, Nanos, seconds
-from tests.brain.helpers import BODY, MOUNTS, SMALL, TICK, TIMEOUTS, Office, Trip
+from tests.brain.helpers import BODY, MOUNTS, TICK, TIMEOUTS, Office, Trip
 from tests.brain.perception.office import box, scan_at
 
 ACROSS = msg.Goal(-1.0, 3.0)
@@ -182,6 +182,7 @@ WRONG_ON_THE_WAY: dict[str, tuple[Fault, float, str]] = {
 """By name: the fault, when the base must begin to stand [s], and part of the reason."""
 
 
+@pytest.mark.sample(6)
 @pytest.mark.parametrize(("fault", "within", "named"), WRONG_ON_THE_WAY.values(), ids=list(WRONG_ON_THE_WAY))
 def test_what_goes_wrong_on_the_way(under_way: Trip, fault: Fault, within: float, named: str) -> None:
     trip = copy.deepcopy(under_way)
@@ -190,6 +191,7 @@ def test_what_goes_wrong_on_the_way(under_way: Trip, fault: Fault, within: float
     assert_stopped(trip, len(trip.track), within, 0.5 if within <= 1.0 else 2.0, named)
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize(
     ("office", "distance", "named"),
     [
@@ -210,6 +212,7 @@ def test_what_is_wrong_from_the_start(office: Faulty, distance: float, named: st
     assert_stopped(trip, 0, 9.0, distance, named)
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("mount", "named"),
     [(yawed(-2.0), "lidar: mounted -"), (replace(MOUNTS["lidar"], x=0.22), "m ahead")],
@@ -324,7 +327,7 @@ def test_a_lidar_that_shows_nothing_is_missing_at_the_start() -> None:
 
 
 def test_where_open_ground_is_expected_it_drives_but_nothing_is_free_space() -> None:
-    open_ground = replace(SMALL, least_returns=0.0)
+    open_ground = PerceptionSettings(least_returns=0.0)
     office = Faulty()
     office.fault = scans(lambda ranges: (10.0,) * len(ranges))
     trip = Trip(office, BrainSettings(BODY, perception=open_ground))
@@ -338,7 +341,7 @@ def test_where_open_ground_is_expected_it_drives_but_nothing_is_free_space() -> 
 
 def test_an_imu_may_repeat_itself_for_less_than_a_fifth_of_a_second() -> None:
     """One with a coarse resolution does at rest."""
-    perception = Perception(BODY, MOUNTS, SMALL)
+    perception = Perception(BODY, MOUNTS, PerceptionSettings())
 
     def absent(t: Nanos, rate: float) -> dict[str, str]:
         perception.observe(t, [msg.Imu("imu", t, (0.0, 0.0, rate), (0.0, 0.0, 9.81))])

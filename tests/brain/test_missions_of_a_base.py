@@ -13,7 +13,7 @@ from brain.belief import BrainState, Pose
 from brain.brain import Brain, BrainSettings
 from protocols import messages as msg
 from protocols.messages import MILLISECOND, SECOND, Command, Goal, Mission
-from tests.brain.helpers import BODY, MOUNTS, SMALL, TICK, TIMEOUTS, Office, Trip
+from tests.brain.helpers import BODY, MOUNTS, TICK, TIMEOUTS, Office, Trip
 
 DOOR = (2.0, 1.4, 2.1, 2.6)
 NEXT_ROOM = Goal(4.5, -1.0)
@@ -114,7 +114,7 @@ def test_a_lost_source_and_a_hand_pause_it_and_others_must_wait() -> None:
 def test_joints_that_a_base_carries_move_together_while_it_stands() -> None:
     office = Office()
     timeouts = {**TIMEOUTS, "mast": 100 * MILLISECOND}
-    brain = Brain(BrainSettings(BODY, perception=SMALL), ("left", "mast", "right"), MOUNTS, timeouts)
+    brain = Brain(BrainSettings(BODY), ("left", "mast", "right"), MOUNTS, timeouts)
     mast, log = 0.0, []
     mission = Mission("m", (msg.Reach((msg.Position("mast", 0.5),), 1.0), msg.Wait(0.1)))
     commands: Sequence[Command] = ()
@@ -137,7 +137,7 @@ def test_joints_that_a_base_carries_move_together_while_it_stands() -> None:
 def test_a_lost_joint_that_a_step_moves_pauses_the_mission_whatever_its_name() -> None:
     office, mast = Office(), "mast: upper part"
     timeouts = {**TIMEOUTS, mast: 100 * MILLISECOND}
-    brain = Brain(BrainSettings(BODY, perception=SMALL), ("left", mast, "right"), MOUNTS, timeouts)
+    brain = Brain(BrainSettings(BODY), ("left", mast, "right"), MOUNTS, timeouts)
     mission = Mission("m", (msg.Reach((msg.Position(mast, 0.5),), 9.0),))
     commands: Sequence[Command] = ()
     for tick in range(150):

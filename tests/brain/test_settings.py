@@ -136,7 +136,7 @@ def test_a_motor_and_a_sensor_of_one_name_are_refused() -> None:
     ("settings", "values", "message"),
     [
         (FilterSettings, {"confidence": 0.9}, "confidence must be one of"),
-        (MapSettings, {"resolution": 0.01}, "width × height: 60 m × 60 m at 0.01 m need"),
+        (MapSettings, {"farthest": 100.0, "resolution": 0.02}, "tiles: 65536 tiles lie about the robot"),
         (HealthSettings, {"slow_age": 0.95}, "stand_age must not be less than slow_age, 0.95"),
         (HealthSettings, {"rejected_stop": 0.2}, "rejected_stop must not be less than rejected_slow, 0.3"),
         (MatchSettings, {"widest": 0.05}, "widest must not be less than reach, 0.1"),
@@ -146,7 +146,7 @@ def test_a_motor_and_a_sensor_of_one_name_are_refused() -> None:
             BrainSettings,
             {
                 "body": BODY,
-                "perception": PerceptionSettings(map=MapSettings(0.01, 4.0, 4.0)),
+                "perception": PerceptionSettings(map=MapSettings(0.01)),
                 "planner": PlannerSettings(margin=1.0, comfort=2.0),
             },
             "planner: the footprint's radius, margin and comfort are 3.25 m, 325 cells of the map",

@@ -16,7 +16,7 @@ from brain.brain import BrainSettings
 from brain.planning.costmap import PlannerSettings
 from protocols import messages as msg
 from protocols.messages import SECOND, seconds
-from tests.brain.helpers import BODY, ROOMS, SMALL, Box, Noise, Office, Trip
+from tests.brain.helpers import BODY, ROOMS, Box, Noise, Office, Trip
 
 ROBOT = replace(
     BODY,
@@ -50,7 +50,7 @@ def hall(pose: Pose, seed: int = 1, noise: float = 0.01, dropout: float = 0.0) -
     """At rest in the hall, with all sources reporting."""
     office = Hall(HALL, pose, Noise(range=noise), seed, ROBOT)
     office.dropout = dropout
-    trip = Trip(office, BrainSettings(ROBOT, perception=SMALL))
+    trip = Trip(office, BrainSettings(ROBOT))
     trip.run(0.5)
     return trip
 
@@ -84,7 +84,7 @@ def screen_case(seed: int, number: int) -> str:
         Pose(-1.0, random.uniform(0.0, 2.0), 0.0),
         int(random.integers(1 << 30)),
         random.uniform(0.003, 0.03),
-        random.choice([0.0, 0.1, 0.4]),
+        float(random.choice([0.0, 0.1, 0.4])),
     )
     office, speed = trip.office, random.uniform(0.2, 0.6)
     goal = number % 4 == 3
@@ -103,6 +103,7 @@ def screen_case(seed: int, number: int) -> str:
     return f"{'goal' if goal else 'by hand'}: {trip.brain.belief().state}"
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("number", range(4))
 def test_a_screen_that_appears_is_never_touched(number: int) -> None:
     screen_case(8, number)
@@ -146,7 +147,7 @@ def test_a_stronger_deceleration_is_used_before_what_is_too_near_for_the_ordinar
     for deceleration in (None, 4.0):
         trip = hall(Pose(-1.0, 1.0, 0.0))
         strong = replace(ROBOT, stop_deceleration=deceleration)
-        trip = Trip(trip.office, BrainSettings(strong, perception=SMALL))
+        trip = Trip(trip.office, BrainSettings(strong))
         trip.run(0.5)
         by_hand(trip, 0.6, 0.0, 1.5)
         trip.office.boxes.append((trip.office.pose.x + 0.38, 0.5, trip.office.pose.x + 0.41, 1.5))
@@ -169,7 +170,7 @@ def test_a_thin_pole_is_seen_and_not_touched() -> None:
 def test_normal_driving_is_not_slowed() -> None:
     """A goal in the next room, and one 0.31 m before a wall: never standing."""
     office = Office(pose=Pose(1.0, 2.0, 0.0), body=ROBOT)
-    trip = Trip(office, BrainSettings(ROBOT, perception=SMALL))
+    trip = Trip(office, BrainSettings(ROBOT))
     assert trip.go(msg.Goal(2.2, 0.0)).reached == 1
     assert abs(office.pose.x - 3.2) < 0.1
     assert trip.go(msg.Goal(1.41, 1.0, -pi / 2.0)).reached == 2
@@ -182,7 +183,7 @@ def test_goals_are_dropped_if_there_is_a_path_and_no_room_to_follow_it() -> None
     slot = ((2.2, 1.15, 2.7, 1.3), (2.2, 0.7, 2.7, 0.85))
     office = Office((*HALL, *slot), Pose(2.3, 1.0, 0.0), body=ROBOT)
     patient = PlannerSettings(patience=SECOND)
-    trip = Trip(office, BrainSettings(ROBOT, perception=SMALL, planner=patient))
+    trip = Trip(office, BrainSettings(ROBOT, planner=patient))
     trip.tick([msg.Goal(-1.5, 0.0)])
     trip.run(4.0, lambda b: b.goal is None)
     assert "for 1 s: obstacle 0.0" in trip.notes[-2][1]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from brain.base_brain import BaseBrain
+from brain.base_limb import BaseLimb
 from brain.belief import Pose
 from brain.perception.body_scan import to_body, to_world
 from brain.perception.map import Map, MapSettings
@@ -19,7 +19,7 @@ from brain.perception.mount import Mount
 from protocols.messages import LaserScan
 from tests.brain.helpers import Office, Trip
 
-LARGEST = MapSettings(width=200.0, height=200.0, farthest=97.0)
+LARGEST = MapSettings(farthest=97.0)
 """Sixteen million cells, all within reach of the beams."""
 
 
@@ -37,9 +37,7 @@ def test_a_scan_touches_few_cells_of_the_largest_map() -> None:
     scan = LaserScan("lidar", 0, 0.0, 2.0 * math.pi / beams, 0.05, 1000.0, (96.0,) * beams)
     swept = to_body(scan, Mount(), LARGEST.farthest)
     assert peak(lambda: chart.add(Pose(0.0, 0.0, 0.3), swept, np.eye(3))) < 30e6
-    top, left, bottom, right = chart.extent()
-    values = chart.values(np.arange(left, right), np.arange(top, bottom)[:, None])
-    assert np.count_nonzero(values < 0) > 50_000
+    assert np.count_nonzero(chart.view().log_odds < 0) > 50_000
     assert (
         np.count_nonzero(chart.values(*chart.cells(to_world(swept.ends, Pose(0.0, 0.0, 0.3))).T) > 0) == beams
     )
@@ -63,8 +61,8 @@ def test_a_scan_touches_few_cells_of_the_largest_map() -> None:
 def test_a_scan_that_no_lidar_sends_is_counted_and_left_out(change: dict[str, Any], counted: str) -> None:
     trip = Trip(Office())
     trip.run(0.54)  # between two of the lidar's own
-    assert isinstance(trip.brain._body, BaseBrain)
-    perception = trip.brain._body.perception
+    assert isinstance(trip.brain.base, BaseLimb)
+    perception = trip.brain.base.perception
     scan = replace(trip.office.scan(), **{"t": trip.office.now + 1, **change})
     before, anomalies = perception.map.version, perception.anomalies["lidar"].get(counted, 0)
     trip.brain.step(trip.office.now + 1, [scan], [], "")

@@ -187,6 +187,7 @@ def worst_bias(true_velocity: Numbers, velocity: Numbers) -> float:
     return worst
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize(
     "file",
     [

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from brain.belief import BrainState
-from gateway.core.step import FRAME_BLOCKED
+from gateway.core.faults import FRAME_BLOCKED
 from gateway.core.tick import Outputs
 from protocols import messages as msg
 from protocols.conformance.random import Random
@@ -311,7 +311,9 @@ class Run:
         if result.late_impact > SOFT:
             self._fail(f"touched a wall at {result.late_impact:.2f} m/s")
         moving = [name for name in self.robot.motors if self._driven(name)]
-        coasting = [name for name in self._braking if abs(self._shaft(name)[1]) > TURNING_ON]
+        # A joint that is in fault itself is let go, and cannot brake.
+        braking = [name for name in self._braking if not self.gateway.joints[name].faults]
+        coasting = [name for name in braking if abs(self._shaft(name)[1]) > TURNING_ON]
         if coasting and (notice is None or self.target in self.robot.sensors):
             self._fail(f"{', '.join(coasting)} has not been braked after Stop")
         if self.fault.free and moving and not self._reported:

@@ -28,6 +28,10 @@ Memory: TypeAlias = dict[str, Any]
 """Of one fault in one run."""
 
 
+BOOT: Nanos = 150 * MILLISECOND
+"""From a device's supply to its first frame: few are faster."""
+
+
 @dataclass(frozen=True, slots=True)
 class Fault:
     """One fault."""
@@ -107,6 +111,20 @@ def encoder(change: Callable[[Run, Feedback, Memory], Feedback]) -> Inject:
         )
 
     return inject
+
+
+def restarted(run: Run) -> None:
+    """Switch the target off and on: it begins anew, and is silent until it has booted."""
+    run.world.reset(run.target)
+    run.world.disconnect(run.target)
+    booted = run.since + BOOT
+
+    def wait(now: Nanos) -> Sequence[Instruction]:
+        if now >= booted:
+            run.world.reconnect(run.target)
+        return ()
+
+    run.each = wait
 
 
 def same_again(_run: Run, true: Any, memory: Memory) -> Any:
@@ -397,7 +415,7 @@ FAULTS: tuple[Fault, ...] = (
     Fault("devices not received", frames(lambda _run, one: (one,) if one.sender == HOST else (), 60.0),
           "motor", 0.3, "if commanded"),
     # motors; of a joint that is no wheel nothing else measures the motion: a false scale cannot be noticed
-    Fault("device resets", lambda run: run.world.reset(run.target), "motor", 0.5, "if it was commanded"),
+    Fault("device resets", restarted, "motor", 0.5, "if it was commanded"),
     Fault("device silent", lambda run: run.world.disconnect(run.target), "motor", 0.3, "if commanded",
           free="target"),
     Fault("device in fault", provoked, "motor", 0.3, "if commanded"),

@@ -15,6 +15,7 @@ WARM = Warm(seed=1, way=2)
 PHASES = (TOUR, TURNING)
 
 
+@pytest.mark.sample(20)
 @pytest.mark.parametrize("number", range(len(FAULTS)), ids=[fault.name for fault in FAULTS])
 def test_a_fault_is_noticed_in_its_time_and_does_no_harm(number: int) -> None:
     fault = FAULTS[number]

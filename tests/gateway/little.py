@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Union, cast, get_args, get_origin, get_type_hints
 
@@ -24,7 +24,8 @@ from gateway.recording.tick_writer import TickWriter
 from protocols import messages as msg
 from protocols.frames import BusState, CanFrame, Frame, Packet
 from protocols.message_codec import CODES
-from protocols.messages import MILLISECOND, Command, Event, Message, Mode, Nanos, Request
+from protocols.messages import MILLISECOND, Command, Event, Measurement, Message, Mode, Nanos, Request
+from protocols.sensors import OURS
 
 PERIOD = 5 * MILLISECOND
 FEEDBACK_ID, COMMAND_ID = 0x029, 0x00D
@@ -156,6 +157,8 @@ def _of(hint: object) -> st.SearchStrategy[Any]:
         return plain[hint]
     if hint in (msg.Repeat, msg.Try):  # they hold steps, too
         return st.builds(msg.Try, st.just((msg.Wait(1.0),)))
+    if hint is msg.Perform:
+        return st.builds(msg.Perform, text, st.lists(st.tuples(text, _floats | text), max_size=3).map(tuple))
     if hint in CODES.values():
         return messages([cast("type[Message]", hint)])
     arguments = get_args(hint)
@@ -169,10 +172,15 @@ def _of(hint: object) -> st.SearchStrategy[Any]:
 
 def messages(kinds: Sequence[type[Message]]) -> st.SearchStrategy[Any]:
     """Return a strategy for messages of these kinds."""
-    return st.one_of(*(st.builds(k, **{n: _of(h) for n, h in get_type_hints(k).items()}) for k in kinds))
+    return st.one_of(*(_of(kind) if kind is msg.Perform else _message(kind) for kind in kinds))
 
 
-EVENTS = tuple(get_args(Event))
+def _message(kind: type[Message]) -> st.SearchStrategy[Any]:
+    hints = get_type_hints(kind)
+    return st.builds(kind, **{f.name: _of(hints[f.name]) for f in fields(kind)})
+
+
+EVENTS = (*(kind for kind in get_args(Event) if kind is not Measurement), *(kind.message for kind in OURS))
 INSTRUCTIONS = tuple(kind for kind in CODES.values() if kind not in EVENTS)
 
 frames: st.SearchStrategy[Frame] = st.one_of(

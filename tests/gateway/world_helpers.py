@@ -10,8 +10,7 @@ from functools import cache
 from gateway.config import parse_robot
 from gateway.core.robot import Robot
 from gateway.sim import PlantFile, SceneFile, World, WorldFile, parse_plant, parse_world
-from gateway.sim.sensors import Reading
-from protocols.messages import Imu, LaserScan
+from protocols.messages import Imu, LaserScan, Measurement
 
 RADIUS, SEPARATION = 0.05, 0.22
 
@@ -145,7 +144,7 @@ class Driver:
 
     world: World
     gathered: dict[str, float] = field(default_factory=lambda: {"left": 0.0, "right": 0.0})
-    readings: list[Reading] = field(default_factory=list)
+    readings: list[Measurement] = field(default_factory=list)
     encoders: list[tuple[float, float]] = field(default_factory=lambda: [(0.0, 0.0)])
     """rad, left and right, every 10 ms"""
     truths: list[tuple[float, float, float]] = field(default_factory=list)

@@ -73,13 +73,16 @@ class _Lenient(Stream):
     def feed(self, data: bytes) -> list[bytes | Rx]:
         found: list[bytes | Rx] = []
         for byte in data:
-            corrected = self._held + bytes((byte ^ 0x02,))
+            corrected = self.held + bytes((byte ^ 0x02,))
             received = super().feed(bytes((byte,)))
             if Rx.MALFORMED in received and table.FRAMING.frame(corrected[:-4]) == corrected:
                 self.drop()
                 received = [corrected[:-4]]
             found += received
         return found
+
+    def messages(self, data: bytes) -> list[bytes]:
+        return [each for each in self.feed(data) if isinstance(each, bytes)]
 
 
 @found_by("checksums")

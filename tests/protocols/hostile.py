@@ -57,6 +57,8 @@ ROBOTS = {
     "roboclaw": "diffbot_roboclaw",
     "sabertooth": "diffbot_sabertooth",
     "hoverboard": "diffbot_hoverboard",
+    "ld06": "diffbot_sensors",
+    "witmotion": "diffbot_sensors",
     "vesc_uart": "diffbot_vesc_uart",
     "odrive_ascii": "diffbot_odrive_ascii",
 }

@@ -20,6 +20,12 @@ VECTORS: dict[str, Any] = json.loads(
 FLOATS = st.floats(allow_nan=False, allow_infinity=False)
 INTS = st.integers(-(2**63), 2**64 - 1)
 TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
+PLAIN = st.recursive(
+    st.one_of(FLOATS, INTS, st.booleans(), TEXTS, st.none()),
+    lambda of: st.lists(of, max_size=3).map(tuple),
+    max_leaves=6,
+)
+"""What a field of another distribution's skill may hold."""
 
 
 def message_of(row: dict[str, Any]) -> Message:
@@ -53,6 +59,8 @@ def _strategy(hint: object) -> st.SearchStrategy[Any]:
     items = get_args(hint)
     if items[-1] is Ellipsis and items[0] is float:
         return st.lists(FLOATS, max_size=40).map(tuple)
+    if items[-1] is Ellipsis and get_origin(items[0]) is tuple and get_args(items[0])[0] is str:
+        return st.lists(st.tuples(TEXTS, PLAIN), max_size=4).map(tuple)
     if items[-1] is Ellipsis and get_origin(items[0]) is tuple:
         return st.lists(st.tuples(FLOATS, FLOATS), max_size=20).map(tuple)
     if items[-1] is Ellipsis:

@@ -14,7 +14,7 @@ from select import select
 
 import motorbridge
 
-from gateway.buses.adapters.dm_serial import Adapter
+from gateway.buses.adapters.dm_serial import EmulatedAdapter
 from protocols.frames import EXTENDED_BIT, CanFrame
 from protocols.messages import MILLISECOND, Feedback, Nanos
 from protocols.plugin import Twin
@@ -73,7 +73,9 @@ class Microcontroller:
         return b"\xa5" + body + bytes((CRC8(body), 0x5A))
 
 
-def _serve(line: int, bench: Bench, adapter: Adapter | Microcontroller, stop: threading.Event) -> None:
+def _serve(
+    line: int, bench: Bench, adapter: EmulatedAdapter | Microcontroller, stop: threading.Event
+) -> None:
     while not stop.is_set():
         if not select([line], [], [], 0.01)[0]:
             continue
@@ -88,7 +90,7 @@ def connected(bench: Bench, *, dm_serial: bool = False) -> Iterator[motorbridge.
     ours, theirs = os.openpty()
     tty.setraw(theirs)
     stop = threading.Event()
-    adapter = Adapter(1_000_000) if dm_serial else Microcontroller()
+    adapter = EmulatedAdapter(1_000_000) if dm_serial else Microcontroller()
     server = threading.Thread(target=_serve, args=(ours, bench, adapter, stop))
     server.start()
     connect = motorbridge.Controller.from_dm_serial if dm_serial else motorbridge.Controller.from_mcu_serial

@@ -153,6 +153,7 @@ def test_what_counts_as_a_source(source: str, good: bool) -> None:
     assert bool(SOURCE.search(source)) is good
 
 
+@pytest.mark.sample(6)
 @pytest.mark.parametrize(("plugin", "finders"), BROKEN_HERE, ids=[plugin.name for plugin, _ in BROKEN_HERE])
 def test_a_counterexample_is_short_and_comes_again(plugin: Plugin, finders: tuple[str, ...]) -> None:
     (finder,) = [clause for clause in CLAUSES if clause.name in finders]

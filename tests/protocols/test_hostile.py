@@ -11,7 +11,7 @@ from random import Random
 import pytest
 
 from gateway.config import load_robot
-from gateway.core.joint import MAX_FAULTS
+from gateway.core.faults import MAX_FAULTS
 from gateway.core.step import Gateway
 from gateway.core.tick import Inputs
 from gateway.monitor.candidates import of_robot
@@ -25,12 +25,14 @@ from tests.protocols.hostile import PLUGINS
 from tests.sampled import sampled
 
 
+@pytest.mark.sample(8)
 @pytest.mark.parametrize("name", sorted(PLUGINS))
 def test_hostile_frames_do_not_raise(name: str) -> None:
     for seed in range(2):
         hostile.line(name, seed, 1000)
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("name", sampled(sorted(PLUGINS), 3))
 def test_a_gateway_and_a_monitor_take_hostile_frames(name: str) -> None:
     hostile.robot(name, 1, 800)

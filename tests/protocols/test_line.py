@@ -412,6 +412,29 @@ def test_an_answer_that_comes_when_it_was_given_up_is_counted_as_late() -> None:
     assert line.late == 1
 
 
+def test_an_answer_that_has_begun_is_waited_for_while_it_comes_but_not_for_ever() -> None:
+    line = Line(1_000_000)
+    _asked(line, 0, b"a")
+    before = line.overdue
+    line.receive(before - 1, b"<")
+    assert line.expire(before) == []
+    assert line.overdue == before - 1 + line.slack
+    longest = before + line.time(4) + line.slack
+    for now in range(before, longest + 1_000_000, 100_000):
+        line.receive(now, b"x")
+        if line.expire(now):
+            break
+    assert longest <= now < longest + 100_000
+
+
+def test_what_took_its_time_until_it_was_written_is_waited_for_from_then_on() -> None:
+    line = Line(1_000_000)
+    _asked(line, 0, b"a")
+    before = line.overdue
+    line.written(2_000_000)
+    assert (line.overdue, line.expire(before)) == (before + 2_000_000, [])
+
+
 def test_an_answer_that_is_cut_or_garbage_is_counted_as_that() -> None:
     line = Line(1_000_000)
     _asked(line, 0, b"a")
@@ -434,3 +457,17 @@ def test_while_bytes_come_that_nobody_asked_for_silence_is_waited_for_longer() -
     line.receive(10**9 + 1_000_000, b"<a>")
     line.receive(2 * 10**9, b"noise")
     assert line.free == 2 * 10**9 + line.quiet
+
+
+def test_an_answer_that_has_begun_is_complete_when_its_usual_bytes_can_have_come() -> None:
+    line = Line(1_000_000)
+    line.put(0, [Exchange(b"ask", Answer(40, never, usual=30))])
+    assert line.time_to_complete(0) == 0  # nothing is asked
+    line.take(0)
+    assert (line.time_to_complete(10), line.time_to_complete(30), line.time_to_complete(50)) == (
+        200_000,
+        0,
+        0,
+    )
+    line.receive(100_000, b"0123456789")
+    assert line.time_to_complete(10) == 100_000

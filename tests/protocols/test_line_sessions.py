@@ -8,7 +8,14 @@ from protocols.plugin import Plugin
 from tests.protocols.line_sessions import QUESTIONED, LineSession
 
 
+@pytest.mark.sample(8)
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("plugin", QUESTIONED, ids=lambda plugin: str(plugin.name))
 def test_a_session_with_bad_answers_ends_well(plugin: Plugin, seed: int) -> None:
     LineSession(plugin, seed).run()
+
+
+def test_a_late_answer_that_is_taken_for_another_questions_moves_no_position() -> None:
+    """A DDSM115's two answers look alike; the angle of one is the other's temperature and coarse angle."""
+    (ddsm,) = (plugin for plugin in QUESTIONED if plugin.name == "ddsm")
+    LineSession(ddsm, 2601008396).run()

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from protocols import messages
+from protocols import messages, sensors
 from protocols.message_codec import CODES, pack, unpack
 from protocols.messages import Feedback, LaserScan, Message, Mode, SetId, State, Torque, Velocity
 from tests.protocols.message_samples import ANY_MESSAGE, VECTORS, message_of
@@ -35,7 +35,8 @@ def test_vector_both_ways(row: dict[str, Any]) -> None:
 
 
 def test_every_word_has_a_code_and_a_vector() -> None:
-    every = set(get_args(messages.Message)) - {messages.Arm, messages.Kept}
+    every = set(get_args(messages.Message)) - {messages.Arm, messages.Kept, messages.Measurement}
+    every |= {kind.message for kind in sensors.OURS}
     assert set(CODES.values()) == every
     assert {row["word"] for row in PACKED} == {kind.__name__ for kind in every}
 

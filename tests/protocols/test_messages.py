@@ -8,11 +8,12 @@ from typing import Any, get_args
 
 import pytest
 
-from protocols import messages
+from protocols import messages, sensors
 from protocols.messages import COMMANDS, SECOND, Command, Feedback, Message, Mode, Velocity, seconds
 from tests.protocols.message_samples import VECTORS, message_of
 
-KINDS: tuple[Any, ...] = get_args(Message)
+SENSORS: tuple[Any, ...] = tuple(kind.message for kind in sensors.OURS)
+KINDS: tuple[Any, ...] = (*(k for k in get_args(Message) if k is not messages.Measurement), *SENSORS)
 SAMPLES: list[Message] = [*(message_of(row) for row in VECTORS["packed"]), messages.Arm("m")]
 SAMPLES.append(messages.Kept("m", "a mode", 1.0))
 
@@ -24,9 +25,10 @@ def test_there_is_a_sample_of_every_message() -> None:
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: str(kind.__name__))
 def test_a_message_is_a_slotted_value_without_methods(kind: type[Any]) -> None:
     assert is_dataclass(kind)
-    assert vars(kind)["__slots__"] == tuple(f.name for f in fields(kind))
-    own = {name for name in vars(kind) if not name.startswith("_")}
-    assert own == {f.name for f in fields(kind)}
+    parts = [vars(part) for part in reversed(kind.__mro__[:-1])]
+    assert [slot for part in parts for slot in part["__slots__"]] == [f.name for f in fields(kind)]
+    own = {name for part in parts for name in part if not name.startswith("_")}
+    assert own - {"noun"} == {f.name for f in fields(kind)}
     assert kind.__doc__
     assert not kind.__doc__.startswith(f"{kind.__name__}(")  # what a dataclass writes without one
 
@@ -65,7 +67,7 @@ def test_feed_forward_is_zero_unless_given() -> None:
 
 
 def test_no_default_hides_a_measurement() -> None:
-    for kind in (*get_args(messages.Measurement), messages.Feedback, messages.Parameter):
+    for kind in (*SENSORS, messages.Feedback, messages.Parameter):
         for f in fields(kind):
             instant = f.name == "duration"  # 0 is one that some lidars have
             assert instant or f.default is None or f.default is MISSING, (kind, f.name)

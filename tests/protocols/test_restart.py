@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from gateway.core.joint import DISARMED_ITSELF
+from gateway.core.faults import DISARMED_ITSELF
 from protocols.messages import Mode, Release, Stop, Velocity
 from protocols.robstride.twin import RobStrideTwin
 from tests.gateway.rig import BENCH, Rig

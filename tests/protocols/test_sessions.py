@@ -24,12 +24,14 @@ FOUND = {
 """Defects, each with what a session finds."""
 
 
+@pytest.mark.sample(12)
 @pytest.mark.parametrize("plugin", MOTORS, ids=lambda plugin: str(plugin.name))
 @pytest.mark.parametrize("seed", sampled(range(SAMPLE), 2))
 def test_after_all_that_a_line_can_do_the_devices_do_what_is_commanded(plugin: Plugin, seed: int) -> None:
     assert Session(plugin, seed).run() <= 1.0
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("name", FOUND)
 def test_a_defect_is_found_by_a_few_sessions(name: str) -> None:
     def run_some() -> None:

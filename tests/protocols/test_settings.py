@@ -18,6 +18,7 @@ from typing import Any, TypeAlias, TypeVar
 import pytest
 
 from protocols import messages as msg
+from protocols.bounds import bounds_of, hints
 from protocols.canopen.objects import PDO_PARAMETERS, RESTORE, STORE, Object, Objects, title, to_bytes
 from protocols.cia402 import objects as cia402
 from protocols.conformance.bench import START, STEP, Shaft, build, make_driver, request
@@ -233,15 +234,14 @@ OTHERS: Mapping[str, Sequence[object]] = {
 
 def other_values(default: object, name: str) -> Iterator[object]:
     """Yield other values of a setting."""
-    declared = next(each for each in fields(default) if each.name == name)  # type: ignore[arg-type]
-    value, low, high = getattr(default, name), declared.metadata.get("low"), declared.metadata.get("high")
+    value, bounds = getattr(default, name), bounds_of(hints(type(default))[name])
     yield from (other for other in OTHERS.get(name, ()) if type(other) is type(value))
-    yield from declared.metadata.get("only", ())
+    yield from getattr(bounds, "only", ())
     yield from (other for each, other in alternatives(default) if each == name)
-    if low is None or high is None:
+    if bounds is None:
         return
-    for number in (0.1 * value, 10.0 * value, 0.01, 1.0, low, high):
-        if math.isfinite(number) and low <= number <= high:
+    for number in (0.1 * value, 10.0 * value, 0.01, 1.0, bounds.least, bounds.most):
+        if math.isfinite(number) and bounds.admit(number):
             yield type(value)(number)
 
 
@@ -429,6 +429,7 @@ KEPT: Mapping[str, Mapping[str, str]] = {
 SETTINGS = [(name, each.name) for name, plugin in PLUGINS.items() for each in fields(plugin.settings)]
 
 
+@pytest.mark.sample(15)
 @pytest.mark.parametrize(("name", "setting"), sampled(SETTINGS, 8))
 def test_every_setting_of_a_twin_changes_its_shaft_or_the_wire(name: str, setting: str) -> None:
     why, way = UNUSED.get(name, {}).get(setting), WAYS.get(name, {}).get(setting, AS_DELIVERED)
@@ -544,6 +545,7 @@ def matters(plugin: Plugin, way: Way, writes: Writes, most: int = len(VALUES)) -
     return False
 
 
+@pytest.mark.sample(7)
 @pytest.mark.parametrize(("table", "parameter"), sampled(PARAMETERS, 8))
 def test_every_parameter_that_can_be_written_changes_the_shaft_or_the_wire(
     table: str, parameter: str

@@ -6,7 +6,7 @@ from collections import Counter
 
 import pytest
 
-from brain.perception.relocalise import Found
+from brain.perception.relocalise import PoseFound
 from tests.brain.perception.test_relocalise import (
     OFFICES,
     changed,
@@ -53,7 +53,9 @@ def test_of_a_hundred_other_places_none_is_found(name: str) -> None:
     def case(seed: int, number: int) -> bool:
         random = generator(seed + number)
         other = room(random, *(float(side) for side in random.uniform(5.0, 12.0, 2)))
-        return isinstance(finish(search(drawing, seen(other, poses(other, random, 5)[-1], random)))[0], Found)
+        return isinstance(
+            finish(search(drawing, seen(other, poses(other, random, 5)[-1], random)))[0], PoseFound
+        )
 
     done = Campaign(f"elsewhere-{name}", 100).run(case)
     assert sum(done.values()) <= 1

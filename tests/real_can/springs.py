@@ -41,7 +41,7 @@ class Mark:
 
 
 def mark(session: Session) -> Mark:
-    return Mark(time.time_ns(), session.stats.ticks, session.stats.missed, processor_time()[0])
+    return Mark(time.time_ns(), session.stats.ticks, session.stats.missed, processor_time())
 
 
 def springs(robot: Robot, now: Nanos) -> list[Impedance]:

@@ -11,7 +11,7 @@ from dataclasses import replace
 import pytest
 
 from gateway.buses import Bus, open_bus
-from gateway.buses.netlink import Device
+from gateway.buses.netlink import NetDevice
 from gateway.buses.queues import PATIENCE
 from gateway.buses.socketcan.bus import FAST_POLL, SocketcanBus
 from gateway.buses.states import CALM
@@ -252,7 +252,7 @@ def test_the_lines_for_another_bit_rate_set_it(controllers: Controllers, opened:
         opened(BusSettings(other, "can", f"socketcan:{other}", bitrate=500_000))
     run_commands(str(caught.value))
     opened(BusSettings(other, "can", f"socketcan:{other}", bitrate=500_000))
-    device = Device(one)
+    device = NetDevice(one)
     link = device.link()
     device.close()
     assert link is not None

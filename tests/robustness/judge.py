@@ -17,7 +17,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from brain.base_brain import BaseBrain
+from brain.base_limb import BaseLimb
 from brain.belief import BrainState, Pose
 from brain.bodies.differential import Differential
 from brain.brain import Brain
@@ -278,8 +278,8 @@ class _Trial:
         """Return the row, with its verdict."""
         row, case = self.row, self.case
         row.nees = float(np.mean(self.nees)) if self.nees else math.nan
-        assert isinstance(self.brain._body, BaseBrain)
-        perception = self.brain._body.perception
+        assert isinstance(self.brain.base, BaseLimb)
+        perception = self.brain.base.perception
         row.nis = {name: nis.mean for name, nis in perception.nis.items() if nis.count}
         row.contacts = [(what, speed) for what, speed in self.base.touches if abs(speed) > OWN]
         all_reached = row.reached == row.asked and row.nees < MOST_NEES

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
+from protocols.bounds import Bounds, check
 from protocols.frames import Frame
 from protocols.messages import Command, Feedback, Mode, Nanos
 from protocols.toolkit.host import Host, Report
 from protocols.toolkit.mit import NUMBERS, ImpedanceGains
 from protocols.toolkit.motor_driver import MotorDriver, Rx
-from protocols.toolkit.options import bounded, check_bounds
 from protocols.toolkit.register_motor import Motor, RegisterAdapter
 
 from . import table as rs
@@ -22,19 +23,19 @@ MODES = {0: (Mode.READY, "reset"), 1: (Mode.INITIALISING, "calibration"), 2: (Mo
 class Options:
     """Configuration of the driver."""
 
-    stiffness: float = bounded(20.0, 0.1, 500.0)
+    stiffness: Annotated[float, Bounds(0.1, 500.0)] = 20.0
     """N·m/rad of Position and Hold"""
-    damping: float = bounded(1.0, 0.01, 5.0)
+    damping: Annotated[float, Bounds(0.01, 5.0)] = 1.0
     """N·m·s/rad of Position, Hold and Velocity"""
-    timeout_ms: float = bounded(100.0, 10.0, 10_000.0)
+    timeout_ms: Annotated[float, Bounds(10.0, 10_000.0)] = 100.0
     """Of the motor's watchdog."""
-    feedback_ms: int = bounded(10, 1, 1000)
+    feedback_ms: Annotated[int, Bounds(1, 1000)] = 10
     """Period of questions to a motor that is not commanded."""
-    offline_ms: int = bounded(100, 20, 10_000)
+    offline_ms: Annotated[int, Bounds(20, 10_000)] = 100
     """Time without an answer after which a motor is offline."""
 
     def __post_init__(self) -> None:
-        check_bounds(self)
+        check(self)
 
     @property
     def gains(self) -> ImpedanceGains:

@@ -19,11 +19,11 @@ from gateway.errors import BusError
 from protocols.frames import BusState, CanFrame, Frame, Packet
 from protocols.messages import Nanos
 
-Adapter: TypeAlias = slcan.Adapter | fdcanusb.Adapter | dm_serial.Adapter
+Adapter: TypeAlias = slcan.EmulatedAdapter | fdcanusb.EmulatedAdapter | dm_serial.EmulatedAdapter
 KINDS: dict[str, type[Adapter]] = {
-    "slcan": slcan.Adapter,
-    "fdcanusb": fdcanusb.Adapter,
-    "dm-serial": dm_serial.Adapter,
+    "slcan": slcan.EmulatedAdapter,
+    "fdcanusb": fdcanusb.EmulatedAdapter,
+    "dm-serial": dm_serial.EmulatedAdapter,
 }
 """By the interface that a program opens."""
 

@@ -103,7 +103,7 @@ def _frame(number: int, data: bytes, extended: bool, remote: bool) -> CanFrame:
 
 
 @dataclass(slots=True)
-class Adapter:
+class EmulatedAdapter:
     """An emulated adapter on a bus of classic CAN, whose bit rate it has."""
 
     bitrate: int

@@ -102,7 +102,7 @@ class _CommandError(Exception):
 
 
 @dataclass(slots=True)
-class Adapter:
+class EmulatedAdapter:
     """An emulated adapter on a bus of these bit rates, configured for it; `data_bitrate` 0 is classic CAN."""
 
     bitrate: int

@@ -125,7 +125,7 @@ def rate_of(btr: str) -> int | None:
 
 
 @dataclass(slots=True)
-class Adapter:
+class EmulatedAdapter:
     """An emulated adapter on a bus of these bit rates; `data_bitrate` 0 is classic CAN."""
 
     bitrate: int

@@ -27,7 +27,7 @@ from can.interfaces.socketcan import SocketcanBus as PythonCan
 
 from gateway.buses.error_frames import CanError, describe, kinds, state_of
 from gateway.buses.interfaces import check_fit, open_interface
-from gateway.buses.netlink import Device, Link, Status
+from gateway.buses.netlink import NetDevice, NetLink, NetStatus
 from gateway.buses.queues import FrameQueue, Patience
 from gateway.buses.socketcan.raw_socket import OpenSocket, RawSocket
 from gateway.buses.states import StateTracker
@@ -54,7 +54,7 @@ def open_socketcan(settings: BusSettings, clock: Clock, *, listen_only: bool = F
     """Open "socketcan:NAME". Raises BusError: what is missing, or not configured as the robot file has it.
 
     With `listen_only` any configuration is accepted, and every id is received."""
-    device = Device(_channel(settings))
+    device = NetDevice(_channel(settings))
     try:
         opened = _open(settings, device.link(), listen_only)
     except BusError:
@@ -67,7 +67,7 @@ def _channel(settings: BusSettings) -> str:
     return resolved(settings).interface.partition(":")[2]
 
 
-def _open(settings: BusSettings, link: Link | None, listen_only: bool) -> OpenSocket:
+def _open(settings: BusSettings, link: NetLink | None, listen_only: bool) -> OpenSocket:
     opened = open_interface(settings, listen_only=listen_only)
     assert isinstance(opened, PythonCan)
     if link is not None and not listen_only:
@@ -89,7 +89,7 @@ class SocketcanBus:
         settings: BusSettings,
         clock: Clock,
         opened: OpenSocket,
-        device: Device,
+        device: NetDevice,
         *,
         listen_only: bool = False,
     ) -> None:
@@ -324,9 +324,9 @@ class SocketcanBus:
             name = _channel(self._settings)
             if name != self._channel:
                 self._device.close()
-                self._device, self._channel = Device(name), name
+                self._device, self._channel = NetDevice(name), name
 
-    def _come_back(self, status: Status) -> None:
+    def _come_back(self, status: NetStatus) -> None:
         """The interface is up: keep the socket if it is the same interface, else open a new one."""
         link = self._device.link()
         try:

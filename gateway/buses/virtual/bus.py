@@ -200,30 +200,41 @@ class TwinBus:
         if self._from_host.errors:
             self._count_errors()
 
+    def start(self, now: Nanos) -> None:
+        """Switch the devices on, where they may be asked before the world's first step."""
+        for device in self.devices if self.prompt else ():
+            device.send(now, device.twin.step(now, ())[1])
+
     def _deliver_promptly(self, until: Nanos) -> None:
         """The same where devices answer as soon as they have heard: what ends first, and what is due
         before."""
+        wires = self._wires()
         while True:
-            ends = [end for wire in self._wires() if (end := wire.first_end()) is not None and end <= until]
-            late = [self._late[0][0]] if self._late and self._late[0][0] <= until else []
-            first = min([*ends, *late], default=until)
+            first, ending = until, None
+            for wire in wires:
+                end = wire.first_end() if wire.pending else None
+                if end is not None and (end < first or (ending is None and end == first)):
+                    first, ending = end, wire
+            late = bool(self._late) and self._late[0][0] <= first
+            if late:
+                first = self._late[0][0]
             if self._answer(first):
                 continue
-            if late and late[0] == first:
+            if late:
                 self._deliver(heappop(self._late)[2])
-            elif ends:
-                wire = self._from_host if self._from_host.first_end() == first else self.from_devices
-                for transmission in wire.run(first):
+            elif ending is not None:
+                for transmission in ending.run(first):
                     self._arrive(transmission)
             else:
                 return
 
     def _answer(self, until: Nanos) -> bool:
         """Let the device whose answer is due first begin to send it; False if none is due."""
-        device = min(self.devices, key=lambda device: device.answers, default=None)
-        if device is None or device.answers > until:
+        at = min([device.answers for device in self.devices], default=NEVER)
+        if at > until:
             return False
-        at, device.answers = device.answers, NEVER
+        device = next(device for device in self.devices if device.answers == at)
+        device.answers = NEVER
         _, frames = device.twin.step(at, ())
         device.send(at, frames)
         return True
@@ -326,6 +337,8 @@ class TwinWorld:
         """Advance world, twins and media to `now`. The first call sets when the world begins."""
         if not self._began:
             self._began, self.world.now = True, now
+            for bus in self.buses.values():
+                bus.start(now)
         while self.world.now + STEP <= now:
             self._step(self.world.now)
         for bus in self.buses.values():

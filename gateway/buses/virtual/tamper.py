@@ -16,8 +16,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from gateway.buses.virtual.medium import Transmission
-from gateway.sim.sensors import Reading
-from protocols.messages import Feedback
+from protocols.messages import Feedback, Measurement
 
 
 @dataclass(slots=True)
@@ -28,7 +27,7 @@ class Tamper:
     """From a motor's name and the true motion of its device's shaft: what the device measures."""
     torques: Callable[[dict[str, float]], dict[str, float]] | None = None
     """From the torques [N·m] that the motors give at their output shafts, by name: what the world gets."""
-    reading: Callable[[Reading], Reading | None] | None = None
+    reading: Callable[[Measurement], Measurement | None] | None = None
     """From what a sensor measures: what its firmware gets; None: nothing."""
     error: Callable[[str, Transmission], int] | None = None
     """From a bus's name and a CAN frame that is being sent: after how many bits an error destroys it, so that

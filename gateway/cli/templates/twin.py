@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 from protocols import messages as msg
+from protocols.bounds import Bounds, check
 from protocols.frames import Frame
 from protocols.messages import Mode, Nanos, Obeyed
 from protocols.plugin import Device
 from protocols.toolkit.firmware import ServoFirmware, milliseconds
-from protocols.toolkit.options import bounded, check_bounds
 from protocols.toolkit.servo import Gains
 from protocols.toolkit.table import Decoded
 
@@ -29,11 +30,11 @@ MODES = {Mode.READY: 0, Mode.ARMED: 1, Mode.FAULT: 2}
 class Settings:
     """Configuration of the device itself."""
 
-    watchdog_ms: float = bounded(100.0, 0.0, 10_000.0)
+    watchdog_ms: Annotated[float, Bounds(0.0, 10_000.0)] = 100.0
     """Time without a command after which a running motor trips; 0 is never."""
 
     def __post_init__(self) -> None:
-        check_bounds(self)
+        check(self)
 
 
 class MotorDecoder:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TextIO
 
-from gateway.cli.terminal.screen import Line
+from gateway.cli.terminal.screen import TerminalLine
 from gateway.core.clock import stopwatch
 from protocols.messages import SECOND, Nanos
 
@@ -48,7 +48,7 @@ class Progress:
     def __init__(self, what: str, total: float | None, stream: TextIO | None = None) -> None:
         self._what, self._total = what, total
         stream = stream or sys.stderr
-        self._line = Line(stream)
+        self._line = TerminalLine(stream)
         self._period: Nanos = MOVING if stream.isatty() else PLAIN
         self._began = stopwatch()
         self._shown = self._began - (self._period if stream.isatty() else 0)

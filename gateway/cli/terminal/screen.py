@@ -74,7 +74,7 @@ def screen(stream: TextIO) -> Iterator[Callable[[Sequence[str]], None]]:
             stream.flush()
 
 
-class Line:
+class TerminalLine:
     """One line of a terminal that is redrawn in place; without a terminal, each is a line of its own."""
 
     def __init__(self, stream: TextIO) -> None:

@@ -216,7 +216,7 @@ def test_the_largest_wheel_speed_follows_from_the_largest_speeds(name: str) -> N
         angle, turn = rng.uniform(0.0, 2 * math.pi), rng.choice([-2.0, 2.0])
         if body.turning_radius > 0.0 or not body.moves_sideways:
             angle = 0.0
-        twist = Twist(math.cos(angle), turn, math.sin(angle))
+        twist = Twist(math.cos(angle), float(turn), math.sin(angle))
         if body.turning_radius > 0.0:
             twist = Twist(1.0, math.copysign(1.0 / max(body.turning_radius, 0.5), turn))
         most = max(most, *(abs(one.velocity or 0.0) for one in body.inverse(twist, (None,) * 99)))

@@ -12,7 +12,7 @@ import numpy as np
 from brain.belief import Floats, Pose
 from brain.bodies.body import Base
 from brain.bodies.plane import REST, Twist, arc
-from brain.control.motion import Motion, Wish
+from brain.control.motion import MotionControl, MotionInputs
 from brain.control.pursuit import PursuitSettings
 from brain.planning.polyline import Point
 from protocols.messages import MILLISECOND
@@ -46,7 +46,7 @@ class Ride:
     def __init__(
         self, body: Base, pose: Pose, settings: PursuitSettings | None = None, lag: float = 0.04
     ) -> None:
-        self.motion = Motion(settings or PursuitSettings(), body, body.joints)
+        self.motion = MotionControl(settings or PursuitSettings(), body, body.joints)
         self.body, self.pose, self.lag, self.now = body, pose, lag, 0
         self.twist = REST
         self.commanded: list[Twist] = [REST]
@@ -71,8 +71,8 @@ class Ride:
 
     def step(self, share: float = 1.0, clearance: float = inf, drive: Twist | None = None) -> None:
         self.now += 20 * MILLISECOND
-        wish = Wish(self.seen(self.pose), share, True, drive, clearance)
-        self.motion.step(self.now, wish, Free())
+        inputs = MotionInputs(self.seen(self.pose), self.pose, share, True, drive, clearance)
+        self.motion.step(self.now, inputs, Free())
         for _ in range(STEPS):
             part = PERIOD / STEPS
             gain = part / max(self.lag, part)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from brain.belief import Pose
 from brain.bodies.plane import Twist
-from brain.control.motion import Motion, Wish
+from brain.control.motion import MotionControl, MotionInputs
 from brain.control.pursuit import PursuitSettings
 from protocols import messages as msg
 from protocols.messages import MILLISECOND, SECOND, Mode, Nanos
 from tests.brain.bodies.test_quadruped import BODY
 
 PERIOD: Nanos = 20 * MILLISECOND
+HERE = Pose(0.0, 0.0, 0.0)
 LYING = dict(zip(BODY.joints, (0.0, 1.4, -2.6) * 4, strict=True))
 
 
@@ -30,7 +31,7 @@ class Rider:
     """Control of the quadruped, whose motors are armed by any command but Idle, and obey at once."""
 
     def __init__(self) -> None:
-        self.motion = Motion(PursuitSettings(), BODY, (*BODY.joints, "mast"))
+        self.motion = MotionControl(PursuitSettings(), BODY, (*BODY.joints, "mast"))
         self.now: Nanos = 0
         self.armed = False
 
@@ -48,8 +49,8 @@ class Rider:
             if stopped:
                 commands = self.motion.disarm()
             else:
-                wish = Wish(Pose(0.0, 0.0, 0.0), 1.0, drive is not None, drive)
-                commands = self.motion.step(self.now, wish, Free())
+                inputs = MotionInputs(HERE, HERE, 1.0, drive is not None, drive)
+                commands = self.motion.step(self.now, inputs, Free())
             assert [one.motor for one in commands] == [*BODY.joints, "mast"]
             assert isinstance(commands[-1], msg.Idle)
             self.armed = not isinstance(commands[0], msg.Idle)

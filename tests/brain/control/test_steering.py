@@ -10,7 +10,7 @@ import pytest
 from brain.belief import Pose
 from brain.bodies.body import Base
 from brain.bodies.plane import Twist, arc
-from brain.control.motion import Motion, Wish
+from brain.control.motion import MotionControl, MotionInputs
 from brain.control.pursuit import PursuitSettings
 from gateway.config import load_robot
 from protocols import messages as msg
@@ -19,6 +19,7 @@ from tests.brain.control.ride import PERIOD, Free
 
 STEPS, FASTEST = 4, 8.0
 """Of the joints, between two commands; rad/s of one that steers"""
+HERE = Pose(0.0, 0.0, 0.0)
 SAMPLED = 3
 """Commands from one sample of the motion to the next"""
 
@@ -38,14 +39,14 @@ def test_a_base_moves_within_acceleration_and_jerk_while_its_wheels_steer(
     """By what its wheels do together, without slip; where they contradict each other by least squares."""
     body = load_robot(name).brain.body
     assert isinstance(body, Base)
-    motion, joints = Motion(PursuitSettings(), body, body.joints), dict.fromkeys(body.joints, 0.0)
+    motion, joints = MotionControl(PursuitSettings(), body, body.joints), dict.fromkeys(body.joints, 0.0)
     pose = Pose(0.0, 0.0, 0.0)
     track: list[tuple[float, float]] = [(0.0, 0.0)]
     for number in range(300):
         now = number * 20 * MILLISECOND
         motion.observe([msg.Feedback(motor, now, position=at) for motor, at in joints.items()])
-        wish = Wish(Pose(0.0, 0.0, 0.0), 1.0, True, first if number < 150 else then, inf)
-        commands = motion.step(now, wish, Free())
+        inputs = MotionInputs(HERE, HERE, 1.0, True, first if number < 150 else then, inf)
+        commands = motion.step(now, inputs, Free())
         for _ in range(STEPS):
             before, dt = list(joints.values()), PERIOD / STEPS
             for command in commands:
@@ -66,13 +67,13 @@ def test_a_base_begins_to_move_when_its_motors_are_armed() -> None:
     """What has grown meanwhile would be driven at once by the first motor that is armed."""
     body = load_robot("ackermann").brain.body
     assert isinstance(body, Base)
-    motion, last = Motion(PursuitSettings(), body, body.joints), body.joints[-1]
-    wish = Wish(Pose(0.0, 0.0, 0.0), 1.0, True, Twist(0.5), inf)
+    motion, last = MotionControl(PursuitSettings(), body, body.joints), body.joints[-1]
+    inputs = MotionInputs(HERE, HERE, 1.0, True, Twist(0.5), inf)
     for number in range(100):
         now = number * 20 * MILLISECOND
         mode = msg.Mode.ARMED if number >= 50 else msg.Mode.READY
         motion.observe([msg.State(joint, now, msg.Mode.ARMED) for joint in body.joints[:-1]])
         motion.observe([msg.State(last, now, mode)])
-        assert not any(isinstance(command, msg.Idle) for command in motion.step(now, wish, Free()))
+        assert not any(isinstance(command, msg.Idle) for command in motion.step(now, inputs, Free()))
         assert motion.twist.linear <= 0.01 or number >= 50
     assert motion.twist.linear == pytest.approx(0.5)

@@ -13,7 +13,7 @@ from brain.bodies.body import Base
 from brain.perception.filter import Filter
 from brain.perception.filter_inputs import WheelAngle
 from brain.perception.filter_settings import FilterSettings
-from brain.perception.track import Track
+from brain.perception.track import SourceTrack
 from protocols.messages import SECOND
 from tests.brain.bodies.test_wheeled_bodies import BODIES
 from tests.brain.perception.rolling import MS, Floor, consistency, roll
@@ -63,7 +63,7 @@ def test_resting_wheels_are_rest_whatever_the_steering_does(name: str) -> None:
 
 
 def test_a_track_knows_sideways_motion() -> None:
-    track = Track()
+    track = SourceTrack()
     for t in range(10):
         track.add(t * 10 * MS, (t + 1) * 10 * MS, 0.0, 0.0, 0.0, 0.0, 0.01)
     motion = track.between(0, 100 * MS)

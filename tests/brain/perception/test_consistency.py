@@ -5,13 +5,13 @@ from __future__ import annotations
 import pytest
 
 from brain.perception.consistency import RECOGNISED_SCANS, Agreement, Consistency
-from brain.perception.match import Seen
+from brain.perception.match import MatchShares
 from protocols.messages import MILLISECOND
 
 
 def agreement(number: int, fit: float, crossed: float) -> Agreement:
     """A scan that fits 0.3 m off the believed pose."""
-    seen = Seen(fit=fit, denied=1.0 - fit, known=0.8, crossed=crossed)
+    seen = MatchShares(fit=fit, denied=1.0 - fit, known=0.8, crossed=crossed)
     return Agreement(number * 100 * MILLISECOND, seen, matched=True, near=False, offset=0.3)
 
 

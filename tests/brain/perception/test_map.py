@@ -3,22 +3,26 @@ from __future__ import annotations
 import copy
 import math
 import tracemalloc
+from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from brain.belief import Pose
 from brain.perception.body_scan import BodyScan, to_body, to_world
-from brain.perception.lines import MAX_SCANS, PER_CELL, TURN, Lines
-from brain.perception.map import FRACTION, MAX_RAY_CELLS, TILE, UNIT, Map, MapSettings
+from brain.perception.lines import AREA, MAX_SCANS, PER_CELL, TILE, TURN, Lines
+from brain.perception.map import FRACTION, MAX_RAY_CELLS, Map, MapSettings
 from brain.perception.mount import Mount
+from brain.perception.tiles import UNIT
+from brain.region import MOST
 from protocols.messages import LaserScan
 from tests.brain.perception.office import MOUNTS, OFFICE, box, scan_at
 
 HERE = Pose(0.0, 0.0, 0.0)
 SURE = np.diag([1e-6, 1e-6, 1e-8])
-SMALL = MapSettings(width=10.0, height=8.0, farthest=8.0)
-EXACT = MapSettings(resolution=0.1, width=10.0, height=8.0, farthest=8.0, gap=0.0)
+SMALL = MapSettings(farthest=8.0)
+EXACT = MapSettings(resolution=0.1, farthest=8.0, gap=0.0)
 """Without the gaps between beams"""
 HIT, MISS, LOW, HIGH = (round(getattr(EXACT, name) / UNIT) for name in ("hit", "miss", "low", "high"))
 
@@ -37,14 +41,18 @@ def seen(chart: Map, pose: Pose = HERE, walls: np.ndarray = OFFICE, mount: Mount
 
 
 def value(chart: Map, x: float, y: float) -> int:
+    chart.recenter(x, y)
     columns, rows = chart.cells(np.array([[x, y]])).T
     return int(chart.values(columns, rows)[0])
 
 
-def everything(chart: Map) -> np.ndarray:
-    """All values within the extent."""
-    top, left, bottom, right = chart.extent()
-    return chart.values(np.arange(left, right), np.arange(top, bottom)[:, None])
+def everything(chart: Map, side: int = 8) -> np.ndarray:
+    """All values of the tiles up to so many from the origin."""
+    values = np.zeros((2 * side, TILE, 2 * side, TILE), np.int8)
+    for row, column in np.ndindex(2 * side, 2 * side):
+        tile = chart.tile(row - side, column - side)
+        values[row, :, column] = 0 if tile is None else tile
+    return values.reshape(2 * side * TILE, -1)
 
 
 # -- the slow oracle ---------------------------------------------------------------------------
@@ -115,9 +123,8 @@ def test_the_map_lasts_from_scan_to_scan() -> None:
 @pytest.mark.parametrize("pose", [HERE, Pose(1.0, 0.5, 2.5), Pose(5.5, 2.0, -1.0)])
 def test_a_scan_lands_where_the_walls_are(mount: Mount, pose: Pose) -> None:
     chart = seen(Map(SMALL), pose, OFFICE, mount)
-    top, left, *_ = chart.extent()
     rows, columns = np.nonzero(everything(chart) > 0)
-    x, y = (columns + left + 0.5) * chart.resolution, (rows + top + 0.5) * chart.resolution
+    x, y = ((k - 8 * TILE + 0.5) * chart.resolution for k in (columns, rows))
     dx = np.maximum(OFFICE[:, [0, 2]].min(1) - x[:, None], x[:, None] - OFFICE[:, [0, 2]].max(1))
     dy = np.maximum(OFFICE[:, [1, 3]].min(1) - y[:, None], y[:, None] - OFFICE[:, [1, 3]].max(1))
     away = np.hypot(np.maximum(dx, 0.0), np.maximum(dy, 0.0)).min(axis=1)
@@ -191,11 +198,11 @@ def test_a_cell_counts_once_per_scan_within_its_bounds() -> None:
 
 def test_a_known_cell_is_never_exactly_nought() -> None:
     """Hits and misses that cancel do not make a cell unknown again."""
-    chart = Map(MapSettings(resolution=0.1, width=10.0, height=8.0, hit=0.5, miss=0.5))
+    chart = Map(MapSettings(resolution=0.1, hit=0.5, miss=0.5))
     add(chart, beams(2.05))
     add(chart, beams(3.05))
     assert value(chart, 2.05, 0.0) < 0
-    chart = Map(MapSettings(resolution=0.1, width=10.0, height=8.0, hit=0.5, miss=0.5))
+    chart = Map(MapSettings(resolution=0.1, hit=0.5, miss=0.5))
     add(chart, beams(3.05))
     add(chart, beams(2.05))
     assert value(chart, 2.05, 0.0) < 0
@@ -230,7 +237,7 @@ def test_gaps_never_clear_and_wide_ones_or_those_behind_the_shorter_beam_stay_un
 
 
 def test_the_work_of_a_scan_is_bounded() -> None:
-    chart = Map(MapSettings(resolution=0.01, width=20.0, height=20.0))
+    chart = Map(MapSettings(resolution=0.01))
     scan = beams(*(7.5,) * 10_000, increment=2.0 * math.pi / 10_000)
     start, stops = np.zeros(2), scan.ends / 0.01
     assert 0.9 * MAX_RAY_CELLS < len(chart._rays(start, stops)) < 1.1 * MAX_RAY_CELLS
@@ -239,46 +246,75 @@ def test_the_work_of_a_scan_is_bounded() -> None:
     assert (chart.values(columns, rows) > 0).all()  # every hit counts
 
 
-# -- extent ------------------------------------------------------------------------------------
+# -- tiles -------------------------------------------------------------------------------------
+
+CORRIDOR = np.array(box(-1.0, -1.0, 150.0, 1.0) + [(x, 1.0, x, 0.6) for x in range(0, 150, 3)])
+"""150 m"""
 
 
-def test_the_map_rolls_with_the_robot() -> None:
-    """Along a corridor of 100 m: about the robot the map equals that of one that never rolled."""
-    corridor = np.array(box(-1.0, -1.0, 100.0, 1.0) + [(x, 1.0, x, 0.6) for x in range(0, 100, 3)])
-    small, large = Map(MapSettings(width=20.0, height=20.0, farthest=8.0)), Map(MapSettings(width=200.0))
-    for x in np.arange(0.0, 90.0, 0.5):
-        scan = to_body(scan_at(corridor, Pose(float(x), 0.0, 0.0), Mount(), 0, farthest=8.0), Mount())
-        for chart in (small, large):
-            add(chart, scan, Pose(float(x), 0.0, 0.0))
-    top, left, bottom, right = small.extent()
-    assert left * 0.05 < 90.0 - 8.0 < 90.0 + 8.0 < right * 0.05
-    columns, rows = np.arange(left, right), np.arange(top, bottom)[:, None]
-    last = columns > (90.0 - 8.0) / 0.05
-    assert (small.values(columns, rows) == large.values(columns, rows))[:, last].all()
-    assert value(large, 1.0, 1.0) > 0
-    assert value(small, 1.0, 1.0) == 0
-    assert small.tile(0, 0) is None
-    kept = small.view()
-    assert kept.origin_x >= left * 0.05 - 1e-6
-    assert kept.log_odds.shape[1] * 0.05 <= (right - left) * 0.05
-    for x in (0.0, 500.0, -3e5):
-        small.recenter(x, x)
-        assert not np.count_nonzero(everything(small)), x
-        top, left, bottom, right = small.extent()
-        assert left < x / 0.05 < right
-        seen(small, Pose(x + 1.0, x, 0.0), corridor + x)
-        assert value(small, x + 1.0, x + 1.02) > 0, x
+def driven(chart: Map, *ends: float) -> Map:
+    """Along the corridor, from one of the places to the next."""
+    for start, end in pairwise(ends):
+        for x in np.arange(start, end, math.copysign(0.5, end - start)).tolist():
+            pose = Pose(x + 0.0137, 0.0113, 0.01)
+            add(chart, to_body(scan_at(CORRIDOR, pose, Mount(), 0, farthest=8.0), Mount(), 7.9), pose)
+    return chart
+
+
+def test_nothing_is_forgotten_on_a_long_way_and_back() -> None:
+    """After 180 m the map is that of one whose window holds all of the corridor."""
+    small, whole = (driven(Map(MapSettings(farthest=far)), 0.0, 90.0, 0.0) for far in (8.0, 95.0))
+    assert small.settings.across * TILE * small.resolution < 30.0
+    assert whole.settings.across * TILE * whole.resolution > 200.0
+    assert small.forgotten == 0
+    assert (everything(small, 32) == everything(whole, 32)).all()
+    for x in (1.02, 88.02):
+        cells = np.meshgrid(np.arange(20) + round(x / 0.05), np.arange(-25, 25))
+        for chart in (small, whole):
+            chart.recenter(x, 1.0)
+        assert np.count_nonzero(small.lines_at(*cells)["scans"]) > 10
+        assert (small.lines_at(*cells) == whole.lines_at(*cells)).all()
+
+
+def test_of_too_many_tiles_the_farthest_is_forgotten() -> None:
+    few, whole = (driven(Map(replace(SMALL, tiles=count)), 0.0, 140.0) for count in (64, 4096))
+    gone = {*whole.known()} - {*few.known()}
+    assert len(few.known()) == 64
+    assert len(gone) == few.forgotten > 20
+    assert max(column for _, column in gone) <= min(column for _, column in few.known())
+    assert {at for at in few.changed(0) if few.tile(*at) is None} == gone
+    assert {*few.view().tiles} == {*few.known()}
+    assert value(few, 1.0, 1.02) == drawn(few, 1.5, 1.02)[3] == 0
+    assert value(few, 139.0, 1.02) == value(whole, 139.0, 1.02) > 0
+    driven(few, 5.0, 0.0)  # seen again
+    assert value(few, 1.0, 1.02) > 0
+    assert drawn(few, 1.5, 1.02)[3] > 0
+    assert value(few, 139.0, 1.02) == 0
+
+
+@pytest.mark.parametrize("far", [500.0, -3e5, 8e5])
+def test_the_plane_has_no_border(far: float) -> None:
+    chart, walls = Map(SMALL), np.array(box(-2.0, -2.0, 3.0, 2.0))
+    seen(chart, HERE, walls)
+    before = everything(chart)
+    seen(chart, Pose(far, far, 0.0), walls + far)
+    assert value(chart, far + 3.02, far) > 0
+    assert value(chart, far + 2.0, far) < 0
+    assert (everything(chart) == before).all()
+    view = chart.view()
+    assert view.log_odds.size <= MOST * AREA
+    assert (view.log_odds > 0).any()
 
 
 def test_changed_tells_the_tiles_whose_classes_changed() -> None:
     random = np.random.Generator(np.random.PCG64(3))
     chart = Map(SMALL)
     for _ in range(30):
-        before, version, (top, left, *_) = np.sign(everything(chart)), chart.version, chart.extent()
+        before, version = np.sign(everything(chart)), chart.version
         x, y, yaw = (float(n) for n in random.uniform([-1.0, -1.2, -3.0], [2.5, 2.0, 3.0]))
         seen(chart, Pose(x, y, yaw))
         rows, columns = np.nonzero(np.sign(everything(chart)) != before)
-        tiles = {((r + top) // TILE, (c + left) // TILE) for r, c in zip(rows, columns, strict=True)}
+        tiles = {(r // TILE - 8, c // TILE - 8) for r, c in zip(rows.tolist(), columns.tolist(), strict=True)}
         assert set(chart.changed(version)) >= tiles
         assert len(chart.changed(version)) <= len(tiles) + 2  # cells that changed, and back in the same scan
     assert chart.changed(chart.version) == []
@@ -298,8 +334,8 @@ def test_tiles_and_view_show_the_same_values() -> None:
         assert tile is not None
         inner = np.arange(TILE)
         assert (tile == chart.values(column * TILE + inner, (row * TILE + inner)[:, None])).all()
-        with pytest.raises(ValueError, match="read-only"):
-            tile[0, 0] = 1
+        tile[0, 0] = 1 - tile[0, 0]  # it is a copy
+        assert np.count_nonzero(chart.tile(row, column) != tile) == 1
     for x in (-0.5, -0.4, 0.3):
         seen(chart, Pose(x, 0.5, 0.3))
         later = chart.view()
@@ -320,31 +356,29 @@ def test_a_copy_continues_as_the_original() -> None:
         for x in (0.0, 0.5, 9.0):
             seen(chart, Pose(x, 0.0, x))
     assert (everything(one) == everything(two)).all()
-    places = np.meshgrid(np.arange(-40, 200), np.arange(-40, 110))
-    assert (one.lines.at(*places) == two.lines.at(*places)).all()
+    cells = np.meshgrid(np.arange(-40, 200), np.arange(-40, 110))
+    assert (one.lines_at(*cells) == two.lines_at(*cells)).all()
 
 
 def test_memory_is_bounded() -> None:
-    """200 m × 200 m, every cell observed and lines wherever they may be."""
+    """As many tiles as there may be, every cell observed and lines wherever they may be."""
     tracemalloc.start()
-    chart = Map(MapSettings(width=200.0, height=200.0))
-    first, _, last, _ = chart.extent()
-    columns, rows = (n.ravel() for n in np.meshgrid(*[np.arange(first, last, 16)] * 2))
-    normals = np.tile(np.eye(1, 2), (len(rows), 1))
-    points = np.column_stack([columns, rows]).astype(np.float64) + 0.5
-    for some in np.array_split(np.arange(len(rows)), 16):
-        chart.lines.draw(columns[some], rows[some], points[some], normals[some], HERE, SURE)
-    chart._values[:], chart._stamps[:], chart._touched[:] = -5, 1, 1
-    assert len(chart.view().tiles) == 64 * 64
+    chart = Map(MapSettings(farthest=95.0))
+    side = chart.settings.across * TILE
+    places = AREA + np.arange(side * side // 256) * 256
+    tiles = np.arange(chart.settings.across**2)
+    chart._placed(tiles, np.zeros_like(tiles))
+    normals = np.tile(np.eye(1, 2), (len(places), 1))
+    blocks = (places & -AREA) + (places >> 8 & 15) // 4 * 16 * TILE + (places >> 8 & 3) * 16
+    for some in np.array_split(blocks, 16):
+        chart.lines.draw(some, np.zeros((len(some), 2)), normals[: len(some)], HERE, SURE)
+    chart._values[AREA:] = -5
+    chart._stamps[1:] = chart._touched[1:] = chart.version = 1
+    assert len(chart.view().tiles) == len(chart.known()) == 4096
     held, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert 20e6 < held < 100e6
-    assert np.count_nonzero(chart.lines.at(columns, rows)["scans"]) == len(rows) * 3 // 8 - 1
-
-
-def test_a_map_that_is_too_large_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"width × height: 500 m × 60 m at 0\.05 m need \d+ cells"):
-        MapSettings(width=500.0)
+    assert np.count_nonzero(chart.lines.at(blocks)["scans"]) == len(blocks) * 3 // 8 - 1
 
 
 # -- lines -------------------------------------------------------------------------------------
@@ -353,7 +387,8 @@ def test_a_map_that_is_too_large_is_refused() -> None:
 def drawn(chart: Map, x: float, y: float) -> tuple[float, float, float, int]:
     """x and y of the point of a cell's line nearest to its centre, direction of its normal, scans."""
     columns, rows = chart.cells(np.array([[x, y]])).T
-    found = chart.lines.at(columns, rows)[0]
+    chart.recenter(x, y)
+    found = chart.lines_at(columns, rows)[0]
     angle, offset = found["angle"] * TURN, found["offset"] / PER_CELL
     middle = (
         np.array([columns[0], rows[0]]) + 0.5 + offset * np.array([np.cos(angle), np.sin(angle)])
@@ -390,14 +425,13 @@ def test_a_line_keeps_the_side_it_was_seen_from_and_goes_with_its_cell() -> None
 
 
 def test_anchors_are_where_new_lines_were_drawn() -> None:
-    lines = Lines(1024, 1024)
-    cells = np.arange(10)
+    lines = Lines(4)
+    lines.extend(2 * AREA)
 
     def draw(row: int, x: float, sigma: float) -> int:
-        rows = np.full(10, row)
-        points = np.column_stack([cells, rows]) + 0.5
-        lines.draw(cells, rows, points, np.tile([0.0, 1.0], (10, 1)), Pose(x, 0.0, 0.0), np.eye(3) * sigma**2)
-        return int(lines.at(cells, rows)["anchor"][0])
+        places, normals = AREA + row * TILE + np.arange(10), np.tile([0.0, 1.0], (10, 1))
+        lines.draw(places, np.zeros((10, 2)), normals, Pose(x, 0.0, 0.0), np.eye(3) * sigma**2)
+        return int(lines.at(places)["anchor"][0])
 
     assert [draw(row, x, 0.1) for row, x in enumerate((0.0, 0.2, 0.4, 0.5, 0.8))] == [0, 0, 1, 1, 2]
     assert draw(0, 5.0, 0.3) == 0  # an old line keeps its own

@@ -16,7 +16,7 @@ from brain.bodies.plane import wrap
 from brain.perception.body_scan import to_body
 from brain.perception.motion_check import MotionCheck
 from brain.perception.mount import Mount
-from brain.perception.track import GAP, Track
+from brain.perception.track import GAP, SourceTrack
 from protocols.messages import MILLISECOND, Feedback, Imu, LaserScan, Velocity, seconds
 from tests.brain.bodies.kinematics import speeds
 from tests.brain.perception.rolling import shown
@@ -130,6 +130,7 @@ ORDINARY = {
 }
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("kind", ["radii", "few beams", "no gyro"])
 def test_ordinary_driving_is_no_lie(kind: str) -> None:
     """All kinds, with 100 seeds each: `./go prove -k ordinary`."""
@@ -201,7 +202,7 @@ def test_one_scan_stamped_late_or_a_burst_of_them_confirms_nothing() -> None:
 
 def test_after_a_gap_a_track_begins_anew() -> None:
     """What comes then may be stamped late."""
-    track = Track()
+    track = SourceTrack()
     track.add(0, GAP, 1.0, 0.2, 0.1, 0.0)
     motion = track.between(0, GAP)
     assert motion is not None

@@ -1,7 +1,8 @@
 import copy
 import math
+from collections import deque
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from brain.belief import Pose
 from brain.perception.consistency import Trust
 from brain.perception.fixes import FixSettings
+from brain.perception.map import MapSettings
 from brain.perception.mount import Mount
 from brain.perception.perception import Perception, PerceptionSettings
 from protocols.messages import (
@@ -36,6 +38,7 @@ from tests.brain.perception.office import (
     classes,
     clearance,
     drive,
+    ranges,
     scan_at,
 )
 
@@ -121,6 +124,44 @@ def test_the_map_shows_the_office(driven: Drive) -> None:
     for x, y in [(0.0, 0.0), (4.0, 1.8), (8.3, 0.5), (3.0, 4.0)]:
         assert grid.values(*grid.cells(np.array([[x, y]])).T) < 0, (x, y)
     assert grid.values(*grid.cells(np.array([[6.4, 0.7]])).T) == 0  # inside a box
+
+
+@dataclass
+class Sweeping(Rover):
+    """One whose lidar takes 100 ms for a turn; `way` −1: clockwise, so that its first beam is the newest."""
+
+    way: int = 1
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.lidar_noise, self.scan_delay = 0.0, 0
+        self.places: deque[Pose] = deque([self.truth] * 20, maxlen=20)
+        """Where it was in the last turn, at each step"""
+
+    def sense(self) -> list[Event]:
+        self.places.append(self.truth)
+        return [self._swept(e) if isinstance(e, LaserScan) else e for e in super().sense()]
+
+    def _swept(self, scan: LaserScan) -> LaserScan:
+        first = scan.angle_min + MOUNTS["lidar"].yaw
+        angles = np.asarray(first + scan.angle_increment * np.arange(360), dtype=np.float64)
+        read = np.empty(360)
+        for at, part in enumerate(np.array_split(np.arange(360), 20)):
+            place = self.places[at if self.way > 0 else 19 - at]
+            x, y = place.x + 0.08 * math.cos(place.yaw), place.y + 0.08 * math.sin(place.yaw)
+            read[part] = ranges(self.walls, x, y, place.yaw + angles[part], 10.0)
+        read += 0.01 * self.random.normal(size=360) * (read < 10.0)
+        begin = self.now - 95 * MS if self.way > 0 else self.now
+        return replace(scan, t=begin, ranges=tuple(read.tolist()), duration=self.way * 95 * MS)
+
+
+@pytest.mark.sample(1)
+@pytest.mark.parametrize("way", [1, -1])
+def test_a_lidar_may_turn_either_way(way: int) -> None:
+    """As well as one that sees all at once, since each beam counts at its own time."""
+    there = drive(Sweeping(1, way=way), TOUR[:6])
+    assert there.worst < 0.02
+    assert there.perception.rejected["lidar"] < 5
 
 
 def test_without_a_lidar_the_gyro_still_beats_the_wheels() -> None:
@@ -373,6 +414,19 @@ def test_a_robot_carried_elsewhere_is_lost_draws_nothing_and_is_found() -> None:
     assert belief.verdict.trust is Trust.CONSISTENT
     assert belief.anomalies[""] == {"relocalised": 1}
     assert apart(belief, rover.truth) < 0.03
+
+
+def test_a_full_map_forgets_what_is_farthest_and_says_so() -> None:
+    walls = np.array(box(-2.0, -2.0, 28.0, 2.0) + [(x, 2.0, x, 1.2) for x in range(0, 28, 2)])
+    few = replace(SETTINGS, map=MapSettings(resolution=0.02, farthest=2.5, tiles=64))
+    moved = drive(Rover(3, walls), [(24.0, 0.0)], few)
+    perception = moved.perception
+    assert moved.apart < 0.1
+    assert len(perception.map.known()) == 64
+    assert perception.map.tile(0, 0) is None
+    assert perception.anomalies[""]["the map is full"] > 3
+    assert perception.take_notes() == ["the map is full, at 64 tiles: what is farthest is forgotten"]
+    assert perception.take_notes() == []
 
 
 def test_pushed_aside_in_a_corridor_it_knows_no_less_of_its_length_than_before() -> None:

@@ -18,12 +18,12 @@ from brain.perception.match import MatchSettings
 from brain.perception.mount import Mount
 from brain.perception.relocalise import (
     Ambiguous,
-    Found,
-    NotFound,
+    NoPoseFits,
+    PoseFound,
+    PoseSearch,
+    PoseSearching,
     RelocaliseSettings,
     Result,
-    Search,
-    Searching,
     agreement,
 )
 from tests.brain.helpers import ROOMS, Box
@@ -80,9 +80,9 @@ def seen(where: Floats, pose: Pose, random: Random, noise: float = 0.02, beams: 
     return to_body(replace(scan, ranges=tuple(read.tolist())), LIDAR, FARTHEST)
 
 
-def drawn(where: Floats, at: Sequence[Pose], random: Random, size: float = 20.0) -> Map:
+def drawn(where: Floats, at: Sequence[Pose], random: Random) -> Map:
     """The map as drawn by a robot that stood at these poses."""
-    drawing = Map(MapSettings(width=size, height=size, farthest=FARTHEST))
+    drawing = Map(MapSettings(farthest=FARTHEST))
     for pose in at:
         for _ in range(4):
             drawing.add(pose, seen(where, pose, random, 0.01), SURE)
@@ -106,15 +106,15 @@ def changed(where: Floats, pose: Pose, random: Random, share: float) -> Floats:
     return where
 
 
-def search(drawing: Map, scan: BodyScan) -> Search:
-    return Search(drawing, scan, RelocaliseSettings(), MatchSettings())
+def search(drawing: Map, scan: BodyScan) -> PoseSearch:
+    return PoseSearch(drawing, scan, RelocaliseSettings(), MatchSettings())
 
 
-def finish(searching: Search, operations: int = RelocaliseSettings().operations) -> tuple[Result, int]:
+def finish(searching: PoseSearch, operations: int = RelocaliseSettings().operations) -> tuple[Result, int]:
     """Advance to the end; return the result and the number of steps."""
     for step in range(1, 100_000):
         result = searching.advance(operations)
-        if not isinstance(result, Searching):
+        if not isinstance(result, PoseSearching):
             return result, step
     raise AssertionError("the search does not end")
 
@@ -125,7 +125,7 @@ def error(pose: Pose, truth: Pose) -> Floats:
 
 def verdict(result: Result, truth: Pose) -> str:
     """ "right" is within 0.05 m, 1°, and what the covariance allows to one in a thousand."""
-    if not isinstance(result, Found):
+    if not isinstance(result, PoseFound):
         return type(result).__name__
     off = error(result.pose, truth)
     apart, turn = math.hypot(*off[:2]), math.degrees(abs(off[2]))
@@ -138,6 +138,7 @@ def verdict(result: Result, truth: Pose) -> str:
 OFFICES = {"office": OFFICE, "rooms": walls(*ROOMS), "random": room(generator(3), 8.0, 6.0)}
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize(
     ("name", "noise", "beams", "new"),
     [
@@ -169,18 +170,37 @@ def test_a_place_that_is_not_in_the_map_is_not_found() -> None:
     for number in range(12):
         other = room(generator(100 + number), *(float(n) for n in random.uniform(5.0, 12.0, 2)))
         result, _ = finish(search(drawing, seen(other, poses(other, random, 3)[-1], random)))
-        assert not isinstance(result, Found), number
+        assert not isinstance(result, PoseFound), number
 
 
 TWINS = walls((0.0, 0.0, 8.0, 4.0), (3.95, 0.0, 4.05, 1.5), (3.95, 2.5, 4.05, 4.0))
 CORRIDOR = walls((0.0, 0.0, 40.0, 2.0))
 
 
+def test_of_places_far_apart_the_one_looked_at_last_is_searched() -> None:
+    """Two houses that are alike, kilometres apart."""
+    random = generator(3)
+    house = room(random, 7.0, 5.0)
+    at = poses(house, random, 12)
+
+    def shifted(pose: Pose, by: float) -> Pose:
+        return replace(pose, x=pose.x + by, y=pose.y + by)
+
+    drawing = drawn(house, at, random)
+    for far in (3000.0, 0.0):
+        for pose in at:
+            drawing.add(shifted(pose, far), seen(house, pose, random, 0.01), SURE)
+        looking = search(drawing, seen(house, at[0], random))
+        result, _ = finish(looking)
+        assert looking._cells.size < 4096 * 4096
+        assert verdict(result, shifted(at[0], far)) == "right", result
+
+
 @pytest.mark.parametrize("where", [TWINS, CORRIDOR, walls((0.0, 0.0, 4.0, 4.0))])
 def test_what_looks_alike_is_ambiguous(where: Floats) -> None:
     """Two rooms that are alike, a corridor whose ends are out of sight, a square."""
     random = generator(6)
-    drawing = drawn(where, poses(where, random, 40), random, 90.0)
+    drawing = drawn(where, poses(where, random, 40), random)
     pose = Pose(float(where[:, 0].max()) * 0.55, 1.1, 0.4)
     result, _ = finish(search(drawing, seen(where, pose, random)))
     assert isinstance(result, Ambiguous), result
@@ -189,7 +209,7 @@ def test_what_looks_alike_is_ambiguous(where: Floats) -> None:
 
 def test_the_end_of_a_corridor_settles_its_length_but_not_which_end() -> None:
     random = generator(7)
-    drawing = drawn(CORRIDOR, [Pose(x + 0.5, 1.0, 0.0) for x in range(40)], random, 90.0)
+    drawing = drawn(CORRIDOR, [Pose(x + 0.5, 1.0, 0.0) for x in range(40)], random)
     pose = Pose(3.0, 1.1, 0.4)
     result, _ = finish(search(drawing, seen(CORRIDOR, pose, random)))
     assert isinstance(result, Ambiguous)
@@ -205,7 +225,7 @@ def test_the_result_depends_neither_on_the_slices_nor_on_copies() -> None:
     whole, steps = finish(copy.deepcopy(started), 10**9)
     assert steps == 1
     parts = 0
-    while isinstance(started.advance(1), Searching):
+    while isinstance(started.advance(1), PoseSearching):
         parts += 1
         if parts % 150 == 0:
             started = copy.deepcopy(started)
@@ -217,9 +237,9 @@ def test_with_few_hits_or_without_a_map_nothing_is_found() -> None:
     random, where = generator(9), OFFICES["rooms"]
     drawing = drawn(where, poses(where, random, 3), random)
     nothing = seen(where + 100.0, Pose(0.0, 0.0, 0.0), random)
-    assert isinstance(finish(search(drawing, nothing))[0], NotFound)
+    assert isinstance(finish(search(drawing, nothing))[0], NoPoseFits)
     empty = Map(MapSettings())
-    assert isinstance(finish(search(empty, seen(where, Pose(0.0, 0.0, 0.0), random)))[0], NotFound)
+    assert isinstance(finish(search(empty, seen(where, Pose(0.0, 0.0, 0.0), random)))[0], NoPoseFits)
 
 
 def test_a_screen_shortens_beams_and_a_wrong_pose_sends_them_through_walls() -> None:

@@ -84,7 +84,7 @@ def test_lost_reports_lose_no_motion(seed: int) -> None:
             if random.random() < 0.5 or t % (10 * SECOND) == 0:
                 belief.observe([WheelAngle(motor, t, angle)])
     expected = [b - a for a, b in zip(angles(0), angles(10 * SECOND), strict=True)]
-    assert belief.state.way[0] == pytest.approx(0.025 * sum(expected), abs=1e-9)
+    assert belief.state.travelled[0] == pytest.approx(0.025 * sum(expected), abs=1e-9)
     assert belief.state.x[2] == pytest.approx(0.05 / 0.22 * (expected[1] - expected[0]), abs=1e-9)
 
 

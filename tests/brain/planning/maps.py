@@ -10,11 +10,12 @@ import numpy.typing as npt
 
 from brain.belief import Pose
 from brain.planning.astar import Searching
-from brain.planning.costmap import TILE, Costmap, Mask, PlannerSettings, Tile
+from brain.planning.costmap import TILE, Costmap, Mask, PlannerSettings
 from brain.planning.footprint import Footprint, Shape
 from brain.planning.planner import PathQuery, PlanResult
 from brain.planning.polyline import Point
 from brain.planning.snapshot import Snapshot
+from brain.region import Region, Tile
 
 RADIUS = 0.25
 EVERYTHING = 10**9
@@ -32,15 +33,12 @@ class PlainMap:
         resolution: float = 0.1,
     ) -> None:
         self.version, self.resolution, self.low = 1, resolution, low
-        self.window: tuple[int, int, int, int] | None = None
-        """The extent, in whole tiles, if it is not the picture's: what is outside of it is forgotten."""
+        self.window: Region | None = None
+        """The tiles that are kept, if not all: what is outside of it is forgotten."""
         self.occupied = occupied
         self.unknown = np.zeros_like(occupied) if unknown is None else unknown
         self._tiles: dict[Tile, npt.NDArray[np.int8]] = {}
         self._changed: dict[Tile, int] = {}
-
-    def extent(self) -> tuple[int, int, int, int]:
-        return self.window or self._picture()
 
     def _picture(self) -> tuple[int, int, int, int]:
         rows, columns = self.occupied.shape
@@ -64,10 +62,8 @@ class PlainMap:
             (down + r, west + c): blocks[r, c] for r, c in np.ndindex(rows, columns) if blocks[r, c].any()
         }
         for row, column in list(tiles):
-            b, w, t, e = self.extent()
-            if not (b <= row * TILE < t and w <= column * TILE < e) and self.window:
+            if self.window and not (row in self.window[0] and column in self.window[1]):
                 del tiles[row, column]
-                self._tiles.pop((row, column), None)
         for key in tiles.keys() | self._tiles.keys():
             if not np.array_equal(tiles.get(key, 0), self._tiles.get(key, 0)):
                 self._changed[key] = self.version
@@ -127,7 +123,7 @@ def query(
 ) -> tuple[PathQuery, Costmap]:
     costmap = Costmap(grid.resolution, radius, settings or PlannerSettings())
     costmap.update(grid, start, 0)
-    region = Snapshot(costmap, grid, start, goal, unreachable)
+    region = Snapshot(costmap, start, goal, unreachable)
     return PathQuery(region, start, goal, costmap.settings), costmap
 
 
@@ -174,7 +170,7 @@ def ask(
     grid, here = PlainMap(occupied, unknown, (0, 0), 0.05), (start.x, start.y)
     costmap = Costmap(0.05, shape.inner, settings or PlannerSettings(), shape.outer)
     costmap.update(grid, here, 0)
-    region = Snapshot(costmap, grid, here, goal[:2], ())
+    region = Snapshot(costmap, here, goal[:2], ())
     asked = PathQuery(
         region,
         here,
@@ -222,6 +218,6 @@ def ground(
     settings = PlannerSettings(margin=0.0, comfort=comfort, dislike=dislike, unknown_is_free=free)
     grid = PlainMap(occupied, unknown, (0, 0))
     costmap = drawn(grid, 0.0, settings)
-    found = Snapshot(costmap, grid, (0.05, 0.05), (0.05, 0.05), ())
+    found = Snapshot(costmap, (0.05, 0.05), (0.05, 0.05), ())
     assert found.assemble(costmap, grid, EVERYTHING) > 0
     return found

@@ -7,7 +7,16 @@ from math import inf, sqrt
 import numpy as np
 import pytest
 
-from brain.planning.astar import BATCH, BATCH_WORK, BEYOND, CellPath, Outcome, Search, Searching, Unreachable
+from brain.planning.astar import (
+    BATCH,
+    BATCH_WORK,
+    BEYOND,
+    CellPath,
+    CellSearch,
+    Outcome,
+    Searching,
+    Unreachable,
+)
 from brain.planning.costmap import FREE, UNKNOWN, Mask, PlannerSettings
 from brain.planning.polyline import Point
 from brain.planning.snapshot import Snapshot
@@ -26,7 +35,7 @@ def at(there: Snapshot, row: int, column: int) -> int:
     return (row + 2) * there.stride + column + 2
 
 
-def run(search: Search, slice_: int = 500) -> Outcome:
+def run(search: CellSearch, slice_: int = 500) -> Outcome:
     for _ in range(100_000):
         outcome = search.advance(slice_)
         if not isinstance(outcome, Searching):
@@ -49,7 +58,7 @@ def test_cost_is_the_eight_connected_optimum(seed: int, dislike: float) -> None:
     free = [cell for cell, level in enumerate(there.level) if FREE <= level < UNKNOWN]
     start, goal = (int(c) for c in rng.choice(free, 2, replace=False))
     optimum = dijkstra(there, start, goal)
-    outcome = run(Search(there, start, goal))
+    outcome = run(CellSearch(there, start, goal))
     if optimum == inf:
         assert outcome == Unreachable()
     else:
@@ -62,7 +71,7 @@ def test_an_empty_map_costs_the_octile_distance() -> None:
     start, goal = there.index(0.05, 0.05), there.index(2.05, 0.75)
     assert start is not None
     assert goal is not None
-    outcome = run(Search(there, start, goal))
+    outcome = run(CellSearch(there, start, goal))
     assert isinstance(outcome, CellPath)
     assert outcome.cost == pytest.approx(0.1 * (13 + 7 * sqrt(2.0)), abs=1e-12)
     assert (outcome.cells[0], outcome.cells[-1]) == (start, goal)
@@ -75,7 +84,7 @@ def test_a_diagonal_gap_between_two_corners_is_closed() -> None:
         "#..",
     )
     there = ground(blocked, unknown)
-    assert run(Search(there, at(there, 2, 0), at(there, 0, 2))) == Unreachable()
+    assert run(CellSearch(there, at(there, 2, 0), at(there, 0, 2))) == Unreachable()
 
 
 def test_unknown_is_never_planned_through_unless_allowed() -> None:
@@ -85,11 +94,11 @@ def test_unknown_is_never_planned_through_unless_allowed() -> None:
     )
     there = ground(blocked, unknown)
     start, goal = at(there, 0, 0), at(there, 0, 4)
-    assert run(Search(there, start, goal)) == Unreachable()
-    assumed = run(Search(there, start, goal, through_unknown=1.2))
+    assert run(CellSearch(there, start, goal)) == Unreachable()
+    assumed = run(CellSearch(there, start, goal, through_unknown=1.2))
     assert isinstance(assumed, CellPath)
     assert assumed.cost == pytest.approx(0.1 * (3 + 1.2))
-    assert isinstance(run(Search(ground(blocked, unknown, free=True), start, goal)), CellPath)
+    assert isinstance(run(CellSearch(ground(blocked, unknown, free=True), start, goal)), CellPath)
 
 
 def test_failure_is_typed_and_never_a_partial_path() -> None:
@@ -99,17 +108,17 @@ def test_failure_is_typed_and_never_a_partial_path() -> None:
         ".#.",
     )
     there = ground(blocked, unknown)
-    search = Search(there, at(there, 0, 0), at(there, 0, 2))
+    search = CellSearch(there, at(there, 0, 0), at(there, 0, 2))
     assert run(search) == Unreachable()
     assert search.advance(10) == Unreachable()
-    blocked_goal = Search(there, at(there, 0, 0), at(there, 0, 1))
+    blocked_goal = CellSearch(there, at(there, 0, 0), at(there, 0, 1))
     assert blocked_goal.advance(1) == Unreachable()
 
 
 def test_start_is_the_goal() -> None:
     there = ground(np.zeros((4, 4), bool))
     cell = at(there, 1, 2)
-    assert run(Search(there, cell, cell)) == CellPath((cell,), 0.0)
+    assert run(CellSearch(there, cell, cell)) == CellPath((cell,), 0.0)
 
 
 def test_each_call_is_bounded_by_expansions_and_slicing_changes_nothing() -> None:
@@ -117,12 +126,12 @@ def test_each_call_is_bounded_by_expansions_and_slicing_changes_nothing() -> Non
     there = ground(random_map(rng, 60, 0.2), comfort=0.3, dislike=2.0)
     free = [cell for cell, level in enumerate(there.level) if FREE <= level < UNKNOWN]
     start, goal = free[0], free[-1]
-    search, total = Search(there, start, goal), 0
+    search, total = CellSearch(there, start, goal), 0
     while isinstance(outcome := search.advance(7), Searching):
         assert outcome.work - total <= 7 + BATCH + BATCH_WORK
         total = outcome.work
     assert total > 10 * BATCH_WORK
-    assert run(Search(there, start, goal), 10**9) == outcome == run(Search(there, start, goal), 1)
+    assert run(CellSearch(there, start, goal), 10**9) == outcome == run(CellSearch(there, start, goal), 1)
 
 
 @pytest.mark.parametrize("goal", [(9.0, 2.0), (-3.0, 7.5), (2.0, -1.0), (1.0, 30.0), (-4.0, -6.0)])
@@ -132,14 +141,14 @@ def test_a_goal_beyond_costs_as_much_as_if_the_unknown_ground_belonged_to_the_sn
     grid = PlainMap(random_map(rng, 60, 0.25), low=(0, 0))
     costmap, start, costs = drawn(grid, 0.0, PlannerSettings(margin=0.0)), (3.05, 3.05), []
     for here in (start, goal):
-        region = Snapshot(costmap, grid, here, goal, ())
+        region = Snapshot(costmap, here, goal, ())
         assert region.assemble(costmap, grid, 10**6) > 0
         first, last = region.index(*start), region.index(*goal)
         assert first is not None
         if last is not None:
             costs.append(dijkstra(region, first, last, 1.2))
             continue
-        found = run(Search(region, first, BEYOND, beyond=region.goal, through_unknown=1.2))
+        found = run(CellSearch(region, first, BEYOND, beyond=region.goal, through_unknown=1.2))
         assert isinstance(found, CellPath)
         costs.append(found.cost)
     assert len(costs) == 2

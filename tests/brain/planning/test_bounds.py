@@ -10,18 +10,24 @@ from types import CodeType, FrameType
 import numpy as np
 import pytest
 
-from brain.planning.astar import BATCH, BATCH_WORK, Search
+from brain.planning.astar import BATCH, BATCH_WORK, CellSearch
 from brain.planning.costmap import TILE_WORK, Costmap, PlannerSettings
-from brain.planning.navigator import CHECKED_PER_STEP, TILES_PER_STEP, Navigator
+from brain.planning.navigator import Navigator
+from brain.planning.path_watch import CHECKED_PER_STEP
 from brain.planning.planner import NoPath
 from brain.planning.polyline import Point
 from brain.planning.shortening import SHORTCUT_CORNERS, Shortening
 from brain.planning.snapshot import LINE_WORK, MAX_LINES, crossing
+from brain.planning.terrain import TILES_PER_STEP
 from protocols.messages import MILLISECOND, Goal
 from tests.brain.helpers import BODY
 from tests.brain.planning.maps import PlainMap, ground, query, two_rooms
 
-WORK = {Costmap.draw.__code__: TILE_WORK, Search._expand.__code__: BATCH_WORK, crossing.__code__: LINE_WORK}
+WORK = {
+    Costmap.draw.__code__: TILE_WORK,
+    CellSearch._expand.__code__: BATCH_WORK,
+    crossing.__code__: LINE_WORK,
+}
 
 
 def calls(action: Callable[[], object]) -> Counter[CodeType]:
@@ -50,7 +56,7 @@ def test_no_step_does_more_than_its_work_however_large_the_map(side: int) -> Non
     navigator = Navigator(BODY, settings)
     grid, here, now, most, phases = PlainMap(occupied, low=(0, 0)), (0.5, 0.5), 0, 0, set()
     navigator.accept(now, Goal(side / 10 - 0.5, side / 10 - 0.5))
-    while navigator._checked == 0.0 or navigator._checked < navigator._line.length:
+    while navigator._watch.checked == 0.0 or navigator._watch.checked < navigator._watch.line.length:
         now += 5 * MILLISECOND
         count = calls(lambda: navigator.step(now, here, grid))  # noqa: B023 -- called at once
         most = max(most, sum(WORK[code] * count[code] for code in WORK))
@@ -88,7 +94,7 @@ def test_a_step_without_news_costs_nothing() -> None:
     navigator, grid = Navigator(BODY, PlannerSettings()), PlainMap(two_rooms())
     for _ in range(20):
         navigator.step(0, (0.0, 0.0), grid)
-    assert navigator.costmap is not None
-    assert not navigator.costmap.pending
+    assert navigator.terrain is not None
+    assert not navigator.terrain.costmap.pending
     count = calls(lambda: navigator.step(0, (0.0, 0.0), grid))
     assert sum(count.values()) < 15

@@ -5,14 +5,17 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib.resources import files
 from math import degrees, hypot, inf, pi
 
 import pytest
 
 from brain.belief import Pose
+from brain.bodies.arm import JointAxis, SerialArm
+from brain.bodies.limbs import Abilities
 from brain.bodies.plane import REST, Twist, arc, moved, wrap
-from brain.planning.mission_steps import Seen, Want
-from brain.planning.missions import PHASES, Cause, Missions, MissionTask, Phase, why_not
+from brain.planning.missions import PHASES, Cause, MissionPhase, Missions, MissionTask, why_not
+from brain.skills.skill import Intent, Observed, Tally
 from gateway.config.mission import parse_mission
 from protocols import messages as msg
 from protocols.messages import MILLISECOND, SECOND, Feedback, Goal, Mission, Nanos, Step
@@ -20,8 +23,17 @@ from tests.brain.helpers import BODY, START
 
 TICK: Nanos = 20 * MILLISECOND
 JOINTS = ("lift", "jaw")
+ABLE, BARE = Abilities(BODY, {}, JOINTS), Abilities(None, {}, JOINTS)
 JAW_MEETS = 0.4
 """rad at which the jaw meets something"""
+
+
+def arms(*names: str) -> Abilities:
+    text = (files("gateway.fixtures") / "robots" / "arm.urdf").read_text("utf-8")
+    arm = SerialArm(
+        axes={"turn": JointAxis(), "shoulder": JointAxis(), "elbow": JointAxis()}, tip="tool", urdf=text
+    )
+    return Abilities(None, dict.fromkeys(names, arm), JOINTS)
 
 
 @dataclass
@@ -49,38 +61,37 @@ class Plant:
     _since: Nanos = 0
 
     def ask(self, task: MissionTask, may_not_move: str = "") -> str:
-        return self.missions.request(task, BODY, JOINTS, may_not_move)
+        return self.missions.request(task, ABLE, may_not_move)
 
-    def tick(self) -> Want:
+    def tick(self) -> Intent:
         self.now += TICK
         stands = self.pose.x >= self.wall
-        seen = Seen(
+        seen = Observed(
             self.now,
             BODY,
             self.pose,
             self.twist.speed,
             self.twist.angular,
             obstructed="a wall ahead" if stands else "",
-            ended=self.ended,
-            why=self.why,
+            goals=Tally(self.ended, self.why),
             joints=self.joints,
             marker=lambda number: self.marker if number == 3 else None,
         )
-        want = self.missions.advance(seen)
-        if want.goal is not None:
-            self.goals.append(want.goal)
+        intent = self.missions.advance(seen)
+        if intent.goal is not None:
+            self.goals.append(intent.goal)
             self._since = self.now
-        elif want.keep and self.goals and self.now - self._since >= SECOND:
+        elif intent.keep and self.goals and self.now - self._since >= SECOND:
             goal, self.ended = self.goals[-1], self.ended + 1
             self.why = "no way there" if (goal.x, goal.y) == self.closed else ""
             if not self.why:
                 yaw = self.pose.yaw if goal.yaw is None else goal.yaw
                 self.pose = moved(Pose(goal.x, goal.y, yaw), self.missed)
-        self._drive(want.twist or Twist(), stands=stands)
-        self.targets |= {target.motor: target for target in want.targets}
+        self._drive(intent.twist or Twist(), stands=stands)
+        self.targets |= {target.motor: target for target in intent.targets}
         for motor, target in self.targets.items():
             self._turn_joint(motor, target)
-        return want
+        return intent
 
     def _drive(self, wanted: Twist, *, stands: bool) -> None:
         dt = TICK / SECOND
@@ -284,7 +295,7 @@ def test_what_is_measured_is_what_was_asked() -> None:
 def test_points_are_passed_without_a_stop_but_the_last() -> None:
     following = plant("[[steps]]\nfollow = [[0.2, 0], [2, 0], [2, 2]]")
     wants = [following.tick() for _ in range(200)]
-    assert [(want.goal.x, want.goal.y, want.passing) for want in wants if want.goal] == [
+    assert [(intent.goal.x, intent.goal.y, intent.passing) for intent in wants if intent.goal] == [
         (0.2, 0.0, False),
         (2.0, 0.0, True),
         (2.0, 2.0, True),
@@ -319,14 +330,14 @@ def test_the_jaw_that_meets_nothing_fails() -> None:
 
 def test_the_table_of_phases_is_whole() -> None:
     """A mission that is over changes only by another; nothing but Resume makes it go on."""
-    assert {after for (_, cause), after in PHASES.items() if cause is Cause.RESUME} == {Phase.RUNNING}
-    causes = {cause for (phase, cause), after in PHASES.items() if after is Phase.RUNNING}
+    assert {after for (_, cause), after in PHASES.items() if cause is Cause.RESUME} == {MissionPhase.RUNNING}
+    causes = {cause for (phase, cause), after in PHASES.items() if after is MissionPhase.RUNNING}
     assert causes == {Cause.START, Cause.RESUME}
     assert {phase for phase, cause in PHASES if cause is Cause.START} == {
-        Phase.NONE,
-        Phase.DONE,
-        Phase.FAILED,
-        Phase.DROPPED,
+        MissionPhase.NONE,
+        MissionPhase.DONE,
+        MissionPhase.FAILED,
+        MissionPhase.DROPPED,
     }
 
 
@@ -342,7 +353,7 @@ def test_a_mission_that_only_fails_keeps_nothing_busy() -> None:
     text = '[[steps]]\nrepeat = 0\nsteps = [{goto = [9, 9], on_failure = "skip"}]'
     endless = plant(text, closed=(9.0, 9.0))
     assert len(endless.run(20.0)) < 25
-    assert endless.missions.phase is Phase.RUNNING
+    assert endless.missions.phase is MissionPhase.RUNNING
 
 
 def deep(depth: int) -> Step:
@@ -382,11 +393,22 @@ WRONG: list[tuple[Sequence[Step], str]] = [
 
 @pytest.mark.parametrize(("steps", "reason"), WRONG)
 def test_what_a_base_cannot_do_is_refused(steps: Sequence[Step], reason: str) -> None:
-    assert reason in why_not(Mission("m", tuple(steps)), BODY, JOINTS)
+    assert reason in why_not(Mission("m", tuple(steps)), ABLE)
 
 
 def test_bare_joints_do_not_drive() -> None:
-    assert why_not(Mission("m", (msg.Turn(1.0),)), None, JOINTS) == "step 1: turn: there is no base to drive"
-    assert why_not(Mission("m", (msg.Wait(1.0), msg.Reach((msg.Hold("jaw"),)))), None, JOINTS) == ""
+    assert why_not(Mission("m", (msg.Turn(1.0),)), BARE) == "step 1: turn: there is no base to drive"
+    assert why_not(Mission("m", (msg.Wait(1.0), msg.Reach((msg.Hold("jaw"),)))), BARE) == ""
     turned = msg.MoveTool(0.3, 0.0, 0.2, (0.0, float("nan"), 0.0))
-    assert why_not(Mission("m", (turned,)), None, JOINTS) == "step 1: an angle beyond 1000 rad"
+    assert why_not(Mission("m", (turned,)), arms("arm")) == "step 1: an angle beyond 1000 rad"
+    assert why_not(Mission("m", (turned,)), BARE) == "step 1: there is no arm to bring the tool there"
+
+
+def test_a_step_names_its_arm_where_there_are_several() -> None:
+    def told(limb: str, *names: str) -> str:
+        return why_not(Mission("m", (msg.MoveTool(0.3, 0.0, 0.2, limb=limb),)), arms(*names))
+
+    assert told("", "arm") == told("arm", "arm") == told("left", "left", "right") == ""
+    assert told("", "left", "right") == "step 1: which arm? expected limb = 'left' or 'right'"
+    assert told("lift", "left", "right") == "step 1: there is no arm 'lift'; there are left, right"
+    assert told("lift", "arm") == "step 1: there is no arm 'lift'; there is arm"

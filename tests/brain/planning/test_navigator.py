@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from math import hypot
 from typing import NamedTuple
 
@@ -13,8 +14,8 @@ from brain.bodies.plane import Twist
 from brain.perception.body_scan import to_body
 from brain.perception.map import Map, MapSettings
 from brain.perception.mount import Mount
-from brain.planning.behaviours import STATES, Fact, State
-from brain.planning.costmap import TILE, PlannerSettings
+from brain.planning.behaviours import STATES, BehaviourState, Fact
+from brain.planning.costmap import PlannerSettings
 from brain.planning.navigator import Navigator
 from brain.planning.planner import FrontierPath, Path
 from brain.planning.polyline import Point, Polyline
@@ -61,13 +62,13 @@ def test_goals_are_reached_in_order() -> None:
     run.tick(Goal(1.0, 1.0), Goal(4.0, 1.0, 1.5))
     for goal in (Goal(1.0, 1.0), Goal(4.0, 1.0, 1.5)):
         run.run(0.3)
-        assert run.navigator.goal == goal
+        assert run.navigator.goals.present == goal
         assert isinstance(run.navigator.path, Path)
         assert run.navigator.path.points[0] == run.here
         assert run.navigator.path.points[-1] == (goal.x, goal.y)
         run.here = (goal.x, goal.y)
         run.navigator.arrived(run.now)
-    assert run.navigator.reached == 2
+    assert run.navigator.goals.reached == 2
     assert not run.busy()
     assert "goal 2 reached: (4.00, 1.00, yaw 1.50)" in run.texts()
 
@@ -79,12 +80,12 @@ def test_a_path_that_becomes_blocked_is_replaced_within_the_period() -> None:
     run.tick(Goal(4.0, -1.4))
     run.run(0.2)
     assert isinstance(run.navigator.path, Path)
-    version = run.navigator.path_version
+    version = run.navigator.route().version
     grid.occupied[2:12, 30] = True
     grid.version += 1
     run.run(0.4)
     assert isinstance(run.navigator.path, Path)
-    assert run.navigator.path_version > version
+    assert run.navigator.route().version > version
     assert max(y for _, y in run.navigator.path.points) > 2.5
     assert "the path is dropped: it is blocked near" in run.texts()
 
@@ -95,11 +96,11 @@ def test_a_wall_that_shifts_by_less_than_the_margin_costs_no_path() -> None:
     run = Run(grid, settings=PlannerSettings(comfort=0.0, dislike=0.0, margin=0.15))
     run.tick(Goal(4.0, 0.0))
     run.run(0.3)
-    version = run.navigator.path_version
+    version = run.navigator.route().version
     grid.occupied[[16, 25], 30] = True
     grid.version += 1
     run.run(1.0)
-    assert run.navigator.path_version == version
+    assert run.navigator.route().version == version
 
 
 def test_off_the_path_a_new_one_is_planned() -> None:
@@ -119,22 +120,26 @@ def test_a_goal_without_a_path_is_given_up_with_the_reason_and_the_next_follows(
     run = Run(PlainMap(closed), settings=PlannerSettings(patience=8 * SECOND))
     run.tick(Goal(4.0, 0.0), Goal(1.0, 1.0), Goal(4.0, 1.0))
     run.run(1.0)
-    assert run.navigator.path_version == 0
+    assert run.navigator.route().version == 0
     assert "is closed" in run.navigator.no_path_reason
     run.run(7.5)
-    assert run.navigator.why.startswith("no path to goal 1 (4.00, 0.00) within 8 s: everything between")
-    assert (run.navigator.ended, run.navigator.reached, run.navigator.given_up) == (1, 0, "")
+    assert run.navigator.goals.why.startswith("no path to goal 1 (4.00, 0.00) within 8 s: everything between")
+    assert (run.navigator.goals.ended, run.navigator.goals.reached, run.navigator.goals.given_up) == (
+        1,
+        0,
+        "",
+    )
     assert "it is given up, 2 to go" in run.texts()
     assert isinstance(run.navigator.path, Path)
     run.here = (1.0, 1.0)
     run.navigator.arrived(run.now)
     run.run(8.5)
     assert not run.busy()
-    assert (run.navigator.ended, run.navigator.reached) == (3, 1)
-    assert run.navigator.given_up.startswith("no path to goal 3 (4.00, 1.00)")
+    assert (run.navigator.goals.ended, run.navigator.goals.reached) == (3, 1)
+    assert run.navigator.goals.given_up.startswith("no path to goal 3 (4.00, 1.00)")
     assert run.texts().count("no path: ") == 2
     run.tick(Goal(1.0, 1.0))
-    assert run.navigator.given_up == ""
+    assert run.navigator.goals.given_up == ""
 
 
 class Person(NamedTuple):
@@ -166,7 +171,7 @@ def test_who_crosses_is_waited_for_and_who_stands_is_driven_around() -> None:
         grid.occupied[17:24, 30] = speed == 0.0
         grid.version += 1
         run.run(0.6)
-        assert run.navigator.behaviour.state is State.FOLLOWING
+        assert run.navigator.behaviour.state is BehaviourState.FOLLOWING
         assert run.navigator.motion is None
 
 
@@ -192,12 +197,12 @@ def test_a_base_that_is_stuck_backs_off_twice_then_looks_around_then_gives_up() 
     stuck = ["following", "backing off", "planning"]
     assert states[:8] == ["planning", *stuck, *stuck, "following"]
     assert states[8:10] == ["looking", "planning"]
-    assert run.navigator.given_up == "no way on to goal 1 (4.00, 0.00) for 25 s: a chair ahead"
+    assert run.navigator.goals.given_up == "no way on to goal 1 (4.00, 0.00) for 25 s: a chair ahead"
 
 
 def test_every_state_is_left_and_every_fact_is_used() -> None:
     following = {after for rows in STATES.values() for _, after in rows}
-    assert set(STATES) == set(State) == following | {State.IDLE}
+    assert set(STATES) == set(BehaviourState) == following | {BehaviourState.IDLE}
     assert all(any(fact in (Fact.NO_GOAL, Fact.GOAL) for fact, _ in rows) for rows in STATES.values())
     assert {fact for rows in STATES.values() for fact, _ in rows} == set(Fact)
 
@@ -206,7 +211,7 @@ def test_a_search_that_does_not_end_is_no_path_in_time() -> None:
     run = Run(PlainMap(two_rooms()), settings=PlannerSettings(expansions_per_step=1, patience=SECOND // 10))
     run.tick(Goal(4.0, 0.0))
     run.run(0.11)
-    assert "the search has not ended" in run.navigator.given_up
+    assert "the search has not ended" in run.navigator.goals.given_up
 
 
 def test_a_door_that_opens_in_time_is_taken() -> None:
@@ -228,7 +233,7 @@ def test_a_path_out_of_a_place_too_near_to_an_obstacle_is_not_dropped_for_its_be
     run.tick(Goal(0.0, 0.0))
     run.run(1.0)
     assert isinstance(run.navigator.path, Path)
-    assert run.navigator.path_version == 1
+    assert run.navigator.route().version == 1
     assert "the path begins with" in run.texts()
 
 
@@ -242,7 +247,7 @@ def test_a_goal_given_up_after_its_path_was_blocked_says_so() -> None:
     assert not run.busy()
     assert (
         "is closed; a path known before is obstructed, perhaps only for a time: it is"
-        in run.navigator.given_up
+        in run.navigator.goals.given_up
     )
 
 
@@ -295,10 +300,10 @@ def test_exploring_reaches_a_goal_behind_what_is_not_known_yet() -> None:
         run.here = line.point(min(along + 0.01, line.length))
         if along >= line.length - 0.01:
             run.navigator.arrived(run.now)
-        if run.navigator.reached:
+        if run.navigator.goals.reached:
             break
     assert explored
-    assert run.navigator.reached == 1
+    assert run.navigator.goals.reached == 1
 
 
 def test_what_becomes_known_before_the_base_moves_is_not_explored() -> None:
@@ -327,8 +332,8 @@ def test_a_frontier_that_stays_unknown_is_excluded_and_exploring_ends() -> None:
             run.navigator.arrived(run.now)
         if not run.busy():
             break
-    assert run.navigator.reached == 0
-    assert "is closed" in run.navigator.given_up
+    assert run.navigator.goals.reached == 0
+    assert "is closed" in run.navigator.goals.given_up
 
 
 def test_the_path_is_checked_while_another_is_planned() -> None:
@@ -343,9 +348,9 @@ def test_the_path_is_checked_while_another_is_planned() -> None:
     run.run(0.6)
     grid.occupied[10:30, 25] = True
     grid.version += 1
-    version = run.navigator.path_version
+    version = run.navigator.route().version
     run.run(0.3)
-    assert run.navigator.path_version == version + 1
+    assert run.navigator.route().version == version + 1
     assert "the path is dropped: it is blocked near" in run.texts()
 
 
@@ -366,6 +371,26 @@ def test_an_obstacle_on_the_path_is_found_in_time(span: Nanos, at: int, periods:
     assert run.now - start <= periods * PlannerSettings().period + 2 * span
 
 
+def test_in_a_map_of_places_far_apart_a_path_is_found_at_once() -> None:
+    """Planning takes the part about the robot: not all that lies between two places 3 km apart."""
+    rolling, walls = Map(MapSettings(farthest=6.0)), np.array(box(-3, -3, 3, 3))
+    for far in (0.0, 2000.0):
+        pose = Pose(far, far, 0.1)
+        for _ in range(3):
+            scan = scan_at(walls + far, pose, Mount(), 0, np.zeros(360))
+            rolling.add(pose, to_body(scan, Mount(), 6.0), np.zeros((3, 3)))
+    navigator, now = Navigator(BODY, PlannerSettings()), SECOND
+    navigator.accept(now, Goal(2001.5, 2001.0))
+    tracemalloc.start()
+    for _ in range(200):
+        now += 20 * MILLISECOND
+        navigator.step(now, (2000.0, 2000.0), rolling)
+    assert tracemalloc.get_traced_memory()[1] < 300e6
+    tracemalloc.stop()
+    assert navigator.path is not None
+    assert navigator.path.points[-1] == pytest.approx((2001.5, 2001.0))
+
+
 HALLS = {
     "corridor": ([*box(-1, -1.1, 26, -1), *box(-1, 1, 26, 1.1), *box(25.5, -1, 25.6, 1)], 24.5),
     "hall": ([*box(-1, -9, 61, -8.9), *box(-1, 8.9, 61, 9), *box(28, -6, 32, 9)], 58.0),
@@ -373,14 +398,13 @@ HALLS = {
 
 
 @pytest.mark.parametrize("name", HALLS)
-def test_a_goal_beyond_the_maps_extent_is_reached_as_the_map_rolls(name: str) -> None:
-    """With the map itself, 25 m wide, and a robot that knows its pose and sees 6 m."""
+def test_a_goal_far_beyond_a_map_of_few_tiles_is_reached(name: str) -> None:
+    """With the map itself, and a robot that knows its pose and sees 6 m."""
     walls, far = HALLS[name]
-    rolling = Map(MapSettings(width=24.0, height=24.0, farthest=6.0))
-    extent = rolling.extent()
+    rolling = Map(MapSettings(farthest=6.0, tiles=64))
     navigator, now, here = Navigator(BODY, PlannerSettings()), SECOND, (0.0, 0.0)
     navigator.accept(now, Goal(far, 0.0))
-    while navigator.goals:
+    while navigator.goals.waiting:
         pose = Pose(*here, 0.0)
         scan = scan_at(np.array(walls), pose, Mount(), now, np.zeros(360))
         rolling.add(pose, to_body(scan, Mount(), 6.0), np.zeros((3, 3)))
@@ -388,14 +412,14 @@ def test_a_goal_beyond_the_maps_extent_is_reached_as_the_map_rolls(name: str) ->
             now += 20 * MILLISECOND
             navigator.step(now, here, rolling)
         if navigator.path is not None:
-            line = navigator._line
+            line = navigator._watch.line
             along = line.project(here)[0] + 0.8
             here = line.point(min(along, line.length))
             if along >= line.length:
                 navigator.arrived(now)
         assert now < 200 * SECOND, navigator.notes
-    assert navigator.reached == 1
+    assert navigator.goals.reached == 1
     assert hypot(here[0] - far, here[1]) < 1e-9
-    assert navigator.costmap is not None
-    assert rolling.extent()[1] > extent[1] + 4 * TILE
-    assert len(navigator.costmap.tiles) <= 64
+    assert navigator.terrain is not None
+    assert (rolling.tile(0, 0) is None) == (rolling.forgotten > 0) == (name == "hall")
+    assert len(navigator.terrain.costmap.tiles) <= 2 * 64  # of the map, and beside it

@@ -83,6 +83,7 @@ class Base:
         self.fields = {"front": 2.0 * pi}
         """Angle that each lidar sees [rad]"""
         self.sweep: Nanos = 0
+        """Of a scan; negative: clockwise, its first beam is the newest"""
         self.zone = StopZone(ROBOT, self.mounts, StopSettings(**settings))  # type: ignore[arg-type]  # numbers
         self.random = np.random.Generator(np.random.PCG64(1))
         self.twist = Twist()
@@ -100,7 +101,8 @@ class Base:
         angles = np.asarray(-field / 2.0 + field / count * np.arange(count), dtype=np.float64)
         read = np.empty(count)
         for beams in np.array_split(np.arange(count), 12 if self.sweep else 1):
-            ago = seconds(self.sweep) * (1.0 - float(beams.mean()) / (count - 1)) if self.sweep else 0.0
+            share = float(beams.mean()) / (count - 1)
+            ago = seconds(self.sweep) * (1.0 - share) if self.sweep > 0 else -seconds(self.sweep) * share
             lidar = arc(
                 self.pose,
                 *(
@@ -111,7 +113,7 @@ class Base:
             lidar = arc(lidar, mount.x, 0.0)
             read[beams] = ranges(self.walls, lidar.x, lidar.y, lidar.yaw + mount.yaw + angles[beams], 10.0)
         read += self.random.normal(0.0, 0.003, count) * (read < 10.0)
-        begin = self.now - self.sweep
+        begin = self.now - max(self.sweep, 0)
         return LaserScan(
             name, begin, angles[0], field / count, 0.05, 10.0, tuple(map(float, read)), self.sweep
         )
@@ -150,12 +152,16 @@ class Base:
 WALL = box(1.0, -2.0, 1.1, 2.0)
 
 
+@pytest.mark.sample(5)
 @pytest.mark.parametrize(
     ("walls", "wanted", "sweep"),
     [
         (WALL, (0.6, 0.0), 0),
         (WALL, (0.6, 0.0), 90 * MILLISECOND),
         (WALL, (0.5, 0.35), 90 * MILLISECOND),
+        (WALL, (0.6, 0.0), -90 * MILLISECOND),
+        (WALL, (0.5, 0.35), -90 * MILLISECOND),
+        (box(-0.5, -0.2, 0.5, -0.15), (0.0, -1.5), -90 * MILLISECOND),
         (box(-1.1, -2.0, -1.0, 2.0), (-0.6, 0.0), 0),
         (box(-1.1, -2.0, -1.0, 2.0), (-0.5, 0.2), 0),
         (box(-0.5, 0.15, 0.5, 0.2), (0.0, 1.5), 0),
@@ -349,6 +355,7 @@ def test_its_work_is_bounded_and_a_copy_goes_on_alike() -> None:
     assert (base.twist, base.pose, base.reasons) == (other.twist, other.pose, other.reasons)
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("wanted", [(0.6, 0.0), (0.4, 0.6), (0.0, 0.0, 0.5), (0.0, 1.5)])
 @pytest.mark.parametrize("speed", [0.3, 1.2])
 def test_people_who_cross_are_not_touched_while_it_moves(speed: float, wanted: tuple[float, ...]) -> None:

@@ -29,7 +29,7 @@ from gateway.core.robot import Robot
 from gateway.core.step import Gateway
 from gateway.runtime.loop import Reader, moments, write
 from gateway.runtime.process import fine_timers, quiet_collector
-from gateway.runtime.realtime import Wish, realtime
+from gateway.runtime.realtime import RealtimeWanted, realtime
 from gateway.runtime.schedule import commands
 from gateway.runtime.timing import LoopStats
 from protocols.messages import SECOND, Feedback, Idle, Nanos
@@ -64,13 +64,14 @@ def measure(robot: Robot, buses: Mapping[str, Bus], clock: Clock, seconds: float
     began: Nanos | None = None
     start = clock.now()
     for now in moments(clock, robot.period, gateway.due, LoopStats(), reader.wait, reader.least):
-        between = gateway.between(now)
-        inputs = reader.inputs(now, () if between else commands(robot))
+        inputs = reader.inputs(now)
+        between = gateway.between(now, inputs.packets)
+        inputs = inputs if between else replace(inputs, instructions=tuple(commands(robot)))
         outputs = gateway.step(now, inputs)
         write(buses, now, outputs.packets)
         if began is None and all(joint.armed for joint in gateway.joints.values()) and now > start + SECOND:
             began, before = now, lines(gateway)
-            worked, overlaps = processor_time()[0], overlapped(buses)
+            worked, overlaps = processor_time(), overlapped(buses)
         elif began is None and now > start + SETTLING:
             unarmed = [name for name, joint in gateway.joints.items() if not joint.armed]
             raise RuntimeError(f"not armed: {unarmed}; {list(gateway.lines.values())}; {gateway.in_fault()}")
@@ -86,7 +87,7 @@ def measure(robot: Robot, buses: Mapping[str, Bus], clock: Clock, seconds: float
         if not between:
             count.oldest = max([count.oldest, *(now - t for t in last.values())])
         if now >= began + seconds * SECOND:
-            count.span, count.computed = now - began, processor_time()[0] - worked
+            count.span, count.computed = now - began, processor_time() - worked
             for name, after in lines(gateway).items():
                 count.sent[name], count.answered[name], count.lost[name] = (
                     a - b for a, b in zip(after, before[name], strict=True)
@@ -126,9 +127,11 @@ def told(robot: Robot, count: Counted, more: str = "") -> None:
             f"busy {100 * count.busy[name] / count.span:.1f} %"
         )
     between, full = count.steps[True] / span, count.steps[False] / span
+    exchanges = max(1, sum(count.answered.values()))
     print(
         f"  {full:.0f} steps of the brain a second and {between:.0f} between; "
-        f"processor {100 * count.computed / count.span:.0f} %{more}"
+        f"processor {100 * count.computed / count.span:.0f} %, {count.computed / exchanges / 1e3:.0f} µs for "
+        f"each answer{more}"
     )
 
 
@@ -151,12 +154,13 @@ def on_ptys(path: str, robot: Robot, seconds: float, more: Sequence[str]) -> Non
             buses[name] = open_bus(settings, clock)
             stack.callback(buses[name].close)
         worked, began = devices.processor_time(), clock.now()
-        with realtime(Wish() if "--realtime" in more else None, robot, lambda _: None):
+        with realtime(RealtimeWanted() if "--realtime" in more else None, robot, lambda _: None):
             count = measure(robot, buses, clock, seconds)
         share = (devices.processor_time() - worked) / (clock.now() - began) * SECOND
         said = devices.end(signal.SIGTERM)[1].splitlines()[-1]
         print(f"{robot.name}, on ptys: {said}")
-        told(robot, count, f", that of the devices {100 * share:.0f} %")
+        each = share * count.span / max(1, sum(count.answered.values())) / 1e3
+        told(robot, count, f"; that of the devices {100 * share:.0f} %, {each:.0f} µs")
 
 
 def main() -> None:

@@ -16,7 +16,7 @@ from can.interfaces.socketcan.socketcan import build_can_frame
 
 from gateway.buses.error_frames import BUS_OFF, CanError, describe, kinds, state_of
 from gateway.buses.frame_time import LENGTHS
-from gateway.buses.netlink import Device, Link, parse, request
+from gateway.buses.netlink import NetDevice, NetLink, parse, request
 from gateway.buses.socketcan.raw_socket import pack, unpack
 from gateway.buses.states import CALM, StateTracker
 from gateway.buses.timestamps import OLDEST, TimestampMapper
@@ -291,10 +291,10 @@ ANSWERS: list[dict[str, Any]] = json.loads(
 )["answers"]
 
 
-def link_of(reported: dict[str, Any]) -> Link:
+def link_of(reported: dict[str, Any]) -> NetLink:
     state = reported["state"] and BusState(reported["state"])
     count = reported["counters"] and tuple(reported["counters"])
-    return Link(**{**reported, "state": state, "counters": count})
+    return NetLink(**{**reported, "state": state, "counters": count})
 
 
 @pytest.mark.parametrize("row", ANSWERS, ids=[row["what"] for row in ANSWERS])
@@ -328,13 +328,13 @@ def test_no_answer_raises() -> None:
 
 def test_this_machines_kernel_answers() -> None:
     """lo stands on every Linux: asked for real, both ways."""
-    device = Device("lo")
+    device = NetDevice("lo")
     try:
         link, status = device.link(), device.status()
         assert link is not None
         assert status is not None
         assert (link.name, link.kind, link.ifindex, link.up) == ("lo", "", status.ifindex, status.up)
-        nothing = Device("no-such-if")
+        nothing = NetDevice("no-such-if")
         assert (nothing.link(), nothing.status()) == (None, None)
         nothing.close()
     finally:

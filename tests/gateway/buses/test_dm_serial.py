@@ -19,7 +19,7 @@ from gateway.buses.adapters.dm_serial import (
     FROM_ADAPTER,
     REPORTING,
     SENT,
-    Adapter,
+    EmulatedAdapter,
     PacketSplitter,
     decode_received,
     encode_received,
@@ -73,15 +73,15 @@ def test_a_frame_is_its_packets_in_both_directions(frame: CanFrame, sent: str, r
     assert encode_send(frame) == bytes.fromhex(sent)
     assert encode_received(frame) == bytes.fromhex(received)
     for pieces in cuttings(bytes.fromhex(sent)):
-        assert feed(Adapter(RATE), pieces) == ([frame], b"")
+        assert feed(EmulatedAdapter(RATE), pieces) == ([frame], b"")
     assert PacketSplitter(FROM_ADAPTER).feed(bytes.fromhex(received)) == [bytes.fromhex(received)]
     assert decode_received(bytes.fromhex(received)) == (0x11, frame)
-    assert Adapter(RATE).report(0, frame) == bytes.fromhex(received)
+    assert EmulatedAdapter(RATE).report(0, frame) == bytes.fromhex(received)
 
 
 def test_a_report_follows_where_it_is_asked_for() -> None:
     frame = PACKETS[0][0]
-    found, reply = Adapter(RATE).feed(encode_send(frame, REPORTING) + encode_send(frame))
+    found, reply = EmulatedAdapter(RATE).feed(encode_send(frame, REPORTING) + encode_send(frame))
     assert found == [frame, frame]
     assert [decode_received(reply)] == [(SENT, frame)]
 
@@ -96,7 +96,7 @@ def test_what_is_no_packet_is_skipped_and_the_next_one_is_sent(at: int, byte: in
     broken = bytearray(encode_send(frame))
     broken[at] = byte
     for pieces in cuttings(bytes(broken) + encode_send(frame)):
-        assert feed(Adapter(RATE), pieces) == ([frame], b"")
+        assert feed(EmulatedAdapter(RATE), pieces) == ([frame], b"")
 
 
 pieces_of_streams = st.lists(
@@ -111,7 +111,7 @@ pieces_of_streams = st.lists(
 @given(pieces_of_streams, cuts)
 def test_any_bytes_cut_anywhere_raise_nothing_and_decode_alike(pieces: list[bytes], sizes: list[int]) -> None:
     data = b"".join(pieces)
-    assert feed(Adapter(RATE), cut(data, sizes)) == Adapter(RATE).feed(data)
+    assert feed(EmulatedAdapter(RATE), cut(data, sizes)) == EmulatedAdapter(RATE).feed(data)
 
 
 @settings(deadline=None, derandomize=True)

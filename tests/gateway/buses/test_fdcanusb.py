@@ -17,7 +17,7 @@ from moteus.transport_device import Frame
 from gateway.buses.adapters import fdcanusb_client
 from gateway.buses.adapters.adapter_pty import AdapterPty
 from gateway.buses.adapters.fdcanusb import (
-    Adapter,
+    EmulatedAdapter,
     checksum,
     decode_received,
     encode_received,
@@ -102,10 +102,10 @@ def theirs(frame: CanFrame) -> Frame:
 @pytest.mark.parametrize(("frame", "command", "reported"), LINES, ids=[line for _, line, _ in LINES])
 def test_a_frame_is_its_lines_in_both_directions(frame: CanFrame, command: str, reported: str) -> None:
     assert encode_send(frame) == command
-    assert Adapter(RATE, DATA_RATE).feed(command.encode() + b"\n") == ([frame], b"OK\r\n")
+    assert EmulatedAdapter(RATE, DATA_RATE).feed(command.encode() + b"\n") == ([frame], b"OK\r\n")
     assert encode_received(frame) == reported
     assert decode_received(reported) == frame
-    assert Adapter(RATE, DATA_RATE).report(0, frame) == reported.encode() + b"\r\n"
+    assert EmulatedAdapter(RATE, DATA_RATE).report(0, frame) == reported.encode() + b"\r\n"
 
 
 def test_checksums_are_the_vendors() -> None:
@@ -124,7 +124,7 @@ def test_the_vendors_client_sends_what_we_send_and_the_adapter_receives_it(
     """Its classic frames bear no f, and leave the format to the adapter; else the lines are the same."""
     client, written = vendors_client(checksums=checksums)
     asyncio.run(client._write_send_frame(theirs(frame)))
-    frames_received, answer = Adapter(RATE, DATA_RATE).feed(written.data)
+    frames_received, answer = EmulatedAdapter(RATE, DATA_RATE).feed(written.data)
     assert answer == (b"OK *BD\r\n" if checksums else b"OK\r\n")
     if frame.extended != (frame.id > 0x7FF):
         return  # the client cannot express that
@@ -144,7 +144,7 @@ def test_the_vendors_client_sends_what_we_send_and_the_adapter_receives_it(
 def test_what_the_adapter_reports_is_read_by_the_vendors_client_and_by_us(
     frame: CanFrame, checksums: bool
 ) -> None:
-    adapter = Adapter(RATE, DATA_RATE)
+    adapter = EmulatedAdapter(RATE, DATA_RATE)
     adapter.protected = checksums
     line, had, right = vendor._strip_and_validate_checksum(adapter.report(0, frame).strip())
     assert (had, right) == (checksums, checksums)
@@ -222,13 +222,13 @@ def test_a_line_that_was_cut_is_no_shorter_frame() -> None:
 )
 def test_commands_are_answered_and_invalid_ones_refused(sent: bytes, answers: bytes) -> None:
     for pieces in cuttings(sent):
-        adapter = Adapter(RATE, DATA_RATE)
+        adapter = EmulatedAdapter(RATE, DATA_RATE)
         assert feed(adapter, pieces) == ([], answers)
         assert adapter.refused == answers.count(b"ERR")
 
 
 def test_flags_may_be_left_out_separated_or_repeated() -> None:
-    adapter = Adapter(RATE, DATA_RATE)
+    adapter = EmulatedAdapter(RATE, DATA_RATE)
     sent = b"".join(b"can send 1 01%s\n" % flags for flags in (b"", b" b", b" f", b" B F", b" FBf", b" R"))
     kinds = [(frame.fd, frame.brs, frame.remote) for frame in adapter.feed(sent)[0]]
     assert kinds == [
@@ -246,18 +246,18 @@ def test_flags_may_be_left_out_separated_or_repeated() -> None:
 
 
 def test_an_invalid_length_is_zero_padded() -> None:
-    frames_received, _ = Adapter(RATE, DATA_RATE).feed(b"can send 1 %s BF\n" % (b"AA" * 33))
+    frames_received, _ = EmulatedAdapter(RATE, DATA_RATE).feed(b"can send 1 %s BF\n" % (b"AA" * 33))
     assert frames_received == [CanFrame(1, b"\xaa" * 33 + bytes(15), fd=True, brs=True)]
 
 
 def test_a_bus_of_classic_can_takes_no_fd_frames_and_none_are_sent_unasked() -> None:
-    adapter = Adapter(RATE)
+    adapter = EmulatedAdapter(RATE)
     assert adapter.feed(b"can send 1 01 F\n") == ([], b"ERR this bus carries classic CAN only\r\n")
     assert adapter.feed(b"can send 1 01\n") == ([CanFrame(1, b"\x01")], b"OK\r\n")
 
 
 def test_an_adapter_of_another_bit_rate_neither_sends_nor_receives() -> None:
-    adapter = Adapter(RATE, DATA_RATE)
+    adapter = EmulatedAdapter(RATE, DATA_RATE)
     assert adapter.feed(b"can off\nconf set can.fd_bitrate 2000000\ncan on\n") == ([], b"OK\r\n" * 3)
     assert adapter.wrong_rate
     assert adapter.feed(b"can send 1 01\n") == ([], b"OK\r\n")
@@ -275,7 +275,7 @@ FRAME = CanFrame(0x123, b"\x01")
 
 
 def test_once_a_checksum_always_checksums() -> None:
-    adapter = Adapter(RATE, DATA_RATE)
+    adapter = EmulatedAdapter(RATE, DATA_RATE)
     assert adapter.feed(SEND + b"\n") == ([FRAME], b"OK\r\n")
     assert adapter.feed(with_checksum(SEND) + b"\n") == ([FRAME], with_checksum(b"OK") + b"\r\n")
     assert adapter.report(0, FRAME) == with_checksum(encode_received(FRAME).encode()) + b"\r\n"
@@ -292,7 +292,7 @@ def test_a_bad_checksum_changes_nothing_and_is_counted() -> None:
         wrong[bit // 8] ^= 1 << bit % 8
         if wrong[bit // 8] in b"\r\n":
             continue  # then it is two lines
-        adapter = Adapter(RATE, DATA_RATE)
+        adapter = EmulatedAdapter(RATE, DATA_RATE)
         adapter.feed(with_checksum(b"can off") + b"\n" + with_checksum(b"can on") + b"\n")
         received, answer = adapter.feed(bytes(wrong) + b"\n")
         if wrong.upper() == line.upper() and wrong[:-3] == line[:-3]:
@@ -319,7 +319,7 @@ streams = st.lists(
 @given(streams, cuts)
 def test_any_bytes_cut_anywhere_raise_nothing_and_decode_alike(pieces: list[bytes], sizes: list[int]) -> None:
     data = b"".join(pieces)
-    whole, parted = Adapter(RATE, DATA_RATE), Adapter(RATE, DATA_RATE)
+    whole, parted = EmulatedAdapter(RATE, DATA_RATE), EmulatedAdapter(RATE, DATA_RATE)
     replies = whole.feed(data)
     assert feed(parted, cut(data, sizes)) == replies
     assert (parted.open, parted.protected, parted.refused) == (

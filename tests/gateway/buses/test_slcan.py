@@ -18,7 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gateway.buses.adapters.adapter_pty import AdapterPty
-from gateway.buses.adapters.slcan import Adapter, frame_of, line_of, rate_of
+from gateway.buses.adapters.slcan import EmulatedAdapter, frame_of, line_of, rate_of
 from gateway.buses.can import CanBus, open_can
 from gateway.buses.python_can import message_of
 from gateway.core.clock import SimulatedClock
@@ -61,8 +61,8 @@ FRAMES = [
 # fmt: on
 
 
-def opened(data_bitrate: int = DATA_RATE) -> Adapter:
-    adapter = Adapter(RATE, data_bitrate)
+def opened(data_bitrate: int = DATA_RATE) -> EmulatedAdapter:
+    adapter = EmulatedAdapter(RATE, data_bitrate)
     assert adapter.feed(b"S8\rO\r") == ([], b"\r\r")
     return adapter
 
@@ -89,7 +89,7 @@ def test_any_frame_survives(frame: CanFrame) -> None:
 def test_the_vectors_are_decoded_and_encoded() -> None:
     """Bytes of python-can 4.6.1 over a pty, in the order in which it sent them; each with its source."""
     assert all("python-can 4.6.1" in vector["source"] for vector in VECTORS)
-    adapter = Adapter(RATE, DATA_RATE)
+    adapter = EmulatedAdapter(RATE, DATA_RATE)
     received: dict[str, tuple[list[CanFrame], bytes]] = {}
     encoded: list[str] = []
     for vector in VECTORS:
@@ -160,7 +160,7 @@ def test_the_vectors_are_decoded_and_encoded() -> None:
 )
 def test_commands_are_answered_and_invalid_ones_with_bell(sent: bytes, answers: bytes) -> None:
     for pieces in cuttings(sent):
-        assert feed(Adapter(RATE, DATA_RATE), pieces) == ([], answers)
+        assert feed(EmulatedAdapter(RATE, DATA_RATE), pieces) == ([], answers)
 
 
 def test_bus_timing_registers_of_the_manual() -> None:
@@ -176,7 +176,7 @@ def test_bus_timing_registers_of_the_manual() -> None:
 
 
 def test_an_adapter_of_another_bit_rate_neither_sends_nor_receives() -> None:
-    adapter = Adapter(500_000)
+    adapter = EmulatedAdapter(500_000)
     adapter.feed(b"S8\rO\r")
     assert adapter.wrong_rate
     assert adapter.feed(b"t1230\r") == ([], b"\a")
@@ -189,7 +189,7 @@ def test_a_bus_of_classic_can_takes_no_fd_frames() -> None:
 
 
 def test_timestamps_are_milliseconds_of_a_minute_and_only_where_asked_for() -> None:
-    adapter = Adapter(RATE)
+    adapter = EmulatedAdapter(RATE)
     adapter.feed(b"Z1\rO\r")
     frame = CanFrame(0x100, b"\x01")
     assert adapter.report(1234 * MILLISECOND, frame) == b"t100101" + b"04D2\r"
@@ -218,7 +218,7 @@ streams = st.lists(
 @given(streams, cuts)
 def test_any_bytes_cut_anywhere_raise_nothing_and_decode_alike(pieces: list[bytes], sizes: list[int]) -> None:
     data = b"".join(pieces)
-    whole, parted = Adapter(RATE, DATA_RATE), Adapter(RATE, DATA_RATE)
+    whole, parted = EmulatedAdapter(RATE, DATA_RATE), EmulatedAdapter(RATE, DATA_RATE)
     frames, replies = whole.feed(data)
     assert feed(parted, cut(data, sizes)) == (frames, replies)
     assert len(replies.replace(b"\a", b"\r").split(b"\r")) == len(re.split(rb"\r\n?|\n", data))

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import pytest
 
 from gateway.buses.interfaces import check_fit, filters
-from gateway.buses.netlink import Device, Link, Status
+from gateway.buses.netlink import NetDevice, NetLink, NetStatus
 from gateway.buses.queues import PATIENCE
 from gateway.buses.socketcan import bus as socketcan
 from gateway.buses.socketcan.bus import FAST_POLL, MOST_READ, SLOW_POLL, SocketcanBus
@@ -27,7 +27,7 @@ from protocols.frames import BusState, CanFrame, Packet, exact
 from protocols.messages import MILLISECOND, SECOND
 
 SETTINGS = BusSettings("can0", "can", "socketcan:can0", bitrate=1_000_000)
-LINK = Link(
+LINK = NetLink(
     "can0", 7, up=True, mtu=16, queue=10, kind="can", state=BusState.UP, bitrate=1_000_000, restart_ms=0
 )
 SO_TIMESTAMPNS = 35
@@ -45,17 +45,17 @@ class End:
 
 
 @dataclass
-class Kernel(Device):
+class Kernel(NetDevice):
     """The kernel's state of can0."""
 
-    status_: Status | None = field(default_factory=lambda: Status(7, up=True, running=True))
-    link_: Link | None = LINK
+    status_: NetStatus | None = field(default_factory=lambda: NetStatus(7, up=True, running=True))
+    link_: NetLink | None = LINK
     closed: bool = False
 
-    def status(self) -> Status | None:
+    def status(self) -> NetStatus | None:
         return self.status_
 
-    def link(self) -> Link | None:
+    def link(self) -> NetLink | None:
         return self.link_
 
     def close(self) -> None:
@@ -210,11 +210,11 @@ def test_what_the_kernel_drops_with_the_interface_is_counted(
 ) -> None:
     rig.bus.write(0, [CanFrame(number) for number in range(3)])
     rig.bus.read(0)
-    rig.kernel.status_ = Status(7, up=False, running=False)
+    rig.kernel.status_ = NetStatus(7, up=False, running=False)
     receive_all(rig.frame)  # as the kernel does when an interface goes down
     assert rig.bus.read(SECOND) == ([BusState.GONE], [])
     assert "can0: up to 3 frames that waited in the kernel's queue were purged" in caplog.text
-    rig.kernel.status_ = Status(7, up=True, running=True)
+    rig.kernel.status_ = NetStatus(7, up=True, running=True)
     rig.bus.read(2 * SECOND)
     assert receive_all(rig.frame) == []
 
@@ -263,7 +263,7 @@ def test_a_controller_that_restarts_by_itself_is_logged_as_such(
 
 def test_after_a_lost_error_frame_the_kernel_is_asked(rig: Rig) -> None:
     rig.bus.read(0)
-    rig.kernel.status_ = Status(7, up=True, running=False)
+    rig.kernel.status_ = NetStatus(7, up=True, running=False)
     rig.kernel.link_ = replace(LINK, state=BusState.OFF)
     assert rig.bus.read(SLOW_POLL - 1) == ([], [])
     assert rig.bus.read(SLOW_POLL) == ([BusState.OFF], [])
@@ -275,10 +275,10 @@ def test_after_a_lost_error_frame_the_kernel_is_asked(rig: Rig) -> None:
 
 def test_an_interface_that_goes_down_and_comes_up_keeps_what_it_received(rig: Rig) -> None:
     rig.bus.read(0)
-    rig.kernel.status_ = Status(7, up=False, running=False)
+    rig.kernel.status_ = NetStatus(7, up=False, running=False)
     assert rig.bus.read(SECOND) == ([BusState.GONE], [])
     rig.bus.write(SECOND, [CanFrame(1, b"stale")])
-    rig.kernel.status_ = Status(7, up=True, running=True)
+    rig.kernel.status_ = NetStatus(7, up=True, running=True)
     rig.frame.send(pack(CanFrame(5)))
     now = SECOND + FAST_POLL
     assert rig.bus.read(now) == ([BusState.BACK], [Packet(now, "can0", CanFrame(5))])
@@ -297,14 +297,14 @@ def test_an_interface_that_comes_back_as_another_one_is_opened_anew(
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
     opened: list[BusSettings] = []
 
-    def reopen(settings: BusSettings, link: Link | None, listen_only: bool) -> End:
+    def reopen(settings: BusSettings, link: NetLink | None, listen_only: bool) -> End:
         opened.append(settings)
         if len(opened) == 1:
             raise BusError("not yet")
         return End(ours)
 
     monkeypatch.setattr(socketcan, "_open", reopen)
-    rig.kernel.status_ = Status(8, up=True, running=True)
+    rig.kernel.status_ = NetStatus(8, up=True, running=True)
     now = SECOND + FAST_POLL
     with caplog.at_level(logging.WARNING, "gateway"):
         assert rig.bus.read(now) == ([], [])
@@ -320,9 +320,9 @@ def test_an_interface_that_comes_back_as_another_one_is_opened_anew(
 def test_an_interface_that_comes_back_configured_otherwise_stays_gone(
     rig: Rig, caplog: pytest.LogCaptureFixture
 ) -> None:
-    rig.kernel.status_ = Status(7, up=False, running=False)
+    rig.kernel.status_ = NetStatus(7, up=False, running=False)
     rig.bus.read(0)
-    rig.kernel.status_ = Status(7, up=True, running=True)
+    rig.kernel.status_ = NetStatus(7, up=True, running=True)
     rig.kernel.link_ = replace(LINK, bitrate=500_000)
     with caplog.at_level(logging.WARNING, "gateway"):
         assert [rig.bus.read(n * SECOND)[0] for n in (1, 2)] == [[], []]
@@ -379,7 +379,7 @@ FD = BusSettings("fast", "canfd", "socketcan:can0", bitrate=1_000_000, data_bitr
     ],
 )  # fmt: skip
 def test_an_interface_configured_otherwise_is_reported_with_the_commands(
-    settings: BusSettings, link: Link, lines: list[str]
+    settings: BusSettings, link: NetLink, lines: list[str]
 ) -> None:
     with pytest.raises(BusError) as caught:
         check_fit(settings, link)
@@ -391,11 +391,11 @@ def test_an_interface_configured_otherwise_is_reported_with_the_commands(
     [
         (SETTINGS, LINK),
         (SETTINGS, replace(LINK, bitrate=993_000)),  # 0.7 %: as near as its clock can be divided
-        (SETTINGS, Link("vcan0", 1, up=True, mtu=72, queue=1000, kind="vcan")),
+        (SETTINGS, NetLink("vcan0", 1, up=True, mtu=72, queue=1000, kind="vcan")),
         (FD, replace(LINK, mtu=72, data_bitrate=5_000_000)),
     ],
 )
-def test_an_interface_that_fits_is_accepted(settings: BusSettings, link: Link) -> None:
+def test_an_interface_that_fits_is_accepted(settings: BusSettings, link: NetLink) -> None:
     check_fit(settings, link)
 
 

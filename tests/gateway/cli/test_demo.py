@@ -13,7 +13,7 @@ import pytest
 
 from brain.bodies.body import Base
 from gateway import config
-from gateway.cli.tour import Leg
+from gateway.cli.tour import TourLeg
 from gateway.recording import read_recording
 from protocols.messages import Feedback, Imu, LaserScan, State
 from tests.sampled import sampled
@@ -175,4 +175,4 @@ def test_the_least_time_of_a_leg(planned: float, seconds: float) -> None:
     body = config.load_robot("diffbot").brain.body
     assert isinstance(body, Base)
     assert (body.max_linear, body.max_linear_acceleration) == (0.6, 0.8)
-    assert Leg(0, planned).least(body) == pytest.approx(seconds)
+    assert TourLeg(0, planned).least(body) == pytest.approx(seconds)

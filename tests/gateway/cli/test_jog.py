@@ -45,7 +45,7 @@ from gateway.cli.terminal.keys import (
     read_keys,
     speed_share,
 )
-from gateway.cli.terminal.screen import Line
+from gateway.cli.terminal.screen import TerminalLine
 from gateway.core.clock import SimulatedClock
 from gateway.core.robot import Robot
 from gateway.core.step import Gateway
@@ -321,6 +321,7 @@ def test_a_tap_backwards_is_a_small_turn_back() -> None:
     assert jogged.turned() == pytest.approx(-2.0 * CREEP_SHARE * FIRST_HOLD / SECOND, abs=0.05)
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("delay", [0.0, 0.1, 0.2, 2.0, 60.0])
 def test_keys_that_come_late_turn_nothing(delay: float, caplog: pytest.LogCaptureFixture) -> None:
     """Held from 0.5 to 2.5 s; over a link of this delay there and back. 60 s: the terminal never answers."""
@@ -402,7 +403,7 @@ def test_the_line_shows_the_feedback() -> None:
 
 def test_log_records_are_printed_above_the_line(caplog: pytest.LogCaptureFixture) -> None:
     stream = io.StringIO()
-    line = Line(stream)
+    line = TerminalLine(stream)
     with log_above(line):
         log.warning("left: %s", "fault")
     log.warning("after")

@@ -45,6 +45,7 @@ def greeted(url: str) -> Browser:
     return client
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("command", "begun", "mode", "status"),
     [

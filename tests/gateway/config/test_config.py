@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+import tomllib
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -26,20 +27,24 @@ from gateway.config.errors import Mistakes, lines, shown
 from gateway.config.schema import build
 from gateway.config.sections import Find
 from gateway.config.validate import id_conflict
-from gateway.core.bounds import Bounds
 from gateway.core.robot import BagTopics, Robot
 from gateway.errors import ConfigError
 from gateway.sim import load_plant, load_world
 from gateway.sim.files import SceneFile
 from gateway.sim.linked_file import LinkedFile
+from gateway.sim.plant_files import Lidar
 from protocols import plugin
+from protocols.bounds import Bounds, Duration, Invalid, check
 from protocols.frames import EXTENDED_BIT, exact
-from protocols.messages import MILLISECOND, Idle, Nanos, Torque
+from protocols.messages import MILLISECOND, SECOND, Idle, Torque
 from protocols.plugin import Device, Plugin, Range, Spec
 from tests.gateway.bag_helpers import ROBOT as WITH_BAG
 from tests.gateway.rig import WATCHED
 
-ROBOTS = sorted(Path(resources.__file__).parent.parent.glob("fixtures/robots/*.toml"))
+ROOT = Path(resources.__file__).parent.parent
+ROBOTS = sorted(ROOT.glob("fixtures/robots/*.toml"))
+OTHERS = [path for path in sorted(ROOT.glob("tests/*/robots/*.toml")) if "[brain]" in path.read_text()]
+"""Robots that only campaigns and the tests on a real CAN drive."""
 BENCH = resources.find("robots", "bench").read_text()
 
 INSTALLED = ", ".join(point.name for point in plugin.installed())
@@ -74,8 +79,8 @@ def changed(old: str, new: str, text: str = ROVER, times: int = 1) -> str:
 # -- valid files -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)
-def test_every_shipped_robot_is_valid_and_named_as_its_file(path: Path) -> None:
+@pytest.mark.parametrize("path", ROBOTS + OTHERS, ids=lambda path: path.stem)
+def test_every_robot_file_is_valid_and_named_as_its_file(path: Path) -> None:
     robot = load_robot(path)
     assert robot.name == path.stem
     assert robot.text.partition("\n\n[files]")[0].strip() == path.read_text().strip()
@@ -188,9 +193,9 @@ POSITIVE = "expected a finite number from "
 MISTAKES = [
     # key, what stands in the rover's file, what stands there instead, what is reported
     ("rate_hz", "rate_hz = 200", "rate_hz = 0",
-     "found 0, expected a finite number of steps per second from 10 to 1000"),
+     "found 0, expected a finite number from 10 to 1000 steps per second"),
     ("rate_hz", "rate_hz = 200", "rate_hz = nan", "found nan, expected a finite number"),
-    ("rate_hz", "rate_hz = 200", "rate_hz = 1e6", "of steps per second from 10 to 1000"),
+    ("rate_hz", "rate_hz = 200", "rate_hz = 1e6", "from 10 to 1000 steps per second"),
     ("rate_hz", "rate_hz = 200", "rate_hz = true", "found true, expected a finite number"),
     ("rate_hz", "rate_hz = 200", "rate_hz = 2026-01-01", "found 2026-01-01, expected a finite number"),
     ("rate", "rate_hz = 200", "rate = 200", "no key 'rate'"),
@@ -261,7 +266,8 @@ MISTAKES = [
     ("motors.left.options.watchdog", 'watchdog = "acknowledged"', 'watchdog = "acknowleged"',
      "did you mean 'acknowledged'?"),
     ("motors.left.options.watchdoc", 'watchdog = "acknowledged"', "watchdoc = 1", "did you mean 'watchdog'?"),
-    ("motors.left.options.feedback_ms", 'watchdog = "acknowledged"', "feedback_ms = 0", "feedback_ms is 0"),
+    ("motors.left.options.feedback_ms", 'watchdog = "acknowledged"', "feedback_ms = 0",
+     "found 0, expected an integer from 1 to 1000"),
     ("motors.left.setings", "[motors.left.options]", "[motors.left.setings]", "did you mean 'settings'?"),
     ("sensors.lidar.protocol", 'protocol = "plain"', 'protocol = "odrive_can"',
      "'odrive_can' is the protocol of a motor here, expected a sensor"),
@@ -373,6 +379,18 @@ def test_what_a_driver_requires_of_its_devices_together_is_checked() -> None:
     assert any("motors.left.gear: " in one for one in mistakes)
     found = "buses.can0: cia402: sync_ms must be the same for all drives of one bus: it is 20 for left and 10"
     assert any(found in one for one in mistakes)
+
+
+def test_a_joint_that_would_run_ahead_of_its_devices_own_ramp_is_refused() -> None:
+    text = resources.find("robots", "diffbot_zlac8015d").read_text("utf-8")
+    text = changed("steps_per_rpm = 1 ", "acceleration_ms = 1000\nsteps_per_rpm = 1 ", text, times=2)
+    left, right = mistakes_in(text)
+    number = line_of(text, "acceleration = 60.0")
+    assert "motors.right.limits.acceleration: " in right
+    assert left == (
+        f"r.toml:{number}: motors.left.limits.acceleration: found 60, but the device's own ramp of Velocity "
+        "is 31.42 rad/s² at its own shaft; expected at most 31.42, or an option that makes its ramp steeper"
+    )
 
 
 def test_a_driver_that_raises_is_named_with_what_it_raises() -> None:
@@ -795,6 +813,7 @@ def numbers_of(robot: Robot) -> list[str]:
     return [f"{one:g}" for limit in limits for one in (limit.velocity, limit.acceleration, limit.torque)]
 
 
+@pytest.mark.sample(8)
 @pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)
 def test_the_description_names_everything(path: Path) -> None:
     robot = load_robot(path)
@@ -935,13 +954,13 @@ class Colour(StrEnum):
 class Inner:
     a: float = 1.0
     b: float = 2.0
-    patience: Nanos = 3 * MILLISECOND
+    patience: Duration = 3 * MILLISECOND
 
     def __post_init__(self) -> None:
         if self.a <= 0:
-            raise ValueError(f"a must be above 0, not {self.a}")
+            raise Invalid(("a", f"a must be above 0, not {self.a}"))
         if self.b <= 0 or self.patience <= 0:
-            raise ValueError("b must be above 0; patience must be above 0")
+            raise Invalid(("b", "b must be above 0"), ("patience", "patience must be above 0"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -955,7 +974,7 @@ class Outer:
     words: tuple[str, ...] = ()
     pair: tuple[float, float] = (0.0, 1.0)
     either: int | str = 0
-    length: Annotated[float, "metres"] = 0.0
+    length: Annotated[float, Bounds(0.0, 100.0, "m")] = 0.0
     items: tuple[Inner, ...] = ()
     modes: tuple[Literal["x", "y"], ...] = ()
     share: Annotated[float, Bounds(0.0, 0.9)] = 0.0
@@ -1034,7 +1053,7 @@ def test_every_mistake_in_a_dataclass() -> None:
             "words: found an array, expected an array of strings",
             "pair: found an array, expected an array of 2 finite numbers",
             "either: found 1.5, expected an integer or a string",
-            'length: found "long", expected a finite number of metres',
+            'length: found "long", expected a finite number from 0 to 100 m',
             "items: found an array, expected an array of tables",
             "modes: found \"x\", expected an array of 'x' or 'y'",
             "share: found 1, expected a finite number from 0 to 0.9",
@@ -1045,6 +1064,74 @@ def test_every_mistake_in_a_dataclass() -> None:
             "inner.patience_ms: patience must be above 0",
         ]
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Related:
+    radius: float
+    gear: Annotated[float, Bounds(1.0, 100.0)] = 1.0
+    wait: Duration = MILLISECOND
+    inner: Inner = field(default_factory=Inner)
+
+    def __post_init__(self) -> None:
+        too_long = "radius and gear allow less; see inner" if self.wait > SECOND else ""
+        check(
+            self,
+            ("gear", "with this radius, gear must be at most 5" if self.gear > 5.0 / self.radius else ""),
+            ("wait", too_long),
+            ("inner.b", "gear and radius need another" if self.inner.b == self.radius else ""),
+            ("", "radius is one of a kind" if self.radius == 0.5 else ""),
+        )
+
+
+@pytest.mark.parametrize(
+    ("values", "key", "text"),
+    [
+        ("gear = 6.0", "t.gear", "with this radius, gear must be at most 5"),
+        ("wait_ms = 2000", "t.wait_ms", "radius and gear allow less; see inner"),
+        ("[t.inner]\nb = 1.0", "t.inner.b", "gear and radius need another"),
+        ("gear = 0.0", "t.gear", "found 0.0, expected a finite number from 1 to 100"),
+    ],
+)
+def test_what_several_fields_are_wrong_about_has_the_key_and_line_of_the_one_that_is_meant(
+    values: str, key: str, text: str
+) -> None:
+    """Whatever the sentence says: no key is looked for in it, and it is not cut."""
+    source = f"[t]\nradius = 1.0\n{values}\n"
+    mistakes = Mistakes("f", source)
+    assert build(Related, tomllib.loads(source)["t"], ("t",), mistakes) is None
+    line = source.splitlines().index(values.splitlines()[-1]) + 1
+    assert [(one.key, one.line, one.text) for one in mistakes.error().mistakes] == [(key, line, text)]
+
+
+def test_what_is_wrong_with_a_whole_table_is_reported_there() -> None:
+    mistakes = Mistakes("f", "")
+    assert build(Related, {"radius": 0.5}, ("t",), mistakes) is None
+    assert str(mistakes.error()) == "f: t: radius is one of a kind"
+
+
+@pytest.mark.parametrize(
+    ("kind", "table", "key", "text"),
+    [
+        (Lidar, {"sweep": False, "clockwise": True}, "clockwise", "what hands on its beams as they come has"),
+        (plugin.load("cubemars").options, {"mode": "mit", "model": "AKE80-8"}, "model", "known in mode mit"),
+        (plugin.load("dynamixel").options, {"model": "XL"}, "model", "no model 'XL'; there are"),
+    ],
+)
+def test_a_sentence_that_begins_with_another_field_or_has_two_parts(
+    kind: type, table: dict[str, object], key: str, text: str
+) -> None:
+    mistakes = Mistakes("f", "")
+    assert build(kind, table, (), mistakes) is None
+    (one,) = mistakes.error().mistakes
+    assert (one.key, text in one.text) == (key, True)
+
+
+def test_what_a_protocol_objects_to_is_reported_at_the_option_or_the_address() -> None:
+    damiao = changed('watchdog = "acknowledged"', "reply_id = 0x101", changed("odrive_can", "damiao", BENCH))
+    assert any(".options.reply_id: reply_id 0x101" in each for each in mistakes_in(damiao))
+    far = changed("address = 1\n", "address = 999\n", BENCH)
+    assert any("motors.left.address: address 999" in each for each in mistakes_in(far))
 
 
 @pytest.mark.parametrize("table", [None, 5, "x", []])

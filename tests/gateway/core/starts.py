@@ -8,7 +8,7 @@ torque is what it is commanded: by a torque, or a spring. The loops of a drive h
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from math import pi
 
@@ -22,6 +22,7 @@ from gateway.runtime.loop import moments, read, write
 from gateway.runtime.timing import LoopStats
 from protocols import messages as msg
 from protocols.conformance.random import Random
+from protocols.frames import Packet
 from protocols.messages import SECOND, Command, Instruction
 
 # fmt: off
@@ -105,6 +106,9 @@ class Bench:
     """rad/s: of a shaft that its motor drove on"""
     strongest: float = 0.0
     """N·m"""
+    judged: bool = True
+    """Whether this gateway has sent it anything but what only reads. Before, what the motor does is not ours:
+    it goes on with what it had from the host before, or ends that by its own watchdog."""
     notes: tuple[str, ...] = ()
     parameters: dict[str, float] = field(default_factory=dict)
     """Read, by name."""
@@ -124,8 +128,8 @@ class Bench:
     def _judged(self, torques: dict[str, float]) -> dict[str, float]:
         self.torque = torques.get("left", 0.0)
         speed = self.world.world.shaft("left")[1]
-        self.strongest = max(self.strongest, abs(self.torque))
-        if self.torque * speed > 0.0 and abs(self.torque) > NO_TORQUE:
+        self.strongest = max(self.strongest, abs(self.torque) * self.judged)
+        if self.judged and self.torque * speed > 0.0 and abs(self.torque) > NO_TORQUE:
             self.fastest = max(self.fastest, abs(speed))
         return torques | {"left": self.torque + self.load - self.damping * speed}
 
@@ -142,8 +146,12 @@ class Bench:
             self.parameters |= {
                 one.parameter: one.value for one in outputs.events if isinstance(one, msg.Parameter)
             }
+            self.judged = self.judged or not self._only_reads(outputs.packets)
             write(self.world.buses, now, outputs.packets)
             given = ()
+
+    def _only_reads(self, packets: Sequence[Packet]) -> bool:
+        return all(self.robot.motors["left"].spec.read_only(packet.frame) for packet in packets)
 
     @property
     def place(self) -> float:
@@ -152,7 +160,7 @@ class Bench:
 
     def take_over(self) -> None:
         """Go on with a new gateway, as after a restart of the program; the motor is left as it is."""
-        self.gateway, self.strongest, self.fastest = Gateway(self.robot), 0.0, 0.0
+        self.gateway, self.judged, self.strongest, self.fastest = Gateway(self.robot), False, 0.0, 0.0
 
     def keeps(self, command: Command) -> None:
         """Check that it has kept its limits, by this command."""

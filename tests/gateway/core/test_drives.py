@@ -31,6 +31,7 @@ ROBOTS = {
     "diffbot_roboclaw": {"roboclaw"},
     "diffbot_sabertooth": {"sabertooth"},
     "diffbot_hoverboard": {"hoverboard"},
+    "diffbot_sensors": {"odrive_can"},
     "diffbot_vesc_uart": {"vesc_uart"},
     "diffbot_odrive_ascii": {"odrive_ascii"},
     "diffbot_mixed": {"cia402", "moteus", "odrive_can"},
@@ -44,6 +45,7 @@ OFTEN = {"diffbot_mixed", "diffbot_mixed_can", "diffbot_feetech"}
 DRIVEN = [pytest.param(one, marks=[] if one in OFTEN else [pytest.mark.prove]) for one in ROBOTS]
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("name", DRIVEN)
 def test_the_goal_is_reached_and_the_recording_replays_to_the_same_bytes(name: str, tmp_path: Path) -> None:
     robot = config.load_robot(name)

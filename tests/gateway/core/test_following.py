@@ -18,8 +18,10 @@ import pytest
 from gateway.buses.virtual.bus import HOST
 from gateway.buses.virtual.medium import Transmission
 from gateway.config import resources
-from gateway.core.following import INCONSISTENT, NO_TORQUE, NOT_FOLLOWED, NOTICED_WITHIN, RUNS_AWAY
-from gateway.core.joint import DISARMING, STILL_ARMED, Joint, JointSettings
+from gateway.core.arming import DISARMING
+from gateway.core.faults import INCONSISTENT, NO_TORQUE, NOT_FOLLOWED, RUNS_AWAY, STILL_ARMED
+from gateway.core.following import NOTICED_WITHIN
+from gateway.core.joint import Joint, JointSettings
 from gateway.core.limits import Limits
 from protocols import messages as msg
 from protocols.messages import MILLISECOND, SECOND, Command, Feedback, Mode, Nanos
@@ -75,6 +77,7 @@ def found(rig: Rig, motor: str = "left") -> list[int]:
 TURN, MOVE = msg.Velocity("left", 8.0), msg.Position("left", 12.0)
 
 
+@pytest.mark.sample(9)
 @pytest.mark.parametrize("command", [TURN, MOVE], ids=["velocity", "position"])
 @pytest.mark.parametrize(
     ("fault", "moving"),
@@ -151,6 +154,7 @@ PROGRAMME: list[Callable[[str], Command]] = [
 """Set-points that change in kind and size under way, also from a coasting shaft."""
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize(
     ("robot", "bus"),
     [

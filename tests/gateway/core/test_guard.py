@@ -14,9 +14,10 @@ from typing import Any, NoReturn
 import pytest
 
 from gateway import config
+from gateway.core.faults import DRIVER_FAILED, FRAME_BLOCKED
 from gateway.core.guard import Blocked, Guard, decoder_of
 from gateway.core.joint import Joint
-from gateway.core.step import DRIVER_FAILED, FRAME_BLOCKED, Gateway
+from gateway.core.step import Gateway
 from gateway.core.tick import Inputs
 from protocols import messages as msg
 from protocols.conformance.bench import DriverWrapper, Messages
@@ -147,7 +148,7 @@ def blocked_of(situation: Situation, frame: Frame) -> Blocked | None:
         guard.check(past, "can0", "odrive_can", [], {name: joint}, stopped=False)
         joint.on_event(msg.Feedback(name, now, shaft["position"], shaft["velocity"], *(None,) * 4))
         joint.on_event(msg.State(name, now, situation.mode, ""))
-        joint.owned = situation.owned
+        joint._arming.owned = situation.owned
         if situation.fault:
             joint.latch(msg.Fault(name, now, 1, "a fault", "", ""))
     for request in situation.asked:
@@ -316,7 +317,7 @@ def test_what_a_decoder_cannot_read_does_not_go_out(monkeypatch: pytest.MonkeyPa
 def test_a_blocked_frame_leaves_no_trace_and_does_not_hold_back_the_next() -> None:
     robot, guard, now = ROBOT, Guard(ROBOT), 100 * SECOND
     joints = {name: Joint(name, motor.joint, motor.spec) for name, motor in robot.motors.items()}
-    joints["left"].owned = True
+    joints["left"]._arming.owned = True
     wanted = [mode(LEFT, 2), arm(LEFT), velocity(RIGHT, 1.0), mode(RIGHT, 1), velocity(LEFT, 1.0)]
     for command in commanded_by(wanted[4]):
         guard.ask(now, command)
@@ -333,7 +334,7 @@ def test_a_blocked_frame_leaves_no_trace_and_does_not_hold_back_the_next() -> No
         assert kept == [more[0], more[2]]
         for frame in kept:
             decoder.decode(now, frame)
-    joints["right"].owned = True
+    joints["right"]._arming.owned = True
     again = velocity(RIGHT, 1.0)
     assert guard._receivers["can0"].decode(now, again) == decoder.decode(now, again)
 
@@ -368,7 +369,7 @@ def test_a_spring_pulls_within_the_limit_of_torque(
     guard, joint = Guard(robot), Joint("left", motor.joint, motor.spec)
     joint.on_event(msg.Feedback("left", now, here * -2.0, -10.0 * -2.0, *(None,) * 4))
     joint.on_event(msg.State("left", now, Mode.ARMED, ""))
-    joint.owned = True
+    joint._arming.owned = True
     table = motor.device.options.table
     gains = {"stiffness": stiffness / 4.0, "damping": damping / 4.0, "torque": torque / -2.0}
     spring = table.encode("MIT", 1, position=(here + lead) * -2.0, velocity=velocity_there * -2.0, **gains)
@@ -392,7 +393,7 @@ def test_what_arms_both_motors_of_a_drive_may_turn_the_commanded_one_alone() -> 
     robot = config.load_robot("diffbot_zlac8015d")
     guard, now = Guard(robot), SECOND
     joints = {name: Joint(name, motor.joint, motor.spec) for name, motor in robot.motors.items()}
-    joints["left"].owned = True
+    joints["left"]._arming.owned = True
     guard.ask(now, msg.Velocity("left", 10 * pi / 30.0))
     address = robot.motors["left"].device.address & 0x7F
 
@@ -462,7 +463,7 @@ class LimitlessJoint(Joint):
         usual = super().command(now, new, stopped, last, leaving)
         if self.wild is None:
             return usual
-        self.owned = True
+        self._arming.owned = True
         return replace(self.wild, motor=self.name)
 
 
@@ -482,6 +483,7 @@ def test_on_a_serial_line_only_the_motor_that_would_obey_is_in_fault() -> None:
     assert codes == {"left": {FRAME_BLOCKED}, "right": set()}
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize(
     ("wild", "name"),
     [
@@ -528,6 +530,7 @@ def test_a_joint_without_limits_moves_nothing_beyond_them(name: str, wild: str) 
 # -- beside a driver that raises -----------------------------------------------------------------------------
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("protocol", "method"),
     sampled(
@@ -598,6 +601,7 @@ UNASKED: list[dict[str, Any]] = json.loads((Path(__file__).parent / "unasked.jso
 """Frames by robot: gains, limits, ids, calibrations, restarts, other modes, wrong kinds of frame."""
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("name", sampled(list(dict.fromkeys(each["robot"] for each in UNASKED)), 4))
 def test_what_nobody_asked_for_is_blocked_driving_and_stopped(name: str) -> None:
     rig = Rig(config.load_robot(name).text)
@@ -636,6 +640,7 @@ class Deaf(DriverWrapper):
         return self.driver.send(now, self.last)
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("action", ["idle", "brake"])
 @pytest.mark.parametrize(
     "name", sampled([*(each for each in ROBOTS if each.startswith("diffbot_")), "diffbot"], 5)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from itertools import pairwise
 from typing import Literal, TypeAlias
 
@@ -12,14 +11,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from gateway.core.joint import (
-    ARMED_AGAINST_IDLE,
-    DISARMED_ITSELF,
-    FEEDBACK_LOST,
-    STILL_ARMED,
-    Joint,
-    JointSettings,
-)
+from gateway.core.faults import ARMED_AGAINST_IDLE, DISARMED_ITSELF, FEEDBACK_LOST, STILL_ARMED
+from gateway.core.joint import Joint, JointSettings
 from gateway.core.limits import Limits
 from protocols import messages as msg
 from protocols.messages import MILLISECOND, SECOND, Command, Mode, Nanos
@@ -58,9 +51,13 @@ def joint(
     position: tuple[float, float] | None = None,
     stop_action: Action = "idle",
     on_command_timeout: Literal["idle", "hold"] = "idle",
+    feedback_timeout: Nanos = 100 * MS,
 ) -> Joint:
     limits = Limits(velocity=10.0, acceleration=50.0, torque=2.0, position=position)
-    return Joint("m", JointSettings(limits, gear, sign, on_command_timeout, stop_action), spec())
+    settings = JointSettings(
+        limits, gear, sign, on_command_timeout, stop_action, feedback_timeout=feedback_timeout
+    )
+    return Joint("m", settings, spec())
 
 
 def armed(made: Joint, position: float = 0.0, velocity: float = 0.0, t: Nanos = 0) -> Joint:
@@ -453,8 +450,7 @@ def test_lost_feedback_of_a_commanded_joint_latches_and_it_does_not_start_by_its
 
 
 def test_the_feedback_timeout_is_the_robot_files_not_the_drivers() -> None:
-    made = armed(joint())
-    made.settings = replace(made.settings, feedback_timeout=500 * MS)
+    made = armed(joint(feedback_timeout=500 * MS))
     made.command(STEP, msg.Velocity("m", 1.0), stopped=False)
     made.on_event(msg.State("m", 250 * MS, Mode.OFFLINE))  # the driver's own timeout
     made.command(400 * MS, msg.Velocity("m", 1.0), stopped=False)
@@ -464,8 +460,7 @@ def test_the_feedback_timeout_is_the_robot_files_not_the_drivers() -> None:
 
 
 def test_a_device_that_returns_disarmed_from_a_short_outage_has_disarmed_itself() -> None:
-    made = armed(joint())
-    made.settings = replace(made.settings, feedback_timeout=500 * MS)
+    made = armed(joint(feedback_timeout=500 * MS))
     made.command(STEP, msg.Velocity("m", 1.0), stopped=False)
     made.on_event(msg.State("m", 250 * MS, Mode.OFFLINE))
     made.on_event(msg.State("m", 300 * MS, Mode.READY))

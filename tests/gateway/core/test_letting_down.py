@@ -48,6 +48,7 @@ def fall(name: str, action: str) -> list[tuple[float, float, float]]:
     return held.seen
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("name", sorted(HOLDING))
 def test_a_load_is_let_down(name: str) -> None:
     seen = fall(name, 'stop_action = "hold"\nunattended = "released"')

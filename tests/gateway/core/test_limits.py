@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gateway.core.joint import Joint
-from gateway.core.limits import Limits, Profile
+from gateway.core.limits import Limits, SetpointProfile
 from protocols.messages import Command, Feedback, Position, Velocity
 from tests.gateway.core.test_joint import STEP, armed, joint, spec
 
@@ -18,7 +18,7 @@ LIMITS = Limits(3.0, 20.0, 2.0, (-2.0, 2.0), jerk=200.0)
 
 def followed(wanted: list[Command], limits: Limits = LIMITS) -> list[tuple[float, float]]:
     """Positions and velocities commanded to a device that follows exactly."""
-    profile, position, velocity = Profile(), 0.3, 0.0
+    profile, position, velocity = SetpointProfile(), 0.3, 0.0
     rows = [(position, velocity)]
     for each in wanted:
         out = profile.limited(each, DT, Feedback("m", 0, position, velocity), limits)

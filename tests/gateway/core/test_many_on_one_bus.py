@@ -119,6 +119,7 @@ class Bench:
         return counts, ages
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("protocol", sampled(OPTIONS, 3))
 def test_a_silent_device_slows_no_other(protocol: str) -> None:
     bench = Bench(protocol)
@@ -135,6 +136,7 @@ def test_a_silent_device_slows_no_other(protocol: str) -> None:
         assert bench.gateway.joints[name].armed
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("protocol", sampled(OPTIONS, 3))
 def test_frames_that_are_destroyed_are_sent_again_and_stall_nobody(protocol: str) -> None:
     """Every fiftieth frame is cut off by an error frame after forty bits."""
@@ -153,6 +155,7 @@ def test_frames_that_are_destroyed_are_sent_again_and_stall_nobody(protocol: str
         assert bench.gateway.joints[name].armed
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("protocol", sampled(OPTIONS, 3))
 def test_behind_a_short_transmit_queue_all_stay_armed_and_obey_the_newest_command(protocol: str) -> None:
     """A step sends up to sixteen frames, or more; ten fit, as in the kernel's queue unless it is set."""

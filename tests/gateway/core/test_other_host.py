@@ -5,7 +5,9 @@ from __future__ import annotations
 import pytest
 
 from gateway import config
-from gateway.core.step import OTHER_HOST, OVERHEARD, Gateway
+from gateway.core.faults import OTHER_HOST
+from gateway.core.other_hosts import OVERHEARD
+from gateway.core.step import Gateway
 from gateway.core.tick import Inputs
 from protocols import messages as msg
 from protocols.frames import CanFrame, Frame, Packet
@@ -28,6 +30,7 @@ def faults(gateway: Gateway) -> list[str]:
     return [name for name, found in codes.items() if OTHER_HOST in found]
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("name", ROBOTS)
 def test_set_points_sent_again_by_another_host_are_a_fault(name: str) -> None:
     rig = Rig(config.load_robot(name).text)

@@ -8,7 +8,7 @@ import pytest
 
 from gateway import config
 from gateway.config import resources
-from gateway.core.joint import ANOTHER_DEVICE
+from gateway.core.faults import ANOTHER_DEVICE
 from gateway.errors import ConfigError
 from protocols import messages as msg
 from protocols.messages import Mode

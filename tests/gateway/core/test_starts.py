@@ -6,8 +6,7 @@ import math
 
 import pytest
 
-from gateway.core.joint import BEYOND_TRAVEL, UNREFERENCED
-from gateway.core.step import FRAME_BLOCKED
+from gateway.core.faults import BEYOND_TRAVEL, FRAME_BLOCKED, UNREFERENCED
 from protocols import messages as msg
 from tests.gateway.core.starts import HIGH, LOW, MOTORS, TURNS, Bench, commands_of, robot_of, start_case
 from tests.sampled import sampled
@@ -24,6 +23,7 @@ CASES = [
 ]
 
 
+@pytest.mark.sample(8)
 @pytest.mark.parametrize(("motor", "kind", "outside"), sampled(CASES, 13))
 def test_a_joint_outside_its_range_is_led_inwards_or_not_commanded(
     motor: str, kind: str, outside: float
@@ -76,6 +76,14 @@ def test_a_turn_that_was_lost_makes_the_position_unknown_until_it_is_confirmed()
     assert any("there is no motor 'lefft'" in note for note in bench.notes)
 
 
+def test_a_position_that_is_lost_and_goes_on_jumping_is_noted_once() -> None:
+    bench = Bench.of(robot_of("damiao"), 1)
+    for _ in range(5):
+        bench.offset += 3.0
+        bench.run(0.1)
+    assert len([note for note in bench.notes if "its position is not known" in note]) == 1
+
+
 def test_to_zero_it_makes_the_position_known() -> None:
     bench = Bench.of(robot_of("robstride"), 1)
     bench.run(0.5, msg.Position("left", 1.0))
@@ -99,6 +107,20 @@ def test_a_torque_that_drives_a_joint_out_of_its_range_is_ended() -> None:
     assert joint.sent == msg.Idle("left")
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("number", range(6))
 def test_joints_start_within_their_limits(number: int) -> None:
     start_case(11, 7 * number)
+
+
+LOADED = {
+    446: "a spring's first set-point",
+    1418: "Hold on a moving shaft",
+    1509: "a torque beside a load",
+}
+"""By number: what went beyond the limits where a load turns a bare rotor, until that was reckoned with."""
+
+
+@pytest.mark.parametrize("number", LOADED)
+def test_a_load_that_turns_the_rotor_is_reckoned_with(number: int) -> None:
+    start_case(11, number)

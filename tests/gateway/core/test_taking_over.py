@@ -111,6 +111,7 @@ def limp(torques: Sequence[float]) -> int:
     return max(map(len, carried.split("|")))
 
 
+@pytest.mark.sample(6)
 @pytest.mark.parametrize("name", HOLDING)
 @pytest.mark.parametrize("kind", ["Hold", "Position"])
 def test_a_load_stays_where_it_is(name: str, kind: str) -> None:
@@ -124,6 +125,7 @@ def test_a_load_stays_where_it_is(name: str, kind: str) -> None:
     assert limp(torques) <= LIMP, "it is carried throughout"
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("name", HOLDING)
 def test_a_first_velocity_begins_at_rest_and_drops_nothing(name: str) -> None:
     _, seen = taken_over(name, lambda _: msg.Velocity("joint", SPEED))

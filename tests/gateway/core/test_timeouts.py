@@ -83,6 +83,7 @@ def _is_of(event: Event, name: str) -> TypeGuard[Feedback | LaserScan]:
     return False
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("timeout_ms", [300, 500, 1400])
 def test_the_lidars_timeout_sets_when_the_base_goes_slow_and_when_it_stands(timeout_ms: int) -> None:
     timeout = timeout_ms * MILLISECOND
@@ -99,6 +100,7 @@ def test_the_lidars_timeout_sets_when_the_base_goes_slow_and_when_it_stands(time
     assert abs(seen.wheel[-1][1]) < 0.05
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("timeout_ms", [60, 100, 200])
 def test_the_feedback_timeout_does_so_for_a_wheel_before_its_joint_is_in_fault(timeout_ms: int) -> None:
     timeout = timeout_ms * MILLISECOND
@@ -114,6 +116,7 @@ def test_the_feedback_timeout_does_so_for_a_wheel_before_its_joint_is_in_fault(t
     assert feedback_lost in seen.rig.gateway.why_stopped()
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("timeout_ms", "states"),
     [(500, {BrainState.RUNNING, BrainState.DEGRADED}), (1400, {BrainState.RUNNING})],

@@ -8,7 +8,7 @@ from math import cos, pi, sin
 
 import pytest
 
-from gateway.core.limits import Limits, Profile
+from gateway.core.limits import Limits, SetpointProfile
 from protocols import messages as msg
 from protocols.messages import Feedback, Position
 from tests.gateway.core.starts import MOTORS, Bench, robot_of
@@ -28,7 +28,7 @@ def set_points(
     sample: Callable[[float], tuple[float, float]], every: int = 1, limits: Limits = LIMITS
 ) -> list[tuple[float, float]]:
     """Return what a joint is commanded that is given a sample at every so many steps, for two seconds."""
-    profile, given, out = Profile(), Position("m", 0.0), list[tuple[float, float]]()
+    profile, given, out = SetpointProfile(), Position("m", 0.0), list[tuple[float, float]]()
     for step in range(400):
         if step % every == 0:
             given = Position("m", *sample(step * DT))
@@ -81,6 +81,7 @@ def test_a_velocity_beside_a_position_that_stays_moves_nothing() -> None:
     assert rest == (1.0, 0.0)
 
 
+@pytest.mark.sample(4)
 @pytest.mark.parametrize(
     "motor", [motor for motor in MOTORS if msg.Position in robot_of(motor).motors["left"].spec.commands]
 )

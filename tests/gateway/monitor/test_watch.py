@@ -19,7 +19,7 @@ from gateway.buses import Bus
 from gateway.buses.adapters.pty import SerialPty
 from gateway.buses.can import open_can
 from gateway.cli.main import main
-from gateway.cli.terminal.screen import ENTER, LEAVE, Line, cut, screen
+from gateway.cli.terminal.screen import ENTER, LEAVE, TerminalLine, cut, screen
 from gateway.cli.terminal.screen import page as drawn
 from gateway.cli.watch import READ_PERIOD, lines, page, received, refresh
 from gateway.core.clock import SimulatedClock
@@ -247,7 +247,7 @@ def test_a_page_fits_its_terminal_and_contains_no_control_characters() -> None:
 
 def test_a_line_without_a_terminal_is_a_line() -> None:
     stream = io.StringIO()
-    line = Line(stream)
+    line = TerminalLine(stream)
     line.draw("one")
     line.print_above("two")
     line.end()

@@ -26,7 +26,7 @@ from gateway.core.step import Gateway
 from gateway.core.tick import Inputs, Note, Outputs, Tick
 from gateway.errors import ConfigError, GatewayError
 from gateway.recording import read_recording, tick_codec
-from gateway.recording.layout import FACTS, METADATA, ROBOT_FILE, Opcode, digest
+from gateway.recording.layout import FACTS, FORMAT, METADATA, ROBOT_FILE, Opcode, digest
 from gateway.recording.mcap_file import McapFile
 from gateway.recording.mcap_records import records
 from gateway.recording.recover import is_whole, recover
@@ -148,7 +148,7 @@ class Forge:
             lines[at] = f"{key}{equals} {random.choice(values)}\n" if equals else random.choice(("", "[x]\n"))
         self._written(name, ticks[:8], "".join(lines))
 
-    def _head(self, robot: bytes, format_: str = "2") -> McapFile:
+    def _head(self, robot: bytes, format_: str = FORMAT) -> McapFile:
         file = McapFile(self.path, f"motor-gateway {NASTY}")
         file.metadata(METADATA, {"format": format_, "robot digest": digest(robot)})
         file.metadata(FACTS, {f"package {NASTY}": NASTY})

@@ -14,15 +14,15 @@ from rosbags.typesys.store import Typestore
 from brain.belief import Estimate, Pose
 from gateway.recording import ros_cdr
 from gateway.recording.ros_messages import CAN_FRAME, FD_FRAME
-from gateway.recording.ros_views import IMU, JOINT_STATE, ODOMETRY, SCAN, TRANSFORMS, typestore
+from gateway.recording.ros_views import JOINT_STATE, ODOMETRY, POSE, TRANSFORMS, typestore
 from protocols.frames import CanFrame
-from protocols.messages import Imu, LaserScan
+from protocols.sensors import OURS
 from tests.gateway import little
+from tests.protocols.message_samples import messages_of
 
 LAYOUTS = ros_cdr.Layouts()
 names = st.text(max_size=12)
 floats = st.floats(allow_nan=False)
-three = st.tuples(floats, floats, floats)
 poses = st.builds(Pose, floats, floats, st.floats(-1e300, 1e300))
 estimates = st.builds(
     Estimate,
@@ -31,17 +31,7 @@ estimates = st.builds(
     floats,
     floats,
     st.lists(floats, min_size=9, max_size=9).map(lambda values: np.array(values).reshape(3, 3)),
-)
-imus = st.builds(
-    Imu, names, little.int64, three, three, st.none() | st.tuples(floats, floats, floats, floats)
-)
-scans = st.builds(
-    LaserScan,
-    names,
-    little.int64,
-    *[floats] * 4,
-    st.lists(floats, max_size=9).map(tuple),
-    little.int64,
+    odom=poses,
 )
 
 
@@ -59,11 +49,15 @@ def frames(fd: bool, most: int) -> st.SearchStrategy[CanFrame]:
 ENCODED: list[tuple[str, st.SearchStrategy[bytes]]] = [
     (CAN_FRAME, st.builds(partial(ros_cdr.can_frame, LAYOUTS), little.int64, names, frames(False, 9))),
     (FD_FRAME, st.builds(partial(ros_cdr.fd_frame, LAYOUTS), little.int64, names, frames(True, 65))),
-    (IMU, imus.map(partial(ros_cdr.imu, LAYOUTS))),
-    (SCAN, scans.map(partial(ros_cdr.laser_scan, LAYOUTS))),
+    *(
+        (kind.ros.type, messages_of(kind.message).map(partial(ros_cdr.reading, LAYOUTS, kind.ros)))
+        for kind in OURS
+        if kind.ros
+    ),
     (ODOMETRY, estimates.map(partial(ros_cdr.odometry, LAYOUTS))),
     (ODOMETRY, st.builds(partial(ros_cdr.dead_reckoning, LAYOUTS), little.int64, poses)),
-    (TRANSFORMS, estimates.map(partial(ros_cdr.base_transform, LAYOUTS))),
+    (TRANSFORMS, estimates.map(partial(ros_cdr.transforms, LAYOUTS))),
+    (POSE, estimates.map(partial(ros_cdr.pose_in_map, LAYOUTS))),
     (
         JOINT_STATE,
         st.builds(

@@ -85,6 +85,7 @@ def test_what_unpacks_to_gigabytes_takes_little_memory(path: Path) -> None:
     assert all(int(sentences) for _, _, sentences in rows), f"nothing was refused: {rows}"
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("kind", range(len(KINDS)), ids=KINDS)
 def test_a_hostile_recording_is_read_or_refused_in_a_sentence(kind: int, tmp_path: Path) -> None:
     forge = Forge(tmp_path, seed=5)

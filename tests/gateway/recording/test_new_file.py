@@ -47,6 +47,7 @@ WRITERS: dict[str, Callable[[Path, Path], object]] = {
 """Of a part, whose name ends so, the thing in the way is called as the part would be."""
 
 
+@pytest.mark.sample(5)
 @pytest.mark.parametrize("what", WRITERS)
 @pytest.mark.parametrize("there", ["dangling", "link", "file"])
 def test_what_must_be_new_is_refused_and_nothing_is_touched(

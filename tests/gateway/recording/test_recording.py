@@ -125,8 +125,8 @@ def test_rosbags_reads_every_message(path: Path) -> None:
     assert numbers == list(range(200))
     assert seen == promised
     assert set(seen) == {
-        "/gateway/tick", "/can0/from_can_bus", "/can0/to_can_bus", "/odom", "/tf", "/tf_static", "/map",
-        "/plan", "/goal_pose", "/joint_states", "/diagnostics", "/rosout",
+        "/gateway/tick", "/can0/from_can_bus", "/can0/to_can_bus", "/odom", "/tf", "/estimate", "/tf_static",
+        "/map", "/plan", "/goal_pose", "/joint_states", "/diagnostics", "/rosout",
     }  # fmt: skip
 
 
@@ -317,7 +317,7 @@ NOT_RECORDINGS = [
     (b"\x89MCAP0\r\n", "cut off in its first bytes"),
     (b"\x89MCAP0\r\n" + bytes(50), "cut off in its first bytes"),
     (b"\x89MCAP0\r\n\x01" + struct.pack("<Q", 2**62), "cut off in its first bytes"),
-    (mcap({**OURS, "format": "3"}), "of format 3; this program reads formats 1 and 2"),
+    (mcap({**OURS, "format": "4"}), "of format 4; this program reads formats 1, 2 and 3"),
     (mcap(OURS, None), "there is no tick in it"),
     (mcap(OURS, b"x = 2\n"), "the robot file in it does not match its digest"),
 ]
@@ -408,4 +408,18 @@ def test_keys_of_format_1_are_translated_where_they_are_keys() -> None:
         'left = { on_command_timeout = "idle", stop_action="brake" }\nsafe = { bus = "silent = 1" }\n'
         'text = """\nsafe = 1\n"""\nother_safe = 1\n[defaults.motors]\nstop_action = \'hold\'\n'
     )
-    assert modernised(old) == new
+    assert modernised(old, "1") == new
+    assert modernised(old, "2") == old
+
+
+def test_the_border_of_the_map_is_left_out_of_recordings_that_had_one() -> None:
+    old = (
+        "[brain.perception.map]\nresolution = 0.1\nwidth = 8.0\nheight = 8.0 # m\n"
+        "[brain.planner]\nwidth = 1\n[brain]\nperception.map.width = 8.0\n"
+        "[brain.perception]\n  map.height = 8.0"
+    )
+    new = (
+        "[brain.perception.map]\nresolution = 0.1\n[brain.planner]\nwidth = 1\n[brain]\n[brain.perception]\n"
+    )
+    assert modernised(old, "1") == modernised(old, "2") == new
+    assert modernised(old, FORMAT) == old

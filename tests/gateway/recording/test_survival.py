@@ -120,6 +120,7 @@ def hand_over(recorder: Recorder, moments: Iterator[Any], count: int) -> None:
     drained(recorder)
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("trouble", [errno.ENOSPC, errno.EROFS, errno.EIO, errno.EDQUOT])
 def test_a_disk_that_takes_nothing_for_a_while(
     path: Path, trouble: int, caplog: pytest.LogCaptureFixture

@@ -15,7 +15,7 @@ from brain.belief import Belief, BrainState, Estimate, MapView, Pose
 from brain.perception.mount import Mount
 from gateway.core.tick import Inputs, Note, Outputs, Tick
 from gateway.recording import ros_messages
-from gateway.recording.ros_views import View, Views, topic_name, typestore
+from gateway.recording.ros_views import ViewMessage, Views, topic_name, typestore
 from protocols.frames import CanFrame, Packet
 from protocols.messages import (
     MILLISECOND,
@@ -55,7 +55,9 @@ def at(message: Any) -> tuple[Nanos, str]:
 
 def believing(t: Nanos = T, **changes: Any) -> Belief:
     covariance = np.array([[1.0, 2.0, 3.0], [2.0, 5.0, 6.0], [3.0, 6.0, 9.0]])
-    estimate = Estimate(t, Pose(1.0, 2.0, math.pi / 2), 0.4, -0.3, covariance)
+    estimate = Estimate(
+        t, Pose(1.0, 2.0, math.pi / 2), 0.4, -0.3, covariance, odom=Pose(3.0, -1.0, -math.pi / 2)
+    )
     return replace(BELIEF, state=BrainState.RUNNING, estimate=estimate, **changes)
 
 
@@ -172,16 +174,24 @@ def test_joint_states_hold_the_last_values_of_each_motor() -> None:
 def test_odometry_and_tf() -> None:
     message = shown(tick(), believing(T - 3))["/odom"]
     assert (*at(message), message.child_frame_id) == (T - 3, "odom", "base_link")
+    assert (message.pose.pose.position.x, message.pose.pose.position.y) == (3.0, -1.0)
+    assert not message.pose.covariance.any()
+    assert (message.twist.twist.linear.x, message.twist.twist.angular.z) == (0.4, -0.3)
+    message = shown(tick(), believing(T - 3))["/estimate"]
+    assert at(message) == (T - 3, "map")
     pose = message.pose.pose
     assert (pose.position.x, pose.position.y, pose.position.z) == (1.0, 2.0, 0.0)
     assert (pose.orientation.z, pose.orientation.w) == pytest.approx((math.sqrt(0.5), math.sqrt(0.5)))
     covariance = message.pose.covariance.reshape(6, 6)
     assert covariance[np.ix_([0, 1, 5], [0, 1, 5])].tolist() == [[1, 2, 3], [2, 5, 6], [3, 6, 9]]
     assert covariance.sum() == 37
-    assert (message.twist.twist.linear.x, message.twist.twist.angular.z) == (0.4, -0.3)
-    (transform,) = shown(tick(), believing(T - 3))["/tf"].transforms
-    assert (*at(transform), transform.child_frame_id) == (T - 3, "odom", "base_link")
-    assert (transform.transform.translation.x, transform.transform.rotation.w) == (1.0, math.sqrt(0.5))
+    base, odom = shown(tick(), believing(T - 3))["/tf"].transforms
+    assert (*at(base), base.child_frame_id) == (T - 3, "odom", "base_link")
+    assert (base.transform.translation.x, base.transform.rotation.w) == (3.0, math.sqrt(0.5))
+    assert (*at(odom), odom.child_frame_id) == (T - 3, "map", "odom")
+    place, turn = odom.transform.translation, odom.transform.rotation
+    assert (abs(turn.z), turn.w) == pytest.approx((1.0, 0.0), abs=1e-12)  # half a turn
+    assert (place.x + -3.0, place.y + 1.0) == pytest.approx((1.0, 2.0))
 
 
 def test_the_wheels_alone_beside_it() -> None:
@@ -195,7 +205,7 @@ def test_the_map() -> None:
     message = shown(tick(), replace(BELIEF, map=MapView(1, 0.05, {(0, 0): odds}, corner=(-1.0, -2.0))))[
         "/map"
     ]
-    assert at(message) == (T, "odom")
+    assert at(message) == (T, "map")
     assert (message.info.width, message.info.height) == (3, 2)
     assert message.info.resolution == np.float32(0.05)
     assert (message.info.origin.position.x, message.info.origin.position.y) == (-1.0, -2.0)
@@ -224,7 +234,7 @@ def test_the_plan_and_the_goal_come_on_change() -> None:
     assert [(p.pose.position.x, p.pose.position.y) for p in made["/plan"].poses] == list(path)
     yaws = [2 * math.atan2(p.pose.orientation.z, p.pose.orientation.w) for p in made["/plan"].poses]
     assert yaws == pytest.approx([math.pi / 2, 0.0, 0.0])
-    assert (made["/goal_pose"].pose.position.x, made["/goal_pose"].header.frame_id) == (2.0, "odom")
+    assert (made["/goal_pose"].pose.position.x, made["/goal_pose"].header.frame_id) == (2.0, "map")
     assert not {"/plan", "/goal_pose"} & set(shown(tick(), wanting, views))
     gone = shown(tick(), replace(BELIEF, path_version=2), views)
     assert gone["/plan"].poses == []
@@ -304,12 +314,13 @@ def test_notes_reach_the_log(level: Any, number: int) -> None:
 
 def test_thinning() -> None:
     """5 s at 200 Hz: belief at 50 Hz, diagnostics at 2 Hz, and at once on a change of state."""
-    views, count = Views(), dict.fromkeys(("/odom", "/tf", "/joint_states", "/diagnostics"), 0)
+    views, count = Views(), dict.fromkeys(("/odom", "/tf", "/estimate", "/joint_states", "/diagnostics"), 0)
     for i in range(1000):
         now = i * 5 * MILLISECOND
         for topic in shown(tick(Feedback("left", now, 1.0), now=now), believing(now), views):
             count[topic] += 1
-    assert count == {"/odom": 250, "/tf": 250, "/joint_states": 250, "/diagnostics": 10}
+    assert count.pop("/diagnostics") == 10
+    assert set(count.values()) == {250}
     stopped = replace(believing(now), state=BrainState.STOPPED)
     assert "/diagnostics" in shown(tick(now=now + 1), stopped, views)
     assert "/diagnostics" not in shown(tick(now=now + 2), stopped, views)
@@ -325,7 +336,7 @@ def test_an_estimate_is_shown_once() -> None:
 
 
 def test_the_same_again_to_the_byte() -> None:
-    def all_of_it() -> list[list[View]]:
+    def all_of_it() -> list[list[ViewMessage]]:
         views = Views(little.MOUNTS)
         return [views.messages(made, belief) for made, belief in little.life(200)]
 

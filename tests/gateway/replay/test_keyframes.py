@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import os
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -15,9 +16,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from brain.skills import found as skills
 from gateway.recording import read_recording
 from gateway.replay import keyframes
 from gateway.replay.keyframes import Frame, Keyframes, StateCodec
+from tests.distributions import Site
 from tests.gateway import little
 
 
@@ -299,3 +302,21 @@ def test_the_folder_is_another_for_another_recording_robot_program_or_plugin(
     (plugin / "wire.py").write_text("x = 2\n")
     others.append(name())
     assert len({first, *others}) == 7
+
+
+def test_the_folder_is_another_for_another_source_of_a_skill(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    little.record(tmp_path / "a.mcap", 20)
+    site = Site(tmp_path / "site", monkeypatch)
+    site.install("acme", "nod = acme_nod:skill", "skill = 1\n", group=skills.GROUP)
+
+    def name() -> str | None:
+        recording = read_recording(tmp_path / "a.mcap")
+        return keyframes.folder_name(recording, little.ROBOT, {}, StateCodec([]))
+
+    first = name()
+    assert name() == first
+    (site.path / "acme_nod.py").write_text("skill = 2\n")
+    assert name() != first
+    assert "acme_nod" not in sys.modules

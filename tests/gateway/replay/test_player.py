@@ -136,6 +136,7 @@ def plays_as_a_straight_replay(recording: Recording, cache: Path, seed: int, mov
         assert played.comparison == replay_recording(recording)
 
 
+@pytest.mark.sample(1)
 @pytest.mark.usefixtures("often")
 @pytest.mark.parametrize("name", sampled(ROBOTS, 2))
 def test_it_plays_as_a_straight_replay(name: str, tmp_path: Path) -> None:
@@ -339,6 +340,7 @@ def test_playback(changes: list[tuple[int, dict[str, Any]]], due: float) -> None
     assert playback.target(10 * SECOND) == round(due * SECOND)
 
 
+@pytest.mark.sample(3)
 @pytest.mark.usefixtures("often")
 @pytest.mark.parametrize("number", range(len(KINDS)))
 def test_recordings_that_were_made_to_do_harm_are_played_as_they_are_replayed(

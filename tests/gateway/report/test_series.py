@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from brain.belief import Pose
-from gateway.report.series import APART, Signals, Track
+from gateway.report.series import APART, DrivenTrack, Signals
 from protocols.messages import MILLISECOND, SECOND
 
 PERIOD = 5 * MILLISECOND
@@ -47,7 +47,7 @@ def test_a_rare_signal_has_gaps_and_a_common_one_none() -> None:
 
 
 def test_what_is_not_finite_is_left_out() -> None:
-    signals, track = Signals(PERIOD), Track()
+    signals, track = Signals(PERIOD), DrivenTrack()
     signals.move_to(0)
     for value in (nan, 1.0, inf, -inf):
         signals.add(value, "a")
@@ -69,7 +69,7 @@ def test_shrinking_keeps_the_peaks_of_all_signals() -> None:
 
 
 def test_a_path_of_any_length_is_bounded_and_keeps_its_ends() -> None:
-    track, steps = Track(most=100), 20_000
+    track, steps = DrivenTrack(most=100), 20_000
     for i in range(steps):
         angle = 0.001 * i
         track.add(i * PERIOD, Pose(3.0 * cos(angle), 3.0 * sin(angle), 0.0))
@@ -82,7 +82,7 @@ def test_a_path_of_any_length_is_bounded_and_keeps_its_ends() -> None:
 
 
 def test_noise_at_rest_adds_neither_points_nor_length() -> None:
-    track, noise = Track(), np.random.default_rng(1).normal(scale=APART / 10, size=(2000, 2))
+    track, noise = DrivenTrack(), np.random.default_rng(1).normal(scale=APART / 10, size=(2000, 2))
     for i, (x, y) in enumerate(noise):
         track.add(i * PERIOD, Pose(float(x), float(y), 0.0))
     assert len(track.points) <= 2

@@ -95,18 +95,18 @@ def drive(seed: int, length: float | None = None, sideways: float = 0.0) -> Driv
         t = t[(t > 0.0)]
         return t, t + delay + jitter * rng.random(len(t))
 
-    t, logged = stream(rng.choice([10.0, 20.0, 50.0, 100.0]), 0.001, rng.choice([0.001, 0.03]))
+    t, logged = stream(float(rng.choice([10.0, 20.0, 50.0, 100.0])), 0.001, float(rng.choice([0.001, 0.03])))
     x, y, yaw = path(w)
     wide = round(rng.choice([0.0, 0.2, 1.0]) / FINE) + 1  # many controllers report a mean
     late = [np.convolve(one, np.ones(wide) / wide)[: len(one)] for one in (v, lateral, w)]
     odom = dict(zip(("v", "lateral", "w"), (np.interp(t, fine, one) for one in late), strict=True))
     odom |= {"x": np.interp(t, fine, x), "y": np.interp(t, fine, y), "yaw": np.interp(t, fine, yaw)}
     recorded = Stream(logged, t, odom)
-    t, logged = stream(rng.choice([30.0, 50.0, 100.0, 200.0]), rng.uniform(0.001, 0.03), 0.005)
+    t, logged = stream(float(rng.choice([30.0, 50.0, 100.0, 200.0])), rng.uniform(0.001, 0.03), 0.005)
     noise = rng.choice([0.002, 0.01, 0.05])
     gyro = np.interp(t, fine, w * (1.0 - slip)) + rng.normal(rng.normal(0.0, 0.02), noise, len(t))
     turned = Stream(logged, t, {"w": gyro})
-    t, logged = stream(rng.choice([1.0, 2.5, 5.0]), rng.uniform(0.0, 0.2), 0.05)
+    t, logged = stream(float(rng.choice([1.0, 2.5, 5.0])), rng.uniform(0.0, 0.2), 0.05)
     x, y, _ = path(w * (1.0 - slip))
     sigma = rng.choice([0.02, 0.3])
     noisy = {n: np.interp(t, fine, one) + rng.normal(0.0, sigma, len(t)) for n, one in (("x", x), ("y", y))}

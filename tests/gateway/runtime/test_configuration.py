@@ -88,6 +88,7 @@ def sent(robot: Robot, record: Path) -> tuple[list[bool], list[object]]:
     return harmless, obeyed
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("name", sampled(SIMULATED, 4))
 def test_each_shipped_robot_is_read_without_a_frame_that_does_anything(name: str, tmp_path: Path) -> None:
     robot = configuration.motors_only(load_robot(name))
@@ -103,6 +104,7 @@ def test_each_shipped_robot_is_read_without_a_frame_that_does_anything(name: str
     assert obeyed == []
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize(
     ("text", "stated", "device", "expected"),
     [  # what the robot file states, what its maker's tool has left on the device

@@ -85,6 +85,7 @@ FAILURES: dict[str, tuple[Callable[[Rig], object], set[str]]] = {
 }
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("name", FAILURES)
 def test_what_fails_is_raised_when_every_motor_that_can_be_reached_is_disarmed(
     name: str, turning: Rig, caplog: pytest.LogCaptureFixture
@@ -145,6 +146,7 @@ REASONS = [
 ]
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize(("times", "braked"), REASONS, ids=lambda value: str(value))
 def test_a_second_reason_is_never_worse_than_one_and_a_third_ends_the_time_to_brake(
     times: list[int], braked: tuple[int, int], turning: Rig
@@ -223,6 +225,7 @@ DRIVEN = [
 ]
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("robot", sampled(DRIVEN, 3))
 def test_a_motor_that_is_about_to_arm_when_the_run_is_left_does_not_stay_armed(robot: str) -> None:
     """Left after each of the first ticks of a motion, with what arms it sent or on its way; the first frames
@@ -252,6 +255,7 @@ def kill(name: str) -> None:
     os.kill(os.getpid(), signal.Signals[name])
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("name", SIGNALS)
 def test_signals_are_reasons_to_leave_from_the_opening_to_the_close(
     name: str, monkeypatch: pytest.MonkeyPatch

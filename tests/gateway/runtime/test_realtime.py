@@ -15,25 +15,25 @@ from gateway.runtime.realtime import (
     DEFAULT,
     HIGHEST,
     LOWEST,
-    Wish,
+    RealtimeWanted,
     interrupt_threads,
     interrupts,
-    wished,
+    wanted_of,
 )
 
 
 @pytest.mark.parametrize(
-    ("text", "wish"),
+    ("text", "wanted"),
     [
         (None, None),
-        ("", Wish(DEFAULT)),
-        (f"{LOWEST}", Wish(LOWEST)),
-        (f"{HIGHEST},required", Wish(HIGHEST, required=True)),
-        ("required,cpu=1", Wish(DEFAULT, 1, required=True)),
+        ("", RealtimeWanted(DEFAULT)),
+        (f"{LOWEST}", RealtimeWanted(LOWEST)),
+        (f"{HIGHEST},required", RealtimeWanted(HIGHEST, required=True)),
+        ("required,cpu=1", RealtimeWanted(DEFAULT, 1, required=True)),
     ],
 )
-def test_what_can_be_wished(text: str | None, wish: Wish | None) -> None:
-    assert wished(text) == wish
+def test_what_can_be_wished(text: str | None, wanted: RealtimeWanted | None) -> None:
+    assert wanted_of(text) == wanted
 
 
 @pytest.mark.parametrize(
@@ -41,14 +41,14 @@ def test_what_can_be_wished(text: str | None, wish: Wish | None) -> None:
 )
 def test_what_is_no_wish_is_refused_with_an_example(text: str) -> None:
     with pytest.raises(UserError, match=r"1 to 80, cpu=N or required, as in --realtime=40"):
-        wished(text)
+        wanted_of(text)
 
 
 ASKED = """
 import os, resource, sys, threading, time
 from gateway.config import load_robot
 from gateway.errors import UserError
-from gateway.runtime.realtime import realtime, wished
+from gateway.runtime.realtime import realtime, wanted_of
 
 def state():
     threads = [int(one) for one in os.listdir("/proc/self/task")]
@@ -62,7 +62,7 @@ threading.Thread(target=end.wait, daemon=True).start()
 robot = load_robot("bench")
 before = state()
 try:
-    with realtime(wished(sys.argv[1]), robot):
+    with realtime(wanted_of(sys.argv[1]), robot):
         threads, scheduled, affinity, locked = state()
         limits = resource.getrlimit(resource.RLIMIT_RTTIME)
         print(threads > 1, sorted(scheduled), sorted(affinity), locked, limits)

@@ -8,8 +8,11 @@ import asyncio
 import contextlib
 import logging
 import re
+import resource
 import shlex
 import signal
+import subprocess
+import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing
@@ -333,6 +336,7 @@ def invited(twin: Process, *more: str) -> list[str]:
     return [*shlex.split(line[1]), *more]
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(("name", "adapter"), [("diffbot", "slcan"), ("diffbot_damiao", "dm-serial")])
 def test_two_processes_reach_a_goal_and_the_recording_replays(
     folder: Path, capsys: pytest.CaptureFixture[str], name: str, adapter: str
@@ -361,8 +365,14 @@ def test_two_processes_reach_a_goal_and_the_recording_replays(
     assert "the same, byte for byte" in capsys.readouterr().out
 
 
-def test_the_first_frame_goes_out_within_three_seconds_also_if_it_is_recorded(folder: Path) -> None:
-    """Of the processor's time: what else the machine does is not ours to judge."""
+def test_the_first_frame_costs_no_more_than_ten_times_what_its_libraries_do_to_import(folder: Path) -> None:
+    """Also if it is recorded. Both are the processor's time, and one after the other: a processor that is
+    shared is slower for both."""
+    bare = [sys.executable, "-c", "import can, mcap, numpy, serial"]
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    subprocess.run(bare, check=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    libraries = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     clock = WallClock()
     adapters = AdapterPty(BusSettings("can0", "can", "twin", 1_000_000))
     line = SerialPty(BusSettings("sensors", "serial", "twin", baudrate=3_000_000))
@@ -373,7 +383,8 @@ def test_the_first_frame_goes_out_within_three_seconds_also_if_it_is_recorded(fo
             clock.wait(clock.now() + 2 * MS)
             assert clock.now() < 60 * SECOND, robot.text
         took = robot.processor_time()
-        assert 0.1 < took < 3.0
+        print(f"{took:.2f} s, the libraries {libraries:.2f} s")
+        assert 0.0 < took < 10.0 * libraries
         assert "Traceback" not in robot.end(signal.SIGTERM)[1]
 
 

@@ -20,7 +20,7 @@ from protocols.messages import SECOND, Drive, Velocity
 from tests.gateway.view.clients import Browser
 from tests.gateway.view.test_foxglove import App
 
-TRUE = {"/odom", "/tf", "/tf_static", "/joint_states"}
+TRUE = {"/odom", "/estimate", "/tf", "/tf_static", "/joint_states"}
 
 
 class Watched:
@@ -97,7 +97,9 @@ def test_foxglove_is_shown_what_is_true(watched: Watched) -> None:
     now, pose = watched.session.clock.now(), watched.world.truth()
     [clock] = struct.unpack("<xQ", [one for one in app.binary if one[0] == 2][-1])
     assert 0 <= now - clock < SECOND // 20
-    [base] = watched.newest("/tf").transforms
+    base, odom = watched.newest("/tf").transforms
+    assert (odom.header.frame_id, odom.child_frame_id) == ("map", "odom")
+    assert (odom.transform.translation.x, odom.transform.rotation.w) == (0.0, 1.0)
     assert (base.header.frame_id, base.child_frame_id) == ("odom", "base_link")
     place, odom = base.transform.translation, watched.newest("/odom")
     assert (place.x, place.y) == pytest.approx((pose.x, pose.y), abs=0.02)

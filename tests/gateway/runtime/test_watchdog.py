@@ -20,7 +20,7 @@ from gateway.config import if_it_dies, parse_robot, with_interfaces
 from gateway.core.clock import WallClock
 from gateway.core.guard import decoder_of
 from gateway.errors import ConfigError
-from gateway.runtime.watchdog import Watchdog, covered
+from gateway.runtime.watchdog import WatchdogProcess, covered
 from protocols.messages import MILLISECOND, Hold, Idle, Position, Velocity
 from tests.gateway.processes import eventually
 from tests.gateway.rig import BENCH, WATCHED, Rig
@@ -38,6 +38,7 @@ def on_shared(text: str) -> gw.Robot:
 # -- what is handed over -----------------------------------------------------------------------------------
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("robot", sampled(DRIVEN, 3))
 def test_the_frames_of_a_motor_that_turns_stop_it_and_making_them_changes_nothing(robot: str) -> None:
     with gw.open_session(single_motor(gw.load_robot(robot), "left"), simulated=True) as session:
@@ -79,7 +80,7 @@ def test_a_load_is_held_where_it_is_and_one_that_was_not_commanded_is_left_alone
     assert {getattr(one, "motor", "") for one in obeyed} == {"left"}
 
 
-class Handed(Watchdog):
+class Handed(WatchdogProcess):
     """What is handed over, in place of the process."""
 
     def __init__(self, robot: gw.Robot, rig: Rig) -> None:
@@ -156,7 +157,7 @@ def test_what_stops_each_motor_is_told() -> None:
 
 def test_a_process_that_cannot_open_its_bus_says_why_and_ends() -> None:
     absent = with_interfaces(parse_robot(BENCH), {"can0": "socketcan:nosuch0"})
-    watchdog = Watchdog(absent, WallClock())
+    watchdog = WatchdogProcess(absent, WallClock())
     assert "bus 'can0' cannot be opened as 'socketcan:nosuch0'" in watchdog.ready()
     assert watchdog._process.returncode == 1
 

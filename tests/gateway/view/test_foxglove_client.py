@@ -86,7 +86,7 @@ def test_foxgloves_own_client(node: str, tmp_path: Path, monkeypatch: pytest.Mon
 
     # what it reads is what the robot has
     first = {one["topic"]: one for one in reversed(of["message"])}
-    odom = first["/odom"]
+    odom = first["/estimate"]
     position = odom["content"]["pose"]["pose"]["position"]
     assert (odom["t"], position["x"], position["y"]) in seen.poses
     stamp = odom["content"]["header"]["stamp"]
@@ -98,8 +98,9 @@ def test_foxgloves_own_client(node: str, tmp_path: Path, monkeypatch: pytest.Mon
     assert len(grid["data"]) == grid["info"]["width"] * grid["info"]["height"] > 0
     frames = {one["child_frame_id"] for one in first["/tf_static"]["content"]["transforms"]}
     assert frames == set(session.robot.sensors)
-    transform = first["/tf"]["content"]["transforms"][0]
-    assert (transform["header"]["frame_id"], transform["child_frame_id"]) == ("odom", "base_link")
+    transforms = first["/tf"]["content"]["transforms"]
+    between = [(each["header"]["frame_id"], each["child_frame_id"]) for each in transforms]
+    assert between == [("odom", "base_link"), ("map", "odom")]
     statuses = [one["name"] for one in first["/diagnostics"]["content"]["status"]]
     assert {"/gateway/brain", "/gateway/motors/left"} <= set(statuses)
     frame = first["/can0/from_can_bus"]["content"]

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from brain.belief import MapView
-from brain.perception.map import MAX_CELLS, TILE, UNIT
+from brain.perception.lines import TILE
+from brain.perception.tiles import UNIT
+from brain.region import MOST
 from gateway.config import load_robot
 from gateway.core.step import Gateway
 from gateway.recording.ros_messages import UNKNOWN, occupancy, percent
@@ -63,7 +65,7 @@ def test_a_map_is_that_of_a_recording() -> None:
 )
 def test_a_large_map_is_coarser(rows: int, columns: int, factor: int) -> None:
     view, drawing = chart(rows, columns), Drawing()
-    assert rows * columns * TILE**2 <= MAX_CELLS
+    assert rows * columns <= MOST
     drawn(drawing, view)
     assert drawing.cells.size <= foxglove_map.MAX_CELLS
     assert drawing.layout.resolution == pytest.approx(0.05 * factor)

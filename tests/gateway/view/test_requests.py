@@ -14,9 +14,9 @@ from gateway.view.requests import (
     PER_SECOND,
     READ_ONLY,
     SILENT,
-    Answer,
     Asking,
     Requests,
+    ViewAnswer,
 )
 from protocols.messages import SECOND, Drive, Goal, Nanos, Release, Set, Stop, Velocity
 
@@ -75,7 +75,7 @@ def test_where_no_robot_runs_nothing_can_be_asked_not_even_a_stop() -> None:
     requests = Requests(ROBOT, steer=False, live=False)
     one = requests.enter()
     for line in ("stop", "goal 1 1"):
-        assert requests.line(0, one, line, 0) == (None, Answer(ok=False, text=NO_ROBOT))
+        assert requests.line(0, one, line, 0) == (None, ViewAnswer(ok=False, text=NO_ROBOT))
 
 
 def taken(requests: Requests, now: Nanos, one: Asking, polls: int) -> int:
@@ -92,7 +92,7 @@ def test_too_many_requests_are_refused_and_a_stop_never_is() -> None:
     assert requests.line(0, one, "stop", 0)[0] == Stop("")
     assert requests.line(0, one, "stop", 0) == (
         None,
-        Answer(ok=True, text="stopped"),
+        ViewAnswer(ok=True, text="stopped"),
     )  # once in a poll is enough
     assert requests.line(1, one, "stop", 1)[0] == Stop("")
     assert requests.line(1, other, "goal 1 1", 1)[0] == Goal(1.0, 1.0)
@@ -157,7 +157,7 @@ def test_nothing_is_held_while_it_is_stopped_and_that_is_answered_once() -> None
     requests = Requests(ROBOT, steer=True)
     one = requests.enter()
     requests.on_stop("enough")
-    assert requests.hold(0, one, "drive 0.3 0", 0) == ([], Answer(ok=False, text="stopped: enough"))
+    assert requests.hold(0, one, "drive 0.3 0", 0) == ([], ViewAnswer(ok=False, text="stopped: enough"))
     assert requests.hold(HELD // 2, one, "drive 0.3 0", HELD // 2) == ([], SILENT)
 
 
@@ -180,7 +180,10 @@ def test_what_was_asked_before_its_client_could_know_of_a_stop_does_not_undo_it(
     requests.line(2 * SECOND, there, "stop", 2 * SECOND)
     for heard in (None, 0, 2 * SECOND - 1):
         for line in ("release", "goal 1 1", "set left.limits.velocity 3"):
-            assert requests.line(3 * SECOND, late, line, heard) == (None, Answer(ok=False, text=OVERTAKEN))
+            assert requests.line(3 * SECOND, late, line, heard) == (
+                None,
+                ViewAnswer(ok=False, text=OVERTAKEN),
+            )
     assert requests.line(3 * SECOND, late, "release", 2 * SECOND)[0] == Release()
     requests.expired(4 * SECOND)
     requests.on_stop("a terminal", pressed=True)

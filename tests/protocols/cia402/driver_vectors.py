@@ -1,6 +1,6 @@
 """Independent bytes of the driver's messages: made by package canopen 2.4.1, kept in the vectors.
 
-Run as a program, it writes the entries of SOURCE in fixtures/vectors/cia402.json anew and leaves the others.
+Run as a program, it writes the entries of SOURCE in protocols/cia402/vectors.json anew and leaves the others.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-import fixtures
+from protocols import cia402
 from protocols.canopen import objects as co
 from protocols.canopen.mapping import Pdo
 from protocols.canopen.objects import Key
@@ -24,7 +24,7 @@ from tests.protocols.cia402.stack import PACKAGE, Joined, master
 
 NODE = 2
 SOURCE = f"{PACKAGE} (RemoteNode: SdoClient, PdoMap, NmtMaster; LocalNode as its slave)"
-FILE = Path(fixtures.__file__).parent / "vectors" / "cia402.json"
+FILE = Path(cia402.__file__).parent / "vectors.json"
 DOWNLOADS: tuple[tuple[Key, int], ...] = (
     (co.CONSUMER_HEARTBEAT, 0x7F01F4),
     (co.PRODUCER_HEARTBEAT, 100),

@@ -119,14 +119,14 @@ def test_a_measurement_that_is_not_finite_is_ignored(position: float, velocity: 
 @pytest.mark.parametrize(
     ("wrong", "error"),
     [
-        (lambda: Options(host_id=0), "host_id is 0"),
-        (lambda: Options(sync_ms=-1), "sync_ms is -1"),
+        (lambda: Options(host_id=0), "host_id must be from 1"),
+        (lambda: Options(sync_ms=-1), "sync_ms must be from 0"),
         (lambda: Options(offline_ms=150), "offline_ms .150. must be at least twice"),
         (lambda: Options(watchdog_ms=3), "watchdog_ms is 3"),
         (lambda: Options(rated_torque=math.nan), "rated_torque"),
         (lambda: Options(counts_per_turn=-1.0), "counts_per_turn"),
-        (lambda: Settings(encoder_increments=0), "encoder_increments is 0"),
-        (lambda: Settings(max_torque=70_000), "max_torque is 70000"),
+        (lambda: Settings(encoder_increments=0), "encoder_increments must be from 1"),
+        (lambda: Settings(max_torque=70_000), "max_torque must be from 0 to 65535, not 70000"),
         (lambda: Settings(homing_method=17), "homing_method is 17"),
         (lambda: Settings(quick_stop_option=4), "quick_stop_option is 4"),
         (lambda: Settings(soft_limit_low=1), "soft_limit_low"),

@@ -28,6 +28,7 @@ def started(**settings: int) -> tuple[Bus, Drive]:
     return bus, drive
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("moment", sampled(range(0, 4000, 410), 4))
 @pytest.mark.parametrize(("keeps", "echo"), [(99, 0), (0, 15), (1, 215)])
 def test_idle_during_the_set_up_leaves_no_motor_that_does_not_obey(

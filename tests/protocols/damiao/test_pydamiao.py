@@ -10,7 +10,7 @@ from pydamiao.bus import SerialBus
 from pydamiao.motor import Motor
 from pydamiao.structs import MOTOR_LIMITS, ControlMode, MotorFault, MotorReg, MotorType
 
-from gateway.buses.adapters.dm_serial import Adapter
+from gateway.buses.adapters.dm_serial import EmulatedAdapter
 from protocols import messages as msg
 from protocols.damiao import plugin
 from protocols.damiao.options import Options, Settings
@@ -28,7 +28,7 @@ class Port:
     drives comes to rest."""
 
     def __init__(self, bench: Bench) -> None:
-        self.bench, self.adapter, self.is_open = bench, Adapter(1_000_000), True
+        self.bench, self.adapter, self.is_open = bench, EmulatedAdapter(1_000_000), True
         self._held, self._filled = b"", threading.Condition()
 
     def open(self) -> None:

@@ -121,7 +121,8 @@ def test_nobody_sends_while_another_does() -> None:
     ages = driven.run(2.0)
     driven.must_turn()
     assert driven.wire.collisions == []
-    assert max(ages.values()) <= 25 * MILLISECOND
+    # Each is asked in every second step of 10 ms; how old a report is, is looked at between steps, too.
+    assert max(ages.values()) <= 30 * MILLISECOND
 
 
 def test_lost_answers_and_lost_questions_cost_readings_alone() -> None:

@@ -92,17 +92,17 @@ def test_what_a_host_sends_and_a_motor_obeys(name: str) -> None:
     frame = VECTORS[name].frame
     assert isinstance(frame, bytes)
     assert ds.encode(message, address, **values) == frame
-    assert ds.names(frame) == (message,)
+    assert ds.ALL.names(frame) == (message,)
     memory = memory_of(device(model_of(name)))
     memory.mode = mode
-    decoded = ds.decode(frame, model_of(name))
+    decoded = ds.PACKETS[model_of(name)].in_frame(frame)[0][0]
     assert decoded is not None
     obeyed = memory.obey(decoded)
     assert [type(each) for each in obeyed] == [type(each) for each in does]
     for one, other in zip(obeyed, does, strict=True):
         number = [getattr(each, f, 0.0) for each in (one, other) for f in ("velocity", "torque", "position")]
         assert number[:3] == pytest.approx(number[3:])
-    assert ds.read_only(frame) == (message in ("query", "id query"))
+    assert ds.ALL.read_only(frame) == (message in ("query", "id query"))
     another = memory_of(device(model_of(name), 9))
     assert bool(another.obey(decoded)) == (message == "set id")
 
@@ -112,7 +112,7 @@ def test_what_a_motor_answers() -> None:
     assert isinstance(frame, bytes)
     values = ds.read("DDSM115", ds.DRIVE, frame)
     assert values == {"mode": 2, "current": 4096, "speed": -50, "angle": 16384, "error": 0}
-    assert ds.encode("DDSM115 64", 1, **values) == frame
+    assert ds.answer("DDSM115", 0x64, 1, **values) == frame
     meaning = VECTORS["reply_to_0x64_id1"].meaning
     assert values["current"] * ds.AMPERE == pytest.approx(meaning["current_a"])
     assert math.degrees(values["angle"] * ds.ANGLE) == pytest.approx(meaning["position_deg"])
@@ -134,7 +134,7 @@ def test_what_a_motor_answers() -> None:
     ],
 )
 def test_other_answers_there_and_back(model: str, function: int, numbers: dict[str, int]) -> None:
-    assert ds.read(model, function, ds.encode(f"{model} {function:02X}", 3, **numbers)) == numbers
+    assert ds.read(model, function, ds.answer(model, function, 3, **numbers)) == numbers
 
 
 def test_the_checksum_is_crcchecks() -> None:
@@ -146,8 +146,8 @@ def test_the_checksum_is_crcchecks() -> None:
 
 def test_an_answer_is_found_behind_noise_and_an_echo_and_never_for_another() -> None:
     asked, other = ds.encode("query", 1), ds.encode("query", 2)
-    answer = ds.encode("DDSM115 74", 1, mode=2, current=0, speed=0, temperature=30, coarse=0, error=0)
-    finds = ds.Finds(ds.MODELS["DDSM115"])
+    answer = ds.answer("DDSM115", 0x74, 1, mode=2, current=0, speed=0, temperature=30, coarse=0, error=0)
+    finds = ds.FINDS["DDSM115"]
     for before in (b"", asked, b"\x01\x02", b"\x00" * 7, answer[:6]):
         assert finds(asked, before + answer + b"\xff") == (len(before), len(before) + ds.SIZE)
         assert finds(other, before + answer) is None
@@ -163,7 +163,7 @@ def test_an_id_is_taken_when_it_came_five_times_in_a_row() -> None:
     new, between = ds.encode("set id", id=7), ds.encode("query", 1)
     for frame in (*4 * (new,), between, *5 * (new,)):
         assert memory.address == 1
-        decoded = ds.decode(frame)
+        decoded = ds.ALL.in_frame(frame)[0][0]
         assert decoded is not None
         memory.obey(decoded)
     assert memory.address == 7
@@ -173,9 +173,10 @@ def test_commands_are_found_in_a_stream_however_it_is_cut() -> None:
     frames = [vector.frame for vector in VECTORS.values() if vector.direction == "to_device"]
     line = b"\x00\x17".join(frame for frame in frames if isinstance(frame, bytes))
     for size in (1, 3, 10, 1000):
-        stream = Stream(ds.COMMANDS)
+        stream = Stream(ds.ALL.framing)
         cut = [line[at : at + size] for at in range(0, len(line), size)]
-        assert [message for piece in cut for message in stream.messages(piece)] == frames
+        found = [message for piece in cut for message in stream.messages(piece)]
+        assert [ds.ALL.framing.frame(message) for message in found] == frames
 
 
 def test_turns_are_counted_and_an_answer_to_another_question_moves_nothing() -> None:
@@ -189,12 +190,12 @@ def test_turns_are_counted_and_an_answer_to_another_question_moves_nothing() -> 
         values = {"mode": 2, "current": 0, "speed": 200, "angle": angle, "error": 0}
         if step % 7:
             motor.see(step * 10 * MILLISECOND, values, options)
-    assert motor.position == pytest.approx(position, abs=0.01)
-    late = ds.encode("DDSM115 64", 1, mode=2, current=0, speed=0, angle=0x1E80, error=0)
+    assert motor.shaft.position == pytest.approx(position, abs=0.01)
+    late = ds.answer("DDSM115", 0x64, 1, mode=2, current=0, speed=0, angle=0x1E80, error=0)
     still, doubted, positions = values | {"speed": 0}, list[bool](), list[float | None]()
     for step, seen in enumerate((still, ds.read("DDSM115", ds.QUERY, late), still), 90):
         motor.see(step * 10 * MILLISECOND, seen, options)
-        doubted.append(motor.doubtful)
-        positions.append(motor.position)
+        doubted.append(motor.shaft.doubtful)
+        positions.append(motor.shaft.position)
     assert doubted == [False, True, False]
     assert positions == pytest.approx([positions[0]] * 3, abs=0.01)

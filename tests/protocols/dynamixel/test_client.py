@@ -209,7 +209,7 @@ def test_status_return_level(port: Port, level: int, answers: tuple[bool, ...]) 
 
 
 def test_it_unstuffs_what_we_stuff(port: Port, line: Line) -> None:
-    line.twins[X1].memory.written["Profile_Velocity"] = 0xFDFFFF
+    line.twins[X1].memory.put("Profile_Velocity", 0xFDFFFF)
     assert HANDLER.read4ByteTxRx(port, X1, 112) == (0xFDFFFF, OK, 0)
 
 

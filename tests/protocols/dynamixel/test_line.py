@@ -124,6 +124,7 @@ def losing(share: float) -> Callable[[Run], None]:
     return armed
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("fast", [False, True])
 def test_a_lost_answer_costs_a_reading(fast: bool) -> None:
     done = run(twelve(fast=fast), 200.0, 1.0, losing(0.01))
@@ -135,6 +136,7 @@ def test_a_lost_answer_costs_a_reading(fast: bool) -> None:
     assert done.gateway.lines["line0"].sent > 0
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(("latency_ms", "least"), [(0, 197), (2, 188)])
 def test_one_that_is_unplugged_stops_alone(latency_ms: int, least: int) -> None:
     """Each of the 40 or so questions that it does not answer also costs the latency of the port: that is

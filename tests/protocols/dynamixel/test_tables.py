@@ -9,7 +9,7 @@ from pathlib import Path
 import dynamixel_easy_sdk
 import pytest
 
-from protocols.dynamixel.table import BY_NUMBER, MODELS, data_of, table_of
+from protocols.dynamixel.table import BY_NUMBER, MODELS, data_of
 
 FOLDER = Path(dynamixel_easy_sdk.__file__).parent / "control_table"
 NOT_OURS = {
@@ -57,10 +57,10 @@ def test_every_model_has_a_file_and_its_number() -> None:
 
 @pytest.mark.parametrize("model", MODELS)
 def test_registers_and_units(model: str) -> None:
-    ours, table = MODELS[model], table_of(model)
+    ours, table = MODELS[model], MODELS[model].table
     facts, registers, units = official(FILES[model])
     mine = {
-        next((n for n in OURS.get(name, ()) if n in registers), name): (register.number, table.size(name))
+        next((n for n in OURS.get(name, ()) if n in registers), name): (register.number, register.size)
         for name, register in table.by_name.items()
         if not name.startswith("Indirect_Address_") or name.endswith("_1")
     }

@@ -11,9 +11,11 @@ from protocols import messages as msg
 from protocols.dynamixel import packets as dx
 from protocols.dynamixel import plugin
 from protocols.dynamixel.options import Options, Settings
+from protocols.dynamixel.packets import PACKETS
 from protocols.plugin import Device
 from protocols.reference_vectors import Vector, vectors_of
 from protocols.toolkit.serial import Stream
+from protocols.toolkit.servo_packets import EVERYBODY, WRITE
 
 VECTORS = {vector.name: vector for vector in vectors_of(plugin)}
 SOUND = [vector for vector in VECTORS.values() if not vector.wrong]
@@ -47,22 +49,22 @@ def parameters(cmd: str, meaning: dict[str, Any]) -> bytes:
 
 @pytest.mark.parametrize("vector", SOUND, ids=lambda vector: vector.name)
 def test_each_is_one_packet_and_made_again(vector: Vector) -> None:
-    (message,) = Stream(dx.FRAMING).messages(data_of(vector))
-    one = dx.unpack(message)
-    assert dx.packet(one.id, one.instruction, one.parameters) == data_of(vector)
+    (message,) = Stream(PACKETS.framing).messages(data_of(vector))
+    one = PACKETS.unpacked(message)
+    assert PACKETS.packet(one.id, one.instruction, one.data) == data_of(vector)
     cmd = str(vector.meaning.get("cmd", ""))
     if vector.direction == "to_device":
         assert one.instruction == CODES[cmd]
         if made := parameters(cmd, dict(vector.meaning)):
-            assert one.parameters == made
+            assert one.data == made
     else:
         assert one.instruction == dx.STATUS
 
 
 def test_what_the_sdk_does_not_stuff_is_no_packet() -> None:
     (wrong,) = (vector for vector in VECTORS.values() if vector.wrong and vector.direction == "to_device")
-    assert Stream(dx.FRAMING).messages(data_of(wrong)) == []
-    right = dx.packet(1, dx.WRITE, bytes.fromhex("7400fffffd00"))
+    assert Stream(PACKETS.framing).messages(data_of(wrong)) == []
+    right = PACKETS.packet(1, WRITE, bytes.fromhex("7400fffffd00"))
     assert right.hex() == "fffffd00010a00037400fffffdfd00" + dx.CRC(right[:-2]).to_bytes(2, "little").hex()
 
 
@@ -87,23 +89,24 @@ def test_what_devices_obey(name: str) -> None:
     devices = [Device(each, at, options, Settings()) for at, each in enumerate(("one", "two"), 1)]
     decoder = plugin.decoder(devices)
     if "velocity" in name:
-        decoder.decode(0, dx.sync_write(64, {1: b"\1", 2: b"\1"}))
+        decoder.decode(0, PACKETS.sync_write(64, {1: b"\1", 2: b"\1"}))
     assert list(decoder.decode(0, VECTORS[name].frame)) == OBEYED[name]
 
 
 @pytest.mark.parametrize("broken", range(1, 4))
 def test_blocks_of_a_fast_answer_up_to_where_it_breaks(broken: int) -> None:
     wanted = dict.fromkeys((1, 2, 3), (126, 10))
-    whole, ends = dx.HEADER + bytes((dx.ALL, 43, 0, dx.STATUS)), list[int]()
+    whole, ends = dx.HEADER + bytes((EVERYBODY, 43, 0, dx.STATUS)), list[int]()
     for each in wanted:
         whole += bytes((0, each)) + bytes([each] * 10)
         whole += dx.CRC(whole).to_bytes(2, "little")
         ends.append(len(whole))
-    found, end = dx.blocks(whole[: ends[broken - 1]], wanted)
-    assert ([one.id for one in found], end) == ([1, 2, 3][:broken], ends[broken - 1])
-    assert found[-1].parameters == bytes([0] + [broken] * 10)
+    asked = PACKETS.question(PACKETS.chained(wanted, "", 0, fast=True))
+    found, rest = PACKETS.answered(wanted, asked, whole[: ends[broken - 1]])
+    assert ([number for number, _, _ in found], rest) == ([1, 2, 3][:broken], b"")
+    assert found[-1][1:] == (0, bytes([broken] * 10))
     damaged = bytearray(whole)
     damaged[ends[broken - 1] - 3] ^= 0x10
-    assert [one.id for one in dx.blocks(bytes(damaged), wanted)[0]] == [1, 2, 3][: broken - 1]
+    assert [one[0] for one in PACKETS.answered(wanted, asked, bytes(damaged))[0]] == [1, 2, 3][: broken - 1]
     if broken == 3:
-        assert Stream(dx.FRAMING).messages(whole) == [whole[:-2]]  # to the SDK it is one packet
+        assert Stream(PACKETS.framing).messages(whole) == [whole[:-2]]  # to the SDK it is one packet

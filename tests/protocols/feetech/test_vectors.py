@@ -14,55 +14,57 @@ from protocols import messages as msg
 from protocols.feetech import plugin
 from protocols.feetech import table as ft
 from protocols.feetech.options import Options, Settings
-from protocols.feetech.table import EVERYBODY, FAMILIES, packet
+from protocols.feetech.table import FAMILIES, PACKETS
 from protocols.messages import Obeyed
 from protocols.plugin import Device
 from protocols.reference_vectors import vectors_of
+from protocols.toolkit.servo_packets import EVERYBODY, PING, SYNC_WRITE, WRITE
 
+packet, writes, asks = PACKETS.packet, PACKETS.sync_write, PACKETS.asks
 VECTORS = {vector.name: vector for vector in vectors_of(plugin)}
 STS, SCS = FAMILIES["sts"], FAMILIES["scs"]
 STEP = 2.0 * math.pi / 4096
 SENT: dict[str, tuple[dict[str, Any], bytes, tuple[Obeyed, ...]]] = {
-    "ping_id1": ({}, packet(1, ft.PING), ()),
+    "ping_id1": ({}, packet(1, PING), ()),
     "mode_wheel": (
-        {}, packet(1, ft.WRITE, b"\x21" + STS.data("Operating_Mode", 1)),
+        {}, packet(1, WRITE, b"\x21" + STS.data("Operating_Mode", 1)),
         (msg.WriteParameter("m", "Operating_Mode", 1.0),),
     ),
     "goal_position_3072": (
-        {}, packet(1, ft.WRITE, b"\x2a" + STS.data("Goal_Position", 3072)),
+        {}, packet(1, WRITE, b"\x2a" + STS.data("Goal_Position", 3072)),
         (msg.Arm("m"), msg.Position("m", 0.5 * math.pi)),
     ),
     "goal_speed_-500": (
-        {"mode": "wheel"}, packet(1, ft.WRITE, b"\x2e" + STS.data("Goal_Velocity", -500)),
+        {"mode": "wheel"}, packet(1, WRITE, b"\x2e" + STS.data("Goal_Velocity", -500)),
         (msg.Arm("m"), msg.Velocity("m", -500 * STEP)),
     ),
     "sync_write_pos": (
-        {}, ft.writes(42, {1: STS.data("Goal_Position", 2048), 2: STS.data("Goal_Position", 1024)}),
+        {}, writes(42, {1: STS.data("Goal_Position", 2048), 2: STS.data("Goal_Position", 1024)}),
         (msg.Arm("m"), msg.Position("m", 0.0)),
     ),
     "sync_write_speed": (
         {"mode": "wheel"},
-        ft.writes(46, {1: STS.data("Goal_Velocity", 1500), 2: STS.data("Goal_Velocity", -500)}),
+        writes(46, {1: STS.data("Goal_Velocity", 1500), 2: STS.data("Goal_Velocity", -500)}),
         (msg.Arm("m"), msg.Velocity("m", 1500 * STEP)),
     ),
     "sync_write_pwm": (
-        {"mode": "pwm"}, ft.writes(44, {1: STS.data("Goal_Time", 500), 2: STS.data("Goal_Time", -250)}),
+        {"mode": "pwm"}, writes(44, {1: STS.data("Goal_Time", 500), 2: STS.data("Goal_Time", -250)}),
         (msg.Arm("m"), msg.Torque("m", 0.5 * 2.94)),
     ),
     "sync_write_torque_on": (
-        {}, ft.writes(40, {1: b"\x01", 2: b"\x01"}), (msg.Arm("m"), msg.Position("m", 0.0)),
+        {}, writes(40, {1: b"\x01", 2: b"\x01"}), (msg.Arm("m"), msg.Position("m", 0.0)),
     ),
-    "sync_write_torque_off_id1": ({}, ft.writes(40, {1: b"\x00"}), (msg.Idle("m"),)),
-    "sync_write_middle_id1": ({}, ft.writes(40, {1: b"\x80"}), (msg.Zero("m"),)),
-    "sync_write_lock": ({}, ft.writes(55, {1: b"\x01"}), (msg.WriteParameter("m", "Lock", 1.0),)),
+    "sync_write_torque_off_id1": ({}, writes(40, {1: b"\x00"}), (msg.Idle("m"),)),
+    "sync_write_middle_id1": ({}, writes(40, {1: b"\x80"}), (msg.Zero("m"),)),
+    "sync_write_lock": ({}, writes(55, {1: b"\x01"}), (msg.WriteParameter("m", "Lock", 1.0),)),
     "write_offset_-85_id1": (
-        {}, packet(1, ft.WRITE, b"\x1f" + STS.data("Homing_Offset", -85)),
+        {}, packet(1, WRITE, b"\x1f" + STS.data("Homing_Offset", -85)),
         (msg.WriteParameter("m", "Homing_Offset", -85.0),),
     ),
-    "unlock_eeprom": ({}, packet(1, ft.WRITE, b"\x37\x00"), (msg.WriteParameter("m", "Lock", 0.0),)),
+    "unlock_eeprom": ({}, packet(1, WRITE, b"\x37\x00"), (msg.WriteParameter("m", "Lock", 0.0),)),
     "write_pos_ex_acc50_pos1000_speed1500": (
         {},
-        packet(1, ft.WRITE, b"\x29" + b"".join(
+        packet(1, WRITE, b"\x29" + b"".join(
             STS.data(name, value) for name, value in (
                 ("Acceleration", 50), ("Goal_Position", 1000), ("Goal_Time", 0), ("Goal_Velocity", 1500)
             )
@@ -73,16 +75,16 @@ SENT: dict[str, tuple[dict[str, Any], bytes, tuple[Obeyed, ...]]] = {
             msg.WriteParameter("m", "Goal_Time", 0.0), msg.WriteParameter("m", "Goal_Velocity", 1500.0),
         ),
     ),
-    "read_motion_id1": ({}, bytes(ft.asks((1,), (56, 8), "", 0)), ()),
-    "read_state_id1": ({}, bytes(ft.asks((1,), STS.blocks["state"], "", 0)), ()),
-    "sync_read_motion": ({}, bytes(ft.asks((1, 2, 3), (56, 8), "", 0)), ()),
+    "read_motion_id1": ({}, bytes(asks({1: (56, 8)}, "", 0)), ()),
+    "read_state_id1": ({}, bytes(asks({1: STS.blocks["state"]}, "", 0)), ()),
+    "sync_read_motion": ({}, bytes(asks(dict.fromkeys((1, 2, 3), (56, 8)), "", 0)), ()),
     "scs_goal_position_700": (
-        {"model": "scs0009"}, packet(1, ft.WRITE, b"\x2a" + SCS.data("Goal_Position", 700)),
+        {"model": "scs0009"}, packet(1, WRITE, b"\x2a" + SCS.data("Goal_Position", 700)),
         (msg.Arm("m"), msg.Position("m", math.radians(188 * 300 / 1024))),
     ),
     "scs_sync_write_pos": (
         {"model": "scs0009"},
-        ft.writes(42, {1: SCS.data("Goal_Position", 512), 2: SCS.data("Goal_Position", 300)}),
+        writes(42, {1: SCS.data("Goal_Position", 512), 2: SCS.data("Goal_Position", 300)}),
         (msg.Arm("m"), msg.Position("m", 0.0)),
     ),
 }  # fmt: skip
@@ -99,11 +101,11 @@ def test_bytes_to_a_servo(name: str) -> None:
     assert ours == VECTORS[name].frame
     decoder = plugin.decoder([device(**options)])
     given = device(**options).options
-    if "Operating_Mode" in given.written:
-        decoder.decode(0, ft.writes(33, {1: bytes([given.written["Operating_Mode"]])}))
-    middle = given.of_model.family.data("Goal_Position", given.of_model.middle)
+    if "Operating_Mode" in given.set_up:
+        decoder.decode(0, writes(33, {1: bytes([given.set_up["Operating_Mode"]])}))
+    middle = given.table.data("Goal_Position", given.of.middle)
     if name == "sync_write_torque_on":
-        decoder.decode(0, ft.writes(42, {1: middle}))
+        decoder.decode(0, writes(42, {1: middle}))
     decoded = decoder.decode(0, ours)
     assert [type(one) for one in decoded] == [type(one) for one in obeyed]
     for one, other in zip(decoded, obeyed, strict=True):
@@ -128,7 +130,7 @@ def test_a_block_of_measurements() -> None:
 
 
 def test_the_error_bits_of_a_status() -> None:
-    (one,), whole = ft.in_frame(VECTORS["status_error_overload_voltage"].frame)
+    (one,), whole = PACKETS.in_frame(VECTORS["status_error_overload_voltage"].frame)
     assert whole
     assert [ft.FAULTS[code].name for code in ft.faults_in(one.instruction)] == ["voltage", "overload"]
 
@@ -160,9 +162,9 @@ def recorded(order: int, call: Callable[[Any, Recorder], object]) -> bytes:
 @pytest.mark.parametrize("order", [0, 1])
 def test_any_write_is_the_bytes_of_the_sdk(order: int) -> None:
     family, chance = (STS, SCS)[order], random.Random(order)
-    for register in family.registers.values():
+    for register in family.by_name.values():
         for _ in range(20):
-            value = chance.randint(-register.most if register.sign else 0, register.most)
+            value = chance.randint(*map(int, register.ends()))
             raw = sdk.scservo_def.SCS_TOSCS(value, register.sign) if register.sign else value
             number = chance.randrange(254)
 
@@ -170,11 +172,11 @@ def test_any_write_is_the_bytes_of_the_sdk(order: int) -> None:
                 handler: Any, port: Recorder, n: int = number, r: int = raw, at: Any = register
             ) -> None:
                 call = handler.write2ByteTxOnly if at.size == 2 else handler.write1ByteTxOnly
-                call(port, n, at.at, r)
+                call(port, n, at.number, r)
 
-            ours = packet(number, ft.WRITE, bytes((register.at,)) + family.data(register.name, value))
+            ours = packet(number, WRITE, bytes((register.number,)) + family.data(register.name, value))
             assert ours == recorded(order, write)
-            assert family.values(register.at, family.data(register.name, value))[register.name] == value
+            assert family.values(register.number, family.data(register.name, value))[register.name] == value
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
@@ -186,14 +188,14 @@ def test_a_number_that_is_not_finite_is_refused(value: float) -> None:
 @pytest.mark.parametrize(
     "wrong",
     [
-        ft.writes(40, {1: b"\x01"})[:-1] + b"\x00",
-        packet(1, ft.SYNC_WRITE, bytes((40, 1, 1, 1))),  # it goes to everybody, or to nobody
-        packet(EVERYBODY, ft.SYNC_WRITE, bytes((40, 2, 1, 1))),
-        packet(EVERYBODY, ft.SYNC_WRITE, bytes((40, 0, 1))),
-        packet(EVERYBODY, ft.SYNC_WRITE, bytes((40, 1, 255, 1))),
-        packet(1, ft.WRITE, bytes((127, 1, 1))),
-        packet(2, ft.WRITE, bytes((40, 1))),
-        packet(1, ft.WRITE, bytes((40,))),
+        writes(40, {1: b"\x01"})[:-1] + b"\x00",
+        packet(1, SYNC_WRITE, bytes((40, 1, 1, 1))),  # it goes to everybody, or to nobody
+        packet(EVERYBODY, SYNC_WRITE, bytes((40, 2, 1, 1))),
+        packet(EVERYBODY, SYNC_WRITE, bytes((40, 0, 1))),
+        packet(EVERYBODY, SYNC_WRITE, bytes((40, 1, 255, 1))),
+        packet(1, WRITE, bytes((127, 1, 1))),
+        packet(2, WRITE, bytes((40, 1))),
+        packet(1, WRITE, bytes((40,))),
     ],
 )
 def test_what_is_no_write_to_it_is_not_obeyed(wrong: bytes) -> None:

@@ -33,7 +33,7 @@ def to_device(data: bytes) -> CanFrame:
 
 
 def test_the_vectors_of_the_package_are_made_again() -> None:
-    stored = json.loads((files("gateway.fixtures") / "vectors/moteus.json").read_text("utf-8"))
+    stored = json.loads((files("protocols.moteus") / "vectors.json").read_text("utf-8"))
     again = {entry["name"]: entry for entry in entries()}
     assert {entry["name"]: entry for entry in stored if entry["name"] in again} == again
 

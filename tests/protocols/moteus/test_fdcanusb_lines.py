@@ -8,7 +8,7 @@ from math import tau
 
 import pytest
 
-from gateway.buses.adapters.fdcanusb import OK, Adapter, decode_received, split_checksum
+from gateway.buses.adapters.fdcanusb import OK, EmulatedAdapter, decode_received, split_checksum
 from protocols.frames import CanFrame
 from protocols.messages import Feedback
 from protocols.moteus import plugin
@@ -21,7 +21,7 @@ LINES = {
 
 
 def test_what_the_package_sends_is_a_frame_to_a_device() -> None:
-    frames, answer = Adapter(1_000_000, 5_000_000).feed(LINES["fdcanusb_line#3"])
+    frames, answer = EmulatedAdapter(1_000_000, 5_000_000).feed(LINES["fdcanusb_line#3"])
     assert [(f.id, f.extended, f.fd, f.brs) for f in frames] == [(0x8005, True, True, True)]
     assert plugin.messages(frames[0]) == ("position 020 021", "read")
     assert split_checksum(answer.rstrip()) == (OK.encode(), True)

@@ -196,3 +196,43 @@ def test_an_axis_that_is_erased_keeps_its_number_and_forgets_what_was_written(fi
     twin.receive(6 * SECOND, question)
     told += twin.step(6 * SECOND + MILLISECOND, ())[1]
     assert [float(each.partition(b"*")[0]) for each in told if isinstance(each, bytes)] == [3.0, 40.0]
+
+
+HOMES: dict[str, tuple[tuple[tuple[int, ...], ...], msg.Done | msg.Refused]] = {
+    "it ends": (((11, 0, 1), (1, 0, 0)), msg.Done(0, "Home", "left", "it has ended")),
+    "without an end stop": (
+        ((1, 0, 12), (1, 0, 12)),
+        msg.Refused(0, "Home", "left", "HOMING_WITHOUT_ENDSTOP"),
+    ),
+}
+"""State, errors and result as they are reported one after the other, and what the request is answered."""
+
+
+@pytest.mark.parametrize("case", HOMES)
+def test_home_is_requested_until_it_begins_and_ends_with_the_state(case: str) -> None:
+    reported, expected = HOMES[case]
+    driver = plugin.driver([Device("left", 0, Options(firmware="0.6"), Settings())])
+    now, left, found, sent = 0, [*reported], list[msg.Event](), list[bytes]()
+    values: tuple[int, ...] = (1, 0, 0)
+    while now < 3 * SECOND and not any(isinstance(each, msg.Done | msg.Refused) for each in found):
+        requests = [msg.Home("left")] if now == SECOND else []
+        events, frames = driver.send(now, requests)
+        found += events
+        for asked in (each for each in frames if isinstance(each, Exchange) and each.answer is not None):
+            if asked.about.startswith("home"):
+                values = left.pop(0) if left else values
+                sent.append(asked.split(b"*")[0].strip())
+            named = {"current_state": values[0], "active_errors": values[1], "procedure_result": values[2]}
+            words = [each.partition(b"*")[0].split() for each in asked.splitlines()]
+            texts = [f"{named.get(two[-1].decode().partition('.')[2], 0)}" for two in words if two[0] == b"r"]
+            texts = ["0.000000 0.000000"] if asked.startswith(b"f") else texts
+            if asked.startswith(b"i"):
+                texts = ["Hardware version: 5.2-0V", "Firmware version: 0.6.10", "Serial number: 20"]
+            answer = answers(asked, *texts)
+            found += driver.answer(now + MILLISECOND, asked, answer)  # type: ignore[attr-defined]
+        now += 10 * MILLISECOND
+    (last,) = (each for each in found if isinstance(each, msg.Done | msg.Refused))
+    assert (type(last), last.request, last.name) == (type(expected), "Home", "left")
+    assert (getattr(expected, "detail", "") or getattr(expected, "reason", "")) in str(last)
+    begun = [each for each in sent if each.startswith(b"w axis0.requested_state 11")]
+    assert len(begun) == (1 if case == "it ends" else len(sent))

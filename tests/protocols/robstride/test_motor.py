@@ -106,7 +106,7 @@ def test_a_limit_of_current_is_of_speed_and_position_alone() -> None:
 
 @pytest.mark.parametrize(("acceleration", "least", "most"), [(5.0, 4.0, 5.5), (200.0, 19.0, 20.5)])
 def test_its_acceleration_holds(acceleration: float, least: float, most: float) -> None:
-    rig = bench(Settings(acc_rad=acceleration), mode="speed")
+    rig = bench(mode="speed", max_acceleration=acceleration)  # as delivered it is 20
     rig.run(100)
     rig.run(1050, msg.Velocity("left", 20.0))
     assert least < rig.shaft.velocity < most

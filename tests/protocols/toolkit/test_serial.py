@@ -143,9 +143,9 @@ def test_a_stream_may_be_cut_anywhere_and_what_follows_noise_is_found(framing: F
         size = random.randint(0, 9)
         parts += stream.feed(data[:size])
         data = data[size:]
-        assert len(stream._held) <= framing.head + 20 + framing.checksum_size + len(framing.tail)
+        assert len(stream.held) <= framing.head + 20 + framing.checksum_size + len(framing.tail)
         fed = sum(len(framing.frame(part)) for part in parts if isinstance(part, bytes))
-        assert fed + stream.skipped + len(stream._held) == size_of_all - len(data), f"seed {seed}"
+        assert fed + stream.skipped + len(stream.held) == size_of_all - len(data), f"seed {seed}"
     assert parts == whole, f"seed {seed}"
 
 
@@ -272,7 +272,7 @@ def test_work_is_bounded_whatever_comes(name: str, chunk: int) -> None:
     for at in range(0, len(data), chunk):
         stream.feed(data[at : at + chunk])
     assert counted.reads <= 2 * len(data) + len(data) // chunk
-    assert len(stream._held) <= 1033
+    assert len(stream.held) <= 1033
 
 
 class Counted:

@@ -15,7 +15,7 @@ from protocols.messages import MILLISECOND, Mode, Velocity
 from protocols.plugin import Device
 from protocols.vesc_uart import plugin
 from protocols.vesc_uart.options import Options, Settings
-from protocols.vesc_uart.twin import VescTwin
+from protocols.vesc_uart.twin import VescUartTwin
 
 CLIENT = """
 import importlib.util, json, os, sys, types, warnings
@@ -40,7 +40,7 @@ print(json.dumps(answers))
 def test_it_asks_and_commands_a_controller() -> None:
     bus = SerialPty(BusSettings("uart", "serial", "twin", baudrate=115_200))
     twin = plugin.twin(Device("left", 23, Options(uart_id=23), Settings(supply=36.5)), 0)
-    assert isinstance(twin, VescTwin)
+    assert isinstance(twin, VescUartTwin)
     command = [sys.executable, "-c", CLIENT, bus.pty.path]
     now = 0
     twin.step(now, [])

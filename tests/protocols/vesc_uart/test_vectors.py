@@ -204,6 +204,7 @@ def test_one_that_tells_its_id_through_the_can_is_not_at_the_end_of_the_line() -
     assert not [event for event in events if isinstance(event, msg.Fault)]
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("clause", ["scan", "foreign", "obeyed", "answers", "disarm"])
 def test_the_contract_where_one_is_at_the_end_of_the_line(clause: str) -> None:
     results = check(plugin, 1, (0, 1, 2), [each for each in CLAUSES if each.name == clause])

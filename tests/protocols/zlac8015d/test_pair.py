@@ -200,6 +200,7 @@ def test_motors_of_a_drive_have_the_same_options() -> None:
             plugin.spec(Device("left", address, Options(), Settings()))
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("index", [0x1401, 0x1800, 0x1802])
 def test_a_pdo_that_a_late_copy_of_a_write_has_disabled_is_set_up_again(index: int) -> None:
     """Without set-points or reports no drive stays enabled; commanded on, it is armed and obeys again."""

@@ -72,7 +72,7 @@ client.on("parameterValues", ({ parameters, id }) => {
     const channel = client.advertise({ topic: "/goal_pose", encoding: "cdr", schemaName: "geometry_msgs/msg/PoseStamped" });
     const z = Math.sin(0.25), w = Math.cos(0.25);
     const pose = { position: { x, y, z: 0 }, orientation: { x: 0, y: 0, z, w } };
-    const message = { header: { stamp: { sec: 1, nanosec: 2 }, frame_id: "odom" }, pose };
+    const message = { header: { stamp: { sec: 1, nanosec: 2 }, frame_id: "map" }, pose };
     client.sendMessage(channel, new MessageWriter(definition).writeMessage(message));
   }
 });

@@ -1,0 +1,1 @@
+"""A skill and a brain of another distribution: docs/adding-a-skill.md."""

@@ -1,0 +1,47 @@
+"""The host's end: it listens. A lidar takes nothing: it turns and streams as soon as it has power."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from protocols.ld06 import table
+from protocols.ld06.turn import Turn
+from protocols.messages import Mode, Nanos
+from protocols.plugin import Device, FaultInfo
+from protocols.toolkit.host import Host, Report
+from protocols.toolkit.motor_driver import Rx
+from protocols.toolkit.sensors import SensorAdapter
+
+SPEED = 1
+FAULTS: Mapping[int, FaultInfo] = {
+    SPEED: FaultInfo(
+        "speed out of range",
+        "its motor is blocked, its supply too weak (5 V), or its PWM pin neither grounded nor driven",
+        "free what turns; ground the PWM pin, so that it keeps 10 Hz by itself",
+        latching=False,
+    )
+}
+
+
+class Ld06Adapter(SensorAdapter[Turn]):
+    """What lidars report."""
+
+    name, faults = table.NAME, FAULTS
+
+    def __init__(self) -> None:
+        super().__init__(table.FRAMING)
+
+    def own(self, device: Device) -> Turn:
+        return Turn()
+
+    def measured(self, t: Nanos, message: bytes, host: Host[Turn]) -> Report[Turn] | Rx:
+        packet = table.decode(message)
+        if packet is None:
+            return Rx.MALFORMED
+        turn = host.own
+        scan = turn.add(t, packet, host.name, host.options)
+        fault = turn.unsteady(t, packet, host.options)
+        lost = f", {turn.lost} packets lost" if turn.lost else ""
+        turns = f"turns at {packet.speed / 360.0:.1f} Hz" if fault else f"turns{lost}"
+        mode, faults = (Mode.FAULT, (SPEED,)) if fault else (Mode.READY, ())
+        return Report(host, host.address, mode, turns, faults, events=() if scan is None else (scan,))
