@@ -42,6 +42,8 @@ class Arming:
         self.driven_since: Nanos | None = None
         """When the first of the present set-points was sent; None: none was, since Idle."""
         self._armed_at: Nanos = 0
+        self._commanded_at: Nanos | None = None
+        """When the first command was sent since it is ARMED; None: none was."""
         self._disarmed = True
         """Whether the device has reported being disarmed since the last command but Idle."""
 
@@ -52,6 +54,7 @@ class Arming:
             if event.mode is Mode.ARMED and not self.armed:
                 self._armed_at = event.t
             self.armed = event.mode is Mode.ARMED
+            self._commanded_at = self._commanded_at if self.armed else None
             self._disarmed = self._disarmed or not self.armed
         self.mode, self.detail = event.mode, event.detail
         return by_itself
@@ -66,6 +69,8 @@ class Arming:
     def on_sent(self, now: Nanos, out: Command, speed: float) -> None:
         """Note what is sent, and how fast the shaft turns [rad/s]."""
         before, self.idle = self.idle, isinstance(out, msg.Idle)
+        if self.armed and self._commanded_at is None:
+            self._commanded_at = now
         if not self.idle:
             self.owned = True
             self._disarmed = False
@@ -87,6 +92,12 @@ class Arming:
         sent, received = self.driven_since, measured.received_at
         answered = sent is not None and received is not None and received > max(sent, self._armed_at)
         return answered and self.mode is Mode.ARMED
+
+    def shows_arming(self, measured: Measured) -> bool:
+        """True if it has reported its motion since it was armed for certain: what came with that report of its
+        state may be older, and a device may have stopped its shaft when it was armed."""
+        since, received = self._commanded_at, measured.received_at
+        return since is not None and received is not None and received > since
 
     def against_idle(
         self, now: Nanos, measured: Measured, fastest: float, *, turned_on: bool

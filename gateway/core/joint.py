@@ -136,6 +136,8 @@ class Joint:
         self._load = Load(spec, ratio, by_torque=self._loop is not None)
         self._profile = SetpointProfile(period / SECOND)
         self._swing = Swing(period / SECOND)
+        self._shown = False
+        """Whether its motion was reported, at the last command, since its device was armed."""
         self._intended: Command = msg.Idle(name)
         """The last command sent, before the spring that makes it was softened."""
         self._out: Command = msg.Idle(name)
@@ -399,10 +401,12 @@ class Joint:
             wanted = self._at_rest(msg.Torque, msg.Velocity) if self._replies_only else msg.Idle(self.name)
         elif measured.position_lost and isinstance(wanted, msg.Hold):
             wanted = self._at_rest(msg.Velocity)
-        if not self._arming.obeys(measured):
-            self._profile.forget()  # it starts at the position that the shaft has then
+        shown, self._shown = self._shown, self._arming.shows_arming(measured)
         dt = max(0, min(now - self._out_at, self.settings.command_timeout)) / SECOND
         limits = self._stop_limits if stopped or self.faults else self.settings.limits
+        begins = not self._arming.obeys(measured)
+        if begins or (not shown and self._profile.departs(measured.feedback, 2.0 * dt, limits)):
+            self._profile.forget()  # it starts with the motion that the shaft has then
         out = self._profile.limited(wanted, dt, measured.feedback, limits)
         if isinstance(out, msg.Torque):
             out = msg.Torque(self.name, self._swing.within(out.torque, dt, limits.velocity))

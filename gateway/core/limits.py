@@ -159,6 +159,13 @@ class SetpointProfile:
         self._position = self._velocity = self._plan = self._sample = None
         self._acceleration = self._age = self._apart = self._begun = 0.0
 
+    def departs(self, measured: Feedback, seconds: float, limits: Limits) -> bool:
+        """True if the shaft is faster or slower than the set-point by more than it may change in this time."""
+        if self._velocity is None or measured.velocity is None:
+            return False
+        apart = abs(self._velocity - clamp(measured.velocity, limits.velocity))
+        return apart > limits.acceleration * seconds
+
     def limited(self, wanted: Command, dt: float, measured: Feedback, limits: Limits) -> Command:
         """Return the command that is within the limits, `dt` seconds after the previous one."""
         if isinstance(wanted, (Idle, Hold)):

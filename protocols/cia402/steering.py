@@ -55,6 +55,8 @@ class Steering:
         """The last command was Hold."""
         self._rounds = 0
         """Set-points sent since arming began."""
+        self._enabling: int | None = None
+        """Statuswords received when it was last not enabled, while it is to rest where it was enabled."""
         self._handshake = Handshake()
         self.homing: Homing | None = None
         self._progress: object = None
@@ -102,13 +104,17 @@ class Steering:
             values = self.homing.values(position, reported.mode_display, reported.reports)
             return self._wanted(values, known, o.CONTROLWORD), ""
         in_mode, enabled = reported.mode_display == mode, power is PowerState.OPERATION_ENABLED
-        if enabled:
+        if enabled and self._rests(reported.reports):
+            rest = self._values.get(o.TARGET_POSITION, position)
+            values, control, failure = setpoints.standstill(rest), int(Demand.ENABLE_OPERATION), ""
+        elif enabled:
             rest = self._values.get(o.TARGET_POSITION, position) if self._hold is None else self._hold
             values, control = setpoints.values_of(command, mode, units, rest), int(Demand.ENABLE_OPERATION)
             if mode is Mode.PP and in_mode:
                 control = self._hand_over(now, values, reported)
             failure = self._note_progress(now, None if in_mode else (power, mode), reported)
         else:
+            self._enabling = reported.reports
             values = setpoints.standstill(position)
             failure = self._note_progress(now, (power, in_mode), reported)
             option = known.read.get(o.QUICK_STOP_OPTION, 2)
@@ -120,6 +126,13 @@ class Steering:
         self._rounds += 1
         values |= {o.CONTROLWORD: control, o.MODE: int(mode)}
         return self._wanted(values, known, TARGET_OF[mode], followed=enabled and in_mode), failure
+
+    def _rests(self, reports: int) -> bool:
+        """Return whether it rests where it was enabled: that has stopped its shaft, and the motion that came
+        with the first statusword to show it may be older. It does until the next one."""
+        if self._enabling is not None and reports > self._enabling + 1:
+            self._enabling = None
+        return self._enabling is not None
 
     def _wanted(self, values: Values, known: Known, moving: Key, *, followed: bool = False) -> Wanted:
         self._values = {key: value for key, value in values.items() if key not in known.absent}
