@@ -94,7 +94,7 @@ class Arming:
         return answered and self.mode is Mode.ARMED
 
     def shows_arming(self, measured: Measured) -> bool:
-        """True if it has reported its motion since it was armed for certain: what came with that report of its
+        """True if it has certainly reported its motion since it was armed: what came with that report of its
         state may be older, and a device may have stopped its shaft when it was armed."""
         since, received = self._commanded_at, measured.received_at
         return since is not None and received is not None and received > since

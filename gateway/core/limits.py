@@ -160,7 +160,7 @@ class SetpointProfile:
         self._acceleration = self._age = self._apart = self._begun = 0.0
 
     def departs(self, measured: Feedback, seconds: float, limits: Limits) -> bool:
-        """True if the shaft is faster or slower than the set-point by more than it may change in this time."""
+        """True if the shaft's velocity is not the set-point's, by more than that may change in this time."""
         if self._velocity is None or measured.velocity is None:
             return False
         apart = abs(self._velocity - clamp(measured.velocity, limits.velocity))
@@ -377,7 +377,21 @@ def spring_within(wanted: Impedance, measured: Feedback, limits: Limits) -> Impe
     total = torque + clamp(pull, limits.torque) + clamp(drag, limits.torque)
     most = total if abs(total) <= limits.torque else copysign(SOFTENED * limits.torque, total)
     share = _share(total, limits.torque_now(most, measured))
-    return Impedance(wanted.motor, position, velocity, share * torque, share * stiffness, share * damping)
+    spring = Impedance(wanted.motor, position, velocity, share * torque, share * stiffness, share * damping)
+    return _slowing(spring, measured, limits)
+
+
+def _slowing(spring: Impedance, measured: Feedback, limits: Limits) -> Impedance:
+    """Return a spring whose pull gives way to its damper once a shaft reaches its limit of velocity, if it
+    will be faster: one that slows it down where it is expected may drive it on a little before."""
+    speed = measured.velocity or 0.0
+    if abs(speed) < limits.velocity:
+        return spring
+    pull = spring.torque + spring.stiffness * (spring.position - (measured.position or 0.0))
+    push = pull * copysign(1.0, speed)
+    drag = spring.damping * (limits.velocity - spring.velocity * copysign(1.0, speed))
+    share = _share(push, min(push, max(0.0, drag))) if push > 0.0 else 1.0
+    return replace(spring, torque=share * spring.torque, stiffness=share * spring.stiffness)
 
 
 def no_stronger(spring: Impedance, measured: Feedback, limits: Limits) -> Impedance:

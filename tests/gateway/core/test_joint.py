@@ -335,6 +335,24 @@ def test_a_motion_begins_once_the_device_has_answered_a_set_point_that_it_was_se
     assert made.command(14 * STEP, wanted, stopped=False) == msg.Velocity("m", 0.75)
 
 
+def test_a_motion_begins_anew_if_the_shaft_was_stopped_when_its_device_was_armed() -> None:
+    made = joint()
+    wanted = msg.Velocity("m", 5.0)
+
+    def report(t: int, velocity: float, mode: Mode) -> None:
+        made.on_event(msg.State("m", t, mode))
+        made.on_event(msg.Feedback("m", t + 1, 0.0, velocity))
+
+    report(0, -4.0, Mode.READY)  # falls
+    made.command(STEP, wanted, stopped=False)
+    report(STEP + 1, -4.0, Mode.ARMED)  # that motion may have been sampled before
+    made.command(2 * STEP, wanted, stopped=False)
+    report(2 * STEP + 1, 0.0, Mode.ARMED)
+    assert made.command(3 * STEP, wanted, stopped=False) == msg.Velocity("m", 0.25)
+    report(3 * STEP + 1, -4.0, Mode.ARMED)  # what disturbs it later is the device's to make good
+    assert made.command(4 * STEP, wanted, stopped=False) == msg.Velocity("m", 0.5)
+
+
 def test_a_device_that_reports_only_what_it_is_commanded_and_takes_neither_is_not_commanded() -> None:
     limits = JointSettings(Limits(10.0, 50.0, 2.0))
     made = Joint("m", limits, spec(msg.Idle, msg.Position, feedback=FeedbackKind.REPLY))

@@ -114,6 +114,8 @@ def test_joints_start_within_their_limits(number: int) -> None:
 
 
 LOADED = {
+    1087: "a drive that stopped a falling shaft when it was enabled",
+    2458: "a spring that slows the shaft down where it is expected, and drives it on a little before",
     446: "a spring's first set-point",
     1418: "Hold on a moving shaft",
     1509: "a torque beside a load",
