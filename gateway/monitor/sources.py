@@ -63,8 +63,14 @@ def open_all(options: Namespace, clock: Clock, stack: ExitStack) -> WatchSession
         interfaces = [options.what] if options.what else _machine()
         if options.bus:
             raise UserError("--bus is for the buses of a robot file; here an interface itself is named")
-        title, plugins = ", ".join(interfaces), _plugins()
-        buses = {bus.name: bus for bus in (_settings(interface, options) for interface in interfaces)}
+        title, plugins = ", ".join(interfaces), usable_plugins()
+        buses = {
+            bus.name: bus
+            for bus in (
+                bus_named(interface, options.bitrate, options.data_bitrate, options.baudrate)
+                for interface in interfaces
+            )
+        }
     else:
         robot = with_interfaces(load_robot(options.what), dict(options.bus))
         title, buses = robot.name, dict(robot.buses)
@@ -120,7 +126,8 @@ def _machine() -> list[str]:
     return [f"socketcan:{name}" for name in names]
 
 
-def _plugins() -> tuple[Plugin, ...]:
+def usable_plugins() -> tuple[Plugin, ...]:
+    """Return the installed protocols; those that are broken are named on standard error."""
     plugins, broken = load_all()
     for one in broken:
         print(f"left out: {one.name} of {one.distribution} is broken: {one.reason}", file=sys.stderr)
@@ -129,18 +136,20 @@ def _plugins() -> tuple[Plugin, ...]:
     return plugins
 
 
-def _settings(interface: str, options: Namespace) -> BusSettings:
+def bus_named(interface: str, bitrate: int = 0, data_bitrate: int = 0, baudrate: int = 0) -> BusSettings:
+    """Return the bus INTERFACE:CHANNEL, with the rates of a CAN interface as the kernel has them unless they
+    are given [bit/s]. Raises UserError."""
     driver, _, channel = interface.partition(":")
     if driver in ADAPTERS:
         raise UserError(f"{interface}: expected {ADAPTERS[driver]}")
     name = channel.removeprefix("/dev/")
     if driver == "serial":
-        return BusSettings(name, "serial", interface, baudrate=options.baudrate)
+        return BusSettings(name, "serial", interface, baudrate=baudrate)
     link = _link(channel) if driver == "socketcan" else None
-    data_bitrate = options.data_bitrate or (link.data_bitrate if link else 0)
+    data_bitrate = data_bitrate or (link.data_bitrate if link else 0)
     fd = data_bitrate or (link is not None and link.mtu >= FD_MTU)
     kind: Literal["can", "canfd"] = "canfd" if fd else "can"
-    bitrate = options.bitrate or (link.bitrate if link else 0) or DEFAULT_BITRATE
+    bitrate = bitrate or (link.bitrate if link else 0) or DEFAULT_BITRATE
     return BusSettings(name, kind, interface, bitrate, data_bitrate)
 
 
