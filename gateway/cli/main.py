@@ -15,6 +15,7 @@ import errno
 import logging
 import os
 import platform
+import re
 import sys
 from collections.abc import Sequence
 from contextlib import ExitStack, redirect_stderr, redirect_stdout
@@ -28,6 +29,7 @@ from gateway.cli.terminal.screen import Escaping, is_writable
 from gateway.core.message_text import escaped
 from gateway.errors import GatewayError
 
+NEGATIVE, OPTION = re.compile(r"-[\d.]"), re.compile(r"--[a-z][a-z-]*")
 INTERRUPTED = 130
 """The status that a shell has for SIGINT."""
 DESCRIPTION = "One brain, any body, over real buses."
@@ -75,7 +77,19 @@ def _command_first(arguments: list[str]) -> list[str]:
     """Return the arguments with the command before what options precede it, as in `gateway -q demo`."""
     at = next((i for i, one in enumerate(arguments) if not one.startswith("-")), 0)
     before = [] if {"-h", "--help"} & {*arguments[:at]} else arguments[:at]
-    return [*arguments[at : at + 1], *before, *arguments[at + 1 :]] if before else arguments
+    given = [*arguments[at : at + 1], *before, *arguments[at + 1 :]] if before else arguments
+    return _with_values(given)
+
+
+def _with_values(arguments: list[str]) -> list[str]:
+    """Return the arguments, a negative value joined to its option: to argparse, -2,0.5 is another option."""
+    joined: list[str] = []
+    for one in arguments:
+        if NEGATIVE.match(one) and joined and OPTION.fullmatch(joined[-1]):
+            joined[-1] += f"={one}"
+        else:
+            joined.append(one)
+    return joined
 
 
 def _main(arguments: list[str]) -> int:

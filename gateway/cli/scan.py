@@ -26,6 +26,8 @@ from gateway.runtime.scan import Finding, Probe
 from protocols.frames import EXTENDED_BIT
 from protocols.plugin import Plugin
 
+log = logging.getLogger("gateway")
+
 BAUDRATES = (1_000_000, 115_200, 57_600, 38_400, 9_600, 230_400, 500_000, 921_600, 3_000_000)
 """bit/s at which a serial line is tried: those that the devices of our protocols have when they are new, and
 common ones."""
@@ -68,7 +70,19 @@ def run(options: Namespace) -> int:
     """Look on one interface after the other."""
     plugins = scan.chosen(usable_plugins(), options.protocol)
     interfaces = [_full(one) for one in options.interfaces] or _machine()
-    logging.getLogger("gateway").addFilter(lambda record: record.levelno >= logging.ERROR)
+    log.addFilter(_is_error)
+    try:
+        return _scan_all(interfaces, plugins, options)
+    finally:
+        log.removeFilter(_is_error)
+
+
+def _is_error(record: logging.LogRecord) -> bool:
+    """False for what a placeholder's silence is warned of."""
+    return record.levelno >= logging.ERROR
+
+
+def _scan_all(interfaces: Sequence[str], plugins: Sequence[Plugin], options: Namespace) -> int:
     results: list[dict[str, object]] = []
     opened = 0
     if not options.json and any(one.startswith("serial:") for one in interfaces):

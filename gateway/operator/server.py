@@ -43,6 +43,8 @@ MAX_LINES = 32
 MAX_LINES_EACH = 8
 """and of one client."""
 MAX_CLIENTS = 64
+ENDING = ("stop", "estop", "quit", "idle")
+"""Commands for which no line of a pipe waits."""
 MAX_PATH = 107
 """Bytes of a socket's path (unix(7): sun_path)."""
 
@@ -104,6 +106,10 @@ class Operator:
         self._robot = robot
         self._terminal = _standard_input() if terminal == -1 else terminal
         self._typed, self._typed_lines = LineBuffer(), deque[str | RejectedLine]()
+        self._waits = not _is_terminal(self._terminal)
+        """Whether lines of the standard input wait until the robot is ready: nobody sees when it is,"""
+        self._told = False
+        """and whether that was said."""
         self._clients: list[_Client] = []
         """The one that was answered or accepted longest ago first."""
         self._has_typed = False
@@ -119,11 +125,15 @@ class Operator:
         self.close()
 
     def poll(
-        self, status: Callable[[], str], view: Callable[[str], str] = lambda _: "there is no view here"
+        self,
+        status: Callable[[], str],
+        view: Callable[[str], str] = lambda _: "there is no view here",
+        unready: Callable[[], str] = lambda: "",
     ) -> list[Instruction]:
         """Return the instructions since the last poll, of the client answered longest ago first. Never waits.
 
-        `status`, and `view` with its arguments, are called for each line that asks for it."""
+        `status`, and `view` with its arguments, are called for each line that asks for it; `unready` says for
+        what lines of a pipe must be kept, but for one that ends something."""
         answers: dict[str, Callable[[str], str]] = {"status": lambda _: status(), "view": view}
         instructions: list[Instruction] = []
         for client in list(self._clients):
@@ -142,7 +152,7 @@ class Operator:
             self._send(client)
         self._typed_lines.extend(() if self._typed_lines else self._read_terminal())
         self._has_typed = self._has_typed or bool(self._typed_lines)
-        for _ in range(min(MAX_LINES_EACH, len(self._typed_lines))):
+        for _ in range(0 if self._keeps(unready) else min(MAX_LINES_EACH, len(self._typed_lines))):
             instructions += self._on_line(self._typed_lines.popleft(), _print, answers)
         return instructions
 
@@ -163,6 +173,17 @@ class Operator:
         if self._listener.fileno() >= 0:
             self._listener.close()
             self.path.unlink(missing_ok=True)
+
+    def _keeps(self, unready: Callable[[], str]) -> bool:
+        """Whether lines of a pipe are kept until the robot is ready; say so once."""
+        if not self._waits or not self._typed_lines:
+            return False
+        ends = any(isinstance(one, str) and one.lower().startswith(ENDING) for one in self._typed_lines)
+        why = "" if ends else unready()
+        if why and not self._told:
+            _print(f"the lines wait: {why}")
+        self._told, self._waits = bool(why), bool(why)
+        return bool(why)
 
     def _on_line(
         self,
@@ -268,6 +289,13 @@ def _standard_input() -> int | None:
         return sys.stdin.fileno()
     except (AttributeError, OSError, ValueError):  # there is none, or it is no file
         return None
+
+
+def _is_terminal(number: int | None) -> bool:
+    try:
+        return number is not None and os.isatty(number)
+    except OSError:
+        return False
 
 
 def _in_foreground(terminal: int) -> bool:

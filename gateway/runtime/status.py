@@ -16,6 +16,13 @@ if TYPE_CHECKING:
     from protocols.messages import Nanos
 
 
+def unready(session: Session) -> str:
+    """Return which motors cannot be commanded yet; "" if all can, or are in fault."""
+    now = session.clock.now()
+    silent = [name for name, joint in session.joints.items() if not (joint.open_loop or joint.is_heard(now))]
+    return f"{', '.join(silent)} not heard yet" if silent else ""
+
+
 def status_text(session: Session) -> str:
     """Return state, pose, goal, joints and their faults, counters, ticks and recording: a line each."""
     gateway, now = session.gateway, session.clock.now()

@@ -67,6 +67,7 @@ SEEDS = ("-1", "x", str(2**63), "1.5")
         ("run bench --bus can0=sockettcan:can0", "sockettcan"),
         ("run bench --bus can0=virtual:x --fast", "needs a simulated world: can0 is on a real interface"),
         ("run bench --goal 1,2", "--goal: 'bench' has no base to drive; its joints take"),
+        ("run bench --goal -1,-.5", "--goal: 'bench' has no base to drive; its joints take"),
         ("run bench --mission rounds", "'bench' cannot do this: step 1: goto: there is no base to drive"),
         ("twin difbot", "did you mean 'diffbot'"),
         ("twin bench --bus cann0=socketcan:vcan0", "no bus 'cann0': there is can0; did you mean 'can0'"),
@@ -89,6 +90,7 @@ SEEDS = ("-1", "x", str(2**63), "1.5")
         ("protocols check plain plane", "did you mean 'plain'?"),
         *((f"protocols check --seed={n}", f"'{n}' is not a number from 0 to 2**63 - 1") for n in SEEDS),
         ("ask absent status", "no robot runs"),
+        ("scan virtual:x --protocol oddrive", "no protocol 'oddrive'"),
         ("watch difbot", "did you mean 'diffbot'?"),
         ("watch diffbot", "bus 'can0' is simulated inside the process"),
         ("watch diffbot", "where nothing else can listen"),
@@ -112,6 +114,15 @@ def test_a_command_that_cannot_begin_prints_why_and_exits_with_2(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, command: str, expected: str
 ) -> None:
     assert expected in refused(capsys, *command.format(tmp=tmp_path).split())
+
+
+def test_a_scan_of_an_interface_that_is_not_there_says_so_and_of_an_empty_bus_that_nothing_answers(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["scan", "/dev/nowhere"]) == 2
+    assert "there is no /dev/nowhere" in capsys.readouterr().err
+    assert main(["scan", "virtual:nobody", "--protocol", "moteus", "--protocol", "cubemars"]) == 1
+    assert "nothing answers" in capsys.readouterr().out
 
 
 def test_a_missing_can_interface_is_named_with_the_commands_that_make_it(
@@ -192,8 +203,8 @@ def test_lines_on_the_terminal_and_by_ask_drive_the_bench(tmp_path: Path) -> Non
         robot.until("brain: ready")
         robot.send_line("velocity left 4\nvelosity right 4")
         robot.until("left: armed", "did you mean 'velocity'?")
-        with Process(tmp_path / "run", "ask", "bench", "velocity", "right", "3") as asking:
-            asking.until("accepted: velocity right 3")
+        with Process(tmp_path / "run", "ask", "bench", "hold right", "velocity right 3") as asking:
+            asking.until("accepted: hold right", "accepted: velocity right 3")
             assert asking.end()[0] == 0
         robot.until("right: armed")
         robot.send_line("quit")

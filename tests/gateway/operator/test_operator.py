@@ -463,6 +463,22 @@ def test_lines_on_a_pipe_are_accepted_and_its_end_does_not_end_the_run(
     os.close(reader)
 
 
+def test_lines_on_a_pipe_wait_until_the_robot_is_ready_but_for_one_that_ends_something(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for line, kept in ((b"goal 3 4\n", True), (b"stop\n", False)):
+        reader, writer = os.pipe()
+        with Operator(DIFFBOT, folder, terminal=reader) as operator:
+            os.write(writer, b"goal 1 2\n" + line)
+            early = [one for _ in range(3) for one in operator.poll(status, unready=lambda: "left is silent")]
+            assert bool(early) != kept
+            assert capsys.readouterr().out.count("the lines wait: left is silent\n") == kept
+            late = operator.poll(status)
+            assert len([*early, *late]) == 2
+        os.close(writer)
+        os.close(reader)
+
+
 def test_where_a_line_was_typed_its_answers_are_printed_too(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
