@@ -365,6 +365,21 @@ def test_two_processes_reach_a_goal_and_the_recording_replays(
     assert "the same, byte for byte" in capsys.readouterr().out
 
 
+def test_nothing_is_imported_before_the_first_frame_that_a_run_does_not_need() -> None:
+    code = (
+        "import sys\nimport gateway as gw\n"
+        "with gw.open_session('diffbot', simulated=True, record=sys.argv[1]) as session:\n"
+        "    next(tick for tick in session.run() if tick.outputs.packets)\n"
+        "sys.exit(', '.join(sorted({'cv2', 'filterpy', 'matplotlib', 'rosbags.highlevel', 'scipy'}"
+        " & set(sys.modules))) or None)"
+    )
+    with tempfile.TemporaryDirectory() as name:
+        run = [sys.executable, "-c", code, f"{name}/first.mcap"]
+        done = subprocess.run(run, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.prove
 def test_the_first_frame_costs_no_more_than_ten_times_what_its_libraries_do_to_import(folder: Path) -> None:
     """Also if it is recorded. Both are the processor's time, and one after the other: a processor that is
     shared is slower for both."""
