@@ -42,6 +42,7 @@ COMMANDS = {
     "recover": "repair a recording, or an MCAP bag, that was cut off or damaged",
     "watch": "listen to buses or to a recording, without ever sending",
     "scan": "find the devices of every installed protocol, by read-only questions alone",
+    "doctor": "say why nothing moves, from the interface to the motor; sends questions alone",
     "jog": "turn one motor slowly, as long as a key is held",
     "motor": "read, compare and restore what is configured on the motors",
     "check": "read a robot file and print its meaning, or every mistake in it",
@@ -51,7 +52,7 @@ COMMANDS = {
 }
 LIVE = ("demo", "run", "twin", "jog", "motor")
 """Those that must not wait for who reads their output: a robot would wait with them."""
-LINUX = (*LIVE, "view", "ask", "scan")
+LINUX = (*LIVE, "view", "ask", "scan", "doctor")
 """Those that need what Linux alone has: SocketCAN, termios, real-time signals, /proc."""
 
 

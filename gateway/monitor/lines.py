@@ -38,7 +38,8 @@ class LineTroubles:
         self._heard = dict.fromkeys(gateway.lines, b"")
         self._came = dict.fromkeys(gateway.lines, 0)
         """Bytes in this period."""
-        self._told: set[tuple[str, str]] = set()
+        self.told: dict[tuple[str, str], str] = {}
+        """What was said, by line and kind."""
 
     def take(self, tick: Tick) -> None:
         """Take in a tick; log what is wrong, once."""
@@ -54,8 +55,8 @@ class LineTroubles:
             before, self._before[name] = self._before[name], _counted(line)
             new = {key: self._before[name][key] - before[key] for key in _COUNTED}
             kind, text = self._look(name, line, new)
-            if text and (name, kind) not in self._told:
-                self._told.add((name, kind))
+            if text and (name, kind) not in self.told:
+                self.told[name, kind] = text
                 log.warning("%s: %s", name, text)
             self._came[name] = 0
 

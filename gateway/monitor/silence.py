@@ -44,6 +44,8 @@ class Silence:
         self._heard: dict[str, list[Packet]] = {name: [] for name in buses}
         self._measured: set[str] = set()
         """Sensors."""
+        self.told: dict[str, str] = {}
+        """What was said, by device."""
         self._work: Iterator[None] = self._listen()
 
     def take(self, tick: Tick) -> None:
@@ -66,7 +68,8 @@ class Silence:
             looks[bus] = yield from self._search(bus)
         for device in silent:
             where = f"at address {device.device.address} on {device.bus}"
-            log.warning("%s: nothing is heard of it %s: %s", device.name, where, self._why(device, looks))
+            self.told[device.name] = f"nothing is heard of it {where}: {self._why(device, looks)}"
+            log.warning("%s: %s", device.name, self.told[device.name])
 
     def _is_silent(self, device: BusDevice) -> bool:
         if not isinstance(device, Motor):

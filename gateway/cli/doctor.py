@@ -1,0 +1,120 @@
+"""`gateway doctor`: why nothing moves, from the interface to the motor; only questions are sent.
+
+Exit status: 0 nothing was found; 1 something was; 2 no bus could be opened.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+from argparse import ArgumentParser, Namespace
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import asdict
+
+from gateway.buses import Bus, open_bus
+from gateway.cli import arguments
+from gateway.config import load_robot, with_interfaces
+from gateway.core.clock import Clock, SimulatedClock, WallClock
+from gateway.core.message_text import escaped
+from gateway.core.robot import TWIN, Robot
+from gateway.errors import BusError
+from gateway.runtime import doctor
+from gateway.runtime.doctor import Finding
+from gateway.runtime.scan import Overhearing
+
+log = logging.getLogger("gateway")
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    arguments.add_robot(parser)
+    arguments.add_bus(parser, "where a bus is: can0=socketcan:can0")
+    parser.add_argument("--explain", action="store_true", help="say of each finding why it matters")
+    parser.add_argument("--json", action="store_true", help="print one JSON array")
+
+
+def run(options: Namespace) -> int:
+    """Examine a robot, and print what was found."""
+    robot = with_interfaces(load_robot(options.robot), dict(options.bus))
+    twins = all(bus.interface == TWIN for bus in robot.buses.values())
+    clock: Clock = SimulatedClock() if twins else WallClock()
+    log.addFilter(_is_told_otherwise)
+    try:
+        with ExitStack() as stack:
+            buses, failed = _open(robot, clock, stack)
+            if not options.json:
+                _head(robot, buses)
+            findings = [*failed, *(_examined(robot, buses, clock) if buses else ())]
+    finally:
+        log.removeFilter(_is_told_otherwise)
+    if options.json:
+        print(json.dumps([asdict(one) for one in findings], indent=2))
+    else:
+        _print(findings, explain=options.explain)
+    return 2 if not buses else 1 if findings else 0
+
+
+def _is_told_otherwise(record: logging.LogRecord) -> bool:
+    """False for what a finding says."""
+    return record.levelno > logging.ERROR
+
+
+def _examined(robot: Robot, buses: Mapping[str, Bus], clock: Clock) -> list[Finding]:
+    """Return what is found where buses are open; on the others nothing is heard."""
+    closed = {name: Overhearing(None, {}) for name in robot.buses if name not in buses}
+    seen = doctor.examine(robot, {**buses, **closed}, clock).findings()
+    mute = {one.name for one in robot.devices() if one.bus in closed}
+    return [one for one in seen if one.about not in mute]
+
+
+def _open(robot: Robot, clock: Clock, stack: ExitStack) -> tuple[dict[str, Bus], list[Finding]]:
+    """Open what can be opened; return the buses, and a finding for each that cannot."""
+    buses: dict[str, Bus] = {}
+    failed: list[Finding] = []
+    if any(bus.interface == TWIN for bus in robot.buses.values()):
+        from gateway.buses.virtual import open_world
+
+        buses |= {
+            n: b for n, b in open_world(robot, robot.seed).buses.items() if robot.buses[n].interface == TWIN
+        }
+    for name, settings in robot.buses.items():
+        if name in buses:
+            continue
+        try:
+            buses[name] = open_bus(settings, clock)
+        except BusError as error:
+            seen, _, todo = str(error).partition("\n")
+            nothing = "nothing on it can be heard"
+            failed.append(
+                Finding(
+                    True,
+                    name,
+                    seen,
+                    nothing,
+                    "; ".join(map(str.strip, todo.splitlines())).replace(":; ", ": ") or "gateway scan",
+                )
+            )
+        else:
+            stack.callback(buses[name].close)
+    return buses, failed
+
+
+def _head(robot: Robot, buses: dict[str, Bus]) -> None:
+    count = len(robot.devices())
+    where = ", ".join(f"{name} ({robot.buses[name].interface})" for name in buses) or "no bus"
+    print(f"{robot.name}: {count} devices; looking at {where} for {doctor.EXAMINED / 1e9:g} s", flush=True)
+
+
+def _print(findings: Sequence[Finding], *, explain: bool) -> None:
+    for one in findings:
+        print(f"{'!!' if one.grave else ' !'} {one.about}: {escaped(one.seen)}")
+        if explain:
+            print(f"     why it matters: {escaped(one.matters)}")
+        print(f"     what to do: {escaped(one.todo)}")
+    grave = sum(one.grave for one in findings)
+    print(
+        f"{len(findings)} findings, {grave} of them grave" if findings else "nothing was found",
+        file=sys.stdout,
+    )
