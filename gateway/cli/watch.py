@@ -10,21 +10,24 @@ from __future__ import annotations
 import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
+from dataclasses import replace
 from operator import attrgetter
 from pathlib import Path
 
 from gateway import config
+from gateway.buses.log_file import LogSummary, is_log, logged, summary
 from gateway.cli import arguments
 from gateway.cli.terminal.screen import screen
 from gateway.core.clock import WallClock
 from gateway.core.message_text import escaped, message_text
+from gateway.core.robot import BusSettings, Robot
 from gateway.core.tick import Tick
 from gateway.errors import UserError
 from gateway.monitor import render
-from gateway.monitor.candidates import of_robot
+from gateway.monitor.candidates import of_plugins, of_robot
 from gateway.monitor.decoder import BusMonitor
-from gateway.monitor.sources import WatchSession, open_all
+from gateway.monitor.sources import DEFAULT_BITRATE, WatchSession, open_all, usable_plugins
 from gateway.monitor.state import DecodedPacket
 from gateway.recording import read_recording
 from gateway.runtime.process import signals
@@ -40,11 +43,13 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "what",
         nargs="?",
-        metavar="ROBOT|FILE.mcap|INTERFACE:CHANNEL",
-        help="a robot file or its name, a recording, or socketcan:can0, slcan:PORT, serial:PORT … "
+        metavar="ROBOT|FILE|INTERFACE:CHANNEL",
+        help="a robot file or its name, a recording, a log of CAN (candump .log, .asc, .blf, .trc, .csv, "
+        "also .gz), or socketcan:can0, slcan:PORT, serial:PORT … "
         "(default: every CAN interface of this machine)",
     )
     arguments.add_bus(parser, "where a bus of the robot file is: can0=socketcan:vcan0")
+    parser.add_argument("--robot", default="", help="of a log: whose devices were on its buses")
     parser.add_argument("--lines", action="store_true", help="print a line per packet, not a page")
     arguments.add_seconds(parser)
     rate = arguments.integer("a rate in bit/s", 1)
@@ -59,6 +64,11 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(options: Namespace) -> int:
     """Listen until a signal, for a time, or to the end of a recording."""
+    if options.robot and not (options.what and is_log(Path(options.what))):
+        raise UserError("--robot is for a log of CAN; a robot file itself is the first argument")
+    if options.what is not None and is_recording(options.what) and is_log(Path(options.what)):
+        _watch_log(Path(options.what), options)
+        return 0
     if options.what is not None and is_recording(options.what):
         _watch_recording(Path(options.what), lines=options.lines, seconds=options.seconds)
         return 0
@@ -165,6 +175,53 @@ def _watch_recording(path: Path, *, lines: bool, seconds: float | None) -> None:
         cut = "" if recording.whole else ", cut short"
         title = f"{path}: {robot.name}, {(now - began) / SECOND:.1f} s{cut}"
         print("\n".join(map(escaped, render.page(monitor, now, title))))
+
+
+def _watch_log(path: Path, options: Namespace) -> None:
+    """Print the lines or the last page of another program's log of CAN, or of its first seconds."""
+    log = summary(path)
+    bitrate = options.bitrate or DEFAULT_BITRATE
+    buses = {
+        name: BusSettings(name, "canfd" if fd else "can", "", bitrate, options.data_bitrate)
+        for name, fd in log.fd.items()
+    }
+    if options.robot:
+        robot = config.load_robot(options.robot)
+        places = _places(robot, log, path)
+        variants = of_robot(robot, list(places.values()))
+        buses = {bus: robot.buses[bus] for bus in places.values()}
+    else:
+        places = {name: name for name in buses}
+        plugins = usable_plugins()
+        variants = [each for bus in buses.values() for each in of_plugins(bus, plugins)]
+    monitor = BusMonitor(buses, variants, log.began, known=bool(options.robot), window=None)
+    now = log.began
+    with suppress(UserError):  # it was told by the summary
+        for packet, sent in logged(path):
+            if options.seconds is not None and packet.t - log.began > options.seconds * SECOND:
+                break
+            if packet.bus not in places:
+                continue
+            now = packet.t
+            decoded = monitor.decode(replace(packet, bus=places[packet.bus]), sent=sent or None)
+            if options.lines:
+                print(escaped(render.line(decoded)))
+    if log.error:
+        print(f"cut short: {log.error}", file=sys.stderr)
+    if not options.lines:
+        print(
+            "\n".join(map(escaped, render.page(monitor, now, f"{path}: {(now - log.began) / SECOND:.1f} s")))
+        )
+
+
+def _places(robot: Robot, log: LogSummary, path: Path) -> dict[str, str]:
+    """Return the robot's bus of each bus of a log: of the same name, or the only one. Raises UserError."""
+    ours = [name for name, bus in robot.buses.items() if bus.kind != "serial"]
+    same = {name: name for name in log.fd if name in ours}
+    if same or (len(ours) == 1 and len(log.fd) == 1):
+        return same or {next(iter(log.fd)): ours[0]}
+    found, wanted = ", ".join(log.fd), ", ".join(ours) or "none"
+    raise UserError(f"{path} has the buses {found}, {robot.name} has {wanted}: none has the same name")
 
 
 def _decode(monitor: BusMonitor, tick: Tick) -> tuple[list[DecodedPacket], list[DecodedPacket]]:

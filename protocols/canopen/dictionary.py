@@ -105,7 +105,8 @@ class Dictionary:
         if key[0] == o.ERROR_HISTORY and key[1] > self.values[o.ERROR_COUNT]:
             return sdo.NO_DATA, b""
         if self.objects[key].type is Type.TEXT:
-            return 0, self.texts[key].encode("ascii")
+            text = self.texts.get(key)
+            return (sdo.NO_DATA, b"") if text is None else (0, text.encode("ascii"))
         return 0, to_bytes(self.objects[key].type, self.values[key])
 
     def write(self, key: Key, data: bytes, *, sized: bool = True) -> int:

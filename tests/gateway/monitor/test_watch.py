@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import ast
+import gzip
 import io
 import os
 import pty
+import re
 import signal
 import tty
 from argparse import Namespace
@@ -13,6 +15,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 
+import can
 import pytest
 
 from gateway.buses import Bus
@@ -42,7 +45,7 @@ LISTENERS = (
 
 
 def options(what: str | None, *bus: tuple[str, str], baudrate: int = 1_000_000) -> Namespace:
-    return Namespace(what=what, bus=list(bus), bitrate=0, data_bitrate=0, baudrate=baudrate)
+    return Namespace(what=what, bus=list(bus), bitrate=0, data_bitrate=0, baudrate=baudrate, robot="")
 
 
 @contextmanager
@@ -317,3 +320,57 @@ def test_on_a_terminal_the_page_is_refreshed_until_ctrl_c(tmp_path: Path) -> Non
     last = text.partition(LEAVE)[2]
     assert "angular velocity 0.000, 0.000, 0.500 rad/s" in last
     assert "\x1b" not in last
+
+
+# -- logs of other programs ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("suffix", [".log", ".log.gz", ".asc", ".blf", ".trc", ".csv"])
+def test_a_log_that_another_program_has_written_is_decoded(
+    drive: list[Packet], tmp_path: Path, capsys: pytest.CaptureFixture[str], suffix: str
+) -> None:
+    log = tmp_path / f"can.day.1{suffix.removesuffix('.gz')}"
+    frames = [
+        p for p in drive if isinstance(p.frame, CanFrame) and not p.frame.remote
+    ]  # .trc has none remote
+    with can.Logger(log) as writer:
+        for packet in frames:
+            assert isinstance(packet.frame, CanFrame)
+            writer(
+                can.Message(
+                    timestamp=100.0 + packet.t / SECOND,
+                    arbitration_id=packet.frame.id,
+                    data=packet.frame.data,
+                    is_extended_id=packet.frame.extended,
+                    channel=1,
+                )
+            )
+    if suffix.endswith(".gz"):
+        log = log.with_name(log.name + ".gz")
+        log.write_bytes(gzip.compress(log.with_suffix("").read_bytes()))
+    assert main(["watch", str(log), "--robot", "bench"]) == 0
+    printed = capsys.readouterr().out
+    assert re.search(r"left +odrive_can +can0 1 +armed", printed), printed
+    assert re.search(rf"can0 .* {len(frames)} +0\n", printed), printed
+
+
+def test_a_log_without_a_robot_file_shows_which_devices_were_there_and_one_that_is_torn_what_is_whole(
+    drive: list[Packet], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "candump.log"
+    rows = [
+        f"({p.t / SECOND:.6f}) can7 {p.frame.id:03X}#{p.frame.data.hex()}"
+        for p in drive
+        if isinstance(p.frame, CanFrame)
+    ]
+    log.write_text("\n".join([*rows[:120], "(12.5) can7"]))
+    assert main(["watch", str(log)]) == 0
+    printed = capsys.readouterr()
+    assert re.search(r"odrive_can:1 +odrive_can +can7 1 ", printed.out)
+    assert "cut short" in printed.err
+    assert "after 120 frames" in printed.err
+    log.write_text("no log at all\n")
+    assert main(["watch", str(log)]) == 2
+    assert main(["watch", str(log), "--robot", "diffbot_sensors"]) == 2
+    assert main(["watch", "diffbot", "--robot", "diffbot"]) == 2
+    assert "--robot is for a log of CAN" in capsys.readouterr().err

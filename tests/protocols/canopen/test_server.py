@@ -10,6 +10,7 @@ from canopen.objectdictionary import ODVariable
 
 from protocols.cia402.settings import Settings
 from protocols.frames import CanFrame
+from protocols.plugin import Device, load
 from tests.protocols.cia402.bus import TwinOnShaft
 from tests.protocols.cia402.stack import Slave, dictionary
 
@@ -113,3 +114,13 @@ def test_a_transfer_that_is_ended_or_too_short_writes_nothing() -> None:
         assert answers[-1] is not None
         assert answers[-1][0] == 0x80
     assert twin.answer(request(0x40, 0x6083, 0)) == before
+
+
+@pytest.mark.parametrize("name", ["cia402", "zlac8015d"])
+def test_a_decoder_stands_the_upload_of_any_object_by_another_host(name: str) -> None:
+    """A text that a device does not have was a KeyError, found by a conformance tool's trace."""
+    plugin = load(name)
+    decoder = plugin.decoder([Device("m", NODE, plugin.options(), plugin.settings())])
+    for index in (*range(0x1000, 0x2100), *range(0x6000, 0x6800)):
+        frame = CanFrame(0x600 + NODE, bytes([0x40, *index.to_bytes(2, "little"), 0, 0, 0, 0, 0]))
+        assert decoder.decode(index, frame) is not None
