@@ -13,7 +13,6 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from math import floor, pi
-from typing import NamedTuple
 
 from protocols.messages import SECOND, LaserScan, Nanos
 
@@ -25,7 +24,8 @@ BACK = 350.0
 """Degrees: a ray so far ahead is a little behind the last one"""
 
 
-class Beams(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Beams:
     """What the scans of a lidar are like."""
 
     sensor: str
