@@ -19,7 +19,7 @@ class BusDriver:
     ) -> None:
         self.bus, self.protocol, self.motors, self.driver = bus, protocol, motors, driver
         self.started = started
-        """Its sensors that it starts, by what their specs declare: at the end of a run they are given Idle."""
+        """Its sensors that it starts (`Spec.set_up`): at the end of a run they are given Idle."""
         self.failing_since: Nanos = 0
         """When it began to raise."""
         self._raised_at: Nanos | None = None

@@ -7,7 +7,7 @@ from protocols.frames import Frame
 from protocols.messages import SECOND
 from protocols.plugin import Device, FeedbackKind, Plugin, Range, Spec, Written
 from protocols.rplidar import table
-from protocols.rplidar.driver import FAULTS, RplidarAdapter
+from protocols.rplidar.driver import RplidarAdapter
 from protocols.rplidar.options import MODELS, Options, Settings
 from protocols.rplidar.twin import RplidarDecoder, RplidarTwin
 from protocols.toolkit.assembly import driver_of
@@ -73,7 +73,7 @@ def spec(device: Device) -> Spec:
         text = "it is sent nothing, so it does not scan: start = true has it do so"
         return serial_sensor(device, {}, PERIOD, feedback=FeedbackKind.NONE, caution=text, **common)
     ranges = {"LaserScan.ranges": Range(0.0, options.farthest, 0.001)}
-    return serial_sensor(device, ranges, PERIOD, faults=FAULTS, set_up=_set_up(options), **common)
+    return serial_sensor(device, ranges, PERIOD, faults=table.FAULTS, set_up=_set_up(options), **common)
 
 
 plugin = Plugin(

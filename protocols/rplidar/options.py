@@ -87,7 +87,6 @@ class Settings:
     firmware: Annotated[int, Bounds(0, 0xFFFF)] = 0x011D
     """1.29"""
     hardware: Annotated[int, Bounds(0, 255)] = 7
-    serial: Annotated[int, Bounds(0, 2**128 - 1)] = 0xEBB399F6C9E59AD2C5E59CF717613412
     standard_us: Annotated[int, Bounds(10, 10_000)] = 508
     express_us: Annotated[int, Bounds(10, 10_000)] = 254
     """µs per sample, as it tells them"""

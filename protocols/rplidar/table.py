@@ -15,6 +15,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from protocols.plugin import FaultInfo
 from protocols.toolkit.motor_driver import Rx
 from protocols.toolkit.serial import xor8
 
@@ -60,15 +61,23 @@ ANSWERS: Mapping[int, range] = {
 }
 """Bytes of what comes once, by type"""
 ANSWER_NAMES = {INFO: "info", HEALTH: "health", RATE: "rate", CONF: "conf", BOARD: "board"}
-ERROR = 2
+ERROR = PROTECTION = 2
 """Of the health: protection stop"""
+FAULTS: Mapping[int, FaultInfo] = {
+    PROTECTION: FaultInfo(
+        "protection stop",
+        "its motor is blocked, its laser or its supply failed",
+        "free what turns, see that it gets 5 V with enough current, and switch it off and on",
+        latching=False,
+    )
+}
 HEAD = 7
 """Bytes of a descriptor"""
 REPEATED = 1 << 30
 NODE_BYTES, CAPSULE_BYTES = 5, 84
 FARTHEST_NODE, FARTHEST_EXPRESS, FARTHEST_DENSE = 0xFFFF, 0x3FFF, 0xFFFF
 """mm / 4, mm, mm"""
-TURN_Q6 = 360 * 64
+TURN_Q6, FIRST_Q6 = 360 * 64, 20 * 64
 _NODE, _HEADER = struct.Struct("<BHH"), struct.Struct("<I")
 
 
@@ -166,9 +175,12 @@ class Node(NamedTuple):
 
 
 def is_node(held: bytes, at: int) -> bool:
-    """True if five bytes here may be a node: by their start flag, its inverse, and the check bit."""
-    flags = held[at] & 3
-    return flags in (1, 2) and bool(held[at + 1] & 1) and held[at + 2] << 7 | held[at + 1] >> 1 < TURN_Q6
+    """True if five bytes here may be a node: by their start flag, its inverse, the check bit, and the angle,
+    which is about 0 of the first of a turn."""
+    flags, angle = held[at] & 3, held[at + 2] << 7 | held[at + 1] >> 1
+    if flags not in (1, 2) or not held[at + 1] & 1 or angle >= TURN_Q6:
+        return False
+    return flags == 2 or not FIRST_Q6 < angle < TURN_Q6 - FIRST_Q6
 
 
 def node(data: bytes) -> Node:

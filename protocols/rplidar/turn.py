@@ -51,6 +51,10 @@ class Turn:
     lost: int = 0
     """Capsules that were missing, since the start"""
 
+    def tell(self, standard: float, express: float) -> None:
+        """Note how long a ray takes [ns], as the lidar tells; 0: not known."""
+        self.told = standard or self.told[0], express or self.told[1]
+
     def begin(self, kind: int) -> None:
         """Begin a stream of this type anew."""
         self.sample = self.told[kind != rp.NODES]
@@ -103,7 +107,7 @@ class Turn:
         """Note that a message with so many rays came at t; so many ways on from the one before."""
         arrived = t - (10 * size * SECOND // self.line_rate if self.line_rate else 0)
         taken, rays = t - self.came, count * ways
-        if self.ended and 0 < taken < 4 * rays * self.sample:
+        if self.ended and 0 <= taken < LATE + 4 * rays * self.sample:
             self.sample += (taken / rays - self.sample) / (SLOWLY * (32 // count or 1))
         soonest = self.ended + round(rays * self.sample * (1.0 + DRIFT))
         self.ended = arrived if not self.ended or arrived - soonest > LATE else min(arrived, soonest)

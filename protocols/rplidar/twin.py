@@ -11,7 +11,6 @@ from protocols.frames import Frame
 from protocols.messages import MILLISECOND, Event, Idle, Kept, LaserScan, Nanos, Obeyed, Reboot, Torque
 from protocols.plugin import Device
 from protocols.rplidar import table as rp
-from protocols.rplidar.driver import PROTECTION
 from protocols.rplidar.options import Settings
 from protocols.rplidar.table import Capsule, Node
 from protocols.toolkit.rays import clockwise
@@ -23,6 +22,7 @@ COARSE = 2.0
 """Degrees from ray to ray: where a plant has fewer, each is measured several times"""
 QUALITY = 47
 """Of every return"""
+SERIAL = bytes.fromhex("EBB399F6C9E59AD2C5E59CF717613412")
 BOOT: Nanos = 500 * MILLISECOND
 BANNER = b"RP LIDAR System.\r\nFirmware Ver %d.%02d - rtm, HW Ver %d\r\nModel: %02X\r\n"
 
@@ -52,6 +52,10 @@ class Memory:
                 capsules = rp.DENSE if message[2:3] == bytes((self.settings.dense_mode,)) else rp.EXPRESS
                 self.scan, self.since = capsules if command == rp.EXPRESS_SCAN else rp.NODES, t
             yield message
+
+    def stop(self) -> None:
+        """End its scan."""
+        self.scan = 0
 
     def streams(self, now: Nanos) -> bool:
         """True if it scans, and its turn is stable."""
@@ -117,7 +121,7 @@ class RplidarTwin:
         match message[0]:
             case rp.GET_INFO:
                 head = struct.pack("<BHB", settings.model, settings.firmware, settings.hardware)
-                return (rp.answer(rp.INFO, head + settings.serial.to_bytes(16, "big")),)
+                return (rp.answer(rp.INFO, head + SERIAL),)
             case rp.GET_HEALTH:
                 health = (rp.ERROR, 0x8001) if self.failed else (0, 0)
                 return (rp.answer(rp.HEALTH, struct.pack("<BH", *health)),)
@@ -137,9 +141,10 @@ class RplidarTwin:
 
     def provoke(self, code: int) -> None:
         """Stop for its own protection. Raises ValueError if there is no such fault."""
-        if code != PROTECTION:
+        if code != rp.PROTECTION:
             raise ValueError(f"no fault {code}")
-        self.failed, self.memory.scan = True, 0
+        self.failed = True
+        self.memory.stop()
 
     def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
         """Answer; take what the rays have seen; send what is full."""

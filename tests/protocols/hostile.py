@@ -59,6 +59,7 @@ ROBOTS = {
     "hoverboard": "diffbot_hoverboard",
     "ld06": "diffbot_sensors",
     "witmotion": "diffbot_sensors",
+    "rplidar": "diffbot_rplidar",
     "vesc_uart": "diffbot_vesc_uart",
     "odrive_ascii": "diffbot_odrive_ascii",
 }
