@@ -8,52 +8,15 @@ from protocols.ld06 import table
 from protocols.ld06.options import NEAREST, Options
 from protocols.ld06.table import RAYS, Packet
 from protocols.messages import MILLISECOND, SECOND, LaserScan, Nanos
+from protocols.toolkit.device_clock import DeviceClock
 from protocols.toolkit.rays import BACK, Beams, Rays
-
-DRIFT = 500
-"""ns by which the lidar's clock may run slow in a ms"""
-PAUSE: Nanos = 5 * SECOND
-"""Silence after which its clock is not compared with what it was,"""
-JUMP: Nanos = SECOND
-"""and by how much it then may differ from ours, since what it sends may come late"""
-
-
-@dataclass(slots=True)
-class LidarClock:
-    """The lidar's time in ours: that of the packet that took least to come, since what is late is late by
-    the machine."""
-
-    stamp: int | None = None
-    elapsed: Nanos = 0
-    """By its clock"""
-    offset: Nanos = 0
-    """Ours minus its"""
-    at: Nanos = 0
-    """When the last packet came"""
-
-    def since(self, t: Nanos, stamp: int) -> Nanos | None:
-        """Return the time since the last packet, by its clock; None if that was set anew, as by a restart, or
-        it has been silent for long."""
-        if self.stamp is None or t - self.at > PAUSE:
-            return None
-        since = table.since(stamp, self.stamp)
-        return since if abs(since - (t - self.at)) < JUMP else None
-
-    def read(self, t: Nanos, stamp: int) -> Nanos:
-        """Return when a packet was made that came at t; never later than that."""
-        since = self.since(t, stamp)
-        self.elapsed += since or 0
-        offset = t - self.elapsed
-        self.offset = offset if since is None else min(offset, self.offset + since // MILLISECOND * DRIFT)
-        self.stamp, self.at = stamp, t
-        return self.elapsed + self.offset
 
 
 @dataclass(slots=True)
 class Turn:
     """What is known of a lidar's present turn. Plain data."""
 
-    clock: LidarClock = field(default_factory=LidarClock)
+    clock: DeviceClock = field(default_factory=lambda: DeviceClock(table.ROUND * MILLISECOND))
     rays: Rays = field(default_factory=Rays)
     lost: int = 0
     """Packets that were missing, since the start"""
@@ -63,7 +26,8 @@ class Turn:
     def forget(self) -> None:
         """Begin anew, where the next packet begins."""
         self.rays.forget()
-        self.clock, self.steady = LidarClock(), None
+        self.clock.forget()
+        self.steady = None
 
     def unsteady(self, t: Nanos, packet: Packet, options: Options) -> bool:
         """True if the lidar has turned too slowly or too fast for as long as that matters."""
@@ -73,8 +37,8 @@ class Turn:
 
     def add(self, t: Nanos, packet: Packet, sensor: str, options: Options) -> LaserScan | None:
         """Take a packet that came at t; return the scan that it completes."""
-        since, step = self.clock.since(t, packet.stamp), packet.step
-        end, scan = self.clock.read(t, packet.stamp), None
+        stamp, step = packet.stamp * MILLISECOND, packet.step
+        since, end, scan = self.clock.since(t, stamp), self.clock.read(t, stamp), None
         if not packet.speed or not step:
             self.rays.forget()
             return None
