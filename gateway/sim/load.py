@@ -65,7 +65,7 @@ def _assembled(file: AssemblyFile, path: Path) -> Assembly:
     if base is not None:
         figures |= {
             kind: getattr(base, kind) | figures[kind]
-            for kind in ("lidars", "imus", "cameras", "receivers", "shafts")
+            for kind in ("lidars", "imus", "cameras", "receivers", "shaft_encoders", "shafts")
         }
     try:
         return Assembly(base=base, parts=tuple(linked), **figures)

@@ -104,6 +104,17 @@ class Receiver:
 
 
 @dataclass(frozen=True, slots=True)
+class ShaftEncoder:
+    """An encoder on the output shaft of a motor's joint, of which the motor knows nothing."""
+
+    motor: str
+    rate_hz: Rate = 1000.0
+
+    def __post_init__(self) -> None:
+        _whole_steps(self.rate_hz)
+
+
+@dataclass(frozen=True, slots=True)
 class Camera:
     """A camera without distortion, and what it looks for."""
 
@@ -144,6 +155,7 @@ class PlantFile:
     imus: dict[str, InertialUnit] = field(default_factory=dict)
     cameras: dict[str, Camera] = field(default_factory=dict)
     receivers: dict[str, Receiver] = field(default_factory=dict)
+    shaft_encoders: dict[str, ShaftEncoder] = field(default_factory=dict)
     shaft: ShaftFile = field(default_factory=ShaftFile)
     """For every motor that moves no part of the body and is not in `shafts`: a joint carried by the body, on
     which it has no effect."""

@@ -16,9 +16,9 @@ import numpy as np
 from brain.perception.mount import Mount
 from gateway.sim.camera import CameraSensor
 from gateway.sim.files import STEP
-from gateway.sim.plant_files import InertialUnit, Lidar, PlantFile, Receiver
+from gateway.sim.plant_files import InertialUnit, Lidar, PlantFile, Receiver, ShaftEncoder
 from gateway.sim.scene import Floats, SimulatedScene
-from protocols.messages import SECOND, Fix, Imu, LaserScan, Measurement, Nanos
+from protocols.messages import SECOND, Fix, Imu, LaserScan, Measurement, Nanos, ShaftReading
 
 EARTH_RADIUS, EARTH_SQUARE = 6_378_137.0, 6.694_379_990_141e-3
 """m, along the equator, and squared eccentricity of the ellipsoid of WGS 84 (NGA.STND.0036, table 3.1)"""
@@ -46,6 +46,8 @@ def _sensor(name: str, file: PlantFile, mount: Mount, seed: int) -> WorldSensor:
         return CameraSensor(name, file.cameras[name], mount, stream(seed, name))
     if name in file.receivers:
         return ReceiverSensor(name, file.receivers[name], mount, seed)
+    if name in file.shaft_encoders:
+        return ShaftSensor(name, file.shaft_encoders[name])
     return ImuSensor(name, file.imus[name], seed)
 
 
@@ -157,3 +159,15 @@ class ReceiverSensor:
         latitude, longitude = file.latitude + north * self._north, file.longitude + east * self._east
         height = file.altitude + float(place[2])
         return Fix(self.name, t, latitude, longitude, height, max(file.noise, 1e-3) ** 2)
+
+
+class ShaftSensor:
+    """An encoder on a shaft; its steps are the device's own."""
+
+    def __init__(self, name: str, file: ShaftEncoder) -> None:
+        self.name, self._motor = name, file.motor
+        self.period: Nanos = round(SECOND / file.rate_hz)
+
+    def measure(self, t: Nanos, phase: Nanos, scene: SimulatedScene) -> ShaftReading | None:
+        """Return where the shaft stands, at the beginning of a period."""
+        return None if phase else ShaftReading(self.name, t, scene.shaft(self._motor)[0])

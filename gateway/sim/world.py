@@ -165,7 +165,7 @@ def _check(file: WorldFile, plant: PlantFile | None, robot: Robot) -> None:
         if plant is None:
             wrong = [f"the robot file has no key 'plant': what {robot.name!r} truly is in this world"]
         else:
-            have = (*plant.lidars, *plant.imus, *plant.cameras, *plant.receivers)
+            have = (*plant.lidars, *plant.imus, *plant.cameras, *plant.receivers, *plant.shaft_encoders)
             moved = plant.motors
     if not wrong:
         wrong = [

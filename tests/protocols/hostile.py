@@ -61,6 +61,7 @@ ROBOTS = {
     "witmotion": "diffbot_sensors",
     "rplidar": "diffbot_rplidar",
     "bno08x": "diffbot_gnss",
+    "cia406": "diffbot_encoder",
     "nmea": "diffbot_gnss",
     "vesc_uart": "diffbot_vesc_uart",
     "odrive_ascii": "diffbot_odrive_ascii",

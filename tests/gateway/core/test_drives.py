@@ -34,6 +34,7 @@ ROBOTS = {
     "diffbot_sensors": {"odrive_can"},
     "diffbot_rplidar": {"odrive_can"},
     "diffbot_gnss": {"odrive_can"},
+    "diffbot_encoder": {"odrive_can"},
     "diffbot_vesc_uart": {"vesc_uart"},
     "diffbot_odrive_ascii": {"odrive_ascii"},
     "diffbot_mixed": {"cia402", "moteus", "odrive_can"},
