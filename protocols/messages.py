@@ -618,6 +618,15 @@ class PoseReading(Measurement):
 
 
 @value
+class ShaftReading(Measurement):
+    """Where a shaft stands that no motor reports: of a passive wheel, a steering column, a hitch."""
+
+    noun: ClassVar[str] = "angle"
+    position: float
+    """rad; an absolute encoder begins anew at the end of its range"""
+
+
+@value
 class Marker(Measurement):
     """A marker (a tag, or a target of a known size) in an image of a camera, in the sensor's own frame: x
     along the optical axis, y to the left, z up. An image without any is reported as one without a number; `t`

@@ -201,8 +201,9 @@ class Spec:
     configuration: Mapping[str, Setting] = field(default_factory=dict)
     """By parameter: what is configured on the device, all of which ReadParameter reads."""
     set_up: Written = field(default_factory=dict)
-    """What the driver writes to the device unasked, before it arms it or with its set-points. The guard
-    passes nothing else that nobody asked for."""
+    """What the driver writes to the device unasked, before it arms it or with its set-points; to a sensor,
+    what starts it, which Idle at the end of a run stops. The guard passes nothing else that nobody asked
+    for."""
     stop: tuple[Frame, ...] = ()
     """Frames that disarm the device whatever it does, the gentlest first: the gateway sends them itself, one
     after the other, if the driver does not stop a device that is to stand."""

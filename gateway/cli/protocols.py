@@ -54,7 +54,10 @@ def add_arguments(parser: ArgumentParser) -> None:
     new = what.add_parser("new", help=text, description=f"{text.capitalize()}.")
     arguments.add_verbosity(new)
     new.add_argument("name", metavar="NAME", help="name of the protocol in robot files: my_motor")
-    new.add_argument("--bus", required=True, choices=scaffold.BUSES, help="kind of bus that it runs on")
+    kind = new.add_mutually_exclusive_group(required=True)
+    kind.add_argument("--bus", choices=scaffold.BUSES, help="a motor's, on this kind of bus")
+    text = "that of a sensor that streams on a serial line of its own"
+    kind.add_argument("--sensor", dest="bus", action="store_const", const="sensor", help=text)
     new.add_argument(
         "--into",
         type=Path,

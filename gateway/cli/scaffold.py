@@ -21,6 +21,8 @@ from protocols import plugin
 
 Bus: TypeAlias = Literal["can", "canfd", "serial"]
 BUSES: tuple[Bus, ...] = ("can", "canfd", "serial")
+Kind: TypeAlias = Bus | Literal["sensor"]
+"""A motor's on a bus, or that of a sensor that streams on a serial line"""
 TEMPLATE = "gateway.cli.templates"
 PACKAGE = (
     "__init__.py",
@@ -32,6 +34,8 @@ PACKAGE = (
     "vectors.json",
 )
 """The files of the plugin's own package; besides there are py.typed, pyproject.toml and the test."""
+SENSOR = tuple(file for file in PACKAGE if file != "line.py")
+"""The same of a sensor's"""
 OTHERS = ("protocols", "brain", "gateway", "fixtures", "tests", "test", "plugin", "blank")
 """Names of packages of the gateway, and of common packages."""
 
@@ -41,11 +45,12 @@ class Scaffold:
     """A distribution that was written."""
 
     name: str
+    kind: Kind
     folder: Path
     files: tuple[Path, ...]
 
 
-def new(name: str, bus: Bus, into: Path) -> Scaffold:
+def new(name: str, kind: Kind, into: Path) -> Scaffold:
     """Write the folder `into/name`. Raises UserError if it must not be, or cannot be, written."""
     check_name(name)
     folder = into / name
@@ -53,7 +58,7 @@ def new(name: str, bus: Bus, into: Path) -> Scaffold:
         raise UserError(f"{into} is not a folder; make it first, or choose another one with --into")
     if folder.exists() or folder.is_symlink():
         raise UserError(f"{folder} is there already: nothing was written; remove it, or choose another name")
-    texts = contents(name, bus)
+    texts = contents(name, kind)
     try:
         for path, text in texts.items():
             place = folder / path
@@ -61,7 +66,7 @@ def new(name: str, bus: Bus, into: Path) -> Scaffold:
             place.write_text(text, encoding="utf-8")
     except OSError as error:
         raise UserError(f"{folder} cannot be written: {error}") from error
-    return Scaffold(name, folder, tuple(folder / path for path in texts))
+    return Scaffold(name, kind, folder, tuple(folder / path for path in texts))
 
 
 def check_name(name: str) -> None:
@@ -92,14 +97,15 @@ def _taken(name: str) -> str:
     return ""
 
 
-def contents(name: str, bus: Bus) -> dict[str, str]:
+def contents(name: str, kind: Kind) -> dict[str, str]:
     """Return the texts to write, by path in the folder."""
-    texts = {f"{name}/{file}": _read(file) for file in PACKAGE}
+    files, place = (SENSOR, "sensor/") if kind == "sensor" else (PACKAGE, "")
+    texts = {f"{name}/{file}": _read(place + file) for file in files}
     table, line = f"{name}/table.py", f"{name}/line.py"
     texts[table] = _put(texts[table], 'NAME = "blank"', f'NAME = "{name}"')
-    if bus == "serial":
+    if kind == "serial":
         texts |= _asked(name, texts)
-    if bus == "canfd":
+    if kind == "canfd":
         texts[line] = _put(texts[line], '"serial"] = "can"', '"serial"] = "canfd"')
         texts[line] = _put(texts[line], "FD = False", "FD = True")
     texts[f"{name}/README.md"] = _renamed(texts[f"{name}/README.md"], name)
@@ -175,6 +181,10 @@ def _renamed(text: str, name: str) -> str:
 
 def next_steps(made: Scaffold) -> str:
     """Return what to do with it now, as text."""
+    sensor = made.kind == "sensor"
+    unseen = "" if sensor else "; one clause fails until vectors.json holds real bytes"
+    page = "a sensor" if sensor else "a protocol"
+    what = "what a sensor must do" if sensor else "a real motor, from its manual to a robot that drives"
     return f"""\
 written: {made.folder}, a distribution of its own with a plugin for an invented device
 
@@ -183,6 +193,6 @@ next steps:
   python -m pip install --no-build-isolation --no-deps -e .
                                   installs its entry point; your changes take effect at once
   gateway protocols check {made.name}
-                                  checks the contract; one clause fails until vectors.json holds real bytes
+                                  checks the contract{unseen}
   grep -rn "FILL IN" .            lists the places to fill in, each with the clause that checks it
-docs/adding-a-protocol.md does this for a real motor, from its manual to a robot that drives"""
+docs/adding-{page.replace(" ", "-")}.md: {what}"""

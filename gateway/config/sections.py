@@ -49,6 +49,7 @@ class _Bus:
     """Whether the consequences of several protocols on one bus are known (gateway.config.validate)."""
     echo: Literal["auto", "yes", "no"] = "auto"
     rs485: Literal["off", "rts_high", "rts_low"] = "off"
+    dtr: Literal["on", "off"] = "on"
     latency: Annotated[Duration, Bounds(0, 100)] = LATENCY
     turnaround: Annotated[Duration, Bounds(0, 20)] = 0
 
@@ -105,7 +106,7 @@ def read_bus(name: str, table: Table, mistakes: Mistakes) -> BusSettings | None:
     if "transmit_queue" in table and kind == "serial":
         text = "a serial bus has no queue of CAN frames; expected no key 'transmit_queue'"
         mistakes.add((*at, "transmit_queue"), text)
-    for key in ("echo", "rs485", "latency_ms", "turnaround_ms") if kind != "serial" else ():
+    for key in ("echo", "rs485", "dtr", "latency_ms", "turnaround_ms") if kind != "serial" else ():
         if key in table:
             mistakes.add((*at, key), f"a bus of kind {kind!r} is no serial line; expected no key {key!r}")
     rates = made.bitrate, made.data_bitrate, made.baudrate
@@ -119,6 +120,7 @@ def read_bus(name: str, table: Table, mistakes: Mistakes) -> BusSettings | None:
         acknowledged=acknowledged,
         echo=made.echo,
         rs485=made.rs485,
+        dtr=made.dtr,
         latency=made.latency,
         turnaround=made.turnaround,
     )

@@ -19,6 +19,7 @@ from itertools import combinations, permutations
 from math import inf
 
 from brain.bodies.body import Body
+from brain.bodies.limbs import abilities
 from brain.settings import BrainSettings
 from gateway.config.errors import Key, Mistakes, shown, unknown
 from gateway.core.robot import TWIN, BagTopics, BusDevice, BusSettings, Motor, Robot, Sensor, by_protocol
@@ -28,6 +29,8 @@ from protocols.messages import MILLISECOND, Nanos, Position, Scan, Velocity
 from protocols.plugin import FeedbackKind, Spec
 
 HOUR = 3600.0
+RANGES = "LaserScan.ranges"
+"""What a sensor measures that sees obstacles (`Spec.ranges`)"""
 """s: a joint that gets to the end of its device's positions later, at full speed, is not warned of."""
 STALLED_PERIODS = 4
 """Of the robot: a loop that stands for less is late."""
@@ -226,7 +229,18 @@ def cautions(robot: Robot) -> list[str]:
         *_slow_joints(robot),
         *_feedback_always_late(robot),
         *_unused_sensors(robot),
+        *_blind_base(robot),
     ]
+
+
+def _blind_base(robot: Robot) -> list[str]:
+    """A base that drives, and no sensor by which it could stop before anything."""
+    base = abilities(robot.brain.body, list(robot.motors)).base
+    if base is None or any(RANGES in one.spec.ranges for one in robot.sensors.values()):
+        return []
+    have = f"only {', '.join(robot.sensors)}" if robot.sensors else "none at all"
+    text = f"no sensor sees obstacles (it has {have}): the base drives into whatever is in its way"
+    return [f"{robot.name}: {text}; a lidar, or a person who watches it with a stop at hand"]
 
 
 def _exchangeable(robot: Robot) -> list[str]:

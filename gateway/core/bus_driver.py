@@ -14,8 +14,12 @@ IDENTIFY: Nanos = 5 * SECOND
 class BusDriver:
     """One driver on its bus. State is plain data, and the driver's."""
 
-    def __init__(self, bus: str, protocol: str, motors: frozenset[str], driver: Driver) -> None:
+    def __init__(
+        self, bus: str, protocol: str, motors: frozenset[str], driver: Driver, started: tuple[str, ...] = ()
+    ) -> None:
         self.bus, self.protocol, self.motors, self.driver = bus, protocol, motors, driver
+        self.started = started
+        """Its sensors that it starts (`Spec.set_up`): at the end of a run they are given Idle."""
         self.failing_since: Nanos = 0
         """When it began to raise."""
         self._raised_at: Nanos | None = None

@@ -164,7 +164,7 @@ class Guard:
         and how many of these were sent."""
         self._coasting: dict[str, tuple[Nanos, float]] = {}
         """The velocity [rad/s] at which each motor was last seen not armed."""
-        self._asked = Asked({name: motor.spec for name, motor in robot.motors.items()})
+        self._asked = Asked({one.name: one.spec for one in robot.devices()})
         """What the drivers were given."""
 
     def ask(self, now: Nanos, message: Command | Request) -> None:

@@ -69,6 +69,8 @@ class BusSettings:
     """Of a serial line: whether what is sent comes back. "auto": it is found out."""
     rs485: Literal["off", "rts_high", "rts_low"] = "off"
     """Of a serial line: whether the kernel switches its direction by RTS, and its level while sending."""
+    dtr: Literal["on", "off"] = "on"
+    """Of a serial line: the level of DTR while it is open. With "off" it is on from when it is closed."""
     latency: Nanos = LATENCY
     """Of a serial line: what port and machine take both ways. An answer is waited for so much longer."""
     turnaround: Nanos = 0

@@ -83,7 +83,9 @@ class Gateway:
         for bus in robot.buses:
             for plugin, devices in robot.by_protocol(bus):
                 motors = frozenset(one.name for one in devices if one.name in self.joints)
-                self._drivers.append(BusDriver(bus, plugin.name, motors, plugin.driver(devices)))
+                sensors = [robot.sensors[one.name] for one in devices if one.name not in motors]
+                started = tuple(one.name for one in sensors if one.spec.set_up)
+                self._drivers.append(BusDriver(bus, plugin.name, motors, plugin.driver(devices), started))
         self._on_bus = {bus: [one for one in self._drivers if one.bus == bus] for bus in robot.buses}
         self._other_hosts = OtherHosts(robot)
         self.lines = {
@@ -158,7 +160,7 @@ class Gateway:
             name: joint.command(now, wanted.get(name), bool(stopped), self._at_once, self._leaving)
             for name, joint in self.joints.items()
         }
-        packets = self._send(now, commands)
+        packets = self._send(now, commands, leaving=self._leaving)
         return Outputs(tuple(packets), tuple(events), self._take_notes())
 
     def between(self, now: Nanos, packets: Sequence[Packet] = ()) -> bool:
@@ -240,7 +242,7 @@ class Gateway:
             commands[name], failure = _last_command(now, joint)
             if failure:
                 self._note("error", name, f"Idle in place of its stop action: {failure}")
-        return tuple(self._send(now, commands))
+        return tuple(self._send(now, commands, leaving=True))
 
     def rehearse(self, now: Nanos, bus: str, protocol: str) -> tuple[Packet, ...]:
         """Return what `leave` would have one driver send now, for others to send if we cannot: all of it
@@ -556,12 +558,13 @@ class Gateway:
 
     # -- out ----------------------------------------------------------------------------------
 
-    def _send(self, now: Nanos, commands: dict[str, Command]) -> list[Packet]:
+    def _send(self, now: Nanos, commands: dict[str, Command], *, leaving: bool) -> list[Packet]:
         requests, self._requests = self._requests, []
         packets: list[Packet] = []
         for one in self._drivers:
             asked = [request for request in requests if one.takes(request)] + self._demanded(now, one)
             given = [*asked, *(command for name, command in commands.items() if name in one.motors)]
+            given += map(msg.Idle, one.started) if leaving else ()
             for each in given:
                 self.guard.ask(now, each)
             sent = self._call(one, None, one.driver.send, now, given)

@@ -64,7 +64,8 @@ def _assembled(file: AssemblyFile, path: Path) -> Assembly:
     figures = {one.name: getattr(file, one.name) for one in fields(PlantFile)}
     if base is not None:
         figures |= {
-            kind: getattr(base, kind) | figures[kind] for kind in ("lidars", "imus", "cameras", "shafts")
+            kind: getattr(base, kind) | figures[kind]
+            for kind in ("lidars", "imus", "cameras", "receivers", "shaft_encoders", "shafts")
         }
     try:
         return Assembly(base=base, parts=tuple(linked), **figures)

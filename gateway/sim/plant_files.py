@@ -88,6 +88,33 @@ class InertialUnit:
 
 
 @dataclass(frozen=True, slots=True)
+class Receiver:
+    """A satellite receiver: where its antenna is, with an error of each fix."""
+
+    rate_hz: Rate = 5.0
+    latitude: Annotated[float, Bounds(-89.0, 89.0, "degrees")] = 48.0
+    longitude: Annotated[float, Bounds(-180.0, 180.0, "degrees")] = 11.0
+    altitude: Place = 500.0
+    """m: of the place's origin; its x axis points east"""
+    noise: Noise = 0.02
+    """m, standard deviation to the east, and to the north"""
+
+    def __post_init__(self) -> None:
+        _whole_steps(self.rate_hz)
+
+
+@dataclass(frozen=True, slots=True)
+class ShaftEncoder:
+    """An encoder on the output shaft of a motor's joint, of which the motor knows nothing."""
+
+    motor: str
+    rate_hz: Rate = 1000.0
+
+    def __post_init__(self) -> None:
+        _whole_steps(self.rate_hz)
+
+
+@dataclass(frozen=True, slots=True)
 class Camera:
     """A camera without distortion, and what it looks for."""
 
@@ -124,9 +151,11 @@ class PlantFile:
     name: str
     encoder: Encoder = field(default_factory=Encoder)
     lidars: dict[str, Lidar] = field(default_factory=dict)
-    """By the sensor's name in the robot file, which has its mount; so are `imus` and `cameras`."""
+    """By the sensor's name in the robot file, which has its mount; so are the others."""
     imus: dict[str, InertialUnit] = field(default_factory=dict)
     cameras: dict[str, Camera] = field(default_factory=dict)
+    receivers: dict[str, Receiver] = field(default_factory=dict)
+    shaft_encoders: dict[str, ShaftEncoder] = field(default_factory=dict)
     shaft: ShaftFile = field(default_factory=ShaftFile)
     """For every motor that moves no part of the body and is not in `shafts`: a joint carried by the body, on
     which it has no effect."""

@@ -1,4 +1,4 @@
-"""Lidar and IMU: noise, bias, resolution and drop-outs added to the truth. Seeded, in SI.
+"""Lidar, IMU, satellite receiver: noise, bias, resolution and drop-outs added to the truth. Seeded, in SI.
 
 Rules. A sensor measures periodically, from the world's time 0, and draws from a random stream of its own, so
 that one sensor's noise does not depend on another's presence. `measure` is called at every step, with the
@@ -16,9 +16,12 @@ import numpy as np
 from brain.perception.mount import Mount
 from gateway.sim.camera import CameraSensor
 from gateway.sim.files import STEP
-from gateway.sim.plant_files import InertialUnit, Lidar, PlantFile
+from gateway.sim.plant_files import InertialUnit, Lidar, PlantFile, Receiver, ShaftEncoder
 from gateway.sim.scene import Floats, SimulatedScene
-from protocols.messages import SECOND, Imu, LaserScan, Measurement, Nanos
+from protocols.messages import SECOND, Fix, Imu, LaserScan, Measurement, Nanos, ShaftReading
+
+EARTH_RADIUS, EARTH_SQUARE = 6_378_137.0, 6.694_379_990_141e-3
+"""m, along the equator, and squared eccentricity of the ellipsoid of WGS 84 (NGA.STND.0036, table 3.1)"""
 
 
 class WorldSensor(Protocol):
@@ -41,6 +44,10 @@ def _sensor(name: str, file: PlantFile, mount: Mount, seed: int) -> WorldSensor:
         return LidarSensor(name, file.lidars[name], mount, seed)
     if name in file.cameras:
         return CameraSensor(name, file.cameras[name], mount, stream(seed, name))
+    if name in file.receivers:
+        return ReceiverSensor(name, file.receivers[name], mount, seed)
+    if name in file.shaft_encoders:
+        return ShaftSensor(name, file.shaft_encoders[name])
     return ImuSensor(name, file.imus[name], seed)
 
 
@@ -127,3 +134,40 @@ class ImuSensor:
         gyro += self._gyro_bias + self.file.gyro_noise * noise[1]
         accel += self._accel_bias + self.file.accel_noise * noise[2]
         return Imu(self.name, t, tuple(gyro.tolist()), tuple(accel.tolist()))
+
+
+class ReceiverSensor:
+    """A satellite receiver whose antenna is on a mount."""
+
+    def __init__(self, name: str, file: Receiver, mount: Mount, seed: int) -> None:
+        self.name, self.file, self.mount = name, file, mount
+        self.period: Nanos = round(SECOND / file.rate_hz)
+        self._rng = stream(seed, name)
+        latitude, square = math.radians(file.latitude), EARTH_SQUARE
+        curved = 1.0 - square * math.sin(latitude) ** 2
+        across = EARTH_RADIUS / math.sqrt(curved)
+        self._north = math.degrees(1.0 / (across * (1.0 - square) / curved + file.altitude))
+        self._east = math.degrees(1.0 / ((across + file.altitude) * math.cos(latitude)))
+        """Degrees for each metre: of a place as small as a robot's, the earth is flat."""
+
+    def measure(self, t: Nanos, phase: Nanos, scene: SimulatedScene) -> Fix | None:
+        """Return where the antenna is, at the beginning of a period."""
+        if phase:
+            return None
+        file, place = self.file, scene.frame(self.mount)[0]
+        east, north = (place[:2] + file.noise * self._rng.standard_normal(2)).tolist()
+        latitude, longitude = file.latitude + north * self._north, file.longitude + east * self._east
+        height = file.altitude + float(place[2])
+        return Fix(self.name, t, latitude, longitude, height, max(file.noise, 1e-3) ** 2)
+
+
+class ShaftSensor:
+    """An encoder on a shaft; its steps are the device's own."""
+
+    def __init__(self, name: str, file: ShaftEncoder) -> None:
+        self.name, self._motor = name, file.motor
+        self.period: Nanos = round(SECOND / file.rate_hz)
+
+    def measure(self, t: Nanos, phase: Nanos, scene: SimulatedScene) -> ShaftReading | None:
+        """Return where the shaft stands, at the beginning of a period."""
+        return None if phase else ShaftReading(self.name, t, scene.shaft(self._motor)[0])

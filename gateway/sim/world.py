@@ -165,7 +165,8 @@ def _check(file: WorldFile, plant: PlantFile | None, robot: Robot) -> None:
         if plant is None:
             wrong = [f"the robot file has no key 'plant': what {robot.name!r} truly is in this world"]
         else:
-            have, moved = (*plant.lidars, *plant.imus, *plant.cameras), plant.motors
+            have = (*plant.lidars, *plant.imus, *plant.cameras, *plant.receivers, *plant.shaft_encoders)
+            moved = plant.motors
     if not wrong:
         wrong = [
             unknown("motor", name, robot.motors) + " in the robot"

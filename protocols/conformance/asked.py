@@ -90,8 +90,8 @@ class Watched(tools.DriverWrapper):
 
 def only_what_was_asked(case: Case) -> None:
     """A driver sends nothing but what is read-only, commanded, asked for, or declared as set-up."""
-    if not case.spec.commands and not case.spec.requests:
-        raise Inapplicable("the spec lists neither commands nor requests")
+    if not case.spec.commands and not case.spec.requests and not case.spec.set_up:
+        raise Inapplicable("the spec lists neither commands nor requests nor set-up")
     for messages in (tools.script(case.spec, case.names), _lively(case)):
         bench = watched(case)
         for given in messages:

@@ -6,12 +6,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
+from protocols.asked import Asked, Reported
 from protocols.conformance import bench as tools
 from protocols.conformance import noise
 from protocols.conformance.bench import NAMES, STRANGER, Bench, Messages
 from protocols.conformance.case import Case, Failure, Inapplicable, among, counts, difference
 from protocols.frames import CanFrame, Frame, IdMask, any_matches
-from protocols.messages import Command, Estop, Idle, Request, Scan
+from protocols.messages import Command, Estop, Idle, Obeyed, Request, Scan
 from protocols.plugin import Spec
 
 ENDED = 20
@@ -93,7 +94,8 @@ def _foreign(case: Case) -> list[Frame]:
 def uncommanded_is_read_only(case: Case) -> None:
     """Before the first command other than Idle, a driver sends only what the spec calls read-only.
 
-    To devices as delivered, to running ones that another host left, and to faulty ones."""
+    To devices as delivered, to running ones that another host left, and to faulty ones. A sensor, which is
+    never commanded, may also be sent what stops it, and what its spec declares as set-up."""
     for what, bench in _benches(case):
         for count in range(case.share(WATCHED)):
             idle = case.spec.commands and count % 3 == 0
@@ -101,7 +103,14 @@ def uncommanded_is_read_only(case: Case) -> None:
             for frame in step.down:
                 if not read_only(bench.specs, frame):
                     received = case.plugin.decoder(bench.devices).decode(step.now, frame)
+                    if case.spec.kind == "sensor" and _is_declared(bench, received):
+                        continue
                     raise Failure(f"sent before the first command, to devices {what}", (frame,), received)
+
+
+def _is_declared(bench: Bench, received: Sequence[Obeyed]) -> bool:
+    asked = Asked({device.name: spec for device, spec in zip(bench.devices, bench.specs, strict=True)})
+    return bool(received) and not any(asked.objection(bench.now, each, Reported()) for each in received)
 
 
 def _benches(case: Case) -> Iterator[tuple[str, Bench]]:

@@ -193,8 +193,8 @@ def _messages_are_counted(case: Case) -> None:
                 f"what nobody has asked for is counted as {COUNTED} {counters}", messages[:1], events
             )
         return
-    for _ in range(case.share(30)):
-        at = random.below(len(messages) - TAIL)
+    found = [at for at in range(len(messages) - TAIL) if noise.protected(case, messages[at])]
+    for at in (random.choice(found) for _ in range(case.share(30) if found else 0)):
         whole = messages[at]
         cut = whole[: 1 + random.below(max(len(whole) - 1, 1))]
         flipped = noise.flipped(whole, random.below(8 * len(whole)))
@@ -238,6 +238,8 @@ def streams_may_be_cut(case: Case) -> None:
     if case.spec.bus != "serial":
         raise Inapplicable(f"the spec's bus is {case.spec.bus}: frames arrive whole")
     random, valid = case.random(), [tools.data_of(frame) for frame in noise.valid_frames(case)]
+    if case.spec.feedback is FeedbackKind.NONE and not valid:
+        raise Inapplicable("the spec's feedback is none, and nothing is sent")
     for count in (20, 150):
         clean = valid[:: max(len(valid) // count, 1)]
         garbage = [noise.damaged(random.choice(clean), random) for _ in range(count // 2)]

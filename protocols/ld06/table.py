@@ -14,7 +14,6 @@ from __future__ import annotations
 import struct
 from typing import NamedTuple
 
-from protocols.messages import MILLISECOND, Nanos
 from protocols.toolkit.serial import Framing, crc
 
 NAME = "ld06"
@@ -66,8 +65,3 @@ def decode(message: bytes) -> Packet | None:
     if start >= TURN or end >= TURN or stamp > ROUND:  # whether 30000 itself comes is uncertain
         return None
     return Packet(speed, start, tuple(rays[::2]), tuple(rays[1::2]), end, stamp)
-
-
-def since(stamp: int, before: int) -> Nanos:
-    """Return the time between two timestamps."""
-    return (stamp - before) % ROUND * MILLISECOND

@@ -10,6 +10,7 @@ from protocols.ld06 import table
 from protocols.ld06.table import RAYS, TURN, Packet
 from protocols.messages import MILLISECOND, SECOND, Event, LaserScan, Nanos, Obeyed, Torque
 from protocols.plugin import Device
+from protocols.toolkit.rays import clockwise
 
 BLOCKED_HZ = 2.0
 """Turns per second that it reports when its fault is provoked"""
@@ -82,18 +83,6 @@ class Ld06Twin:
 
 
 def _rays(scan: LaserScan) -> Iterator[tuple[int, int, Nanos]]:
-    """Yield what a lidar that turns clockwise sees of a scan, in the order of time."""
-    if not (math.isfinite(scan.angle_min) and math.isfinite(scan.angle_increment)):
-        return
-    count, steps = len(scan.ranges), max(len(scan.ranges) - 1, 1)
-    for at in reversed(range(count)):
-        angle = round(-math.degrees(scan.angle_min + at * scan.angle_increment) * 100.0) % TURN
-        late = (count - 1 - at) * abs(scan.duration) // steps
-        began = scan.t + min(scan.duration, 0)
-        yield angle, _distance(scan, scan.ranges[at]), began + late
-
-
-def _distance(scan: LaserScan, found: float) -> int:
-    """Return a range in mm; 0 if nothing comes back."""
-    seen = math.isfinite(found) and scan.range_min <= found < scan.range_max
-    return min(round(found * 1000.0), table.FARTHEST) if seen else 0
+    """Yield what its rays see, in the order of time."""
+    for angle, found, t in clockwise(scan):
+        yield round(angle * 100.0) % TURN, min(round(found * 1000.0), table.FARTHEST), t

@@ -19,7 +19,7 @@ from importlib.metadata import EntryPoint
 
 from protocols.entry_points import Unreadable, offered, owner, version
 from protocols.messages import Measurement
-from protocols.sensors import fix, imu, laser_scan, marker, pose_reading
+from protocols.sensors import fix, imu, laser_scan, marker, pose_reading, shaft_reading
 from protocols.sensors.kind import Quantity, RosView, SensorKind, mistake, reading_text, shaped
 
 __all__ = [
@@ -35,7 +35,7 @@ __all__ = [
 ]
 
 GROUP = "motor_gateway.sensors"
-OURS = (imu.KIND, laser_scan.KIND, fix.KIND, pose_reading.KIND, marker.KIND)
+OURS = (imu.KIND, laser_scan.KIND, fix.KIND, pose_reading.KIND, marker.KIND, shaft_reading.KIND)
 
 
 @dataclass(frozen=True, slots=True)

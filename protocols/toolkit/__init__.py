@@ -9,6 +9,8 @@ does, not how it is made.
     motor_driver    the driver of all devices on one bus; a protocol gives it an `Adapter`
     lines           the adapter of devices on a serial line
     sensors         spec and adapter of sensors that stream on a line of their own
+    device_clock    the time that a device stamps its messages with, in ours
+    rays            rays of a lidar that turns clockwise → scans
     questions       periods of what is asked now and then
     boards          boards that drive two motors each
     register_motor  the adapter of motors that only answer, and keep their setup in registers

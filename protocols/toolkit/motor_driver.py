@@ -109,6 +109,10 @@ class Adapter(Generic[Own]):
         """Return what disarms a device; [] where that would clear its fault."""
         raise NotImplementedError
 
+    def rest(self, now: Nanos, host: Host[Own]) -> Sequence[Frame]:
+        """Return what stops a device that is given Idle, and is never armed: a sensor that was started."""
+        return ()
+
     # -- by itself ------------------------------------------------------------------------------------
 
     def notice(self, now: Nanos, host: Host[Own]) -> Sequence[Event]:
@@ -391,7 +395,7 @@ class MotorDriver(Generic[Own]):
             return ()
         if isinstance(command, msg.Idle):
             host.on_idle(now)
-            return ()
+            return self.adapter.rest(now, host)
         bounds = self._bounds[host.name][type(command)]
         reason = self.adapter.refuse(host, command) or rq.outside(command, bounds)
         if reason or self._rejections.reported:

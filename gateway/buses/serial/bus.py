@@ -21,7 +21,7 @@ import serial
 from gateway.buses import ports
 from gateway.buses.queues import STALE, ByteQueue, Stall
 from gateway.buses.serial.echo import Echo
-from gateway.buses.serial.opening import holds_back, line_errors, open_port
+from gateway.buses.serial.opening import close_port, holds_back, line_errors, open_port
 from gateway.buses.states import CALM
 from gateway.core.robot import BusSettings
 from gateway.errors import BusError
@@ -230,5 +230,4 @@ class SerialBus:
         port, self._port = self._port, None
         if port is not None:
             self._poll.unregister(port.fileno())
-            with suppress(OSError):  # a port that has vanished cannot be closed either
-                port.close()
+            close_port(self._settings, port)

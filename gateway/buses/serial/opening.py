@@ -38,7 +38,9 @@ def open_port(settings: BusSettings) -> serial.Serial:
     """Open the port of a bus; nothing old is in it. Raises BusError with what is missing and what helps."""
     path = usb.resolved(settings).interface.partition(":")[2]
     try:
-        port = serial.Serial(path, settings.baudrate, timeout=0, write_timeout=0, exclusive=True)
+        port = serial.Serial(None, settings.baudrate, timeout=0, write_timeout=0, exclusive=True)
+        port.dtr, port.port = settings.dtr == "on", path
+        port.open()
     except (OSError, ValueError, termios.error) as error:
         raise BusError(f"{_head(settings)}: {_reason(settings, path, error)}") from error
     try:
@@ -53,6 +55,19 @@ def open_port(settings: BusSettings) -> serial.Serial:
         port.set_low_latency_mode(True)
     ports.purge(port.fileno())
     return port
+
+
+def close_port(settings: BusSettings, port: serial.Serial) -> None:
+    """Close a port. A DTR that was off while it was open is on from here: the kernel is not to drop it, as it
+    does when the last program closes a port."""
+    if settings.dtr == "off":
+        with suppress(OSError, termios.error):  # a pty has no such line; a port that has vanished, nothing
+            attributes = termios.tcgetattr(port.fileno())
+            attributes[2] &= ~termios.HUPCL
+            termios.tcsetattr(port.fileno(), termios.TCSANOW, attributes)
+            port.dtr = True
+    with suppress(OSError):  # a port that has vanished cannot be closed either
+        port.close()
 
 
 def _head(settings: BusSettings) -> str:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import serial
 from serial.tools.list_ports_common import ListPortInfo
 
 from gateway.buses import WakingBus, usb
@@ -380,6 +381,25 @@ def test_what_is_no_port_is_said(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(BusError, match="is no serial port"):
         open_serial(BusSettings("line", "serial", f"serial:{tmp_path / 'file'}", baudrate=RATE))
+
+
+def test_dtr_is_off_while_the_port_is_open_and_on_from_then_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """So the motor of an RPLIDAR A1 stands when the run has ended: the kernel would let it turn again."""
+    levels: list[bool] = []
+    monkeypatch.setattr(serial.Serial, "_update_dtr_state", lambda port: levels.append(port.dtr))
+    device, host = raw_pty()
+    attributes = termios.tcgetattr(host)
+    attributes[2] |= termios.HUPCL  # as of a serial port
+    termios.tcsetattr(host, termios.TCSANOW, attributes)
+    settings = BusSettings("line", "serial", f"serial:{os.ttyname(host)}", baudrate=115_200, dtr="off")
+    bus = open_serial(settings)
+    assert levels == [False]
+    assert termios.tcgetattr(device)[2] & termios.HUPCL
+    bus.close()
+    assert levels == [False, True]
+    assert not termios.tcgetattr(device)[2] & termios.HUPCL
+    os.close(device)
+    os.close(host)
 
 
 def test_a_driver_without_rs485_is_said(line: tuple[int, SerialBus, BusSettings]) -> None:

@@ -687,6 +687,15 @@ def test_cautions(text: str, starts: list[str]) -> None:
     assert all(one.startswith(start) for one, start in zip(found, starts, strict=True))
 
 
+def test_a_base_that_has_no_sensor_that_sees_obstacles_is_said() -> None:
+    """One that is listened to, and never started, is none."""
+    text = resources.find("robots", "diffbot_rplidar").read_text("utf-8")
+    assert cautions(parse_robot(text)) == []
+    silent, blind = cautions(parse_robot(text.replace("start = true", "start = false")))
+    assert silent == "rplidar: it is sent nothing, so it does not scan: start = true has it do so"
+    assert blind.startswith("diffbot_rplidar: no sensor sees obstacles (it has only rplidar, imu): the base")
+
+
 SCALED = (
     ("diffbot", "gear = 8.0", "gear = 1"),
     ("diffbot_vesc", "pole_pairs = 15", "options.pole_pairs = 7"),

@@ -17,6 +17,7 @@ CODES: dict[str, int] = {
     "Estop": 23, "Scan": 24, "SetId": 25, "Zero": 26, "ReadParameter": 28, "WriteParameter": 29, "Reboot": 30,
     "Feedback": 70, "State": 71, "Fault": 72, "Found": 73, "Done": 74, "Refused": 75, "Parameter": 76,
     "Imu": 77, "LaserScan": 78, "Fix": 79, "PoseReading": 80, "Marker": 81,
+    "ShaftReading": 82,
 }
 # fmt: on
 

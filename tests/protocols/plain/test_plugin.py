@@ -26,7 +26,7 @@ def test_a_plain_device_is_a_sensor_by_default() -> None:
     assert not spec.commands
     assert spec.requests == frozenset[type[msg.Request]]((msg.Scan, msg.SetId))
     kinds = {name.partition(".")[0] for name in spec.ranges}
-    assert kinds == {"Imu", "LaserScan", "Fix", "PoseReading", "Marker"}
+    assert kinds == {"Imu", "LaserScan", "Fix", "PoseReading", "Marker", "ShaftReading"}
 
 
 @pytest.mark.parametrize(("watchdog", "enabled", "holds"), [(100.0, True, False), (0.0, False, True)])
