@@ -44,6 +44,8 @@ def describe(robot: Robot) -> str:
         _table("motor", *_MOTOR_HEADS, rows=[_motor(m) for m in robot.motors.values()]),
         _table("limits", *_LIMIT_HEADS, rows=[_limits(m) for m in robot.motors.values()]),
     ]
+    if robot.recorded:
+        blocks = [f"{robot.name}: how a recording is read; it has no bus, and cannot be run"]
     if robot.sensors:
         blocks.append(_table("sensor", *_SENSOR_HEADS, rows=[_sensor(s) for s in robot.sensors.values()]))
     blocks.append(_brain(robot))

@@ -15,7 +15,7 @@ from brain.bodies.body import Base
 from brain.perception.mount import Mount
 from gateway.rosbag import agreement, stamps
 from gateway.rosbag.bag import Bag
-from gateway.rosbag.convert import OdometryReading
+from gateway.rosbag.motion import OdometryReading
 from protocols.messages import SECOND, Imu, Nanos
 
 
@@ -44,8 +44,9 @@ def _of_stamps(bag: Bag) -> Iterator[tuple[str, str]]:
 def _of_motion(bag: Bag, body: Base, mounts: Mapping[str, Mount], slip: float) -> Iterator[tuple[str, str]]:
     start = bag.odometry[0].t
     own = _odometry(bag.odometry, start)
-    for text in agreement.odometry(own, sideways=body.moves_sideways):
-        yield "odometry", text
+    if bag.own_path and bag.own_twists:  # else one was made of the other
+        for text in agreement.odometry(own, sideways=body.moves_sideways):
+            yield "odometry", text
     wheels = agreement.wheel_turns(own)
     for sensor, mount in mounts.items():
         if rates := [one for one in bag.events if isinstance(one, Imu) and one.sensor == sensor]:
