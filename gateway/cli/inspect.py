@@ -12,7 +12,7 @@ from gateway.recording.new_file import create_with
 from gateway.recording.reader import is_recording
 from gateway.rosbag import is_bag
 from gateway.rosbag.file import first_bytes
-from gateway.rosbag.survey import findings, proposed_robot, survey
+from gateway.rosbag.survey import EXPECTED, findings, proposed_robot, survey
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -33,10 +33,7 @@ def run(options: Namespace) -> int:
             return _own(path, options.write)
         if not path.exists():
             raise UserError(f"{path}: there is no such file or folder")
-        raise UserError(
-            f"{path}: no recording that is known: expected a bag of ROS 1 (.bag), one of ROS 2 (a folder, "
-            ".db3 or .mcap), a log of CARMEN (lines ODOM and FLASER), or a recording of this gateway"
-        )
+        raise UserError(f"{path}: no recording that is known; {EXPECTED}")
     found = survey(path)
     print(found.text())
     if found.proposal is None:

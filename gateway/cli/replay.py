@@ -15,13 +15,15 @@ from gateway.cli.view import show_recordings
 from gateway.config import load_robot
 from gateway.core.clock import stopwatch
 from gateway.core.step import Gateway
-from gateway.errors import UserError
+from gateway.errors import RecordingError, UserError
 from gateway.recording import read_recording
+from gateway.recording.layout import MAGIC
 from gateway.replay import Observe, replay_recording
 from gateway.report import write_report
 from gateway.rosbag import is_bag
 from gateway.rosbag.evaluate import evaluate_file
-from gateway.rosbag.survey import proposed_robot, survey
+from gateway.rosbag.file import first_bytes
+from gateway.rosbag.survey import EXPECTED, proposed_robot, survey
 from gateway.rosbag.truth import read_truth
 from protocols.messages import SECOND
 
@@ -68,7 +70,12 @@ def run(options: Namespace) -> int:
         return show_recordings([options.file], options.view, tuple(options.origin), options.robot)
     if options.report is not None:
         check_report(options.report)
-    recording = read_recording(options.file)
+    try:
+        recording = read_recording(options.file)
+    except RecordingError as error:
+        if options.file.is_file() and not first_bytes(options.file).startswith(MAGIC):
+            raise RecordingError(f"{error}; {EXPECTED}") from error
+        raise
     robot = None if options.robot is None else load_robot(options.robot)
     gc.set_threshold(10_000)  # a replay leaves few cycles: to look for them ten times less saves a tenth
     began = stopwatch()

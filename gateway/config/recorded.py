@@ -1,9 +1,10 @@
 """The robot file of a recording: a body and the table [bag], with no bus, motor or sensor of its own.
 
-Rules. Such a file says how another robot's recording is to be read, and can be run on nothing. The body's own
-table may be left out, or any part of it: what was recorded is the motion of the base, so that the stand-ins
-for wheels and limits cancel. Who names its joints, since their angles were recorded, states their geometry.
-A body whose steered wheels or legs are left out moves as its stand-in does.
+Rules. Such a file says how another robot's recording is to be read, and can be run on nothing. `body` may
+stand at the top, in place of a table [brain]. The body's own table may be left out, or any part of it: what
+was recorded is the motion of the base, so that the stand-ins for wheels and limits cancel. Who names its
+joints, since their angles were recorded, states their geometry. A body whose steered wheels or legs are left
+out moves as its stand-in does.
 """
 
 from __future__ import annotations
@@ -57,8 +58,10 @@ def completed(table: Table, mistakes: Mistakes) -> tuple[Table, tuple[str, ...]]
         if key in table:
             remedy = "a file of a recording has no such table; where a sensor is, [bag.mounts.NAME] says"
             mistakes.add((key,), remedy)
-    brain = table.get("brain")
     table = {**table}
+    if "body" in table and isinstance(table.get("brain", {}), dict):  # the one key of [brain] that it needs
+        table["brain"] = {"body": table.pop("body"), **table.get("brain", {})}
+    brain = table.get("brain")
     table.setdefault("name", "recording")
     if not isinstance(brain, dict) or not isinstance(brain.get("body"), str):
         return table, ()

@@ -186,7 +186,7 @@ def _recorded(table: Table, text: str, mistakes: Mistakes) -> Robot:
     top = build(_Top, table, (), mistakes, also=SECTIONS)
     if "brain" not in table:
         mistakes.add(
-            ("brain",), f'missing; expected body = "NAME" under [brain]: {", ".join(bodies.names())}'
+            ("brain",), f'missing; expected body = "NAME" before all tables: {", ".join(bodies.names())}'
         )
     brain = _brain(table["brain"], None, joints, (), _as_it_is, mistakes) if "brain" in table else None
     bag = build(BagTopics, table["bag"], ("bag",), mistakes)

@@ -19,7 +19,7 @@ from brain.bodies.body import Base
 from brain.perception.mount import Mount
 from gateway.core.robot import BagTopics
 from gateway.errors import BagError
-from gateway.rosbag.carmen import POSE_TYPE
+from gateway.rosbag.carmen import POSE_TYPE, SCAN_TYPE
 from gateway.rosbag.convert import LARGE, ODOMETRY, TYPES, Converter, Reading, TruePose, Truth, scan, stamp
 from gateway.rosbag.frames import TF_TYPES, Frames, mount_of, name_of, pose_of
 from gateway.rosbag.images import BagImages
@@ -78,6 +78,8 @@ class Bag:
     """Whether the poses of the odometry are the recording's own, not made here of its speeds or angles."""
     own_twists: bool = True
     """The same of its speeds."""
+    several_clocks: frozenset[str] = frozenset()
+    """Roles whose messages are stamped by several programs, and may overtake each other"""
     placed: Mapping[str, Placed] = field(default_factory=dict)
     """By sensor that the robot file does not place."""
     scans: Callable[[], Iterator[LaserScan]] = field(default=lambda: iter(()), compare=False)
@@ -107,6 +109,7 @@ def read(path: Path, topics: BagTopics | None, body: Base) -> Bag:
         first.stamps,
         kind in (ODOMETRY, POSE_TYPE, *TF_TYPES),
         not by_pose,
+        frozenset(one.role for one in found.values() if one.role and one.type in (POSE_TYPE, SCAN_TYPE)),
         first.places(),
         partial(_scans, path, topics, found),
     )
@@ -211,7 +214,7 @@ class _Pass:
         if head.mount is not None:
             told = self._told.setdefault(name, set())
             if len(told) < FEW:
-                told.add(Pose(*(round(one, 2) for one in (head.mount.x, head.mount.y, head.mount.yaw))))
+                told.add(Pose(*(round(one, 3) for one in (head.mount.x, head.mount.y, head.mount.yaw))))
 
     def _place(self, name: str, logged: Nanos, message: Any) -> None:  # noqa: ANN401
         changed = self._frames.add(message)
@@ -341,5 +344,5 @@ def _checked(path: Path, topics: BagTopics | None, found: Mapping[str, Topic]) -
 
 def _one_of(types: Sequence[str]) -> str:
     """Return types of ROS in words."""
-    names = [one.rpartition("/")[2] for one in types if not one.startswith("carmen/")]
+    names = [one.rpartition("/")[2] for one in types if not one.startswith("log/")]
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"

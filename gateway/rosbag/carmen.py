@@ -25,7 +25,7 @@ from gateway.rosbag.topic import Head, Message, Topic
 from protocols.messages import SECOND, Nanos
 
 ODOMETRY = "odometry"
-POSE_TYPE, SCAN_TYPE = "carmen/Pose", "carmen/Scan"
+POSE_TYPE, SCAN_TYPE = "log/Pose", "log/Scan"
 FAR = 80.0
 """m: a SICK LMS says 81.83 m or 81.91 m where nothing came back, and its own range ends at 80 m."""
 NEAREST = 0.02

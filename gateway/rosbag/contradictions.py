@@ -29,13 +29,24 @@ def contradictions(bag: Bag, body: Base, mounts: Mapping[str, Mount], slip: floa
     return tuple(f"{names.get(role, role)}: {text}" for role, text in found)
 
 
+def remarks(bag: Bag) -> tuple[str, ...]:
+    """Return what is odd about the stamps of a log that is written by several programs, each by its clock: it
+    says little of the path."""
+    return tuple(
+        f"{role}: {text}"
+        for role in bag.several_clocks & bag.stamps.keys()
+        for text in stamps.order(_stamps(bag.stamps[role], *bag.stamps[role][0]).stamps)
+    )
+
+
 def _of_stamps(bag: Bag) -> Iterator[tuple[str, str]]:
     if "odometry" not in bag.stamps:
         return
     began = bag.stamps["odometry"][0]
     times = {role: _stamps(messages, *began) for role, messages in bag.stamps.items()}
     for role, one in times.items():
-        found = [*stamps.resolution(one.stamps), *stamps.order(one.stamps)] or stamps.steps(one)
+        order = [] if role in bag.several_clocks else stamps.order(one.stamps)
+        found = [*stamps.resolution(one.stamps), *order] or stamps.steps(one)
         if not found and role != "odometry":
             found = stamps.clock(one, times["odometry"])
         yield from ((role, text) for text in found)

@@ -27,7 +27,7 @@ from brain.perception.perception import Perception
 from gateway.core.robot import Robot
 from gateway.errors import BagError
 from gateway.rosbag import Bag, Topic, read
-from gateway.rosbag.contradictions import contradictions
+from gateway.rosbag.contradictions import contradictions, remarks
 from gateway.rosbag.trajectory_error import MIN_PAIRS, PathError
 from gateway.rosbag.truth import CLOSE, MIN_EXTENT, Positions, RelationError, Relations
 from protocols.messages import MILLISECOND, Event, Fix, LaserScan, Nanos, seconds
@@ -267,7 +267,7 @@ def evaluate(
         scans=events.scans,
         lost=events.lost,
         mounts={name: f"{at_text(one.mount)}: {one.by}" for name, one in placed.items()},
-        notes=_scales(robot),
+        notes=(*_scales(robot), *remarks(bag)),
     )
 
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Protocol
 from gateway.errors import BagError
 from gateway.rosbag import file
 from gateway.rosbag.carmen import CarmenLog, is_carmen
+from gateway.rosbag.tables import Table, layout
 from gateway.rosbag.topic import Head, Message, Topic
 from protocols.messages import SECOND
 
@@ -38,8 +39,9 @@ class Source(Protocol):
 
 
 def is_bag(path: Path) -> bool:
-    """True if this is another program's recording: a bag of ROS (`file.is_bag`) or a log of CARMEN."""
-    return file.is_bag(path) or is_carmen(path)
+    """True if this is another program's recording: a bag of ROS (`file.is_bag`), a log of CARMEN, or a
+    table of a known layout."""
+    return file.is_bag(path) or is_carmen(path) or bool(layout(path))
 
 
 @contextmanager
@@ -47,6 +49,9 @@ def open_source(path: Path) -> Iterator[Source]:
     """Open a recording of another program. Raises BagError, also while it is read."""
     if is_carmen(path):
         yield CarmenLog(path)
+        return
+    if known := layout(path):
+        yield Table(path, known)
         return
     with file.open_bag(path) as reader:
         yield RosBag(path, reader)

@@ -45,9 +45,15 @@ from gateway.rosbag.evaluate import at_text, mounts_of
 from gateway.rosbag.file import ROS1, first_bytes
 from gateway.rosbag.frames import TF_TYPES, Frames
 from gateway.rosbag.source import open_source
+from gateway.rosbag.tables import TRUTH, layout
 from gateway.rosbag.topic import Head, Topic
 from protocols.messages import SECOND, Nanos
 
+EXPECTED = (
+    "expected a bag of ROS 1 (.bag), one of ROS 2 (a folder, .db3 or .mcap), a log of CARMEN (lines ODOM and "
+    "FLASER), a CSV with columns t, x, y and yaw or t, v and w, or a recording of this gateway"
+)
+"""Of a file that is none"""
 TRUE = re.compile(r"ground|truth|(^|[/_])gt([/_]|$)|vicon|mocap|optitrack|qualisys|vrpn|natnet|leica", re.I)
 """Names of topics that hold what somebody measured from outside."""
 MADE = re.compile(r"filter|fused|fusion|ekf|ukf|slam|amcl|visual|vio|vins|lio|icp|rgbd|map|gps|global", re.I)
@@ -189,8 +195,6 @@ class Survey:
             f"# How {self.path.name} is read: `gateway replay {self.path.name} --robot THIS_FILE`",
             "# Of the body it counts only whether it can move sideways: what was recorded is its motion.",
             f'name = "{name}"',
-            "",
-            "[brain]",
             f'body = "{one.body}"',
             "",
             "[bag]",
@@ -205,7 +209,7 @@ class Survey:
 
     def span(self) -> tuple[Nanos, Nanos] | None:
         """Return when the first and the last message were logged."""
-        ends = [(min(t.logged), max(t.logged)) for t in self.topics if t.logged]
+        ends = [(min(t.logged), max(t.logged)) for t in self.topics if t.logged and any(t.logged)]
         return (min(a for a, _ in ends), max(b for _, b in ends)) if ends else None
 
     def text(self) -> str:
@@ -265,6 +269,8 @@ def proposed_robot(one: Survey) -> Robot:
 def _kind(path: Path) -> str:
     if is_carmen(path):
         return "a log of CARMEN"
+    if known := layout(path):
+        return f"a table ({known})"
     start = b"" if path.is_dir() else first_bytes(path)
     if start.startswith(ROS1):
         return "a bag of ROS 1"
@@ -383,7 +389,7 @@ def _truth(by_type: Mapping[str, list[TopicSurvey]], odometry: TopicSurvey, note
         for one in by_type.get(kind, ())
         if one is not odometry and one.name != LOG_ODOMETRY
     ]
-    measured = [one for one in poses if TRUE.search(one.name) or one.name == "TRUEPOS"]
+    measured = [one for one in poses if TRUE.search(one.name) or one.name in ("TRUEPOS", TRUTH)]
     fixes = [one for one in by_type.get(FIX, ()) if one.good]
     notes += [
         f"another program's estimate, and no truth: {one.name} ({one.topic.type})"

@@ -30,10 +30,10 @@ from tests.gateway.bag_helpers import ROBOT, START, STORES, BagMessage, imu, odo
 from tests.gateway.rosbag import strangers as made
 from tests.gateway.rosbag.strangers import Told, motion, told
 
-LEAST = '[brain]\nbody = "differential"\n[bag]\n'
+LEAST = 'body = "differential"\n[bag]\n'
 
 
-def stranger(lines: str, body: str = '[brain]\nbody = "differential"\n') -> Robot:
+def stranger(lines: str, body: str = 'body = "differential"\n') -> Robot:
     return parse_robot(f"{body}[bag]\n{lines}", recorded=True)
 
 
@@ -66,7 +66,7 @@ def test_a_body_and_a_topic_are_enough(tmp_path: Path, body: str, sideways: bool
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ('[bag]\nodometry = "/o"\n', 'brain: missing; expected body = "NAME"'),
+        ('[bag]\nodometry = "/o"\n', 'brain: missing; expected body = "NAME" before'),
         (f'{LEAST}odometry = "/o"\nmounts = {{ lidar = {{ x = 1.0 }} }}\n', "no sensor 'lidar'"),
         (f'{LEAST}odometry = "/o"\n[sensors.imu]\naddress = 1\n', "[bag.mounts.NAME] says"),
         (f'{LEAST}sensors = {{ imu = "/i" }}\n', "bag.odometry: missing"),
@@ -416,6 +416,26 @@ def test_a_damaged_log_raises_nothing_else(tmp_path: Path) -> None:
         except BagError:
             pass
     assert fine > 2
+
+
+# -- tables ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("names", ["time, x, y, heading", "Stamp,V,omega,x"])
+def test_a_table_is_read_by_the_names_of_its_columns(tmp_path: Path, names: str) -> None:
+    path = tmp_path / "drive.csv"
+    rows = [
+        (t / SECOND, p.x, p.y, p.yaw) if "heading" in names else (t / 1000, v, w, 7.0)
+        for t, v, w, p, _ in motion()
+    ]
+    path.write_text("\n".join([names, *(",".join(f"{one:.9f}" for one in row) for row in rows), "1,,x"]))
+    found = survey(path)
+    evaluation = evaluate_file(path, proposed_robot(found))
+    *_, (_, _, _, last, _) = motion()
+    assert evaluation.end is not None
+    assert (evaluation.end.x, evaluation.end.y) == pytest.approx((last.x, last.y), abs=0.03)
+    assert evaluation.duration == pytest.approx(20.0 * SECOND, rel=0.01)
+    assert "not used: 1 × a damaged line" in evaluation.text()
 
 
 # -- inspect --------------------------------------------------------------------------------------
