@@ -47,10 +47,8 @@ def main(arguments: list[str] | None = None) -> int:
         try:
             print(row(name, evaluated(path)), flush=True)
         except GatewayError as error:
-            print(
-                f"| {name} | - | - | - | - | - | {str(error).splitlines()[0].removeprefix(f'{path}: ').partition(': expected')[0]} |",
-                flush=True,
-            )
+            why = str(error).splitlines()[0].removeprefix(f"{path}: ").partition(": expected")[0]
+            print(f"| {name} |{' - |' * (len(HEADS) - 2)} {why} |", flush=True)
     print(f"\nNo recordings of a robot's motion, or of no layout that is known: {', '.join(left)}")
     return 0
 

@@ -37,6 +37,7 @@ COMMANDS = {
     "twin": "simulate the devices of a robot, for another program to drive",
     "replay": "run a recording through the same code and compare every byte; or evaluate another's",
     "inspect": "tell what is in another program's recording, and write the robot file to start with",
+    "map": "make a map and a path of another program's recording, as files",
     "view": "show a running robot, or recordings, in a browser",
     "recover": "repair a recording, or an MCAP bag, that was cut off or damaged",
     "watch": "listen to buses or to a recording, without ever sending",

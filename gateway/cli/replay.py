@@ -14,6 +14,7 @@ from gateway.cli.terminal.progress import progress
 from gateway.cli.view import show_recordings
 from gateway.config import load_robot
 from gateway.core.clock import stopwatch
+from gateway.core.robot import Robot
 from gateway.core.step import Gateway
 from gateway.errors import RecordingError, UserError
 from gateway.recording import read_recording
@@ -24,7 +25,7 @@ from gateway.rosbag import is_bag
 from gateway.rosbag.evaluate import evaluate_file
 from gateway.rosbag.file import first_bytes
 from gateway.rosbag.survey import EXPECTED, proposed_robot, survey
-from gateway.rosbag.truth import read_truth
+from gateway.rosbag.truth import Positions, Relations, read_truth
 from protocols.messages import SECOND
 
 
@@ -33,6 +34,13 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "file", type=Path, metavar="FILE", help="a recording, a bag of ROS 1 or 2, or a CARMEN log"
     )
+    add_foreign(parser)
+    add_report(parser)
+    add_view(parser, steer=False)
+
+
+def add_foreign(parser: ArgumentParser) -> None:
+    """Add the arguments with which another program's recording is read and judged."""
     parser.add_argument(
         "--robot",
         metavar="ROBOT",
@@ -51,8 +59,6 @@ def add_arguments(parser: ArgumentParser) -> None:
         metavar="M",
         help="largest path error with which a bag or a log passes (RMS; of relations the mean)",
     )
-    add_report(parser)
-    add_view(parser, steer=False)
 
 
 def run(options: Namespace) -> int:
@@ -102,14 +108,19 @@ def _evaluate(options: Namespace) -> int:
         if value is not None:
             text = f"{options.file} is another program's recording: {option} is for this gateway's"
             raise UserError(text)
-    truth = None if options.truth is None else read_truth(options.truth)
-    if options.robot is None:
-        robot = proposed_robot(survey(options.file))
-        print(f"no robot file: read as `gateway inspect {options.file} --write ROBOT` would write it")
-    else:
-        robot = load_robot(options.robot, recorded=True)
+    robot, truth = foreign(options)
     gc.set_threshold(10_000)
     with progress("replay, events", None) as shown:
         evaluation = evaluate_file(options.file, robot, options.at_most, truth, shown.update)
     print(evaluation.text())
     return evaluation.status
+
+
+def foreign(options: Namespace) -> tuple[Robot, Positions | Relations | None]:
+    """Return the robot by which another program's recording is read, and the truth of a file."""
+    truth = None if options.truth is None else read_truth(options.truth)
+    if options.robot is not None:
+        return load_robot(options.robot, recorded=True), truth
+    robot = proposed_robot(survey(options.file))
+    print(f"no robot file: read as `gateway inspect {options.file} --write ROBOT` would write it")
+    return robot, truth

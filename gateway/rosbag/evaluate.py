@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from math import degrees
 from pathlib import Path
 
-from brain.belief import Estimate, Pose
+from brain.belief import Estimate, MapView, Pose
 from brain.bodies.body import Base
 from brain.bodies.plane import arc
 from brain.perception.consistency import Trust
@@ -34,6 +34,7 @@ from protocols.messages import MILLISECOND, Event, Fix, LaserScan, Nanos, second
 
 MAX_EXTRAPOLATION: Nanos = 500 * MILLISECOND
 """Longest time that an estimate is extrapolated by its own twist."""
+PATH_PERIOD: Nanos = 100 * MILLISECOND
 ESTIMATED, WHEELS, OWN = "estimated", "dead reckoning", "the recording's own"
 PASSED, NOT_PASSED, NOT_JUDGED = 0, 1, 3
 """Exit statuses."""
@@ -58,7 +59,8 @@ class Evaluation:
     extent: float
     """m: largest distance of the truth from its centre; 0 without a truth"""
     errors: Mapping[str, PathError]
-    """By path: ESTIMATED, WHEELS, OWN; {} if there are too few fixes."""
+    """By path: PATH_PERIOD: Nanos = 100 * MILLISECOND
+ESTIMATED, WHEELS, OWN; {} if there are too few fixes."""
     relations: Mapping[str, RelationError]
     """The same, where the truth consists of relations."""
     nis: Mapping[str, Nis]
@@ -209,9 +211,25 @@ def evaluate_file(
     at_most: float | None = None,
     truth: Positions | Relations | None = None,
     watch: Callable[[int], object] = lambda _: None,
+    trace: Trace | None = None,
 ) -> Evaluation:
     """Read a recording and evaluate it. Raises BagError. `truth`: instead of the recording's own."""
-    return evaluate(read(path, robot.bag, _body(robot)), robot, at_most, truth, watch)
+    return evaluate(read(path, robot.bag, _body(robot)), robot, at_most, truth, watch, trace)
+
+
+@dataclass(slots=True)
+class Trace:
+    """What is kept of a run beside its figures."""
+
+    path: list[tuple[Nanos, Pose]] = field(default_factory=list)
+    """Where the robot was believed to be, at most every `PATH_PERIOD`"""
+    map: MapView | None = None
+    """The last"""
+
+    def add(self, t: Nanos, pose: Pose) -> None:
+        """Add a pose, if the last one is old enough."""
+        if not self.path or t >= self.path[-1][0] + PATH_PERIOD:
+            self.path.append((t, pose))
 
 
 def mounts_of(bag: Bag, robot: Robot) -> dict[str, Mount]:
@@ -229,12 +247,14 @@ def evaluate(
     at_most: float | None = None,
     truth: Positions | Relations | None = None,
     watch: Callable[[int], object] = lambda _: None,
+    trace: Trace | None = None,
 ) -> Evaluation:
     """Run the robot's perception on a recording. `at_most` [m] is the error allowed; `truth`: instead of the
-    recording's own; `watch` is told how many events were processed."""
+    recording's own; `watch` is told how many events were processed; `trace`: where the path and the map
+    are kept."""
     body, mounts = _body(robot), mounts_of(bag, robot)
     perception = Perception(body, mounts, robot.brain.perception)
-    events = _EventFeed(heapq.merge(bag.events, bag.scans(), key=lambda one: one.t), perception, watch)
+    events = _EventFeed(heapq.merge(bag.events, bag.scans(), key=lambda one: one.t), perception, watch, trace)
     reference = truth or Positions(bag.truth)
     paths: dict[str, list[Pose | None]] = {ESTIMATED: [], WHEELS: []}
     if bag.own_path:
@@ -248,6 +268,8 @@ def evaluate(
             at = bisect_right(bag.odometry, t, key=lambda one: one.t) - 1
             paths[OWN].append(bag.odometry[at].pose if at >= 0 else None)
     events.process_until(None)
+    if trace is not None:
+        trace.map = perception.map.view()
     errors, extent, early = ({}, 0.0, 0) if isinstance(reference, Relations) else reference.errors(paths)
     placed = bag.placed if robot.recorded else {}
     return Evaluation(
@@ -299,9 +321,13 @@ class _EventFeed:
     """Feeds events to perception, up to given times."""
 
     def __init__(
-        self, events: Iterator[Event], perception: Perception, watch: Callable[[int], object]
+        self,
+        events: Iterator[Event],
+        perception: Perception,
+        watch: Callable[[int], object],
+        trace: Trace | None,
     ) -> None:
-        self._events, self._perception, self._watch = events, perception, watch
+        self._events, self._perception, self._watch, self._trace = events, perception, watch, trace
         self._next = next(events, None)
         self._count = 0
         self.driven = 0.0
@@ -322,6 +348,8 @@ class _EventFeed:
             if isinstance(event, LaserScan):
                 self.scans += 1
                 self.lost += self._perception.verdict.trust is Trust.LOST
+            if self._trace is not None and after is not None:
+                self._trace.add(after.t, after.pose)
             self.last = event.t
             self._count += 1
             self._watch(self._count)

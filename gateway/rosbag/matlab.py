@@ -1,7 +1,8 @@
 """The matrices of numbers in a MATLAB file of version 5 (MAT-File Format, MathWorks, 2019, chapter 1).
 
 Rules. An element is a tag of type and size, then its bytes, padded to 8; a short one has both in 8 bytes.
-What is no plain matrix of real numbers is passed over. Unpacked, a file may be `MOST_EXPANSION` times its size.
+What is no plain matrix of real numbers is passed over. Unpacked, a file may be `MOST_EXPANSION` times its
+size.
 """
 
 from __future__ import annotations

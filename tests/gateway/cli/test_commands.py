@@ -270,7 +270,9 @@ def test_what_needs_no_bus_runs_elsewhere_and_the_rest_is_a_sentence(tmp_path: P
     assert [line for line in done.stdout.splitlines() if " -> " in line] == [
         f"{line} -> {status}" for line, status in runs.items()
     ], done.stderr
-    assert done.stderr.count(": runs on Linux only; here do: replay, inspect, recover, watch, check,") == 5
+    assert (
+        done.stderr.count(": runs on Linux only; here do: replay, inspect, map, recover, watch, check,") == 5
+    )
     assert done.stderr.count("gateway watch: this runs on Linux only") == 1
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bz2
 import gzip
+import json
 import lzma
 import math
 import tracemalloc
@@ -436,6 +437,34 @@ def test_a_table_is_read_by_the_names_of_its_columns(tmp_path: Path, names: str)
     assert (evaluation.end.x, evaluation.end.y) == pytest.approx((last.x, last.y), abs=0.03)
     assert evaluation.duration == pytest.approx(20.0 * SECOND, rel=0.01)
     assert "not used: 1 × a damaged line" in evaluation.text()
+
+
+# -- the map --------------------------------------------------------------------------------------
+
+
+def test_a_map_has_the_walls_where_they_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A square room of 24 m, looked at from within by a lidar that reaches all of it."""
+    path, out = tmp_path / "drive.clf", tmp_path / "out"
+    path.write_text(made.carmen_log(12.0))
+    assert main(["map", str(path), "--out", str(out)]) == NOT_JUDGED
+    assert "map.pgm, map.png, map.yaml, path.tum, path.csv" in capsys.readouterr().out
+    lines = dict(line.split(": ", 1) for line in (out / "map.yaml").read_text().splitlines())
+    resolution, origin = float(lines["resolution"]), json.loads(lines["origin"])
+    _, size, _, pixels = (out / "map.pgm").read_bytes().split(b"\n", 3)
+    width, height = map(int, size.split())
+    grid = np.frombuffer(pixels, dtype=np.uint8).reshape(height, width)[::-1]
+    rows, columns = np.nonzero(grid == 0)
+    x, y = origin[0] + (columns + 0.5) * resolution, origin[1] + (rows + 0.5) * resolution
+    assert len(x) > 200
+    from_walls = np.minimum(np.abs(np.abs(x) - 12.0), np.abs(np.abs(y) - 12.0))
+    assert np.quantile(from_walls, 0.95) < 0.1
+    assert grid[round(-origin[1] / resolution), round((1.0 - origin[0]) / resolution)] == 254
+    assert (out / "map.png").read_bytes().startswith(b"\x89PNG")
+    believed = read_truth(out / "path.tum")
+    assert len(believed) == pytest.approx(120, abs=2)
+    assert survey(out / "path.csv").topics[0].topic.count == len(believed)
+    assert main(["map", str(path), "--out", str(out)]) == 2
+    assert "name another folder with --out" in capsys.readouterr().err
 
 
 # -- inspect --------------------------------------------------------------------------------------
