@@ -237,7 +237,9 @@ class _Pass:
 
     def places(self) -> dict[str, Placed]:
         """Return where the sensors are that the robot file does not place."""
-        base = self._base or next((one for one in BASES if one in self._frames), "")
+        base = self._base
+        if name_of(base) not in self._frames:
+            base = next((one for one in self._frames.names() if one.rpartition("/")[2] in BASES), base)
         found = {}
         for sensor, name in self._topics.sensors.items():
             if sensor in self._topics.mounts:

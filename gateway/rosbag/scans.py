@@ -60,6 +60,8 @@ def _planar(sensor: str, t: Nanos, message: RosScan | RosEchoes, ranges: Floats)
     ranges = np.where(np.isfinite(ranges) & (ranges < most), ranges, most)
     ranges[below] = min(0.0, least)
     duration = round(float(message.time_increment) * (len(ranges) - 1) * SECOND)
+    if abs(duration) > SECOND:
+        duration = 0  # of no lidar: the time of a whole scan, in the place of a beam's
     if step < 0.0:
         first, step, ranges = first + step * (len(ranges) - 1), -step, ranges[::-1]
         t, duration = t + duration, -duration  # what was measured first is the last beam now
