@@ -135,7 +135,7 @@ class BagCamera:
     """The topics of a camera, and what is looked for in its images."""
 
     image: str
-    """sensor_msgs/Image"""
+    """sensor_msgs/Image, or CompressedImage"""
     info: str
     """sensor_msgs/CameraInfo"""
     detectors: Detectors

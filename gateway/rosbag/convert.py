@@ -278,7 +278,7 @@ TYPES: dict[str, tuple[str, ...]] = {
     "odometry": (*CONVERSIONS["odometry"], *TF_TYPES),
     "sensors": (*CONVERSIONS["sensors"], *LARGE),
     "truth": (*CONVERSIONS["truth"], *TF_TYPES),
-    "image": ("sensor_msgs/msg/Image",),
+    "image": ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"),
     "info": ("sensor_msgs/msg/CameraInfo",),
 }
 """Message types of each role: by its first word, or of a camera by its last."""
