@@ -217,16 +217,17 @@ class _Pass:
                 told.add(Pose(*(round(one, 3) for one in (head.mount.x, head.mount.y, head.mount.yaw))))
 
     def _place(self, name: str, logged: Nanos, message: Any) -> None:  # noqa: ANN401
-        changed = self._frames.add(message)
+        self._frames.add(message)
         role = self._roles.get(name, "")
         pair = self._topics.truth_frames if role == "truth" else self._topics.odometry_frames
         if not role or pair is None:
             return
-        if not self._frames.joined(*pair, changed):
+        way = self._frames.way(*pair)
+        times = [stamp(one) for one in message.transforms if name_of(one.child_frame_id) in way]
+        if not times:
             self._found[name].leave_out("other frames")
             return
-        there = self._frames.between(*pair)
-        t = max(stamp(one) for one in message.transforms)
+        there, t = self._frames.between(*pair), max(times)
         if there is None or t <= 0:
             self._found[name].leave_out("no stamp" if there is not None else "frames that are not connected")
             return

@@ -54,18 +54,14 @@ class Frames:
         self.moving: set[str] = set()
         """Frames that have moved in their parent's."""
 
-    def add(self, message: Any) -> list[str]:  # noqa: ANN401 -- of types that only a recording knows
-        """Add the transforms of a tf message; return whose they are."""
-        changed = []
+    def add(self, message: Any) -> None:  # noqa: ANN401 -- of types that only a recording knows
+        """Add the transforms of a tf message."""
         for one in message.transforms:
             shift, turn = one.transform.translation, one.transform.rotation
             made = transform((shift.x, shift.y, shift.z), (turn.x, turn.y, turn.z, turn.w))
             child, parent = name_of(one.child_frame_id), name_of(one.header.frame_id)
-            if made is None or not child or not parent or child == parent:
-                continue
-            self._set(child, parent, made)
-            changed.append(child)
-        return changed
+            if made is not None and child and parent and child != parent:
+                self._set(child, parent, made)
 
     def describe(self, text: str) -> None:
         """Add the fixed joints of a robot's description (URDF), of frames that are not known otherwise."""
@@ -119,10 +115,10 @@ class Frames:
         common = next(((name, one) for name, one in up if name in down), None)
         return None if common is None else common[1].then(down[common[0]].inverse())
 
-    def joined(self, fixed: str, moving: str, changed: Iterable[str]) -> bool:
-        """Whether one of these frames is on the way between two."""
-        up, down = [[name for name, _ in self._above(name_of(one))] for one in (fixed, moving)]
-        return not set(changed).isdisjoint(set(up) ^ set(down))
+    def way(self, fixed: str, moving: str) -> set[str]:
+        """Return the frames whose transforms lead from one frame to another."""
+        up, down = [{name for name, _ in self._above(name_of(one))} for one in (fixed, moving)]
+        return up ^ down
 
     def moves(self, base: str, frame: str) -> bool:
         """Whether anything between two frames has moved."""

@@ -7,6 +7,7 @@ a truth. What was left out, and why, stands beside it as a comment.
 
 from __future__ import annotations
 
+import json
 import re
 from array import array
 from collections.abc import Mapping, Sequence
@@ -64,6 +65,7 @@ HEADED = (SCAN, ECHOES, CLOUD, IMU, FIX, ODOMETRY, POSE, POSE_COVARIANCE, TWIST,
 STATE = "StateStamped"
 """How types end whose messages are the state of a device, with a header;"""
 NUMBERS = ("std_msgs/msg/Float64", "std_msgs/msg/Float32")
+CONTROL = re.compile(r"[\x00-\x1f\x7f]")
 WORDS = re.compile(r"[^A-Za-z0-9_]+")
 SIDEWAYS = 0.02
 """m/s to the side, above which a base is proposed that can move so"""
@@ -202,7 +204,7 @@ class Survey:
         ]
         if one.notes:
             lines += ["", *(f"# {note}" for note in one.notes)]
-        return "\n".join(lines) + "\n"
+        return "\n".join(CONTROL.sub("?", line) for line in lines) + "\n"
 
     def _listed(self) -> str:
         return "\n".join(f"  {t.name}: {t.topic.count} of {t.topic.type}" for t in self.topics) or "  nothing"
@@ -305,7 +307,7 @@ def _proposed(topics: Sequence[TopicSurvey], frames: Frames) -> tuple[Proposal |
     ]
     sensors = _sensors(by_type, notes)
     if sensors:
-        pairs = ", ".join(f'{name} = "{topic}"' for name, topic in sensors.items())
+        pairs = ", ".join(f"{name} = {quoted(topic)}" for name, topic in sensors.items())
         lines.append(f"sensors = {{ {pairs} }}")
     else:
         notes.append("no gyro, no lidar: the path will be that of the odometry")
@@ -327,21 +329,21 @@ def _odometry(
         sideways = one.sideways > SIDEWAYS
         body = stand_in(sideways=sideways)
         what = f"{_hz(one)}; it moves sideways by up to {one.sideways:.2g} m/s" if sideways else _hz(one)
-        return one, [f'odometry = "{one.name}"  # {what}'], body
+        return one, [f"odometry = {quoted(one.name)}  # {what}"], body
     if logs := by_type.get(POSE_TYPE):
         one = next((each for each in logs if each.name == LOG_ODOMETRY), logs[0])
-        return one, [f'odometry = "{one.name}"  # {_hz(one)}'], stand_in(sideways=False)
+        return one, [f"odometry = {quoted(one.name)}  # {_hz(one)}"], stand_in(sideways=False)
     if cars := [one for several in by_type.values() for one in several if one.telemetry]:
         return cars[0], _car(cars[0], by_type), stand_in(sideways=False)
     for kind in (TWIST, TWIST_COVARIANCE):
         moved = [one for one in by_type.get(kind, ()) if re.search(r"odom|wheel|base|vel", one.name)]
         for one in moved:
             if not re.search(r"cmd|gps|imu|fix", one.name) and one.frame.lstrip("/") in (*BASES, ""):
-                return one, [f'odometry = "{one.name}"  # {_hz(one)}'], stand_in(sideways=False)
+                return one, [f"odometry = {quoted(one.name)}  # {_hz(one)}"], stand_in(sideways=False)
     base = next((name for name in BASES if frames.between("odom", name) is not None), "")
     tf = [one for kind in TF_TYPES for one in by_type.get(kind, ()) if not one.name.endswith("static")]
     if base and tf and frames.moves("odom", base):
-        lines = [f'odometry = "{tf[0].name}"', f'odometry_frames = ["odom", "{base}"]']
+        lines = [f"odometry = {quoted(tf[0].name)}", f'odometry_frames = ["odom", {quoted(base)}]']
         return tf[0], lines, stand_in(sideways=False)
     return None
 
@@ -350,12 +352,12 @@ def _car(car: TopicSurvey, by_type: Mapping[str, list[TopicSurvey]]) -> list[str
     numbers = [one.name for kind in NUMBERS for one in by_type.get(kind, ())]
     steering = next((name for name in numbers if re.search("servo|steer", name)), "")
     lines = [
-        f'odometry = "{car.name}"  # {_hz(car)}',
+        f"odometry = {quoted(car.name)}  # {_hz(car)}",
         "# Its messages count revolutions; what a metre and an angle are, they leave out. The defaults are",
         "# of an F1TENTH car: per_speed = 4614.0, middle = 0.5304, per_angle = -1.2135, wheelbase = 0.25.",
         "# All metres and turns hang on them: state your own in car.",
     ]
-    named = f', steering = "{steering}"' if steering else ""
+    named = f", steering = {quoted(steering)}" if steering else ""
     return [*lines, f'car = {{ speed = "state.speed"{named} }}']
 
 
@@ -400,7 +402,12 @@ def _truth(by_type: Mapping[str, list[TopicSurvey]], odometry: TopicSurvey, note
     if not best:
         return ""
     notes += [f"a truth, too: {one.name}" for one in [*measured, *fixes] if one is not best[0]]
-    return f'truth = "{best[0].name}"  # {best[0].topic.count} of {best[0].topic.type}; never an input'
+    return f"truth = {quoted(best[0].name)}  # {best[0].topic.count} of {best[0].topic.type}; never an input"
+
+
+def quoted(text: str) -> str:
+    """Return a text as a string of TOML: a topic may be called anything."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _hz(one: TopicSurvey) -> str:

@@ -499,6 +499,26 @@ def test_inspect_writes_a_file_that_replays(tmp_path: Path, capsys: pytest.Captu
     assert "exists already" in capsys.readouterr().err
 
 
+def test_a_topic_may_be_called_anything(tmp_path: Path) -> None:
+    name = '/odom" \\ \x7f\n[brain]\nbody = "arm"\n#'
+    messages = [odometry(START + n * SECOND, 0.5, 0.0, topic=name) for n in range(5)]
+    found = survey(write(tmp_path / "x", [*messages, made.transform(START, "a\nb", "c", (0, 0, 0))], "mcap"))
+    robot = proposed_robot(found)
+    assert robot.bag is not None
+    assert robot.bag.odometry == name
+
+
+@pytest.mark.parametrize("base", ["base_link", "base_footprint"])
+def test_transforms_alone_are_an_odometry(tmp_path: Path, base: str) -> None:
+    poses = [(t, p) for t, _, _, p, _ in motion(8.0)]
+    messages = [made.transform(t, "odom", base, (p.x, p.y, 0.0), p.yaw) for t, p in poses]
+    messages += [made.transform(t, "map", "odom", (t % 7, 0.0, 0.0)) for t, _ in poses[::10]]
+    found = survey(write(tmp_path / "x", messages, "mcap"))
+    evaluation = evaluate_file(found.path, proposed_robot(found))
+    assert evaluation.driven == pytest.approx(0.8 * 8.0, rel=0.02)
+    assert "/tf: 400 of 440 as odometry; not used: 40 × other frames" in evaluation.text()
+
+
 def test_what_moves_sideways_gets_a_body_that_can(tmp_path: Path) -> None:
     messages = [odometry(START + n * SECOND, 0.5, 0.0, lateral=0.25) for n in range(11)]
     found = survey(write(tmp_path / "x", messages))
