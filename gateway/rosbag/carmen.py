@@ -36,6 +36,8 @@ LONGEST = 200_000
 DAMAGED = "a damaged line"
 """In place of a message"""
 NAMES = (".clf", ".log")
+LATEST, FARTHEST = 2.0**62, 1e9
+"""ns, and m or rad: what is beyond is damage."""
 LOOKED_AT = 50
 """Lines at the beginning, one of which tells that this is a log."""
 
@@ -152,9 +154,9 @@ class CarmenLog:
             if known is None:
                 continue
             try:
-                t, logged = round(float(fields[-3]) * SECOND), round(float(fields[-1]) * SECOND)
+                t, logged = nanos(float(fields[-3])), nanos(float(fields[-1]))
                 made = list(self._made(t, fields, known, whole, heads))
-            except (ValueError, IndexError, OverflowError):
+            except (ValueError, IndexError):
                 logged, made = 0, [(name, DAMAGED) for name in (ODOMETRY, fields[0]) if name in whole]
             yield from ((name, logged, message) for name, message in made)
 
@@ -222,6 +224,20 @@ def _is_number(text: str) -> bool:
 
 def _pose(fields: list[str], at: int) -> Pose:
     x, y, yaw = map(float, fields[at : at + 3])
+    return pose_within(x, y, yaw)
+
+
+def nanos(t: float, unit: int = SECOND) -> Nanos:
+    """Return a time in nanoseconds. Raises ValueError if no clock shows it."""
+    if not abs(t * unit) < LATEST:
+        raise ValueError(f"{t:g} is no time")
+    return round(t * unit)
+
+
+def pose_within(x: float, y: float, yaw: float) -> Pose:
+    """Return a pose. Raises ValueError if nothing is there."""
+    if not max(abs(x), abs(y), abs(yaw)) < FARTHEST:
+        raise ValueError(f"{x:g}, {y:g}, {yaw:g} is no place")
     return Pose(x, y, yaw)
 
 

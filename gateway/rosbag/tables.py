@@ -24,7 +24,16 @@ import numpy as np
 from brain.belief import Floats, Pose
 from brain.bodies.plane import arc
 from gateway.errors import BagError
-from gateway.rosbag.carmen import DAMAGED, ODOMETRY, POSE_TYPE, SCAN_TYPE, CarmenPose, CarmenScan
+from gateway.rosbag.carmen import (
+    DAMAGED,
+    ODOMETRY,
+    POSE_TYPE,
+    SCAN_TYPE,
+    CarmenPose,
+    CarmenScan,
+    nanos,
+    pose_within,
+)
 from gateway.rosbag.matlab import START, matrices
 from gateway.rosbag.topic import Head, Message, Topic
 from protocols.messages import SECOND, Nanos
@@ -124,13 +133,16 @@ class Table:
                 yield name, t, Head(t, "", at)
 
     def _all(self, *, scans: bool) -> Iterator[tuple[str, str, Any]]:
-        """Yield topic, type and message. `scans`: with their ranges."""
-        if self._kind == "range-only":
-            yield from self._range_only()
-        elif self._kind == "ticks":
-            yield from self._ticks(scans=scans)
-        else:
-            yield from self._by_names()
+        """Yield topic, type and message. `scans`: with their ranges. Raises BagError."""
+        try:
+            if self._kind == "range-only":
+                yield from self._range_only()
+            elif self._kind == "ticks":
+                yield from self._ticks(scans=scans)
+            else:
+                yield from self._by_names()
+        except ValueError as error:
+            raise BagError(f"{self._path}: damaged: {error}") from error
 
     def _range_only(self) -> Iterator[tuple[str, str, Any]]:
         found = matrices(self._path)
@@ -139,7 +151,7 @@ class Table:
             pose = arc(pose, way, turn)
             yield ODOMETRY, POSE_TYPE, CarmenPose(_nanos(t), pose)
         for t, x, y, yaw in _rows(self._path, found["GT"], 4):
-            yield TRUTH, POSE_TYPE, CarmenPose(_nanos(t), Pose(x, y, yaw))
+            yield TRUTH, POSE_TYPE, CarmenPose(_nanos(t), pose_within(x, y, yaw))
         for name, rows in found.items():
             if name not in ("DR", "GT"):
                 yield from ((name, "a row of numbers", DAMAGED) for _ in range(len(rows)))
@@ -151,7 +163,7 @@ class Table:
             if row is None or len(row) < ROBOT.first + ROBOT.beams:
                 yield ODOMETRY, POSE_TYPE, DAMAGED
                 continue
-            t = round(row[0] * 1e3)
+            t = nanos(row[0], 1000)
             if before is not None:
                 left, right = ((row[i] - before[i]) * roll for i in (2, 3))
                 pose = arc(pose, (left + right) / 2.0, (right - left) / ROBOT.separation)
@@ -176,7 +188,7 @@ class Table:
                 continue
             t = _nanos(row[at["t"]])
             if "yaw" in at:
-                pose = Pose(row[at["x"]], row[at["y"]], row[at["yaw"]])
+                pose = pose_within(row[at["x"]], row[at["y"]], row[at["yaw"]])
             else:
                 if before is not None:
                     dt = max(t - before[0], 0) / SECOND
@@ -207,4 +219,4 @@ def _rows(path: Path, table: Floats, width: int) -> Iterator[list[float]]:
 def _nanos(t: float) -> Nanos:
     """Return a time in nanoseconds. It was written in s; of the epoch, also in ms, µs or ns."""
     unit = next((unit for unit in (1, 1_000, 1_000_000) if t >= 1e17 / unit), SECOND)
-    return round(t * unit)
+    return nanos(t, unit)

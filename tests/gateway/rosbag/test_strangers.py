@@ -401,10 +401,11 @@ def test_a_torn_log_is_read_up_to_there_and_a_damaged_line_is_counted(tmp_path: 
     path.write_bytes(packed[: len(packed) // 2])
     with pytest.raises(BagError, match="cannot be unpacked"):
         read(path, robot.bag, base_of(robot))
-    path.write_text(text.replace("FLASER 181", "FLASER 18x", 3))
-    assert (
-        "FLASER: 17 of 20 as sensors.lidar; not used: 3 × a damaged line" in evaluate_file(path, robot).text()
-    )
+    wrong = text.replace("FLASER 181", "FLASER 18x", 3).replace("ODOM 0.000000", "ODOM 1e300", 1)
+    path.write_text(wrong.replace(" host 17000", " host 1e300", 1))
+    found = evaluate_file(path, robot).text()
+    assert "FLASER: 17 of 20 as sensors.lidar; not used: 3 × a damaged line" in found
+    assert proposed_robot(survey(path)).bag == robot.bag
 
 
 def test_a_damaged_log_raises_nothing_else(tmp_path: Path) -> None:
@@ -443,6 +444,9 @@ def test_a_table_is_read_by_the_names_of_its_columns(tmp_path: Path, names: str)
     assert (evaluation.end.x, evaluation.end.y) == pytest.approx((last.x, last.y), abs=0.03)
     assert evaluation.duration == pytest.approx(20.0 * SECOND, rel=0.01)
     assert "not used: 1 × a damaged line" in evaluation.text()
+    path.write_text(path.read_text() + "\n1e300,1,1,1\n")
+    with pytest.raises(BagError, match=r"1e\+300 is no time"):
+        survey(path)
 
 
 # -- the map --------------------------------------------------------------------------------------
