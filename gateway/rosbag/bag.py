@@ -158,7 +158,7 @@ class _Pass:
         self._large = {name for name in self._roles if found[name].type in LARGE}
         self._converter = Converter(topics, body.joints, types)
         self._images = BagImages(topics.cameras)
-        self._placing = [name for name, one in found.items() if one.type in TF_TYPES]
+        self._placing = [name for name, one in found.items() if one.type in TF_TYPES and one.known]
         self._frames, self._frame_of = Frames(), dict[str, str]()
         self._base = topics.base_frame or (topics.odometry_frames or ("", ""))[1]
         self._told: dict[str, set[Pose]] = {}
@@ -335,6 +335,8 @@ def _checked(path: Path, topics: BagTopics | None, found: Mapping[str, Topic]) -
             wrong.append(f"{role}: no topic {name!r}{did_you_mean(name, found)}")
         elif topic.type not in wanted and not (topics.car is not None and kind in ("odometry", "car")):
             wrong.append(f"{role}: {name} holds {topic.type}, expected {_one_of(wanted)}")
+        elif not topic.known:
+            wrong.append(f"{role}: {name} holds {topic.type}, whose definition is not in it")
         elif not topic.count:
             wrong.append(f"{role}: {name} is empty")
         elif topic.type in TF_TYPES and getattr(topics, f"{role}_frames") is None:

@@ -12,7 +12,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from gateway.errors import BagError
 from gateway.rosbag import file
 from gateway.rosbag.carmen import CarmenLog, is_carmen
 from gateway.rosbag.tables import Table, layout
@@ -70,6 +69,7 @@ class RosBag:
         found: dict[str, Topic] = {}
         for one in self._reader.connections:
             known = found.setdefault(one.topic, Topic(one.topic, one.msgtype, 0))
+            known.known &= one.msgtype in self._reader.typestore.fielddefs
             known.count += one.msgcount
             if known.type != one.msgtype:
                 known.type = "messages of several types"
@@ -78,11 +78,6 @@ class RosBag:
     def messages(self, whole: Collection[str], heads: Collection[str] = ()) -> Iterator[Message]:
         """Yield the messages of some topics, and of others the heads alone."""
         wanted = [one for one in self._reader.connections if one.topic in whole or one.topic in heads]
-        for one in wanted:
-            if one.topic in whole and one.msgtype not in self._reader.typestore.fielddefs:
-                raise BagError(
-                    f"{self._path}: {one.topic}: it holds {one.msgtype}, whose definition is not in it"
-                )
         headed = {one.id: self._has_head(one) for one in wanted}
         for one, logged, data in self._reader.messages(wanted) if wanted else ():
             if one.topic in whole:

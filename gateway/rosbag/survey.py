@@ -133,6 +133,8 @@ class TopicSurvey:
         """Return what is odd about its stamps."""
         if not self.logged:
             return ["no message"]
+        if not self.topic.known:
+            return ["its messages' definition is not in it: they cannot be read"]
         stamped = np.frombuffer(self.stamped, dtype=np.int64)
         if not stamped.any():
             return ["without stamps"]
@@ -238,8 +240,9 @@ def survey(path: Path) -> Survey:
         topics = {name: TopicSurvey(one) for name, one in sorted(source.topics.items())}
         whole = {n for n, one in topics.items() if one.topic.type in (ODOMETRY, FIX, *TF_TYPES)}
         whole |= {n for n, one in topics.items() if one.topic.type.endswith(STATE)}
+        whole = {name for name in whole if topics[name].topic.known}
         for name, logged, message in source.messages(whole, topics.keys() - whole):
-            if topics[name].topic.type in TF_TYPES:
+            if name in whole and topics[name].topic.type in TF_TYPES:
                 frames.add(message)
             topics[name].add(logged, message)
     found = tuple(topics.values())

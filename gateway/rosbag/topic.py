@@ -31,6 +31,8 @@ class Topic:
     """On this robot: "odometry", "sensors.imu", "truth"; "" if none."""
     unused: dict[str, int] = field(default_factory=dict)
     """Messages that were not used, by reason."""
+    known: bool = True
+    """Whether its messages can be taken apart: their definition is in the recording, or common."""
 
     def leave_out(self, reason: str) -> None:
         """Count a message that is not used."""

@@ -7,12 +7,17 @@ import gzip
 import json
 import lzma
 import math
+import sqlite3
 import tracemalloc
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Ros2Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from brain.belief import Pose
 from brain.bodies.body import Base
@@ -27,7 +32,7 @@ from gateway.rosbag.scans import of_cloud
 from gateway.rosbag.survey import proposed_robot, survey
 from gateway.rosbag.truth import Relations, read_truth
 from protocols.messages import SECOND, LaserScan, Nanos
-from tests.gateway.bag_helpers import ROBOT, START, STORES, BagMessage, imu, odometry, write
+from tests.gateway.bag_helpers import ROBOT, START, STORES, BagMessage, header, imu, odometry, write
 from tests.gateway.rosbag import strangers as made
 from tests.gateway.rosbag.strangers import Told, motion, told
 
@@ -521,6 +526,36 @@ def test_transforms_alone_are_an_odometry(tmp_path: Path, base: str) -> None:
     evaluation = evaluate_file(found.path, proposed_robot(found))
     assert evaluation.driven == pytest.approx(0.8 * 8.0, rel=0.02)
     assert "/tf: 400 of 440 as odometry; not used: 40 × other frames" in evaluation.text()
+
+
+KIND = "strange_msgs/msg/StateStamped"
+
+
+def test_a_type_without_a_definition_hinders_nothing(tmp_path: Path) -> None:
+    """As bags of ROS 2 before Iron: the definitions are left to who reads them."""
+    new = Ros2Writer(tmp_path / "x", version=8, storage_plugin=StoragePlugin.SQLITE3)
+    store = get_typestore(Stores.ROS2_HUMBLE)  # another one than that of the reader
+    store.register(get_types_from_msg(made.VESC_STATE, "strange_msgs/msg/State"))
+    stamped = made.VESC_STAMPED.replace("vesc_msgs/VescState", "strange_msgs/State")
+    store.register(get_types_from_msg(stamped, KIND))
+    with new:
+        odom = new.add_connection("/odom", "nav_msgs/msg/Odometry", typestore=store)
+        core = new.add_connection("/core", KIND, typestore=store)
+        for t in (START + n * SECOND for n in range(5)):
+            message = odometry(t, 0.5, 0.0).make(store.types)
+            new.write(odom, t, store.serialize_cdr(message, "nav_msgs/msg/Odometry"))
+            state = store.types["strange_msgs/msg/State"](speed=1.0, duty_cycle=0.1)
+            message = store.types[KIND](header=header(store.types, t, ""), state=state)
+            new.write(core, t, store.serialize_cdr(message, KIND))
+    (file,) = (tmp_path / "x").glob("*.db3")
+    with closing(sqlite3.connect(file)) as database:
+        database.execute("DELETE FROM message_definitions")
+        database.commit()
+    found = survey(tmp_path / "x")
+    assert "/core: its messages' definition is not in it" in found.text()
+    assert evaluate_file(found.path, proposed_robot(found)).driven == pytest.approx(2.0)
+    with pytest.raises(BagError, match=f"/core holds {KIND}, whose definition is not in it"):
+        evaluate_file(found.path, stranger('odometry = "/core"\ncar = {}\n'))
 
 
 def test_what_moves_sideways_gets_a_body_that_can(tmp_path: Path) -> None:
