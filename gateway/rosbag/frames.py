@@ -126,10 +126,6 @@ class Frames:
         shared = set(up) & set(down)
         return any(name in self.moving for name in (*up, *down) if name not in shared)
 
-    def roots(self) -> list[str]:
-        """Return the frames without a parent."""
-        return sorted({parent for parent, _ in self._parents.values()} - self._parents.keys())
-
     def names(self) -> list[str]:
         """Return all frames."""
         return sorted({*self._parents, *(parent for parent, _ in self._parents.values())})

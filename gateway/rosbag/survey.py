@@ -61,7 +61,6 @@ MADE = re.compile(r"filter|fused|fusion|ekf|ukf|slam|amcl|visual|vio|vins|lio|ic
 """Names of odometry that another estimator made."""
 GAP_FACTOR = 5.0
 """A pause is named from so many periods on."""
-HEADED = (SCAN, ECHOES, CLOUD, IMU, FIX, ODOMETRY, POSE, POSE_COVARIANCE, TWIST, JOINTS)
 STATE = "StateStamped"
 """How types end whose messages are the state of a device, with a header;"""
 NUMBERS = ("std_msgs/msg/Float64", "std_msgs/msg/Float32")
@@ -174,8 +173,6 @@ class Proposal:
     """Of the table [bag]"""
     notes: tuple[str, ...]
     """What was not taken, and why"""
-    frames: tuple[str, ...] = ()
-    """Of the transforms"""
 
 
 @dataclass(frozen=True, slots=True)
