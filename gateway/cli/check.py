@@ -17,8 +17,10 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(options: Namespace) -> int:
     """Print the description of the robot."""
-    robot = load_robot(options.robot)
+    robot = load_robot(options.robot, recorded=True)
     print(describe(robot))
+    if robot.recorded:
+        return 0
     print()
     try:
         with simulation(COUNTING) as simulated:

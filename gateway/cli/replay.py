@@ -1,4 +1,4 @@
-"""`gateway replay`: a recording through the code of today, byte for byte; or a ROS bag, evaluated."""
+"""`gateway replay`: a recording through the code of today, byte for byte; or another program's, evaluated."""
 
 from __future__ import annotations
 
@@ -14,56 +14,74 @@ from gateway.cli.terminal.progress import progress
 from gateway.cli.view import show_recordings
 from gateway.config import load_robot
 from gateway.core.clock import stopwatch
+from gateway.core.robot import Robot
 from gateway.core.step import Gateway
-from gateway.errors import UserError
+from gateway.errors import RecordingError, UserError
 from gateway.recording import read_recording
+from gateway.recording.layout import MAGIC
 from gateway.replay import Observe, replay_recording
 from gateway.report import write_report
 from gateway.rosbag import is_bag
 from gateway.rosbag.evaluate import evaluate_file
+from gateway.rosbag.file import first_bytes
+from gateway.rosbag.survey import EXPECTED, proposed_robot, survey
+from gateway.rosbag.truth import Positions, Relations, read_truth
 from protocols.messages import SECOND
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the arguments of the command."""
-    parser.add_argument("file", type=Path, metavar="FILE", help="a recording, or another program's ROS bag")
+    parser.add_argument(
+        "file", type=Path, metavar="FILE", help="a recording, a bag of ROS 1 or 2, or a CARMEN log"
+    )
+    add_foreign(parser)
+    add_report(parser)
+    add_view(parser, steer=False)
+
+
+def add_foreign(parser: ArgumentParser) -> None:
+    """Add the arguments with which another program's recording is read and judged."""
     parser.add_argument(
         "--robot",
         metavar="ROBOT",
-        help="use this robot file instead of the recorded one; for a bag, a robot file with a table [bag]",
+        help="use this robot file instead of the recorded one; for a bag or a log, one with a table [bag] "
+        "(without: what `gateway inspect --write` would write)",
+    )
+    parser.add_argument(
+        "--truth",
+        type=Path,
+        metavar="FILE",
+        help="judge a bag or a log by this path (TUM) or these relations between poses",
     )
     parser.add_argument(
         "--at-most",
         type=arguments.number("metres", or_zero=True),
         metavar="M",
-        help="largest path error (RMS) with which a bag passes",
+        help="largest path error with which a bag or a log passes (RMS; of relations the mean)",
     )
-    add_report(parser)
-    add_view(parser, steer=False)
 
 
 def run(options: Namespace) -> int:
-    """Return 1 if a byte differs, or if the bag does not pass."""
+    """Return 1 if a byte differs, or a bag or a log does not pass; 3 if nothing judges it."""
     check_view(options)
     if is_bag(options.file):
-        if options.view is not None:
-            raise UserError(f"{options.file} is another program's bag: --view is for recordings")
-        if options.report is not None:
-            raise UserError(f"{options.file} is another program's bag: --report is for recordings")
-        if options.robot is None:
-            raise UserError(f"{options.file} is another program's bag: name its robot file with --robot")
-        evaluation = evaluate_file(options.file, load_robot(options.robot), options.at_most)
-        print(evaluation.text())
-        return 0 if evaluation.ok else 1
-    if options.at_most is not None:
-        raise UserError(f"{options.file} is a recording of this gateway: --at-most is for bags only")
+        return _evaluate(options)
+    for option, value in (("--at-most", options.at_most), ("--truth", options.truth)):
+        if value is not None:
+            text = f"{options.file} is a recording of this gateway: {option} is for bags and logs only"
+            raise UserError(text)
     if options.view is not None:
         if options.report is not None:
             raise UserError("--view shows the recording and writes no report: leave --report or --view away")
         return show_recordings([options.file], options.view, tuple(options.origin), options.robot)
     if options.report is not None:
         check_report(options.report)
-    recording = read_recording(options.file)
+    try:
+        recording = read_recording(options.file)
+    except RecordingError as error:
+        if options.file.is_file() and not first_bytes(options.file).startswith(MAGIC):
+            raise RecordingError(f"{error}; {EXPECTED}") from error
+        raise
     robot = None if options.robot is None else load_robot(options.robot)
     gc.set_threshold(10_000)  # a replay leaves few cycles: to look for them ten times less saves a tenth
     began = stopwatch()
@@ -82,3 +100,27 @@ def run(options: Namespace) -> int:
     if options.report is not None:
         print(f"report: {options.report}")
     return 0 if comparison.ok else 1
+
+
+def _evaluate(options: Namespace) -> int:
+    """Evaluate another program's recording."""
+    for option, value in (("--view", options.view), ("--report", options.report)):
+        if value is not None:
+            text = f"{options.file} is another program's recording: {option} is for this gateway's"
+            raise UserError(text)
+    robot, truth = foreign(options)
+    gc.set_threshold(10_000)
+    with progress("replay, events", None) as shown:
+        evaluation = evaluate_file(options.file, robot, options.at_most, truth, shown.update)
+    print(evaluation.text())
+    return evaluation.status
+
+
+def foreign(options: Namespace) -> tuple[Robot, Positions | Relations | None]:
+    """Return the robot by which another program's recording is read, and the truth of a file."""
+    truth = None if options.truth is None else read_truth(options.truth)
+    if options.robot is not None:
+        return load_robot(options.robot, recorded=True), truth
+    robot = proposed_robot(survey(options.file))
+    print(f"no robot file: read as `gateway inspect {options.file} --write ROBOT` would write it")
+    return robot, truth

@@ -21,6 +21,7 @@ FRAME_BITS = 125
 FD_BITS = 32, 100
 """Bits of such a frame of CAN FD with bit rate switching: at the bus's bit rate, and at that of its data."""
 
+STOOD_IN = "what its file leaves out of the body is stood in for, and cancels"
 WIDTH = 120
 """Columns in which a caution is wrapped."""
 IF_IT_DIES = "what stops it if the gateway dies or hangs"
@@ -44,6 +45,8 @@ def describe(robot: Robot) -> str:
         _table("motor", *_MOTOR_HEADS, rows=[_motor(m) for m in robot.motors.values()]),
         _table("limits", *_LIMIT_HEADS, rows=[_limits(m) for m in robot.motors.values()]),
     ]
+    if robot.recorded:
+        blocks = [f"{robot.name}: how a recording is read; it has no bus, and cannot be run", STOOD_IN]
     if robot.sensors:
         blocks.append(_table("sensor", *_SENSOR_HEADS, rows=[_sensor(s) for s in robot.sensors.values()]))
     blocks.append(_brain(robot))

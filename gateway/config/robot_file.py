@@ -40,6 +40,7 @@ from brain.other_brain import Chosen
 from brain.settings import BrainSettings
 from gateway.config import bodies, resources, validate
 from gateway.config.errors import Key, Mistakes, shown, unknown
+from gateway.config.recorded import FOR_RECORDINGS, completed, is_recorded
 from gateway.config.schema import build
 from gateway.config.sections import Find, Table, check_interface, own_ids, read_bus, read_motor, read_sensor
 from gateway.config.text import read_text, read_toml
@@ -76,12 +77,13 @@ class _Top:
     """How long the loop may stand before the watchdog process sends the stop action."""
 
 
-def load_robot(robot: str | Path, find: Find = plugin.load) -> Robot:
+def load_robot(robot: str | Path, find: Find = plugin.load, *, recorded: bool = False) -> Robot:
     """Read a robot file.
 
     Args:
         robot: its path, or the name of one that ships with the gateway ("diffbot").
         find: returns a protocol plugin by its name; by default those that are installed.
+        recorded: whether it may be the file of a recording, which has no bus and cannot be run.
 
     Returns:
         Robot: everything that the file describes; nothing is opened yet.
@@ -94,11 +96,16 @@ def load_robot(robot: str | Path, find: Find = plugin.load) -> Robot:
     mistakes = Mistakes(str(path), "")
     text = with_files(read_text(path), path, mistakes)
     mistakes.check()
-    return parse_robot(text, str(path), find, file=path)
+    return parse_robot(text, str(path), find, file=path, recorded=recorded)
 
 
 def parse_robot(
-    text: str, name: str = "robot.toml", find: Find = plugin.load, *, file: Path | None = None
+    text: str,
+    name: str = "robot.toml",
+    find: Find = plugin.load,
+    *,
+    file: Path | None = None,
+    recorded: bool = False,
 ) -> Robot:
     """Make a robot from the text of its file.
 
@@ -108,6 +115,7 @@ def parse_robot(
         find: returns a protocol plugin by its name.
         file: where it is: its world and plant must exist, and their paths count from its folder. None: a
             replay, which needs none.
+        recorded: as of `load_robot`.
 
     Returns:
         Robot: everything that the text describes.
@@ -118,6 +126,10 @@ def parse_robot(
     find = cache(find)  # it takes milliseconds
     mistakes = Mistakes(name, text)
     table = read_toml(text, mistakes)
+    if is_recorded(table):
+        if not recorded:
+            raise mistakes.fatal(FOR_RECORDINGS)
+        return _recorded(table, text, mistakes)
     defaults = _section(table, "defaults", mistakes, GROUPS)
     groups = {group: _group(table, group, defaults.get(group, {}), mistakes) for group in GROUPS}
     described = Description(table, mistakes)
@@ -166,6 +178,28 @@ def parse_robot(
         raise AssertionError("a section is missing, and no mistake was added")
     named = top.name, text, period, top.world, top.seed
     return Robot(*named, buses, motors, sensors, brain, bag, top.plant, top.stall_timeout)
+
+
+def _recorded(table: Table, text: str, mistakes: Mistakes) -> Robot:
+    """Make a robot from the file of a recording."""
+    table, joints = completed(table, mistakes)
+    top = build(_Top, table, (), mistakes, also=SECTIONS)
+    if "brain" not in table:
+        mistakes.add(
+            ("brain",), f'missing; expected body = "NAME" before all tables: {", ".join(bodies.names())}'
+        )
+    brain = _brain(table["brain"], None, joints, (), _as_it_is, mistakes) if "brain" in table else None
+    bag = build(BagTopics, table["bag"], ("bag",), mistakes)
+    if bag is not None and brain is not None:
+        validate.check_bag(bag, brain, None, mistakes)
+    mistakes.check()
+    if top is None or brain is None:
+        raise AssertionError("a section is missing, and no mistake was added")
+    return Robot(top.name, text, round(SECOND / top.rate_hz), None, top.seed, {}, {}, {}, brain, bag)
+
+
+def _as_it_is(_: type[Body], table: object, __: Key) -> object:
+    return table
 
 
 def with_interfaces(robot: Robot, interfaces: Mapping[str, str]) -> Robot:

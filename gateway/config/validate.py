@@ -188,19 +188,28 @@ def _strings(value: object) -> list[str]:
     return [value] if isinstance(value, str) else []
 
 
-def check_bag(bag: BagTopics, brain: BrainSettings, sensors: Collection[str], mistakes: Mistakes) -> None:
-    """Check the table [bag] against the rest of the robot file."""
+def check_bag(
+    bag: BagTopics, brain: BrainSettings, sensors: Collection[str] | None, mistakes: Mistakes
+) -> None:
+    """Check the table [bag] against the rest of the robot file. `sensors`: None if they are those that it
+    names itself."""
     if brain.base is None:
         text = f"a bag moves a base, and the body is {brain.body.kind!r}; expected no such table"
         mistakes.add(("bag",), text)
     for group, named in (("sensors", bag.sensors), ("cameras", bag.cameras)):
         for sensor in named:
-            if sensor not in sensors:
+            if sensors is not None and sensor not in sensors:
                 mistakes.add(("bag", group, sensor), unknown("sensor", sensor, sensors))
+    for group, placed in (("mounts", bag.mounts), ("clouds", bag.clouds)):
+        for name in placed:
+            if sensors is not None and group == "mounts":
+                mistakes.add(("bag", group, name), f"where it is, mount says under [sensors.{name}]")
+            elif name not in bag.sensors and name not in bag.cameras:
+                mistakes.add(("bag", group, name), unknown("sensor", name, [*bag.sensors, *bag.cameras]))
     used: dict[str, str] = {}
     for topic, name in bag.parts():
         key = ("bag", *name.split("."))
-        if not topic.startswith("/"):
+        if not topic.startswith("/") and (sensors is not None or not topic):
             mistakes.add(key, f'found {shown(topic)}, expected a topic: it begins with "/"')
         elif topic in used:
             mistakes.add(key, f"found {shown(topic)}, which is {used[topic]} too; expected another topic")
@@ -293,7 +302,8 @@ def _falling_load(motor: Motor) -> list[str]:
 def _slow_joints(robot: Robot) -> list[str]:
     """Joints of a base whose limits are below what the body's own limits need."""
     base = robot.brain.base
-    needed = () if base is None else zip(base.joints, base.top_speeds, strict=True)
+    driven = base is not None and not robot.recorded
+    needed = zip(base.joints, base.top_speeds, strict=True) if base is not None and driven else ()
     return [
         f"{name}: its limit of {limit:g} rad/s is below the {speed:.3g} rad/s that "
         "max_linear and max_angular together need; the base will turn wide"

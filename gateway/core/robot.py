@@ -5,16 +5,17 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
+from brain.perception.mount import Mount
 from gateway.core.joint import JointSettings
 from gateway.vision.detectors import Detectors
+from protocols.bounds import Bounds, check
 from protocols.frames import IdMask
 from protocols.messages import MILLISECOND, Nanos
 from protocols.plugin import Device, Plugin, Spec
 
 if TYPE_CHECKING:
-    from brain.perception.mount import Mount
     from brain.settings import BrainSettings
 
 TWIN = "twin"
@@ -136,28 +137,90 @@ class BagCamera:
     """The topics of a camera, and what is looked for in its images."""
 
     image: str
-    """sensor_msgs/Image"""
+    """sensor_msgs/Image, or CompressedImage"""
     info: str
     """sensor_msgs/CameraInfo"""
     detectors: Detectors
 
 
 @dataclass(frozen=True, slots=True)
+class CloudSlice:
+    """What of a cloud of points is taken for the scan of a planar lidar."""
+
+    ring: Annotated[int, Bounds(0, 1023)] | None = None
+    """The points with this number in their field "ring"; None: those of the band"""
+    low: Annotated[float, Bounds(-10.0, 10.0, "m")] = -0.1
+    """m above the lidar, in its frame,"""
+    high: Annotated[float, Bounds(-10.0, 10.0, "m")] = 0.1
+
+    def __post_init__(self) -> None:
+        check(self)
+        if self.high <= self.low:
+            raise ValueError(f"high must be above low, and {self.high:g} m is not above {self.low:g} m")
+
+
+@dataclass(frozen=True, slots=True)
+class Car:
+    """A car of which the speed of its motor and the position of its steering servo were recorded, in units of
+    their own: the scales that its telemetry leaves out.
+
+    The defaults are those of the F1TENTH car (f1tenth/f1tenth_system:f1tenth_stack/config)."""
+
+    speed: str = "state.speed"
+    """The field of the odometry's messages, of any type, that grows with its speed"""
+    per_speed: Annotated[float, Bounds(-1e6, 1e6)] = 4614.0
+    """By so much for 1 m/s forward: here electrical revolutions per minute"""
+    steering: str = ""
+    """Topic of its steering, of any type with a number; "": it drives straight on"""
+    position: str = "data"
+    """The field of those messages that is its steering's position"""
+    middle: Annotated[float, Bounds(-1e3, 1e3)] = 0.5304
+    """The position with which it drives straight on"""
+    per_angle: Annotated[float, Bounds(-1e3, 1e3)] = -1.2135
+    """Change of that for 1 rad to the left"""
+    wheelbase: Annotated[float, Bounds(0.01, 10.0, "m")] = 0.25
+
+    def __post_init__(self) -> None:
+        check(self)
+        if not (self.per_speed and self.per_angle):
+            raise ValueError("per_speed and per_angle must not be 0")
+
+
+@dataclass(frozen=True, slots=True)
 class BagTopics:
-    """The table [bag]: what the topics of a recording made elsewhere (a ROS bag) are on this robot."""
+    """The table [bag]: what the topics of a recording made elsewhere (a ROS bag, a log) are on this robot."""
 
     odometry: str
-    """nav_msgs/Odometry: its twist is taken as the motion of the wheels."""
+    """What says how the base moved: nav_msgs/Odometry, geometry_msgs/TwistStamped, sensor_msgs/JointState
+    (the body's motors are called as its joints), /tf, a log's odometry, or with `car` any type."""
     sensors: dict[str, str] = field(default_factory=dict)
-    """Topic by sensor of this robot: sensor_msgs/Imu."""
+    """Topic by sensor: sensor_msgs/Imu, LaserScan, MultiEchoLaserScan, PointCloud2, NavSatFix,
+    geometry_msgs/PoseWithCovarianceStamped, or a log's scans."""
     truth: str = ""
-    """sensor_msgs/NavSatFix: the reference for the estimated path; never an input. "" if there is none."""
+    """A topic of poses or fixes: the reference for the estimated path; never an input. "": there is none"""
     cameras: dict[str, BagCamera] = field(default_factory=dict)
     """By sensor of this robot."""
+    motion: Literal["auto", "twist", "pose"] = "auto"
+    """What of nav_msgs/Odometry is taken as the motion of the base; "auto": its twists, if they are filled
+    in."""
+    base_frame: str = ""
+    """The robot's frame in /tf, from which the sensors' places are read; "": the odometry's child frame"""
+    odometry_frames: tuple[str, str] | None = None
+    """Where /tf is the odometry: the fixed frame, and the robot's"""
+    truth_frames: tuple[str, str] | None = None
+    """Where /tf is the truth: the fixed frame, and the robot's"""
+    mounts: dict[str, Mount] = field(default_factory=dict)
+    """Where sensors are, in a file that has no [sensors]; those left out are looked up in /tf"""
+    clouds: dict[str, CloudSlice] = field(default_factory=dict)
+    """By sensor"""
+    car: Car | None = None
+    """Where odometry is the telemetry of a motor"""
 
     def parts(self) -> Iterator[tuple[str, str]]:
         """Yield each topic with the key that names it: "odometry", "sensors.imu", "cameras.eye.image" …"""
         yield self.odometry, "odometry"
+        if self.car is not None and self.car.steering:
+            yield self.car.steering, "car.steering"
         yield from ((topic, f"sensors.{sensor}") for sensor, topic in self.sensors.items())
         for sensor, camera in self.cameras.items():
             yield camera.image, f"cameras.{sensor}.image"
@@ -189,6 +252,11 @@ class Robot:
     """What the robot truly is in a simulated scene: a shipped plant's name or a file's path."""
     stall_timeout: Nanos = STALL_TIMEOUT
     """How long the loop may stand before the watchdog process sends the stop action."""
+
+    @property
+    def recorded(self) -> bool:
+        """Whether it is known from recordings alone: it has no bus, and cannot be run."""
+        return not self.buses
 
     def devices(self) -> list[BusDevice]:
         """Return all devices, in the order of the file: motors first, then sensors."""

@@ -15,7 +15,7 @@ from brain.bodies.body import Base
 from brain.perception.mount import Mount
 from gateway.rosbag import agreement, stamps
 from gateway.rosbag.bag import Bag
-from gateway.rosbag.convert import OdometryReading
+from gateway.rosbag.motion import OdometryReading
 from protocols.messages import SECOND, Imu, Nanos
 
 
@@ -29,13 +29,24 @@ def contradictions(bag: Bag, body: Base, mounts: Mapping[str, Mount], slip: floa
     return tuple(f"{names.get(role, role)}: {text}" for role, text in found)
 
 
+def remarks(bag: Bag) -> tuple[str, ...]:
+    """Return what is odd about the stamps of a log that is written by several programs, each by its clock: it
+    says little of the path."""
+    return tuple(
+        f"{role}: {text}"
+        for role in bag.several_clocks & bag.stamps.keys()
+        for text in stamps.order(_stamps(bag.stamps[role], *bag.stamps[role][0]).stamps)
+    )
+
+
 def _of_stamps(bag: Bag) -> Iterator[tuple[str, str]]:
     if "odometry" not in bag.stamps:
         return
     began = bag.stamps["odometry"][0]
     times = {role: _stamps(messages, *began) for role, messages in bag.stamps.items()}
     for role, one in times.items():
-        found = [*stamps.resolution(one.stamps), *stamps.order(one.stamps)] or stamps.steps(one)
+        order = [] if role in bag.several_clocks else stamps.order(one.stamps)
+        found = [*stamps.resolution(one.stamps), *order] or stamps.steps(one)
         if not found and role != "odometry":
             found = stamps.clock(one, times["odometry"])
         yield from ((role, text) for text in found)
@@ -44,8 +55,9 @@ def _of_stamps(bag: Bag) -> Iterator[tuple[str, str]]:
 def _of_motion(bag: Bag, body: Base, mounts: Mapping[str, Mount], slip: float) -> Iterator[tuple[str, str]]:
     start = bag.odometry[0].t
     own = _odometry(bag.odometry, start)
-    for text in agreement.odometry(own, sideways=body.moves_sideways):
-        yield "odometry", text
+    if bag.own_path and bag.own_twists:  # else one was made of the other
+        for text in agreement.odometry(own, sideways=body.moves_sideways):
+            yield "odometry", text
     wheels = agreement.wheel_turns(own)
     for sensor, mount in mounts.items():
         if rates := [one for one in bag.events if isinstance(one, Imu) and one.sensor == sensor]:

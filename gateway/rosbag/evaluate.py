@@ -1,43 +1,49 @@
-"""Evaluation of perception on another program's bag: the estimated path against the bag's ground truth.
+"""Evaluation of perception on another program's recording: the estimated path against a ground truth.
 
-Rules. Perception processes the events of the bag one by one, in order, each at its own time: nothing looks
-ahead, and the ground truth is not among them. At each fix of the truth the estimated pose is what a robot
-would have had at that time: the filter's newest, extrapolated by its own twist. The result is the absolute
-trajectory error (`gateway.rosbag.trajectory_error`), beside that of dead reckoning and of the bag's own
-odometry at the same times. What cannot be evaluated does not pass.
+Rules. Perception processes the events of the recording one by one, in order, each at its own time: nothing
+looks ahead, and the ground truth is not among them. At each time of the truth the estimated pose is what a
+robot would have had at that time: the filter's newest, extrapolated by its own twist. What the truth says
+(`gateway.rosbag.truth`) stands beside the same of dead reckoning, and of the recording's own odometry. What
+contradicts itself does not pass; without a truth nothing is judged, and what perception says of itself
+remains: whether it is as sure as it may be, and how many scans came while it was lost.
 """
 
 from __future__ import annotations
 
+import heapq
 from bisect import bisect_right
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from math import degrees
 from pathlib import Path
 
-import numpy as np
-
-from brain.belief import Estimate, Floats, Pose
+from brain.belief import Estimate, MapView, Pose
 from brain.bodies.body import Base
 from brain.bodies.plane import arc
+from brain.perception.consistency import Trust
 from brain.perception.filter_inputs import Nis
+from brain.perception.mount import Mount
 from brain.perception.perception import Perception
 from gateway.core.robot import Robot
 from gateway.errors import BagError
 from gateway.rosbag import Bag, Topic, read
-from gateway.rosbag.contradictions import contradictions
-from gateway.rosbag.trajectory_error import MIN_PAIRS, PathError, east_north, path_error, spread
-from protocols.messages import MILLISECOND, Event, Fix, Nanos, seconds
+from gateway.rosbag.contradictions import contradictions, remarks
+from gateway.rosbag.trajectory_error import MIN_PAIRS, PathError
+from gateway.rosbag.truth import CLOSE, MIN_EXTENT, Positions, RelationError, Relations
+from protocols.messages import MILLISECOND, Event, Fix, LaserScan, Nanos, seconds
 
-MIN_EXTENT = 1.0
-"""m: a truth that stays within this of its centre has not moved, and proves nothing."""
 MAX_EXTRAPOLATION: Nanos = 500 * MILLISECOND
 """Longest time that an estimate is extrapolated by its own twist."""
+PATH_PERIOD: Nanos = 100 * MILLISECOND
+ESTIMATED, WHEELS, OWN = "estimated", "dead reckoning", "the recording's own"
+PASSED, NOT_PASSED, NOT_JUDGED = 0, 1, 3
+"""Exit statuses."""
+NO_TRUTH = "there is no ground truth: name a topic of poses or fixes (truth, under [bag]) or a file (--truth)"
 
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """Result of running perception on a bag."""
+    """Result of running perception on a recording."""
 
     bag: Bag
     duration: Nanos
@@ -47,48 +53,79 @@ class Evaluation:
     end: Pose | None
     """Last estimated pose, relative to the start in the robot file"""
     fixes: int
-    """Fixes of the truth in the bag,"""
+    """Fixes, poses or relations of the truth,"""
     early: int
     """and those before the first estimate: not compared."""
     extent: float
     """m: largest distance of the truth from its centre; 0 without a truth"""
-    estimated: PathError | None
-    """Error of the estimated path; None if there are too few fixes."""
-    wheels: PathError | None
-    """Error of dead reckoning: wheel twists, integrated."""
-    odometry: PathError | None
-    """Error of the poses of the bag's own odometry."""
+    errors: Mapping[str, PathError]
+    """By path: PATH_PERIOD: Nanos = 100 * MILLISECOND
+ESTIMATED, WHEELS, OWN; {} if there are too few fixes."""
+    relations: Mapping[str, RelationError]
+    """The same, where the truth consists of relations."""
     nis: Mapping[str, Nis]
     anomalies: Mapping[str, Mapping[str, int]]
     """Measurements not used, or used against the gate, by motor or sensor and reason."""
     at_most: float | None
-    """m: the largest error (RMS) that passes"""
+    """m: the largest error that passes: RMS, or of relations the mean"""
     contradictions: tuple[str, ...] = ()
-    """What in the bag contradicts itself: then no figure is right."""
+    """What in the recording contradicts itself: then no figure is right."""
+    scans: int = 0
+    """Scans that perception was given,"""
+    lost: int = 0
+    """and those that came while it was lost."""
+    mounts: Mapping[str, str] = field(default_factory=dict)
+    """Where sensors are that the robot file does not place, in words."""
+    notes: tuple[str, ...] = ()
+
+    @property
+    def estimated(self) -> PathError | None:
+        """Error of the estimated path."""
+        return self.errors.get(ESTIMATED)
+
+    @property
+    def wheels(self) -> PathError | None:
+        """Error of dead reckoning: the base's motion, integrated."""
+        return self.errors.get(WHEELS)
+
+    @property
+    def odometry(self) -> PathError | None:
+        """Error of the poses of the recording's own odometry."""
+        return self.errors.get(OWN)
 
     @property
     def ok(self) -> bool:
-        """True if the path could be evaluated, and is as good as required."""
-        return not self.objections()
+        """True if the path was judged, and is as good as required."""
+        return self.status == PASSED
+
+    @property
+    def status(self) -> int:
+        """PASSED, NOT_PASSED, or NOT_JUDGED where there is no truth and nothing else is wrong."""
+        if self.objections():
+            return NOT_PASSED
+        return PASSED if self.fixes else NOT_JUDGED
 
     def objections(self) -> list[str]:
-        """Return why not; [] if it is."""
+        """Return why it does not pass; [] if nothing is wrong."""
         unused = [t for t in self.bag.topics if t.role and not t.used]
         objections = [
             f"no message of {t.name} ({t.role}) could be used: {_reasons(t.unused)}" for t in unused
         ]
+        figure = self.relations[ESTIMATED].mean if self.relations else None
+        if self.estimated is not None:
+            figure = self.estimated.rms
         if not self.fixes:
-            objections.append("there is no ground truth in it: the path cannot be evaluated")
-        elif self.estimated is None:
-            objections.append(f"fewer than {MIN_PAIRS} fixes can be compared: the path cannot be evaluated")
-        elif self.extent < MIN_EXTENT:
+            if self.at_most is not None:
+                objections.append(f"at most {self.at_most:g} m is allowed, and {NO_TRUTH}")
+        elif figure is None:
+            least = 1 if self.relations or not self.bag.truth else MIN_PAIRS
+            objections.append(f"fewer than {least} fixes can be compared: the path cannot be evaluated")
+        elif self.estimated is not None and self.extent < MIN_EXTENT:
             objections.append(
                 f"the truth stays within {self.extent:.2f} m: it did not move, and proves nothing"
             )
-        elif self.at_most is not None and not self.estimated.rms <= self.at_most:
-            objections.append(
-                f"the path error is {self.estimated.rms:.2f} m, and at most {self.at_most:g} m is allowed"
-            )
+        elif self.at_most is not None and not figure <= self.at_most:
+            objections.append(f"the path error is {figure:.2f} m, and at most {self.at_most:g} m is allowed")
         return [*self.contradictions, *objections]
 
     def text(self) -> str:
@@ -96,31 +133,56 @@ class Evaluation:
         lines = [f"{self.bag.path.name}: {seconds(self.duration):.1f} s, {self.driven:.1f} m driven"]
         if self.end is not None:
             lines[0] += f", to {self.end.x:.2f} m, {self.end.y:.2f} m, {degrees(self.end.yaw):.0f} degrees"
-        if self.estimated is not None:
-            lines += self._errors(self.estimated)
+        lines += [*self._path_errors(), *self._relation_errors()]
         lines += ["consistency (NIS per degree of freedom: 1 if the covariances are right)"]
-        lines += [f"  {name}: {_nis(nis)}" for name, nis in self.nis.items()]
-        anomalies = [f"  {name}: {_reasons(reasons)}" for name, reasons in self.anomalies.items() if reasons]
+        lines += [f"  {name}: {_nis(nis)}" for name, nis in self.nis.items()] or ["  nothing was measured"]
+        if self.scans:
+            share = 100.0 * self.lost / self.scans
+            lines.append(f"scans: {self.scans}, of which {self.lost} ({share:.1f} %) came while it was lost")
+        anomalies = [
+            f"  {name or 'map'}: {_reasons(reasons)}" for name, reasons in self.anomalies.items() if reasons
+        ]
         lines += ["measurements not used, or used against the gate:", *(anomalies or ["  none"])]
         lines += ["messages used", *(f"  {_use(t)}" for t in self.bag.topics if t.role)]
         rest = [f"  {t.name}: {t.count} of {t.type}" for t in self.bag.topics if not t.role]
         lines += ["topics left over", *(rest or ["  none"])]
+        if self.mounts:
+            lines += ["where the sensors are", *(f"  {name}: {by}" for name, by in self.mounts.items())]
+        lines += self.notes
         if self.ok and self.at_most is not None:
             lines.append(f"passed: at most {self.at_most:g} m is allowed")
+        if self.status == NOT_JUDGED:
+            lines.append(f"NOT JUDGED: {NO_TRUTH}")
         return "\n".join([*lines, *(f"NOT PASSED: {objection}" for objection in self.objections())])
 
-    def _errors(self, estimated: PathError) -> list[str]:
-        share = f", {100 * estimated.rms / self.driven:.2f} % of the path" if self.driven else ""
+    def _path_errors(self) -> list[str]:
+        if self.estimated is None:
+            return []
+        what = "fixes" if isinstance(self.bag.truth[0], Fix) else "poses"
         early = f" ({self.early} more before the first estimate)" if self.early else ""
-        lines = [
-            f"path error against the truth, over {estimated.count} fixes{early}, after alignment",
-            f"  estimated:        {_error(estimated)}{share}",
-        ]
-        if self.wheels is not None:
-            lines.append(f"  dead reckoning:   {_error(self.wheels)}")
-        if self.odometry is not None:
-            lines.append(f"  the bag's own:    {_error(self.odometry)}")
+        head = f"path error against the truth, over {self.estimated.count} {what}{early}, after alignment"
+        lines = [head, *(f"  {f'{name}:':<21}{_error(error)}" for name, error in self.errors.items())]
+        if self.driven:
+            lines[1] += f", {100 * self.estimated.rms / self.driven:.2f} % of the path"
         return lines
+
+    def _relation_errors(self) -> list[str]:
+        if not self.relations:
+            return []
+        one = self.relations[ESTIMATED]
+        early = f" ({self.fixes - one.count} more are beyond the recording)" if self.fixes > one.count else ""
+        close = f"; within {seconds(CLOSE):g} s ({one.close})" if one.close else ""
+        return [
+            f"error over {one.count} relations between poses{early}{close}",
+            *(f"  {f'{name}:':<21}{_relation(error)}" for name, error in self.relations.items()),
+        ]
+
+
+def _relation(error: RelationError) -> str:
+    text = f"mean {error.mean:.3f} m and {degrees(error.mean_turn):.2f} degrees, median {error.median:.3f} m"
+    if error.close:
+        text += f"; {error.close_mean:.4f} m and {degrees(error.close_turn):.2f} degrees"
+    return text
 
 
 def _error(error: PathError) -> str:
@@ -143,44 +205,110 @@ def _use(topic: Topic) -> str:
 # -- evaluate ------------------------------------------------------------------------------------
 
 
-def evaluate_file(path: Path, robot: Robot, at_most: float | None = None) -> Evaluation:
-    """Read a bag and evaluate it. Raises BagError."""
-    return evaluate(read(path, robot.bag, _body(robot)), robot, at_most)
+def evaluate_file(
+    path: Path,
+    robot: Robot,
+    at_most: float | None = None,
+    truth: Positions | Relations | None = None,
+    watch: Callable[[int], object] = lambda _: None,
+    trace: Trace | None = None,
+) -> Evaluation:
+    """Read a recording and evaluate it. Raises BagError. `truth`: instead of the recording's own."""
+    return evaluate(read(path, robot.bag, _body(robot)), robot, at_most, truth, watch, trace)
 
 
-def evaluate(bag: Bag, robot: Robot, at_most: float | None = None) -> Evaluation:
-    """Run the robot's perception on a bag. `at_most` [m] is the error (RMS) allowed."""
-    body = _body(robot)
-    mounts = {name: sensor.mount for name, sensor in robot.sensors.items()}
+@dataclass(slots=True)
+class Trace:
+    """What is kept of a run beside its figures."""
+
+    path: list[tuple[Nanos, Pose]] = field(default_factory=list)
+    """Where the robot was believed to be, at most every `PATH_PERIOD`"""
+    map: MapView | None = None
+    """The last"""
+
+    def add(self, t: Nanos, pose: Pose) -> None:
+        """Add a pose, if the last one is old enough."""
+        if not self.path or t >= self.path[-1][0] + PATH_PERIOD:
+            self.path.append((t, pose))
+
+
+def mounts_of(bag: Bag, robot: Robot) -> dict[str, Mount]:
+    """Return where the sensors are: as the robot file says, else as the recording does."""
+    stated = {name: sensor.mount for name, sensor in robot.sensors.items()}
+    if not robot.recorded or robot.bag is None:
+        return stated
+    found = {name: one.mount for name, one in bag.placed.items()} | robot.bag.mounts
+    return {name: found.get(name, Mount()) for name in (*robot.bag.sensors, *robot.bag.cameras)}
+
+
+def evaluate(
+    bag: Bag,
+    robot: Robot,
+    at_most: float | None = None,
+    truth: Positions | Relations | None = None,
+    watch: Callable[[int], object] = lambda _: None,
+    trace: Trace | None = None,
+) -> Evaluation:
+    """Run the robot's perception on a recording. `at_most` [m] is the error allowed; `truth`: instead of the
+    recording's own; `watch` is told how many events were processed; `trace`: where the path and the map
+    are kept."""
+    body, mounts = _body(robot), mounts_of(bag, robot)
     perception = Perception(body, mounts, robot.brain.perception)
-    events = _EventFeed(bag.events, perception)
-    fixes: list[Fix] = []
-    poses: list[tuple[Pose, Pose, Pose]] = []  # at the time of each: estimated, by the wheels, the bag's own
-    for fix in bag.truth:
-        events.process_until(fix.t)
-        if perception.estimate is not None:
-            own = bag.odometry[bisect_right(bag.odometry, fix.t, key=lambda one: one.t) - 1].pose
-            fixes.append(fix)
-            poses.append((extrapolated(perception.estimate, fix.t), perception.raw, own))
+    events = _EventFeed(heapq.merge(bag.events, bag.scans(), key=lambda one: one.t), perception, watch, trace)
+    reference = truth or Positions(bag.truth)
+    paths: dict[str, list[Pose | None]] = {ESTIMATED: [], WHEELS: []}
+    if bag.own_path:
+        paths[OWN] = []
+    for t in reference.times:
+        events.process_until(t + reference.slack)
+        known = perception.estimate
+        paths[ESTIMATED].append(None if known is None else extrapolated(known, t))
+        paths[WHEELS].append(None if known is None else perception.raw)
+        if bag.own_path:
+            at = bisect_right(bag.odometry, t, key=lambda one: one.t) - 1
+            paths[OWN].append(bag.odometry[at].pose if at >= 0 else None)
     events.process_until(None)
-    truth = east_north(fixes) if fixes else np.empty((0, 2))
-    estimated, wheels, odometry = (_error_of([path[i] for path in poses], truth) for i in range(3))
+    if trace is not None:
+        trace.map = perception.map.view()
+    errors, extent, early = ({}, 0.0, 0) if isinstance(reference, Relations) else reference.errors(paths)
+    placed = bag.placed if robot.recorded else {}
     return Evaluation(
         bag=bag,
-        duration=bag.events[-1].t - bag.events[0].t if bag.events else 0,
+        duration=events.last - events.first,
         driven=events.driven,
         end=perception.estimate.pose if perception.estimate is not None else None,
-        fixes=len(bag.truth),
-        early=len(bag.truth) - len(truth),
-        extent=spread(truth) if fixes else 0.0,
-        estimated=estimated,
-        wheels=wheels,
-        odometry=odometry,
+        fixes=len(reference),
+        early=early,
+        extent=extent,
+        errors=errors,
+        relations=reference.errors(paths) if isinstance(reference, Relations) else {},
         nis=perception.nis,
         anomalies=perception.anomalies,
         at_most=at_most,
         contradictions=contradictions(bag, body, mounts, robot.brain.perception.filter.turn_slip),
+        scans=events.scans,
+        lost=events.lost,
+        mounts={name: f"{at_text(one.mount)}: {one.by}" for name, one in placed.items()},
+        notes=(*_scales(robot), *remarks(bag)),
     )
+
+
+def at_text(mount: Mount) -> str:
+    """Return a mounting in words."""
+    text = f"{mount.x:g} m, {mount.y:g} m, {mount.z:g} m, yaw {degrees(mount.yaw):.1f} degrees"
+    level = not (mount.pitch or mount.roll)
+    return text if level else f"{text}, pitch {degrees(mount.pitch):.1f}, roll {degrees(mount.roll):.1f}"
+
+
+def _scales(robot: Robot) -> tuple[str, ...]:
+    """Return on what no message says all metres hang."""
+    if robot.bag is None or robot.bag.car is None:
+        return ()
+    car = robot.bag.car
+    turns = "it drives straight on, since no topic is its steering"
+    if car.steering:
+        turns = f"wheelbase {car.wheelbase:g} m, steering {car.middle:g} {car.per_angle:+g} per rad"
+    return (f"all metres and turns hang on [bag.car]: {car.speed} is {car.per_speed:g} for 1 m/s, {turns}",)
 
 
 def extrapolated(estimate: Estimate, t: Nanos) -> Pose:
@@ -192,27 +320,39 @@ def extrapolated(estimate: Estimate, t: Nanos) -> Pose:
 class _EventFeed:
     """Feeds events to perception, up to given times."""
 
-    def __init__(self, events: Sequence[Event], perception: Perception) -> None:
-        self._events, self._perception, self._next = events, perception, 0
+    def __init__(
+        self,
+        events: Iterator[Event],
+        perception: Perception,
+        watch: Callable[[int], object],
+        trace: Trace | None,
+    ) -> None:
+        self._events, self._perception, self._watch, self._trace = events, perception, watch, trace
+        self._next = next(events, None)
+        self._count = 0
         self.driven = 0.0
         """m: the estimated speed, integrated; corrections of the pose do not count"""
+        self.scans = self.lost = 0
+        self.first: Nanos = self._next.t if self._next is not None else 0
+        self.last = self.first
 
     def process_until(self, t: Nanos | None) -> None:
         """Process all events up to and at a time; None: all that are left."""
-        while self._next < len(self._events) and (t is None or self._events[self._next].t <= t):
-            event = self._events[self._next]
-            self._next += 1
+        while (event := self._next) is not None and (t is None or event.t <= t):
+            self._next = next(self._events, None)
             before = self._perception.estimate
             self._perception.observe(event.t, [event])
             after = self._perception.estimate
             if before is not None and after is not None:
                 self.driven += abs(after.linear) * seconds(after.t - before.t)
-
-
-def _error_of(poses: Sequence[Pose], truth: Floats) -> PathError | None:
-    if len(poses) < MIN_PAIRS:
-        return None
-    return path_error(np.array([(pose.x, pose.y) for pose in poses]).reshape(-1, 2), truth)
+            if isinstance(event, LaserScan):
+                self.scans += 1
+                self.lost += self._perception.verdict.trust is Trust.LOST
+            if self._trace is not None and after is not None:
+                self._trace.add(after.t, after.pose)
+            self.last = event.t
+            self._count += 1
+            self._watch(self._count)
 
 
 def _body(robot: Robot) -> Base:

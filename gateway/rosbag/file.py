@@ -29,7 +29,7 @@ def is_bag(path: Path) -> bool:
     if path.is_dir():
         return True
     try:
-        start = _start(path)
+        start = first_bytes(path)
     except OSError:
         return False
     if start.startswith(MAGIC):
@@ -37,7 +37,8 @@ def is_bag(path: Path) -> bool:
     return start.startswith((ROS1, b"SQLite format 3"))
 
 
-def _start(path: Path) -> bytes:
+def first_bytes(path: Path) -> bytes:
+    """Return the beginning of a file, which tells its format."""
     with path.open("rb") as file:
         return file.read(16)
 
@@ -106,11 +107,11 @@ def _check_form(path: Path) -> None:
     if path.is_dir() and not (path / "metadata.yaml").is_file():
         raise BagError(f"{path}: a folder without metadata.yaml: {_inside(path) or 'no bag of ROS 2'}")
     for file in path.glob("*.mcap") if path.is_dir() else [path]:
-        if file.is_file() and _start(file).startswith(MAGIC) and not has_end(file):
+        if file.is_file() and first_bytes(file).startswith(MAGIC) and not has_end(file):
             raise BagError(
                 f"{file}: it was cut off and has no index: `gateway recover {file}` makes a new one"
             )
-    if path.suffix != ".bag" and path.is_file() and _start(path).startswith(ROS1):
+    if path.suffix != ".bag" and path.is_file() and first_bytes(path).startswith(ROS1):
         raise BagError(
             f"{path}: a bag of ROS 1 must be called .bag (a .active one is unfinished: reindex it)"
         )

@@ -1,4 +1,5 @@
-"""Images of a bag → markers, by the detectors: sensor_msgs/Image with the newest CameraInfo before it.
+"""Images of a bag → markers, by the detectors: sensor_msgs/Image or CompressedImage with the newest
+CameraInfo before it.
 
 An image is looked at when it is read, and not kept: a bag may hold more of them than fit into memory.
 """
@@ -13,11 +14,12 @@ import numpy as np
 
 from gateway.core.robot import BagCamera
 from gateway.rosbag.convert import stamp
-from gateway.vision.camera import Image, Intrinsics, events
+from gateway.vision.camera import Image, Intrinsics, decoded, events
 from protocols.messages import Measurement
 
 if TYPE_CHECKING:
     from rosbags.typesys.stores.ros2_jazzy import sensor_msgs__msg__CameraInfo as RosCameraInfo
+    from rosbags.typesys.stores.ros2_jazzy import sensor_msgs__msg__CompressedImage as RosCompressed
     from rosbags.typesys.stores.ros2_jazzy import sensor_msgs__msg__Image as RosImage
 
 ENCODINGS = {
@@ -51,8 +53,9 @@ class BagImages:
             return []
         if sensor not in self._known:
             return "before the camera's description"
-        recorded = cast("RosImage", message)
-        image, t = pixels(recorded), stamp(recorded)
+        packed = hasattr(message, "format")
+        image = unpacked(cast("RosCompressed", message)) if packed else pixels(cast("RosImage", message))
+        t = stamp(message)
         if isinstance(image, str):
             return image
         if t <= 0:
@@ -74,6 +77,12 @@ def _either(message: RosCameraInfo, name: str) -> Sequence[float]:
     """Return a field that ROS 1 writes with a capital letter."""
     found: Sequence[float] = getattr(message, name if hasattr(message, name) else name.upper())
     return found
+
+
+def unpacked(message: RosCompressed) -> Image | str:
+    """Return a packed image with red, green and blue, or why it is not used."""
+    image = decoded(np.ascontiguousarray(message.data, dtype=np.uint8))
+    return f"not an image of format {message.format!r}" if image is None else image
 
 
 def pixels(message: RosImage) -> Image | str:

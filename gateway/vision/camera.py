@@ -98,6 +98,16 @@ def _quaternion(rotation: Floats) -> tuple[float, float, float, float]:
     return x, y, z, w
 
 
+def decoded(data: npt.NDArray[np.uint8]) -> Image | None:
+    """Return a packed image (JPEG, PNG); None if it is damaged."""
+    cv2: Any = opencv()
+    try:
+        found = cv2.imdecode(data, cv2.IMREAD_COLOR)
+    except cv2.error:  # it has more pixels than OpenCV takes, or none
+        return None
+    return None if found is None else np.ascontiguousarray(found[..., ::-1], dtype=np.uint8)
+
+
 def opencv() -> ModuleType:
     """Import OpenCV, in one thread. Raises UserError with the command that installs it."""
     try:

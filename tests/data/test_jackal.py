@@ -51,10 +51,10 @@ def test_it_ends_where_another_filter_does(recording: Callable[[str], Path]) -> 
     assert math.hypot(there[0] - 1.0206, there[1] - 3.4292) > 15.0
 
 
-def test_without_a_truth_it_is_not_passed(
+def test_without_a_truth_it_is_not_judged(
     recording: Callable[[str], Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["replay", str(recording(BAG)), "--robot", "jackal"]) == 1
+    assert main(["replay", str(recording(BAG)), "--robot", "jackal"]) == 3
     message = capsys.readouterr().out
-    assert "NOT PASSED: there is no ground truth in it" in message
+    assert "NOT JUDGED: there is no ground truth" in message
     assert "used against the gate:\n  none" in message

@@ -80,7 +80,7 @@ SEEDS = ("-1", "x", str(2**63), "1.5")
         ("replay no.mcap", "no.mcap"),
         *((f"replay no.mcap --at-most={m}", f"'{m}' is not a number of metres") for m in METRES),
         ("replay pyproject.toml", "not a recording of this gateway"),
-        ("replay no.mcap --view 0 --at-most 1", "--at-most is for bags only"),
+        ("replay no.mcap --view 0 --at-most 1", "--at-most is for bags and logs only"),
         ("replay no.mcap --view 0 --report a.html", "leave --report or --view away"),
         ("demo --robot bench --out {tmp}", "has no tour"),
         ("demo --robot bench --out {tmp} --goal 1,2", "--goal: 'bench' has no base to drive"),
@@ -281,7 +281,9 @@ def test_what_needs_no_bus_runs_elsewhere_and_the_rest_is_a_sentence(tmp_path: P
     assert [line for line in done.stdout.splitlines() if " -> " in line] == [
         f"{line} -> {status}" for line, status in runs.items()
     ], done.stderr
-    assert done.stderr.count(": runs on Linux only; here do: replay, recover, watch, check,") == 5
+    assert (
+        done.stderr.count(": runs on Linux only; here do: replay, inspect, map, recover, watch, check,") == 5
+    )
     assert done.stderr.count("gateway watch: this runs on Linux only") == 1
 
 

@@ -34,7 +34,7 @@ from gateway.sim.files import SceneFile
 from gateway.sim.linked_file import LinkedFile
 from gateway.sim.plant_files import Lidar
 from protocols import plugin
-from protocols.bounds import Bounds, Duration, Invalid, check
+from protocols.bounds import Bounds, Duration, Invalid, check, keys
 from protocols.frames import EXTENDED_BIT, exact
 from protocols.messages import MILLISECOND, SECOND, Idle, Torque
 from protocols.plugin import Device, Plugin, Range, Spec
@@ -868,7 +868,9 @@ BAG_MISTAKES = [
     ("[bag]\nodometry = 3\n", ["r.toml:{1}: bag.odometry: found 3, expected a string"]),
     (
         '[bag]\nodometry = "/o"\nimu = "/i"\n',
-        ["r.toml:{2}: bag.imu: no key 'imu': there is odometry, sensors, truth, cameras"],
+        [
+            f"r.toml:{{2}}: bag.imu: no key 'imu': there is {', '.join(keys(BagTopics))}",
+        ],
     ),
     (
         '[bag]\nodometry = "odom"\ntruth = ""\n',

@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from brain.belief import Floats, Pose
-from gateway.rosbag.bag import Bag, Topic
-from gateway.rosbag.convert import OdometryReading
+from gateway.rosbag import Bag, Topic
+from gateway.rosbag.motion import OdometryReading
 from protocols.messages import SECOND, Imu, Nanos
 from tests.gateway.bag_helpers import METRES, METRES_NORTH, START, BagMessage, fix, imu, odometry
 

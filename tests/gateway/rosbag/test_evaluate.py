@@ -16,8 +16,15 @@ from gateway.core.robot import Robot
 from gateway.errors import BagError
 from gateway.recording import Recorder
 from gateway.rosbag import Bag, read
-from gateway.rosbag.evaluate import MAX_EXTRAPOLATION, Evaluation, evaluate, extrapolated
-from protocols.messages import SECOND, Feedback
+from gateway.rosbag.evaluate import (
+    MAX_EXTRAPOLATION,
+    NOT_JUDGED,
+    NOT_PASSED,
+    Evaluation,
+    evaluate,
+    extrapolated,
+)
+from protocols.messages import SECOND, Feedback, Fix
 from tests.gateway.bag_helpers import (
     ROBOT,
     START,
@@ -77,7 +84,8 @@ def test_without_the_mounting_the_path_is_lost(slalom: Bag, evaluation: Evaluati
 
 def test_no_truth_is_among_the_inputs(slalom: Bag, evaluation: Evaluation) -> None:
     """With another truth, or none, the estimate is the same to the last bit."""
-    there = tuple(replace(one, latitude=one.latitude + 1e-4 * n) for n, one in enumerate(slalom.truth))
+    fixes = [one for one in slalom.truth if isinstance(one, Fix)]
+    there = tuple(replace(one, latitude=one.latitude + 1e-4 * n) for n, one in enumerate(fixes))
     moved = evaluate(replace(slalom, truth=there), EDGE)
     without = evaluate(replace(slalom, truth=()), EDGE)
     for other in (moved, without):
@@ -123,7 +131,7 @@ TURNS = [imu(START + n * SECOND, (0.0, 0.0, 0.0)) for n in range(5)]
         ([*STILL, *TURNS, fix(START + SECOND, 0.0, 0.0)], "fewer than 3 fixes can be compared"),
         (
             [*STILL, *TURNS, *(fix(START + n * SECOND, 0.0, 0.0, status=-1) for n in range(5))],
-            "no message of /fix (truth) could be used: 5 × no fix; there is no ground truth in it",
+            "no message of /fix (truth) could be used: 5 × no fix",
         ),
         (
             [*STILL, *TURNS, *(fix(START + n * SECOND, 1e-6 * n, 0.0) for n in range(5))],
@@ -146,10 +154,13 @@ def test_what_cannot_be_evaluated_does_not_pass(
     assert "NOT PASSED" in evaluation.text()
 
 
-def test_without_a_ground_truth_the_objection_says_so(slalom: Bag) -> None:
+def test_without_a_ground_truth_nothing_is_judged(slalom: Bag) -> None:
     robot = rover(ON_EDGE.replace('truth = "/fix"\n', ""))
     evaluation = evaluate(replace(slalom, truth=()), robot)
-    assert evaluation.objections() == ["there is no ground truth in it: the path cannot be evaluated"]
+    assert (evaluation.status, evaluation.ok, evaluation.objections()) == (NOT_JUDGED, False, [])
+    assert "NOT JUDGED: there is no ground truth" in evaluation.text()
+    asked = evaluate(replace(slalom, truth=()), robot, at_most=1.0)
+    assert asked.status == NOT_PASSED
 
 
 def test_an_estimate_is_extrapolated_up_to_a_limit() -> None:
@@ -199,14 +210,16 @@ def test_an_operator_mistake_is_a_sentence(
     Recorder(own, ROBOT, {}).close()
     Path(bag).with_name("cut.bag").write_bytes(Path(bag).read_bytes()[:5000])
     for arguments, message in (
-        ((bag,), "is another program's bag: name its robot file with --robot"),
+        ((bag, "--view"), "is another program's recording: --view is for this gateway's"),
+        ((bag, "--truth", str(tmp_path / "none")), "none: cannot be read: No such file"),
+        ((str(own), "--truth", robot), "--truth is for bags and logs only"),
         ((bag, "--robot", "diffbot"), "the robot file has no table [bag]"),
         ((bag, "--robot", "bench"), "has no path to evaluate"),
         ((bag, "--robot", "husky"), "no topic '/husky_velocity_controller/odom'"),
         ((str(Path(bag).with_name("cut.bag")), "--robot", robot), "index looks damaged"),
         ((str(tmp_path), "--robot", robot), "a folder without metadata.yaml"),
         ((str(tmp_path / "none.bag"), "--robot", robot), "No such file"),
-        ((str(own), "--at-most", "1"), "--at-most is for bags only"),
+        ((str(own), "--at-most", "1"), "--at-most is for bags and logs only"),
     ):
         assert main(["replay", *arguments]) == 2, arguments
         reported = capsys.readouterr()

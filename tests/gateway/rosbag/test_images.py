@@ -10,6 +10,7 @@ import pytest
 
 from gateway.errors import BagError, ConfigError
 from gateway.rosbag import Bag, read
+from gateway.vision.camera import opencv
 from gateway.vision.tags import pattern
 from protocols.messages import SECOND, Marker, Nanos
 from tests.gateway.bag_helpers import (
@@ -88,6 +89,14 @@ def image(t: Nanos, encoding: str = "rgb8", pad: int = 0, topic: str = "/eye/ima
     return BagMessage(topic, "sensor_msgs/msg/Image", t, make)
 
 
+def packed(t: Nanos, data: bytes, form: str) -> BagMessage:
+    def make(types: Any) -> Any:
+        kind = types["sensor_msgs/msg/CompressedImage"]
+        return kind(header=header(types, t, "eye"), format=form, data=np.frombuffer(data, dtype=np.uint8))
+
+    return BagMessage("/eye/image_raw", "sensor_msgs/msg/CompressedImage", t, make)
+
+
 def info(t: Nanos, focal: float = FOCAL, model: str = "plumb_bob") -> BagMessage:
     def make(types: Any) -> Any:
         kind = types["sensor_msgs/msg/CameraInfo"]
@@ -110,6 +119,16 @@ def made(path: Path, messages: list[BagMessage], kind: Kind = "ros1") -> Bag:
 
 def markers(bag: Bag) -> list[Marker]:
     return [event for event in bag.events if isinstance(event, Marker)]
+
+
+@pytest.mark.parametrize("form", ["jpeg", "png"])
+def test_a_packed_image_is_one(tmp_path: Path, form: str) -> None:
+    data = opencv().imencode(f".{form}", picture()[..., ::-1])[1].tobytes()
+    messages = [info(START), packed(START + 1, data, form), packed(START + 2, data[:50], form)]
+    bag = made(tmp_path, [*messages, packed(START + 3, b"", form)], "mcap")
+    assert [one.marker for one in markers(bag)] == [42, 1000]
+    (topic,) = (one for one in bag.topics if one.name == "/eye/image_raw")
+    assert topic.unused == {f"not an image of format '{form}'": 2}
 
 
 @pytest.mark.parametrize("kind", KINDS)
