@@ -370,7 +370,7 @@ def _listen(path: Path) -> socket.socket:
     return listener
 
 
-def ask(path: Path, line: str, timeout: float = 2.0) -> str:
+def ask(path: Path, line: str, timeout: float = 10.0) -> str:
     """Send a line to a running robot, as `gateway ask` does.
 
     Args:

@@ -80,6 +80,10 @@ TRANSITIONS: Mapping[tuple[Phase, Trigger], Phase] = {
 del P, T
 
 
+ATTEMPTS = 20
+"""Commands that a device must have had before it counts as one that does not arm."""
+
+
 @dataclass(frozen=True, slots=True)
 class Timing:
     """Periods and timeouts of one device."""
@@ -168,6 +172,8 @@ class Host(Generic[Own]):
         """A latched fault was not cleared yet."""
         self.since: Nanos = 0
         """When the phase began."""
+        self.attempts = 0
+        """Commands since then, if it is to arm."""
         self.release_at: Nanos = 0
         self._reported: tuple[Mode, str] | None = None
         self._detail = ""
@@ -177,7 +183,7 @@ class Host(Generic[Own]):
         phase = TRANSITIONS.get((self.phase, trigger))
         if phase is None:
             return
-        self.phase, self.since = phase, t
+        self.phase, self.since, self.attempts = phase, t, 0
         if phase in (Phase.ARMING, Phase.RELEASING):
             self.held = None  # where it stops next may be elsewhere
         if phase is Phase.RELEASING:
@@ -268,6 +274,7 @@ class Host(Generic[Own]):
             self._fire(now, Trigger.COMMAND)
             if self.mode is Mode.ARMED:  # also one that ran before us
                 self._fire(now, Trigger.ARMED)
+        self.attempts += self.phase is Phase.ARMING
         if not hold:
             self.held = None
         elif self.held is None or self.phase is not Phase.ARMED:  # a load may move it until it holds
@@ -288,12 +295,13 @@ class Host(Generic[Own]):
         return True
 
     def overdue(self, now: Nanos) -> bool:
-        """True if it should have armed long ago."""
-        return self.phase is Phase.ARMING and now - self.since > self.timing.arming
+        """True if it should have armed long ago: a loop that has the processor seldom asks seldom, too."""
+        late = self.phase is Phase.ARMING and now - self.since > self.timing.arming
+        return late and self.attempts >= ATTEMPTS
 
     def wait(self, now: Nanos) -> None:
         """Begin anew the time in which it must arm: it waits for another device."""
-        self.since = now
+        self.since, self.attempts = now, 0
 
     def trip(self, t: Nanos, code: int, cause: str = "") -> list[Event]:
         """Latch a fault that the host found, until ClearFault; `cause`: if more is known than of its code."""

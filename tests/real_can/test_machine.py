@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import subprocess
+import time
 from collections.abc import Callable
 
 import pytest
 
 
 def send_and_see(sender: str, listener: str) -> str:
-    """What `candump` on one interface sees of a frame that `cansend` puts on another."""
-    with subprocess.Popen(["candump", "-n1", "-T2000", listener], stdout=subprocess.PIPE, text=True) as dump:
-        subprocess.run(["sh", "-c", f"sleep 0.5; cansend {sender} 123#0102"], check=True)
+    """What `candump` on one interface sees of a frame that `cansend` puts on another, again and again until
+    it listens: the machine's clock goes on while its disk is waited for."""
+    with subprocess.Popen(["candump", "-n1", "-T20000", listener], stdout=subprocess.PIPE, text=True) as dump:
+        while dump.poll() is None:
+            subprocess.run(["cansend", sender, "123#0102"], check=True)
+            time.sleep(0.1)
         output, _ = dump.communicate()
     return output.split(maxsplit=1)[1].strip() if output else ""
 

@@ -199,10 +199,11 @@ def test_can_fd_with_and_without_the_switched_bit_rate_beside_classic_frames(
 def test_candump_sees_the_switched_bit_rate(vcan0: str, opened: Open) -> None:
     bus = opened(fast(vcan0))
     with subprocess.Popen(
-        ["candump", "-L", "-n1", "-T2000", vcan0], stdout=subprocess.PIPE, text=True
+        ["candump", "-L", "-n1", "-T20000", vcan0], stdout=subprocess.PIPE, text=True
     ) as dump:
-        time.sleep(0.5)
-        bus.write(CLOCK.now(), [CanFrame(0x123, bytes(12), fd=True, brs=True)])
+        while dump.poll() is None:  # until it listens
+            bus.write(CLOCK.now(), [CanFrame(0x123, bytes(12), fd=True, brs=True)])
+            time.sleep(0.1)
         output, _ = dump.communicate()
     assert output.split()[-1] == f"123##5{'00' * 12}"  # the flags: 1 = switched, 4 = CAN FD
 
