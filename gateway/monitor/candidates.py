@@ -23,7 +23,7 @@ from protocols.plugin import Device, Plugin, Spec, remembered
 MAX_ADDRESSES = 256
 """Addresses of one protocol that are tried on one bus without a robot file."""
 MAX_CHOICES = 16
-SLICE = 8
+SLICE = 16
 """Addresses that are tried at once beside a loop."""
 COMPATIBLE: dict[str, tuple[str, ...]] = {
     "can": ("can",),

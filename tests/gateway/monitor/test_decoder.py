@@ -226,7 +226,7 @@ def test_frames_that_only_look_like_a_device_are_a_guess() -> None:
     assert not monitor.found
     assert all(one.guesses and not one.events and one.direction == "" for one in decoded)
     ((_, record),) = monitor.unknown(SECOND)
-    assert [name.endswith(":5") for name in record.could_be] == [True]
+    assert {*record.could_be} == {"odrive_can:5", "cia406:41"}  # or the error of an encoder
     assert "could be" in page(monitor, SECOND)
     assert "no device has been found yet" in page(monitor, SECOND)
     (packet,) = decode(monitor, (SECOND, odrive("Heartbeat", 5, 0, 1, 0, 0)))
