@@ -27,6 +27,7 @@ ONLY: dict[str, tuple[str, ...]] = {
     "queue": (),
     "random": (),
     "rosbags": RECORDINGS,
+    "scipy": ("brain.perception.keyframes",),
     "secrets": ("gateway.cli.live",),
     "serial": ("gateway.buses",),
     "signal": ("gateway.runtime.process",),
@@ -54,7 +55,7 @@ INSTALLED = "protocols.entry_points"
 OF_THE_BRAIN = ("protocols.messages", "protocols.bounds", INSTALLED)
 """What the brain may import of the protocols."""
 
-OUTSIDE = {"protocols": {"msgpack"}, "brain": {"numpy", "filterpy"}}
+OUTSIDE = {"protocols": {"msgpack"}, "brain": {"numpy", "filterpy", "scipy"}}
 """What a room may import beside the standard library and the rooms below it."""
 
 STEP, CLOCK = "gateway.core", "gateway.core.clock"

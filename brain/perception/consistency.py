@@ -1,11 +1,12 @@
 """Whether the estimate may be trusted: a verdict, with its reason, for health and planning.
 
 Rules. A scan is no witness against the believed pose because most of it is hidden: what appears before a wall
-denies free ground, but no ray passes through the wall. It disagrees if rays do, or if it fits elsewhere than
-the covariance allows. Disagreeing for `LOST_AFTER` the robot is lost: it was moved, or believes a wrong pose;
-before that comes a doubt. Being lost ends by relocalisation, or when scans in a row fit near the believed
-pose. Besides, innovations that are larger than believed, over a window, make the filter too sure (Bar-Shalom,
-Li, Kirubarajan 2001, section 5.4).
+denies free ground, but no ray passes through the wall. It disagrees if little of it lies on what the scans
+before saw, and rays pass through walls besides, or hardly any of it; or if it fits elsewhere than the
+covariance, and slipping wheels, allow. Disagreeing for `LOST_AFTER` the robot is lost: it was moved, or
+believes a wrong pose; before that comes a doubt. Being lost ends by relocalisation, or when scans in a row
+fit near the believed pose. Besides, innovations that are larger than believed, over a window, make the
+filter too sure (Bar-Shalom, Li, Kirubarajan 2001, section 5.4).
 """
 
 from __future__ import annotations
@@ -45,29 +46,43 @@ class Agreement:
     """One scan against the map."""
 
     t: Nanos
-    seen: MatchShares
-    """Compared with the map at the matched pose, else at the believed one"""
+    seen: MatchShares | None
+    """Compared with the map at the matched pose, else at the believed one; None: it did not matter"""
     matched: bool
     near: bool = True
-    """The matched pose is as near to the believed one as its covariance allows"""
+    """The matched pose is as near to the believed one as its covariance allows, and what wheels may slip"""
     offset: float = 0.0
     """m, from the believed to the matched pose"""
     turn: float = 0.0
     """rad"""
+    share: float | None = None
+    """Of its surfaces on the keyframes; None without any"""
 
     @property
     def disagrees(self) -> str:
-        """Why the believed pose is doubtful; "" if it is not."""
+        """Why the scan speaks against the believed pose; "" if it does not."""
         if self.matched and not self.near:
             return f"it fits {self.offset:.2f} m and {math.degrees(self.turn):.0f}° off the believed pose"
+        if self.share is not None and self.share < LITTLE:
+            return f"{100 * self.share:.0f} % of it lies on what the scans before saw"
         seen = self.seen
+        if seen is None or (self.share is not None and self.share > POOR):
+            return ""
         if seen.crossed > CROSSED or (seen.crossed > FEW_CROSSED and seen.fit < LITTLE_FIT):
             return f"{100 * seen.crossed:.0f} % of its rays pass through walls of the map"
         if not self.matched and seen.known > LEAST_KNOWN and seen.denied > DENIED:
             return f"{100 * seen.denied:.0f} % of it lies where the map is free"
         return ""
 
+    @property
+    def poor(self) -> bool:
+        """Whether it shows too little of what is known to be drawn."""
+        return self.share is not None and self.share < POOR
 
+
+LITTLE, POOR, CERTAIN = 0.3, 0.45, 0.7
+"""Share of a scan on the keyframes, below which it is at another place; below which it is not drawn, and
+the map may speak against it; and from which on it is at this place"""
 LEAST_KNOWN = 0.3
 """Of a scan with a smaller share of its hits on known ground nothing is concluded."""
 CROSSED, DENIED = 0.15, 0.7
@@ -79,6 +94,9 @@ MOST_FIT, RECOGNISED_SCANS = 0.85, 5
 LOST_AFTER: Nanos = 300 * MILLISECOND
 LEAST_SCANS = 3
 """Disagreeing for this time, in at least so many scans, the robot is lost."""
+UNSEEN = 0.05
+"""m: a pose that may be so far off since a scan last showed the place is doubtful: as far as a goal may be
+missed"""
 SURE = 3.0
 """NIS per degree of freedom over a window, beyond which the filter is too sure, and"""
 HONEST = 2.0
@@ -113,6 +131,12 @@ class Consistency:
         if count + 1 >= LEAST_SCANS and one.t - since >= LOST_AFTER and not self.lost:
             self.lost = f"lost: {name}: {why}"
 
+    def on_covered(self, name: str, off: float) -> None:
+        """Add a scan of this lidar that shows no place; `off`: m, standard deviation by which the base may
+        have moved otherwise than was believed since the last one that did."""
+        if off > UNSEEN:
+            self._doubt[name] = f"{name}: covered, and the pose may be {off:.2f} m off meanwhile"
+
     @property
     def doubtful(self) -> bool:
         """True while scans disagree, or the robot is lost."""
@@ -120,7 +144,10 @@ class Consistency:
 
     def recognised(self, one: Agreement) -> bool:
         """Return whether a scan, matched near the believed pose, ends being lost."""
-        fits = self.lost and one.seen.fit > MOST_FIT and one.seen.crossed < CROSSED
+        fits = one.near and one.share is not None and one.share > CERTAIN
+        if one.seen is not None:
+            fits = fits or (one.seen.fit > MOST_FIT and one.seen.crossed < CROSSED)
+        fits = fits and bool(self.lost)
         self._recognised = self._recognised + 1 if fits else 0
         return self._recognised >= RECOGNISED_SCANS
 

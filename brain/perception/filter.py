@@ -41,6 +41,7 @@ from brain.perception.filter_inputs import (
     Nis,
     PoseFix,
     Relocated,
+    ScanEnd,
     WheelAngle,
     is_valid,
 )  # fmt: skip
@@ -181,6 +182,8 @@ class Filter:
         for item in inputs:
             if not is_valid(item):
                 self._judged.append(Judged(source_of(item), item.t, GateResult.NOT_FINITE))
+            elif item.t < oldest and isinstance(item, ScanEnd):
+                continue
             elif item.t < oldest:
                 self._judged.append(Judged(source_of(item), item.t, GateResult.LATE))
             else:
@@ -258,6 +261,8 @@ def _key(item: Input) -> tuple[Any, ...]:
         return item.t, 0, item.source, item.rate, item.sigma
     if isinstance(item, WheelAngle):
         return item.t, 1, item.motor, item.angle
-    shared = item.shared if isinstance(item, PoseFix) else None
-    numbers = [array.ravel().tolist() for array in (item.value, item.noise, shared) if array is not None]
+    if isinstance(item, ScanEnd):
+        return item.t, 2, "", []
+    more = (item.shared, item.drift) if isinstance(item, PoseFix) else ()
+    numbers = [array.ravel().tolist() for array in (item.value, item.noise, *more) if array is not None]
     return item.t, 2, source_of(item), numbers

@@ -61,6 +61,10 @@ class PoseFix:
     shared: Floats | None = None
     """Covariance of the reference itself at this pose, if it was made from this filter's poses: a map's
     anchors"""
+    drift: Floats | None = None
+    """Covariance 3 × 3 by which the motion since the last such fix may be wrong beside what the filter
+    knows of. If it is given the fix is certain: one beyond the gate is no reason to refuse it, but shows
+    that the motion was wrong by as much."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +76,15 @@ class Relocated:
     noise: Floats
 
 
-Input: TypeAlias = WheelAngle | GyroRate | PoseFix | Relocated
+@dataclass(frozen=True, slots=True)
+class ScanEnd:
+    """A scan ended then: the wheels are to move the pose up to exactly this time, however short the travel
+    is."""
+
+    t: Nanos
+
+
+Input: TypeAlias = WheelAngle | GyroRate | PoseFix | Relocated | ScanEnd
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,8 +149,11 @@ def is_valid(item: Input) -> bool:
         return isfinite(item.angle)
     if isinstance(item, GyroRate):
         return isfinite(item.rate) and 0.0 < item.sigma < 1e6
+    if isinstance(item, ScanEnd):
+        return True
     size = len(item.value)
-    matrices = [item.noise, *([item.shared] if isinstance(item, PoseFix) and item.shared is not None else ())]
+    more = (item.shared, item.drift) if isinstance(item, PoseFix) else ()
+    matrices = [item.noise, *(matrix for matrix in more if matrix is not None)]
     if size not in (2, 3) or any(matrix.shape != (size, size) for matrix in matrices):
         raise ValueError(f"a pose of 2 or 3 numbers with its covariances, not {item!r}")
     if not all(np.isfinite(array).all() for array in (item.value, *matrices)):

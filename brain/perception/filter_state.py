@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from brain.belief import Floats
 from brain.bodies.body import Base
 from brain.bodies.plane import wrap
 from brain.perception.engine import (
@@ -41,6 +42,7 @@ from brain.perception.filter_inputs import (
     Judged,
     PoseFix,
     Relocated,
+    ScanEnd,
     WheelAngle,
 )  # fmt: skip
 from brain.perception.filter_settings import CHI_SQUARE, FilterSettings
@@ -130,7 +132,7 @@ class FilterState:
     """Sums since the start, without jumps: m forward and to the left in the moving frame, and rad that a slip
     of 1 of all joints would have turned the base by"""
     gyro: Gyro | None = None
-    waiting: tuple[PoseFix | Relocated, ...] = ()
+    waiting: tuple[PoseFix | Relocated | ScanEnd, ...] = ()
     """Poses newer than t, oldest first"""
     rejected: tuple[tuple[str, Nanos], ...] = ()
     """Sources that the gate rejects, and since when"""
@@ -190,9 +192,13 @@ class FilterState:
             self._on_wheel(item)
         elif self.t == item.t:
             self._on_pose(item)
+        elif self.at and self.t < item.t <= min([each[-1][0] for each in self.samples]):
+            self.travel(item.t)
+            self._on_pose(item)
         else:
             if len(self.waiting) >= MAX_WAITING:
-                self._report(source_of(self.waiting[0]), self.waiting[0].t, GateResult.LATE)
+                if not isinstance(self.waiting[0], ScanEnd):
+                    self._report(source_of(self.waiting[0]), self.waiting[0].t, GateResult.LATE)
                 self.waiting = self.waiting[1:]
             self.waiting = (*self.waiting, item)
 
@@ -398,7 +404,9 @@ class FilterState:
 
     # -- poses ---------------------------------------------------------------------------------------------
 
-    def _on_pose(self, item: PoseFix | Relocated) -> None:
+    def _on_pose(self, item: PoseFix | Relocated | ScanEnd) -> None:
+        if isinstance(item, ScanEnd):
+            return
         if isinstance(item, Relocated):
             x, y, yaw = item.value.tolist()
             P = self.P
@@ -412,11 +420,19 @@ class FilterState:
         y = [float(value) - self.x[row] for value, row in zip(item.value, rows, strict=True)]
         if len(rows) > YAW:
             y[YAW] = wrap(y[YAW])
+        if item.drift is not None:
+            self.P = _widened(self.P, item.drift)
         packed, share = self.P, None
         if item.shared is not None:
             packed, share = relative(packed, rows, item.shared)
         x_new, P_new, distance = self.model.engine.update(self.x, packed, rows, tuple(y), item.noise)
-        if distance <= CHI_SQUARE[self.model.settings.confidence][len(rows) - 1]:
+        if distance > CHI_SQUARE[self.model.settings.confidence][len(rows) - 1] and item.drift is not None:
+            off = y[X] * y[X] + y[Y] * y[Y]
+            packed = _widened(packed, np.diag([off, off, y[YAW] * y[YAW]]))
+            x_new, P_new, _ = self.model.engine.update(self.x, packed, rows, tuple(y), item.noise)
+            result = GateResult.ACCEPTED
+            self._accepted(item.source)
+        elif distance <= CHI_SQUARE[self.model.settings.confidence][len(rows) - 1]:
             result = GateResult.ACCEPTED
             self._accepted(item.source)
         else:
@@ -473,7 +489,7 @@ def source_of(item: Input) -> str:
     """Return the name of what measured an input; "" of none."""
     if isinstance(item, WheelAngle):
         return item.motor
-    return "" if isinstance(item, Relocated) else item.source
+    return "" if isinstance(item, Relocated | ScanEnd) else item.source
 
 
 def _gyro_angle(gyro: Gyro, t: Nanos) -> float | None:
@@ -492,6 +508,13 @@ def _gyro_angle(gyro: Gyro, t: Nanos) -> float | None:
             return before[2] + (before[1] + 0.5 * slope * dt) * dt
         after = before
     return None
+
+
+def _widened(packed: Packed, noise: Floats) -> Packed:
+    """Return a covariance with this added to that of x, y and yaw."""
+    (xx, _, _), (yx, yy, _), (hx, hy, hh) = noise.tolist()
+    a, b, c, d, e, f, *rest = packed
+    return (a + xx, b + yx, c + yy, d + hx, e + hy, f + hh, *rest)
 
 
 def _inflated(packed: Packed, rows: Sequence[int], y: Sequence[float]) -> Packed:

@@ -81,8 +81,6 @@ class Match:
     """3 × 3 covariance of x, y, yaw about where the map's lines place the robot"""
     shared: Floats
     """3 × 3 covariance of those lines at the robot: from the poses that drew them, and in any map"""
-    seen: MatchShares
-    """How the scan compares with the map at this pose"""
 
 
 SMALL = 0.01
@@ -147,7 +145,7 @@ def match(chart: Map, scan: BodyScan, predicted: Pose, sigma: float, settings: M
     floor = np.diag([settings.floor**2, settings.floor**2, settings.floor_yaw**2])
     # The lines' own error is new to the filter, and the same again at each scan from the same place.
     shared = _shared(chart, pairs.anchors, pose) + floor
-    return Match(pose, covariance + floor, shared, examine(chart, scan, pose))
+    return Match(pose, covariance + floor, shared)
 
 
 def examine(chart: Map, scan: BodyScan, pose: Pose) -> MatchShares:

@@ -2,10 +2,11 @@
 
 Rules. Every event is processed once; each measurement applies at its own time, whatever the order of arrival.
 Wheels, gyro and fixes go to the filter. A scan waits until the filter has reached its end; then, one part of
-the work in each step: it is freed from the motion during the sweep; matched against the map, and the match
-corrects the filter; drawn, if the map confirms the pose or has nothing there yet; and compared
-with the scans before. Where the scans show that the pose is wrong, nothing is drawn, and the map is searched
-for the place. What is not used is counted in `anomalies`, by name and reason.
+the work in each step: it is freed from the motion during the sweep; placed among the keyframes and matched
+with the map (`placing`), which corrects the filter; drawn, if nothing speaks against the pose; compared with
+the scans before; and kept, if it is the next keyframe. Where the scans show that the pose is wrong, nothing
+is drawn, and the map is searched for the place. What is not used is counted in `anomalies`, by name and
+reason.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum, auto
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -24,21 +25,23 @@ from brain.bodies.body import Base
 from brain.bodies.plane import wrap
 from brain.perception.beams import Beams
 from brain.perception.body_scan import BodyScan, Bools, to_body
-from brain.perception.consistency import OUTLIER, Agreement, Consistency, Verdict
+from brain.perception.consistency import Consistency, Verdict
 from brain.perception.engine import pose_part
 from brain.perception.filter import Filter
-from brain.perception.filter_inputs import GateResult, GyroRate, Input, Nis, PoseFix, WheelAngle
+from brain.perception.filter_inputs import GateResult, GyroRate, Input, Nis, ScanEnd, WheelAngle
 from brain.perception.filter_settings import FilterSettings
 from brain.perception.filter_state import FilterState
 from brain.perception.fixes import Fixes, FixSettings, is_possible
+from brain.perception.keyframes import KeyframeSettings
 from brain.perception.map import Map, MapSettings
 from brain.perception.markers import Markers, MarkerSettings
 from brain.perception.markers import is_possible as is_possible_marker
-from brain.perception.match import MatchSettings, examine, match
+from brain.perception.match import MatchSettings
 from brain.perception.motion_check import Contradiction, MotionCheck
 from brain.perception.mount import Mount
 from brain.perception.movers import Movers, Moving
 from brain.perception.percept import Sight, extrapolated
+from brain.perception.placing import Placing, is_covered
 from brain.perception.relocalise import PoseFound, PoseSearch, PoseSearching, RelocaliseSettings
 from protocols import messages as msg
 from protocols.bounds import Bounds, Duration, check
@@ -54,6 +57,7 @@ class PerceptionSettings:
     """rad/s: standard deviation of one reading"""
     map: MapSettings = field(default_factory=MapSettings)
     match: MatchSettings = field(default_factory=MatchSettings)
+    keyframes: KeyframeSettings = field(default_factory=KeyframeSettings)
     relocalise: RelocaliseSettings = field(default_factory=RelocaliseSettings)
     fixes: FixSettings = field(default_factory=FixSettings)
     markers: MarkerSettings = field(default_factory=MarkerSettings)
@@ -79,11 +83,11 @@ MAX_BEAMS = 10_000
 """Of a scan."""
 SCANS_WAITING = 32
 """Most scans that wait for the filter."""
-LOUDER, LOUDEST = 0.1, 25.0
-"""Share of one innovation in the factor on the noise of matches, and its bound"""
-MOVED, TURNED = 0.15, 0.09
-"""m and rad: a match this near to the believed pose may correct it; a farther one if that is as uncertain."""
 LONGEST_SWEEP: Nanos = SECOND
+ASTRAY = 0.5
+"""Of what a lost robot has driven, by which it may be off: it was not carried meanwhile"""
+FAR, FAR_YAW = 1.0, 0.6
+"""m, rad: who is found farther off was carried there; two scans must say so"""
 MOST_MOVING = 0.1
 """Share of the hits that may be of what moves; if there are more, it is the estimate that moves."""
 
@@ -94,6 +98,7 @@ class _Work(Enum):
     MATCH = auto()
     DRAW = auto()
     COMPARE = auto()
+    KEEP = auto()
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +112,20 @@ class _Part:
     static: Bools
     """Of each beam, whether it ends at what does not move: what moves leaves no trace in the map"""
     draw: bool = True
+    """It may be added to the map,"""
+    keep: bool = True
+    """and to the keyframes"""
+    share: float = 0.0
+    """Of it on those"""
+
+
+class _Search(NamedTuple):
+    """A search for the place."""
+
+    work: PoseSearch
+    scan: BodyScan
+    believed: Pose
+    """When the scan was taken"""
 
 
 class Perception:
@@ -144,8 +163,9 @@ class Perception:
         """What is left to do for the scan before those."""
         self._map_began: Pose | None = None
         self._consistency = Consistency()
-        self._loud: dict[str, float] = {}
-        """Factor on the noise of matches, by lidar."""
+        self._placing = Placing(settings.match, settings.keyframes)
+        self._sure: dict[str, float] = {}
+        """Variance of the position [m²] after the newest scan of each lidar that showed a place"""
         self._fixes = Fixes(settings.fixes)
         self.markers = Markers(settings.markers)
         self._outside: set[str] = set()
@@ -156,8 +176,9 @@ class Perception:
         self._compared: FilterState | None = None
         """Up to which the wheels' motion was compared."""
         self._notes: list[str] = []
-        self._search: tuple[PoseSearch, Pose] | None = None
-        """The search for the place, and the pose that was believed at its scan."""
+        self._search: _Search | None = None
+        self._found: tuple[Pose, Pose] | None = None
+        """Where a lost robot was found by the search before, and where it was believed to be then"""
 
     @property
     def raw(self) -> Pose:
@@ -230,7 +251,8 @@ class Perception:
             elif isinstance(event, Imu):
                 inputs += self._on_imu(event)
             elif isinstance(event, LaserScan):
-                self._on_scan(event)
+                if self._on_scan(event):
+                    inputs.append(ScanEnd(_end(event)))
             elif isinstance(event, Fix | PoseReading) and event.sensor in self.mounts:
                 inputs += self._on_fix(event)
             elif isinstance(event, msg.Marker) and event.sensor in self.mounts:
@@ -334,9 +356,10 @@ class Perception:
 
     # -- lidar ---------------------------------------------------------------------------------
 
-    def _on_scan(self, scan: LaserScan) -> None:
+    def _on_scan(self, scan: LaserScan) -> bool:
+        """Keep a scan for the work; return whether there is something to do for it."""
         if scan.sensor not in self.mounts:
-            return
+            return False
         last = self._last_scan.get(scan.sensor)
         if not _is_valid(scan):
             self._count(scan.sensor, "not a scan")
@@ -357,8 +380,10 @@ class Perception:
             self._set_absent(scan.sensor, reason, "too few returns" if few else "some beams do not measure")
             if returns and not reason:
                 self._scans.append(scan)
-            if len(self._scans) > SCANS_WAITING:
-                self._count(self._scans.popleft().sensor, "too many are waiting")
+                if len(self._scans) > SCANS_WAITING:
+                    self._count(self._scans.popleft().sensor, "too many are waiting")
+                return True
+        return False
 
     def _set_absent(self, name: str, reason: str, kind: str) -> None:
         if reason:
@@ -386,8 +411,10 @@ class Perception:
             self._match(part)
         elif work is _Work.DRAW:
             self._draw(part)
-        else:
+        elif work is _Work.COMPARE:
             self._compare(part)
+        else:
+            self._keep(part)
 
     def _is_ready(self, now: Nanos, scan: LaserScan) -> bool:
         end, t = _end(scan), self._filter.t
@@ -400,7 +427,8 @@ class Perception:
         if t is None or t < end or known is None:
             self._count(name, GateResult.LATE if known else "no estimate for its time")
             return
-        body_scan = to_body(scan, self.mounts[name], self.settings.map.farthest, self._motion(scan))
+        farthest = max(self.settings.map.farthest, self.settings.keyframes.farthest)
+        body_scan = to_body(scan, self.mounts[name], farthest, self._motion(scan))
         moves = self._movers.observe(name, end, scan.duration, known[0], body_scan)
         self._todo.append((_Work.MATCH, _Part(name, end, body_scan, ~moves)))
 
@@ -410,15 +438,44 @@ class Perception:
         if believed is None:
             self._count(part.name, "no estimate for its time")
             return
+        if is_covered(self.map, part.scan, believed[0]):
+            self._on_covered(part.name, believed[1])
+            return
         if self.settings.matching:
-            agreement, draw = self._agreement(part.name, part.t, part.scan, *believed)
-            self._consistency.on_scan(part.name, agreement)
-            draw = draw and not agreement.disagrees and not self._consistency.lost
-            if agreement.disagrees:
-                self._count(part.name, "does not fit the map")
-            part = replace(part, draw=draw)
+            part = self._placed(part, believed)
         self._todo.append((_Work.DRAW, part))
         self._judge(part, believed[0])
+
+    def _on_covered(self, name: str, covariance: Floats) -> None:
+        """Take note of a scan that shows no place: the pose is as sure as wheels and gyro are since the
+        last one."""
+        self._count(name, "covered")
+        variance = float(max(covariance[0, 0], covariance[1, 1]))
+        self._consistency.on_covered(name, math.sqrt(max(variance - self._sure.get(name, variance), 0.0)))
+        self._set_verdict()
+
+    def _placed(self, part: _Part, believed: tuple[Pose, Floats]) -> _Part:
+        """Correct the filter by what a scan tells; return the scan with whether it may be drawn."""
+        consistency, placing, nis = self._consistency, self._placing, self._filter.nis
+        name, t = part.name, part.t
+        agreement, fix, pose = placing.tell(
+            name, t, part.scan, self.map, believed, nis, doubtful=consistency.doubtful
+        )
+        if fix is not None and not consistency.lost:
+            self._apply([fix])
+            known = self._filter.at(t)
+            if known is not None:
+                placing.is_at(name, known[0])
+                self._sure[name] = float(max(known[1][0, 0], known[1][1, 1]))
+        elif pose is not None and consistency.recognised(agreement):
+            # as unsure as it was wrong: a match may leave a direction open
+            offset, turn = agreement.offset, agreement.turn
+            self._relocate(t, pose, believed[1] + np.diag([offset * offset, offset * offset, turn * turn]))
+        consistency.on_scan(name, agreement)
+        if agreement.disagrees:
+            self._count(name, "does not fit the map")
+        keep = not agreement.disagrees and not consistency.lost
+        return replace(part, keep=keep, draw=keep and not agreement.poor, share=agreement.share or 0.0)
 
     def _motion(self, scan: LaserScan) -> Floats | None:
         """Return the robot's pose at each beam's time, in its frame at the scan's end: n × 3."""
@@ -434,30 +491,6 @@ class Perception:
         c, s = math.cos(yaw), math.sin(yaw)
         dx, dy = poses[:count, 0] - x, poses[:count, 1] - y
         return np.column_stack((c * dx + s * dy, c * dy - s * dx, poses[:count, 2] - yaw))
-
-    def _agreement(
-        self, name: str, t: Nanos, scan: BodyScan, pose: Pose, covariance: Floats
-    ) -> tuple[Agreement, bool]:
-        """Match a scan, and correct the filter by it; return also whether the gate lets it be drawn."""
-        settings = self.settings.match
-        sigma = math.sqrt(max(covariance[0, 0], covariance[1, 1]))
-        search = max(sigma, settings.widest) if self._consistency.doubtful else sigma
-        found = match(self.map, scan, pose, search, settings)
-        if found is None:
-            return Agreement(t, examine(self.map, scan, pose), matched=False), True
-        offset = math.hypot(found.pose.x - pose.x, found.pose.y - pose.y)
-        turn = abs(wrap(found.pose.yaw - pose.yaw))
-        near = offset < max(3.0 * sigma, MOVED) and turn < max(3.0 * math.sqrt(covariance[2, 2]), TURNED)
-        agreement = Agreement(t, found.seen, True, near, offset, turn)
-        if not agreement.disagrees and not self._consistency.lost:
-            value = np.array([found.pose.x, found.pose.y, found.pose.yaw])
-            results = self._apply([PoseFix(name, t, value, self._louder(name) * found.noise, found.shared)])
-            return agreement, results.get(name) is not GateResult.REJECTED
-        if self._consistency.recognised(agreement):
-            # as unsure as it was wrong: a match may leave a direction open
-            wrong = np.diag([offset * offset, offset * offset, turn * turn])
-            self._relocate(t, found.pose, covariance + wrong)
-        return agreement, True
 
     def _draw(self, part: _Part) -> None:
         at = self._filter.at(part.t)
@@ -475,10 +508,17 @@ class Perception:
                 self._notes.append(f"the map is full, at {most} tiles: what is farthest is forgotten")
         self._todo.append((_Work.COMPARE, part))
 
+    def _keep(self, part: _Part) -> None:
+        at = self._filter.at(part.t)
+        if at is not None and not self._consistency.lost:
+            self._placing.keyframes.add(*at, part.scan, part.static, part.share)
+
     def _compare(self, part: _Part) -> None:
         yaw = self._check.on_scan(part.name, part.t, part.scan)
         if yaw:
             self._correct_mounting(part.name, yaw)
+        elif part.keep and self.settings.matching:
+            self._todo.append((_Work.KEEP, part))
 
     def _correct_mounting(self, name: str, yaw: float) -> None:
         """Turn a lidar's mounting, and begin the map anew. What a single lidar drew is turned about where the
@@ -497,7 +537,8 @@ class Perception:
             self._apply([])
         self.map.forget()
         self._movers = Movers()
-        self._map_began, self._search = None, None
+        self._placing.forget()
+        self._map_began = self._search = self._found = None
         self._consistency.found()
         self._count(name, "mounting corrected")
 
@@ -505,39 +546,49 @@ class Perception:
 
     def _judge(self, part: _Part, believed: Pose) -> None:
         """Update the verdict after a scan, and search for the place if it is needed."""
+        self._set_verdict()
+        if not self._consistency.lost:
+            self._search = self._found = None
+        elif self._search is None or self._search.work.result is not None:
+            work = PoseSearch(self.map, part.scan, self.settings.relocalise, self.settings.match)
+            self._search = _Search(work, part.scan, believed)
+
+    def _set_verdict(self) -> None:
         self.verdict = self._consistency.verdict(
             {name: nis for name, nis in self._filter.nis.items() if name in self._outside}
         )
-        if not self._consistency.lost:
-            self._search = None
-        elif self._search is None or self._search[0].result is not None:
-            search = PoseSearch(self.map, part.scan, self.settings.relocalise, self.settings.match)
-            self._search = search, believed
 
     def _advance_search(self) -> None:
-        if self._search is None:
+        search = self._search
+        if search is None:
             return
-        search, believed = self._search
-        result = search.advance(self.settings.relocalise.operations)
+        result = search.work.advance(self.settings.relocalise.operations)
         if isinstance(result, PoseSearching) or not isinstance(result, PoseFound):
             return
         self._search = None
+        if self._placing.stays(search.scan, search.believed):
+            self._consistency.found()
+            self._count("", "lost, and had not moved")
+            return
         t = self._filter.t
         here = None if t is None else self._filter.at(t)
-        if t is not None and here is not None:
-            self._relocate(t, _moved(result.pose, believed, here[0]), result.covariance)
-
-    def _louder(self, name: str) -> float:
-        """Return the factor on the noise of a lidar's matches: raised while innovations are larger."""
-        nis = self._filter.nis.get(name)
-        distance, freedom = nis.window[-1] if nis is not None else (0.0, 1)
-        change = LOUDER * (min(distance / freedom, OUTLIER) - 1.0)
-        self._loud[name] = min(max(self._loud.get(name, 1.0) * (1.0 + change), 1.0), LOUDEST)
-        return self._loud[name]
+        if t is None or here is None:
+            return
+        found = _moved(result.pose, search.believed, here[0])
+        driven = self._placing.driven
+        if driven > FAR and math.dist((found.x, found.y), (here[0].x, here[0].y)) > ASTRAY * driven:
+            self._count("", "found where its wheels cannot have taken it")
+            return
+        before, self._found = self._found, (found, here[0])
+        if _is_far(found, here[0]) and (before is None or _is_far(_moved(*before, here[0]), found)):
+            self._count("", "found once: one scan is no evidence of a move")
+            return
+        self._relocate(t, found, result.covariance)
 
     def _relocate(self, t: Nanos, pose: Pose, covariance: Floats) -> None:
         self._filter.reset(t, pose, covariance)
         self._movers = Movers()
+        self._placing.forget()
         self._consistency.found()
         self._count("", "relocalised")
         self._apply([])
@@ -552,6 +603,11 @@ def _moved(start: Pose, a: Pose, b: Pose) -> Pose:
     c, s = math.cos(start.yaw - a.yaw), math.sin(start.yaw - a.yaw)
     dx, dy = b.x - a.x, b.y - a.y
     return Pose(start.x + c * dx - s * dy, start.y + s * dx + c * dy, wrap(start.yaw + b.yaw - a.yaw))
+
+
+def _is_far(one: Pose, other: Pose) -> bool:
+    """Return whether two poses are of different places."""
+    return math.dist((one.x, one.y), (other.x, other.y)) > FAR or abs(wrap(one.yaw - other.yaw)) > FAR_YAW
 
 
 def _end(scan: LaserScan) -> Nanos:

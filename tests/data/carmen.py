@@ -1,22 +1,23 @@
 """Logs of the CARMEN toolkit: planar odometry and lidar, and relations between poses that people verified.
 
 Source: Freiburg SLAM evaluation, Radish. A line `ODOM x y theta …` has the odometry's pose, a line
-`FLASER n r1 … rn x y theta odom_x odom_y odom_theta stamp …` a scan of half a turn.
+`FLASER n r1 … rn x y theta odom_x odom_y odom_theta stamp …` a scan of half a turn from the right: the rays
+are whole degrees apart, so that of 180 the last one is a degree short of the left.
 """
 
 from __future__ import annotations
 
 import bz2
 import math
-from bisect import bisect_right
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator
 from pathlib import Path
 
 from brain.belief import Pose
 from brain.bodies.differential import Differential
 from brain.bodies.plane import sinc, wrap
-from protocols.messages import MILLISECOND, SECOND, Event, Feedback, LaserScan, Nanos
+from brain.perception.filter_settings import FilterSettings
+from brain.perception.perception import PerceptionSettings
+from protocols.messages import SECOND, Event, Feedback, LaserScan, Nanos
 from tests.brain.bodies.kinematics import speeds
 
 BODY = Differential(
@@ -31,6 +32,8 @@ BODY = Differential(
     max_angular_acceleration=6.0,
 )
 """Stands for both robots: only its kinematics are used, forth and back, so that its figures cancel."""
+SETTINGS = PerceptionSettings(FilterSettings(jump_margin=10.0))
+"""The defaults; what stamps in bursts, up to 0.9 s late, make of a speed is no jump of the wheels."""
 MOST_RANGE = 40.0
 """m; a longer reading is none"""
 
@@ -62,7 +65,7 @@ def events(path: Path) -> Iterator[Event]:
         if fields[0] == "FLASER":
             count = int(fields[1])
             ranges = tuple(float(r) if float(r) < MOST_RANGE else MOST_RANGE for r in fields[2 : 2 + count])
-            yield LaserScan("lidar", t, -math.pi / 2, math.pi / (count - 1), 0.05, MOST_RANGE, ranges)
+            yield LaserScan("lidar", t, -math.pi / 2, math.pi / count, 0.05, MOST_RANGE, ranges)
 
 
 def arc_between(a: Pose, b: Pose) -> tuple[float, float]:
@@ -71,30 +74,3 @@ def arc_between(a: Pose, b: Pose) -> tuple[float, float]:
     chord, heading = math.hypot(b.x - a.x, b.y - a.y), a.yaw + turn / 2.0
     ahead = math.cos(heading) * (b.x - a.x) + math.sin(heading) * (b.y - a.y)
     return math.copysign(chord, ahead) / sinc(turn / 2.0), turn
-
-
-@dataclass(frozen=True)
-class Relations:
-    """Mean and median error of a path against the verified relations."""
-
-    mean: float
-    """m"""
-    median: float
-    mean_turn: float
-    """degrees"""
-
-
-def against_relations(path: Path, times: Sequence[Nanos], poses: Sequence[Pose]) -> Relations:
-    """Compare the poses at these times with a file of relations `t1 t2 x y z roll pitch yaw`."""
-    apart, turned = [], []
-    for line in path.read_text().splitlines():
-        first, second, x, y, _, _, _, yaw = map(float, line.split())
-        a, b = (
-            poses[max(bisect_right(times, round(t * SECOND) + MILLISECOND) - 1, 0)] for t in (first, second)
-        )
-        c, s = math.cos(a.yaw), math.sin(a.yaw)
-        dx, dy = b.x - a.x, b.y - a.y
-        apart.append(math.hypot(c * dx + s * dy - x, c * dy - s * dx - y))
-        turned.append(abs(wrap(b.yaw - a.yaw - yaw)))
-    apart.sort()
-    return Relations(sum(apart) / len(apart), apart[len(apart) // 2], math.degrees(sum(turned) / len(turned)))

@@ -41,8 +41,8 @@ Expected: TypeAlias = Literal["reached", "safe", "refused", "stops", "named", "f
 
 reached: every goal is, and NEES is below 10, without the time between being moved and being found again.
 refused: no goal is reached, with a note. stops: it stands at the end, with a note. safe: reached, or stops.
-named: a note has the case's word in time, or as reached. found: lost within 1 s of being moved, the pose
-found again within 5 s."""
+named: a note has the case's word in time, or as reached. found: within 1 s of being moved the pose is
+right again, or it is lost, and found again within 5 s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -290,7 +290,7 @@ class _Trial:
             "safe": all_reached or stands,
             "stops": stands,
             "named": all_reached or row.noticed <= NOTICED,
-            "found": row.lost <= 1.0 and row.found <= 5.0,
+            "found": row.found <= 1.0 or (row.lost <= 1.0 and row.found <= 5.0),
         }
         row.good = good[case.expect] and not row.contacts and not row.false
         return row

@@ -202,4 +202,4 @@ def test_what_contradicts_the_map_is_denied() -> None:
     found = match(chart, seen(HERE, random, screen), Pose(0.02, 0.01, 0.01), 0.02, SETTINGS)
     assert np.abs(error(found, HERE)).max() < 0.01
     assert found is not None
-    assert found.seen.denied == pytest.approx(denied, abs=0.05)
+    assert examine(chart, seen(HERE, random, screen), found.pose).denied == pytest.approx(denied, abs=0.05)
