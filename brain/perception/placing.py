@@ -44,9 +44,9 @@ LIKELY = 0.5
 """or as near as real odometry is since the last match, if this share of the scan is on the keyframes."""
 BENT, BENT_YAW = 0.05, 0.01
 """m, rad: a match with the map that is farther from that with the keyframes contradicts it"""
-CLOSE, COVERED, THERE = 0.5, 0.4, 0.5
-"""m: beams that end nearer; share of them that may; and of them the share that ends at what is in the map,
-from which on the place is narrow"""
+CLOSE, COVERED, CAME = 0.5, 0.4, 0.5
+"""m: beams that end nearer; share of them that may; and of them the share that ends where the map is free,
+below which the place is narrow, or new"""
 
 
 class Told(NamedTuple):
@@ -187,4 +187,5 @@ def is_covered(chart: Map, scan: BodyScan, pose: Pose) -> bool:
     chart.recenter(*scan.place(pose))
     cells, beside = chart.cells(to_world(scan.ends[close], pose)), WINDOWS[1]
     values = chart.values(cells[:, 0, None] + beside[0], cells[:, 1, None] + beside[1])
-    return float((values > 0).any(axis=1).mean()) < THERE
+    came = (chart.values(cells[:, 0], cells[:, 1]) < 0) & ~(values > 0).any(axis=1)
+    return float(came.mean()) > CAME

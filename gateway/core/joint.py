@@ -405,7 +405,7 @@ class Joint:
         dt = max(0, min(now - self._out_at, self.settings.command_timeout)) / SECOND
         limits = self._stop_limits if stopped or self.faults else self.settings.limits
         begins = not self._arming.obeys(measured)
-        if begins or (not shown and self._profile.departs(measured.feedback, 2.0 * dt, limits)):
+        if begins or (not shown and self._profile.departs(measured.feedback, limits)):
             self._profile.forget()  # it starts with the motion that the shaft has then
         out = self._profile.limited(wanted, dt, measured.feedback, limits)
         if isinstance(out, msg.Torque):

@@ -159,12 +159,13 @@ class SetpointProfile:
         self._position = self._velocity = self._plan = self._sample = None
         self._acceleration = self._age = self._apart = self._begun = 0.0
 
-    def departs(self, measured: Feedback, seconds: float, limits: Limits) -> bool:
-        """True if the shaft's velocity is not the set-point's, by more than that may change in this time."""
+    def departs(self, measured: Feedback, limits: Limits) -> bool:
+        """True if the shaft's velocity is not the set-point's, by more than that changes while a torque
+        begins."""
         if self._velocity is None or measured.velocity is None:
             return False
         apart = abs(self._velocity - clamp(measured.velocity, limits.velocity))
-        return apart > limits.acceleration * seconds
+        return apart > limits.acceleration * 0.5 * self._beginning
 
     def limited(self, wanted: Command, dt: float, measured: Feedback, limits: Limits) -> Command:
         """Return the command that is within the limits, `dt` seconds after the previous one."""
