@@ -1,7 +1,8 @@
 """Why nothing moves: a robot's buses and devices looked at for a few seconds, each finding with what to do.
 
-Rules. Only read-only frames are sent: nothing is commanded, armed, cleared or stored. A finding says what was
-seen, why it matters, and the one thing to do next. What has one cause is told once: a bus that is dead in
+Rules. Only read-only frames are sent: nothing is commanded, armed, cleared, started or stored; of a sensor
+that reports only once it is started nothing is said. A finding says what was seen, why it matters, and the
+one thing to do next. What has one cause is told once: a bus that is dead in
 place of all of its devices.
 """
 
@@ -9,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from gateway.buses import Bus
 from gateway.core.clock import Clock
@@ -89,7 +90,6 @@ class Examination:
                 yield Finding(
                     False, name, text, "answers that are lost make feedback old", _look_at(settings)
                 )
-            refused, bad = (int(getattr(self.buses[name], key, 0)) for key in ("refused", "bad"))
             if bad and state not in FAULTY:
                 text = f"{bad} pieces that are no frames"
                 yield Finding(False, name, text, "frames are lost", WIRING)
@@ -181,7 +181,9 @@ class Examination:
 
 
 def examine(robot: Robot, buses: Mapping[str, Bus], clock: Clock, seconds: Nanos = EXAMINED) -> Examination:
-    """Look at a robot whose buses are open; command nothing."""
+    """Look at a robot whose buses are open; command nothing, and start no sensor."""
+    quiet = {name: one for name, one in robot.sensors.items() if not one.spec.set_up}
+    robot = replace(robot, sensors=quiet)
     gateway = Gateway(robot)
     silence, troubles = Silence(gateway, buses), LineTroubles(gateway, buses)
     scans = {one.bus: msg.Scan(one.bus) for one in robot.devices() if msg.Scan in one.spec.requests}

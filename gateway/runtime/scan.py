@@ -31,6 +31,7 @@ from protocols.bounds import Invalid
 from protocols.frames import BusState, CanFrame, Frame, Packet, id_number
 from protocols.messages import MILLISECOND, SECOND, Nanos
 from protocols.plugin import CommandDecoder, Device, Plugin, Spec
+from protocols.suggest import did_you_mean
 
 PLACE = "probe"
 """What the placeholders are called, with their number."""
@@ -334,5 +335,6 @@ def chosen(installed: Sequence[Plugin], names: Sequence[str]) -> list[Plugin]:
     """Return the protocols of these names; all without any. Raises UserError."""
     known = {one.name: one for one in installed}
     if missing := [name for name in names if name not in known]:
-        raise UserError(f"no protocol {missing[0]!r}; installed: {', '.join(known)}")
+        hint = did_you_mean(missing[0], list(known))
+        raise UserError(f"no protocol {missing[0]!r}; installed: {', '.join(known)}{hint}")
     return [known[name] for name in names] if names else list(installed)

@@ -2,21 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import pytest
 
 from gateway import config
+from gateway.buses import Bus
 from gateway.buses.virtual.bus import TwinWorld, open_world
 from gateway.core.clock import SimulatedClock
 from gateway.core.robot import Robot
 from gateway.runtime.doctor import Finding, examine
 from protocols import messages as msg
-from protocols.frames import BusState
-from protocols.messages import SECOND
+from protocols.frames import BusState, Frame
+from protocols.messages import SECOND, Nanos
 from tests.gateway.rig import BENCH
 
 Cause = Callable[[TwinWorld], None]
+
+
+class Overheard:
+    """A bus that keeps what is sent."""
+
+    def __init__(self, bus: Bus) -> None:
+        self.name, self.sent = bus.name, list[Frame]()
+        self.read, self.close = bus.read, bus.close
+        self._bus = bus
+
+    def write(self, now: Nanos, frames: Sequence[Frame]) -> None:
+        self.sent += frames
+        self._bus.write(now, frames)
 
 
 def examined(truth: Robot, *causes: Cause, believed: Robot | None = None) -> list[Finding]:
@@ -79,6 +93,18 @@ def test_a_wrong_address_and_what_is_not_in_the_file_are_named() -> None:
     findings = {one.about: one for one in examined(truth, believed=wrong)}
     assert "at address 2" in findings["right"].seen  # that looks like
     assert findings["odrive_can"].seen == "a device at address 2 is not in the robot file"
+
+
+def test_nothing_is_sent_but_what_only_reads_and_no_sensor_is_started() -> None:
+    """Defect: a lidar that its robot file has started began to turn while the doctor looked."""
+    robot = config.load_robot("diffbot_rplidar")
+    world, clock = open_world(robot, 1), SimulatedClock()
+    buses = {name: Overheard(bus) for name, bus in world.buses.items()}
+    assert examine(robot, buses, clock).findings() == []
+    sent = [(name, frame) for name, bus in buses.items() for frame in bus.sent]
+    assert sent
+    for name, frame in sent:
+        assert all(one.spec.read_only(frame) for one in robot.devices_on(name)), (name, frame)
 
 
 def test_two_devices_of_one_address_are_one_finding() -> None:
