@@ -33,6 +33,8 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(options: Namespace) -> int:
     """Return as `gateway replay` does; the files are written in any case."""
+    if not options.file.exists():
+        raise UserError(f"{options.file}: there is no such file or folder")
     if not is_bag(options.file):
         raise UserError(f"{options.file}: no recording of another program; {EXPECTED}")
     if there := next((one for one in map(options.out.joinpath, FILES) if one.exists()), None):

@@ -78,6 +78,7 @@ SEEDS = ("-1", "x", str(2**63), "1.5")
         ("twin bench --ports 17", "'17' is not a number from 1 to 16"),
         ("twin bench --ports 1.5", "'1.5' is not a number from 1 to 16"),
         ("replay no.mcap", "no.mcap"),
+        ("map no.bag", "no.bag: there is no such file or folder"),
         *((f"replay no.mcap --at-most={m}", f"'{m}' is not a number of metres") for m in METRES),
         ("replay pyproject.toml", "not a recording of this gateway"),
         ("replay no.mcap --view 0 --at-most 1", "--at-most is for bags and logs only"),
