@@ -83,6 +83,24 @@ def poll(look: Callable[[], T]) -> T:
     pytest.fail("nothing came")
 
 
+def gather(look: Callable[[], bytes], count: int) -> bytes:
+    """Look until there are `count` bytes: a kernel may hand over a write, or two, in any pieces."""
+    got = b""
+    while len(got) < count:
+        got += poll(look)
+    return got
+
+
+def taken(fd: int, count: int) -> bytes:
+    """At least `count` bytes from a file, which may block."""
+
+    def look() -> bytes:
+        wait_for_input(fd)
+        return os.read(fd, 65536)
+
+    return gather(look, count)
+
+
 def raw_pty() -> tuple[int, int]:
     """The device's end of a terminal line, and the host's."""
     ends = os.openpty()

@@ -24,7 +24,7 @@ from gateway.core.robot import BusSettings
 from gateway.errors import BusError
 from protocols.frames import BusState, CanFrame, Packet
 from protocols.messages import MILLISECOND, SECOND
-from tests.gateway.buses.adapter_helpers import poll, raw_pty, wait_for_input
+from tests.gateway.buses.adapter_helpers import gather, poll, raw_pty, taken, wait_for_input
 
 CAN = BusSettings("can0", "can", "virtual:test_buses", bitrate=500_000)
 
@@ -324,12 +324,9 @@ def test_bytes_go_both_ways_unchanged(line: tuple[int, SerialBus, BusSettings]) 
     device, bus, _ = line
     everything = bytes(range(256))
     os.write(device, everything)
-    got = b""
-    while len(got) < len(everything):
-        got += poll(lambda: received(bus, 3))
-    assert got == everything
+    assert gather(lambda: received(bus, 3), len(everything)) == everything
     bus.write(4, [everything, b"tail"])
-    assert poll(lambda: os.read(device, 1000)) == everything + b"tail"
+    assert taken(device, 260) == everything + b"tail"
 
 
 def test_what_is_there_is_one_packet_stamped_now(line: tuple[int, SerialBus, BusSettings]) -> None:
@@ -409,7 +406,7 @@ def test_a_port_that_comes_back_is_reported(tmp_path: Path) -> None:
         assert bus.read(SECOND // 2) == ([], [])
         assert bus.read(SECOND) == ([BusState.BACK], [])
         os.write(second[0], b"hello again")
-        assert poll(lambda: received(bus, SECOND)) == b"hello again"
+        assert gather(lambda: received(bus, SECOND), 11) == b"hello again"
     finally:
         bus.close()
         os.close(second[0])

@@ -11,7 +11,7 @@ import pytest
 from gateway.buses.adapters.pty import Pty, SerialPty
 from gateway.core.robot import BusSettings
 from protocols.frames import BusState, Packet
-from tests.gateway.buses.adapter_helpers import is_connected, open_path, wait_for_input
+from tests.gateway.buses.adapter_helpers import gather, is_connected, open_path, taken, wait_for_input
 
 
 @pytest.fixture
@@ -27,9 +27,8 @@ def test_bytes_pass_a_pty_unchanged_in_both_directions(pty: Pty) -> None:
     assert pty.connected
     os.write(other, every)
     pty.write(every)
-    wait_for_input(other)
-    assert os.read(other, 1000) == every
-    assert pty.read() == every
+    assert taken(other, len(every)) == every
+    assert gather(pty.read, len(every)) == every
     os.close(other)
 
 

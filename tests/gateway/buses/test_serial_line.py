@@ -26,7 +26,7 @@ from gateway.core.robot import BusSettings
 from gateway.errors import BusError
 from protocols.frames import BusState
 from protocols.messages import MILLISECOND, SECOND
-from tests.gateway.buses.adapter_helpers import poll, raw_pty, wait_for_input
+from tests.gateway.buses.adapter_helpers import gather, poll, raw_pty, taken, wait_for_input
 
 RATE = 1_000_000
 MS = MILLISECOND
@@ -237,11 +237,12 @@ def bytes_of(bus: SerialBus, now: int) -> bytes:
 def test_an_echo_on_a_real_port_is_left_out(line: tuple[int, SerialBus, BusSettings]) -> None:
     device, bus, _ = line
     for number in range(5):
-        bus.write(number * MS, [b"set-point", b"question %d" % number])
-        wait_for_input(device)
-        came = os.read(device, 100)
-        os.write(device, came + b"answer %d" % number)
-        assert poll(lambda: bytes_of(bus, number * MS + 1)) == b"answer %d" % number  # noqa: B023 -- at once
+        sent, answer = b"set-pointquestion %d" % number, b"answer %d" % number
+        bus.write(number * MS, [sent[:9], sent[9:]])
+        came = taken(device, len(sent))
+        assert came == sent
+        os.write(device, came + answer)
+        assert gather(lambda: bytes_of(bus, number * MS + 1), len(answer)) == answer  # noqa: B023 -- at once
     assert bus.echo.collisions == 0
 
 
@@ -251,10 +252,9 @@ def test_a_collision_on_a_real_port_is_told_once(
     device, bus, _ = line
     for number in range(5):
         bus.write(number * MS, [b"question"])
-        wait_for_input(device)
-        os.read(device, 100)
+        taken(device, len(b"question"))
         os.write(device, b"qEEstionanswer")
-        assert poll(lambda: bytes_of(bus, number * MS + 1)) == b"answer"  # noqa: B023 -- at once
+        assert gather(lambda: bytes_of(bus, number * MS + 1), 6) == b"answer"  # noqa: B023 -- at once
     assert bus.echo.collisions == 5
     assert [message for message in caplog.messages if "two send at the same time" in message] == [
         f"line: {COLLIDED}"
@@ -310,7 +310,7 @@ def test_any_baud_rate_can_be_had(rate: int) -> None:
     settings = BusSettings("line", "serial", f"serial:{os.ttyname(host)}", baudrate=rate)
     with closing(open_serial(settings)) as bus:
         os.write(device, b"abc")
-        assert poll(lambda: bytes_of(bus, 1)) == b"abc"
+        assert gather(lambda: bytes_of(bus, 1), 3) == b"abc"
     os.close(device)
     os.close(host)
 
@@ -442,9 +442,9 @@ def test_a_port_that_comes_back_under_another_name_is_found(monkeypatch: pytest.
         now_there[0] = os.ttyname(second[1])
         assert bus.read(SECOND)[0] == [BusState.BACK]
         os.write(second[0], b"here")
-        assert poll(lambda: bytes_of(bus, SECOND)) == b"here"
+        assert gather(lambda: bytes_of(bus, SECOND), 4) == b"here"
         bus.write(SECOND, [b"there"])
-        assert poll(lambda: os.read(second[0], 100)) == b"there"
+        assert taken(second[0], 5) == b"there"
     os.close(second[0])
     os.close(second[1])
 
