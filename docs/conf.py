@@ -2,13 +2,19 @@
 
 from importlib.metadata import version as installed_version
 
+from docutils.nodes import Element
+from docutils.parsers.rst import Directive
+from docutils.statemachine import StringList
+from sphinx.application import Sphinx
+
+from gateway.cli.schema import FILES, markdown
+
 project = "Motor Gateway"
 version = release = installed_version("motor-gateway")
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 exclude_patterns = ["conf.py"]
-html_theme = "alabaster"
-html_theme_options = {"description": "One brain, any body, over real wires.", "page_width": "70em"}
-html_sidebars = {"**": ["about.html", "navigation.html", "searchbox.html"]}
+html_theme = "furo"
+html_title = f"Motor Gateway {version}"
 myst_heading_anchors = 3
 suppress_warnings = ["myst.xref_missing"]  # links out of docs/, to files of the repository
 autodoc_default_options = {"members": True, "undoc-members": False, "show-inheritance": True}
@@ -17,3 +23,21 @@ autodoc_class_signature = "mixed"
 autodoc_member_order = "bysource"
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
+
+
+class KeysOf(Directive):
+    """`{keys-of} robot`: every key of a kind of file, as `gateway schema robot --keys` prints it."""
+
+    required_arguments = 1
+
+    def run(self) -> list[Element]:
+        """Return the tables."""
+        made = Element()
+        lines = StringList(markdown(FILES[self.arguments[0]](), level=1).splitlines(), "gateway schema")
+        self.state.nested_parse(lines, self.content_offset, made, match_titles=True)
+        return list(made.children)
+
+
+def setup(app: Sphinx) -> None:
+    """Add the directive."""
+    app.add_directive("keys-of", KeysOf)

@@ -15,6 +15,7 @@ class Joints(Body):
     kind: ClassVar[str] = "joints"
     bare: ClassVar[bool] = True
     motors: tuple[str, ...]
+    """The names of [motors.NAME] that it commands"""
 
     def __post_init__(self) -> None:
         self.check_motors()

@@ -20,8 +20,11 @@ class Mecanum(FixedWheels):
     front_left: str
     """Motor"""
     front_right: str
+    """Motor"""
     rear_left: str
+    """Motor"""
     rear_right: str
+    """Motor"""
     wheelbase: Annotated[float, Bounds(0.01, 10.0, "m")]
     """m, between the front and the rear points of contact"""
     wheel_separation: Annotated[float, Bounds(0.01, 10.0, "m")]

@@ -65,10 +65,13 @@ class Quadruped(Base):
 
     kind: ClassVar[str] = "quadruped"
     front_left: tuple[str, str, str]
-    """Motors of hip, thigh and knee; so are the others."""
+    """Motors of hip, thigh and knee"""
     front_right: tuple[str, str, str]
+    """Motors of hip, thigh and knee"""
     rear_left: tuple[str, str, str]
+    """Motors of hip, thigh and knee"""
     rear_right: tuple[str, str, str]
+    """Motors of hip, thigh and knee"""
     hip_x: Annotated[float, Bounds(0.01, 2.0, "m")]
     """m, of the hips before and behind the origin"""
     hip_y: Annotated[float, Bounds(0.0, 2.0, "m")]

@@ -23,10 +23,13 @@ class FilterSettings:
     """Initial state, error model and gates."""
 
     engine: Literal["structured", "filterpy"] = "structured"
+    """What computes the filter: ours, or filterpy, as a check"""
     start_x: Annotated[float, Bounds(-1e4, 1e4, "m")] = 0.0
     """m, in the frames "map" and "odom" """
     start_y: Annotated[float, Bounds(-1e4, 1e4, "m")] = 0.0
+    """m"""
     start_yaw: Annotated[float, Bounds(-10.0, 10.0, "rad")] = 0.0
+    """rad"""
     start_sigma: Annotated[float, Bounds(1e-6, 100.0, "m")] = 1e-3
     """m: near 0, since the start defines the frame"""
     start_yaw_sigma: Annotated[float, Bounds(1e-6, 4.0, "rad")] = 1e-3

@@ -45,8 +45,11 @@ class MapSettings:
     hit: Annotated[float, Bounds(0.05, 3.9)] = 0.84
     """Log-odds, as all of these rounded to steps of `UNIT`"""
     miss: Annotated[float, Bounds(0.05, 3.9)] = 0.41
+    """Log-odds by which a cell that a beam passed through is lowered"""
     low: Annotated[float, Bounds(-3.9, -0.05)] = -2.0
+    """Log-odds, the least of a cell"""
     high: Annotated[float, Bounds(0.05, 3.9)] = 3.5
+    """Log-odds, the most of a cell"""
     farthest: Annotated[float, Bounds(0.5, 100.0, "m")] = 12.0
     """m: largest range of beams that is used"""
     gap: Annotated[float, Bounds(0.0, 1.0, "m")] = 0.2

@@ -57,6 +57,7 @@ class MarkerSettings:
     """Known markers, and the errors of cameras that do not report any."""
 
     known: tuple[KnownMarker, ...] = ()
+    """Markers whose place on the map is given: number, x, y [m], yaw [rad]"""
     sigma: Annotated[float, Bounds(1e-4, 10.0, "m")] = 0.03
     """m, of a marker's centre in each direction"""
     turn_sigma: Annotated[float, Bounds(1e-4, 4.0, "rad")] = 0.05

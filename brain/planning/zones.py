@@ -34,6 +34,7 @@ class Zone:
     corners: tuple[tuple[float, float], ...]
     """m, in order, either way round"""
     kind: Literal["keep_out", "slow"]
+    """Whether it is not entered, or driven through slowly"""
     speed: Annotated[float, Bounds(0.01, 20.0, "m/s")] | None = None
     """m/s at most, of a slow zone"""
 

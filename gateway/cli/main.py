@@ -48,6 +48,7 @@ COMMANDS = {
     "jog": "turn one motor slowly, as long as a key is held",
     "motor": "read, compare and restore what is configured on the motors",
     "check": "read a robot file and print its meaning, or every mistake in it",
+    "schema": "print every key of a robot, world, plant or mission file, for an editor or to read",
     "schedule": "count how much of its buses a robot takes, and the highest rate that fits",
     "protocols": "list the installed protocols, check one, or start a new one",
     "ask": "send a line to a running robot, as on its terminal",

@@ -66,13 +66,21 @@ RESERVED = ("all", "brain", "operator", "scan")
 
 
 @dataclass(frozen=True, slots=True)
-class _Top:
+class TopKeys:
+    """The keys before all tables."""
+
     name: str
+    """Letters, digits, _ and -; recordings and sockets are called by it"""
     rate_hz: Annotated[float, Bounds(LOWEST_RATE, HIGHEST_RATE, "steps per second")] = 200.0
+    """Steps per second"""
     world: str | None = None
+    """The simulated world behind the twins: a name that ships, or a path from this file"""
     plant: str | None = None
+    """What the robot truly is in its world: a name that ships, or a path from this file"""
     urdf: str | None = None
+    """Links and joints: a path from this file. Limits, mounts and geometry are taken from it"""
     seed: Annotated[int, Bounds(0, 2**32 - 1)] = 0
+    """Of all noise of twins and world"""
     stall_timeout: Annotated[Duration, Bounds(100, 2000)] = STALL_TIMEOUT
     """How long the loop may stand before the watchdog process sends the stop action."""
 
@@ -144,7 +152,7 @@ def parse_robot(
                 resources.find(kind, table[key])
         except UserError as error:
             mistakes.add((key,), str(error))
-    top = build(_Top, table, (), mistakes, also=SECTIONS)
+    top = build(TopKeys, table, (), mistakes, also=SECTIONS)
     robot_name = table.get("name")
     if isinstance(robot_name, str) and not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", robot_name):
         mistakes.add(("name",), f"found {shown(robot_name)}, expected letters, digits, _ and -")
@@ -183,7 +191,7 @@ def parse_robot(
 def _recorded(table: Table, text: str, mistakes: Mistakes) -> Robot:
     """Make a robot from the file of a recording."""
     table, joints = completed(table, mistakes)
-    top = build(_Top, table, (), mistakes, also=SECTIONS)
+    top = build(TopKeys, table, (), mistakes, also=SECTIONS)
     if "brain" not in table:
         mistakes.add(
             ("brain",), f'missing; expected body = "NAME" before all tables: {", ".join(bodies.names())}'
@@ -316,12 +324,15 @@ def _kind(table: Table, key: str, at: Key, mistakes: Mistakes) -> type[Body] | N
 
 
 @dataclass(frozen=True, slots=True)
-class _Mounting:
+class LimbKeys:
     """The keys of a limb beside those of its body."""
 
     body: str
+    """Its own keys stand beside this one"""
     mounted_on: str = ""
+    """The limb that carries this one; "": the ground"""
     at: LimbPlace = field(default_factory=LimbPlace)
+    """Where it is on that"""
 
 
 def _limbs(
@@ -340,9 +351,9 @@ def _limbs(
             text = f"a setting of the brain is called {name!r}; expected another name"
             mistakes.add(at, text if name in settings else EXPECTED_NAME)
         kind = _kind(table, "body", (*at, "body"), mistakes)
-        mounting = {key: value for key, value in table.items() if key in keys(_Mounting)}
+        mounting = {key: value for key, value in table.items() if key in keys(LimbKeys)}
         own = {key: value for key, value in table.items() if key not in mounting}
-        mounted = build(_Mounting, mounting, at, mistakes)
+        mounted = build(LimbKeys, mounting, at, mistakes)
         if kind is None:
             continue
         body = build(kind, complete(kind, own, at), at, mistakes)

@@ -37,40 +37,61 @@ Table: TypeAlias = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
-class _Bus:
+class BusKeys:
+    """The keys of a bus."""
+
     kind: Literal["can", "canfd", "serial"]
+    """What kind of wire"""
     interface: str
+    """INTERFACE:CHANNEL, such as "socketcan:can0" or "serial:/dev/ttyUSB0"; "twin": the world as a bus"""
     bitrate: Annotated[int, Bounds(5_000, 1_000_000)] = 0
+    """bit/s of a CAN bus; of CAN FD, of its arbitration"""
     data_bitrate: Annotated[int, Bounds(5_000, 20_000_000)] = 0
+    """bit/s of the data of CAN FD"""
     baudrate: Annotated[int, Bounds(300, 50_000_000)] = 0
+    """bit/s of a serial line"""
     receive_filter: Literal["all", "own"] = "all"
+    """"own": only what our devices send or are sent, and what their drivers decode of others"""
     transmit_queue: Annotated[int, Bounds(1, 10_000)] = TRANSMIT_QUEUE
+    """CAN frames that may wait, here and in the kernel"""
     shared_bus: Literal["unknown", "acknowledged"] = "unknown"
     """Whether the consequences of several protocols on one bus are known (gateway.config.validate)."""
     echo: Literal["auto", "yes", "no"] = "auto"
+    """Whether what is sent on a serial line comes back"""
     rs485: Literal["off", "rts_high", "rts_low"] = "off"
+    """The kernel switches the direction by RTS: its level while sending"""
     dtr: Literal["on", "off"] = "on"
+    """Its level while the port is open"""
     latency: Annotated[Duration, Bounds(0, 100)] = LATENCY
+    """What port and machine take both ways: an answer is waited for so much longer"""
     turnaround: Annotated[Duration, Bounds(0, 20)] = 0
+    """From the end of an answer to the next frame: a device must have let go of the wire"""
 
 
 @dataclass(frozen=True, slots=True)
-class _Connection:
+class ConnectionKeys:
     """The keys that a motor and a sensor share."""
 
     protocol: str
+    """A name of `gateway protocols`"""
     bus: str
+    """The NAME of a table [buses.NAME]"""
     address: Annotated[int, Bounds(0, 2**32 - 1)]
+    """The device's id on its bus, as its protocol numbers them"""
     options: dict[str, Any] = field(default_factory=dict)
+    """What the driver should do: the protocol's own"""
     settings: dict[str, Any] = field(default_factory=dict)
+    """What is configured on the device: the protocol's own, for its twin and `gateway motor diff`"""
 
 
 @dataclass(frozen=True, slots=True)
-class _Mounting:
+class SensorKeys:
     """The further keys of a sensor."""
 
     mount: Mount = field(default_factory=Mount)
+    """Where it is on the robot"""
     timeout: Annotated[Duration, Bounds(1, 5000)] = 500 * MILLISECOND
+    """Age at which its readings count as lost"""
 
 
 _STAND_IN = JointSettings(
@@ -83,7 +104,7 @@ _RATES = {"can": ("bitrate",), "canfd": ("bitrate", "data_bitrate"), "serial": (
 def read_bus(name: str, table: Table, mistakes: Mistakes) -> BusSettings | None:
     """Read one bus; its devices, and its receive filter (`own_ids`), are added later."""
     at = ("buses", name)
-    made = build(_Bus, table, at, mistakes)
+    made = build(BusKeys, table, at, mistakes)
     kind, interface = table.get("kind"), table.get("interface")
     if not isinstance(kind, str) or kind not in _RATES:
         return None
@@ -163,7 +184,7 @@ def read_motor(
     at = ("motors", name)
     gear = () if "gear" in table else (f"gear = {_STAND_IN.gear:g}",)
     connected = _connected(at, table, buses, find, "motor", mistakes, gear)
-    joint = build(JointSettings, table, at, mistakes, also=tuple(keys(_Connection)))
+    joint = build(JointSettings, table, at, mistakes, also=tuple(keys(ConnectionKeys)))
     return Motor(name, *connected, joint or _STAND_IN) if connected else None
 
 
@@ -173,7 +194,7 @@ def read_sensor(
     """Read one sensor; `buses` are those of the file."""
     at = ("sensors", name)
     connected = _connected(at, table, buses, find, "sensor", mistakes)
-    mounting = build(_Mounting, table, at, mistakes, also=tuple(keys(_Connection))) or _Mounting()
+    mounting = build(SensorKeys, table, at, mistakes, also=tuple(keys(ConnectionKeys))) or SensorKeys()
     return Sensor(name, *connected, mounting.mount, mounting.timeout) if connected else None
 
 
@@ -188,8 +209,8 @@ def _connected(
 ) -> tuple[str, Plugin, Device, Spec, tuple[str, ...]] | None:
     """Read what a motor and a sensor share: bus, protocol, device with options and settings, spec, and the
     scales that are assumed, beside those given."""
-    own = {key: value for key, value in table.items() if key in keys(_Connection)}
-    connection = build(_Connection, own, at, mistakes)
+    own = {key: value for key, value in table.items() if key in keys(ConnectionKeys)}
+    connection = build(ConnectionKeys, own, at, mistakes)
     name, bus = table.get("protocol"), table.get("bus")
     if isinstance(bus, str) and bus not in buses:
         mistakes.add((*at, "bus"), unknown("bus", bus, buses))

@@ -13,6 +13,7 @@ appended to it when it is loaded (table [files]), and read from there and from n
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -51,6 +52,16 @@ def with_files(text: str, path: Path, mistakes: Mistakes) -> str:
         mistakes.add(("urdf",), f"{name!r} has {QUOTES} in it, or a quote in its name: expected none")
         return text
     return f'{text.rstrip()}\n\n[files]\n"{name}" = {QUOTES}\n{content}{QUOTES}\n'
+
+
+@dataclass(frozen=True, slots=True)
+class UrdfKeys:
+    """The keys of a motor (joint) and of a sensor's mount (link) that name a part of the URDF."""
+
+    urdf_joint: str = ""
+    """The joint of the URDF that this motor moves; by default that of the motor's name"""
+    link: str = ""
+    """The link of the URDF where this sensor is, at rest; keys beside it count instead of its own"""
 
 
 class Description:

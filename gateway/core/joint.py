@@ -55,9 +55,11 @@ class JointSettings:
     """A motor's settings in the robot file that are the same for every protocol."""
 
     limits: Limits
+    """At the joint's output shaft"""
     gear: Annotated[float, Bounds(1e-3, 1e4)] = 1.0
     """Turns of the device's shaft per turn of the joint."""
     sign: Literal[1, -1] = 1
+    """-1: the motor is mounted the other way round"""
     on_command_timeout: Literal["idle", "hold"] = "idle"
     """What the joint does when the brain's command is older than `command_timeout`. "hold": with the torque
     of the last command, if that was to a position, so that the load stays where it is."""
@@ -72,6 +74,7 @@ class JointSettings:
     on_fault: Literal["stop", "continue"] = "stop"
     """Whether a fault or lost feedback of this joint stops the whole robot, or only this joint."""
     command_timeout: Timeout = 100 * MILLISECOND
+    """Age at which the brain's command counts for nothing: then `on_command_timeout`"""
     feedback_timeout: Timeout = 100 * MILLISECOND
     """Age at which feedback counts as lost; the brain slows down and stands at fractions of it."""
     following_time: Annotated[Duration, Bounds(100, 1000)] = 300 * MILLISECOND

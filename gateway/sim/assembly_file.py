@@ -23,9 +23,13 @@ class At:
     """Where a part stands, upright: m, rad."""
 
     x: Near = 0.0
+    """m"""
     y: Near = 0.0
+    """m"""
     z: Near = 0.0
+    """m"""
     yaw: Angle = 0.0
+    """rad"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +48,7 @@ class AssemblyFile(PlantFile):
     """A robot as its file has it: its parts are named."""
 
     kind: Literal["assembly"]
+    """Several plants that are one robot"""
     parts: dict[str, PartFile]
 
     def __post_init__(self) -> None:

@@ -41,6 +41,7 @@ class Encoder:
     """The encoder on the device's own shaft, before the gear."""
 
     counts_per_turn: Annotated[int, Bounds(1, 2**31)] = 16384
+    """Of the motor's shaft"""
 
 
 # -- bench: bare shafts --------------------------------------------------------------------------------
@@ -71,7 +72,9 @@ class BenchFile:
     """Motors clamped to a bench: every motor of the robot file has a shaft. Needs no MuJoCo."""
 
     kind: Literal["bench"] = "bench"
+    """Bare shafts, no place"""
     name: str = "bench"
+    """For reports"""
     encoder: Encoder = field(default_factory=Encoder)
     shaft: ShaftFile = field(default_factory=ShaftFile)
     """For every motor not in `shafts`."""
@@ -86,8 +89,11 @@ class Start:
     """Pose of the body at time 0: m, m, rad."""
 
     x: Place = 0.0
+    """m, in the world"""
     y: Place = 0.0
+    """m, in the world"""
     yaw: Angle = 0.0
+    """rad"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,9 +101,13 @@ class Wall:
     """A straight wall between two points of its centre line."""
 
     start: Point
+    """m, the middle of one end"""
     end: Point
+    """m, the middle of the other"""
     thickness: Length = 0.1
+    """m"""
     height: Length = 0.5
+    """m"""
 
     def __post_init__(self) -> None:
         if math.dist(self.start, self.end) < self.thickness:
@@ -109,9 +119,13 @@ class Box:
     """A box; size is its length along x, y and z before it is turned by yaw."""
 
     x: Place
+    """m, its middle"""
     y: Place
+    """m, its middle"""
     size: tuple[Length, Length, Length]
+    """m: length, width, height"""
     yaw: Angle = 0.0
+    """rad"""
     z: Annotated[float, Bounds(0.0, 100.0)] = 0.0
     """m, of its lower side above the floor"""
     mass: Mass | None = None
@@ -133,7 +147,9 @@ class Person:
     pause: Seconds = 0.0
     """s, standing at each end of the path"""
     radius: Annotated[float, Bounds(0.05, 1.0)] = 0.2
+    """m"""
     height: Length = 1.7
+    """m"""
 
     def __post_init__(self) -> None:
         if not self.path or any(a == b for a, b in pairwise(self.path)):
@@ -166,7 +182,9 @@ class Tag:
     x: Place
     """m, of its centre"""
     y: Place
+    """m, its middle"""
     z: Place
+    """m above the floor"""
     yaw: Angle
     """rad: where its face looks to"""
     size: Annotated[float, Bounds(0.01, 5.0, "m")] = 0.16
@@ -180,7 +198,9 @@ class Ball:
     x: Place
     """m, of its centre"""
     y: Place
+    """m, its middle"""
     z: Place
+    """m above the floor"""
     diameter: Annotated[float, Bounds(0.01, 5.0, "m")] = 0.1
     colour: tuple[Share, Share, Share] = (0.9, 0.1, 0.1)
     """Red, green, blue"""
@@ -191,7 +211,9 @@ class SceneFile:
     """A floor with walls, boxes and people. Needs MuJoCo (the extra `sim`)."""
 
     kind: Literal["scene"]
+    """A place with a floor"""
     name: str
+    """For reports"""
     start: Start = field(default_factory=Start)
     friction: Annotated[float, Bounds(0.01, 10.0)] = 1.0
     """Coefficient, of all that touches"""

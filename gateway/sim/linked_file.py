@@ -31,7 +31,9 @@ class LinkedJoint:
     start: Angle = 0.0
     """rad (m, of a prismatic joint), where it is at time 0"""
     damping: Resistance | None = None
+    """N·m·s/rad"""
     friction: Resistance | None = None
+    """N·m"""
     armature: Inertia | None = None
     """Of this one, in place of `joint`'s; kg and N·s/m of a prismatic joint."""
 
@@ -43,6 +45,7 @@ class LinkedFile(PlantFile):
     The body's frame is that of the root link."""
 
     kind: Literal["linked"]
+    """Links and joints of a URDF"""
     urdf: str
     """A file's path, or the name of one that ships with the robots."""
     base: Literal["fixed", "free"]

@@ -43,9 +43,13 @@ class Lidar:
     """A planar lidar: beams evenly over a full turn, the first at -180 degrees."""
 
     beams: Annotated[int, Bounds(2, 10_000)] = 360
+    """Of a scan"""
     rate_hz: Rate = 10.0
+    """Scans per second"""
     range_min: Annotated[float, Bounds(0.0, 1e3)] = 0.1
+    """m: nearer, a beam has no reading"""
     range_max: Length = 10.0
+    """m: farther, a beam has no reading"""
     noise: Noise = 0.0
     """m, standard deviation of one range"""
     resolution: Noise = 0.0
@@ -72,6 +76,7 @@ class InertialUnit:
     """An IMU: noise per sample, constant bias, random walk of the gyro bias."""
 
     rate_hz: Rate = 200.0
+    """Samples per second"""
     gyro_noise: Noise = 0.0
     """rad/s, standard deviation of one sample"""
     gyro_bias: Vector = (0.0, 0.0, 0.0)
@@ -92,6 +97,7 @@ class Receiver:
     """A satellite receiver: where its antenna is, with an error of each fix."""
 
     rate_hz: Rate = 5.0
+    """Fixes per second"""
     latitude: Annotated[float, Bounds(-89.0, 89.0, "degrees")] = 48.0
     longitude: Annotated[float, Bounds(-180.0, 180.0, "degrees")] = 11.0
     altitude: Place = 500.0
@@ -108,7 +114,9 @@ class ShaftEncoder:
     """An encoder on the output shaft of a motor's joint, of which the motor knows nothing."""
 
     motor: str
+    """The NAME of a table [motors.NAME] of the robot file"""
     rate_hz: Rate = 1000.0
+    """Readings per second"""
 
     def __post_init__(self) -> None:
         _whole_steps(self.rate_hz)
@@ -122,9 +130,11 @@ class Camera:
     width: Annotated[int, Bounds(16, 4096)] = 640
     """Pixels"""
     height: Annotated[int, Bounds(16, 4096)] = 480
+    """Pixels"""
     view: Annotated[float, Bounds(10.0, 150.0, "degrees")] = 70.0
     """From its left edge to its right one"""
     rate_hz: Rate = 5.0
+    """Pictures per second"""
     noise: Noise = 0.0
     """Grey levels of 255: standard deviation of each pixel's colours"""
 
@@ -149,6 +159,7 @@ class PlantFile:
     """What every robot has."""
 
     name: str
+    """For reports"""
     encoder: Encoder = field(default_factory=Encoder)
     lidars: dict[str, Lidar] = field(default_factory=dict)
     """By the sensor's name in the robot file, which has its mount; so are the others."""
@@ -175,6 +186,7 @@ class Steer:
     """What turns a wheel about the vertical through its centre; angle 0 is the wheel's `yaw`."""
 
     motor: str
+    """The NAME of a table [motors.NAME] of the robot file"""
     range: tuple[Angle, Angle] | None = None
     """rad, stops to the right and to the left; None: it turns freely"""
     damping: Resistance = 0.05
@@ -195,6 +207,7 @@ class Wheel:
     """Name of the motor in the robot file whose joint turns this wheel; forward is positive. Wheels of one
     motor turn together, as those of a track. None: it rolls freely."""
     x: Place = 0.0
+    """m, its centre in the robot's frame"""
     y: Place = 0.0
     """m, its centre"""
     yaw: Angle = 0.0
@@ -212,8 +225,11 @@ class WheelFigures:
     """What all wheels of a body have in common."""
 
     radius: Length = 0.05
+    """m"""
     width: Length = 0.02
+    """m"""
     mass: Mass = 0.2
+    """kg"""
     damping: Resistance = 0.002
     """N·m·s/rad, at the output shaft"""
     armature: Inertia = 0.002
@@ -227,8 +243,11 @@ class Caster:
     """A ball that slides on the floor almost without friction."""
 
     x: Place
+    """m, in the robot's frame"""
     y: Place = 0.0
+    """m, in the robot's frame"""
     radius: Length = 0.02
+    """m"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,6 +301,7 @@ class WheeledFile(PlantFile):
     """A base on wheels."""
 
     kind: Literal["wheels"]
+    """A base on wheels"""
     body: WheeledBody
 
     @property

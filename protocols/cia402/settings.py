@@ -47,22 +47,27 @@ def stored(key: Key, low: int | None = None, only: Sequence[int] = ()) -> Stored
 class Settings:
     """What is configured on the drive. Velocities are in units of 60A9, accelerations in those of 60AA."""
 
-    device_name: str = "twin402"  # 1008
-    vendor_id: Annotated[int, stored(co.VENDOR_ID)] = 0  # 0 is assigned to no vendor
+    device_name: str = "twin402"
+    """1008"""
+    vendor_id: Annotated[int, stored(co.VENDOR_ID)] = 0
+    """0 is assigned to no vendor"""
     product_code: Annotated[int, stored(co.PRODUCT_CODE)] = 402
     revision: Annotated[int, stored(co.REVISION)] = 0x0001_0000
-    serial_number: Annotated[int, stored(co.SERIAL_NUMBER)] = 0  # 0: derived from the address
+    serial_number: Annotated[int, stored(co.SERIAL_NUMBER)] = 0
+    """0: derived from the address"""
     supported_modes: Annotated[int, stored(o.SUPPORTED_MODES)] = ALL_MODES
     lacks: str = ""
     """Objects that it does not have, as indices: "60A9 60B1"."""
 
-    encoder_increments: Annotated[int, stored(o.ENCODER_INCREMENTS, 1)] = 16_384  # per turn of the motor
+    encoder_increments: Annotated[int, stored(o.ENCODER_INCREMENTS, 1)] = 16_384
+    """Per turn of the motor"""
     gear_motor: Annotated[int, stored(o.GEAR_MOTOR, 1)] = 1
     gear_shaft: Annotated[int, stored(o.GEAR_SHAFT, 1)] = 1
     feed: Annotated[int, stored(o.FEED)] = 0
     """position units per `feed_shaft` turns of the shaft; 0: positions are encoder increments"""
     feed_shaft: Annotated[int, stored(o.FEED_SHAFT, 1)] = 1
-    position_unit: Annotated[int, stored(o.POSITION_UNIT)] = 0  # 0: as `feed` has it
+    position_unit: Annotated[int, stored(o.POSITION_UNIT)] = 0
+    """0: as `feed` has it"""
     velocity_unit: Annotated[int, stored(o.VELOCITY_UNIT)] = MILLI_RPM
     """0: position units per second times the factor"""
     velocity_numerator: Annotated[int, stored(o.VELOCITY_NUMERATOR)] = 1
@@ -71,25 +76,34 @@ class Settings:
     """0: velocity units per second times the factor"""
     acceleration_numerator: Annotated[int, stored(o.ACCELERATION_NUMERATOR, 1)] = 1
     acceleration_divisor: Annotated[int, stored(o.ACCELERATION_DIVISOR, 1)] = 1
-    rated_torque: Annotated[int, stored(o.RATED_TORQUE, 1)] = 1000  # mN·m of the motor
-    rated_current: Annotated[int, stored(o.RATED_CURRENT, 1)] = 5000  # mA
-    max_torque: Annotated[int, stored(o.MAX_TORQUE)] = 3000  # ‰
-    max_motor_speed: Annotated[int, stored(o.MAX_MOTOR_SPEED, 1)] = 6000  # rpm of the motor
+    rated_torque: Annotated[int, stored(o.RATED_TORQUE, 1)] = 1000
+    """mN·m of the motor"""
+    rated_current: Annotated[int, stored(o.RATED_CURRENT, 1)] = 5000
+    """mA"""
+    max_torque: Annotated[int, stored(o.MAX_TORQUE)] = 3000
+    """‰"""
+    max_motor_speed: Annotated[int, stored(o.MAX_MOTOR_SPEED, 1)] = 6000
+    """rpm of the motor"""
     max_profile_velocity: Annotated[int, stored(o.MAX_PROFILE_VELOCITY, 1)] = 0xFFFFFFFF
     profile_velocity: Annotated[int, stored(o.PROFILE_VELOCITY, 1)] = 400_000
     profile_acceleration: Annotated[int, stored(o.PROFILE_ACCELERATION, 1)] = 4_000_000
     profile_deceleration: Annotated[int, stored(o.PROFILE_DECELERATION, 1)] = 4_000_000
     quick_stop_deceleration: Annotated[int, stored(o.QUICK_STOP_DECELERATION, 1)] = 8_000_000
-    torque_slope: Annotated[int, stored(o.TORQUE_SLOPE, 1)] = 10_000  # ‰ per second
+    torque_slope: Annotated[int, stored(o.TORQUE_SLOPE, 1)] = 10_000
+    """‰ per second"""
     following_window: Annotated[int, stored(o.FOLLOWING_WINDOW)] = NEVER_FOLLOWING
-    following_time: Annotated[int, stored(o.FOLLOWING_TIME)] = 10  # ms
+    following_time: Annotated[int, stored(o.FOLLOWING_TIME)] = 10
+    """ms"""
     position_window: Annotated[int, stored(o.POSITION_WINDOW)] = 50
-    position_window_time: Annotated[int, stored(o.POSITION_WINDOW_TIME)] = 5  # ms
+    position_window_time: Annotated[int, stored(o.POSITION_WINDOW_TIME)] = 5
+    """ms"""
     velocity_window: Annotated[int, stored(o.VELOCITY_WINDOW)] = 2000
-    velocity_window_time: Annotated[int, stored(o.VELOCITY_WINDOW_TIME)] = 5  # ms
+    velocity_window_time: Annotated[int, stored(o.VELOCITY_WINDOW_TIME)] = 5
+    """ms"""
     velocity_threshold: Annotated[int, stored(o.VELOCITY_THRESHOLD)] = 800
     """below it the shaft is at standstill"""
-    soft_limit_low: Annotated[int, stored(o.SOFT_LIMIT_LOW)] = 0  # both 0: no limits
+    soft_limit_low: Annotated[int, stored(o.SOFT_LIMIT_LOW)] = 0
+    """Both 0: no limits"""
     soft_limit_high: Annotated[int, stored(o.SOFT_LIMIT_HIGH)] = 0
     home_offset: Annotated[int, stored(o.HOME_OFFSET)] = 0
     homing_method: Annotated[int, stored(o.HOMING_METHOD, only=(33, 34, 35, 37))] = 35
@@ -107,13 +121,16 @@ class Settings:
     """0 no torque, 1 slow down first"""
     disable_option: Annotated[int, stored(o.DISABLE_OPTION, only=(0, 1))] = 0
     """0 no torque, 1 slow down first"""
-    halt_option: Annotated[int, stored(o.HALT_OPTION, only=(1, 2, 3))] = 1  # slow down, as for a quick stop
-    fault_option: Annotated[int, stored(o.FAULT_OPTION, only=(0, 1, 2, 3))] = 0  # the same; 0 no torque
+    halt_option: Annotated[int, stored(o.HALT_OPTION, only=(1, 2, 3))] = 1
+    """Slow down, as for a quick stop"""
+    fault_option: Annotated[int, stored(o.FAULT_OPTION, only=(0, 1, 2, 3))] = 0
+    """The same; 0 no torque"""
     abort_connection: Annotated[int, stored(o.ABORT_CONNECTION, only=(0, 1, 2, 3))] = 1
     """when the host's heartbeat is lost: 0 nothing, 1 fault, 2 disable voltage, 3 quick stop"""
     error_behaviour: Annotated[int, stored(co.ERROR_BEHAVIOUR, only=(0, 1, 2))] = 0
     """when the host's heartbeat is lost: 0 NMT pre-operational, 1 no change, 2 NMT stopped"""
-    heartbeat_producer: Annotated[int, stored(co.PRODUCER_HEARTBEAT)] = 100  # ms; 0: none
+    heartbeat_producer: Annotated[int, stored(co.PRODUCER_HEARTBEAT)] = 100
+    """ms; 0: none"""
     heartbeat_consumer: Annotated[int, stored(co.CONSUMER_HEARTBEAT)] = 0
     """node << 16 | ms; 0: a lost host is not noticed"""
     pdos: Literal["none", "usual"] = "none"
@@ -121,16 +138,22 @@ class Settings:
 
     position_gain: Annotated[float, Bounds(0.0, 1e6)] = 15.0
     """1/s; like all that follows not in the dictionary"""
-    velocity_gain: Annotated[float, Bounds(0.0, 1e6)] = 0.1  # N·m·s/rad at the device's shaft
-    velocity_integral: Annotated[float, Bounds(0.0, 1e6)] = 0.2  # N·m/rad
-    torque_bandwidth: Annotated[float, Bounds(1e-3, 1e6)] = 1000.0  # rad/s of the current loop
-    velocity_bandwidth: Annotated[float, Bounds(1e-3, 1e6)] = 1000.0  # rad/s of the velocity filter
-    dc_voltage: Annotated[float, Bounds(1e-3, 1e6)] = 48.0  # V
+    velocity_gain: Annotated[float, Bounds(0.0, 1e6)] = 0.1
+    """N·m·s/rad at the device's shaft"""
+    velocity_integral: Annotated[float, Bounds(0.0, 1e6)] = 0.2
+    """N·m/rad"""
+    torque_bandwidth: Annotated[float, Bounds(1e-3, 1e6)] = 1000.0
+    """rad/s of the current loop"""
+    velocity_bandwidth: Annotated[float, Bounds(1e-3, 1e6)] = 1000.0
+    """rad/s of the velocity filter"""
+    dc_voltage: Annotated[float, Bounds(1e-3, 1e6)] = 48.0
+    """V"""
     sdo_delay_ms: Annotated[int, Bounds(0, 60_000)] = 0
     """Time in which it serves an SDO request, one after the other; 0: at its next cycle."""
     sdo_waiting: Annotated[int, Bounds(0, 1000)] = 100
     """requests that wait while it serves one; others are lost"""
-    boot_ms: Annotated[int, Bounds(0, 60_000)] = 300  # without communication after a reset
+    boot_ms: Annotated[int, Bounds(0, 60_000)] = 300
+    """Without communication after a reset"""
 
     def __deepcopy__(self, _: dict[int, object]) -> Settings:
         return self

@@ -45,6 +45,7 @@ class Options:
     feedback_ms: Annotated[float, Bounds(1.0, 10_000.0)] = 10.0
     """Period of the position"""
     sdo_timeout_ms: Annotated[float, Bounds(1.0, 5000.0)] = 50.0
+    """Time after which a request without an answer is repeated"""
     offline_ms: Annotated[float, Bounds(20.0, 60_000.0)] = 500.0
     """Time without an answer after which it is offline"""
 

@@ -39,6 +39,7 @@ class Options:
     beams: Annotated[int, Bounds(0, 5000)] = 0
     """Of a scan, evenly spaced; 0: as many as it measures in a turn of 10 Hz"""
     slowest_hz: Annotated[float, Bounds(0.1, 20.0)] = 5.0
+    """Turns per second below which its speed is a fault"""
     fastest_hz: Annotated[float, Bounds(0.1, 20.0)] = 13.0
     """Turns per second beyond which its speed is a fault"""
     unsteady_ms: Annotated[float, Bounds(1.0, 60_000.0)] = 500.0

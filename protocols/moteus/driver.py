@@ -69,24 +69,32 @@ class Options:
 
     host_id: Annotated[int, Bounds(0, 126)] = 0
     """our own id, to which devices reply: another one for each host"""
-    can_prefix: Annotated[int, Bounds(0, 0x1FFF)] = 0  # the upper 13 bits of the device's identifiers
-    timeout_ms: Annotated[int, Bounds(10, 10_000)] = 100  # of the watchdog, written with every command
+    can_prefix: Annotated[int, Bounds(0, 0x1FFF)] = 0
+    """The upper 13 bits of the device's identifiers"""
+    timeout_ms: Annotated[int, Bounds(10, 10_000)] = 100
+    """Of the watchdog, written with every command"""
     max_torque: Annotated[float, Bounds(0.0, 1e6)] = 0.0
     """N·m, in every command; 0: as configured on the device"""
     velocity_limit: Annotated[float, Bounds(0.0, 1e6)] = 0.0
     """rad/s of the device's own trajectories, likewise"""
-    acceleration_limit: Annotated[float, Bounds(0.0, 1e9)] = 0.0  # rad/s², likewise
+    acceleration_limit: Annotated[float, Bounds(0.0, 1e9)] = 0.0
+    """rad/s², likewise"""
     kp: Annotated[float, Bounds(0.0, 1e6)] = 0.0
     """N·m/rev, servo.pid_position.kp of the device, for Impedance"""
     kd: Annotated[float, Bounds(0.0, 1e6)] = 0.0
     """N·m/(rev/s), likewise; 0: not known, and Impedance is refused"""
-    within_min: Annotated[float, Bounds(-1e5, 1e5, nan="none")] = nan  # rad: a Torque does not push further
+    within_min: Annotated[float, Bounds(-1e5, 1e5, nan="none")] = nan
+    """rad: a Torque does not push further"""
     within_max: Annotated[float, Bounds(-1e5, 1e5, nan="none")] = nan
+    """rad, likewise"""
     at_rest: Literal["hold", "damp", "brake"] = "hold"
     """What Velocity 0 is: position control, damping by kd (mode 12), or shorted phases (mode 15)."""
-    feedback_ms: Annotated[int, Bounds(1, 1000)] = 10  # period of queries to a device that is not commanded
-    details_ms: Annotated[int, Bounds(1, 60_000)] = 200  # … for current, voltage and temperatures as well
-    offline_ms: Annotated[int, Bounds(20, 10_000)] = 200  # time without a reply after which it is offline
+    feedback_ms: Annotated[int, Bounds(1, 1000)] = 10
+    """Period of queries to a device that is not commanded"""
+    details_ms: Annotated[int, Bounds(1, 60_000)] = 200
+    """Period of queries for current, voltage and temperatures as well"""
+    offline_ms: Annotated[int, Bounds(20, 10_000)] = 200
+    """Time without a reply after which it is offline"""
 
     def __post_init__(self) -> None:
         late = f"offline_ms ({self.offline_ms}) must be at least twice feedback_ms ({self.feedback_ms})"

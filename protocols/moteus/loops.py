@@ -32,16 +32,22 @@ COUNTED = 32768.0  # rev: the firmware counts no further
 class Settings:
     """Configuration of the device: by default a commissioned servo."""
 
-    uuid: str = ""  # 32 hexadecimal digits, as on the packaging; "": from the address and the twin's seed
+    uuid: str = ""
+    """32 hexadecimal digits, as on the packaging; "": from the address and the twin's seed"""
     firmware: str = "1.3.4"
     model: Annotated[int, Bounds(0, 0x7FFFFFFF)] = 0x030404
     register_map: Annotated[int, Bounds(0, 0x7FFFFFFF)] = 5
 
-    kp: Annotated[float, Bounds(0.0, 1e6)] = 10.0  # servo.pid_position.kp, N·m/rev
-    ki: Annotated[float, Bounds(0.0, 1e6)] = 10.0  # N·m/(rev·s)
-    kd: Annotated[float, Bounds(0.0, 1e6)] = 0.4  # N·m/(rev/s)
-    ilimit: Annotated[float, Bounds(0.0, 1e6)] = 0.3  # N·m
-    position_min: Annotated[float, Bounds(-1e6, 1e6, nan="none")] = nan  # servopos.position_min
+    kp: Annotated[float, Bounds(0.0, 1e6)] = 10.0
+    """servo.pid_position.kp, N·m/rev"""
+    ki: Annotated[float, Bounds(0.0, 1e6)] = 10.0
+    """N·m/(rev·s)"""
+    kd: Annotated[float, Bounds(0.0, 1e6)] = 0.4
+    """N·m/(rev/s)"""
+    ilimit: Annotated[float, Bounds(0.0, 1e6)] = 0.3
+    """N·m"""
+    position_min: Annotated[float, Bounds(-1e6, 1e6, nan="none")] = nan
+    """servopos.position_min"""
     position_max: Annotated[float, Bounds(-1e6, 1e6, nan="none")] = nan
     position_derate: Annotated[float, Bounds(1e-6, 1e6)] = 0.02
     """beyond a limit, until the torque outwards is zero"""
@@ -51,22 +57,33 @@ class Settings:
     timeout_mode: Annotated[int, Bounds(0, 15)] = int(Mode.ZERO_VELOCITY)
     timeout_max_torque: Annotated[float, Bounds(0.0, 1e6)] = 5.0
     fault_position_error: Annotated[float, Bounds(0.0, 1e6, nan="not watched")] = nan
-    velocity_threshold: Annotated[float, Bounds(0.0, 1e6)] = 0.0005  # rev/s: an error of less is none
+    velocity_threshold: Annotated[float, Bounds(0.0, 1e6)] = 0.0005
+    """rev/s: an error of less is none"""
     fault_velocity_error: Annotated[float, Bounds(0.0, 1e6, nan="not watched")] = nan
 
-    motor_kv: Annotated[float, Bounds(1e-3, 1e6)] = 304.0  # rpm/V
+    motor_kv: Annotated[float, Bounds(1e-3, 1e6)] = 304.0
+    """rpm/V"""
     max_current: Annotated[float, Bounds(1e-3, 1e6)] = 40.0
-    max_velocity: Annotated[float, Bounds(1e-3, 1e6)] = 500.0  # above it the torque falls
+    max_velocity: Annotated[float, Bounds(1e-3, 1e6)] = 500.0
+    """Above it the torque falls"""
     max_velocity_derate: Annotated[float, Bounds(1e-3, 1e6)] = 2.0
-    current_bandwidth: Annotated[float, Bounds(1e-3, 1e6)] = 2000.0  # rad/s of the current loop
-    phase_resistance: Annotated[float, Bounds(1e-6, 1e6)] = 0.05  # Ω
-    encoder_cpr: Annotated[int, Bounds(1, 1 << 31)] = 16384  # counts per revolution of the output
-    encoder_bandwidth: Annotated[float, Bounds(1e-3, 1e6)] = 1500.0  # rad/s of the velocity's filter
-    enable_ms: Annotated[int, Bounds(0, 1_000_000)] = 5  # from stopped to a mode with torque
-    reply_delay_us: Annotated[int, Bounds(0, 1_000_000_000)] = 0  # from the end of a frame to its reply
+    current_bandwidth: Annotated[float, Bounds(1e-3, 1e6)] = 2000.0
+    """rad/s of the current loop"""
+    phase_resistance: Annotated[float, Bounds(1e-6, 1e6)] = 0.05
+    """Ω"""
+    encoder_cpr: Annotated[int, Bounds(1, 1 << 31)] = 16384
+    """Counts per revolution of the output"""
+    encoder_bandwidth: Annotated[float, Bounds(1e-3, 1e6)] = 1500.0
+    """rad/s of the velocity's filter"""
+    enable_ms: Annotated[int, Bounds(0, 1_000_000)] = 5
+    """From stopped to a mode with torque"""
+    reply_delay_us: Annotated[int, Bounds(0, 1_000_000_000)] = 0
+    """From the end of a frame to its reply"""
 
-    bus_voltage: Annotated[float, Bounds(1e-3, 1e6)] = 24.0  # without load
-    bus_resistance: Annotated[float, Bounds(0.0, 1e6)] = 0.05  # Ω of battery and cables
+    bus_voltage: Annotated[float, Bounds(1e-3, 1e6)] = 24.0
+    """Without load"""
+    bus_resistance: Annotated[float, Bounds(0.0, 1e6)] = 0.05
+    """Ω of battery and cables"""
     max_voltage: Annotated[float, Bounds(1e-3, 1e6)] = 46.0
     min_voltage: Annotated[float, Bounds(0.0, 1e6)] = 4.0
     ambient: Annotated[float, Bounds(-273.0, 1e6)] = 25.0

@@ -69,7 +69,8 @@ class AxisOptions:
 class Options(AxisOptions):
     """How the driver behaves, over CAN."""
 
-    is_extended: bool = False  # The axis has 29-bit identifiers (`axis.config.can.is_extended`; 0.5.x only).
+    is_extended: bool = False
+    """The axis has 29-bit identifiers (`axis.config.can.is_extended`; 0.5.x only)."""
     position_input: Literal["passthrough", "pos_filter", "trap_traj"] = "passthrough"
     """How the device follows positions: at once, by its filter (`input_filter_bandwidth`), or by trapezoidal
     trajectories (`Traj_Vel_Limit` …). A filter takes no torque with them, a trajectory no velocity either."""
@@ -107,50 +108,73 @@ class AxisSettings:
     """The configuration of the device, over any transport: by default a commissioned axis, not the vendor's
     factory defaults."""
 
-    serial_number: Annotated[int, Bounds(0, (1 << 48) - 1)] = 0  # 48 bits; 0: derived from the address.
-    firmware: str = ""  # Firmware, e.g. "0.5.6" or "0.6.10"; "": the newest known of the line under options.
-    calibrated: bool = True  # Motor and encoder are calibrated; without it the axis refuses to arm.
+    serial_number: Annotated[int, Bounds(0, (1 << 48) - 1)] = 0
+    """48 bits; 0: derived from the address."""
+    firmware: str = ""
+    """Firmware, e.g. "0.5.6" or "0.6.10"; "": the newest known of the line under options."""
+    calibrated: bool = True
+    """Motor and encoder are calibrated; without it the axis refuses to arm."""
 
     procedure_ms: Annotated[int, Bounds(0, 600_000)] = 2000
     """Duration of a calibration, which then has succeeded."""
 
     control_mode: Annotated[int, Bounds(0, 3)] = int(ControlMode.VELOCITY)
     input_mode: Annotated[int, Bounds(0, 8)] = int(InputMode.PASSTHROUGH)
-    pos_gain: Annotated[float, Bounds(0.0, 1e4)] = 20.0  # (turn/s)/turn
-    vel_gain: Annotated[float, Bounds(0.0, 1e3)] = 0.16  # N·m/(turn/s)
-    vel_integrator_gain: Annotated[float, Bounds(0.0, 1e4)] = 0.32  # N·m/turn
-    vel_limit: Annotated[float, Bounds(1e-3, 1e4)] = 40.0  # turn/s
+    pos_gain: Annotated[float, Bounds(0.0, 1e4)] = 20.0
+    """(turn/s)/turn"""
+    vel_gain: Annotated[float, Bounds(0.0, 1e3)] = 0.16
+    """N·m/(turn/s)"""
+    vel_integrator_gain: Annotated[float, Bounds(0.0, 1e4)] = 0.32
+    """N·m/turn"""
+    vel_limit: Annotated[float, Bounds(1e-3, 1e4)] = 40.0
+    """turn/s"""
     vel_limit_tolerance: Annotated[float, Bounds(0.0, 100.0)] = 1.2
     """Factor on vel_limit above which the axis disarms; 0: never."""
     enable_torque_mode_vel_limit: bool = True
-    vel_ramp_rate: Annotated[float, Bounds(0.0, 1e5)] = 10.0  # turn/s², input mode VEL_RAMP
-    torque_ramp_rate: Annotated[float, Bounds(0.0, 1e4)] = 1.0  # N·m/s, input mode TORQUE_RAMP
-    input_filter_bandwidth: Annotated[float, Bounds(1e-3, 1e4)] = 20.0  # rad/s, input mode POS_FILTER
-    inertia: Annotated[float, Bounds(-1e3, 1e3)] = 0.0  # N·m/(turn/s²): feed-forward of acceleration
-    trap_vel_limit: Annotated[float, Bounds(1e-3, 1e4)] = 10.0  # turn/s, input mode TRAP_TRAJ
+    vel_ramp_rate: Annotated[float, Bounds(0.0, 1e5)] = 10.0
+    """turn/s², input mode VEL_RAMP"""
+    torque_ramp_rate: Annotated[float, Bounds(0.0, 1e4)] = 1.0
+    """N·m/s, input mode TORQUE_RAMP"""
+    input_filter_bandwidth: Annotated[float, Bounds(1e-3, 1e4)] = 20.0
+    """rad/s, input mode POS_FILTER"""
+    inertia: Annotated[float, Bounds(-1e3, 1e3)] = 0.0
+    """N·m/(turn/s²): feed-forward of acceleration"""
+    trap_vel_limit: Annotated[float, Bounds(1e-3, 1e4)] = 10.0
+    """turn/s, input mode TRAP_TRAJ"""
     trap_accel_limit: Annotated[float, Bounds(1e-3, 1e5)] = 20.0
     trap_decel_limit: Annotated[float, Bounds(1e-3, 1e5)] = 20.0
 
-    torque_constant: Annotated[float, Bounds(1e-5, 100.0)] = 8.27 / 270.0  # N·m/A: a motor of 270 rpm/V
+    torque_constant: Annotated[float, Bounds(1e-5, 100.0)] = 8.27 / 270.0
+    """N·m/A: a motor of 270 rpm/V"""
     current_soft_max: Annotated[float, Bounds(1e-3, 1e3)] = 30.0
     """A: limit of the controller's current command"""
-    current_hard_max: Annotated[float, Bounds(1e-3, 1e3)] = 50.0  # A: above it the axis disarms
-    current_bandwidth: Annotated[float, Bounds(1.0, 1e5)] = 1000.0  # rad/s of the current loop
-    phase_resistance: Annotated[float, Bounds(1e-4, 100.0)] = 0.05  # Ω
+    current_hard_max: Annotated[float, Bounds(1e-3, 1e3)] = 50.0
+    """A: above it the axis disarms"""
+    current_bandwidth: Annotated[float, Bounds(1.0, 1e5)] = 1000.0
+    """rad/s of the current loop"""
+    phase_resistance: Annotated[float, Bounds(1e-4, 100.0)] = 0.05
+    """Ω"""
     encoder_cpr: Annotated[int, Bounds(1, 1 << 24)] = 16384
     """Counts per turn of the encoder on the motor's shaft."""
-    encoder_bandwidth: Annotated[float, Bounds(1.0, 1e5)] = 1000.0  # rad/s of the velocity estimate
+    encoder_bandwidth: Annotated[float, Bounds(1.0, 1e5)] = 1000.0
+    """rad/s of the velocity estimate"""
 
-    bus_voltage: Annotated[float, Bounds(1.0, 100.0)] = 24.0  # V, without load
-    bus_resistance: Annotated[float, Bounds(0.0, 100.0)] = 0.05  # Ω of battery and cables
+    bus_voltage: Annotated[float, Bounds(1.0, 100.0)] = 24.0
+    """V, without load"""
+    bus_resistance: Annotated[float, Bounds(0.0, 100.0)] = 0.05
+    """Ω of battery and cables"""
     dc_bus_undervoltage_trip_level: Annotated[float, Bounds(0.0, 100.0)] = 10.5
     dc_bus_overvoltage_trip_level: Annotated[float, Bounds(0.0, 1e3)] = 56.0
-    dc_max_positive_current: Annotated[float, Bounds(0.0, 1e4)] = 60.0  # A
+    dc_max_positive_current: Annotated[float, Bounds(0.0, 1e4)] = 60.0
+    """A"""
     dc_max_negative_current: Annotated[float, Bounds(-1e4, 0.0)] = -30.0
     """A fed back that the supply or brake resistor can take"""
-    ambient: Annotated[float, Bounds(-50.0, 200.0)] = 25.0  # °C
-    motor_thermal_resistance: Annotated[float, Bounds(1e-3, 1e3)] = 2.0  # K/W from winding to ambient
-    motor_thermal_capacity: Annotated[float, Bounds(1e-3, 1e5)] = 80.0  # J/K
+    ambient: Annotated[float, Bounds(-50.0, 200.0)] = 25.0
+    """°C"""
+    motor_thermal_resistance: Annotated[float, Bounds(1e-3, 1e3)] = 2.0
+    """K/W from winding to ambient"""
+    motor_thermal_capacity: Annotated[float, Bounds(1e-3, 1e5)] = 80.0
+    """J/K"""
     motor_temp_limit_lower: Annotated[float, Bounds(-50.0, 1e3)] = 80.0
     """°C from which on the current limit falls"""
     motor_temp_limit_upper: Annotated[float, Bounds(-50.0, 1e3)] = 100.0
@@ -159,12 +183,16 @@ class AxisSettings:
     fet_temp_limit_upper: Annotated[float, Bounds(-50.0, 1e3)] = 100.0
     spinout_electrical_power_threshold: Annotated[float, Bounds(0.0, 1e6)] = 100.0
     """W; the factory's ±10 W trips on hard but honest braking of a loaded wheel"""
-    spinout_mechanical_power_threshold: Annotated[float, Bounds(-1e6, 0.0)] = -100.0  # W
-    spinout_power_bandwidth: Annotated[float, Bounds(1e-3, 1e4)] = 20.0  # rad/s of the filters of both powers
+    spinout_mechanical_power_threshold: Annotated[float, Bounds(-1e6, 0.0)] = -100.0
+    """W"""
+    spinout_power_bandwidth: Annotated[float, Bounds(1e-3, 1e4)] = 20.0
+    """rad/s of the filters of both powers"""
 
     enable_watchdog: bool = False
-    watchdog_timeout: Annotated[float, Bounds(0.0, 3600.0)] = 0.0  # s
-    reboot_ms: Annotated[int, Bounds(0, 60_000)] = 800  # Time without frames after a reboot.
+    watchdog_timeout: Annotated[float, Bounds(0.0, 3600.0)] = 0.0
+    """s"""
+    reboot_ms: Annotated[int, Bounds(0, 60_000)] = 800
+    """Time without frames after a reboot."""
     initializing_ms: Annotated[int, Bounds(0, 60_000)] = 300
     """Time for which the axis then reports INITIALIZING."""
 
@@ -184,7 +212,8 @@ class Settings(AxisSettings):
 
     other_axis: Annotated[int, Bounds(-1, MAX_EXTENDED_NODE)] = -1
     """Node id of the other axis on the same board (0.5.x): clearing or restarting the board affects both."""
-    hw_line: Annotated[int, Bounds(0, 0xFF)] = 5  # Product line 5: ODrive S1 (only reported, never used).
+    hw_line: Annotated[int, Bounds(0, 0xFF)] = 5
+    """Product line 5: ODrive S1 (only reported, never used)."""
 
     # Periods of cyclic messages; 0: never. Firmware 0.5.x calls them heartbeat_rate_ms, encoder_rate_ms,
     # iq_rate_ms and bus_vi_rate_ms, and has those with its own names below instead of version, error,

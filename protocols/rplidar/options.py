@@ -58,6 +58,7 @@ class Options:
     """Whether its motor is turned by SET_MOTOR_PWM (A2, A3); else by itself, or by DTR (A1: `dtr` of its
     bus)"""
     pwm: Annotated[int, Bounds(1, table.PWM_MOST)] = 660
+    """What SET_MOTOR_PWM sends: duty in 1/1023"""
     spin_up_ms: Annotated[float, Bounds(0.0, 10_000.0)] = 1000.0
     """Time for the motor, when it was started by PWM, before the scan is"""
     beams: Annotated[int, Bounds(8, 5000)] = 400
