@@ -63,6 +63,8 @@ if TYPE_CHECKING:
     from gateway.recording import Recording as Recording
     from gateway.recording import read_recording as read_recording
     from gateway.replay import Comparison as Comparison
+    from gateway.replay import SignalLog as SignalLog
+    from gateway.replay import log_of as log_of
     from gateway.replay import replay_recording as replay_recording
     from gateway.report import draw_map as draw_map
     from gateway.report import write_report as write_report
@@ -128,7 +130,7 @@ _MODULES = {
     ),
     "gateway.operator": ("ask",),
     "gateway.recording": ("Recording", "read_recording"),
-    "gateway.replay": ("Comparison", "replay_recording"),
+    "gateway.replay": ("Comparison", "SignalLog", "log_of", "replay_recording"),
     "gateway.report": ("draw_map", "write_report"),
     "gateway.runtime.session": ("Session", "open_session"),
     "protocols.frames": ("BusState", "CanFrame", "Packet"),

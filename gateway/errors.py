@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from types import UnionType
 
 
 class GatewayError(Exception):
@@ -70,3 +71,9 @@ class OperatorError(GatewayError):
 
 class UserError(GatewayError):
     """Something else that the caller can correct; the text says what and how."""
+
+
+def expect(name: str, value: object, kinds: type | UnionType, wanted: str) -> None:
+    """Raise UserError unless an argument is of one of these types, of which none is bool."""
+    if isinstance(value, bool) or not isinstance(value, kinds):
+        raise UserError(f"{name}: found {value!r}, a {type(value).__name__}; expected {wanted}")

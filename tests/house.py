@@ -14,9 +14,9 @@ from collections.abc import Iterator
 RECORDINGS = ("gateway.recording", "gateway.rosbag")
 
 ONLY: dict[str, tuple[str, ...]] = {
-    "asyncio": (),
+    "asyncio": ("gateway.runtime.asynchronous",),
     "can": ("gateway.buses",),
-    "concurrent": (),
+    "concurrent": ("gateway.runtime.asynchronous",),
     "cv2": ("gateway.vision.camera",),
     "filterpy": ("brain.perception.engine", "benchmarks"),
     "matplotlib": ("gateway.cli.picture",),
@@ -24,6 +24,7 @@ ONLY: dict[str, tuple[str, ...]] = {
     "mcap": RECORDINGS,
     "mujoco": ("gateway.sim",),
     "multiprocessing": (),
+    "pandas": ("gateway.replay.signal_log",),
     "queue": (),
     "random": (),
     "rosbags": RECORDINGS,

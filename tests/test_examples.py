@@ -20,6 +20,14 @@ PRINTED = {
     "report_of_a_recording": [r"the same, byte for byte", r"drive\.html: \d+ kB"],
     "live_view": [r"open http://127\.0\.0\.1:\d+/", r"brain: goal 1 accepted"],
     "embed_the_step": [r"right: [23]\.\d\d rad, -?[\d.]+ rad/s on the way to 3 rad"],
+    "sine_to_csv": [r"6\d\d rows, 1\.00 rad, at 1\.57 rad/s", r"sine\.png: \d\d kB"],
+}
+RECORDING = "drive.mcap"
+GIVEN = {
+    "record_a_drive": ["another.mcap"],
+    "replay_a_recording": [RECORDING],
+    "report_of_a_recording": [RECORDING],
+    "sine_to_csv": ["sine.csv", "sine.png"],
 }
 PLUGIN = FOLDER / "robstride_can"
 DOORS = FOLDER / "wiggle_and_steady"
@@ -29,7 +37,17 @@ GUIDE = FOLDER.parent / "docs" / "adding-a-skill.md"
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("examples")
+    """Where there is a recording already."""
+    made = tmp_path_factory.mktemp("examples")
+    run("record_a_drive", made, RECORDING)
+    return made
+
+
+def run(name: str, folder: Path, *given: str) -> str:
+    command = [sys.executable, str(FOLDER / f"{name}.py"), *given]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
 
 
 def test_none_is_left_out() -> None:
@@ -44,12 +62,9 @@ def test_none_is_left_out() -> None:
 @pytest.mark.sample(3)
 @pytest.mark.parametrize("name", PRINTED)
 def test_it_runs_and_prints_what_it_should(name: str, folder: Path) -> None:
-    command = [sys.executable, str(FOLDER / f"{name}.py")]
-    command += [str(folder / "drive.mcap")] if "record" in name else []
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
+    printed = run(name, folder, *GIVEN.get(name, ()))
     for pattern in PRINTED[name]:
-        assert re.search(pattern, done.stdout), f"{pattern!r} is not in:\n{done.stdout}"
+        assert re.search(pattern, printed), f"{pattern!r} is not in:\n{printed}"
 
 
 def test_the_plugin_passes_its_own_tests(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -305,6 +305,10 @@ def requirement_names(requirements: list[str]) -> set[str]:
     return {re.split(r"[<>=!~\[; ]", requirement)[0].lower() for requirement in requirements}
 
 
+IF_THERE = {"pandas"}
+"""What is used if a user has it, and asked for in words if not."""
+
+
 def test_what_is_imported_is_declared_and_the_other_way_round() -> None:
     distributions = packages_distributions()
     tops = {
@@ -312,7 +316,7 @@ def test_what_is_imported_is_declared_and_the_other_way_round() -> None:
         for path in SOURCES
         for _, name in imports(module_of(path), path.read_text(), package=path.name == "__init__.py")
     }
-    outside = tops - set(sys.stdlib_module_names) - {*ROOMS, "benchmarks"}
+    outside = tops - set(sys.stdlib_module_names) - {*ROOMS, "benchmarks"} - IF_THERE
     # A distribution may bring its module through another one (mujoco through mujoco-core).
     providers = {top: {top, *(name.lower() for name in distributions[top])} for top in outside}
     optional = PROJECT["project"]["optional-dependencies"]

@@ -2,13 +2,14 @@
 
 Exports: `replay_recording` (with the recorded or another robot), `Comparison`, `Difference`; `compare` for
 another step function; `Watch` and `Observe`, of who watches; `Player`, with `Playback`, goes to and fro in a
-recording; `Beside` and `first_difference` compare two. Must not import: `gateway.runtime`, `gateway.buses`;
-there is neither clock nor bus.
+recording; `SignalLog` has a run as numbers, `log_of` makes it of a recording; `Beside` and `first_difference`
+compare two. Must not import: `gateway.runtime`, `gateway.buses`; there is neither clock nor bus.
 """
 
 from gateway.replay.beside import Beside, first_difference
 from gateway.replay.compare import Comparison, Difference, Observe, Watch, compare, replay_recording
 from gateway.replay.player import Playback, Player
+from gateway.replay.signal_log import SignalLog, log_of
 
 __all__ = [
     "Beside",
@@ -17,8 +18,10 @@ __all__ = [
     "Observe",
     "Playback",
     "Player",
+    "SignalLog",
     "Watch",
     "compare",
     "first_difference",
+    "log_of",
     "replay_recording",
 ]

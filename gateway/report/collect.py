@@ -15,6 +15,7 @@ from gateway.buses.frame_time import frame_time
 from gateway.core.joint import Joint
 from gateway.core.step import Gateway
 from gateway.core.tick import Note, Tick
+from gateway.replay.signal_log import COMMANDED, QUANTITIES
 from gateway.report.series import DrivenTrack, Signals
 from protocols import messages as msg
 from protocols.messages import MILLISECOND, Goal, Nanos
@@ -26,23 +27,6 @@ FIRST_NOTES, LAST_NOTES = 500, 500
 MOST_PATHS = 64
 """Planned paths that are kept: every second is dropped when there are more."""
 MOST_GOALS = 500
-
-QUANTITIES = {
-    "velocity": "rad/s",
-    "position": "rad",
-    "torque": "N·m",
-    "current": "A",
-    "temperature": "°C",
-    "voltage": "V",
-}
-"""Measured quantities of a joint, with their units."""
-COMMANDED: dict[type[msg.Command], tuple[str, ...]] = {
-    msg.Position: ("position",),
-    msg.Velocity: ("velocity",),
-    msg.Torque: ("torque",),
-    msg.Impedance: ("position", "velocity", "torque"),
-}
-"""What a command asks for; a feed-forward is no set-point."""
 
 
 @dataclass(frozen=True, slots=True)

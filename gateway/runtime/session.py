@@ -8,13 +8,15 @@ anything has moved.
 
 from __future__ import annotations
 
+import atexit
 import logging
 import os
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from collections import deque
+from collections.abc import AsyncGenerator, Callable, Generator, Mapping, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Self, TypeVar
 
 from brain.belief import Belief, Pose
 from gateway import config
@@ -24,7 +26,7 @@ from gateway.core.joint import Joint
 from gateway.core.robot import TWIN, Robot
 from gateway.core.step import Gateway
 from gateway.core.tick import Tick
-from gateway.errors import UserError
+from gateway.errors import UserError, expect
 from gateway.monitor.lines import LineTroubles
 from gateway.monitor.silence import Silence
 from gateway.runtime import loop
@@ -36,6 +38,7 @@ from protocols.messages import SECOND, Goal, Instruction, Release
 if TYPE_CHECKING:
     from gateway.buses.virtual.bus import TwinWorld
     from gateway.recording import Recorder
+    from gateway.replay import SignalLog
     from gateway.runtime.live_view import SessionView
 
 log = logging.getLogger("gateway")
@@ -70,10 +73,13 @@ class Session:
     _view: SessionView | None = None
     _recorders: list[Recorder] = field(default_factory=list)
     """All that were opened."""
-    _submitted: list[Instruction] = field(default_factory=list)
+    _submitted: deque[Instruction] = field(default_factory=deque)
+    """Another thread may add to it while the robot is stepped: it is never replaced."""
     _ticks: Generator[Tick] | None = None
     _stopped: bool = False
     """Whether a stop of the operator was in force at the last tick of a run."""
+    opened: ExitStack = field(default_factory=ExitStack)
+    """What is closed with it, after its run, its view and its recordings."""
 
     def __post_init__(self) -> None:
         self.silence = Silence(self.gateway, self.buses)
@@ -90,6 +96,7 @@ class Session:
             UserError: the robot cannot do one of them, whatever happens; none is submitted.
         """
         for one in instructions:
+            expect("instructions", one, Instruction, "a task, request or command, such as Goal(1.5, 0.5)")
             if wrong := config.cannot(one, self.robot):
                 raise UserError(f"{type(one).__name__}: {wrong}")
         self._submitted += instructions
@@ -129,10 +136,13 @@ class Session:
         Yields:
             Tick: what went into each step, and what came out of it.
         """
+        expect("seconds", seconds, float | int | None, "a number of seconds")
+        if seconds is not None and not 0.0 <= seconds < 1e9:
+            raise UserError(f"seconds: found {seconds}, expected a number from 0 to 1e9")
         if self._ticks is not None:
             self._ticks.close()
         if self.gateway.stopped == loop.LEFT and not self._stopped:  # by the end of the run before this one
-            self._submitted.insert(0, Release())
+            self._submitted.appendleft(Release())
         self._ticks = self._run(seconds, poll, dry_run)
         return self._ticks
 
@@ -143,9 +153,8 @@ class Session:
 
         def instructions() -> Sequence[Instruction]:
             seen = self._guarded(lambda view: view.poll()) or ()
-            submitted = [*self._submitted, *poll(), *seen]
-            self._submitted.clear()
-            return submitted
+            submitted = [self._submitted.popleft() for _ in range(len(self._submitted))]
+            return [*submitted, *poll(), *seen]
 
         ticks = loop.live(
             self.gateway,
@@ -166,6 +175,47 @@ class Session:
                     yield tick
         finally:  # the run's end has ended what was held
             self._guarded(lambda view: view.ends())
+
+    async def run_async(
+        self,
+        seconds: float | None = None,
+        *,
+        poll: Callable[[], Sequence[Instruction]] = loop.no_instructions,
+        dry_run: bool = False,
+    ) -> AsyncGenerator[Tick]:
+        """Step the robot as `run` does, in a thread, and yield each tick to an asynchronous program.
+
+        The next step begins when the one before was taken: who takes long delays the robot, as with `run`.
+        When it is left or cancelled, it waits until the stop actions are sent; leave it by
+        `contextlib.aclosing`, since Python ends an abandoned asynchronous generator only some time later.
+
+        Args:
+            seconds: as of `run`; so are the others.
+            poll: called in the thread.
+            dry_run: as of `run`.
+
+        Yields:
+            Tick: what went into each step, and what came out of it.
+        """
+        from gateway.runtime.asynchronous import in_a_thread
+
+        async for tick in in_a_thread(self.run(seconds, poll=poll, dry_run=dry_run)):
+            yield tick
+
+    def log(self, rows: int = 0) -> SignalLog:
+        """Return the signals of the robot from its next step on, as numbers; it grows while the session runs.
+
+        Args:
+            rows: how many ticks it keeps; 0: 200,000. Beyond, the oldest are left out, and counted.
+
+        Raises:
+            UserError: another number of rows.
+        """
+        from gateway.replay.signal_log import ROWS, SignalLog
+
+        made = SignalLog(self.gateway, rows or ROWS)
+        self.watch(made.take)
+        return made
 
     def start_recording(self, path: Path | str) -> None:
         """Record from the next step on. A recording that does not begin with the run shows what happened; a
@@ -250,8 +300,22 @@ class Session:
                 log.exception("the live view could not be closed")
             return None
 
+    def __enter__(self) -> Self:
+        """Return the session, which is open already."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close it."""
+        self.close()
+
     def close(self) -> None:
-        """End a run that was not ended, as `run` does. Called when the session is left."""
+        """End a run that was not ended, as `run` does, and close all that is open; again: nothing. Who
+        forgets it has it closed when the program ends."""
+        with self.opened:
+            atexit.unregister(self.close)
+
+    def end(self) -> None:
+        """End the run, the view and the recordings; the buses stay open."""
         if self._ticks is not None:
             self._ticks.close()
         self.close_view()
@@ -288,15 +352,14 @@ class Session:
             self.recorder.record(tick, belief, patient=isinstance(self.clock, SimulatedClock))
 
 
-@contextmanager
 def open_session(
     robot: Robot | str | Path,
     *,
     simulated: bool = False,
     record: Path | str | None = None,
     seed: int | None = None,
-) -> Iterator[Session]:
-    """Open a robot's buses, or the simulated world in their place, and its recorder; close them at the end.
+) -> Session:
+    """Open a robot's buses, or the simulated world in their place, and its recorder.
 
     Args:
         robot: a `Robot`, or what `load_robot` takes.
@@ -305,15 +368,19 @@ def open_session(
         record: the recording to write (an MCAP file that must not exist yet).
         seed: of the simulated world's noise; None: the robot file's.
 
-    Yields:
-        Session: ready to `run`. Nothing is armed yet.
+    Returns:
+        Session: ready to `run`. Nothing is armed yet. `with` closes it at the end, or `close`.
 
     Raises:
         ConfigError: the robot file or its world is wrong.
         BusError: an interface cannot be opened.
         RecordingError: the recording cannot be written.
-        UserError: the robot does not exist, `record` exists, or `simulated` with a real interface.
+        UserError: the robot does not exist, `record` exists, `simulated` with a real interface, or an
+            argument of another type.
     """
+    expect("robot", robot, Robot | str | Path, "a Robot, its name or the path of its file")
+    expect("record", record, Path | str | None, "the path of a file")
+    expect("seed", seed, int | None, "an integer")
     if not isinstance(robot, Robot):
         robot = config.load_robot(robot)
     real = [bus.name for bus in robot.buses.values() if bus.interface != TWIN]
@@ -331,7 +398,7 @@ def open_session(
             log.warning(NO_WATCHDOG, why)
             watchdog = None
         session = Session(robot, Gateway(robot), clock, buses, twins, reasons=reasons, watchdog=watchdog)
-        stack.callback(session.close)
+        stack.callback(session.end)
         if record is not None:
             session.start_recording(record)
         for caution in config.cautions(robot):
@@ -340,7 +407,9 @@ def open_session(
         if real and session.gateway.lines:
             fine_timers()
         _discard_stale(robot, buses, clock)
-        yield session
+        session.opened = stack.pop_all()
+    atexit.register(session.close)
+    return session
 
 
 def _start_watchdog(robot: Robot, clock: Clock, stack: ExitStack) -> WatchdogProcess | None:
