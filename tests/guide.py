@@ -1,7 +1,8 @@
 """Runs a guide: executes its commands in a clean folder, and compares outputs and quotations with the text.
 
 Rules of such a text. A `console` block holds commands, each behind "$ ", and their output. A block under
-a line that begins with **`path`** quotes a file as the commands have left it. A line that is only "…" (in
+a line that begins with **`path`** quotes a file as the commands have left it; under one that begins with
+**New `path`** it is a file that the reader writes. A line that is only "…" (in
 code "# …") stands for any lines, or none. All else is for the reader alone. `motor-gateway` in that folder
 is this checkout.
 
@@ -23,7 +24,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 BLOCK = re.compile(
-    r"(?:^\*\*`(?P<path>[^`\n]+)`\*\*[^\n]*\n\n)?"
+    r"(?:^\*\*(?P<new>New )?`(?P<path>[^`\n]+)`\*\*[^\n]*\n\n)?"
     r"^(?P<fence>`{3,})(?P<kind>\w+)\n(?P<body>.*?)^(?P=fence)$",
     re.MULTILINE | re.DOTALL,
 )
@@ -40,6 +41,8 @@ class Block:
     """Of the file that it quotes; "" for commands."""
     start: int
     """Where its body begins in the text."""
+    new: bool = False
+    """Whether the reader writes this file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +64,7 @@ def blocks(text: str) -> Iterator[Block]:
     """Yield the commands and quotations of a text, in order."""
     for match in BLOCK.finditer(text):
         if match["path"] or match["kind"] == "console":
-            yield Block(match["body"], match["path"] or "", match.start("body"))
+            yield Block(match["body"], match["path"] or "", match.start("body"), bool(match["new"]))
 
 
 @dataclass(slots=True)
@@ -82,7 +85,10 @@ class GuideRunner:
         (self.site / "sitecustomize.py").write_text(SITECUSTOMIZE.format(str(self.site)))
 
     def execute(self, block: Block) -> list[Comparison]:
-        """Run the commands, or read the file."""
+        """Run the commands, or write or read the file."""
+        if block.new:
+            (self.folder / block.path).write_text(block.body)
+            return []
         if block.path:
             return [Comparison(block.path, block.body, (self.folder / block.path).read_text())]
         return [self.run(command, expected) for command, expected in commands(block.body)]

@@ -1,4 +1,4 @@
-"""docs/adding-a-protocol.md is executed from its first line to its last, in a clean folder."""
+"""docs/adding-a-protocol.md and the tutorials are executed from first line to last, in a clean folder."""
 
 from __future__ import annotations
 
@@ -29,6 +29,13 @@ def test_outputs_and_files_are_as_it_shows(executed: tuple[GuideRunner, list[Com
     for result in results:
         text = f"{result.subject}\n{result.actual}-- but the guide shows:\n{result.expected}-- {UPDATE}"
         assert result.matches(), text
+
+
+@pytest.mark.parametrize("page", ["first-drive", "first-test"])
+def test_a_tutorial_is_as_it_shows(page: str, tmp_path: Path) -> None:
+    runner, text = GuideRunner(tmp_path), (ROOT / "docs" / f"{page}.md").read_text()
+    for result in (each for block in blocks(text) for each in runner.execute(block)):
+        assert result.matches(), f"{result.subject}\n{result.actual}-- but {page} shows:\n{result.expected}"
 
 
 def test_it_ends_with_a_plugin_that_keeps_the_contract(

@@ -16,6 +16,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from itertools import chain, islice, zip_longest
+from pathlib import Path
 from typing import Literal, TypeAlias, TypeVar
 
 from brain.belief import Belief
@@ -26,8 +27,8 @@ from gateway.core.message_text import escaped
 from gateway.core.robot import Robot
 from gateway.core.step import Gateway
 from gateway.core.tick import Inputs, Note, Outputs, Tick
-from gateway.errors import RecordingError
-from gateway.recording import Recording, Step, environment
+from gateway.errors import RecordingError, expect
+from gateway.recording import Recording, Step, environment, read_recording
 from gateway.recording.environment import PLUGIN, PROGRAM
 from gateway.recording.ros_messages import CAN_FRAME, FD_FRAME
 from gateway.recording.ros_views import ViewMessage, Views
@@ -159,12 +160,12 @@ class Comparison:
 
 
 def replay_recording(
-    recording: Recording, robot: Robot | None = None, watch: Watch | None = None
+    recording: Recording | Path | str, robot: Robot | None = None, watch: Watch | None = None
 ) -> Comparison:
     """Run a recording's inputs through the code of today, and compare every output to the byte.
 
     Args:
-        recording: what `read_recording` returned.
+        recording: what `read_recording` returned, or a path.
         robot: another robot than the recorded one.
         watch: called with the gateway before the first step; what it returns is called with every tick, as it
             is today, and with the belief after it.
@@ -174,7 +175,12 @@ def replay_recording(
 
     Raises:
         ConfigError: the recorded robot file is not valid any more.
+        RecordingError: it is no recording, or unreadable.
+        UserError: it is neither a recording nor a path.
     """
+    expect("recording", recording, Recording | Path | str, "a recording, or its path")
+    if not isinstance(recording, Recording):
+        recording = read_recording(recording)
     robot = robot or parse_robot(recording.robot_text, f"{recording.path}: robot.toml")
     gateway = Gateway(robot)
     return compare(

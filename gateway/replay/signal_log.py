@@ -19,8 +19,8 @@ from brain.belief import Belief
 from gateway.core.robot import Robot
 from gateway.core.step import Gateway
 from gateway.core.tick import Tick
-from gateway.errors import UserError, expect
-from gateway.recording import Recording, read_recording
+from gateway.errors import UserError
+from gateway.recording import Recording
 from gateway.replay.compare import Observe, replay_recording
 from protocols import messages as msg
 from protocols.messages import SECOND
@@ -157,15 +157,13 @@ def log_of(recording: Recording | Path | str, robot: Robot | None = None) -> Sig
         RecordingError: it is no recording, or unreadable.
         UserError: it is neither a recording nor a path.
     """
-    expect("recording", recording, Recording | Path | str, "a recording, or its path")
     logs: list[SignalLog] = []
 
     def watch(gateway: Gateway) -> Observe:
         logs.append(SignalLog(gateway))
         return logs[0].take
 
-    whole = recording if isinstance(recording, Recording) else read_recording(recording)
-    replay_recording(whole, robot, watch)
+    replay_recording(recording, robot, watch)
     return logs[0]
 
 
