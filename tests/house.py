@@ -25,6 +25,7 @@ ONLY: dict[str, tuple[str, ...]] = {
     "mujoco": ("gateway.sim",),
     "multiprocessing": (),
     "pandas": ("gateway.replay.signal_log",),
+    "pytest": ("gateway.testing",),
     "queue": (),
     "random": (),
     "rosbags": RECORDINGS,

@@ -185,9 +185,10 @@ def test_every_folder_with_code_is_a_package() -> None:
 
 
 def test_the_gateway_shows_its_architecture_at_the_top_level() -> None:
-    """Packages, and beside them only what Python asks for and the errors."""
+    """Packages, and beside them only what Python and pytest ask for, and the errors."""
     entries = {path for path in (ROOT / "gateway").iterdir() if path.name not in ("__pycache__", "py.typed")}
-    assert {path.name for path in entries if path.is_file()} == {"__init__.py", "__main__.py", "errors.py"}
+    files = {"__init__.py", "__main__.py", "errors.py", "testing.py"}
+    assert {path.name for path in entries if path.is_file()} == files
     layers = next(c for c in PROJECT["tool"]["importlinter"]["contracts"] if "rooms of the" in c["name"])
     named = {name for layer in layers["layers"] for name in layer.split(" | ")} - {"errors"}
     assert {path.name for path in entries if path.is_dir()} == named | {"fixtures"}
@@ -305,7 +306,7 @@ def requirement_names(requirements: list[str]) -> set[str]:
     return {re.split(r"[<>=!~\[; ]", requirement)[0].lower() for requirement in requirements}
 
 
-IF_THERE = {"pandas"}
+IF_THERE = {"pandas", "pytest"}
 """What is used if a user has it, and asked for in words if not."""
 
 

@@ -220,21 +220,23 @@ def _robot_tables(write: Writer, *, complete: bool) -> dict[str, Schema]:
         "motors": write.define("motor", partial(_connected, write, JointSettings, joint), complete=complete),
         "sensors": write.define("sensor", partial(_connected, write, SensorKeys, mount), complete=complete),
     }
-    tables = {name: {"type": "object", "additionalProperties": one} for name, one in groups.items()}
+    tables: dict[str, Schema] = {name: _named(one) for name, one in groups.items()}
     by_body = [_when("body", name, one) for name, one in limbs.items()]
-    limb = {"type": "object", "required": ["body"], "properties": place, "allOf": by_body}
-    tables |= {"brain": brain, "limbs": {"type": "object", "additionalProperties": limb}}
+    limb: Schema = {"type": "object", "required": ["body"], "properties": place, "allOf": by_body}
+    tables |= {"brain": brain, "limbs": _named(limb)}
     if not complete:
-        tables["defaults"] = {
-            "type": "object",
-            "properties": groups,
-            "additionalProperties": False,
-            "description": "What every bus, motor or sensor has that says nothing else",
-        }
+        text = "What every bus, motor or sensor has that says nothing else"
+        own_keys = {"type": "object", "properties": groups, "additionalProperties": False}
+        tables["defaults"] = {**own_keys, "description": text}
         tables["bag"] = write.reference(BagTopics, complete=True)
         text = "The text of the URDF and of what it names, in the file of a recording"
-        tables["files"] = {"type": "object", "additionalProperties": {"type": "string"}, "description": text}
+        tables["files"] = {**_named({"type": "string"}), "description": text}
     return tables
+
+
+def _named(one: Schema) -> Schema:
+    """Return the schema of tables with names of the user's own."""
+    return {"type": "object", "additionalProperties": one}
 
 
 def _connected(
@@ -283,7 +285,7 @@ def mission() -> Schema:
     readers, which tell what is wrong when the mission is read."""
     kinds = [skills.load(name) for name in skills.names()]
     failure = {"anyOf": [{"enum": ["stop", "skip"]}, {"$ref": "#/definitions/steps"}]}
-    own = {key: {} for kind in kinds for key in (kind.name, *kind.keys)}
+    own: dict[str, Schema] = {key: {} for kind in kinds for key in (kind.name, *kind.keys)}
     step = {
         "type": "object",
         "properties": {

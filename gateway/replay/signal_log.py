@@ -168,7 +168,7 @@ def log_of(recording: Recording | Path | str, robot: Robot | None = None) -> Sig
 
 
 def _columns(gateway: Gateway) -> dict[str, str]:
-    found = {}
+    found: dict[str, str] = {}
     for name in gateway.joints:
         found |= {f"{name}.{quantity}": unit for quantity, unit in QUANTITIES.items()}
         found |= {f"{name}.command.{quantity}": unit for quantity, unit in _SENT.items()}

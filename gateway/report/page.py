@@ -26,7 +26,8 @@ from brain.belief import MapView, Pose
 from gateway.core.message_text import escaped
 from gateway.errors import UserError
 from gateway.recording.new_file import replace_with
-from gateway.report.collect import QUANTITIES, Collector, group_of
+from gateway.replay.signal_log import QUANTITIES
+from gateway.report.collect import Collector, group_of
 from gateway.report.series import DrivenTrack
 from protocols.messages import MILLISECOND, SECOND, Nanos
 

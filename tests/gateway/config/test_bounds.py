@@ -15,9 +15,9 @@ from brain.bodies.differential import Differential
 from brain.settings import AT_RUN_TIME, BrainSettings, changed, keys
 from gateway.config.bodies import load_body, names
 from gateway.config.errors import Mistakes
-from gateway.config.robot_file import _Top
+from gateway.config.robot_file import TopKeys
 from gateway.config.schema import build
-from gateway.config.sections import _Bus, _Connection, _Mounting
+from gateway.config.sections import BusKeys, ConnectionKeys, SensorKeys
 from gateway.core.joint import JointSettings
 from gateway.sim.files import BenchFile, SceneFile
 from gateway.sim.load import PLANTS
@@ -29,10 +29,10 @@ PLUGINS = load_all()[0]
 ROOTS = (
     *(
         BrainSettings,
-        _Top,
-        _Bus,
-        _Connection,
-        _Mounting,
+        TopKeys,
+        BusKeys,
+        ConnectionKeys,
+        SensorKeys,
         JointSettings,
         BenchFile,
         SceneFile,

@@ -1,0 +1,149 @@
+"""`gateway judge`: recordings as a test suite: each through the code of today, against what is expected."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+import tempfile
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TypeAlias
+
+from gateway.cli.terminal.progress import progress
+from gateway.config import load_robot
+from gateway.errors import UserError
+from gateway.recording.new_file import replace_with
+from gateway.report import judge
+from gateway.report.judge import Judged, Verdict
+
+Shard: TypeAlias = tuple[int, int]
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    text = "recordings of this gateway or of other programs, and folders of them"
+    parser.add_argument("paths", nargs="+", type=Path, metavar="FILE", help=text)
+    text = "write what is expected of each: what it gives now; edited tolerances stay"
+    parser.add_argument("--update", action="store_true", help=text)
+    text = "where what is expected is (default: beside each recording)"
+    parser.add_argument("--expected", type=Path, metavar="FOLDER", help=text)
+    parser.add_argument("--robot", metavar="ROBOT", help="use this robot file instead of the recorded ones")
+    text = "other bytes pass, too, if every figure is within its tolerance"
+    parser.add_argument("--within", action="store_true", help=text)
+    text = "how many are judged side by side, each in a process of its own"
+    parser.add_argument("--jobs", type=_jobs, default=1, metavar="N", help=text)
+    text = "judge every Nth recording, from the Ith on: of several machines, each another I of 1 to N"
+    parser.add_argument("--shard", type=_shard, default=(1, 1), metavar="I/N", help=text)
+    text = "write the results to a file; several of them, in the place of recordings, are one report"
+    parser.add_argument("--json", type=Path, metavar="FILE", help=text)
+    parser.add_argument("--report", type=Path, metavar="FILE", help="write the verdicts as Markdown")
+    parser.add_argument("--junit", type=Path, metavar="FILE", help="write the verdicts as JUnit's XML")
+
+
+def run(options: Namespace) -> int:
+    """Return 1 unless all are as expected."""
+    if options.expected is not None and not options.expected.is_dir():
+        raise UserError(f"--expected {options.expected}: there is no such folder")
+    robot = None if options.robot is None else load_robot(options.robot, recorded=True)
+    if all(path.suffix == ".json" for path in options.paths):
+        results = [one for path in options.paths for one in _results(path)]
+    else:
+        first, of = options.shard
+        paths = judge.recordings_in(options.paths)[first - 1 :: of]
+        if not paths and of == 1:
+            raise UserError(f"no recording in {', '.join(map(str, options.paths))}")
+        results = []
+        with progress("judge, recordings", len(paths)) as shown:
+            ways = (judge.judge(path, robot) for path in paths)
+            for one in ways if options.jobs == 1 else _side_by_side(paths, options):
+                results.append(one)
+                shown.update(len(results))
+    results.sort(key=lambda one: one.name)
+    if options.json is not None:
+        _write(options.json, json.dumps([judge.to_json(one) for one in results], indent=1, sort_keys=True))
+    verdicts = [_verdict(one, options) for one in results]
+    for verdict in verdicts:
+        print(verdict.line)
+        for change in verdict.changes:
+            print("  " + change.replace("\n", "\n  "))
+    good = sum(_passes(one, options) for one in verdicts)
+    print(f"{good} of {len(verdicts)} recordings are as expected")
+    if options.report is not None:
+        _write(options.report, judge.markdown(verdicts))
+    if options.junit is not None:
+        _write(options.junit, judge.junit(verdicts, lambda one: _passes(one, options)))
+    return 0 if good == len(verdicts) else 1
+
+
+def _passes(one: Verdict, options: Namespace) -> bool:
+    return one.status == "same" or (one.status == "within" and options.within)
+
+
+def _verdict(one: Judged, options: Namespace) -> Verdict:
+    file = judge.expected_file(Path(one.name), options.expected)
+    expected = judge.read_expected(file)
+    if options.update and not one.error:
+        judge.write_expected(file, one, expected)
+        expected = judge.read_expected(file)
+    return judge.verdict(one, expected)
+
+
+def _side_by_side(paths: Sequence[Path], options: Namespace) -> Iterator[Judged]:
+    """Judge each recording in a process of its own; one that dies is that recording's error."""
+    with tempfile.TemporaryDirectory() as folder:
+        waiting = [(path, Path(folder, f"{number}.json")) for number, path in enumerate(paths)]
+        running: list[tuple[Path, Path, subprocess.Popen[str]]] = []
+        try:
+            while waiting or running:
+                while waiting and len(running) < options.jobs:
+                    path, file = waiting.pop(0)
+                    running.append((path, file, _started(path, file, options.robot)))
+                path, file, process = running.pop(0)
+                wrong = process.communicate()[1].strip().rpartition("\n")[2]
+                if file.exists():
+                    yield from _results(file)
+                else:
+                    text = f"its process ended with status {process.returncode}: {wrong}"
+                    yield Judged(str(path), "", error=text)
+        finally:
+            for _, _, process in running:
+                process.kill()
+
+
+def _started(path: Path, file: Path, robot: str | None) -> subprocess.Popen[str]:
+    more = () if robot is None else ("--robot", robot)
+    command = [sys.executable, "-P", "-m", "gateway", "judge", str(path), "--json", str(file), *more]
+    nothing = subprocess.DEVNULL
+    return subprocess.Popen(command, stdin=nothing, stdout=nothing, stderr=subprocess.PIPE, text=True)
+
+
+def _results(path: Path) -> list[Judged]:
+    try:
+        return [judge.from_json(one) for one in json.loads(path.read_text())]
+    except OSError as error:
+        raise UserError(f"{path}: {error.strerror}") from error
+    except (ValueError, TypeError, KeyError) as error:
+        raise UserError(f"{path}: not what `gateway judge --json` writes: {error}") from error
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        replace_with(path, text.encode())
+    except OSError as error:
+        raise UserError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def _jobs(text: str) -> int:
+    if not re.fullmatch("[1-9][0-9]?", text):
+        raise ArgumentTypeError(f"{text!r} is not a number from 1 to 99")
+    return int(text)
+
+
+def _shard(text: str) -> Shard:
+    found = re.fullmatch("([1-9][0-9]{0,3})/([1-9][0-9]{0,3})", text)
+    if found is None or int(found[1]) > int(found[2]):
+        raise ArgumentTypeError(f"{text!r} is not I/N, such as 1/4, with I at most N")
+    return int(found[1]), int(found[2])

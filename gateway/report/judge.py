@@ -1,0 +1,403 @@
+"""Recordings as a test suite: what each gives with the code of today, and whether that is what is expected.
+
+Rules. What is expected of NAME.mcap is in NAME.mcap.expected.toml: a digest of the bytes that were sent, for
+each bus and second, and figures with the tolerance of each. It is made at a person's wish alone (`--update`),
+and keeps the tolerances that were edited. A recording of another program has figures alone. All is values:
+judged one after the other or side by side, on one machine or several, the results are the same.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from math import isfinite
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, TypeAlias
+from xml.sax.saxutils import escape, quoteattr
+
+from brain.belief import Belief
+from gateway.config.errors import Mistakes
+from gateway.config.text import read_text, read_toml
+from gateway.core.robot import Robot
+from gateway.core.step import Gateway
+from gateway.core.tick import Tick
+from gateway.errors import GatewayError, UserError
+from gateway.recording import read_recording
+from gateway.recording.new_file import replace_with
+from gateway.recording.reader import is_recording
+from gateway.replay import Observe, replay_recording
+from gateway.report.collect import Collector
+from gateway.rosbag import is_bag
+from gateway.rosbag.evaluate import evaluate_file
+from gateway.rosbag.survey import proposed_robot, survey
+from protocols.frames import CanFrame, Packet
+from protocols.messages import MILLISECOND, SECOND, Fault, Nanos
+
+EXPECTED = ".expected.toml"
+SUFFIXES = (".mcap", ".bag", ".db3", ".log", ".clf", ".clf.bz2", ".csv")
+"""Files that a folder is searched for; what is none of our readers' is left out."""
+LATE = 1.5
+"""Periods between two steps, from which a tick counts as missed"""
+SHOWN = 5
+"""Differences of a recording that are told"""
+
+Status: TypeAlias = Literal["same", "within", "changed", "new", "unreadable"]
+STATUS_TEXTS: Mapping[Status, str] = {
+    "same": "as expected",
+    "within": "other bytes, figures within their tolerances",
+    "changed": "CHANGED",
+    "new": "nothing is expected yet: --update writes it",
+    "unreadable": "NOT READ",
+}
+
+
+class Figure(NamedTuple):
+    """A figure of a recording, with the tolerance that it has unless another was edited."""
+
+    value: float
+    tolerance: float
+    unit: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """What a recording gives with the code of today."""
+
+    name: str
+    """The file's path, as it was given or found"""
+    source: str
+    """Digest of the recording"""
+    digests: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    """By bus, of what was sent in each second"""
+    figures: Mapping[str, Figure] = field(default_factory=dict)
+    causes: Sequence[str] = ()
+    """First differences from what was recorded, and their likely causes"""
+    error: str = ""
+    """Why it could not be read"""
+
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """What is expected of a recording."""
+
+    source: str
+    digests: Mapping[str, Sequence[str]]
+    figures: Mapping[str, Figure]
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """A recording's status, and what differs from what is expected."""
+
+    judged: Judged
+    status: Status
+    changes: Sequence[str] = ()
+
+    @property
+    def line(self) -> str:
+        """The verdict in one line."""
+        return f"{self.judged.name}: {STATUS_TEXTS[self.status]}"
+
+
+# -- one recording ------------------------------------------------------------------------------------
+
+
+def judge(path: Path, robot: Robot | None = None) -> Judged:
+    """Run a recording through the code of today.
+
+    Args:
+        path: of this gateway, or another program's.
+        robot: another robot than the recorded one.
+
+    Returns:
+        Judged: bytes and figures; `error` if it cannot be read. Never raises for what is in the file.
+    """
+    try:
+        source = _file_digest(path)
+    except OSError as error:
+        return Judged(str(path), "", error=f"{error.strerror}")
+    try:
+        if is_bag(path):
+            return Judged(str(path), source, figures=_of_another(path, robot))
+        return _of_ours(path, source, robot)
+    except GatewayError as error:
+        return Judged(str(path), source, error=str(error))
+
+
+def _of_ours(path: Path, source: str, robot: Robot | None) -> Judged:
+    watchers: list[_Watcher] = []
+
+    def watch(gateway: Gateway) -> Observe:
+        watchers.append(_Watcher(gateway))
+        return watchers[0].take
+
+    comparison = replay_recording(read_recording(path), robot, watch)
+    causes = () if comparison.ok else (*comparison.objections(), *comparison.causes)
+    return Judged(str(path), source, watchers[0].digests(), watchers[0].figures(), causes)
+
+
+class _Watcher:
+    """What is counted of a replay."""
+
+    def __init__(self, gateway: Gateway) -> None:
+        self._gateway = gateway
+        self._collector = Collector(gateway)
+        self._late = LATE * gateway.robot.period
+        self._before: Nanos | None = None
+        self._missed = self._faults = 0
+        self._oldest: Nanos = 0
+        self._hashes: dict[str, list[Any]] = {name: [] for name in gateway.robot.buses}
+
+    def take(self, tick: Tick, belief: Belief) -> None:
+        """Take a tick of today, and the belief after it."""
+        self._collector.take(tick, belief)
+        if self._before is not None and tick.now - self._before > self._late:
+            self._missed += 1
+        self._before = tick.now
+        self._faults += sum(isinstance(event, Fault) for event in tick.outputs.events)
+        ages = [joint.feedback_age(tick.now) or 0 for joint in self._gateway.joints.values()]
+        self._oldest = max(self._oldest, *ages)
+        second = (tick.now - self._collector.start) // SECOND
+        for packet in tick.outputs.packets:
+            if (hashes := self._hashes.get(packet.bus)) is not None:
+                hashes += (hashlib.blake2b(digest_size=4) for _ in range(len(hashes), second + 1))
+                hashes[-1].update(_bytes_of(packet))
+
+    def digests(self) -> dict[str, list[str]]:
+        """Return the digests by bus and second."""
+        return {bus: [one.hexdigest() for one in hashes] for bus, hashes in self._hashes.items()}
+
+    def figures(self) -> dict[str, Figure]:
+        """Return the figures of the whole run."""
+        seen, belief = self._collector, self._collector.belief
+        took = max(1, seen.end - seen.start)
+        found = {
+            "ticks": Figure(seen.ticks, 0),
+            "ticks missed": Figure(self._missed, 0),
+            "goals reached": Figure(belief.reached, 0),
+            "faults": Figure(self._faults, 0),
+            "rejected measurements": Figure(sum(belief.rejected.values()), 5),
+            "oldest feedback": Figure(self._oldest / MILLISECOND, 1.0, "ms"),
+        }
+        if belief.estimate is not None:
+            pose = belief.estimate.pose
+            found |= {
+                "final x": Figure(pose.x, 0.02, "m"),
+                "final y": Figure(pose.y, 0.02, "m"),
+                "final yaw": Figure(pose.yaw, 0.02, "rad"),
+                "path driven": Figure(seen.driven.length, 0.05, "m"),
+                "off the path, RMS": Figure(seen.off_rms or 0.0, 0.005, "m"),
+            }
+        for name, joint in self._gateway.joints.items():
+            if joint.feedback.position is not None:
+                found[f"{name}: final position"] = Figure(joint.feedback.position, 0.1, "rad")
+        for bus, busy in seen.busy.items():
+            found[f"{bus}: busy"] = Figure(100.0 * busy / took, 0.5, "%")
+        for sensor, nis in self._gateway.brain.nis.items():
+            found[f"{sensor}: NIS per degree of freedom"] = Figure(nis.mean, 0.1)
+        return found
+
+
+def _of_another(path: Path, robot: Robot | None) -> dict[str, Figure]:
+    found = evaluate_file(path, proposed_robot(survey(path)) if robot is None else robot)
+    figures = {"driven": Figure(found.driven, 0.01 * found.driven, "m")}
+    for name, error in found.errors.items():
+        figures[f"{name}: RMS error"] = Figure(error.rms, 0.02, "m")
+    for name, relation in found.relations.items():
+        figures[f"{name}: mean error"] = Figure(relation.mean, 0.02, "m")
+        figures[f"{name}: mean error of a turn"] = Figure(relation.mean_turn, 0.01, "rad")
+    for sensor, nis in found.nis.items():
+        figures[f"{sensor}: NIS per degree of freedom"] = Figure(nis.mean, 0.1)
+    if found.scans:
+        figures["scans while lost"] = Figure(100.0 * found.lost / found.scans, 0.5, "%")
+    unused = sum(sum(reasons.values()) for reasons in found.anomalies.values())
+    return figures | {"measurements not used": Figure(unused, max(5.0, 0.02 * unused))}
+
+
+def _file_digest(path: Path) -> str:
+    digest = hashlib.blake2b(digest_size=8)
+    for one in sorted(path.rglob("*")) if path.is_dir() else [path]:
+        if one.is_file():
+            with one.open("rb") as file:
+                while block := file.read(1 << 20):
+                    digest.update(block)
+    return digest.hexdigest()
+
+
+def _bytes_of(packet: Packet) -> bytes:
+    frame = packet.frame
+    head = packet.t.to_bytes(8, "little")
+    if isinstance(frame, CanFrame):
+        kind = frame.extended | frame.remote << 1 | frame.fd << 2 | frame.brs << 3
+        return head + frame.id.to_bytes(4, "little") + bytes([kind, len(frame.data)]) + frame.data
+    return head + frame
+
+
+# -- what is expected ---------------------------------------------------------------------------------
+
+
+def expected_file(path: Path, folder: Path | None) -> Path:
+    """Return where what is expected of a recording is: beside it, or in a folder of its own."""
+    return (path.parent if folder is None else folder) / f"{path.name}{EXPECTED}"
+
+
+def read_expected(file: Path) -> Expected | None:
+    """Return what is expected; None if there is no such file. Raises ConfigError for a wrong one."""
+    if not file.exists():
+        return None
+    text = read_text(file)
+    mistakes = Mistakes(str(file), text)
+    table = read_toml(text, mistakes, times=50)
+    figures: dict[str, Figure] = {}
+    for name, row in table.get("figures", {}).items():
+        match row:
+            case [int() | float() as value, int() | float() as tolerance, str(unit)] if tolerance >= 0:
+                figures[name] = Figure(float(value), float(tolerance), unit)
+            case _:
+                mistakes.add(("figures", name), "expected [value, tolerance of at least 0, unit]")
+    digests = table.get("bytes", {})
+    source = table.get("recording", "")
+    if not isinstance(source, str) or not isinstance(digests, dict):
+        mistakes.add((), "expected recording, [bytes] and [figures], as --update writes them")
+    mistakes.check()
+    return Expected(source, digests, figures)
+
+
+def write_expected(file: Path, judged: Judged, before: Expected | None) -> None:
+    """Write what a recording gives now as what is expected of it, with the tolerances of before."""
+    kept = before.figures if before is not None else {}
+    lines = [
+        "# What `gateway judge` expects of this recording; `--update` makes it anew.",
+        "# Figures: value, tolerance, unit; an edited tolerance stays.",
+        f"recording = {json.dumps(judged.source)}",
+        "",
+        "[figures]",
+    ]
+    for name, (value, tolerance, unit) in judged.figures.items():
+        allowed = kept[name].tolerance if name in kept else tolerance
+        row = f"[{_number(value)}, {_number(allowed)}, {json.dumps(unit, ensure_ascii=False)}]"
+        lines.append(f"{json.dumps(name, ensure_ascii=False)} = {row}")
+    if judged.digests:
+        lines += ["", "[bytes]  # that were sent, a digest for each second"]
+        for bus, digests in judged.digests.items():
+            rows = [" ".join(digests[at : at + 10]) for at in range(0, len(digests), 10)]
+            lines.append(f"{json.dumps(bus)} = [")
+            lines += [f"    {json.dumps(row)}," for row in rows]
+            lines.append("]")
+    try:
+        replace_with(file, ("\n".join(lines) + "\n").encode())
+    except OSError as error:
+        raise UserError(f"{file}: cannot be written: {error.strerror}") from error
+
+
+def _number(value: float) -> str:
+    return f"{value:.6g}" if isfinite(value) else "nan"
+
+
+def verdict(judged: Judged, expected: Expected | None) -> Verdict:
+    """Compare what a recording gives with what is expected of it."""
+    if judged.error:
+        return Verdict(judged, "unreadable", (judged.error,))
+    if expected is None:
+        return Verdict(judged, "new")
+    changes = [f"it is another recording than was judged before: {judged.source}"]
+    changes = changes * (judged.source != expected.source)
+    changes += [*_changed_figures(judged.figures, expected.figures)]
+    others = [*_other_bytes(judged.digests, expected.digests)]
+    status: Status = "changed" if changes else "within" if others else "same"
+    causes = judged.causes[:SHOWN] if changes or others else ()
+    return Verdict(judged, status, (*changes, *others, *causes))
+
+
+def _changed_figures(now: Mapping[str, Figure], before: Mapping[str, Figure]) -> list[str]:
+    changes = [f"{name}: there is no such figure any more" for name in before if name not in now]
+    changes += [f"{name}: is new" for name in now if name not in before]
+    for name in (name for name in now if name in before):
+        is_now, (was, tolerance, unit) = float(_number(now[name].value)), before[name]
+        if not abs(is_now - was) <= tolerance and not (is_now != is_now and was != was):
+            text = f"{is_now:.6g} {unit}, expected {was:.6g} within {tolerance:.6g}"
+            changes.append(f"{name}: {text}".replace(" ,", ","))
+    return changes
+
+
+def _other_bytes(now: Mapping[str, Sequence[str]], before: Mapping[str, Sequence[str]]) -> list[str]:
+    found = []
+    for bus in sorted(now.keys() | before.keys()):
+        one, two = list(now.get(bus, ())), [each for row in before.get(bus, ()) for each in row.split()]
+        second = next((at for at, pair in enumerate(zip(one, two, strict=False)) if pair[0] != pair[1]), -1)
+        if second >= 0:
+            count = sum(a != b for a, b in zip(one, two, strict=False))
+            found.append(f"{bus}: other bytes from second {second} on, in {count} of {len(two)} seconds")
+        elif len(one) != len(two):
+            found.append(f"{bus}: bytes for {len(one)} seconds, expected {len(two)}")
+    return found
+
+
+# -- many ---------------------------------------------------------------------------------------------
+
+
+def recordings_in(paths: Sequence[Path]) -> list[Path]:
+    """Return the recordings of files and folders, in order of their names; each once."""
+    found: dict[Path, None] = {}
+    for path in paths:
+        if not path.exists():
+            raise UserError(f"{path}: there is no such file or folder")
+        if path.is_dir() and not is_bag_folder(path):
+            inside = [one for one in sorted(path.rglob("*")) if one.name.endswith(SUFFIXES)]
+            folders = {one.parent for one in inside if is_bag_folder(one.parent)}
+            inside = sorted({*(one for one in inside if one.parent not in folders), *folders})
+            found |= dict.fromkeys(one for one in inside if is_bag(one) or _is_ours(one))
+        else:
+            found[path] = None
+    return list(found)
+
+
+def is_bag_folder(path: Path) -> bool:
+    """True for a folder that is one bag of ROS 2."""
+    return (path / "metadata.yaml").is_file()
+
+
+def _is_ours(path: Path) -> bool:
+    try:
+        return path.suffix == ".mcap" and is_recording(path)
+    except OSError:
+        return False
+
+
+def to_json(judged: Judged) -> dict[str, Any]:
+    """Return a result for another process."""
+    return asdict(judged) | {"figures": {name: list(one) for name, one in judged.figures.items()}}
+
+
+def from_json(values: Mapping[str, Any]) -> Judged:
+    """Return the result that another process has printed."""
+    figures = {name: Figure(*one) for name, one in values["figures"].items()}
+    return Judged(**{**values, "figures": figures})
+
+
+def markdown(verdicts: Sequence[Verdict]) -> str:
+    """Return the verdicts as a table, and what differs below it, for a pull request."""
+    good = sum(one.status == "same" for one in verdicts)
+    lines = [f"**{good} of {len(verdicts)} recordings are as expected**", "", "| recording | |", "|---|---|"]
+    lines += [f"| {one.judged.name} | {STATUS_TEXTS[one.status]} |" for one in verdicts]
+    for one in verdicts:
+        if one.changes:
+            lines += ["", f"### {one.judged.name}", "", *(f"- {change}" for change in one.changes)]
+    return "\n".join(lines) + "\n"
+
+
+def junit(verdicts: Sequence[Verdict], passes: Callable[[Verdict], bool]) -> str:
+    """Return the verdicts as JUnit's XML, as servers of continuous integration read it."""
+    bad = sum(not passes(one) for one in verdicts)
+    lines = ['<?xml version="1.0" encoding="utf-8"?>']
+    lines.append(f'<testsuite name="gateway judge" tests="{len(verdicts)}" failures="{bad}">')
+    for one in verdicts:
+        head = f'  <testcase classname="recordings" name={quoteattr(one.judged.name)}'
+        if passes(one):
+            lines.append(f"{head}/>")
+        else:
+            text = escape("\n".join(one.changes))
+            lines.append(f"{head}><failure message={quoteattr(one.line)}>{text}</failure></testcase>")
+    return "\n".join([*lines, "</testsuite>"]) + "\n"

@@ -1,0 +1,180 @@
+"""`gateway judge` and `pytest --replay`: recordings as a test suite, judged in any way to the same result."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import pytest
+
+import gateway as gw
+from gateway.cli.main import main
+from gateway.config import resources
+from tests.gateway.rosbag.strangers import carmen_log
+
+EXPECTED = ".expected.toml"
+
+
+@pytest.fixture(scope="module")
+def suite(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three recordings, of two robots and of another program, with what is expected of them."""
+    folder = tmp_path_factory.mktemp("suite")
+    (folder / "more").mkdir()
+    with gw.open_session("diffbot", simulated=True, record=folder / "goal.mcap") as session:
+        session.submit(gw.Goal(0.6, 0.1))
+        for _ in session.run(2.5):
+            pass
+    with gw.open_session("bench", simulated=True, record=folder / "more" / "turn.mcap") as session:
+        for _ in session.run(1.5):
+            session.submit(gw.Velocity("left", 3.0))
+    (folder / "more" / "stranger.log").write_text(carmen_log(8.0))
+    (folder / "more" / "notes.log").write_text("not a recording\n")
+    assert main(["judge", str(folder), "--update"]) == 0
+    return folder
+
+
+@pytest.fixture
+def copy(suite: Path, tmp_path: Path) -> Path:
+    """The suite, to be spoilt."""
+    for path in suite.rglob("*"):
+        if path.is_file():
+            other = tmp_path / path.relative_to(suite)
+            other.parent.mkdir(exist_ok=True)
+            other.write_bytes(path.read_bytes())
+    return tmp_path
+
+
+def test_what_was_written_is_as_expected(suite: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["judge", str(suite)]) == 0
+    assert capsys.readouterr().out.splitlines() == [
+        f"{suite}/goal.mcap: as expected",
+        f"{suite}/more/stranger.log: as expected",
+        f"{suite}/more/turn.mcap: as expected",
+        "3 of 3 recordings are as expected",
+    ]
+    text = (suite / f"goal.mcap{EXPECTED}").read_text()
+    assert re.search(r'^"goals reached" = \[1, 0, ""\]$', text, re.MULTILINE)
+    assert re.search(r'^"final x" = \[0\.[56]\d*, 0\.02, "m"\]$', text, re.MULTILINE)
+    assert re.search(r'^"can0" = \[\n    "[0-9a-f]{8}( [0-9a-f]{8})+",\n\]$', text, re.MULTILINE)
+
+
+def test_side_by_side_and_in_shards_the_report_is_the_same_to_the_byte(suite: Path, tmp_path: Path) -> None:
+    def report(*arguments: str) -> tuple[bytes, bytes]:
+        assert (
+            main(["judge", *arguments, "--report", str(tmp_path / "r"), "--json", str(tmp_path / "j")]) == 0
+        )
+        return (tmp_path / "r").read_bytes(), (tmp_path / "j").read_bytes()
+
+    whole = report(str(suite))
+    assert report(str(suite), "--jobs", "2") == whole
+    shards = [str(tmp_path / f"{number}.json") for number in (1, 2)]
+    for number, shard in enumerate(shards, 1):
+        assert main(["judge", str(suite), "--shard", f"{number}/2", "--json", shard]) == 0
+    assert {len(json.loads(Path(shard).read_text())) for shard in shards} == {1, 2}
+    assert report(*shards) == whole
+
+
+def test_another_robot_is_told_by_its_figures_bytes_and_cause(
+    suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot = tmp_path / "slower.toml"
+    text = resources.find("robots", "diffbot").read_text()
+    robot.write_text(text.replace("max_linear = 0.6", "max_linear = 0.2"))
+    assert main(["judge", str(suite / "goal.mcap"), "--robot", str(robot)]) == 1
+    printed = capsys.readouterr().out
+    assert "goal.mcap: CHANGED" in printed
+    assert re.search(r"  can0: other bytes from second \d on, in \d of \d seconds", printed)
+    assert "brain.differential.max_linear: 0.6 recorded, 0.2 now" in printed
+
+
+def test_other_bytes_within_the_tolerances_pass_only_if_they_may(
+    suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot = tmp_path / "little.toml"
+    text = resources.find("robots", "diffbot").read_text()
+    robot.write_text(text.replace("max_linear = 0.6", "max_linear = 0.599"))
+    command = ["judge", str(suite / "goal.mcap"), "--robot", str(robot)]
+    assert main(command) == 1
+    assert "goal.mcap: other bytes, figures within their tolerances" in capsys.readouterr().out
+    assert main([*command, "--within"]) == 0
+
+
+def test_a_figure_is_held_to_its_edited_tolerance_which_an_update_keeps(
+    copy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording, file = copy / "more" / "turn.mcap", copy / "more" / f"turn.mcap{EXPECTED}"
+    position = r'("left: final position" = \[)(.*), 0\.1,'
+    file.write_text(re.sub(position, lambda m: f"{m[1]}{float(m[2]) + 0.5}, 0.1,", file.read_text()))
+    assert main(["judge", str(recording)]) == 1
+    assert re.search(r"  left: final position: .* rad, expected .* within 0\.1", capsys.readouterr().out)
+    file.write_text(re.sub(position, r"\g<1>\2, 0.7,", file.read_text()))
+    assert main(["judge", str(recording)]) == 0
+    assert main(["judge", str(recording), "--update"]) == 0
+    assert re.search(r'"left: final position" = \[.*, 0\.7, "rad"\]', file.read_text())
+
+
+def test_what_cannot_be_read_is_told_and_keeps_nothing_from_the_others(
+    copy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = (copy / "goal.mcap").read_bytes()
+    (copy / "goal.mcap").write_bytes(whole[: len(whole) // 2])
+    junit = copy / "junit.xml"
+    assert main(["judge", str(copy), "--junit", str(junit)]) == 1
+    printed = capsys.readouterr().out
+    assert "goal.mcap: CHANGED\n  it is another recording than was judged before" in printed
+    assert "2 of 3 recordings are as expected" in printed
+    suite = ET.parse(junit).getroot()
+    assert (suite.get("tests"), suite.get("failures")) == ("3", "1")
+    (failed,) = [case for case in suite if len(case)]
+    assert str(failed.get("name")).endswith("goal.mcap")
+    assert main(["judge", str(copy / "more" / "notes.log")]) == 1
+    assert "notes.log: NOT READ" in capsys.readouterr().out
+
+
+# fmt: off
+WRONG = [
+    # arguments, and what is told
+    (["{}/nowhere"], r"there is no such file or folder"),
+    (["{}/empty"], r"no recording in .*empty"),
+    (["{}", "--expected", "{}/nowhere"], r"there is no such folder"),
+    (["{}", "--shard", "3/2"], r"'3/2' is not I/N, such as 1/4"),
+    (["{}", "--jobs", "0"], r"'0' is not a number from 1 to 99"),
+    (["{}/wrong.json"], r"wrong\.json: not what `gateway judge --json` writes"),
+    (["{}/bad.mcap"], r"bad\.mcap\.expected\.toml:2: figures\.x: expected \[value, tolerance"),
+]
+# fmt: on
+
+
+def status(arguments: list[str]) -> object:
+    try:
+        return main(arguments)
+    except SystemExit as error:
+        return error.code
+
+
+@pytest.mark.parametrize(("arguments", "told"), WRONG)
+def test_wrong_arguments_and_files_are_told(
+    arguments: list[str], told: str, copy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (copy / "empty").mkdir()
+    (copy / "wrong.json").write_text('[{"name": 5}]')
+    (copy / "goal.mcap").rename(copy / "bad.mcap")
+    (copy / f"bad.mcap{EXPECTED}").write_text('\nfigures.x = [1, -2, "m"]\n')
+    assert status(["judge", *(one.format(copy) for one in arguments)]) == 2
+    assert re.search(told, capsys.readouterr().err)
+
+
+def test_pytest_runs_them_as_tests(copy: Path) -> None:
+    file = copy / "more" / f"turn.mcap{EXPECTED}"
+    file.write_text(re.sub(r'"ticks" = \[\d+', '"ticks" = [5', file.read_text()))
+    loaded = ["-p", "no:motor_gateway", "-p", "gateway.testing", "-p", "no:cacheprovider"]
+    command = [sys.executable, "-m", "pytest", "-v", *loaded, "--rootdir", str(copy), "--replay", str(copy)]
+    done = subprocess.run(command, cwd=copy / "more", capture_output=True, text=True, check=False)
+    assert done.returncode == 1, done.stderr
+    assert re.search(r"1 failed, 2 passed", done.stdout)
+    assert re.search(r"turn\.mcap: CHANGED\n  ticks: \d+, expected 5 within 0", done.stdout)
+    assert "Traceback" not in done.stdout
