@@ -16,6 +16,7 @@ RECORDINGS = ("gateway.recording", "gateway.rosbag")
 ONLY: dict[str, tuple[str, ...]] = {
     "asyncio": ("gateway.runtime.asynchronous",),
     "can": ("gateway.buses",),
+    "cantools": ("gateway.monitor.dbc",),
     "concurrent": ("gateway.runtime.asynchronous",),
     "cv2": ("gateway.vision.camera",),
     "filterpy": ("brain.perception.engine", "benchmarks"),

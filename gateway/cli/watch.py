@@ -26,6 +26,7 @@ from gateway.core.tick import Tick
 from gateway.errors import UserError
 from gateway.monitor import render
 from gateway.monitor.candidates import of_plugins, of_robot
+from gateway.monitor.dbc import DbcSignals
 from gateway.monitor.decoder import BusMonitor
 from gateway.monitor.sources import DEFAULT_BITRATE, WatchSession, open_all, usable_plugins
 from gateway.monitor.state import DecodedPacket
@@ -50,6 +51,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     )
     arguments.add_bus(parser, "where a bus of the robot file is: can0=socketcan:vcan0")
     parser.add_argument("--robot", default="", help="of a log: whose devices were on its buses")
+    text = "decode frames by this DBC file (extra dbc): of a log by it alone, unless --robot is given"
+    parser.add_argument("--dbc", type=Path, metavar="FILE", help=text)
     parser.add_argument("--lines", action="store_true", help="print a line per packet, not a page")
     arguments.add_seconds(parser)
     rate = arguments.integer("a rate in bit/s", 1)
@@ -66,25 +69,26 @@ def run(options: Namespace) -> int:
     """Listen until a signal, for a time, or to the end of a recording."""
     if options.robot and not (options.what and is_log(Path(options.what))):
         raise UserError("--robot is for a log of CAN; a robot file itself is the first argument")
+    dbc = None if options.dbc is None else DbcSignals(options.dbc)
     if options.what is not None and is_recording(options.what) and is_log(Path(options.what)):
-        _watch_log(Path(options.what), options)
+        _watch_log(Path(options.what), options, dbc)
         return 0
     if options.what is not None and is_recording(options.what):
-        _watch_recording(Path(options.what), lines=options.lines, seconds=options.seconds)
+        _watch_recording(Path(options.what), dbc, lines=options.lines, seconds=options.seconds)
         return 0
     with ExitStack() as stack:
         session = open_all(options, WallClock(), stack)
         stack.enter_context(signals(lambda name: setattr(session, "leaving", name)))
         until = None if options.seconds is None else session.began + round(options.seconds * SECOND)
         if options.lines or not sys.stdout.isatty():
-            for batch in lines(session, until):
+            for batch in lines(session, until, dbc):
                 print("\n".join(map(escaped, batch)), flush=True)
             print(end="" if options.lines else "\n")
         else:
             with screen(sys.stdout) as draw:
-                refresh(session, until, draw)
+                refresh(session, until, draw, dbc)
         if not options.lines:
-            print("\n".join(map(escaped, page(session))))
+            print("\n".join(map(escaped, page(session, dbc))))
     return 0
 
 
@@ -112,31 +116,51 @@ def received(
         session.clock.wait(now + READ_PERIOD)
 
 
-def lines(session: WatchSession, until: Nanos | None) -> Iterator[list[str]]:
+def lines(session: WatchSession, until: Nanos | None, dbc: DbcSignals | None = None) -> Iterator[list[str]]:
     """Yield the lines of each read: changes of buses, then packets."""
     for now, states, packets in received(session, until):
         batch = [_state_line(now, bus, state) for bus, state in states]
-        batch += [render.line(session.monitor.decode(packet)) for packet in packets]
+        batch += [_line(session.monitor.decode(packet), dbc) for packet in packets]
         if batch:
             yield batch
 
 
-def refresh(session: WatchSession, until: Nanos | None, draw: Callable[[list[str]], None]) -> None:
+def refresh(
+    session: WatchSession,
+    until: Nanos | None,
+    draw: Callable[[list[str]], None],
+    dbc: DbcSignals | None = None,
+) -> None:
     """Draw the page at its period."""
     next_page: Nanos = session.clock.now()
     for now, _, packets in received(session, until):
         for packet in packets:
-            session.monitor.decode(packet)
+            _take(session.monitor.decode(packet), dbc)
         if now >= next_page:
             next_page = now + REFRESH_PERIOD
-            draw(page(session))
+            draw(page(session, dbc))
 
 
-def page(session: WatchSession) -> list[str]:
+def page(session: WatchSession, dbc: DbcSignals | None = None) -> list[str]:
     """Return what is known now."""
     now = session.clock.now()
     seconds = (now - session.began) / SECOND
-    return render.page(session.monitor, now, f"{session.title}: {seconds:.1f} s, listening only")
+    shown = render.page(session.monitor, now, f"{session.title}: {seconds:.1f} s, listening only")
+    return shown + _by_dbc(dbc, seconds)
+
+
+def _take(decoded: DecodedPacket, dbc: DbcSignals | None) -> str:
+    """Return what a file says of a frame, which counts it."""
+    return dbc.take(decoded.packet) if dbc is not None else ""
+
+
+def _line(decoded: DecodedPacket, dbc: DbcSignals | None) -> str:
+    """Return the line of a frame, with what the file says of it."""
+    return f"{render.line(decoded)}  {_take(decoded, dbc)}".rstrip()
+
+
+def _by_dbc(dbc: DbcSignals | None, seconds: float) -> list[str]:
+    return ["", *dbc.page(seconds)] if dbc is not None else []
 
 
 def _state_line(now: Nanos, bus: str, state: BusState) -> str:
@@ -152,7 +176,7 @@ def is_recording(what: str) -> bool:
     return path.suffix == ".mcap" or (path.is_file() and path.suffix != ".toml")
 
 
-def _watch_recording(path: Path, *, lines: bool, seconds: float | None) -> None:
+def _watch_recording(path: Path, dbc: DbcSignals | None, *, lines: bool, seconds: float | None) -> None:
     """Print the lines or the last page of a recording, or of its first seconds."""
     recording = read_recording(path)
     robot = config.parse_robot(recording.robot_text, f"{path}: robot.toml")
@@ -167,17 +191,21 @@ def _watch_recording(path: Path, *, lines: bool, seconds: float | None) -> None:
             break
         now = tick.now
         received, sent = _decode(monitor, tick)
-        if lines and (texts := _tick_lines(tick, received, sent)):
+        if not lines:
+            for decoded in (*received, *sent):
+                _take(decoded, dbc)
+        if lines and (texts := _tick_lines(tick, received, sent, dbc)):
             print("\n".join(map(escaped, texts)))
     if monitor is None:
         raise UserError(f"{path}: it contains no tick")
     if not lines:
         cut = "" if recording.whole else ", cut short"
         title = f"{path}: {robot.name}, {(now - began) / SECOND:.1f} s{cut}"
-        print("\n".join(map(escaped, render.page(monitor, now, title))))
+        shown = render.page(monitor, now, title) + _by_dbc(dbc, (now - began) / SECOND)
+        print("\n".join(map(escaped, shown)))
 
 
-def _watch_log(path: Path, options: Namespace) -> None:
+def _watch_log(path: Path, options: Namespace, dbc: DbcSignals | None) -> None:
     """Print the lines or the last page of another program's log of CAN, or of its first seconds."""
     log = summary(path)
     bitrate = options.bitrate or DEFAULT_BITRATE
@@ -192,7 +220,7 @@ def _watch_log(path: Path, options: Namespace) -> None:
         buses = {bus: robot.buses[bus] for bus in places.values()}
     else:
         places = {name: name for name in buses}
-        plugins = usable_plugins()
+        plugins = usable_plugins() if dbc is None else []
         variants = [each for bus in buses.values() for each in of_plugins(bus, plugins)]
     monitor = BusMonitor(buses, variants, log.began, known=bool(options.robot), window=None)
     now = log.began
@@ -205,13 +233,15 @@ def _watch_log(path: Path, options: Namespace) -> None:
             now = packet.t
             decoded = monitor.decode(replace(packet, bus=places[packet.bus]), sent=sent or None)
             if options.lines:
-                print(escaped(render.line(decoded)))
+                print(escaped(_line(decoded, dbc)))
+            else:
+                _take(decoded, dbc)
     if log.error:
         print(f"cut short: {log.error}", file=sys.stderr)
     if not options.lines:
-        print(
-            "\n".join(map(escaped, render.page(monitor, now, f"{path}: {(now - log.began) / SECOND:.1f} s")))
-        )
+        seconds = (now - log.began) / SECOND
+        shown = render.page(monitor, now, f"{path}: {seconds:.1f} s") + _by_dbc(dbc, seconds)
+        print("\n".join(map(escaped, shown)))
 
 
 def _places(robot: Robot, log: LogSummary, path: Path) -> dict[str, str]:
@@ -236,13 +266,15 @@ def _decode(monitor: BusMonitor, tick: Tick) -> tuple[list[DecodedPacket], list[
     return received, sent
 
 
-def _tick_lines(tick: Tick, received: Sequence[DecodedPacket], sent: Sequence[DecodedPacket]) -> list[str]:
+def _tick_lines(
+    tick: Tick, received: Sequence[DecodedPacket], sent: Sequence[DecodedPacket], dbc: DbcSignals | None
+) -> list[str]:
     """Return a tick in the order of its step: bus states, packets, instructions, notes, packets sent."""
     time = render.time_text(tick.now)
     return [
         *(_state_line(tick.now, bus, state) for bus, state in tick.inputs.states),
-        *(render.line(packet) for packet in received),
+        *(_line(packet, dbc) for packet in received),
         *(f"{time} instruction: {message_text(message)}" for message in tick.inputs.instructions),
         *(f"{time} {note.level}: {note.source}: {note.text}" for note in tick.outputs.notes),
-        *(render.line(packet) for packet in sent),
+        *(_line(packet, dbc) for packet in sent),
     ]
