@@ -39,6 +39,7 @@ COMMANDS = {
     "twin": "simulate the devices of a robot, for another program to drive",
     "replay": "run a recording through the same code and compare every byte; or evaluate another's",
     "judge": "run a folder of recordings as a test suite, each against what is expected of it",
+    "diff": "compare two recordings: settings, the first difference, and the signals that part",
     "inspect": "tell what is in another program's recording, and write the robot file to start with",
     "map": "make a map and a path of another program's recording, as files",
     "view": "show a running robot, or recordings, in a browser",

@@ -3,9 +3,11 @@
 Exports: `replay_recording` (with the recorded or another robot), `Comparison`, `Difference`; `compare` for
 another step function; `Watch` and `Observe`, of who watches; `Player`, with `Playback`, goes to and fro in a
 recording; `SignalLog` has a run as numbers, `log_of` makes it of a recording; `Beside` and `first_difference`
-compare two. Must not import: `gateway.runtime`, `gateway.buses`; there is neither clock nor bus.
+compare two, `partings` their signals. Must not import: `gateway.runtime`, `gateway.buses`; there is neither
+clock nor bus.
 """
 
+from gateway.replay.apart import partings
 from gateway.replay.beside import Beside, first_difference
 from gateway.replay.compare import Comparison, Difference, Observe, Watch, compare, replay_recording
 from gateway.replay.player import Playback, Player
@@ -23,5 +25,6 @@ __all__ = [
     "compare",
     "first_difference",
     "log_of",
+    "partings",
     "replay_recording",
 ]
