@@ -32,12 +32,15 @@ from gateway.report.collect import Collector
 from gateway.rosbag import is_bag
 from gateway.rosbag.evaluate import evaluate_file
 from gateway.rosbag.survey import proposed_robot, survey
+from gateway.rosbag.truth import read_truth
 from protocols.frames import CanFrame, Packet
 from protocols.messages import MILLISECOND, SECOND, Fault, Nanos
 
 EXPECTED = ".expected.toml"
-SUFFIXES = (".mcap", ".bag", ".db3", ".log", ".clf", ".clf.bz2", ".csv")
+SUFFIXES = (".mcap", ".bag", ".db3", ".log", ".clf", ".gz", ".bz2", ".xz", ".csv", ".dat", ".mat")
 """Files that a folder is searched for; what is none of our readers' is left out."""
+TRUTHS = (".relations", ".tum")
+"""Of another program's recording, beside it and called as it is before its first dot"""
 LATE = 1.5
 """Periods between two steps, from which a tick counts as missed"""
 SHOWN = 5
@@ -201,7 +204,10 @@ class _Watcher:
 
 
 def _of_another(path: Path, robot: Robot | None) -> dict[str, Figure]:
-    found = evaluate_file(path, proposed_robot(survey(path)) if robot is None else robot)
+    beside = (path.with_name(path.name.partition(".")[0] + suffix) for suffix in TRUTHS)
+    truth = next((read_truth(one) for one in beside if one.is_file()), None)
+    read_as = proposed_robot(survey(path)) if robot is None else robot
+    found = evaluate_file(path, read_as, truth=truth)
     figures = {"driven": Figure(found.driven, 0.01 * found.driven, "m")}
     for name, error in found.errors.items():
         figures[f"{name}: RMS error"] = Figure(error.rms, 0.02, "m")

@@ -6,6 +6,7 @@ import json
 import re
 import subprocess
 import sys
+from math import cos, sin
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -14,7 +15,8 @@ import pytest
 import gateway as gw
 from gateway.cli.main import main
 from gateway.config import resources
-from tests.gateway.rosbag.strangers import carmen_log
+from protocols.messages import SECOND
+from tests.gateway.rosbag.strangers import carmen_log, motion
 
 EXPECTED = ".expected.toml"
 
@@ -133,6 +135,22 @@ def test_what_cannot_be_read_is_told_and_keeps_nothing_from_the_others(
     assert str(failed.get("name")).endswith("goal.mcap")
     assert main(["judge", str(copy / "more" / "notes.log")]) == 1
     assert "notes.log: NOT READ" in capsys.readouterr().out
+
+
+def test_a_truth_beside_another_programs_recording_is_used(copy: Path) -> None:
+    poses = [(t / SECOND, pose) for t, _, _, pose, _ in motion(8.0)]
+    lines = [
+        f"{t:.3f} {pose.x:.4f} {pose.y:.4f} 0 0 0 {sin(pose.yaw / 2)} {cos(pose.yaw / 2)}"
+        for t, pose in poses
+    ]
+    (copy / "more" / "stranger.tum").write_text("\n".join(lines) + "\n")
+    log = copy / "more" / "stranger.log"
+    assert main(["judge", str(log)]) == 1  # the figure is new
+    assert main(["judge", str(log), "--update"]) == 0
+    text = log.with_name(f"{log.name}{EXPECTED}").read_text()
+    error = re.search(r'^"estimated: RMS error" = \[(.*), 0\.02, "m"\]$', text, re.MULTILINE)
+    assert error is not None
+    assert float(error[1]) < 0.05
 
 
 # fmt: off
