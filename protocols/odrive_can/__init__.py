@@ -122,7 +122,7 @@ def spec(device: Device) -> Spec:
         sends=table.ids_of_driver(line, extended, address),
         expects=tuple(dict.fromkeys(one for each in tables for one in each.ids("from_device", address))),
         feedback=FeedbackKind.CYCLIC,
-        requests=REQUESTS if line == "0.5" else REQUESTS | {msg.SetId},
+        requests=REQUESTS | {msg.SetAddress if line == "0.5" else msg.SetId},
         tells_serial=line != "0.5",
         ranges=ranges_of(options) | {"Feedback.position": position},
         faults=errors.DEVICE05 if line_of(device) == "0.5" else errors.DEVICE06,

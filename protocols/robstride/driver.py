@@ -70,7 +70,7 @@ class RobStrideAdapter(RegisterAdapter):
         if decoded is None:
             return (Rx.IGNORED,)
         values, address = decoded.values, decoded.address
-        if decoded.name == "id" and (host is not None or driver.scanning()):
+        if decoded.name == "id" and (host is not None or driver.scanning(address)):
             return (Report(host, address, serial=values["serial"]),)
         if host is None:
             return (Rx.IGNORED,)
@@ -116,6 +116,9 @@ class RobStrideAdapter(RegisterAdapter):
 
     def who(self, address: int) -> Sequence[Frame]:
         return (self.message("get_id", address),)
+
+    def readdress(self, host: Host[Motor], address: int) -> Sequence[Frame]:
+        return (rs.ANY.encode("set_id", host.address, id=address),)
 
     def about(self, operation: str, address: int, name: str, value: float = 0.0) -> Sequence[Frame]:
         if operation == "save":

@@ -105,8 +105,6 @@ class RegisterAdapter(Adapter[Motor]):
     """Parameter that saves the configuration when 1 is written."""
     turns: str = ""
     """Register that holds the position beyond the range of the feedback."""
-    addresses: range = range(0)
-    """Of all devices, for a scan."""
     enable: str = "enable"
     """Name of the message that arms."""
     disable: str = "disable"

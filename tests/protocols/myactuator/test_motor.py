@@ -126,7 +126,7 @@ def test_its_id_is_told_and_changed(to: int) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["set acceleration", "set gains", "store gains", "set zero", "zero here", "set id"]
+    "name", ["set acceleration", "set gains", "store gains", "set zero", "zero here"]
 )
 def test_what_is_kept_is_never_asked_for_here(name: str) -> None:
     device = Device("left", 1, Options(), Settings())
