@@ -32,6 +32,8 @@ CHECK: Nanos = 50 * MILLISECOND
 ZEROED: Nanos = 2 * SECOND
 """Time in which a motor is restarted, and reads zero."""
 RESTARTED = "restarted"
+SILENT: Nanos = 100 * MILLISECOND
+"""Silence that shows that a motor which was told to is restarting."""
 EARLIER = 500
 """ms by which the running time must go back to be that of a restart, not a late frame."""
 
@@ -130,7 +132,9 @@ class RmdAdapter(Adapter[Motor]):
     def receive(self, t: Nanos, frame: Frame, driver: MotorDriver[Motor]) -> Sequence[Report[Motor] | Rx]:
         decoded = rmd.ANY.decode(frame, "from_device")
         host = None if decoded is None else driver.at.get(decoded.address)
-        if decoded is None or (host is None and not (decoded.name == "version" and driver.scanning(decoded.address))):
+        if decoded is None or (
+            host is None and not (decoded.name == "version" and driver.scanning(decoded.address))
+        ):
             return (Rx.IGNORED,)
         if decoded.name == "motion reply" and host is not None:
             decoded = host.options.table.decode(frame, "from_device") or decoded
@@ -254,9 +258,10 @@ class RmdAdapter(Adapter[Motor]):
 
     def answer(self, t: Nanos, pending: Pending[Motor], report: Report[Motor]) -> msg.Event | None:
         if isinstance(pending.request, msg.Zero):
-            restarted = pending.notes.setdefault("restarted", report.detail == RESTARTED)
-            pending.notes["restarted"] = restarted or report.detail == RESTARTED
-            return super().answer(t, pending, report) if restarted else None
+            silent = pending.restarted(t, SILENT)  # of a motor that was just switched on, it is all there is
+            pending.notes |= {"back": True} if silent or report.detail == RESTARTED else {}
+            if "back" not in pending.notes:
+                return None
         return super().answer(t, pending, report)
 
     def frames(self, now: Nanos, pending: Pending[Motor]) -> Sequence[Frame]:

@@ -69,6 +69,7 @@ class OdriveAdapter(Adapter[Axis]):
     needs_idle = (msg.Zero, msg.Reboot, msg.Home)
     zero_tolerance = 0.05 * math.tau
     set_id_detail = f"not saved yet: write {SAVE} 1 to keep it after power-off"
+    set_address_detail = "until it is switched off: the vendor's tool saves it, over USB"
     unaddressed = table.BROADCAST
     addresses = range(table.MAX_NODE + 1)
 

@@ -68,6 +68,8 @@ class Adapter(Generic[Own]):
     """Silence that shows that a device has restarted, for Reboot; 0: see `answer`."""
     set_id_detail: str = ""
     """What is still to be done when a device has taken its new address."""
+    set_address_detail: str = ""
+    """The same, where it was not told by its serial number."""
     addresses: range = range(0)
     """Of all devices"""
 
@@ -348,11 +350,9 @@ class MotorDriver(Generic[Own]):
         self.queue.end(pending)
         if "given" not in pending.notes:
             return [pending.refuse(t, f"another device has address {request.address}")]
-        return [pending.done(t, self.adapter.set_id_detail)]
+        return [pending.done(t, self.adapter.set_address_detail)]
 
-    def _give_address(
-        self, now: Nanos, request: msg.SetAddress, host: Host[Own]
-    ) -> Pending[Own] | str:
+    def _give_address(self, now: Nanos, request: msg.SetAddress, host: Host[Own]) -> Pending[Own] | str:
         """Begin to give a device another address, or return why it cannot be given this one."""
         address, addresses = request.address, self.adapter.addresses
         if not self.adapter.readdress(host, address):

@@ -92,7 +92,7 @@ def test_one_that_does_not_take_it_is_told() -> None:
     assert refused.reason == "it was sent, and nothing is heard at address 5"
 
 
-# -- what others send -----------------------------------------------------------------------------------------
+# -- what others send ------------------------------------------------------------------------------------
 
 
 @dataclass
