@@ -81,7 +81,7 @@ def told(robot: Robot, action: Action) -> str:
     cannot = f"{name}: {protocol} cannot do this over its bus: use the vendor's tool"
     match action.kind:
         case "set-id":
-            if not {msg.SetAddress, msg.SetId} & spec.requests:
+            if not spec.id_parameter and not {msg.SetAddress, msg.SetId} & spec.requests:
                 raise UserError(cannot)
             alone(robot, name, action.address)
             saved = f", and saves it ({spec.save})" if spec.save else ""
@@ -123,9 +123,7 @@ def perform(session: Session, action: Action, report: Report) -> bool:
                 return _calibrate(motors, action.motor, report)
             case "save":
                 return _save(motors, action.motor, report)
-            case "set-id":
-                given = _give(motors, action, before, report)
-    return given and _moved(session, action, before, report)
+    return _readdress(session, action, before, report)
 
 
 def _unfit(motors: Motors, name: str, one: Reading) -> str:
@@ -196,6 +194,18 @@ def _save(motors: Motors, name: str, report: Report) -> bool:
 # -- another address ----------------------------------------------------------------------------------------
 
 
+def _readdress(session: Session, action: Action, before: Reading, report: Report) -> bool:
+    """Give the motor its new address, look for it there, and save it."""
+    name, by = action.motor, session.robot.motors[action.motor].spec.id_parameter
+    if by and before.address != action.address and _is_taken(session, action):
+        report(f"{name}: nothing was done: another device has address {action.address}")
+        return False
+    with closing(Motors(session)) as motors:
+        motors.identify()
+        given = _give(motors, action, before, report)
+    return given and _moved(session, action, before, report)
+
+
 def _give(motors: Motors, action: Action, before: Reading, report: Report) -> bool:
     """Give the motor its new address. Returns whether its driver says that it has it."""
     name, motor = action.motor, motors.motors[action.motor]
@@ -203,7 +213,9 @@ def _give(motors: Motors, action: Action, before: Reading, report: Report) -> bo
         report(f"{name}: it has that address")
         return True
     request: msg.Request = msg.SetAddress(name, action.address)
-    if msg.SetAddress not in motor.spec.requests:
+    if motor.spec.id_parameter:
+        request = msg.WriteParameter(name, motor.spec.id_parameter, float(action.address))
+    elif msg.SetAddress not in motor.spec.requests:
         if before.serial is None:
             report(
                 f"{name}: nothing was done: it tells no serial number, by which it would be given an address"
@@ -216,6 +228,14 @@ def _give(motors: Motors, action: Action, before: Reading, report: Report) -> bo
         return True
     report(f"{name}: NOT given the address {action.address}: {reason(answer)}")
     return False
+
+
+def _is_taken(session: Session, action: Action) -> bool:
+    """Return whether anything answers at the new address: its driver would take it for the motor."""
+    robot = alone(session.robot, action.motor, action.address)
+    with closing(Motors(_as_if(session, robot))) as motors:
+        one = motors.identify()[action.motor]
+        return one.shared or not motors.session.joints[action.motor].feedback_lost(session.clock.now())
 
 
 def _moved(session: Session, action: Action, before: Reading, report: Report) -> bool:

@@ -242,7 +242,7 @@ class RmdAdapter(Adapter[Motor]):
     def questions(self, driver: MotorDriver[Motor]) -> Iterable[Frame]:
         return (rmd.ANY.encode("read version", at) for at in rmd.ADDRESSES)
 
-    def who(self, address: int) -> Sequence[Frame]:
+    def ask_at(self, address: int) -> Sequence[Frame]:
         return (rmd.ANY.encode("read version", address),)
 
     def readdress(self, host: Host[Motor], address: int) -> Sequence[Frame]:

@@ -114,7 +114,7 @@ class RobStrideAdapter(RegisterAdapter):
     def message(self, name: str, address: int) -> Frame:
         return rs.ANY.encode(name, address)
 
-    def who(self, address: int) -> Sequence[Frame]:
+    def ask_at(self, address: int) -> Sequence[Frame]:
         return (self.message("get_id", address),)
 
     def readdress(self, host: Host[Motor], address: int) -> Sequence[Frame]:
@@ -154,7 +154,7 @@ class RobStrideAdapter(RegisterAdapter):
         frames = [*super().poll(now, host)]
         if now - host.own.asked.get("id", -IDENTIFY_PERIOD) >= IDENTIFY_PERIOD:
             host.own.ask(now, "id")
-            frames += self.who(host.address)
+            frames += self.ask_at(host.address)
         return frames
 
     # -- requests -------------------------------------------------------------------------------------

@@ -184,7 +184,7 @@ class Adapter(Generic[Own]):
         """Return what gives a device another address; (): it cannot be given one. Sent once."""
         return ()
 
-    def who(self, address: int) -> Sequence[Frame]:
+    def ask_at(self, address: int) -> Sequence[Frame]:
         """Return the read-only frames that are answered by who is at an address; () if there are none, and a
         device is heard unasked."""
         return ()
@@ -369,7 +369,7 @@ class MotorDriver(Generic[Own]):
 
     def _address_frames(self, now: Nanos, pending: Pending[Own], request: msg.SetAddress) -> Sequence[Frame]:
         """Ask who is at the new address; once nobody has answered for a while, give it to the device."""
-        who = self.adapter.who(request.address)
+        who = self.adapter.ask_at(request.address)
         if now - pending.began < LISTENED or "given" in pending.notes or pending.host is None:
             return who
         pending.notes["given"] = now

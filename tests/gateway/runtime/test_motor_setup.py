@@ -24,9 +24,7 @@ from protocols.messages import Nanos, Obeyed
 ONE = """
 name = "one"
 [buses.bus]
-kind = "{kind}"
-bitrate = 1_000_000
-{data}
+{bus}
 interface = "twin"
 [motors.left]
 protocol = "{protocol}"
@@ -41,10 +39,17 @@ motors = ["left"]
 """
 
 
+CAN = 'kind = "can"\nbitrate = 1_000_000'
+BUSES = {
+    "moteus": 'kind = "canfd"\nbitrate = 1_000_000\ndata_bitrate = 5_000_000',
+    **dict.fromkeys(("dynamixel", "feetech"), 'kind = "serial"\nbaudrate = 1_000_000'),
+    "ddsm": 'kind = "serial"\nbaudrate = 115_200',
+}
+
+
 def robot_of(protocol: str, options: str = "", address: int = 1) -> Robot:
-    kind = "canfd" if protocol == "moteus" else "can"
-    data = "data_bitrate = 5_000_000" if kind == "canfd" else ""
-    return parse_robot(ONE.format(protocol=protocol, options=options, address=address, kind=kind, data=data))
+    bus = BUSES.get(protocol, CAN)
+    return parse_robot(ONE.format(protocol=protocol, options=options, address=address, bus=bus))
 
 
 @dataclass
@@ -103,6 +108,9 @@ GIVEN = (
     ("robstride", 'model = "cybergear"', "has the address 5", False),
     ("myactuator", "torque_constant = 1.0", "has the address 5", False),
     ("moteus", "", "has the address 5, not saved yet*", True),
+    ("dynamixel", 'model = "XM430-W350"', "has the address 5", False),
+    ("feetech", 'model = "sts3215"', "has the address 5", False),
+    ("ddsm", 'model = "DDSM115"', "has the address 5", False),
 )
 
 
