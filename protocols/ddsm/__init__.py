@@ -51,7 +51,6 @@ def spec(device: Device) -> Spec:
         ds.ADDRESSES,
         "half-duplex" if model.names_mode else "asked",
         commands=frozenset({msg.Idle, msg.Velocity} | ({msg.Torque} if model.strongest else set())),
-        id_parameter="id",
         requests=frozenset({msg.ClearFault, msg.Scan, msg.WriteParameter}),
         ranges=ranges(options),
         watchdog=Watchdog(None, enabled=False, note="" if options.watchdog == "acknowledged" else NOTE),

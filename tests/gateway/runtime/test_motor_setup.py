@@ -43,7 +43,6 @@ CAN = 'kind = "can"\nbitrate = 1_000_000'
 BUSES = {
     "moteus": 'kind = "canfd"\nbitrate = 1_000_000\ndata_bitrate = 5_000_000',
     **dict.fromkeys(("dynamixel", "feetech"), 'kind = "serial"\nbaudrate = 1_000_000'),
-    "ddsm": 'kind = "serial"\nbaudrate = 115_200',
 }
 
 
@@ -110,7 +109,6 @@ GIVEN = (
     ("moteus", "", "has the address 5, not saved yet*", True),
     ("dynamixel", 'model = "XM430-W350"', "has the address 5", False),
     ("feetech", 'model = "sts3215"', "has the address 5", False),
-    ("ddsm", 'model = "DDSM115"', "has the address 5", False),
 )
 
 
