@@ -12,6 +12,7 @@ import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 from dataclasses import asdict
+from typing import Any
 
 from gateway.buses import open_bus
 from gateway.buses.usb import can_interfaces, port_names
@@ -83,7 +84,17 @@ def _is_error(record: logging.LogRecord) -> bool:
 
 
 def _scan_all(interfaces: Sequence[str], plugins: Sequence[Plugin], options: Namespace) -> int:
-    results: list[dict[str, object]] = []
+    results, opened = _results(interfaces, plugins, options)
+    if options.json:
+        print(json.dumps(results, indent=2))
+    return 2 if not opened else 0 if results else 1
+
+
+def _results(
+    interfaces: Sequence[str], plugins: Sequence[Plugin], options: Namespace
+) -> tuple[list[dict[str, Any]], int]:
+    """Return what was found, as --json prints it, and how many buses could be opened."""
+    results: list[dict[str, Any]] = []
     opened = 0
     if not options.json and any(one.startswith("serial:") for one in interfaces):
         print(f"serial lines are asked, too: {CAUTION}")
@@ -97,14 +108,12 @@ def _scan_all(interfaces: Sequence[str], plugins: Sequence[Plugin], options: Nam
                 print(error, file=sys.stderr)
                 break
             opened += 1
-            results += [{"interface": interface, "rate": _rate(bus)} | asdict(one) for one in found]
+            results += [_row(interface, bus, one) for one in found]
             if not options.json:
                 _print(found, probes, ids)
             if found and baudrate and not options.baudrate:
                 break  # a line has one rate
-    if options.json:
-        print(json.dumps(results, indent=2))
-    return 2 if not opened else 0 if results else 1
+    return results, opened
 
 
 def _full(text: str) -> str:
@@ -124,6 +133,21 @@ def _machine() -> list[str]:
         text = "this machine has no CAN interface and no serial port: is the adapter plugged in?"
         raise UserError(f"{text} Or name one: can0, /dev/ttyUSB0, slcan:/dev/ttyACM0")
     return found
+
+
+def _row(interface: str, bus: BusSettings, found: Finding) -> dict[str, Any]:
+    """Return one finding with its bus, as --json prints it."""
+    rates = {"rate": _rate(bus), "kind": bus.kind, "data_rate": bus.data_bitrate}
+    return {"interface": interface, **rates} | asdict(found)
+
+
+def rows(interface: str) -> list[dict[str, Any]]:
+    """Look on one interface, and return what --json prints of it."""
+    parser = ArgumentParser()
+    add_arguments(parser)
+    options = parser.parse_args([interface])
+    plugins, interfaces = usable_plugins(), [_full(interface)]
+    return _results(interfaces, plugins, options)[0]
 
 
 def _rate(bus: BusSettings) -> int:
