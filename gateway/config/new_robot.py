@@ -527,7 +527,7 @@ class Plan:
         units = {name: bounds.unit for name, hint in hints(kind).items() if (bounds := bounds_of(hint))}
         noted = {
             key: f"{PROPOSED}{text}" if key in self.answers.proposed else text
-            for key, text in (units | docs(kind)).items()
+            for key, text in {**units, **docs(kind)}.items()
         }
         return noted | {
             key: f"{PROPOSED}raise it when it drives well" for key in GENTLE if key in self.answers.proposed

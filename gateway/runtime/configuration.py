@@ -231,8 +231,7 @@ def subject(request: msg.Request) -> str:
 
 def _answers(event: Answer, request: msg.Request) -> bool:
     if isinstance(event, msg.Parameter):
-        read = isinstance(request, msg.ReadParameter)
-        return read and (event.motor, event.parameter) == (request.motor, request.parameter)
+        return msg.ReadParameter(event.motor, event.parameter) == request
     return (event.name, event.request) == (subject(request), type(request).__name__)
 
 

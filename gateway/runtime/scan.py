@@ -39,6 +39,10 @@ LISTENING: Nanos = 1500 * MILLISECOND
 """For how long a protocol without a scan is listened to, or polls."""
 ANSWER: Nanos = 15 * SECOND
 """Time after which a scan counts as not answered; drivers end it sooner (conformance: 8 s)."""
+BITRATES = (1_000_000, 500_000, 250_000, 125_000)
+"""bit/s at which a CAN bus is looked at through an adapter whose rate is ours to set."""
+HEARING: Nanos = 600 * MILLISECOND
+"""For how long such a bus is listened to at each rate."""
 DRY: Nanos = 2 * SECOND
 """For how long the questions of a scan are listed that nothing answers."""
 MOST_ADDRESSES = 256
@@ -246,6 +250,35 @@ def _steps(one: Probe, buses: Mapping[str, Bus], clock: Clock, seconds: Nanos) -
         yield Outputs(sent, (*events, *more))
         requests = ()
         clock.wait(now + PERIOD)
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """What was received of a bus that was only listened to."""
+
+    frames: int = 0
+    errors: bool = False
+    """Its controller saw errors: what others send is sent at another rate."""
+
+
+def listened(read: Callable[[Nanos], tuple[Sequence[BusState], Sequence[Packet]]], clock: Clock) -> Heard:
+    """Listen to a bus that is open at one bit rate, by its `read`."""
+    frames, errors, until = 0, False, clock.now() + HEARING
+    while clock.now() < until:
+        states, packets = read(clock.now())
+        frames += len(packets)
+        errors |= bool({BusState.PASSIVE, BusState.OFF} & {*states})
+        clock.wait(clock.now() + PERIOD)
+    return Heard(frames, errors)
+
+
+def likely(heard: Mapping[int, Heard]) -> list[int]:
+    """Return the bit rates at which devices are asked, in this order: that at which frames were received. On
+    a bus that is silent all but those with errors: a question at a wrong rate disturbs others."""
+    received = [rate for rate, one in heard.items() if one.frames]
+    if received:
+        return [max(received, key=lambda rate: heard[rate].frames)]
+    return [rate for rate, one in heard.items() if not one.errors]
 
 
 def look(one: Probe, bus: Bus, clock: Clock) -> list[Finding]:

@@ -259,7 +259,8 @@ class RmdAdapter(Adapter[Motor]):
     def answer(self, t: Nanos, pending: Pending[Motor], report: Report[Motor]) -> msg.Event | None:
         if isinstance(pending.request, msg.Zero):
             silent = pending.restarted(t, SILENT)  # of a motor that was just switched on, it is all there is
-            pending.notes |= {"back": True} if silent or report.detail == RESTARTED else {}
+            if silent or report.detail == RESTARTED:
+                pending.notes.update(back=True)
             if "back" not in pending.notes:
                 return None
         return super().answer(t, pending, report)

@@ -372,7 +372,7 @@ class MotorDriver(Generic[Own]):
         who = self.adapter.ask_at(request.address)
         if now - pending.began < LISTENED or "given" in pending.notes or pending.host is None:
             return who
-        pending.notes["given"] = now
+        pending.notes.update(given=now)
         return (*self.adapter.readdress(pending.host, request.address), *who)
 
     def scanning(self, address: int = -1) -> bool:

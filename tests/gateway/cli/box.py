@@ -25,12 +25,12 @@ ROBOTS = Path("fixtures/robots")
 
 
 def rover_parts() -> Robot:
-    """The skid-steer that ships, with four VESCs: its names are those of its makers, not of who unpacks it."""
+    """The skid-steer that ships, with four VESCs: its names are its makers', not those of who unpacks it."""
     text = (ROBOTS / "skid_steer.toml").read_text("utf-8").replace('"odrive_can"', '"vesc"')
-    options = "pole_pairs = 15, torque_constant = 0.5, min_erpm = 0.0, feedback_ms = 10"
+    options = "pole_pairs = 7, torque_constant = 0.1, min_erpm = 0.0, feedback_ms = 10"
     text = re.sub("options = {.*}", f"options = {{ {options} }}", text)
     text = re.sub("settings = {.*}", "settings = { status_messages = 25 }", text)
-    text = text.replace("gear = 8.0", "gear = 1.0").replace("bitrate = 1_000_000", "bitrate = 500_000")
+    text = text.replace("gear = 8.0", "gear = 4.0").replace("bitrate = 1_000_000", "bitrate = 500_000")
     return parse_robot(re.sub(r"address = ([1-4])(?=[ ,]+(?:\}|sign))", r"address = 1\1", text))
 
 
@@ -42,8 +42,8 @@ AXES = {
     "wrist_2_joint": ("wrist_1_link", "wrist_2_link", "0 0.06 0", "0 0 1", 0.3, "4310", 7.0),
     "wrist_3_joint": ("wrist_2_link", "wrist_3_link", "0 0 0.06", "0 1 0", 0.1, "4310", 7.0),
 }
-"""Joints of an arm of the shape and with the names of ROS-Industrial's universal_robot (ur_description), smaller:
-parent, child, origin, axis, mass of the child [kg]; model and torque [N·m] of its motor."""
+"""Joints of an arm of the shape and with the names of ROS-Industrial's universal_robot (ur_description), but
+smaller: parent, child, origin, axis, mass of the child [kg]; model and torque [N·m] of its motor."""
 MOUNTED = {"elbow_joint": -1}
 """Motors that are mounted the other way round"""
 
@@ -54,7 +54,8 @@ def arm_urdf() -> str:
     for name, (parent, child, xyz, axis, mass, _, torque) in AXES.items():
         i = f'ixx="{mass / 200}" ixy="0" ixz="0" iyy="{mass / 200}" iyz="0" izz="{mass / 400}"'
         lines += [
-            f'  <link name="{child}"><inertial><origin xyz="0 0 0.08"/><mass value="{mass}"/><inertia {i}/></inertial></link>',
+            f'  <link name="{child}"><inertial><origin xyz="0 0 0.08"/><mass value="{mass}"/>',
+            f"    <inertia {i}/></inertial></link>",
             f'  <joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/>',
             f'    <origin xyz="{xyz}"/><axis xyz="{axis}"/>',
             f'    <limit lower="-2.8" upper="2.8" velocity="3.0" effort="{torque}"/></joint>',
@@ -92,8 +93,8 @@ def arm_parts(folder: Path) -> Robot:
 class Port:
     """One end of a simulated bus, under the name that a program has for it."""
 
-    def __init__(self, name: str, bus: Bus) -> None:
-        self.name, self._bus = name, bus
+    def __init__(self, name: str, bus: Bus, *, errors: bool) -> None:
+        self.name, self._bus, self._errors = name, bus, errors
 
     def read(self, now: Nanos) -> tuple[Sequence[BusState], Sequence[Packet]]:
         states, packets = self._bus.read(now)
@@ -106,20 +107,37 @@ class Port:
         """The world goes on."""
 
 
+class Wrong(Port):
+    """The same at a wrong rate: what others send is an error."""
+
+    def read(self, now: Nanos) -> tuple[Sequence[BusState], Sequence[Packet]]:
+        _, packets = super().read(now)
+        return [BusState.PASSIVE] if packets and self._errors else [], []
+
+    def write(self, now: Nanos, frames: Sequence[Frame]) -> None:
+        assert not frames or not self._errors, "a question at a rate at which there were errors"
+
+
 class Box:
     """A world of parts, and where their buses are plugged in."""
 
-    def __init__(self, parts: Robot, plugged: Mapping[str, str]) -> None:
+    def __init__(self, parts: Robot, plugged: Mapping[str, str], *, deaf: bool = False) -> None:
         self.world: TwinWorld = open_world(parts, 1)
         self.parts, self.plugged, self.clock = parts, plugged, SimulatedClock()
+        self.deaf = deaf
+        """Its adapter tells nothing of errors on the bus."""
 
     def open(self, settings: BusSettings, _: object = None) -> Port:
-        """Open an interface, as `gateway.buses.open_bus` does."""
-        return Port(settings.name, self.world.buses[self.plugged[settings.interface]])
+        """Open an interface, as `gateway.buses.open_bus` does. At a wrong rate nothing passes."""
+        bus = self.world.buses[self.plugged[settings.interface]]
+        true = self.parts.buses[bus.name]
+        port = Port if (settings.bitrate, settings.baudrate) == (true.bitrate, true.baudrate) else Wrong
+        return port(settings.name, bus, errors=not self.deaf)
 
     def plug_in(self, monkeypatch: pytest.MonkeyPatch) -> None:
         """Have `gateway scan` find it."""
         monkeypatch.setattr(scan, "open_bus", self.open)
+        monkeypatch.setattr(scan, "open_source", self.open)
         monkeypatch.setattr(scan, "WallClock", lambda: self.clock)
 
     @contextmanager

@@ -19,6 +19,7 @@ from gateway.config.new_robot import Answers, Part, Plan, Question
 from gateway.errors import UserError
 from gateway.runtime import which_motor
 from gateway.runtime.configuration import Motors
+from gateway.runtime.scan import Heard, likely
 from protocols import messages as msg
 from protocols.messages import SECOND, Feedback, Goal, Mission, Nanos, Reach
 from tests.gateway.cli.box import AXES, Box, arm_parts, arm_urdf, rover_parts
@@ -28,7 +29,7 @@ ROVER = {"slcan:/dev/ttyACM0": "can0", "serial:/dev/ttyUSB0": "sensors"}
 ARM = {"slcan:/dev/ttyACM1": "can"}
 
 
-# -- the page -------------------------------------------------------------------------------------------------
+# -- the page ----------------------------------------------------------------------------------------------
 
 
 def executed(page: str, capsys: pytest.CaptureFixture[str], plug: Any) -> str:
@@ -90,14 +91,13 @@ def test_the_page_is_what_is_printed_and_what_it_writes_drives(
 def drives(box: Box, file: Path) -> None:
     robot = load_robot(file)
     with box.session(robot) as session:
-        session.submit(Goal(1.0, 0.3))
-        for tick in session.run(20.0):
-            if tick.number > 100 and not session.belief.goal:
+        session.submit(Goal(0.5, 0.1))
+        for _ in session.run(20.0):
+            if session.belief.goal is None:
                 break
+        assert all(not joint.faults for joint in session.joints.values())
     truth = box.world.world.truth()
-    assert truth is not None
-    assert abs(truth.x - 1.0) < 0.2
-    assert abs(truth.y - 0.3) < 0.2
+    assert (truth.x, truth.y) == pytest.approx((0.5, 0.1), abs=0.15)
 
 
 def reaches(box: Box, file: Path) -> None:
@@ -112,10 +112,67 @@ def reaches(box: Box, file: Path) -> None:
     with box.session(robot) as session:
         session.submit(Mission("out", (Reach(tuple(msg.Position(n, at) for n, at in targets.items())),)))
         for tick in session.run(6.0):  # at its end it is let down
-            if tick.number == 500:
+            if tick.number == 400:
                 break
         at = {name: box.world.world.shaft(name)[0] for name in targets}
     assert at == pytest.approx(targets, abs=0.05)
+
+
+# -- at which bit rate -------------------------------------------------------------------------------------
+
+
+def scanned(box: Box, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> list[str]:
+    box.plug_in(monkeypatch)
+    assert main(["scan", "slcan:/dev/ttyACM0", "--protocol", "vesc"]) == 0
+    out: str = capsys.readouterr().out
+    return out.splitlines()
+
+
+FOUND = [f"  vesc         address {at}    hardware type 0" for at in (11, 12, 13, 14)]
+
+
+def test_frames_and_errors_tell_the_bit_rate(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The status messages of the VESCs are heard; at any other rate nothing is sent."""
+    first, second, *rest = scanned(Box(rover_parts(), ROVER), monkeypatch, capsys)
+    assert first == "slcan:/dev/ttyACM0 at 1,000,000 bit/s: errors"
+    assert second.startswith("slcan:/dev/ttyACM0 at 500,000 bit/s: ")
+    assert second.endswith(" frames")
+    assert rest[:2] == [f"slcan:/dev/ttyACM0 at {rate} bit/s: errors" for rate in ("250,000", "125,000")]
+    assert rest[2:] == ["slcan:/dev/ttyACM0 at 500,000 bit/s: vesc", *FOUND]
+
+
+def test_on_a_silent_bus_each_rate_is_asked_at_until_one_is_answered(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    parts = rover_parts()
+    quiet = {
+        name: replace(one, device=replace(one.device, settings=type(one.device.settings)(status_messages=0)))
+        for name, one in parts.motors.items()
+    }
+    box = Box(replace(parts, motors=quiet), ROVER, deaf=True)
+    lines = scanned(box, monkeypatch, capsys)
+    assert lines[:4] == [
+        f"slcan:/dev/ttyACM0 at {rate} bit/s: silent"
+        for rate in ("1,000,000", "500,000", "250,000", "125,000")
+    ]
+    head = "slcan:/dev/ttyACM0 at {} bit/s: vesc"
+    asked = [head.format("1,000,000"), "  nothing answers", head.format("500,000"), *FOUND]
+    assert lines[4:] == asked
+
+
+@pytest.mark.parametrize(
+    ("heard", "rates"),
+    [
+        ({1: Heard(0, errors=True), 2: Heard(7), 3: Heard(0)}, [2]),
+        ({1: Heard(0), 2: Heard(0, errors=True), 3: Heard(0)}, [1, 3]),
+        ({1: Heard(1), 2: Heard(90)}, [2]),
+        ({1: Heard(0, errors=True)}, []),
+    ],
+)
+def test_which_rates_are_likely(heard: dict[int, Heard], rates: list[int]) -> None:
+    assert likely(heard) == rates
 
 
 # -- what is stated ------------------------------------------------------------------------------------------

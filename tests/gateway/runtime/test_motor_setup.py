@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import pytest
 
@@ -51,17 +51,12 @@ def robot_of(protocol: str, options: str = "", address: int = 1) -> Robot:
     return parse_robot(ONE.format(protocol=protocol, options=options, address=address, bus=bus))
 
 
-@dataclass
 class Tap:
     """A bus that keeps what is written, and loses some of it."""
 
-    bus: Bus
-    lost: Callable[[Frame], bool] = lambda _: False
-    written: list[Frame] = field(default_factory=list)
-
-    @property
-    def name(self) -> str:
-        return self.bus.name
+    def __init__(self, bus: Bus, lost: Callable[[Frame], bool]) -> None:
+        self.name, self.bus, self.lost = bus.name, bus, lost
+        self.written: list[Frame] = []
 
     def read(self, now: Nanos) -> tuple[Sequence[BusState], Sequence[Packet]]:
         return self.bus.read(now)
