@@ -46,9 +46,12 @@ GENTLE: Mapping[str, float] = {
 """What is proposed of a base: m/s, rad/s, m/s², rad/s²."""
 SWING = 20.0
 """rad/s², proposed of a joint that no base limits"""
+UNITS = {"velocity": "rad/s", "acceleration": "rad/s²", "torque": "N·m"}
+"""Of the limits of a joint"""
 STEERING = 3.0
 """rad/s and rad/s² of a joint that steers, of which the base says nothing"""
 SIGNS = ("1", "-1")
+YES_NO = {"y": "true", "yes": "true", "n": "false", "no": "false"}
 COLUMN, WIDTH = 32, 118
 """Where comments begin, and end"""
 PROPOSED = "proposed; "
@@ -161,6 +164,8 @@ def converted(text: str, hint: object) -> Any:  # noqa: ANN401 -- as hinted
         return [one.strip() for one in text.split(",") if one.strip()]
     if hint is str:
         return text
+    if hint is bool:
+        return converted(YES_NO.get(text.lower(), text), ("true", "false")) == "true"
     try:
         value = tomllib.loads(f"x = [{text}]" if several and "[" not in text else f"x = {text}")["x"]
     except tomllib.TOMLDecodeError:
@@ -336,6 +341,7 @@ class Plan:
         motors = {name: self._motor(name, buses) for name in self.motors}
         sensors = {name: self._sensor(name, buses) for name in self.sensors}
         body = self._body()
+        self._rate()
         self._limit(motors, dict.fromkeys(motors, (1.0, 1.0)))
         self.answers.check()
         if isinstance_base(self.body):
@@ -345,6 +351,10 @@ class Plan:
         text = self._file(buses, motors, sensors, body)
         self._parsed(text)
         return text
+
+    def _rate(self) -> float:
+        rate: float = self.answers.get(Question("rate_hz", "steps per second", "200"), float)
+        return rate
 
     def _parsed(self, text: str) -> Robot:
         file = f"\n[files]\n{shown(self.urdf_name)} = '''\n{self.urdf_text}'''\n" if self.urdf_text else ""
@@ -370,10 +380,11 @@ class Plan:
         kind = plugin_of(part).options
         options: Table = {}
         for key, one in keys(kind).items():
-            own = f"{name}.{key}"
             scale = key in spec_of(part, options).scales or key in required(kind)
-            if self.answers.has(own) or self.answers.has(key) or scale:
-                asked = own if self.answers.has(own) else key
+            plain = f"options.{key}" if key in keys(JointSettings) else key  # a gear of its own
+            own = f"{name}.{plain}"
+            if self.answers.has(own) or self.answers.has(plain) or scale:
+                asked = own if self.answers.has(own) else plain
                 hint = hints(kind)[one.name]
                 options[key] = self.answers.get(question_of(kind, one.name, asked), hint, one.default)
         return options
@@ -415,24 +426,20 @@ class Plan:
         """Give the motors limits: what the base needs, what the URDF has, what is stated, within what their
         devices allow."""
         for name, table in motors.items():
-            told, joint = self.allowed.get(name, {}), self.joints.get(name)
-            most = {"velocity": inf, "torque": inf}
-            most |= {"velocity": told["velocity"] / table["gear"]} if "velocity" in told else {}
-            most |= {"torque": told["torque"] * table["gear"]} if "torque" in told else {}
+            told, joint, gear = self.allowed.get(name, {}), self.joints.get(name), table["gear"]
+            most = {"velocity": told.get("velocity", inf) / gear, "torque": told.get("torque", inf) * gear}
             limits: Table = {}
             if isinstance_base(self.body):
-                limits = {"velocity": min(rounded(needs[name][0]), most["velocity"])}
-                limits["acceleration"] = rounded(needs[name][1])
-            elif joint is None or joint.velocity is None:
-                limits["velocity"] = self._each(
-                    name, "velocity", _limit("velocity", "rad/s", most["velocity"])
-                )
-            if "acceleration" not in limits:
-                asked = Question("acceleration", "rad/s² of the joint, at most", f"{SWING:g}")
-                limits["acceleration"] = self._each(name, "acceleration", asked)
-            if joint is None or joint.effort is None:
-                limits["torque"] = self._each(name, "torque", _limit("torque", "N·m", most["torque"]))
-            table["limits"] = limits
+                velocity, limits["acceleration"] = map(rounded, needs[name])
+                limits["velocity"] = min(velocity, most["velocity"])
+            of_urdf = {"velocity": joint.velocity, "torque": joint.effort} if joint else {}
+            for what, unit in UNITS.items():
+                stated = any(map(self.answers.has, (f"{name}.{what}", what)))
+                if stated or (what not in limits and of_urdf.get(what) is None):
+                    end = most.get(what, SWING)
+                    asked = Question(what, f"{unit} of the joint, at most", f"{end:g}" if end < inf else "")
+                    limits[what] = self._each(name, what, asked)
+            table["limits"] = {what: limits[what] for what in UNITS if what in limits}
 
     def _sensor(self, name: str, buses: Mapping[str, Table]) -> Table:
         part = self.sensors[name]
@@ -498,7 +505,7 @@ class Plan:
         body: Table,
     ) -> str:
         top: Table = {"name": self.name}
-        top |= {"rate_hz": self.answers.get(Question("rate_hz", "steps per second", "200"), float)}
+        top |= {"rate_hz": self._rate()}
         top |= {"urdf": self.urdf_name} if self.urdf_text else {}
         sections = [section("", top, {"urdf": "links and joints, with their limits"})]
         sections[0] = (
@@ -568,10 +575,6 @@ class Plan:
 def isinstance_base(kind: type[Body]) -> bool:
     """True for a body that moves in the plane."""
     return issubclass(kind, Base)
-
-
-def _limit(what: str, unit: str, most: float) -> Question:
-    return Question(what, f"{unit} of the joint, at most", f"{most:g}" if most < inf else "")
 
 
 def _axes(kind: type[Settings], motors: Sequence[str]) -> Table:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -15,7 +16,9 @@ import pytest
 from gateway.cli.main import main
 from gateway.cli.new import make, parts_in
 from gateway.config import cautions, load_robot, parse_robot
-from gateway.config.new_robot import Answers, Part, Plan, Question
+from gateway.config.bodies import load_body
+from gateway.config.new_robot import Answers, Part, Plan, Question, needed, shown
+from gateway.core.robot import BusSettings, Robot
 from gateway.errors import UserError
 from gateway.runtime import which_motor
 from gateway.runtime.configuration import Motors
@@ -23,6 +26,7 @@ from gateway.runtime.scan import Heard, likely
 from protocols import messages as msg
 from protocols.messages import SECOND, Feedback, Goal, Mission, Nanos, Reach
 from tests.gateway.cli.box import AXES, Box, arm_parts, arm_urdf, rover_parts
+from tests.sampled import sampled
 
 PAGE = Path(__file__).parents[3] / "docs" / "from-a-box.md"
 ROVER = {"slcan:/dev/ttyACM0": "can0", "serial:/dev/ttyUSB0": "sensors"}
@@ -248,6 +252,73 @@ def test_what_scales_or_limits_is_never_assumed(key: str) -> None:
 def test_what_is_stated_wrongly_is_said(stated: dict[str, str], why: str) -> None:
     with pytest.raises(UserError, match=why):
         made(STATED | stated)
+
+
+LEFT_OUT = ("diffbot_mixed", "diffbot_mixed_can", "husky", "jackal", "mobile_arm", "two_arms")
+"""Robots of several limbs, with a motor beside their base, or of recordings, which have no buses"""
+SHIPPED = [path.stem for path in sorted(Path("fixtures/robots").glob("*.toml")) if path.stem not in LEFT_OUT]
+
+
+def answers_of(robot: Robot, table: dict[str, Any]) -> dict[str, str]:
+    """What somebody states who knows the robot."""
+    kind, base = robot.brain.body.kind, robot.brain.body.as_base is not None
+    own: dict[str, Any] = dict(table["brain"].get(kind, {}))
+    own |= {"body": kind, "length": 0.4, "width": 0.3} if base else {"body": kind}
+    for key in load_body(kind).motor_keys():
+        several = own.pop(key)
+        own |= {} if isinstance(several, str) else {key: ",".join(several)}
+    for name, one in robot.motors.items():
+        joint, options = one.joint, one.device.options
+        values = {"address": one.device.address, "interface": interface(robot.buses[one.bus])}
+        values |= {"sign": joint.sign, "gear": joint.gear, "torque": joint.limits.torque}
+        values |= {} if base else {"velocity": joint.limits.velocity}
+        values |= {"options.gear" if key == "gear" else key: getattr(options, key) for key in one.spec.scales}
+        own |= {f"{name}.{key}": value for key, value in values.items()}
+    for name, sensor in robot.sensors.items():
+        own |= {f"{sensor.plugin.name}.{sensor.device.address}": name, f"{name}.mount": "0.1,0,0.2,0"}
+        own |= {f"{name}.{key}": getattr(sensor.device.options, key) for key in sensor.spec.scales}
+    left_out = ("radius", "footprint")
+    return {
+        key: one if isinstance(one, str) else shown(one) for key, one in own.items() if key not in left_out
+    }
+
+
+def interface(bus: BusSettings) -> str:
+    return f"{'serial' if bus.kind == 'serial' else 'socketcan'}:{bus.name}"
+
+
+@pytest.mark.parametrize("name", sampled(SHIPPED, 5))
+def test_every_robot_that_ships_can_be_made_so(name: str) -> None:
+    robot = load_robot(name)
+    table = tomllib.loads(Path(f"fixtures/robots/{name}.toml").read_text("utf-8"))
+    parts = []
+    for one in robot.devices():
+        bus = robot.buses[one.bus]
+        rates = bus.bitrate or bus.baudrate, bus.kind, bus.data_bitrate
+        parts.append(Part(interface(bus), one.plugin.name, one.device.address, *rates))
+    file = table.get("urdf", "")
+    text = Path(f"fixtures/robots/{file}").read_text("utf-8") if file else ""
+    plan = Plan(name, parts, Answers(answers_of(robot, table)), file, text)
+    again = parse_robot(
+        make(plan, None, read=False) + (f"[files]\n{shown(file)} = {shown(text)}" if file else "")
+    )
+    assert again.motors.keys() == robot.motors.keys()
+    assert type(again.brain.body) is type(robot.brain.body)
+    assert again.brain.body.joints == robot.brain.body.joints
+    for motor, one in again.motors.items():
+        known, scales = robot.motors[motor], one.spec.scales
+        assert (one.device.address, one.joint.sign, one.joint.gear) == (
+            known.device.address,
+            known.joint.sign,
+            known.joint.gear,
+        )
+        assert [getattr(one.device.options, key) for key in scales] == [
+            getattr(known.device.options, key) for key in scales
+        ]
+        assert one.assumed == ()
+    if (base := again.brain.body.as_base) is not None:
+        fastest = needed(base)
+        assert all(again.motors[one].joint.limits.velocity <= fastest[one][0] * 1.01 for one in base.joints)
 
 
 def test_one_motor_may_be_another_and_devices_on_two_buses_have_one_address() -> None:

@@ -20,6 +20,7 @@ from gateway.runtime.session import Session, open_session
 from protocols import messages as msg
 from protocols.frames import BusState, CanFrame, Frame, Packet
 from protocols.messages import Nanos, Obeyed
+from tests.sampled import sampled
 
 ONE = """
 name = "one"
@@ -107,7 +108,7 @@ GIVEN = (
 )
 
 
-@pytest.mark.parametrize(("protocol", "options", "said", "saves"), GIVEN)
+@pytest.mark.parametrize(("protocol", "options", "said", "saves"), sampled(GIVEN, 3))
 def test_an_address_is_given_found_again_and_saved(
     protocol: str, options: str, said: str, saves: bool
 ) -> None:
@@ -188,7 +189,7 @@ ZEROED = (
 )
 
 
-@pytest.mark.parametrize(("protocol", "options"), ZEROED)
+@pytest.mark.parametrize(("protocol", "options"), sampled(ZEROED, 2))
 def test_a_zero_is_taken_and_read_back(protocol: str, options: str) -> None:
     robot = motor_setup.alone(robot_of(protocol, options), "left")
     assert "takes the place where its shaft stands as its zero" in motor_setup.told(
