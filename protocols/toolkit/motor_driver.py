@@ -27,8 +27,8 @@ NEVER: Nanos = 1 << 62
 ARMED = "it is armed: command Idle first"
 LISTENED: Nanos = 1000 * MILLISECOND
 """For how long it is made sure that nobody has an address yet, before it is given to a device."""
-TAKEN: Nanos = 1000 * MILLISECOND
-"""Time in which the device must be heard there."""
+TAKEN: Nanos = 2500 * MILLISECOND
+"""Time in which the device must be given it, and be heard there."""
 
 
 class Rx(Enum):
@@ -355,10 +355,10 @@ class MotorDriver(Generic[Own]):
     def _give_address(self, now: Nanos, request: msg.SetAddress, host: Host[Own]) -> Pending[Own] | str:
         """Begin to give a device another address, or return why it cannot be given this one."""
         address, addresses = request.address, self.adapter.addresses
-        if not self.adapter.readdress(host, address):
-            return "the device cannot be given an address on this bus"
-        if address not in addresses:
+        if addresses and address not in addresses:
             return f"{address} is not an address: {addresses.start} to {addresses.stop - 1}"
+        if not addresses or not self.adapter.readdress(host, address):
+            return "the device cannot be given an address on this bus"
         if address in self.at:
             return f"address {address} is that of {self.at[address].name}"
         if self.adapter.running(host):
@@ -369,11 +369,12 @@ class MotorDriver(Generic[Own]):
 
     def _address_frames(self, now: Nanos, pending: Pending[Own], request: msg.SetAddress) -> Sequence[Frame]:
         """Ask who is at the new address; once nobody has answered for a while, give it to the device."""
-        who = self.adapter.ask_at(request.address)
-        if now - pending.began < LISTENED or "given" in pending.notes or pending.host is None:
-            return who
-        pending.notes.update(given=now)
-        return (*self.adapter.readdress(pending.host, request.address), *who)
+        if now - pending.began < LISTENED or pending.host is None:
+            return self.adapter.ask_at(request.address)
+        if "given" not in pending.notes:
+            pending.notes.update(given=[*self.adapter.readdress(pending.host, request.address)])
+        left = pending.notes["given"]  # one after the other: a device may need its time with each
+        return (left.pop(0),) if left else self.adapter.ask_at(request.address)
 
     def scanning(self, address: int = -1) -> bool:
         """True while a scan is under way, or while this address is given to a device: a stranger's answer is

@@ -87,7 +87,7 @@ def test_one_that_does_not_take_it_is_told() -> None:
     bench = make_bench(plugin, plugin.options(), (1,), ("motor",))
     bench.steps(200)
     bench.twins.clear()
-    steps = [bench.step([msg.SetAddress("motor", 5)]), *bench.steps(2500)]
+    steps = [bench.step([msg.SetAddress("motor", 5)]), *bench.steps(4000)]
     (refused,) = [e for step in steps for e in step.events if isinstance(e, msg.Refused)]
     assert refused.reason == "it was sent, and nothing is heard at address 5"
 

@@ -103,6 +103,7 @@ GIVEN = (
     ("robstride", 'model = "cybergear"', "has the address 5", False),
     ("myactuator", "torque_constant = 1.0", "has the address 5", False),
     ("moteus", "", "has the address 5, not saved yet*", True),
+    ("cia402", "", "has the address 5", True),
     ("dynamixel", 'model = "XM430-W350"', "has the address 5", False),
     ("feetech", 'model = "sts3215"', "has the address 5", False),
 )
