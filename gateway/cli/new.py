@@ -12,7 +12,7 @@ import json
 import os
 import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from brain.bodies.urdf import MOST_CHARACTERS
 from gateway.config import load_robot
 from gateway.config.new_robot import Answers, Part, Plan, Question
 from gateway.config.text import read_text
-from gateway.errors import UserError
+from gateway.errors import BusError, UserError
 from gateway.recording.new_file import EXISTS, create_with
 from gateway.runtime import which_motor
 
@@ -100,7 +100,10 @@ def make(plan: Plan, shown: which_motor.Shown | None, *, read: bool) -> str:
     plan.assign(shown)
     plan.place()
     if read and plan.motors:
-        plan.allowed = which_motor.allowed(plan)
+        try:
+            plan.allowed = which_motor.allowed(plan)
+        except BusError as error:
+            print(f"the devices' own limits are not read: {error}", file=sys.stderr)
     return plan.text()
 
 
@@ -158,17 +161,32 @@ def _found(interface: str) -> list[Part]:
 
 
 def _shown(plan: Plan, how: str) -> which_motor.Shown | None:
-    match how:
-        case "hand":
-            return which_motor.by_hand(plan, print)
-        case "jog":
-            return which_motor.by_jog(plan, print, lambda text: input(text).strip())
-    return None
+    if how == "ask":
+        return None
+    by_hand = which_motor.by_hand(plan, print)
+    show = by_hand if how == "hand" else which_motor.by_jog(plan, print, _input)
+
+    def shown(name: str, left: Sequence[Part]) -> tuple[Part, int] | None:
+        try:
+            return show(name, left)
+        except BusError as error:  # then its address is asked for
+            print(error, file=sys.stderr)
+            return None
+
+    return shown
 
 
 def _asked(question: Question) -> str:
     proposal = f" [{question.proposal}]" if question.proposal else ""
-    return input(f"{question.key}: {question.text}{proposal}: ").strip()
+    return _input(f"{question.key}: {question.text}{proposal}: ")
+
+
+def _input(text: str) -> str:
+    """Return a line that a person types. Raises UserError if none can come any more."""
+    try:
+        return input(text).strip()
+    except EOFError as error:
+        raise UserError("the input has ended, and nothing was written") from error
 
 
 def _stated(text: str) -> tuple[str, str]:

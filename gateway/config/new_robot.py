@@ -110,7 +110,7 @@ class Answers:
 
     def get(self, question: Question, hint: object, stand_in: object = 1.0) -> Any:  # noqa: ANN401 -- as hinted
         """Return an answer, of the type of a field. Raises UserError if what is stated cannot be one."""
-        key = question.key
+        key, asked = question.key, question
         self._used.add(key)
         while key not in self._stated:
             if question.proposal and self._ask is None:
@@ -119,11 +119,12 @@ class Answers:
             if self._ask is None:
                 self.missing.append(question)
                 return stand_in
-            given = self._ask(question) or question.proposal
+            given = self._ask(asked) or question.proposal
             try:
                 converted(given, hint)
-            except ValueError:
-                continue  # asked again
+            except ValueError as error:
+                asked = question._replace(text=f"{error}; {question.text}")
+                continue
             self.proposed |= {key: given} if given == question.proposal else {}
             self._stated[key] = given
         try:

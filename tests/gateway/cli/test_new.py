@@ -356,10 +356,12 @@ def test_a_scan_that_is_none_or_has_two_devices_with_one_address_is_refused(
 
 def test_a_person_is_asked_what_is_not_stated_again_if_the_answer_cannot_be_one() -> None:
     asked: list[str] = []
+    said: list[str] = []
     given = iter(["many", "15"])
 
     def ask(question: Question) -> str:
         asked.append(question.key)
+        said.extend([question.text] if question.key == "pole_pairs" else [])
         return (
             next(given) if question.key == "pole_pairs" else "" if question.proposal else STATED[question.key]
         )
@@ -368,7 +370,43 @@ def test_a_person_is_asked_what_is_not_stated_again_if_the_answer_cannot_be_one(
     assert parse_robot(make(plan, None, read=False)).motors["left"].device.options.pole_pairs == 15
     assert asked[:3] == ["body", "left.address", "right.address"]
     assert asked.count("pole_pairs") == 2
+    assert said[-1].startswith("found 'many', expected from 1 to 100; Electrical revolutions")
     assert "max_linear" in plan.answers.proposed
+
+
+def test_on_a_terminal_it_is_asked_for_and_an_end_of_the_input_writes_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    row = {
+        "interface": "socketcan:nowhere",
+        "protocol": "vesc",
+        "rate": 500_000,
+        "kind": "can",
+        "data_rate": 0,
+    }
+    row |= {"serial": None, "detail": "", "duplicate": False}
+    scan, robot = tmp_path / "scan.json", tmp_path / "r.toml"
+    scan.write_text(json.dumps([{**row, "address": at} for at in (1, 2)]))
+    typed = {**STATED, "left.address": ""}
+
+    def type_(prompt: str = "") -> str:
+        key = prompt.partition(":")[0]
+        if key == "left.address" and not typed[key]:
+            raise EOFError
+        return typed.get(key, "")
+
+    monkeypatch.setattr("builtins.input", type_)
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
+    words = ["new", str(robot), "--from", str(scan)]
+    assert main(words) == 2
+    err = capsys.readouterr().err
+    assert "'socketcan:nowhere'" in err  # the bus is not there: nothing can be shown by hand
+    assert "the input has ended, and nothing was written" in err
+    assert not robot.exists()
+    typed["left.address"] = "1"
+    assert main([*words, "--which", "ask"]) == 0
+    assert "the devices' own limits are not read: " in capsys.readouterr().err
+    assert load_robot(robot).motors["right"].joint.sign == -1
 
 
 TWINS = tuple(part(at, interface="twin") for at in (11, 12, 13))
