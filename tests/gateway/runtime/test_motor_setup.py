@@ -102,10 +102,10 @@ GIVEN = (
     ("robstride", 'model = "RS02"', "has the address 5", True),
     ("robstride", 'model = "cybergear"', "has the address 5", False),
     ("myactuator", "torque_constant = 1.0", "has the address 5", False),
-    ("moteus", "", "has the address 5, not saved yet*", True),
-    ("cia402", "", "has the address 5", True),
     ("dynamixel", 'model = "XM430-W350"', "has the address 5", False),
     ("feetech", 'model = "sts3215"', "has the address 5", False),
+    ("cia402", "", "has the address 5", True),
+    ("moteus", "", "has the address 5, not saved yet*", True),
 )
 
 
