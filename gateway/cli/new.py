@@ -18,7 +18,8 @@ from typing import Any
 
 from brain.bodies.urdf import MOST_CHARACTERS
 from gateway.config import load_robot
-from gateway.config.new_robot import Answers, Part, Plan, Question
+from gateway.config.answers import Answers, Question
+from gateway.config.new_robot import Part, Plan
 from gateway.config.text import read_text
 from gateway.errors import BusError, UserError
 from gateway.recording.new_file import EXISTS, create_with

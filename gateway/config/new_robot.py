@@ -9,24 +9,19 @@ takes.
 
 from __future__ import annotations
 
-import ast
-import inspect
-import json
 import re
-import textwrap
-import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import MISSING, dataclass, field
-from functools import cache
-from itertools import pairwise
+from dataclasses import dataclass, field
 from math import hypot, inf
-from typing import Any, Literal, NamedTuple, TypeAlias, get_args, get_origin
+from typing import Any, Literal, get_args, get_origin
 
 from brain.bodies import urdf
 from brain.bodies.body import Base, Body, Linkage
 from brain.bodies.plane import Twist
+from gateway.config.answers import Answers, Question, docs, question_of, required
 from gateway.config.bodies import load_body, names
 from gateway.config.robot_file import parse_robot
+from gateway.config.toml_text import Table, bus_section, common, filled, rounded, section, shown, without
 from gateway.core.joint import JointSettings
 from gateway.core.robot import Robot
 from gateway.errors import UserError
@@ -34,7 +29,6 @@ from protocols import messages as msg
 from protocols.bounds import Settings, bounds_of, hints, keys
 from protocols.plugin import Device, Plugin, Spec, load
 
-Table: TypeAlias = dict[str, Any]
 ROOM = 1.25
 """By how much a joint's limits exceed what the base's limits need of it."""
 GENTLE: Mapping[str, float] = {
@@ -51,9 +45,6 @@ UNITS = {"velocity": "rad/s", "acceleration": "rad/s²", "torque": "N·m"}
 STEERING = 3.0
 """rad/s and rad/s² of a joint that steers, of which the base says nothing"""
 SIGNS = ("1", "-1")
-YES_NO = {"y": "true", "yes": "true", "n": "false", "no": "false"}
-COLUMN, WIDTH = 32, 118
-"""Where comments begin, and end"""
 PROPOSED = "proposed; "
 
 
@@ -74,149 +65,6 @@ class Part:
         serial = "" if self.serial is None else f", serial number {self.serial:X}"
         detail = f", {self.detail}" if self.detail else ""
         return f"{self.protocol} at address {self.address} on {self.interface}{serial}{detail}"
-
-
-class Question(NamedTuple):
-    """One thing that must be known."""
-
-    key: str
-    """By which it is stated: --set KEY=VALUE"""
-    text: str
-    proposal: str = ""
-    """What is taken unless something else is stated; "": nothing is."""
-
-
-class Answers:
-    """What is stated, and who is asked for the rest. What nobody tells is noted, and stood in for."""
-
-    def __init__(self, stated: Mapping[str, str], ask: Callable[[Question], str] | None = None) -> None:
-        self._stated, self._ask = dict(stated), ask
-        self._used: set[str] = set()
-        self.missing: list[Question] = []
-        self.proposed: dict[str, str] = {}
-        """What was taken since nothing else was stated."""
-
-    def has(self, key: str) -> bool:
-        """True if it is stated."""
-        return key in self._stated
-
-    def state(self, key: str, value: str) -> None:
-        """Note what was found out elsewhere."""
-        self._stated[key] = value
-
-    def forget(self, keys: Iterable[str]) -> None:
-        """Leave out what was noted, and was not needed."""
-        self._used |= {*keys}
-
-    def get(self, question: Question, hint: object, stand_in: object = 1.0) -> Any:  # noqa: ANN401 -- as hinted
-        """Return an answer, of the type of a field. Raises UserError if what is stated cannot be one."""
-        key, asked = question.key, question
-        self._used.add(key)
-        while key not in self._stated:
-            if question.proposal and self._ask is None:
-                self.proposed[key] = question.proposal
-                return converted(question.proposal, hint)
-            if self._ask is None:
-                self.missing.append(question)
-                return stand_in
-            given = self._ask(asked) or question.proposal
-            try:
-                converted(given, hint)
-            except ValueError as error:
-                asked = question._replace(text=f"{error}; {question.text}")
-                continue
-            self.proposed |= {key: given} if given == question.proposal else {}
-            self._stated[key] = given
-        try:
-            return converted(self._stated[key], hint)
-        except ValueError as error:
-            raise UserError(f"--set {key}={self._stated[key]}: {error}; it is: {question.text}") from error
-
-    def check_missing(self) -> None:
-        """Raise UserError with all that is missing."""
-        lines = [
-            f"{_option(one.key)}=…    {one.text}" for one in {one.key: one for one in self.missing}.values()
-        ]
-        if lines:
-            raise UserError("\n".join(["to be stated, too (or asked on a terminal):", *lines]))
-
-    def check(self) -> None:
-        """Raise UserError with all that is missing, or with what was stated and is none of it."""
-        self.check_missing()
-        if strange := self._stated.keys() - self._used:
-            raise UserError(f"stated, and nothing of this robot: {', '.join(sorted(strange))}")
-
-
-def _option(key: str) -> str:
-    """Return the option by which something is stated."""
-    name, _, of = key.rpartition(".")
-    return f"--motor {name}" if of == "address" else f"--set {key}"
-
-
-def converted(text: str, hint: object) -> Any:  # noqa: ANN401 -- as hinted
-    """Return a text as a value of a field. Raises ValueError with what was expected."""
-    if get_origin(hint) is Literal or isinstance(hint, tuple):
-        choices = [*map(str, get_args(hint) or hint)]  # type: ignore[call-overload]  # a tuple of texts
-        if text not in choices:
-            raise ValueError(f"found {text!r}, expected {', '.join(choices)}")
-        return text
-    several = get_origin(hint) is tuple
-    if several and get_args(hint)[0] is str:
-        return [one.strip() for one in text.split(",") if one.strip()]
-    if hint is str:
-        return text
-    if hint is bool:
-        return converted(YES_NO.get(text.lower(), text), ("true", "false")) == "true"
-    try:
-        value = tomllib.loads(f"x = [{text}]" if several and "[" not in text else f"x = {text}")["x"]
-    except tomllib.TOMLDecodeError:
-        raise ValueError(
-            f"found {text!r}, expected {bounds_of(hint) or 'a number, or a list of them'}"
-        ) from None
-    bounds = bounds_of(hint)
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    if bounds is not None and number and not bounds.admit(value):
-        raise ValueError(f"found {text}, expected a number {bounds}")
-    if float in (hint, *get_args(hint)) and number:
-        return float(value)
-    if (hint is float or int in (hint, *get_args(hint))) and type(value) is not int:
-        raise ValueError(f"found {text}, expected {'a number' if hint is float else 'an integer'}")
-    return value
-
-
-@cache
-def docs(kind: type) -> Mapping[str, str]:
-    """Return what the source says of each field of a dataclass, its first sentence."""
-    found: dict[str, str] = {}
-    for one in reversed(kind.__mro__[:-1]):
-        try:
-            (made,) = ast.parse(textwrap.dedent(inspect.getsource(one))).body
-        except (OSError, TypeError, ValueError, SyntaxError):
-            continue
-        body = made.body if isinstance(made, ast.ClassDef) else []
-        for field_, text in pairwise(body):
-            if isinstance(field_, ast.AnnAssign) and isinstance(text, ast.Expr):
-                said = ast.literal_eval(text.value) if isinstance(text.value, ast.Constant) else ""
-                sentence = " ".join(str(said).split()).partition(". ")[0]
-                found[getattr(field_.target, "id", "")] = sentence.rstrip(".,")
-    return found
-
-
-def required(kind: type[Settings]) -> list[str]:
-    """Return the keys of a dataclass that have no default."""
-    return [
-        key for key, one in keys(kind).items() if one.default is MISSING and one.default_factory is MISSING
-    ]
-
-
-def question_of(kind: type[Settings], name: str, key: str, proposal: str = "") -> Question:
-    """Return the question for a field of a dataclass."""
-    bounds = bounds_of(hints(kind)[name])
-    said = docs(kind).get(name, "")
-    return Question(key, said or f"{name.replace('_', ' ')}{f', {bounds.unit}' if bounds else ''}", proposal)
-
-
-# -- the robot -----------------------------------------------------------------------------------------
 
 
 def plugin_of(part: Part) -> Plugin:
@@ -513,15 +361,15 @@ class Plan:
             f"# Made by `gateway new` of what was found on its buses, and what was stated.\n{sections[0]}"
         )
         sections += [bus_section(table) for table in buses.values()]
-        common = _common(list(motors.values()))
+        shared = common(list(motors.values()))
         said = {**docs(JointSettings), "sign": "-1: the motor is mounted the other way round"}
-        if common:
-            sections += self._device("defaults.motors", common, said, next(iter(self.motors.values())))
+        if shared:
+            sections += self._device("defaults.motors", shared, said, next(iter(self.motors.values())))
         for name, table in motors.items():
-            own = _without(table, common)
+            own = without(table, shared)
             sections += self._device(f"motors.{name}", own, said, self.motors[name], str(self.motors[name]))
         for name, table in sensors.items():
-            table = _filled(table)
+            table = filled(table)
             mounted = {"mount": "in the robot's frame: m, rad"}
             sections += self._device(
                 f"sensors.{name}", table, mounted, self.sensors[name], str(self.sensors[name])
@@ -597,68 +445,3 @@ def needed(base: Base) -> dict[str, tuple[float, float]]:
     speeds = most(base.max_linear, base.max_angular)
     changes = most(base.max_linear_acceleration, base.max_angular_acceleration)
     return dict(zip(base.joints, zip(speeds, changes, strict=True), strict=True))
-
-
-# -- TOML ------------------------------------------------------------------------------------------------
-
-
-def rounded(number: float) -> float:
-    """Return a number with three digits."""
-    return float(f"{number:.3g}")
-
-
-def shown(value: object) -> str:
-    """Return a value as TOML."""
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{key} = {shown(one)}" for key, one in value.items()) + " }"
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(shown, value))}]"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
-    return str(value).lower() if isinstance(value, bool) else repr(value)
-
-
-def bus_section(table: Table) -> str:
-    """Return the table of a bus."""
-    return section(f"buses.{table['name']}", {key: one for key, one in table.items() if key != "name"}, {})
-
-
-def section(at: str, table: Table, said: Mapping[str, str], title: str = "") -> str:
-    """Return a table of the file, each key with what is said of it."""
-    lines = [f"[{at}]{f'  # {title}' if title else ''}"] if at else []
-    for key, value in table.items():
-        line, text = f"{key} = {shown(value)}", said.get(key, "")
-        room = WIDTH - max(len(line), COLUMN) - 4
-        note = text if len(text) <= room else f"{text[: max(0, room - 2)].rsplit(' ', 1)[0]} …"
-        lines.append(f"{line:<{COLUMN}}  # {note}" if text and room > 20 else line)
-    return "\n".join([*lines, ""])
-
-
-def _common(tables: Sequence[Table]) -> Table:
-    """Return what is the same in all of some tables, if these are several."""
-    if len(tables) < 2:
-        return {}
-    found: Table = {}
-    for key, value in tables[0].items():
-        if isinstance(value, dict):
-            same = _common([one[key] for one in tables if isinstance(one.get(key), dict)])
-            found |= {key: same} if same and all(key in one for one in tables) else {}
-        elif key not in ("address", "sign") and all(one.get(key) == value for one in tables):
-            found[key] = value
-    return found
-
-
-def _filled(table: Table) -> Table:
-    return {key: value for key, value in table.items() if value != {}}
-
-
-def _without(table: Table, common: Table) -> Table:
-    """Return a table without what is the same in all."""
-    own: Table = {}
-    for key, value in table.items():
-        if isinstance(value, dict):
-            rest = _without(value, common.get(key, {}))
-            own |= {key: rest} if rest else {}
-        elif key not in common:
-            own[key] = value
-    return own

@@ -13,7 +13,8 @@ from math import inf
 from typing import TypeAlias
 
 from gateway.config import parse_robot
-from gateway.config.new_robot import Part, Plan, bus_section, section
+from gateway.config.new_robot import Part, Plan
+from gateway.config.toml_text import bus_section, section
 from gateway.core.robot import TWIN, Robot
 from gateway.runtime.configuration import Motors
 from gateway.runtime.session import open_session

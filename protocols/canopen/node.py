@@ -83,6 +83,13 @@ class Node:
         self.host_beat: Nanos | None = None
         """When the heartbeat that object 1016 names came last."""
 
+    def move(self, address: int, dictionary: Dictionary) -> None:
+        """Take another node id, and the dictionary that goes with it; what is no parameter of communication
+        keeps its value."""
+        before, self.address, self.dictionary = self.dictionary.values, address, dictionary
+        kept = {key: value for key, value in before.items() if key[0] >= COMMUNICATION_END}
+        dictionary.values.update(kept)
+
     def receive(self, t: Nanos, frame: Frame) -> Received | None:
         """Handle a frame; None if it did nothing that a device would react to."""
         if not services.is_classic(frame):

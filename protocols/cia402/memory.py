@@ -22,7 +22,7 @@ from protocols.canopen import objects as co
 from protocols.canopen import sdo, services
 from protocols.canopen.dictionary import Dictionary, pdo_defaults
 from protocols.canopen.lss import Slave
-from protocols.canopen.node import COMMUNICATION_END, Node, Received
+from protocols.canopen.node import Node, Received
 from protocols.canopen.objects import Key, title
 from protocols.canopen.services import NMT_STATE, NmtCommand
 from protocols.cia402 import objects as o
@@ -183,11 +183,8 @@ class Memory:
 
     def _take_address(self, node: int) -> Sequence[Obeyed]:
         """Take the node id that LSS has given, and the identifiers that follow from it."""
-        serial = self.values[co.SERIAL_NUMBER]
-        before = self.values
-        self.node.address = node
-        self.node.dictionary = dictionary_of(replace(self._settings, serial_number=serial), node)
-        self.values.update({key: before[key] for key in before if key[0] >= COMMUNICATION_END})
+        settings = replace(self._settings, serial_number=self.values[co.SERIAL_NUMBER])
+        self.node.move(node, dictionary_of(settings, node))
         return (msg.SetAddress(self.motor, node),)
 
     def lose_connection(self) -> Sequence[Obeyed]:

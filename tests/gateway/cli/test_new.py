@@ -16,8 +16,10 @@ import pytest
 from gateway.cli.main import main
 from gateway.cli.new import make, parts_in
 from gateway.config import cautions, load_robot, parse_robot
+from gateway.config.answers import Answers, Question
 from gateway.config.bodies import load_body
-from gateway.config.new_robot import Answers, Part, Plan, Question, needed, shown
+from gateway.config.new_robot import Part, Plan, needed
+from gateway.config.toml_text import shown
 from gateway.core.robot import BusSettings, Robot
 from gateway.errors import UserError
 from gateway.runtime import which_motor
