@@ -171,10 +171,10 @@ def test_on_a_silent_bus_each_rate_is_asked_at_until_one_is_answered(
 @pytest.mark.parametrize(
     ("heard", "rates"),
     [
-        ({1: Heard(0, errors=True), 2: Heard(7), 3: Heard(0)}, [2]),
-        ({1: Heard(0), 2: Heard(0, errors=True), 3: Heard(0)}, [1, 3]),
-        ({1: Heard(1), 2: Heard(90)}, [2]),
-        ({1: Heard(0, errors=True)}, []),
+        ({1: Heard(errors=True), 2: Heard(7, 5), 3: Heard()}, [2]),
+        ({1: Heard(), 2: Heard(errors=True), 3: Heard()}, [1, 3]),
+        ({1: Heard(90, 2), 2: Heard(60, 30)}, [2, 1]),
+        ({1: Heard(errors=True)}, []),
     ],
 )
 def test_which_rates_are_likely(heard: dict[int, Heard], rates: list[int]) -> None:
