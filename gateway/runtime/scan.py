@@ -279,7 +279,7 @@ def listened(read: Callable[[Nanos], tuple[Sequence[BusState], Sequence[Packet]]
 
 def likely(heard: Mapping[int, Heard]) -> list[int]:
     """Return the bit rates at which devices are asked, until one answers: those at which frames were
-    received. On a bus that is silent all but those with errors: a question at a wrong rate disturbs others."""
+    received. On a bus that is silent all but those with errors: a question at a wrong rate disturbs it."""
     received = [rate for rate, one in heard.items() if one.frames]
     if received:
         return sorted(received, key=lambda rate: heard[rate].times, reverse=True)
