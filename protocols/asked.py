@@ -107,6 +107,8 @@ class _Given:
     """Until when the configuration is being saved."""
     answered: dict[str, int] = field(default_factory=dict)
     """How many of these were answered."""
+    address: int = -1
+    """That it was last asked to take."""
     values: dict[str, float] = field(default_factory=dict)
     """The parameters that were asked to be written, ever."""
     kept: dict[str, float] = field(default_factory=dict)
@@ -173,6 +175,8 @@ class Asked:
             if message != device.raw:
                 self._command(now, device, message)
         elif device is not None:
+            if isinstance(message, msg.SetAddress):
+                device.address = message.address
             if isinstance(message, msg.WriteParameter):
                 device.values[device.spec.decoded(message.parameter)] = message.value
                 if message.parameter == device.spec.save:
@@ -301,6 +305,11 @@ class Asked:
                 return None  # saving its configuration restarts it
             case msg.Home() if device.under_way(now, msg.Zero):
                 return None  # some take their zero by homing where they stand
+            case msg.ClearFault() if device.under_way(now, msg.Zero) or device.under_way(now, msg.SetAddress):
+                return None  # some take it by a restart
+            case msg.SetAddress(_, address):
+                same = device.address == address and device.under_way(now, msg.SetAddress)
+                return None if same else (NOT_MADE, f"SetAddress {address}")
         if isinstance(one, msg.COMMANDS):
             device.start = reported.position if device.start is None else device.start
             return _objection_to_command(now, device, one, reported, NUMBERS[type(one)])

@@ -48,6 +48,7 @@ CODES: dict[int, type[Message]] = {
     31: messages.Set,
     32: messages.Leave,
     33: messages.Confirm,
+    34: messages.SetAddress,
     51: messages.Drive,
     52: messages.Mission,
     53: messages.Pause,

@@ -168,6 +168,15 @@ class SetId:
 
 
 @value
+class SetAddress:
+    """Give the device of a motor another address, where nothing but the present one tells which it is. Its
+    driver does not follow it there: the robot file has to."""
+
+    motor: str
+    address: int
+
+
+@value
 class Zero:
     """Make the present position of the shaft the zero position."""
 
@@ -228,6 +237,7 @@ Request: TypeAlias = (
     | Estop
     | Scan
     | SetId
+    | SetAddress
     | Zero
     | Home
     | Confirm

@@ -214,6 +214,12 @@ class Spec:
     one. A function of a module."""
     save: str = ""
     """The parameter that saves the configuration when 1 is written; "": none is needed, or there is none."""
+    id_parameter: str = ""
+    """The parameter that is its address, where WriteParameter gives it another; "": SetId, SetAddress, or
+    nothing does."""
+    calibration: tuple[str, float] = ("", 0.0)
+    """The parameter, and what is written to it, by which the device calibrates itself: its shaft turns. "":
+    it does not, or not over this bus."""
     canonical: Callable[[Command], Command] = unchanged
     """Commands of which it returns the same are the same to the device, such as Torque and an Impedance
     without gains. It returns one of `commands`, with ranges of its own. A function of a module or a frozen

@@ -46,6 +46,7 @@ COMMANDS = {
     "recover": "repair a recording, or an MCAP bag, that was cut off or damaged",
     "watch": "listen to buses or to a recording, without ever sending",
     "scan": "find the devices of every installed protocol, by read-only questions alone",
+    "new": "write a robot file for what was found on the buses: asks what it must know, or takes it",
     "doctor": "say why nothing moves, from the interface to the motor; sends questions alone",
     "jog": "turn one motor slowly, as long as a key is held",
     "motor": "read, compare and restore what is configured on the motors",
@@ -55,7 +56,7 @@ COMMANDS = {
     "protocols": "list the installed protocols, check one, or start a new one",
     "ask": "send a line to a running robot, as on its terminal",
 }
-LIVE = ("demo", "run", "twin", "jog", "motor")
+LIVE = ("demo", "run", "twin", "jog", "motor", "new")
 """Those that must not wait for who reads their output: a robot would wait with them."""
 LINUX = (*LIVE, "view", "ask", "scan", "doctor")
 """Those that need what Linux alone has: SocketCAN, termios, real-time signals, /proc."""

@@ -1,7 +1,9 @@
-"""`gateway motor`: what is configured on the motors: read it, compare it, restore it from a dump.
+"""`gateway motor`: what is configured on the motors: read it, compare it, restore it from a dump; give one of
+them an address, a zero, its calibration.
 
-Rules. `dump` and `diff` send read-only frames alone; `restore` too, unless --yes is given. Exit status: 1 if
-something differs, could not be read, or could not be restored.
+Rules. `dump` and `diff` send read-only frames alone; `restore` too, unless --yes is given. What is done to
+one motor is told first, and asked for on a terminal unless --yes is given. Exit status: 1 if something
+differs, could not be read, or was not done.
 """
 
 from __future__ import annotations
@@ -20,9 +22,10 @@ from gateway.core.message_text import escaped
 from gateway.core.robot import TWIN, Robot
 from gateway.errors import UserError
 from gateway.recording.new_file import EXISTS, create_with
-from gateway.runtime import configuration
+from gateway.runtime import configuration, motor_setup
 from gateway.runtime.configuration import Interrupted, Motors, ParameterDifference, Readings
-from gateway.runtime.session import open_session
+from gateway.runtime.motor_setup import Action
+from gateway.runtime.session import Session, open_session
 
 log = logging.getLogger("gateway")
 
@@ -31,11 +34,18 @@ ACTIONS = {
     "diff": "compare it with the robot file, or with an earlier dump",
     "restore": "write what differs from a dump, but what is protected",
 }
+ONE: dict[motor_setup.Kind, str] = {
+    "set-id": "give one motor another address, look for it there, and save it",
+    "zero": "make the place where the shaft of one motor stands its zero",
+    "calibrate": "have one motor calibrate itself, or run its own homing; its shaft turns",
+    "save": "have one motor keep what is configured on it when it is switched off",
+}
+"""What is done to one motor."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the arguments of the command."""
-    what = parser.add_subparsers(dest="what", required=True, metavar="dump | diff | restore")
+    what = parser.add_subparsers(dest="what", required=True, metavar=" | ".join((*ACTIONS, *ONE)))
     for name, text in ACTIONS.items():
         one = what.add_parser(name, help=text, description=f"{text.capitalize()}.")
         arguments.add_verbosity(one)
@@ -50,12 +60,33 @@ def add_arguments(parser: ArgumentParser) -> None:
         if name == "restore":
             one.add_argument("--yes", action="store_true", help="write; without it nothing is written")
         arguments.add_bus(one, "where a bus is: can0=socketcan:can0")
+    for kind, text in ONE.items():
+        one = what.add_parser(kind, help=text, description=f"{text.capitalize()}.")
+        arguments.add_verbosity(one)
+        arguments.add_robot(one)
+        one.add_argument("motor", metavar="MOTOR", help="its name in the robot file")
+        if kind == "set-id":
+            address = arguments.integer("an address", 0)
+            one.add_argument(
+                "address",
+                type=address,
+                nargs="?",
+                metavar="ADDRESS",
+                help="the new one (default: the file's)",
+            )
+            one.add_argument(
+                "--from", dest="old", type=address, metavar="N", help="that it has now (default: the file's)"
+            )
+        one.add_argument("--yes", action="store_true", help="do not ask")
+        arguments.add_bus(one, "where a bus is: can0=socketcan:can0")
 
 
 def run(options: Namespace) -> int:
-    """Do one of the three."""
+    """Do what is asked."""
     robot = with_interfaces(load_robot(options.robot), dict(options.bus))
     try:
+        if options.what in ONE:
+            return _one(robot, options)
         return _dump(robot, options.out) if options.what == "dump" else _compare(robot, options)
     except Interrupted as error:
         print(
@@ -81,15 +112,47 @@ def _compare(robot: Robot, options: Namespace) -> int:
         return _restore(motors, differences, write=options.yes)
 
 
+def _one(robot: Robot, options: Namespace) -> int:
+    """Tell what is to be done to one motor, ask whether it is to be, and do it."""
+    name, old, new = options.motor, getattr(options, "old", None), getattr(options, "address", None)
+    robot, stated = (
+        motor_setup.alone(robot, name, old),
+        motor_setup.alone(robot, name).motors[name].device.address,
+    )
+    action = Action(options.what, name, stated if new is None else new)
+    print(motor_setup.told(robot, action), flush=True)
+    if not options.yes and not _agreed():
+        print("nothing was done")
+        return 1
+    with _session(robot) as session:
+        done = motor_setup.perform(session, action, lambda text: print(escaped(text), flush=True))
+    if done and action.kind == "set-id" and action.address != stated:
+        print(f"{name}: the robot file has address = {stated}: write {action.address} there")
+    return 0 if done else 1
+
+
+def _agreed() -> bool:
+    """Ask whether it is to be done. Raises UserError where nobody can answer."""
+    if not sys.stdin.isatty():
+        raise UserError("nothing was done: standard input is no terminal that could be asked; give --yes")
+    return input("do it? [y/N] ").strip().lower() in ("y", "yes")
+
+
 @contextmanager
 def _open(robot: Robot) -> Iterator[Motors]:
-    """Open a robot's motors alone; in simulated time if they are all simulated."""
-    robot = configuration.motors_only(robot)
+    """Open a robot's motors alone."""
+    with _session(configuration.motors_only(robot)) as session, closing(Motors(session)) as motors:
+        yield motors
+
+
+@contextmanager
+def _session(robot: Robot) -> Iterator[Session]:
+    """Open a session; in simulated time if all is simulated."""
     simulated = all(bus.interface == TWIN for bus in robot.buses.values())
     log.addFilter(_is_news)
     try:
-        with open_session(robot, simulated=simulated) as session, closing(Motors(session)) as motors:
-            yield motors
+        with open_session(robot, simulated=simulated) as session:
+            yield session
     finally:
         log.removeFilter(_is_news)
 

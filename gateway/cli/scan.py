@@ -10,8 +10,10 @@ import json
 import logging
 import sys
 from argparse import ArgumentParser, Namespace
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import closing
 from dataclasses import asdict
+from typing import Any
 
 from gateway.buses import open_bus
 from gateway.buses.usb import can_interfaces, port_names
@@ -20,9 +22,9 @@ from gateway.core.clock import WallClock
 from gateway.core.message_text import escaped
 from gateway.core.robot import BusSettings
 from gateway.errors import BusError, UserError
-from gateway.monitor.sources import bus_named, usable_plugins
+from gateway.monitor.sources import bus_named, open_source, usable_plugins
 from gateway.runtime import scan
-from gateway.runtime.scan import Finding, Probe
+from gateway.runtime.scan import Finding, Heard, Probe
 from protocols.frames import EXTENDED_BIT
 from protocols.plugin import Plugin
 
@@ -31,6 +33,13 @@ log = logging.getLogger("gateway")
 BAUDRATES = (1_000_000, 115_200, 57_600, 38_400, 9_600, 230_400, 500_000, 921_600, 3_000_000)
 """bit/s at which a serial line is tried: those that the devices of our protocols have when they are new, and
 common ones."""
+RATE_OF_OTHERS = ("socketcan", "virtual", "udp_multicast", "dm-serial")
+"""Interfaces whose bit rate is not ours to set."""
+_RATE = (
+    "at another bit rate: sudo ip link set {0} down; sudo ip link set {0} type can bitrate 500000; "
+    "sudo ip link set {0} up"
+)
+_OTHER_RATE = "errors at every rate: the bus has another one (--bitrate N), or its wiring is wrong"
 CAUTION = "no controller may be on it that obeys any byte (a Sabertooth in its simplified mode)"
 
 
@@ -52,7 +61,12 @@ def add_arguments(parser: ArgumentParser) -> None:
     )
     rate = arguments.integer("a rate in bit/s", 1)
     parser.add_argument(
-        "--bitrate", type=rate, default=0, metavar="N", help="of a CAN bus (default: the kernel's)"
+        "--bitrate",
+        type=rate,
+        default=0,
+        metavar="N",
+        help="of a CAN bus (default: the kernel's, or, where it is ours to set, "
+        f"{', '.join(map(str, scan.BITRATES))}: it is listened to at each)",
     )
     parser.add_argument("--data-bitrate", type=rate, default=0, metavar="N", help="of CAN FD")
     parser.add_argument(
@@ -83,28 +97,37 @@ def _is_error(record: logging.LogRecord) -> bool:
 
 
 def _scan_all(interfaces: Sequence[str], plugins: Sequence[Plugin], options: Namespace) -> int:
-    results: list[dict[str, object]] = []
+    results, opened = _results(interfaces, plugins, options)
+    if options.json:
+        print(json.dumps(results, indent=2))
+    return 2 if not opened else 0 if results else 1
+
+
+def _results(
+    interfaces: Sequence[str], plugins: Sequence[Plugin], options: Namespace
+) -> tuple[list[dict[str, Any]], int]:
+    """Return what was found, as --json prints it, and how many buses could be opened."""
+    results: list[dict[str, Any]] = []
     opened = 0
     if not options.json and any(one.startswith("serial:") for one in interfaces):
         print(f"serial lines are asked, too: {CAUTION}")
     for interface in interfaces:
-        rates = options.baudrate or BAUDRATES if interface.startswith("serial:") else (0,)
-        for baudrate in rates:
-            bus = bus_named(interface, options.bitrate, options.data_bitrate, baudrate)
+        found: list[Finding] = []
+        for bus in _buses(interface, options):
             try:
                 found, probes, ids = _scan(bus, plugins, quiet=options.json)
             except BusError as error:
                 print(error, file=sys.stderr)
                 break
             opened += 1
-            results += [{"interface": interface, "rate": _rate(bus)} | asdict(one) for one in found]
+            results += [_row(interface, bus, one) for one in found]
             if not options.json:
                 _print(found, probes, ids)
-            if found and baudrate and not options.baudrate:
-                break  # a line has one rate
-    if options.json:
-        print(json.dumps(results, indent=2))
-    return 2 if not opened else 0 if results else 1
+            if found and not (options.baudrate or options.bitrate):
+                break  # a bus has one rate
+        if not found and not options.json and interface.startswith("socketcan:"):
+            print(f"  {_RATE.format(interface.partition(':')[2])}")
+    return results, opened
 
 
 def _full(text: str) -> str:
@@ -124,6 +147,48 @@ def _machine() -> list[str]:
         text = "this machine has no CAN interface and no serial port: is the adapter plugged in?"
         raise UserError(f"{text} Or name one: can0, /dev/ttyUSB0, slcan:/dev/ttyACM0")
     return found
+
+
+def _buses(interface: str, options: Namespace) -> Iterator[BusSettings]:
+    """Yield the bus with each rate at which devices are looked for."""
+    data, kind = options.data_bitrate, interface.partition(":")[0]
+    if kind == "serial":
+        for baudrate in options.baudrate or BAUDRATES:
+            yield bus_named(interface, 0, 0, baudrate)
+    elif options.bitrate or kind in RATE_OF_OTHERS:
+        yield bus_named(interface, options.bitrate, data)
+    else:
+        heard: dict[int, Heard] = {}
+        for rate in scan.BITRATES:
+            try:
+                source = open_source(bus_named(interface, rate, data), clock := WallClock())
+            except BusError as error:
+                print(error, file=sys.stderr)
+                return
+            with closing(source):
+                heard[rate] = one = scan.listened(source.read, clock)
+            if not options.json:
+                what = f"{one.frames} frames" if one.frames else "errors" if one.errors else "silent"
+                print(f"{interface} at {rate:,} bit/s: {what}", flush=True)
+        rates = scan.likely(heard)
+        if not rates:
+            print(f"{interface}: {_OTHER_RATE}", file=sys.stderr)
+        yield from (bus_named(interface, rate, data) for rate in rates)
+
+
+def _row(interface: str, bus: BusSettings, found: Finding) -> dict[str, Any]:
+    """Return one finding with its bus, as --json prints it."""
+    rates = {"rate": _rate(bus), "kind": bus.kind, "data_rate": bus.data_bitrate}
+    return {"interface": interface, **rates} | asdict(found)
+
+
+def rows(interface: str) -> list[dict[str, Any]]:
+    """Look on one interface, and return what --json prints of it."""
+    parser = ArgumentParser()
+    add_arguments(parser)
+    options = parser.parse_args([interface])
+    plugins, interfaces = usable_plugins(), [_full(interface)]
+    return _results(interfaces, plugins, options)[0]
 
 
 def _rate(bus: BusSettings) -> int:

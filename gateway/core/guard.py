@@ -453,6 +453,7 @@ class Guard:
 ASKED: tuple[type[Request], ...] = (
     msg.ClearFault,
     msg.Estop,
+    msg.SetAddress,
     msg.Zero,
     msg.Home,
     msg.WriteParameter,

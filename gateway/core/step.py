@@ -39,7 +39,14 @@ ALL = "all"
 """Instead of a motor's name in a request: every motor."""
 
 MotorRequest: TypeAlias = (
-    msg.ClearFault | msg.Estop | msg.Zero | msg.Home | msg.ReadParameter | msg.WriteParameter | msg.Reboot
+    msg.ClearFault
+    | msg.Estop
+    | msg.SetAddress
+    | msg.Zero
+    | msg.Home
+    | msg.ReadParameter
+    | msg.WriteParameter
+    | msg.Reboot
 )
 """The requests to one motor, or to all."""
 

@@ -290,6 +290,8 @@ COMMANDS: dict[str, _Command] = {
     "scan": _Command("BUS", "look for devices; enables and clears nothing", msg.Scan, (_bus,)),
     "setid": _Command("BUS SERIAL ADDRESS", "give the device with this serial number (hex) an address",
                       msg.SetId, (_bus, _integer(16), _integer(10))),
+    "setaddress": _Command("MOTOR ADDRESS", "give the device of a motor another address; it is silent then",
+                           msg.SetAddress, (_motor, _integer(10))),
     "status": _Command("", "what the robot does, and why", partial(Query, "status")),
     "view": _Command("[HOST:PORT] [steer]", "open the live view for a browser; print its address",
                      partial(Query, "view"), free_text=True),

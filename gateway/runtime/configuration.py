@@ -27,7 +27,7 @@ from gateway.errors import UserError
 from gateway.runtime.session import Session
 from protocols import messages as msg
 from protocols.messages import SECOND, Event, Mode, Nanos
-from protocols.plugin import DRIVER_WRITES
+from protocols.plugin import DRIVER_WRITES, FeedbackKind
 
 ANSWER: Nanos = 15 * SECOND
 """Time after which a request counts as not answered; drivers answer sooner (conformance: 8 s)."""
@@ -112,26 +112,41 @@ class Motors:
         """End the run."""
         self._ticks.close()
 
-    def mode(self, motor: str) -> Mode:
-        """Return the state of a motor as reported last."""
-        return self.session.joints[motor].mode
+    def unfit(self, motor: str) -> str:
+        """Return why nothing is written to a motor, "" if it may be: it is known not to be armed, or tells
+        that to nobody who does not command it."""
+        joint, spec = self.session.joints[motor], self.motors[motor].spec
+        silent = spec.feedback is FeedbackKind.REPLY and joint.mode in (Mode.OFFLINE, Mode.INITIALISING)
+        heard = silent and not joint.feedback_lost(self.session.clock.now())
+        return SHARED if motor in self.shared else "" if heard or joint.mode in KNOWN else str(joint.mode)
 
-    def ask(self, requests: Sequence[msg.ReadParameter | msg.WriteParameter]) -> dict[str, Answer]:
-        """Make one request of each of some motors. Returns the answers by motor."""
-        wanted, answers = {each.motor: each for each in requests}, dict[str, Answer]()
+    def ask(self, requests: Sequence[msg.Request], timeout: Nanos = ANSWER) -> dict[str, Answer]:
+        """Make one request of each of some motors, or buses. Returns the answers by their names."""
+        wanted, answers = {subject(each): each for each in requests}, dict[str, Answer]()
         self.session.submit(*requests)
-        for event in self._events(ANSWER, lambda: answers.keys() == wanted.keys()):
+        for event in self._events(timeout, lambda: answers.keys() == wanted.keys()):
             for name, request in wanted.items():
                 if isinstance(event, Answer) and _answers(event, request):
                     answers[name] = event
         return answers
 
-    def read(self) -> Readings:
-        """Read what is configured on all motors."""
-        reported = (*KNOWN, Mode.ARMED)
-        list(self._events(READY, lambda: all(self.mode(name) in reported for name in self.motors)))
+    def wait(self, span: Nanos) -> None:
+        """Step for a time."""
+        list(self._events(span, lambda: False))
+
+    def identify(self) -> Readings:
+        """Wait until all motors report their states, and read which devices they are."""
+        known = ("", str(Mode.ARMED))
+        list(self._events(READY, lambda: all(self.unfit(name) in known for name in self.motors)))
         readings = {name: Reading(one.plugin.name, one.device.address) for name, one in self.motors.items()}
         self._identify(readings)
+        for name in self.shared:
+            readings[name].shared = True
+        return readings
+
+    def read(self) -> Readings:
+        """Read what is configured on all motors."""
+        readings = self.identify()
         names = {name: list(motor.spec.configuration) for name, motor in self.motors.items()}
         for at in range(max(map(len, names.values()), default=0)):
             asked = {name: each[at] for name, each in names.items() if at < len(each)}
@@ -141,23 +156,21 @@ class Motors:
                 if isinstance(answer, msg.Parameter) and isfinite(answer.value):
                     readings[name].values[parameter] = answer.value
                 else:
-                    readings[name].not_read[parameter] = _reason(answer)
-        for name in self.shared:
-            readings[name].shared = True
+                    readings[name].not_read[parameter] = reason(answer)
         return readings
 
     def write(self, motor: str, parameter: str, value: float) -> str:
         """Write a parameter and read it back. Returns what is wrong, "" if it is as written."""
-        if self.mode(motor) not in KNOWN:
-            return f"{motor} is {self.mode(motor)}"
-        if motor in self.shared:
-            return SHARED
+        if (wrong := self.unfit(motor)) and wrong != SHARED:
+            return f"{motor} is {wrong}"
+        if wrong:
+            return wrong
         written = self.ask([msg.WriteParameter(motor, parameter, value)]).get(motor)
         if not isinstance(written, msg.Done) or parameter == self.motors[motor].spec.save:
-            return "" if isinstance(written, msg.Done) else _reason(written)
+            return "" if isinstance(written, msg.Done) else reason(written)
         read = self.ask([msg.ReadParameter(motor, parameter)]).get(motor)
         if not isinstance(read, msg.Parameter):
-            return f"not read back: {_reason(read)}"
+            return f"not read back: {reason(read)}"
         return "" if is_same(read.value, value) else f"{shown(read.value)} is read back"
 
     def _identify(self, readings: Readings) -> None:
@@ -210,14 +223,20 @@ def is_same(one: float, other: float) -> bool:
     return isclose(one, other, rel_tol=1e-6, abs_tol=1e-12)
 
 
-def _answers(event: Answer, request: msg.ReadParameter | msg.WriteParameter) -> bool:
+def subject(request: msg.Request) -> str:
+    """Return the motor that a request is for, or the bus."""
+    name: str = getattr(request, "motor", "") or getattr(request, "bus", "")
+    return name
+
+
+def _answers(event: Answer, request: msg.Request) -> bool:
     if isinstance(event, msg.Parameter):
-        read = isinstance(request, msg.ReadParameter)
-        return read and (event.motor, event.parameter) == (request.motor, request.parameter)
-    return (event.name, event.request) == (request.motor, type(request).__name__)
+        return msg.ReadParameter(event.motor, event.parameter) == request
+    return (event.name, event.request) == (subject(request), type(request).__name__)
 
 
-def _reason(answer: Answer | None) -> str:
+def reason(answer: Answer | None) -> str:
+    """Return why an answer is not the one that is wanted."""
     match answer:
         case msg.Refused(reason=reason):
             return reason
@@ -361,7 +380,9 @@ def restore(
 ) -> bool:
     """Write what differs and is not to be left, and save it. Returns whether all was done."""
     concerned = dict.fromkeys(each.motor for each in differences if not each.left)
-    if refused := [f"{name} is {motors.mode(name)}" for name in concerned if motors.mode(name) not in KNOWN]:
+    if refused := [
+        f"{name} is {wrong}" for name in concerned if (wrong := motors.unfit(name)) not in ("", SHARED)
+    ]:
         raise UserError(f"nothing is written: {', '.join(refused)}; disarm it first")
     good = True
     for name in concerned:

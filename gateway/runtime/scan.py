@@ -39,6 +39,12 @@ LISTENING: Nanos = 1500 * MILLISECOND
 """For how long a protocol without a scan is listened to, or polls."""
 ANSWER: Nanos = 15 * SECOND
 """Time after which a scan counts as not answered; drivers end it sooner (conformance: 8 s)."""
+BITRATES = (1_000_000, 500_000, 250_000, 125_000)
+"""bit/s at which a CAN bus is looked at through an adapter whose rate is ours to set."""
+HEARING: Nanos = 600 * MILLISECOND
+"""For how long such a bus is listened to at each rate,"""
+STALE: Nanos = 150 * MILLISECOND
+"""and at first for nothing: an adapter may still hand over what it received at the rate before."""
 DRY: Nanos = 2 * SECOND
 """For how long the questions of a scan are listed that nothing answers."""
 MOST_ADDRESSES = 256
@@ -246,6 +252,38 @@ def _steps(one: Probe, buses: Mapping[str, Bus], clock: Clock, seconds: Nanos) -
         yield Outputs(sent, (*events, *more))
         requests = ()
         clock.wait(now + PERIOD)
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """What was received of a bus that was only listened to."""
+
+    frames: int = 0
+    times: int = 0
+    """At how many moments some came: what an adapter still had from another rate comes at once."""
+    errors: bool = False
+    """Its controller saw errors: what others send is sent at another rate."""
+
+
+def listened(read: Callable[[Nanos], tuple[Sequence[BusState], Sequence[Packet]]], clock: Clock) -> Heard:
+    """Listen to a bus that is open at one bit rate, by its `read`."""
+    frames, times, errors, began = 0, 0, False, clock.now()
+    while (now := clock.now()) < began + HEARING:
+        states, packets = read(now)
+        if now - began >= STALE:
+            frames, times = frames + len(packets), times + bool(packets)
+        errors |= bool({BusState.PASSIVE, BusState.OFF} & {*states})
+        clock.wait(clock.now() + PERIOD)
+    return Heard(frames, times, errors)
+
+
+def likely(heard: Mapping[int, Heard]) -> list[int]:
+    """Return the bit rates at which devices are asked, until one answers: those at which frames were
+    received. On a bus that is silent all but those with errors: a question at a wrong rate disturbs it."""
+    received = [rate for rate, one in heard.items() if one.frames]
+    if received:
+        return sorted(received, key=lambda rate: heard[rate].times, reverse=True)
+    return [rate for rate, one in heard.items() if not one.errors]
 
 
 def look(one: Probe, bus: Bus, clock: Clock) -> list[Finding]:

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from protocols.canopen import sdo, services
+from protocols.canopen import lss, sdo, services
 from protocols.canopen.objects import PDO_NUMBERS
 from protocols.canopen.services import NODE_MASK, NmtCommand
-from protocols.frames import Frame
+from protocols.frames import CanFrame, Frame
 
 _NMT = {command: f"NMT {command.name.lower().replace('_', ' ')}" for command in NmtCommand}
 _RPDOS = {services.rpdo_id(number, 0): f"RPDO{number}" for number in PDO_NUMBERS}
@@ -30,6 +30,8 @@ def _request(frame: Frame) -> bytes:
 def read_only(frame: Frame) -> bool:
     """True if a frame only reads."""
     request = _request(frame)
+    if lss.is_message(frame):
+        return isinstance(frame, CanFrame) and frame.data[0] in lss.ASKS
     return bool(request) and request[0] >> 5 in READING
 
 
@@ -41,6 +43,8 @@ def messages(frame: Frame) -> Sequence[str]:
             kind = "download" if request[0] & 2 else "segmented download"
             return (f"SDO {kind} {int.from_bytes(request[1:3], 'little'):04X}",)
         return _SDO[command : command + 1]
+    if isinstance(frame, CanFrame) and lss.is_message(frame):
+        return (lss.NAMES[frame.data[0]],) if frame.data[0] in lss.NAMES else ()
     match services.decode(frame):
         case services.Nmt(command, _):
             return (_NMT[command],)

@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 from protocols.canopen import objects as o
 from protocols.canopen import services
 from protocols.canopen.dictionary import Dictionary
+from protocols.canopen.lss import ASKS, SLAVE, Slave, is_message
 from protocols.canopen.objects import Key
 from protocols.canopen.pdo import NO_RTR, is_synchronous
 from protocols.canopen.server import SdoServer
@@ -34,6 +35,7 @@ TPDOS = [o.TPDO_COMMUNICATION + number - 1 for number in o.PDO_NUMBERS]
 COMMUNICATION_END = 0x2000
 """The objects below it are communication parameters."""
 INHIBIT_UNIT: Nanos = MILLISECOND // 10
+RESETS = (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION)
 NEXT_STATE = {NmtCommand.START: NmtState.OPERATIONAL, NmtCommand.STOP: NmtState.STOPPED}
 """By command; by all others the node becomes pre-operational."""
 LOST_STATES = {0: NmtState.PRE_OPERATIONAL, 2: NmtState.STOPPED}
@@ -54,13 +56,19 @@ class Received:
     response: bytes | None = None
     """Of the SDO server."""
     sync: bool = False
+    lss: bytes | None = None
+    """The answer to a message of LSS; b"": there is none."""
+    lss_sets: bool = False
+    """The message does not only ask."""
+    node: int = 0
+    """The node id that it has got by LSS with this reset; 0: none."""
 
 
 class Node:
     """A device as a receiver."""
 
-    def __init__(self, dictionary: Dictionary, address: int) -> None:
-        self.dictionary, self.address = dictionary, address
+    def __init__(self, dictionary: Dictionary, address: int, lss: Slave | None = None) -> None:
+        self.dictionary, self.address, self.lss = dictionary, address, lss
         self.start()
 
     def start(self, below: int = 0x1_0000) -> None:
@@ -75,12 +83,22 @@ class Node:
         self.host_beat: Nanos | None = None
         """When the heartbeat that object 1016 names came last."""
 
+    def move(self, address: int, dictionary: Dictionary) -> None:
+        """Take another node id, and the dictionary that goes with it; what is no parameter of communication
+        keeps its value."""
+        before, self.address, self.dictionary = self.dictionary.values, address, dictionary
+        kept = {key: value for key, value in before.items() if key[0] >= COMMUNICATION_END}
+        dictionary.values.update(kept)
+
     def receive(self, t: Nanos, frame: Frame) -> Received | None:
         """Handle a frame; None if it did nothing that a device would react to."""
         if not services.is_classic(frame):
             return None
         if frame.id == services.sdo_rx_id(self.address):
             return self._on_sdo(frame.data)
+        if self.lss is not None and is_message(frame):
+            answer = self.lss.receive(frame.data, self.address)
+            return Received(lss=answer, lss_sets=frame.data[0] not in ASKS)
         values = self.dictionary.values
         if indices := [index for index in RPDOS if values[index, o.COB_ID] & ~NO_RTR == frame.id]:
             return self._on_rpdos(t, indices, frame.data)
@@ -89,6 +107,8 @@ class Node:
         match services.decode(frame):
             case services.Nmt(command, node) if node in (0, self.address):
                 return self._on_nmt(command)
+            case services.Nmt(command) if command in RESETS and self.lss and self.lss.identity is None:
+                self.lss.take()  # it was another device's
             case services.Sync() if self.nmt is NmtState.OPERATIONAL:
                 latched, self.latched = self.latched, {}
                 written = [key for index in sorted(latched) for key in self._take(index, latched[index])]
@@ -106,7 +126,8 @@ class Node:
         elif command is NmtCommand.RESET_COMMUNICATION:
             self.start(COMMUNICATION_END)
         self._enter(NEXT_STATE.get(command, NmtState.PRE_OPERATIONAL))
-        return Received(command=command, changed=self.nmt is not before)
+        node = self.lss.take() if self.lss is not None and command in RESETS else 0
+        return Received(command=command, changed=self.nmt is not before, node=node)
 
     def _enter(self, state: NmtState) -> None:
         self.nmt = state
@@ -262,6 +283,8 @@ class Sender:
             begin = max([t, *(due for due, _ in self._responses)])
             frame = CanFrame(services.sdo_tx_id(self.node.address), received.response)
             self._responses.append((begin + self.sdo_delay, frame))
+        if received.lss:
+            self._out.append(CanFrame(SLAVE, received.lss))
         self._syncs += received.sync
         if received.command is NmtCommand.START and received.changed:
             self.tpdos = [Tpdo(index) for index in TPDOS]

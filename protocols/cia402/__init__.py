@@ -14,7 +14,7 @@ from typing import Literal
 
 from protocols import messages as msg
 from protocols.bounds import Invalid
-from protocols.canopen import names
+from protocols.canopen import lss, names
 from protocols.canopen import objects as co
 from protocols.canopen import services as cs
 from protocols.canopen.objects import PDO_NUMBERS, Key, Type
@@ -22,7 +22,7 @@ from protocols.canopen.services import NMT_STATE, NmtState
 from protocols.cia402 import objects as o
 from protocols.cia402.driver import Cia402Adapter
 from protocols.cia402.faults import FAULTS
-from protocols.cia402.memory import HEARTBEAT, SYNC, Cia402Decoder
+from protocols.cia402.memory import HEARTBEAT, LSS, RESET, SYNC, Cia402Decoder
 from protocols.cia402.objects import OBJECTS, decoded
 from protocols.cia402.options import Options
 from protocols.cia402.profile import Mode, supports
@@ -34,6 +34,7 @@ from protocols.cia402.units import READ
 from protocols.frames import EXTENDED_BIT, exact
 from protocols.messages import MILLISECOND, Command, Request
 from protocols.plugin import (
+    ANY,
     DRIVER_WRITES,
     Declared,
     Device,
@@ -56,7 +57,7 @@ WATCHDOG_NOTE = (
     " or its cable fails, the motor keeps its last set-point. Leave watchdog_ms above 0 under options, or set"
     " object 1016 with the maker's tool and heartbeat_consumer under settings"
 )
-_ACTIONS = (msg.ClearFault, msg.Estop, msg.Scan, msg.Home, msg.Zero, msg.Reboot)
+_ACTIONS = (msg.ClearFault, msg.Estop, msg.Scan, msg.SetAddress, msg.Home, msg.Zero, msg.Reboot)
 REQUESTS: frozenset[type[Request]] = frozenset((*_ACTIONS, msg.ReadParameter, msg.WriteParameter))
 MARGIN = 1.001
 """For rounding in binary64: a resolution is half a step, and this margin."""
@@ -133,6 +134,10 @@ HOMING: Written = {co.title(o.MODE): (float(Mode.HM),), co.title(o.HOMING_METHOD
 """What homing writes: Zero its own method, then that of before."""
 
 
+READDRESSED: Written = {LSS: ANY, NMT_STATE: (float(NmtState.PRE_OPERATIONAL),), RESET: (1.0,)}
+"""What gives a drive another node id: LSS, and a reset of its communication."""
+
+
 def set_up(device: Device) -> Written:
     """Return what is written to a drive unasked. What a controlword makes it do is decoded beside."""
     found = co.declared(
@@ -170,7 +175,7 @@ def spec(device: Device) -> Spec:
     timeout = (options.watchdog_ms or settings.heartbeat_consumer & 0xFFFF) * MILLISECOND
     synced = options.feedback == "sync"
     # A scan uploads from every node, so SDO requests may be sent to all of them.
-    sends = [cs.NMT_ID, cs.SYNC_ID, cs.HEARTBEAT_BASE + options.host_id]
+    sends = [lss.MASTER, cs.NMT_ID, cs.SYNC_ID, cs.HEARTBEAT_BASE + options.host_id]
     sends += [cs.rpdo_id(number, node) for number in PDO_NUMBERS]
     sends += [cs.sdo_rx_id(each) for each in range(1, cs.MAX_NODE + 1)]
     expects = [base + node for base in (cs.EMCY_BASE, cs.SDO_TX_BASE, cs.HEARTBEAT_BASE)]
@@ -199,7 +204,7 @@ def spec(device: Device) -> Spec:
         set_up=set_up(device),
         unread=tuple(exact(cs.rpdo_id(number, node)) for number in PDO_NUMBERS),
         stop=(cs.disable(node),),
-        writes=dict.fromkeys((msg.Home, msg.Zero), HOMING),
+        writes={msg.Home: HOMING, msg.Zero: HOMING, msg.SetAddress: READDRESSED},
         decoded=decoded,
         save="save",
         receives_also=((cs.SDO_TX_BASE, any_node), (cs.HEARTBEAT_BASE, any_node), *other_producer),

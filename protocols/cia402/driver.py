@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 from protocols import messages as msg
+from protocols.canopen import lss, sdo
 from protocols.canopen import objects as co
-from protocols.canopen import sdo
 from protocols.canopen import services as cs
 from protocols.canopen.client import DOUBLED, Job, Outcome, Purpose
 from protocols.canopen.master import Master
@@ -41,6 +41,7 @@ CLEAR_TIMEOUT, CLEAR_AGAIN = 3000 * MILLISECOND, 10 * MILLISECOND
 REBOOT_TIMEOUT, REBOOT_AGAIN = 8000 * MILLISECOND, 2000 * MILLISECOND
 SAVING = 6000 * MILLISECOND
 TWICE = "every request is answered twice (by two devices, or to two hosts)"
+IDENTITY = (co.VENDOR_ID, co.PRODUCT_CODE, co.REVISION, co.SERIAL_NUMBER)
 DRIVER_OBJECTS = frozenset({o.CONTROLWORD, o.MODE, *o.TARGETS, co.CONSUMER_HEARTBEAT})
 """Objects that only the driver itself writes, like the PDO parameters."""
 
@@ -58,6 +59,7 @@ class Cia402Adapter(Adapter[Drive]):
     duplicate = DUPLICATE_NODE
     blind = True  # `ready` decides
     needs_idle = (msg.Reboot,)
+    addresses = range(1, cs.MAX_NODE + 1)
 
     def __init__(self, devices: Sequence[Device]) -> None:
         synced = [device.options for device in devices if device.options.feedback == "sync"]
@@ -159,7 +161,10 @@ class Cia402Adapter(Adapter[Drive]):
             if found is None:
                 return Rx.IGNORED
             return Report(None, 0, events=found) if found else Rx.EXPECTED
+        node, uploaded = frame.id & NODE_MASK, frame.id & ~NODE_MASK == SDO_TX_BASE
         for pending in driver.queue.waiting:
+            if getattr(pending.request, "address", None) == node and uploaded:
+                return Report(None, node)  # whatever it answers to `ask_at`
             if isinstance(pending.request, msg.Scan) and frame.id & ~NODE_MASK == SDO_TX_BASE:
                 scan: NodeScan = pending.notes["scan"]
                 if scan.receive(frame.id & NODE_MASK, sdo.decode_response(frame.data)):
@@ -224,12 +229,24 @@ class Cia402Adapter(Adapter[Drive]):
 
     # -- requests -------------------------------------------------------------------------------------
 
+    def readdress(self, host: DriveHost, address: int) -> Sequence[Frame]:
+        """By LSS: the drive is selected by its identity, all of which must be known."""
+        read = host.own.known.read
+        if address == host.own.options.host_id or not read.keys() >= {*IDENTITY}:
+            return ()
+        vendor, product, revision, serial = (read[key] for key in IDENTITY)
+        reset = cs.encode(cs.Nmt(cs.NmtCommand.RESET_COMMUNICATION, host.address))
+        return *lss.assignment((vendor, product, revision, serial), address), reset
+
+    def ask_at(self, address: int) -> Sequence[Frame]:
+        return (CanFrame(cs.sdo_rx_id(address), sdo.encode(sdo.Upload(*co.SERIAL_NUMBER))),)
+
     def begin(
         self, now: Nanos, request: Request, host: DriveHost | None, driver: Cia402Driver
     ) -> DrivePending | str:
         if host is None:
             if not isinstance(request, msg.Scan):
-                return "set node ids with switches or the maker's tool (LSS is not supported)"
+                return "a node id is given to one of its motors (SetAddress, by LSS)"
             if driver.scanning():
                 return "a scan is under way"
             notes = {"scan": NodeScan(tuple(driver.at))}

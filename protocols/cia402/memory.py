@@ -13,12 +13,15 @@ Source: CiA 402-2 (states, modes, option codes, set-point handshake of profile p
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
 
 from protocols import messages as msg
 from protocols.asked import waiting
 from protocols.canopen import objects as co
 from protocols.canopen import sdo, services
 from protocols.canopen.dictionary import Dictionary, pdo_defaults
+from protocols.canopen.lss import Slave
 from protocols.canopen.node import Node, Received
 from protocols.canopen.objects import Key, title
 from protocols.canopen.services import NMT_STATE, NmtCommand
@@ -32,8 +35,9 @@ from protocols.frames import Frame
 from protocols.messages import Command, Nanos, Obeyed
 from protocols.plugin import Device
 
-SYNC, HEARTBEAT = "SYNC", "heartbeat"
+SYNC, HEARTBEAT, LSS, RESET = "SYNC", "heartbeat", "LSS", "NMT reset communication"
 """What stands for these of the host."""
+IDENTITY = (co.VENDOR_ID, co.PRODUCT_CODE, co.REVISION, co.SERIAL_NUMBER)
 NUMBER_OF: Mapping[Key, str] = {
     o.TARGET_POSITION: "position",
     **dict.fromkeys((o.TARGET_VELOCITY, o.VELOCITY_OFFSET), "velocity"),
@@ -92,7 +96,10 @@ class Memory:
 
     def __init__(self, device: Device, instant: bool) -> None:
         self.motor, self.instant = device.name, instant
-        self.node = Node(dictionary_of(device.settings, device.address), device.address)
+        self._settings = device.settings
+        dictionary = dictionary_of(device.settings, device.address)
+        one: Any = tuple(dictionary.values[key] for key in IDENTITY)
+        self.node = Node(dictionary, device.address, Slave(None if instant else one))
         self.demanded_position = 0
         """The base of a relative set-point while none is active; a decoder does not know it."""
         self._start()
@@ -156,9 +163,13 @@ class Memory:
 
     def obey(self, received: Received) -> Sequence[Obeyed]:
         """React to what a frame did to the node."""
+        if received.lss is not None:
+            node = self.node.lss.node if self.node.lss is not None else 0
+            return (msg.Kept(self.motor, LSS, float(node)),) if received.lss_sets else ()
+        taken = self._take_address(received.node) if received.node else ()
         if received.command is NmtCommand.RESET_NODE:
             self._start()
-            return (msg.Reboot(self.motor),)
+            return msg.Reboot(self.motor), *taken
         if received.command is None:
             if received.sync:
                 self._latched.clear()
@@ -168,7 +179,13 @@ class Memory:
         resets = received.command is NmtCommand.RESET_COMMUNICATION
         kind = msg.WriteParameter if received.changed or resets else msg.Kept
         obeyed.append(kind(self.motor, NMT_STATE, float(self.node.nmt)))
-        return [*obeyed, msg.Kept(self.motor, "NMT reset communication", 1.0)] if resets else obeyed
+        return [*obeyed, *taken, msg.Kept(self.motor, RESET, 1.0)] if resets else obeyed
+
+    def _take_address(self, node: int) -> Sequence[Obeyed]:
+        """Take the node id that LSS has given, and the identifiers that follow from it."""
+        settings = replace(self._settings, serial_number=self.values[co.SERIAL_NUMBER])
+        self.node.move(node, dictionary_of(settings, node))
+        return (msg.SetAddress(self.motor, node),)
 
     def lose_connection(self) -> Sequence[Obeyed]:
         """React to a lost host as object 6007 demands; the fault of option 1 is the firmware's part."""
@@ -237,12 +254,11 @@ class Memory:
         return msg.Kept(self.motor, title(key), float(self.values[key]))
 
     def _written(self, key: Key) -> msg.WriteParameter:
-        """Return that an object was written; by its name, with 1, if that was a signature."""
-        value = self.values[key]
-        for name, (signed, text) in SIGNATURES.items():
-            if key == signed and value == int.from_bytes(text, "little"):
+        """Return that an object was written; by its name, with 1, if it takes nothing but a signature."""
+        for name, (signed, _) in SIGNATURES.items():
+            if key == signed:
                 return msg.WriteParameter(self.motor, name, 1.0)
-        return msg.WriteParameter(self.motor, title(key), float(value))
+        return msg.WriteParameter(self.motor, title(key), float(self.values[key]))
 
     def _on_controlword(self, control: int) -> Sequence[Obeyed]:
         before, self.control = self.control, control

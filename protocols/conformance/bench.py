@@ -40,6 +40,8 @@ START: Nanos = 1_000_000 * MILLISECOND
 """The clock does not begin at zero: nothing may take 0 for "never"."""
 ALPHA, BETA = NAMES = ("alpha", "beta")
 STRANGER = "stranger"
+NO_ADDRESS = 1 << 20
+"""An address that no device can have."""
 ADDRESSES = (1, 2, 3)
 """Of alpha, beta, and the stranger, which the driver of alpha and beta does not know."""
 LINE_RATE = 1_000_000
@@ -385,6 +387,8 @@ def request(kind: type[Request], motor: str) -> Request | None:
         return msg.Scan("bus")
     if kind is msg.SetId:
         return msg.SetId("bus", 987_654_321, 9)
+    if kind is msg.SetAddress:
+        return msg.SetAddress(motor, NO_ADDRESS)
     if kind is msg.ReadParameter:
         return msg.ReadParameter(motor, "no such parameter")
     if kind is msg.WriteParameter:

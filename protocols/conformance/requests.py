@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from enum import Enum
 from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
@@ -45,7 +45,14 @@ LISTED = 3
 """Parameters of the spec that are read."""
 _ANSWERS = (msg.Done, msg.Refused, msg.Parameter)
 MOTOR_REQUESTS = (msg.ClearFault, msg.Estop, msg.Zero, msg.Home, msg.Reboot)
-ALL_REQUESTS = (msg.Scan, msg.SetId, *MOTOR_REQUESTS, msg.ReadParameter, msg.WriteParameter)
+ALL_REQUESTS = (
+    msg.Scan,
+    msg.SetId,
+    msg.SetAddress,
+    *MOTOR_REQUESTS,
+    msg.ReadParameter,
+    msg.WriteParameter,
+)
 HINTS: dict[type, dict[str, Any]] = {
     kind: get_type_hints(kind) for kind in (*get_args(Message), *(kind.message for kind in sensors.OURS))
 }
@@ -68,6 +75,26 @@ def requests_are_answered(case: Case) -> None:
     for requests in _requests(case, found):
         _must_answer(bench, requests, found, case)
     _must_give_up(case)
+    if msg.SetAddress in case.spec.requests:
+        _takes_its_address(case)
+
+
+def _takes_its_address(case: Case) -> None:
+    """A device that is given an address that is free is found there, one that is not is not given."""
+    bench = case.start()
+    bench.steps(KNOWN)
+    taken = msg.SetAddress(ALPHA, bench.devices[-1].address)
+    if not isinstance(_answer_to(bench, taken), msg.Refused):
+        raise Failure("it is given an address that another device has", (), (taken,))
+    given = msg.SetAddress(ALPHA, case.addresses[-1])
+    answer = _answer_to(bench, given)
+    if not isinstance(answer, msg.Done):
+        raise Failure("it is not given an address that is free", (), (given, *((answer,) if answer else ())))
+    there = (replace(bench.devices[0], address=given.address), *bench.devices[1:])
+    bench.driver, bench.modes = tools.make_driver(case.plugin, there), {}
+    events = [event for step in bench.steps(KNOWN) for event in step.events]
+    if not any(isinstance(event, msg.Feedback) and event.motor == ALPHA for event in events):
+        raise Failure("it is not found at its new address", (), (given,))
 
 
 def _must_give_up(case: Case) -> None:

@@ -26,7 +26,10 @@ COMMANDS: dict[str, frozenset[type[Command]]] = {
     "force_pos": frozenset({msg.Idle, msg.Hold, msg.Position}),
 }
 
-REQUESTS = frozenset({msg.ClearFault, msg.Zero, msg.ReadParameter, msg.WriteParameter, msg.Scan})
+REQUESTS = frozenset(
+    {msg.ClearFault, msg.SetAddress, msg.Zero, msg.ReadParameter, msg.WriteParameter, msg.Scan}
+)
+REPLIES = {msg.SetAddress: {"MST_ID": tuple(float(REPLY_BASE + at) for at in ADDRESSES)}}
 
 
 def ranges(options: Options) -> dict[str, Range]:
@@ -89,6 +92,7 @@ def spec(device: Device) -> Spec:
         set_up=declared(DamiaoAdapter().written(options)),
         stop=(ANY.encode("disable", device.address),),
         save=SAVE,
+        writes={} if options.reply_id else REPLIES,
         receives_also=((REPLY_BASE, EXTENDED_BIT | 0x7F0), exact(0), exact(ALL_MOTORS)),
         **options.gains.of_spec() if options.mode == "mit" else {},
         scales={"model": "the motor is asked for its ranges before it is enabled"},

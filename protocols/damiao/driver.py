@@ -78,8 +78,8 @@ class DamiaoAdapter(RegisterAdapter):
         about = frame.data[2:3] in dm.REGISTER_BYTES
         name, value, written = dm.register_in(frame) if about else ("", None, False)
         if host is None or not ours:
-            usual = name == "SN" and frame.id in (0, dm.REPLY_BASE + frame.data[0])
-            sn = usual and driver.scanning()
+            usual = name == "SN" and frame.id in (0, dm.REPLY_BASE + frame.data[0], *self.replies)
+            sn = usual and driver.scanning(frame.data[0])
             note = f"answers with {frame.id:03X}"
             return (Report(None, frame.data[0], serial=int(value or 0), note=note) if sn else Rx.IGNORED,)
         if not name:
@@ -124,6 +124,11 @@ class DamiaoAdapter(RegisterAdapter):
 
     def about(self, operation: str, address: int, name: str, value: float = 0.0) -> Sequence[Frame]:
         return (dm.about_register(operation, address, name, value),)
+
+    def readdress(self, host: Host[Motor], address: int) -> Sequence[Frame]:
+        at, own = host.address, host.options.reply_id
+        replies = () if own else self.about("write", at, "MST_ID", dm.REPLY_BASE + address)
+        return *replies, *self.about("write", at, "ESC_ID", address)
 
     def ask(self, host: Host[Motor]) -> Sequence[Frame]:
         return (dm.ANY.encode("refresh", motor=host.address, number=0, value=0),)

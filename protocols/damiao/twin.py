@@ -117,6 +117,8 @@ class Motor:
             return ()
         self.registers[name] = int(value) & 0x7FF if name in dm.IDS else value
         self.address, self.rescaled = int(self.registers["ESC_ID"]), self.rescaled or name in dm.RANGES
+        if name == "ESC_ID":
+            return (msg.SetAddress(self.name, self.address),)
         return (msg.WriteParameter(self.name, name, value),)
 
 

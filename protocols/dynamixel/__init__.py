@@ -102,6 +102,7 @@ def spec(device: Device) -> Spec:
         requests=REQUESTS | ({msg.Scan} if options.scan else set()),
         ranges=ranges(options),
         faults=dt.FAULTS,
+        id_parameter="ID",
         parameters=tuple(each for each in options.table.by_name if not each.startswith("Indirect_Address")),
         configuration=configured(device),
         set_up={**declared(options.set_up), goal: (goal,)},

@@ -82,6 +82,7 @@ def spec(device: Device) -> Spec:
         watchdog=Watchdog(None, enabled=False, note=NO_WATCHDOG),
         holds_unattended=True,
         faults=ft.FAULTS,
+        id_parameter="ID",
         parameters=tuple(options.table.by_name),
         configuration=configured(options),
         set_up=declared(options.set_up),

@@ -15,7 +15,7 @@ from protocols.messages import MILLISECOND
 from protocols.moteus import codec
 from protocols.moteus.codec import ADDRESS_MAX, BROADCAST, reply_id
 from protocols.moteus.decoder import MoteusDecoder
-from protocols.moteus.driver import MoteusAdapter, Options
+from protocols.moteus.driver import SAVE, MoteusAdapter, Options
 from protocols.moteus.loops import COUNTED, Settings
 from protocols.moteus.messages import STOP, names
 from protocols.moteus.table import FAULTS, UUID_MASK, beside, decoded
@@ -109,6 +109,7 @@ def spec(device: Device) -> Spec:
         faults=FAULTS,
         parameters=("mode", "voltage"),
         configuration=IDENTITY,
+        save=SAVE,
         stop=(codec.make_frame(codec.command_id(device.address, host, prefix), STOP),),
         set_up={beside(name): ((0.0, most),) for name, most in options.most.items()},
         decoded=decoded,

@@ -17,7 +17,7 @@ from typing import Any
 
 from protocols import messages as msg
 from protocols.frames import Frame
-from protocols.messages import MILLISECOND, SECOND, Command, Feedback, Mode, Nanos
+from protocols.messages import MILLISECOND, SECOND, Command, Feedback, Mode, Nanos, Request
 from protocols.myactuator import table as rmd
 from protocols.myactuator.options import Options
 from protocols.plugin import Device
@@ -29,6 +29,11 @@ from protocols.toolkit.table import Values
 
 CHECK: Nanos = 50 * MILLISECOND
 """Period of questions for faults and running time, and of what is written until it is confirmed."""
+ZEROED: Nanos = 2 * SECOND
+"""Time in which a motor is restarted, and reads zero."""
+RESTARTED = "restarted"
+SILENT: Nanos = 100 * MILLISECOND
+"""Silence that shows that a motor which was told to is restarting."""
 EARLIER = 500
 """ms by which the running time must go back to be that of a restart, not a late frame."""
 
@@ -117,6 +122,7 @@ class RmdAdapter(Adapter[Motor]):
     faults, latch, blind = rmd.ALL_FAULTS, True, True
     not_armed, duplicate, clearing = rmd.NOT_ARMED, rmd.DUPLICATE, 2 * SECOND
     clearing_disarms = True
+    addresses = rmd.ADDRESSES
 
     def own(self, device: Device) -> Motor:
         return Motor(device.options.idle_current)
@@ -126,7 +132,9 @@ class RmdAdapter(Adapter[Motor]):
     def receive(self, t: Nanos, frame: Frame, driver: MotorDriver[Motor]) -> Sequence[Report[Motor] | Rx]:
         decoded = rmd.ANY.decode(frame, "from_device")
         host = None if decoded is None else driver.at.get(decoded.address)
-        if decoded is None or (host is None and not (decoded.name == "version" and driver.scanning())):
+        if decoded is None or (
+            host is None and not (decoded.name == "version" and driver.scanning(decoded.address))
+        ):
             return (Rx.IGNORED,)
         if decoded.name == "motion reply" and host is not None:
             decoded = host.options.table.decode(frame, "from_device") or decoded
@@ -138,7 +146,7 @@ class RmdAdapter(Adapter[Motor]):
             return (Report(host, address, note=note),)
         own, many = host.own, host.own.answers.add(t)
         if name == "runtime" and own.restarted(values["ms"]):
-            return (Report(host, address, Mode.READY, "restarted", duplicate=many),)
+            return (Report(host, address, Mode.READY, RESTARTED, duplicate=many),)
         own.see(name, values)
         mode = own.mode()
         if name == "angle":
@@ -234,10 +242,36 @@ class RmdAdapter(Adapter[Motor]):
     def questions(self, driver: MotorDriver[Motor]) -> Iterable[Frame]:
         return (rmd.ANY.encode("read version", at) for at in rmd.ADDRESSES)
 
+    def ask_at(self, address: int) -> Sequence[Frame]:
+        return (rmd.ANY.encode("read version", address),)
+
+    def readdress(self, host: Host[Motor], address: int) -> Sequence[Frame]:
+        # Where a motor takes it when it is restarted, it still has the old one.
+        return rmd.ANY.encode("set id", host.address, id=address), rmd.ANY.encode("reset", host.address)
+
+    def begin(
+        self, now: Nanos, request: Request, host: Host[Motor] | None, driver: MotorDriver[Motor]
+    ) -> Pending[Motor] | str:
+        if isinstance(request, msg.Zero) and host is not None:
+            return Pending(request, host.name, now, now + ZEROED, now, host)
+        return super().begin(now, request, host, driver)
+
+    def answer(self, t: Nanos, pending: Pending[Motor], report: Report[Motor]) -> msg.Event | None:
+        if isinstance(pending.request, msg.Zero):
+            silent = pending.restarted(t, SILENT)  # of a motor that was just switched on, it is all there is
+            if silent or report.detail == RESTARTED:
+                pending.notes.update(back=True)
+            if "back" not in pending.notes:
+                return None
+        return super().answer(t, pending, report)
+
     def frames(self, now: Nanos, pending: Pending[Motor]) -> Sequence[Frame]:
         host = pending.host
         if host is None:
             return pending.slice()
+        if isinstance(pending.request, msg.Zero):  # kept in the ROM, which wears out: once
+            zero = rmd.ANY.encode("zero here", host.address, value=0)
+            return () if pending.sent else (zero, rmd.ANY.encode("reset", host.address))
         if not pending.sent and host.active - rmd.PASSING.keys():
             return (rmd.ANY.encode("reset", host.address),)
         frames = [rmd.ANY.encode(name, host.address) for name in ("shutdown", "read status 1")]

@@ -40,6 +40,8 @@ class Memory:
     address: int
     options: Options
     released: bool
+    zeroed: bool = False
+    """It is zero where it stands, from the next start on."""
 
     def obey(self, decoded: Decoded) -> Sequence[Obeyed]:
         """Return what the motor does on this message."""
@@ -49,16 +51,18 @@ class Memory:
         match decoded.name:
             case "set id" | "set every id":
                 self.address = values["id"] & 0x3F
-                return (msg.Kept(name, "set id", float(values["id"])),)
+                return (msg.SetAddress(name, values["id"]),)
             case "shutdown":
                 return (msg.Idle(name),)
             case "reset":
                 self.lock()
-                return msg.Idle(name), msg.ClearFault(name)
+                zeroed, self.zeroed = (msg.Zero(name),) if self.zeroed else (), False
+                return msg.Idle(name), msg.ClearFault(name), *zeroed
             case "release brake":
                 self.released = True
                 return (msg.Kept(name, "release brake", 1.0),)
             case written if written in rmd.WRITTEN:
+                self.zeroed = self.zeroed or written == "zero here"
                 return (msg.Kept(name, written, float(values.get("value", 0))),)
             case "lock brake" if self.options.brake:
                 self.lock()

@@ -20,7 +20,7 @@ from protocols.odrive_can.driver import OdriveAdapter
 from protocols.odrive_can.firmware import memory
 from protocols.odrive_can.options import Options, Settings, configured, line_of
 from protocols.odrive_can.setpoints import COMMANDS, control_mode
-from protocols.odrive_can.table import IDLE, InputMode
+from protocols.odrive_can.table import FULL_CALIBRATION, IDLE, InputMode
 from protocols.odrive_can.twin import twin
 from protocols.plugin import (
     CommandDecoder,
@@ -122,7 +122,7 @@ def spec(device: Device) -> Spec:
         sends=table.ids_of_driver(line, extended, address),
         expects=tuple(dict.fromkeys(one for each in tables for one in each.ids("from_device", address))),
         feedback=FeedbackKind.CYCLIC,
-        requests=REQUESTS if line == "0.5" else REQUESTS | {msg.SetId},
+        requests=REQUESTS | {msg.SetAddress if line == "0.5" else msg.SetId},
         tells_serial=line != "0.5",
         ranges=ranges_of(options) | {"Feedback.position": position},
         faults=errors.DEVICE05 if line_of(device) == "0.5" else errors.DEVICE06,
@@ -138,6 +138,7 @@ def spec(device: Device) -> Spec:
             ),
         },
         configuration={} if line_of(device) == "0.5" else configured(options, settings),
+        calibration=("Axis_Requested_State", float(FULL_CALIBRATION)),
         save="" if line_of(device) == "0.5" else table.SAVE,
         receives_also=((0x06, 0x1F), (0x01, 0x1F)),
         obeys_also=((address << table.CMD_BITS | extended * EXTENDED_BIT, 0x9FFF_FFE0),),

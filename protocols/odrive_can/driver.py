@@ -69,7 +69,9 @@ class OdriveAdapter(Adapter[Axis]):
     needs_idle = (msg.Zero, msg.Reboot, msg.Home)
     zero_tolerance = 0.05 * math.tau
     set_id_detail = f"not saved yet: write {SAVE} 1 to keep it after power-off"
+    set_address_detail = "until it is switched off: the vendor's tool saves it, over USB"
     unaddressed = table.BROADCAST
+    addresses = range(table.MAX_NODE + 1)
 
     def __init__(self, devices: Sequence[Device]) -> None:
         self._names = {_node(device): device.name for device in devices}
@@ -165,6 +167,8 @@ class OdriveAdapter(Adapter[Axis]):
                 None, address, note=NO_DISCOVERY + ", extended identifiers" * frame.extended
             )
             for pending in driver.queue.waiting:
+                if getattr(pending.request, "address", None) == address:
+                    return report
                 if isinstance(pending.request, msg.Scan):
                     pending.notes.update({str(frame.id): report})
         return Rx.IGNORED
@@ -243,6 +247,11 @@ class OdriveAdapter(Adapter[Axis]):
         host.own.resend()
 
     # -- requests -------------------------------------------------------------------------------------
+
+    def readdress(self, host: OdriveHost, address: int) -> Sequence[Frame]:
+        """0.5.x alone, which then sends its heartbeats from there."""
+        boards = host.own.identity.dialect.boards
+        return (host.own.encode("Set_Axis_Node_ID", Axis_Node_ID=address),) if boards else ()
 
     def begin(
         self, now: Nanos, request: Request, host: OdriveHost | None, driver: OdriveDriver

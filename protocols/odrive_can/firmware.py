@@ -193,7 +193,7 @@ class Memory:
                 return (msg.ClearFault(motor),)
             case "Set_Axis_Node_ID":
                 self.node = values["Axis_Node_ID"] & table.MAX_EXTENDED_NODE
-                return (msg.SetId("", self.serial, values["Axis_Node_ID"]),)
+                return (msg.SetAddress(motor, values["Axis_Node_ID"]),)
             case "Set_Absolute_Position" | "Set_Linear_Count" if not values["Position"]:
                 return (msg.Zero(motor),)
             case "Start_Anticogging":  # a procedure of the device that turns the shaft

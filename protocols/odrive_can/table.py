@@ -225,7 +225,8 @@ DISCOVERY = requests_of("0.6", False).encode("discovery")
 
 def ids_of_driver(firmware: str, extended: bool, address: int) -> tuple[IdMask, ...]:
     """Return the ids of what the driver may send to a device: requests, and messages of either line."""
-    never = ("Enter_DFU_Mode", "Set_Axis_Node_ID", "Start_Anticogging", "Ask_ADC_Voltage")
+    never = ["Enter_DFU_Mode", "Start_Anticogging", "Ask_ADC_Voltage"]
+    never += [] if firmware == "0.5" else ["Set_Axis_Node_ID"]
     rows = [row for line in LINES[firmware] for row in table_of(line, extended).rows]
     sent = [row for row in rows if row.direction == "to_device" and not row.name.startswith((*never, *FORMS))]
     requested = requests_of(firmware, extended).rows

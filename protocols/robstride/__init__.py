@@ -23,7 +23,7 @@ COMMANDS: dict[str, frozenset[type[Command]]] = {
     "position": frozenset({msg.Idle, msg.Hold, msg.Position}),
 }
 SET_POINTS = {"loc_ref": ("Position.position",), "spd_ref": ("Velocity.velocity",)}
-REQUESTS = frozenset({msg.ClearFault, msg.Zero, msg.ReadParameter, msg.WriteParameter})
+REQUESTS = frozenset({msg.ClearFault, msg.SetAddress, msg.Zero, msg.ReadParameter, msg.WriteParameter})
 TURNS = Range(-1e5, 1e5, 1e-6, BINARY32)
 """Position in a register, which counts turns."""
 ANYBODY: IdMask = (EXTENDED_BIT | rs.HOST << 8, EXTENDED_BIT | 0x1FFFFF00)

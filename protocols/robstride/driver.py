@@ -70,7 +70,7 @@ class RobStrideAdapter(RegisterAdapter):
         if decoded is None:
             return (Rx.IGNORED,)
         values, address = decoded.values, decoded.address
-        if decoded.name == "id" and (host is not None or driver.scanning()):
+        if decoded.name == "id" and (host is not None or driver.scanning(address)):
             return (Report(host, address, serial=values["serial"]),)
         if host is None:
             return (Rx.IGNORED,)
@@ -114,8 +114,11 @@ class RobStrideAdapter(RegisterAdapter):
     def message(self, name: str, address: int) -> Frame:
         return rs.ANY.encode(name, address)
 
-    def who(self, address: int) -> Sequence[Frame]:
+    def ask_at(self, address: int) -> Sequence[Frame]:
         return (self.message("get_id", address),)
+
+    def readdress(self, host: Host[Motor], address: int) -> Sequence[Frame]:
+        return (rs.ANY.encode("set_id", host.address, id=address),)
 
     def about(self, operation: str, address: int, name: str, value: float = 0.0) -> Sequence[Frame]:
         if operation == "save":
@@ -151,7 +154,7 @@ class RobStrideAdapter(RegisterAdapter):
         frames = [*super().poll(now, host)]
         if now - host.own.asked.get("id", -IDENTIFY_PERIOD) >= IDENTIFY_PERIOD:
             host.own.ask(now, "id")
-            frames += self.who(host.address)
+            frames += self.ask_at(host.address)
         return frames
 
     # -- requests -------------------------------------------------------------------------------------

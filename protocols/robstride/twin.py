@@ -54,7 +54,7 @@ class Memory:
                 return (msg.WriteParameter(motor, rs.SAVE, 1.0),)
             case "set_id":
                 self.address = values["id"]
-                return (msg.Kept(motor, name, float(self.address)),)
+                return (msg.SetAddress(motor, self.address),)
             case "control" if not self.registers["run_mode"]:
                 five = commanded(motor, values)
                 return (five,) if self.enabled else waiting(self.options.gains.canonical(five))

@@ -25,6 +25,10 @@ from protocols.toolkit.requests import Pending as Pending  # protocols take it f
 Own = TypeVar("Own")
 NEVER: Nanos = 1 << 62
 ARMED = "it is armed: command Idle first"
+LISTENED: Nanos = 1000 * MILLISECOND
+"""For how long it is made sure that nobody has an address yet, before it is given to a device."""
+TAKEN: Nanos = 2500 * MILLISECOND
+"""Time in which the device must be given it, and be heard there."""
 
 
 class Rx(Enum):
@@ -64,6 +68,10 @@ class Adapter(Generic[Own]):
     """Silence that shows that a device has restarted, for Reboot; 0: see `answer`."""
     set_id_detail: str = ""
     """What is still to be done when a device has taken its new address."""
+    set_address_detail: str = ""
+    """The same, where it was not told by its serial number."""
+    addresses: range = range(0)
+    """Of all devices"""
 
     # -- devices and received frames ------------------------------------------------------------------
 
@@ -172,6 +180,15 @@ class Adapter(Generic[Own]):
             return rq.scan(now, request, questions)
         return "the device cannot do that on this bus"
 
+    def readdress(self, host: Host[Own], address: int) -> Sequence[Frame]:
+        """Return what gives a device another address; (): it cannot be given one. Sent once."""
+        return ()
+
+    def ask_at(self, address: int) -> Sequence[Frame]:
+        """Return the read-only frames that are answered by who is at an address; () if there are none, and a
+        device is heard unasked."""
+        return ()
+
     def questions(self, driver: MotorDriver[Own]) -> Iterable[Frame]:
         """Return the read-only frames to all addresses, by which a scan finds devices."""
         return ()
@@ -203,6 +220,8 @@ class Adapter(Generic[Own]):
     def give_up(self, now: Nanos, pending: Pending[Own]) -> str:
         """Return why a request was not carried out by its deadline."""
         host = pending.host
+        if isinstance(pending.request, msg.SetAddress):
+            return f"it was sent, and nothing is heard at address {pending.request.address}"
         if isinstance(pending.request, msg.SetId):
             return f"no device with serial number {pending.request.serial:X} took the address"
         if host is None or host.received_at is None or host.received_at <= pending.began:
@@ -284,7 +303,9 @@ class MotorDriver(Generic[Own]):
         if cause:
             events += self._on_duplicate(t, report, cause)
         for pending in self.queue.waiting:
-            if pending.host is None:
+            if isinstance(pending.request, msg.SetAddress):
+                events += self._on_address(t, pending, pending.request, report)
+            elif pending.host is None:
                 events += self._on_found(t, pending, report)
             elif pending.host is host and pending.sent:
                 answer = self.adapter.answer(t, pending, report)
@@ -320,9 +341,48 @@ class MotorDriver(Generic[Own]):
         pending.found.update({(address, serial): detail})
         return [msg.Found(t, self.adapter.name, address, serial, detail, duplicate)]
 
-    def scanning(self) -> bool:
-        """True while a scan is under way."""
-        return any(isinstance(pending.request, msg.Scan) for pending in self.queue.waiting)
+    def _on_address(
+        self, t: Nanos, pending: Pending[Own], request: msg.SetAddress, report: Report[Own]
+    ) -> list[Event]:
+        """Return whether the device has taken its new address, if this is heard from there."""
+        if report.address != request.address or report.host is pending.host:
+            return []
+        self.queue.end(pending)
+        if "given" not in pending.notes:
+            return [pending.refuse(t, f"another device has address {request.address}")]
+        return [pending.done(t, self.adapter.set_address_detail)]
+
+    def _give_address(self, now: Nanos, request: msg.SetAddress, host: Host[Own]) -> Pending[Own] | str:
+        """Begin to give a device another address, or return why it cannot be given this one."""
+        address, addresses = request.address, self.adapter.addresses
+        if addresses and address not in addresses:
+            return f"{address} is not an address: {addresses.start} to {addresses.stop - 1}"
+        if not addresses or not self.adapter.readdress(host, address):
+            return "the device cannot be given an address on this bus"
+        if address in self.at:
+            return f"address {address} is that of {self.at[address].name}"
+        if self.adapter.running(host):
+            return ARMED
+        if not may_scan(host):
+            return "it cannot be seen whether the address is free (scan = false)"
+        return Pending(request, host.name, now, now + LISTENED + TAKEN, now, host)
+
+    def _address_frames(self, now: Nanos, pending: Pending[Own], request: msg.SetAddress) -> Sequence[Frame]:
+        """Ask who is at the new address; once nobody has answered for a while, give it to the device."""
+        if now - pending.began < LISTENED or pending.host is None:
+            return self.adapter.ask_at(request.address)
+        if "given" not in pending.notes:
+            pending.notes.update(given=[*self.adapter.readdress(pending.host, request.address)])
+        left = pending.notes["given"]  # one after the other: a device may need its time with each
+        return (left.pop(0),) if left else self.adapter.ask_at(request.address)
+
+    def scanning(self, address: int = -1) -> bool:
+        """True while a scan is under way, or while this address is given to a device: a stranger's answer is
+        one to us."""
+        return any(
+            isinstance(pending.request, msg.Scan) or getattr(pending.request, "address", None) == address
+            for pending in self.queue.waiting
+        )
 
     def wrong_id(self, request: msg.SetId, addresses: range, bits: int) -> str:
         """Return why no device can be given this address, "" if one can; `bits`: of a serial number."""
@@ -429,7 +489,10 @@ class MotorDriver(Generic[Own]):
         clears = isinstance(request, msg.ClearFault) and self.adapter.clearing_disarms
         if host is not None and clears and host.sound:
             return msg.Done(now, type(request).__name__, host.name, "it is armed: nothing to clear")
-        begun = self.adapter.begin(now, request, host, self)
+        if host is not None and isinstance(request, msg.SetAddress):
+            begun = self._give_address(now, request, host)
+        else:
+            begun = self.adapter.begin(now, request, host, self)
         if isinstance(begun, str):
             return rq.refusal(now, request, begun)
         if host is not None and isinstance(request, msg.ClearFault):
@@ -447,7 +510,13 @@ class MotorDriver(Generic[Own]):
                 events.append(pending.refuse(now, self.adapter.give_up(now, pending)))
         for pending in self.queue.waiting:
             if now >= pending.next:
-                frames += pending.send(now, self.adapter.frames(now, pending))
+                request, makes = pending.request, self.adapter.frames
+                given = (
+                    self._address_frames(now, pending, request)
+                    if isinstance(request, msg.SetAddress)
+                    else makes(now, pending)
+                )
+                frames += pending.send(now, given)
 
     def due(self) -> Nanos | None:
         """Return when `send` next has something to do without a message."""

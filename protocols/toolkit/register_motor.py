@@ -105,8 +105,6 @@ class RegisterAdapter(Adapter[Motor]):
     """Parameter that saves the configuration when 1 is written."""
     turns: str = ""
     """Register that holds the position beyond the range of the feedback."""
-    addresses: range = range(0)
-    """Of all devices, for a scan."""
     enable: str = "enable"
     """Name of the message that arms."""
     disable: str = "disable"
@@ -137,7 +135,7 @@ class RegisterAdapter(Adapter[Motor]):
         written, it is read back), or saves all ("save")."""
         raise NotImplementedError
 
-    def who(self, address: int) -> Sequence[Frame]:
+    def ask_at(self, address: int) -> Sequence[Frame]:
         """Return the read-only frames that are answered by who is at an address; () if there are none."""
         return self.about("read", address, self.serial) if self.serial else ()
 
@@ -250,7 +248,7 @@ class RegisterAdapter(Adapter[Motor]):
         return Pending(request, host.name, now, now + ANSWER, now, host, (), again)
 
     def _who_is_there(self) -> list[Frame]:
-        return [frame for at in self.addresses for frame in self.who(at)]
+        return [frame for at in self.addresses for frame in self.ask_at(at)]
 
     def frames(self, now: Nanos, pending: Pending[Motor]) -> Sequence[Frame]:
         host = pending.host

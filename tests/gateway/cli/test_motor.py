@@ -124,3 +124,25 @@ def test_a_protocol_without_configuration_is_named(capsys: pytest.CaptureFixture
     status, out, _ = motor(capsys, "dump", "bench05")
     assert status == 0
     assert "right: odrive_can at address 2 on can0, firmware 0.5.x\n  nothing: its protocol" in out
+
+
+def test_what_is_done_to_one_motor_is_told_and_asked_for_first(capsys: pytest.CaptureFixture[str]) -> None:
+    told = "left: the damiao at address 1 on can0 gets the address 5, and saves it (save_parameters)\n"
+    status, out, err = motor(capsys, "set-id", ROBOT, "left", "5")
+    assert (status, out) == (2, told)
+    assert "give --yes" in err
+    status, out, err = motor(capsys, "set-id", ROBOT, "left", "5", "--yes")
+    assert (status, err) == (0, "")
+    assert out.splitlines()[-1] == "left: the robot file has address = 1: write 5 there"
+    status, out, err = motor(capsys, "calibrate", ROBOT, "left", "--yes")
+    assert (status, out) == (2, "")
+    assert "damiao cannot do this over its bus" in err
+
+
+def test_the_page_shows_what_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    page = Path("docs/motor-settings.md").read_text("utf-8")
+    for line in ("set-id diffbot_damiao left --from 7 --yes", "zero diffbot_damiao left --yes"):
+        shown = page.partition(f"$ gateway motor {line}\n")[2]
+        status, out, err = motor(capsys, *line.split())
+        assert (status, err) == (0, "")
+        assert shown.startswith(out)

@@ -81,6 +81,7 @@ LINES: list[tuple[Robot, str, msg.Instruction | Query | None]] = [
     (DIFFBOT, "scan can0", msg.Scan("can0")),
     (DIFFBOT, "setid can0 385F34733301 7", msg.SetId("can0", 0x385F34733301, 7)),
     (DIFFBOT, "setid can0 0x10 7", msg.SetId("can0", 16, 7)),
+    (DIFFBOT, "setaddress left 7", msg.SetAddress("left", 7)),
     (DIFFBOT, "read left axis0.config.x", msg.ReadParameter("left", "axis0.config.x")),
     (DIFFBOT, "write left vel_gain 0.2", msg.WriteParameter("left", "vel_gain", 0.2)),
     (BENCH, "position left -1.5", msg.Position("left", -1.5)),

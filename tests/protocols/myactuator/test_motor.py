@@ -125,9 +125,7 @@ def test_its_id_is_told_and_changed(to: int) -> None:
     assert [each.id for each in twin.step(rig.now, [])[1]] == [0x245]
 
 
-@pytest.mark.parametrize(
-    "name", ["set acceleration", "set gains", "store gains", "set zero", "zero here", "set id"]
-)
+@pytest.mark.parametrize("name", ["set acceleration", "set gains", "store gains", "set zero", "zero here"])
 def test_what_is_kept_is_never_asked_for_here(name: str) -> None:
     device = Device("left", 1, Options(), Settings())
     frame = ANY.encode(name, 1, **{field.name: 0 for field in ANY.row(name).fields if field.name})

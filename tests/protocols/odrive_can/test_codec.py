@@ -313,6 +313,7 @@ def test_the_ids_of_a_driver(anew: Any, firmware: str) -> None:
     lines = anew.LINES[firmware]
     commands = {0x00, 0x01} | COMMANDS.union(*(REQUESTED[line] for line in lines))
     commands -= {0x06} if firmware == "auto" else set()
+    commands |= {0x06} if firmware == "0.5" else set()  # Set_Axis_Node_ID
     expected = {(NODE << 5 | cmd, 0x9FFFFFFF) for cmd in commands}
     expected |= {(0x7E6, 0x9FFFFFFF)} if "0.6" in lines else set()
     assert set(anew.ids_of_driver(firmware, False, NODE)) == expected

@@ -46,7 +46,7 @@ def test_commands_requests_and_kind_of_the_spec() -> None:
     both: set[type] = {msg.ClearFault, msg.Estop, msg.Scan, msg.Zero, msg.Home, msg.Reboot}
     both |= {msg.ReadParameter, msg.WriteParameter}
     assert contract.requests == both | {msg.SetId}
-    assert spec(device(options=V05)).requests == both
+    assert spec(device(options=V05)).requests == both | {msg.SetAddress}
     assert (contract.bus, contract.kind, contract.stop_clears_faults) == ("can", "motor", False)
 
 

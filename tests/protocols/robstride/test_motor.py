@@ -59,12 +59,12 @@ def test_who_it_is_can_be_asked_with_any_length(size: int) -> None:
     assert (answer.id, len(answer.data)) == (0x000001FE, 8)
 
 
-def test_its_address_can_be_changed_and_is_never_changed_here() -> None:
+def test_it_answers_from_its_new_address() -> None:
     device = Device("left", 1, Options(), Settings())
     twin = plugin.twin(device, 0)
     twin.step(0, [])
     frame = CanFrame(0x0705FD01, bytes(8), extended=True)
-    assert plugin.decoder([device]).decode(0, frame) == [msg.Kept("left", "set_id", 5.0)]
+    assert plugin.decoder([device]).decode(0, frame) == [msg.SetAddress("left", 5)]
     twin.receive(1, frame)
     (answer,) = twin.step(MILLISECOND, [])[1]
     assert isinstance(answer, CanFrame)
