@@ -13,8 +13,7 @@ import argparse
 import math
 import os
 import time
-from bisect import bisect_right
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +22,9 @@ from brain.belief import Floats, Pose
 from brain.bodies.plane import moved, wrap
 from brain.perception.consistency import Trust
 from brain.perception.mount import Mount
-from brain.perception.perception import Perception
-from protocols.messages import MILLISECOND, SECOND, LaserScan, Nanos, seconds
+from brain.perception.perception import Anchor, Perception, PerceptionSettings
+from brain.perception.loops import LoopSettings
+from protocols.messages import SECOND, LaserScan, Nanos, seconds
 from tests.data.carmen import BODY, SETTINGS, events
 
 LOGS = ("aces", "intel")
@@ -34,7 +34,7 @@ PARTS = 5
 """Steps without an event after a scan, as between two scans of a robot: its work is spread over them"""
 SAME = 0.02
 """s between a relation's stamp and its scan's"""
-HEAD = "log, which relations      n   raw m  raw deg  mean m  median   max m  mean deg"
+HEAD = "log, path, which relations           n   raw m  raw deg  mean m  median   max m  mean deg"
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,9 @@ class Run:
     times: list[Nanos]
     """Of the scans"""
     believed: list[Pose]
-    """Of the lidar; so is the next"""
+    """Of the lidar, at its time; so is the next"""
+    known: list[Pose]
+    """As it is known in the end"""
     rolled: list[Pose]
     trust: list[Trust]
     """After each scan"""
@@ -53,6 +55,8 @@ class Run:
     nis: float
     """Per degree of freedom, of the lidar's matches"""
     anomalies: dict[str, int]
+    loops: str
+    """In words"""
 
 
 def main() -> None:
@@ -60,14 +64,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="benchmarks.abroad", description=__doc__)
     parser.add_argument("logs", nargs="*", default=LOGS, metavar="LOG", help="aces, intel; default: both")
     parser.add_argument("--until", type=float, default=math.inf, help="s: only the first part of each log")
+    parser.add_argument("--alone", action="store_true", help="by matching alone: no loop is closed")
     parser.add_argument("--ahead", type=float, default=0.0, help="m from the robot's origin to the lidar")
     options = parser.parse_args()
     folder = Path(os.environ["MOTOR_GATEWAY_DATA"]) / "carmen"
     for log in options.logs:
-        run = drive(folder / f"{log}.clf.bz2", options.ahead, options.until)
+        settings = replace(SETTINGS, loops=LoopSettings(close=not options.alone))
+        run = drive(folder / f"{log}.clf.bz2", options.ahead, options.until, settings)
         print(HEAD)
-        for name, longest in (("all", math.inf), ("within 30 s", SOON)):
-            print(f"{log}, {name:16}", text(errors(run, folder / f"{log}.relations", longest)))
+        for path, kind in ((run.believed, "as it went"), (run.known, "in the end")):
+            for name, longest in (("all", math.inf), ("within 30 s", SOON)):
+                rows = errors(run, path, folder / f"{log}.relations", longest)
+                print(f"{f'{log}, {kind}, {name}':31}", text(rows))
         lost, doubtful, sure = (
             100.0 * np.mean([one >= least for one in run.trust])
             for least in (Trust.LOST, Trust.DOUBTFUL, Trust.TOO_SURE)
@@ -78,13 +86,16 @@ def main() -> None:
             f" not consistent {sure:.2f} %; NIS per degree of freedom {run.nis:.2f};"
             f" ms a scan {median:.2f}, 99 % {p99:.2f}, max {most:.1f}"
         )
-        print(f"{log}: not used {run.anomalies}", flush=True)
+        print(f"{log}: {run.loops}; not used {run.anomalies}", flush=True)
 
 
-def drive(log: Path, ahead: float = 0.0, until: float = math.inf) -> Run:
+def drive(
+    log: Path, ahead: float = 0.0, until: float = math.inf, settings: PerceptionSettings = SETTINGS
+) -> Run:
     """Give a log to perception."""
-    perception = Perception(BODY, {"lidar": Mount(x=ahead)}, SETTINGS)
-    run = Run([], [], [], [], [], 0.0, {})
+    perception = Perception(BODY, {"lidar": Mount(x=ahead)}, settings)
+    run = Run([], [], [], [], [], [], 0.0, {}, "")
+    anchors: list[Anchor | None] = []
     lidar, spent, first = Pose(ahead, 0.0, 0.0), 0.0, -1
     known: Nanos = -1
 
@@ -93,6 +104,7 @@ def drive(log: Path, ahead: float = 0.0, until: float = math.inf) -> Run:
         assert estimate is not None, "wheels came first"
         run.times.append(known)
         run.believed.append(moved(estimate.pose, lidar))
+        anchors.append(perception.anchor())
         run.rolled.append(moved(perception.raw, lidar))
         run.trust.append(perception.verdict.trust)
         run.spent.append(1e3 * spent)
@@ -113,22 +125,28 @@ def drive(log: Path, ahead: float = 0.0, until: float = math.inf) -> Run:
         spent += time.process_time() - began
     nis = perception.nis.get("lidar")
     anomalies = {reason: count for each in perception.anomalies.values() for reason, count in each.items()}
-    return Run(run.times, run.believed, run.rolled, run.trust, run.spent, nis.mean if nis else 0.0, anomalies)
+    known_now = [
+        there if anchor is None else moved(perception.anchored(anchor), lidar)
+        for there, anchor in zip(run.believed, anchors, strict=True)
+    ]
+    return replace(
+        run, known=known_now, nis=nis.mean if nis else 0.0, anomalies=anomalies, loops=perception.loops
+    )
 
 
-def errors(run: Run, relations: Path, longest: float = math.inf) -> Floats:
+def errors(run: Run, path: list[Pose], relations: Path, longest: float = math.inf) -> Floats:
     """Return the errors over relations `t1 t2 x y z roll pitch yaw`, at most so many seconds long, whose
-    scans were seen: n × 4, m and degrees of the odometry, then of what was believed."""
-    found = []
+    scans were seen: n × 4, m and degrees of the odometry, then of a path."""
+    found, times = [], np.array(run.times) / SECOND
     for line in relations.read_text().splitlines():
         first, second, x, y, _, _, _, yaw = map(float, line.split())
-        at = [bisect_right(run.times, round(t * SECOND) + MILLISECOND) - 1 for t in (first, second)]
-        late = [seconds(round(t * SECOND) - run.times[i]) for i, t in zip(at, (first, second), strict=True)]
-        if abs(second - first) > longest or max(map(abs, late)) > SAME:
+        at = [int(np.abs(times - t).argmin()) for t in (first, second)]  # scans may be 0.3 ms apart
+        off = max(abs(float(times[i]) - t) for i, t in zip(at, (first, second), strict=True))
+        if abs(second - first) > longest or off > SAME:
             continue
         row: list[float] = []
-        for path in (run.rolled, run.believed):
-            a, b = (path[i] for i in at)
+        for one in (run.rolled, path):
+            a, b = (one[i] for i in at)
             c, s = math.cos(a.yaw), math.sin(a.yaw)
             dx, dy = b.x - a.x, b.y - a.y
             row.append(math.hypot(c * dx + s * dy - x, c * dy - s * dx - y))

@@ -180,6 +180,17 @@ class Movers:
                 found.append(Moving(*at, *velocity, one.radius, math.sqrt(one.vv)))
         return tuple(found)
 
+    def shift(self, by: Pose) -> None:
+        """Turn and shift the frame "map"."""
+        c, s = math.cos(by.yaw), math.sin(by.yaw)
+        for one in self._tracks:
+            one.x, one.y = by.x + c * one.x - s * one.y, by.y + s * one.x + c * one.y
+            one.from_x, one.from_y = by.x + c * one.from_x - s * one.from_y, by.y + s * one.from_x + c * one.from_y
+            one.vx, one.vy = c * one.vx - s * one.vy, s * one.vx + c * one.vy
+        for name, past in self._past.items():
+            kept = [one._replace(at=moved(by, one.at)) for one in past]
+            self._past[name] = deque(kept, maxlen=past.maxlen)
+
     def observe(self, name: str, t: Nanos, duration: Nanos, here: Pose, scan: BodyScan) -> Bools:
         """Follow what a scan shows that ended at a time, with the robot there; return which of its beams end
         at what moves."""
