@@ -181,8 +181,8 @@ class Filter:
         return all(each.source for each in judged)  # what has no source is this
 
     def shift(self, by: Pose) -> None:
-        """Turn and shift the frame "map": all that is believed in it, also of the past, and the fixes that were
-        made from this belief. The motion in "odom" is none of its concern."""
+        """Turn and shift the frame "map": all that is believed in it, also of the past, and the fixes that
+        were made from this belief. The motion in "odom" is none of its concern."""
         self._origin, *self._states = shifted([self._origin, *self._states], by)
         self._items = [moved_fix(item, by) if isinstance(item, PoseFix) else item for item in self._items]
         self._keys = [_key(item) for item in self._items]

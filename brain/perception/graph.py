@@ -112,7 +112,9 @@ class Solution:
 
     def refused(self) -> list[Edge]:
         """Return the ties that speak against the others."""
-        return [e for e, w in zip(self._ties, self._weights[self._joins :].tolist(), strict=True) if w < REFUSED]
+        return [
+            e for e, w in zip(self._ties, self._weights[self._joins :].tolist(), strict=True) if w < REFUSED
+        ]
 
     def _assembled(self) -> tuple[Floats, Floats]:
         """Return the blocks of the normal equations, by edge, and their right side."""

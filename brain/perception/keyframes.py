@@ -189,8 +189,8 @@ def fit(
     settings: KeyframeSettings,
     wide: float = 0.0,
 ) -> Fit | None:
-    """Return where surfaces fit a local map, searched from a pose; `prior`: its information, 3 × 3; `wide`: m,
-    the first search distance, if another than the settings'. None if too few lie near the map's."""
+    """Return where surfaces fit a local map, searched from a pose; `prior`: its information, 3 × 3; `wide`:
+    m, the first search distance, if another than the settings'. None if too few lie near the map's."""
     x, reach = start, wide or settings.wide
     for number in range(settings.steps):
         yaw = float(x[2])

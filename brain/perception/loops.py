@@ -302,7 +302,9 @@ def _agree(keyframes: Keyframes, a: Loop, b: Loop) -> bool:
     pose = keyframes.poses
     by_a = after(after(pose[a.old], a.pose), between(pose[a.new], pose[b.new]))
     off = between(by_a, after(pose[b.old], b.pose))
-    way = [keyframes.kept[number].way if number in keyframes.kept else math.inf for number in (*a[:2], *b[:2])]
+    way = [
+        keyframes.kept[number].way if number in keyframes.kept else math.inf for number in (*a[:2], *b[:2])
+    ]
     apart = abs(way[1] - way[3]) + abs(way[0] - way[2])
     return math.hypot(off[0], off[1]) < 0.2 + 0.02 * apart and abs(off[2]) < 0.04 + 0.003 * apart
 

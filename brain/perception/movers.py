@@ -185,7 +185,10 @@ class Movers:
         c, s = math.cos(by.yaw), math.sin(by.yaw)
         for one in self._tracks:
             one.x, one.y = by.x + c * one.x - s * one.y, by.y + s * one.x + c * one.y
-            one.from_x, one.from_y = by.x + c * one.from_x - s * one.from_y, by.y + s * one.from_x + c * one.from_y
+            one.from_x, one.from_y = (
+                by.x + c * one.from_x - s * one.from_y,
+                by.y + s * one.from_x + c * one.from_y,
+            )
             one.vx, one.vy = c * one.vx - s * one.vy, s * one.vx + c * one.vy
         for name, past in self._past.items():
             kept = [one._replace(at=moved(by, one.at)) for one in past]

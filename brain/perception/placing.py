@@ -69,9 +69,7 @@ class Placing:
     """The keyframes, and what was learnt of the noise. Plain data: a deep copy continues exactly as the
     original."""
 
-    def __init__(
-        self, matching: MatchSettings, keyframes: KeyframeSettings, loops: LoopSettings
-    ) -> None:
+    def __init__(self, matching: MatchSettings, keyframes: KeyframeSettings, loops: LoopSettings) -> None:
         self.keyframes = Keyframes(keyframes)
         self.loops = Loops(loops)
         self._settings = matching
@@ -106,7 +104,9 @@ class Placing:
         """Turn and shift the frame "map"."""
         self._at = {name: moved(by, pose) for name, pose in self._at.items()}
 
-    def keep(self, pose: Pose, covariance: Floats, scan: BodyScan, static: Bools, told: Placed | None) -> None:
+    def keep(
+        self, pose: Pose, covariance: Floats, scan: BodyScan, static: Bools, told: Placed | None
+    ) -> None:
         """Keep a scan that was taken at a pose, if it is the next keyframe; `static`: the beams that may be
         kept, `told`: where it was placed."""
         keyframes, share = self.keyframes, 0.0 if told is None else told.share

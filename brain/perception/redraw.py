@@ -1,9 +1,9 @@
 """The map drawn again from keyframes, after loops have moved them.
 
-Rules. Keyframes about the robot are drawn first, into a map of its own; it takes the place of the old one at
-the moment in which the poses move, so that map and pose agree at all times. What is farther follows, the
-nearest first. One keyframe is drawn at a time. What has moved so little that the map's cells do not show it is
-not drawn again.
+Rules. Keyframes about the robot are drawn first, into a map of its own; it takes the place of the old one
+at the moment in which the poses move, so that map and pose agree at all times. What is farther follows, the
+nearest first. One keyframe is drawn at a time. What has moved so little that the map does not show it is not
+drawn again.
 """
 
 from __future__ import annotations
