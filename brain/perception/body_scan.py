@@ -73,7 +73,7 @@ class PackedScan:
     def unpacked(self) -> BodyScan:
         """Return the scan again."""
         bearings = self.bearings.astype(np.float64)
-        ranges = self.ranges * STEP
+        ranges = self.ranges.astype(np.float64) * STEP
         hit = np.unpackbits(self.hit, count=len(ranges)).astype(np.bool_)
         x = self.origin[0] + ranges * np.cos(bearings)
         ends = np.column_stack([x, self.origin[1] + ranges * np.sin(bearings)])

@@ -50,32 +50,63 @@ class Graph:
     """The groups' edges. Plain data."""
 
     def __init__(self) -> None:
+        self.groups: list[int] = [0]
+        """That there are, by number"""
         self.joins: list[Edge] = []
-        """From each group to the next: the first is from 0 to 1"""
+        """From each group to the next"""
         self.ties: list[Edge] = []
+        self.lengths(np.zeros(1))  # the libraries are there before the first loop is
 
-    @property
-    def groups(self) -> int:
-        """Number of groups that edges hold together."""
-        return len(self.joins) + 1
+    def join(self, edge: Edge) -> None:
+        """Add a group, seen from the newest one."""
+        self.groups.append(edge.second)
+        self.joins.append(edge)
 
-    def lengths(self, group: int, ways: Floats) -> Floats:
-        """Return the length of the shortest path in the graph [m] from a group to all up to it; `ways`: m
-        travelled up to each of these."""
+    def remove(self, group: int) -> None:
+        """Remove a group, neither the first nor the newest: what was seen from it is seen from the one
+        before."""
+        at = self.groups.index(group)
+        to, onward = self.joins[at - 1 : at + 1]
+        self.groups.pop(at)
+        self.joins[at - 1 : at + 1] = [_joined(to, onward)]
+        ties = []
+        for tie in self.ties:
+            if tie.first == group:
+                tie = _joined(to, tie)
+            elif tie.second == group:
+                tie = _joined(
+                    tie, Edge(group, to.first, inverse(to.pose), in_axes(to.information, -to.pose[2]))
+                )
+            if tie.first != tie.second:
+                ties.append(tie)
+        self.ties = ties
+
+    def lengths(self, ways: Floats) -> Floats:
+        """Return the length of the shortest path in the graph [m] from the newest group to each; `ways`: m
+        travelled up to each of them."""
         from scipy.sparse import csr_matrix  # here, because it takes half a second to import
         from scipy.sparse.csgraph import dijkstra
 
-        count = group + 1
-        ends = np.array([(e.first, e.second) for e in self.ties if e.second <= group], dtype=np.int64)
-        ends = np.unique(ends.reshape(-1, 2), axis=0)
-        ends = ends[ends[:, 0] != ends[:, 1]]
+        count = len(ways)
+        ends = np.array([(e.first, e.second) for e in self.ties], dtype=np.int64).reshape(-1, 2)
+        ends = np.unique(np.searchsorted(self.groups, ends), axis=0)
         # neighbours' ties would be given twice: a sum, not the shorter
         ends = ends[np.abs(ends[:, 0] - ends[:, 1]) > 1]
-        weights = np.concatenate([np.diff(ways[:count]) + 0.05, np.full(len(ends), TIED)])
+        weights = np.concatenate([np.diff(ways) + 0.05, np.full(len(ends), TIED)])
         rows = np.concatenate([np.arange(count - 1), ends[:, 0]])
         columns = np.concatenate([np.arange(1, count), ends[:, 1]])
         paths = csr_matrix((weights, (rows, columns)), shape=(count, count))
-        return np.asarray(dijkstra(paths, directed=False, indices=group), dtype=np.float64)
+        return np.asarray(dijkstra(paths, directed=False, indices=count - 1), dtype=np.float64)
+
+
+def _joined(one: Edge, other: Edge) -> Edge:
+    """Return the edge of one after the other."""
+    lever = np.eye(3)
+    lever[0, 2], lever[1, 2] = -other.pose[1], other.pose[0]
+    spread = in_axes(lever @ np.linalg.inv(one.information) @ lever.T, float(other.pose[2]))
+    spread = spread + np.linalg.inv(other.information)
+    information: Floats = np.asarray(np.linalg.inv(spread), dtype=np.float64)
+    return Edge(one.first, other.second, after(one.pose, other.pose), information)
 
 
 class Solution:
@@ -87,10 +118,10 @@ class Solution:
         self.done = False
         self.moved = 0.0
         """m, rad: of the last step"""
-        edges = [*graph.joins[: len(poses) - 1], *(e for e in graph.ties if e.second < len(poses))]
-        self._ties = [e for e in graph.ties if e.second < len(poses)]
-        self._first = np.array([e.first for e in edges])
-        self._second = np.array([e.second for e in edges])
+        self._ties = list(graph.ties)
+        edges = [*graph.joins, *self._ties]
+        self._first = np.searchsorted(graph.groups, [e.first for e in edges])
+        self._second = np.searchsorted(graph.groups, [e.second for e in edges])
         self._seen = np.array([e.pose for e in edges])
         self._information = np.array([e.information for e in edges])
         self._joins = len(poses) - 1

@@ -307,8 +307,8 @@ class Keyframes:
             pose = self.pose(number)
             if base is not None:
                 pose = seen_from(Pose(*base.tolist()), pose)
-            points.append(to_world(one.points, pose))
-            normals.append(rotated(one.normals, pose.yaw))
+            points.append(to_world(one.points.astype(np.float64), pose))
+            normals.append(rotated(one.normals.astype(np.float64), pose.yaw))
         return np.concatenate(points), np.concatenate(normals)
 
     def _newest(self) -> range:

@@ -16,12 +16,13 @@ from dataclasses import dataclass, field
 from typing import Annotated, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from brain.belief import Floats
 from brain.bodies.plane import wrap
-from brain.perception.body_scan import Bools, rotated
+from brain.perception.body_scan import rotated
 from brain.perception.graph import Edge, Graph, Solution, after, between, in_axes, inverse
-from brain.perception.keyframes import Indices, Keyframes, KeyframeSettings, Surfaces, fit
+from brain.perception.keyframes import FACING, Keyframes, KeyframeSettings, Surfaces, fit
 from protocols.bounds import Bounds, check
 
 
@@ -39,6 +40,8 @@ class LoopSettings:
     """Of what is compared, that must lie on what was seen there"""
     margin: Annotated[float, Bounds(0.0, 1.0)] = 0.08
     """By which that must exceed the share at any other place"""
+    keyframes: Annotated[int, Bounds(100, 20_000)] = 3000
+    """That are kept at most, of about 8 KB each; of those at one place the older ones are forgotten"""
     agree: Annotated[int, Bounds(1, 20)] = 3
     """Loops that must agree with one another before any counts, where the doubt is large"""
 
@@ -74,9 +77,10 @@ FEW, MUCH, MUCH_YAW = 3, 0.1, 0.02
 """Loops where the doubt is small, after so many of which, or from which error [m, rad] on, it is solved"""
 RECENT = 30
 """Keyframes for which a loop waits for others that agree"""
-CELL, COARSE_YAW, PEAKS, PER_HEADING, COARSE = 0.2, 0.05, 6, 8, 110
-"""m, rad: of the coarse search; places that are matched, and those of each heading among which they are;
-points"""
+CELL, STEP, COARSE_YAW = 0.2, 2, 0.05
+"""m, cells, rad: of the coarse search"""
+PEAKS, PER_HEADING, COARSE = 6, 8, 110
+"""Places that are matched, and those of each heading among which they are; points"""
 APART, APART_YAW = 0.7, 0.2
 """m, rad between those places"""
 TORN = np.diag([1.0, 1.0, 0.25])
@@ -92,6 +96,15 @@ class Loop(NamedTuple):
     pose: Floats
     """Of the new one, in the frame of the old one"""
     information: Floats
+
+
+class _Cells(NamedTuple):
+    """Where old surfaces are, coarsely."""
+
+    low: Floats
+    """m: corner of the first cell"""
+    values: npt.NDArray[np.uint8]
+    """2 on them, 1 beside, by column (x) and row (y)"""
 
 
 @dataclass(slots=True)
@@ -114,6 +127,7 @@ class _Inquiry:
     """In the frame of the old one"""
     old_normals: Floats
     local: Surfaces | None = None
+    cells: _Cells | None = None
     headings: list[float] = field(default_factory=list)
     """Left to be tried"""
     coarse: list[tuple[int, float, float, float]] = field(default_factory=list)
@@ -161,9 +175,11 @@ class Loops:
         if new and new % GROUP == 0:
             first = new - GROUP
             pose = between(keyframes.poses[first], keyframes.poses[new])
-            information = np.linalg.inv(self._drift)
-            self.graph.joins.append(Edge(first // GROUP, new // GROUP, pose, information))
+            information: Floats = np.asarray(np.linalg.inv(self._drift), dtype=np.float64)
+            self.graph.join(Edge(first // GROUP, new // GROUP, pose, information))
             self._drift = np.zeros((3, 3))
+            if len(keyframes.kept) > self.settings.keyframes and not self.busy:
+                self._merge(keyframes)
         if self.settings.close and new % 2 == 0 and new > LEAST_KEYFRAMES and not self.busy:
             self._asks = new
 
@@ -184,14 +200,30 @@ class Loops:
             return self._moved(keyframes, solution.poses)
         return None
 
+    def _merge(self, keyframes: Keyframes) -> None:
+        """Of the two groups that are nearest to each other, forget the older one."""
+        groups = np.array(self.graph.groups[1 : -2 * BEFORE])
+        if len(groups) < 2:
+            return
+        x, y, yaw = keyframes.poses[groups * GROUP].T
+        facing = np.column_stack([np.cos(yaw), np.sin(yaw)]) / FACING
+        tree = Surfaces(np.column_stack([x, y]), facing).tree
+        apart, nearest = tree.query(tree.data, k=2)
+        one = int(apart[:, 1].argmin())
+        group = int(groups[min(one, int(nearest[one, 1]))])
+        self.graph.remove(group)
+        for number in range(group * GROUP, (group + 1) * GROUP):
+            keyframes.kept.pop(number, None)
+
     # -- is it a place from long ago? ----------------------------------------------------------------------
 
     def _candidate(self, keyframes: Keyframes, new: int) -> _Inquiry | None:
         """Choose the old place that a keyframe may see; None if there is none."""
         numbers = np.array([number for number in keyframes.kept if number <= new])
         ways = np.array([keyframes.kept[number].way for number in numbers.tolist()])
-        firsts = np.searchsorted(numbers, np.arange(new // GROUP + 1) * GROUP)
-        lengths = self.graph.lengths(new // GROUP, ways[firsts])[numbers // GROUP]
+        groups = np.array(self.graph.groups)
+        firsts = np.searchsorted(numbers, groups * GROUP)
+        lengths = self.graph.lengths(ways[firsts])[np.searchsorted(groups, numbers // GROUP)]
         poses = keyframes.poses[numbers]
         travel = ways[-1] - ways
         reach = np.minimum(DRIFT[0] + DRIFT[1] * lengths, DRIFT[2])
@@ -224,11 +256,12 @@ class Loops:
             if one.near:
                 one.starts = [one.guess]
             else:
+                one.cells = _cells(one.old_points)
                 count = max(1, math.ceil(one.reach_yaw / COARSE_YAW))
                 one.headings = [one.reach_yaw * k / count for k in range(-count, count + 1)]
             return False
-        if one.headings:
-            one.coarse += _laid(one, one.headings.pop(0))
+        if one.headings and one.cells is not None:
+            one.coarse += _laid(one, one.cells, one.headings.pop(0))
             if not one.headings:
                 one.starts = _peaks(one.coarse)
             return False
@@ -288,23 +321,23 @@ class Loops:
 
     def _solve(self, keyframes: Keyframes) -> None:
         self._due = 0
-        self._solution = Solution(self.graph, keyframes.poses[: self.graph.groups * GROUP : GROUP])
+        self._solution = Solution(self.graph, keyframes.poses[np.array(self.graph.groups) * GROUP])
 
     def _moved(self, keyframes: Keyframes, groups: Floats) -> Floats:
         """Return the poses of all keyframes, each moved with its group; later ones with the last."""
-        poses = keyframes.poses
-        group = np.minimum(np.arange(len(poses)) // GROUP, len(groups) - 1)
-        return after(groups[group], between(poses[group * GROUP], poses))
+        poses, numbers = keyframes.poses, np.array(self.graph.groups[: len(groups)])
+        group = np.searchsorted(numbers, np.arange(len(poses)) // GROUP, side="right") - 1
+        return after(groups[group], between(poses[numbers[group] * GROUP], poses))
 
 
 def _agree(keyframes: Keyframes, a: Loop, b: Loop) -> bool:
     """Return whether two loops put the newer part in the same place, relative to the older one."""
+    if not {a.old, a.new, b.old, b.new} <= keyframes.kept.keys():
+        return False
     pose = keyframes.poses
     by_a = after(after(pose[a.old], a.pose), between(pose[a.new], pose[b.new]))
     off = between(by_a, after(pose[b.old], b.pose))
-    way = [
-        keyframes.kept[number].way if number in keyframes.kept else math.inf for number in (*a[:2], *b[:2])
-    ]
+    way = [keyframes.kept[number].way for number in (*a[:2], *b[:2])]
     apart = abs(way[1] - way[3]) + abs(way[0] - way[2])
     return math.hypot(off[0], off[1]) < 0.2 + 0.02 * apart and abs(off[2]) < 0.04 + 0.003 * apart
 
@@ -323,32 +356,36 @@ def _thinned(points: Floats, normals: Floats, cell: float) -> tuple[Floats, Floa
     return points[some], normals[some]
 
 
-def _laid(one: _Inquiry, turn: float) -> list[tuple[int, float, float, float]]:
+def _cells(points: Floats) -> _Cells:
+    """Return the cells of old surfaces."""
+    low = points.min(axis=0) - 1.0
+    size = np.ceil((points.max(axis=0) + 1.0 - low) / CELL).astype(np.int64) + 1
+    column, row = ((points - low) / CELL).astype(np.int64).T
+    grid = np.zeros(size, dtype=np.uint8)
+    for dx in (-1, 0, 1):
+        for dy in (-1, 0, 1):
+            grid[column + dx, row + dy] = 1
+    grid[column, row] = 2
+    return _Cells(low, grid)
+
+
+def _laid(one: _Inquiry, cells: _Cells, turn: float) -> list[tuple[int, float, float, float]]:
     """Return the best places at one heading: points on cells of the old surfaces, x, y, yaw."""
-    low = one.old_points.min(axis=0) - 1.0
-    size = np.ceil((one.old_points.max(axis=0) + 1.0 - low) / CELL).astype(np.int64) + 1
-    cells = ((one.old_points - low) / CELL).astype(np.int64)
-    grid = np.zeros((size[0] + 2, size[1] + 2), dtype=np.uint8)
-    for dx in range(3):
-        for dy in range(3):
-            grid[cells[:, 0] + dx, cells[:, 1] + dy] = 1
-    grid[cells[:, 0] + 1, cells[:, 1] + 1] = 2
-    flat = grid[1:-1, 1:-1].ravel()
-    yaw = float(one.guess[2]) + turn
-    points = rotated(one.points[:: max(1, len(one.points) // COARSE)], yaw) + one.guess[:2] - low
-    step = 2.0 * CELL
-    count = math.ceil(one.reach / step)
-    shifts = np.arange(-count, count + 1) * step
-    x, y = (part.ravel() for part in np.meshgrid(shifts, shifts, indexing="ij"))
-    # one index for the shift and one for the point: rounding of either is below a cell
-    columns = ((points[:, 0] + x[:, None]) / CELL).astype(np.int64)
-    rows = ((points[:, 1] + y[:, None]) / CELL).astype(np.int64)
-    inside: Bools = (columns >= 0) & (rows >= 0) & (columns < size[0]) & (rows < size[1])
-    places: Indices = np.where(inside, columns * size[1] + rows, 0)
-    score = (flat[places] * inside).sum(axis=1, dtype=np.int64)
+    yaw, (high, wide) = float(one.guess[2]) + turn, cells.values.shape
+    some = one.points[:: math.ceil(len(one.points) / COARSE)]
+    columns, rows = np.floor((rotated(some, yaw) + one.guess[:2] - cells.low) / CELL).astype(np.int64).T
+    count = math.ceil(one.reach / (STEP * CELL))
+    shifts = np.arange(-count, count + 1)
+    columns, rows = columns + STEP * shifts[:, None], rows + STEP * shifts[:, None]
+    inside = (columns >= 0) & (columns < high), (rows >= 0) & (rows < wide)
+    columns, rows = np.where(inside[0], columns * wide, 0), np.where(inside[1], rows, 0)
+    values = cells.values.ravel()[columns[:, None] + rows] * (inside[0][:, None] & inside[1])
+    score = values.sum(axis=2, dtype=np.int64).ravel()
     best = np.argsort(-score, kind="stable")[:PER_HEADING].tolist()
-    gx, gy = one.guess[:2].tolist()
-    return [(int(score[i]), gx + float(x[i]), gy + float(y[i]), yaw) for i in best]
+    places = one.guess[:2] + STEP * CELL * np.column_stack(
+        [shifts[np.array(best) // len(shifts)], shifts[np.array(best) % len(shifts)]]
+    )
+    return [(int(score[i]), x, y, yaw) for i, (x, y) in zip(best, places.tolist(), strict=True)]
 
 
 def _peaks(coarse: list[tuple[int, float, float, float]]) -> list[Floats]:

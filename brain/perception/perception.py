@@ -591,7 +591,7 @@ class Perception:
             return  # what else measures the pose holds it in the map
         keyframes, loops, redraw = self._placing.keyframes, self._placing.loops, self._redraw
         if redraw.waiting or (redraw.busy and not loops.busy):
-            self._credit -= DRAWS
+            self._credit -= 0 if redraw.waiting else DRAWS
             poses = redraw.advance(keyframes, self.map)
         else:
             poses = loops.advance(keyframes)

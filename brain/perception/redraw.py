@@ -20,7 +20,7 @@ from brain.perception.map import Map
 
 VISIBLE, LEVER = 0.1, 5.0
 """m: what moves walls at this distance [m] by more is seen in the map"""
-NEAR = 30
+NEAR = 15
 """Keyframes that are drawn before the map is replaced"""
 SPARSE, SPARSE_YAW = 0.7, 0.5
 """m, rad: among them, none nearer to one that is drawn"""
