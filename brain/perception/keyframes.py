@@ -178,6 +178,8 @@ class Fit(NamedTuple):
     """Of those: the nearest ones, at the last step"""
     noise: Floats
     """3 × 3 covariance; a direction that hardly any surface holds is left open"""
+    alone: Floats
+    """x, y, yaw by the surfaces alone, where they hold it: without the pull of the prior"""
 
 
 def fit(
@@ -228,7 +230,8 @@ def fit(
     length = max(math.sqrt(float(np.vdot(arm, arm)) / len(arm)), 0.1)
     held, left_open = inverted(information, length, HOLD * float(weight.sum()) / variance)
     share = float(np.count_nonzero(size < ON_LINE)) / len(points)
-    return Fit(x, information, share, nearest, held + OPEN * left_open)
+    alone = x + held @ (firm @ (x - start))
+    return Fit(x, information, share, nearest, held + OPEN * left_open, alone)
 
 
 # -- keyframes -------------------------------------------------------------------------------------------
@@ -339,7 +342,7 @@ class Keyframes:
                     best = other
         if best is None:
             return None
-        x, y, yaw = best.x.tolist()
+        x, y, yaw = best.alone.tolist()  # the filter has its own prior: one must not count twice
         pose = Pose(x, y, wrap(yaw))
         floor = np.diag([settings.floor**2, settings.floor**2, settings.floor_yaw**2])
         return Placed(pose, best.noise + floor, self._shared(best.nearest, pose), best.share)

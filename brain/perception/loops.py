@@ -1,12 +1,13 @@
 """Loops: a place seen again, and what follows for all poses since.
 
-Rules. Every second keyframe asks whether it sees a place from long ago: the candidate is an old keyframe
-within the doubt, which grows with the shortest path to it in the graph. Where that is small, the keyframe is
-matched with those about the old one. Else the newest few are laid over them, first on a coarse grid of poses
-as far as the doubt reaches, then by matching from the best of these; it is a loop only if most lie there, if
-no other place is as good, and if several loops in a row agree with each other: a single one may be the next
-corridor. The graph is solved again, and the poses of all keyframes move with their groups. A loop that
-speaks against the others then is taken out (`graph`). Each call does one slice of this, bounded by counts.
+Rules. Every second keyframe, and each while a loop waits for others, asks whether it sees a place from long
+ago: the candidate is an old keyframe within the doubt, which grows with the shortest path to it in the
+graph. Where that is small, the keyframe is matched with those about the old one. Else the newest few are
+laid over them, first on a coarse grid of poses as far as the doubt reaches, then by matching from the best
+of these; it is a loop only if most lie there, if no other place is as good, and if several loops in a row
+agree with each other: a single one may be the next corridor. The graph is solved again, and the poses of all
+keyframes move with their groups. A loop that speaks against the others then is taken out (`graph`). Each
+call does one slice of this, bounded by counts.
 """
 
 from __future__ import annotations
@@ -180,7 +181,8 @@ class Loops:
             self._drift = np.zeros((3, 3))
             if len(keyframes.kept) > self.settings.keyframes and not self.busy:
                 self._merge(keyframes)
-        if self.settings.close and new % 2 == 0 and new > LEAST_KEYFRAMES and not self.busy:
+        due = new % 2 == 0 or bool(self._waiting)
+        if self.settings.close and due and new > LEAST_KEYFRAMES and not self.busy:
             self._asks = new
 
     def advance(self, keyframes: Keyframes) -> Floats | None:

@@ -33,6 +33,7 @@ from brain.perception.filter_settings import FilterSettings
 from brain.perception.filter_state import FilterState
 from brain.perception.fixes import Fixes, FixSettings, is_possible
 from brain.perception.keyframes import KeyframeSettings, Placed
+from brain.perception.lag import Lag
 from brain.perception.loops import LoopSettings
 from brain.perception.map import Map, MapSettings
 from brain.perception.markers import Markers, MarkerSettings
@@ -186,6 +187,7 @@ class Perception:
         """Sensors that have measured the pose."""
         self._check = MotionCheck(body)
         self._movers = Movers()
+        self._lag = Lag()
         self._joints = frozenset(body.joints)
         self._compared: FilterState | None = None
         """Up to which the wheels' motion was compared."""
@@ -242,6 +244,11 @@ class Perception:
         return moved(self._placing.keyframes.pose(anchor.keyframe), anchor.pose)
 
     @property
+    def lags(self) -> Mapping[str, float]:
+        """By how much the stamps of lidars are late [s], where that was found."""
+        return self._lag.found
+
+    @property
     def loops(self) -> str:
         """The keyframes and loops, in words."""
         return f"{self._placing.keyframes.count} keyframes, {self._placing.loops.closed} loops"
@@ -286,7 +293,7 @@ class Perception:
                 inputs += self._on_imu(event)
             elif isinstance(event, LaserScan):
                 if self._on_scan(event):
-                    inputs.append(ScanEnd(_end(event)))
+                    inputs.append(ScanEnd(_end(self._scans[-1])))
             elif isinstance(event, Fix | PoseReading) and event.sensor in self.mounts:
                 inputs += self._on_fix(event)
             elif isinstance(event, msg.Marker) and event.sensor in self.mounts:
@@ -315,6 +322,7 @@ class Perception:
             linear, angular, lateral = self._filter.twist
             covariance = pose_part(self._filter.state.P)
             odom = Pose(*self._filter.odom[:2], wrap(self._filter.odom[2]))
+            self._lag.on_motion(t, odom.yaw)
             self.estimate = Estimate(t, Pose(x, y, wrap(yaw)), linear, angular, covariance, lateral, odom)
         return results
 
@@ -413,7 +421,8 @@ class Perception:
                 reason = beams.observe(scan, ranges, self.mounts[scan.sensor], Pose(*self._filter.state.raw))
             self._set_absent(scan.sensor, reason, "too few returns" if few else "some beams do not measure")
             if returns and not reason:
-                self._scans.append(scan)
+                late = round(self._lag.found.get(scan.sensor, 0.0) * SECOND)
+                self._scans.append(replace(scan, t=scan.t - late) if late else scan)
                 if len(self._scans) > SCANS_WAITING:
                     self._count(self._scans.popleft().sensor, "too many are waiting")
                 return True
@@ -500,6 +509,10 @@ class Perception:
         agreement, fix, pose, placed = placing.tell(
             name, t, part.scan, self.map, believed, nis, doubtful=consistency.doubtful
         )
+        if placed is not None and not consistency.doubtful:
+            late = self._lag.on_scan(name, t, placed.pose.yaw)
+            if late:
+                self._notes.append(f"{name}: {_late(self._lag.found[name])}: counted for")
         if fix is not None and not consistency.lost:
             self._apply([fix])
             known = self._filter.at(t)
@@ -550,7 +563,8 @@ class Perception:
     def _keep(self, part: _Part) -> None:
         at = self._filter.at(part.t)
         if at is not None and not self._consistency.lost:
-            self._placing.keep(*at, part.scan, part.static, part.placed)
+            pose = at[0] if part.placed is None else part.placed.pose
+            self._placing.keep(pose, at[1], part.scan, part.static, part.placed)
 
     def _compare(self, part: _Part) -> None:
         yaw = self._check.on_scan(part.name, part.t, part.scan)
@@ -667,6 +681,10 @@ class Perception:
     def _count(self, name: str, reason: str) -> None:
         reasons = self.anomalies.setdefault(name, {})
         reasons[str(reason)] = reasons.get(str(reason), 0) + 1
+
+
+def _late(lag: float) -> str:
+    return f"its stamps are {abs(lag):.2f} s {'late' if lag > 0.0 else 'early'}, beside those of the wheels"
 
 
 def _moved(start: Pose, a: Pose, b: Pose) -> Pose:

@@ -30,8 +30,9 @@ from brain.perception.map import Map
 from brain.perception.match import WINDOWS, Match, MatchSettings, examine, match
 from protocols.messages import SECOND, Nanos
 
-LOUDER, LOUDEST = 0.1, 25.0
-"""Share of one innovation in the factor on the noise of matches, and its bound"""
+LOUDER, QUIETER, QUIETEST, LOUDEST = 0.1, 0.01, 0.1, 25.0
+"""Share of one innovation in the factor on the noise of matches, of a base that stands and of one that moves,
+and its bounds"""
 WORSE, BEST, WORST = 0.05, 1e-4, 25.0
 """The same of the factor on what real odometry makes of a motion (`keyframes.Motion`), and its bounds: on
 clean ground wheels are a hundred times better"""
@@ -188,8 +189,11 @@ class Placing:
         if nis is not None and nis.window:
             distance, freedom = nis.window[-1]
             change = min(distance / freedom, OUTLIER) - 1.0
-            if stands:
-                loud = min(max(loud * (1.0 + LOUDER * change), 1.0), LOUDEST)
+            if stands:  # one place, again and again: that they agree is no proof
+                loud = min(max(loud * (1.0 + LOUDER * change), min(loud, 1.0)), LOUDEST)
+            elif worse <= BEST:
+                loud = min(max(loud * (1.0 + QUIETER * change), QUIETEST), LOUDEST)
+                worse *= 1.0 + WORSE * max(change, 0.0)
             else:
                 worse = min(max(worse * (1.0 + WORSE * change), BEST), WORST)
         self._loud[name], self._worse[name] = loud, worse
