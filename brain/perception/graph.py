@@ -141,11 +141,13 @@ class Solution:
             self.done = self.moved < SOLVED or self._step >= STEPS
         return self.done
 
-    def refused(self) -> list[Edge]:
-        """Return the ties that speak against the others."""
-        return [
-            e for e, w in zip(self._ties, self._weights[self._joins :].tolist(), strict=True) if w < REFUSED
-        ]
+    def refused(self) -> Edge | None:
+        """Return the tie that speaks most against the others, if one does: only without it is it known of the
+        next whether they do, too."""
+        weights = self._weights[self._joins :]
+        if not len(weights) or weights.min() > REFUSED:
+            return None
+        return self._ties[int(weights.argmin())]
 
     def _assembled(self) -> tuple[Floats, Floats]:
         """Return the blocks of the normal equations, by edge, and their right side."""

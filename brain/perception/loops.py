@@ -149,8 +149,8 @@ class Loops:
         """Loops that count"""
         self._drift: Floats = np.zeros((3, 3))
         """Covariance since the newest group began"""
-        self._asks: int | None = None
-        """Keyframe that is to ask next"""
+        self._asks = False
+        """The newest keyframe is to ask"""
         self._inquiry: _Inquiry | None = None
         self._waiting: list[Loop] = []
         """Loops that wait for others that agree"""
@@ -160,13 +160,13 @@ class Loops:
 
     def forget_search(self) -> None:
         """Drop what is under way: the robot is elsewhere."""
-        self._asks = self._inquiry = self._solution = None
+        self._asks, self._inquiry, self._solution = False, None, None
         self._waiting = []
 
     @property
     def busy(self) -> bool:
         """Whether there is something left to do."""
-        return self._asks is not None or self._inquiry is not None or self._solution is not None
+        return self._asks or self._inquiry is not None or self._solution is not None
 
     def added(self, keyframes: Keyframes, covariance: Floats) -> None:
         """The newest keyframe was kept: 3 × 3 covariance of its pose from the one before, in its axes."""
@@ -183,21 +183,24 @@ class Loops:
                 self._merge(keyframes)
         due = new % 2 == 0 or bool(self._waiting)
         if self.settings.close and due and new > LEAST_KEYFRAMES and not self.busy:
-            self._asks = new
+            self._asks = True
 
     def advance(self, keyframes: Keyframes) -> Floats | None:
         """Do one slice; return the poses of all keyframes, if they are known better now."""
-        if self._asks is not None:
-            new, self._asks = self._asks, None
-            self._inquiry = self._candidate(keyframes, new)
+        if self._asks:
+            self._asks = False
+            self._inquiry = self._candidate(keyframes)
         elif self._inquiry is not None:
             if self._inquire(self._inquiry, keyframes.settings):
                 inquiry, self._inquiry = self._inquiry, None
                 self._conclude(keyframes, inquiry)
         elif self._solution is not None and self._solution.advance():
             solution, self._solution = self._solution, None
-            refused = {id(edge) for edge in solution.refused()}
-            self.graph.ties = [edge for edge in self.graph.ties if id(edge) not in refused]
+            refused = solution.refused()
+            if refused is not None:
+                self.graph.ties = [edge for edge in self.graph.ties if edge is not refused]
+                self._solve(keyframes)
+                return None
             self.closed = len(self.graph.ties)
             return self._moved(keyframes, solution.poses)
         return None
@@ -219,9 +222,9 @@ class Loops:
 
     # -- is it a place from long ago? ----------------------------------------------------------------------
 
-    def _candidate(self, keyframes: Keyframes, new: int) -> _Inquiry | None:
-        """Choose the old place that a keyframe may see; None if there is none."""
-        numbers = np.array([number for number in keyframes.kept if number <= new])
+    def _candidate(self, keyframes: Keyframes) -> _Inquiry | None:
+        """Choose the old place that the newest keyframe may see; None if there is none."""
+        new, numbers = keyframes.count - 1, np.array(list(keyframes.kept))
         ways = np.array([keyframes.kept[number].way for number in numbers.tolist()])
         groups = np.array(self.graph.groups)
         firsts = np.searchsorted(numbers, groups * GROUP)
