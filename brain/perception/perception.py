@@ -251,7 +251,7 @@ class Perception:
     @property
     def loops(self) -> str:
         """The keyframes and loops, in words."""
-        return f"{self._placing.keyframes.count} keyframes, {self._placing.loops.closed} loops"
+        return f"{len(self._placing.keyframes.kept)} keyframes, {self._placing.loops.closed} loops"
 
     @property
     def gyro_bias(self) -> float:
