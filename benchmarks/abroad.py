@@ -1,4 +1,4 @@
-"""How right perception is on other people's logs: `python -m benchmarks.abroad [LOG …] [--until SECONDS]`.
+"""How right perception is on other people's logs: `python -m benchmarks.abroad [LOG …]`.
 
 Rules. The settings are the same for every log (`tests.data.carmen`). The believed pose of the lidar, at each
 scan, as it is known by the next one, is held against relations between poses that people verified (Kümmerle
@@ -13,8 +13,10 @@ import argparse
 import math
 import os
 import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 
@@ -24,7 +26,7 @@ from brain.perception.consistency import Trust
 from brain.perception.loops import LoopSettings
 from brain.perception.mount import Mount
 from brain.perception.perception import Anchor, Perception, PerceptionSettings
-from protocols.messages import SECOND, LaserScan, Nanos, seconds
+from protocols.messages import SECOND, Event, Feedback, LaserScan, Nanos, seconds
 from tests.data.carmen import BODY, SETTINGS, events
 
 LOGS = ("aces", "intel")
@@ -35,6 +37,60 @@ PARTS = 5
 SAME = 0.02
 """s between a relation's stamp and its scan's"""
 HEAD = "log, path, which relations           n   raw m  raw deg  mean m  median   max m  mean deg"
+
+
+Change: TypeAlias = Callable[[Iterator[Event]], Iterator[Event]]
+
+
+def scaled(log: Iterator[Event]) -> Iterator[Event]:
+    """Odometry that is 3 % long, and turns by a wheel that is 1 % larger."""
+    for one in log:
+        if isinstance(one, Feedback) and one.position is not None:
+            yield replace(one, position=one.position * (1.03 if one.motor == BODY.left else 1.04))
+        else:
+            yield one
+
+
+def thinned(log: Iterator[Event]) -> Iterator[Event]:
+    """Every second beam."""
+    for one in log:
+        if isinstance(one, LaserScan):
+            yield replace(one, ranges=one.ranges[::2], angle_increment=2.0 * one.angle_increment)
+        else:
+            yield one
+
+
+def halved(log: Iterator[Event]) -> Iterator[Event]:
+    """Every second scan."""
+    count = 0
+    for one in log:
+        count += isinstance(one, LaserScan)
+        if count % 2 or not isinstance(one, LaserScan):
+            yield one
+
+
+def noisy(log: Iterator[Event]) -> Iterator[Event]:
+    """Noise of 0.03 m more on each range."""
+    rng = np.random.Generator(np.random.PCG64(1))
+    for one in log:
+        if isinstance(one, LaserScan):
+            ranges = np.array(one.ranges)
+            ranges += np.where(ranges < one.range_max, 0.03 * rng.normal(size=len(ranges)), 0.0)
+            yield replace(one, ranges=tuple(np.clip(ranges, 0.0, one.range_max).tolist()))
+        else:
+            yield one
+
+
+def late(log: Iterator[Event]) -> Iterator[Event]:
+    """Odometry that is stamped 0.12 s early."""
+    by = round(0.12 * SECOND)
+    moved_log = (one if isinstance(one, LaserScan) else replace(one, t=one.t - by) for one in log)
+    return iter(sorted(moved_log, key=lambda one: one.t))
+
+
+CHANGES: dict[str, Change] = {
+    "scaled": scaled, "thinned": thinned, "halved": halved, "noisy": noisy, "late": late
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -65,12 +121,13 @@ def main() -> None:
     parser.add_argument("logs", nargs="*", default=LOGS, metavar="LOG", help="aces, intel; default: both")
     parser.add_argument("--until", type=float, default=math.inf, help="s: only the first part of each log")
     parser.add_argument("--alone", action="store_true", help="by matching alone: no loop is closed")
+    parser.add_argument("--changed", choices=sorted(CHANGES), help="a copy of each log, changed in memory")
     parser.add_argument("--ahead", type=float, default=0.0, help="m from the robot's origin to the lidar")
     options = parser.parse_args()
     folder = Path(os.environ["MOTOR_GATEWAY_DATA"]) / "carmen"
     for log in options.logs:
         settings = replace(SETTINGS, loops=LoopSettings(close=not options.alone))
-        run = drive(folder / f"{log}.clf.bz2", options.ahead, options.until, settings)
+        run = drive(folder / f"{log}.clf.bz2", options.ahead, options.until, settings, options.changed)
         print(HEAD)
         for path, kind in ((run.believed, "as it went"), (run.known, "in the end")):
             for name, longest in (("all", math.inf), ("within 30 s", SOON)):
@@ -90,9 +147,13 @@ def main() -> None:
 
 
 def drive(
-    log: Path, ahead: float = 0.0, until: float = math.inf, settings: PerceptionSettings = SETTINGS
+    log: Path,
+    ahead: float = 0.0,
+    until: float = math.inf,
+    settings: PerceptionSettings = SETTINGS,
+    changed: str | None = None,
 ) -> Run:
-    """Give a log to perception."""
+    """Give a log to perception, or a copy of it that was changed."""
     perception = Perception(BODY, {"lidar": Mount(x=ahead)}, settings)
     run = Run([], [], [], [], [], [], 0.0, {}, "")
     anchors: list[Anchor | None] = []
@@ -104,12 +165,12 @@ def drive(
         assert estimate is not None, "wheels came first"
         run.times.append(known)
         run.believed.append(moved(estimate.pose, lidar))
-        anchors.append(perception.anchor())
+        anchors.append(perception.anchor(estimate.pose))
         run.rolled.append(moved(perception.raw, lidar))
         run.trust.append(perception.verdict.trust)
         run.spent.append(1e3 * spent)
 
-    whole = list(events(log))
+    whole = list(events(log) if changed is None else CHANGES[changed](events(log)))
     began = time.process_time()
     for event in whole:
         if seconds(event.t - whole[0].t) > until:

@@ -231,13 +231,14 @@ class Perception:
             self.helpful,
         )
 
-    def anchor(self) -> Anchor | None:
-        """Return where the robot is relative to the newest keyframe; None before the first."""
+    def anchor(self, pose: Pose) -> Anchor | None:
+        """Return a pose in the map, as it is known now, relative to the newest keyframe; None before the
+        first."""
         keyframes = self._placing.keyframes
-        if self.estimate is None or not keyframes.count:
+        if not keyframes.count:
             return None
         newest = keyframes.count - 1
-        return Anchor(newest, seen_from(keyframes.pose(newest), self.estimate.pose))
+        return Anchor(newest, seen_from(keyframes.pose(newest), pose))
 
     def anchored(self, anchor: Anchor) -> Pose:
         """Return where the robot was, as it is known now."""
@@ -249,9 +250,14 @@ class Perception:
         return self._lag.found
 
     @property
+    def closed(self) -> int:
+        """Number of loops that count."""
+        return self._placing.loops.closed
+
+    @property
     def loops(self) -> str:
         """The keyframes and loops, in words."""
-        return f"{len(self._placing.keyframes.kept)} keyframes, {self._placing.loops.closed} loops"
+        return f"{len(self._placing.keyframes.kept)} keyframes, {self.closed} loops"
 
     @property
     def gyro_bias(self) -> float:
@@ -293,7 +299,7 @@ class Perception:
                 inputs += self._on_imu(event)
             elif isinstance(event, LaserScan):
                 if self._on_scan(event):
-                    inputs.append(ScanEnd(_end(self._scans[-1])))
+                    inputs.append(ScanEnd(_end(event)))
             elif isinstance(event, Fix | PoseReading) and event.sensor in self.mounts:
                 inputs += self._on_fix(event)
             elif isinstance(event, msg.Marker) and event.sensor in self.mounts:
@@ -322,7 +328,7 @@ class Perception:
             linear, angular, lateral = self._filter.twist
             covariance = pose_part(self._filter.state.P)
             odom = Pose(*self._filter.odom[:2], wrap(self._filter.odom[2]))
-            self._lag.on_motion(t, odom.yaw)
+            self._lag.on_motion(t, odom)
             self.estimate = Estimate(t, Pose(x, y, wrap(yaw)), linear, angular, covariance, lateral, odom)
         return results
 
@@ -421,8 +427,7 @@ class Perception:
                 reason = beams.observe(scan, ranges, self.mounts[scan.sensor], Pose(*self._filter.state.raw))
             self._set_absent(scan.sensor, reason, "too few returns" if few else "some beams do not measure")
             if returns and not reason:
-                late = round(self._lag.found.get(scan.sensor, 0.0) * SECOND)
-                self._scans.append(replace(scan, t=scan.t - late) if late else scan)
+                self._scans.append(scan)
                 if len(self._scans) > SCANS_WAITING:
                     self._count(self._scans.popleft().sensor, "too many are waiting")
                 return True
@@ -507,12 +512,11 @@ class Perception:
         consistency, placing, nis = self._consistency, self._placing, self._filter.nis
         name, t = part.name, part.t
         agreement, fix, pose, placed = placing.tell(
-            name, t, part.scan, self.map, believed, nis, doubtful=consistency.doubtful
+            name, t, part.scan, self.map, believed, nis, self._lag, doubtful=consistency.doubtful
         )
-        if placed is not None and not consistency.doubtful:
-            late = self._lag.on_scan(name, t, placed.pose.yaw)
-            if late:
-                self._notes.append(f"{name}: {_late(self._lag.found[name])}: counted for")
+        trusted = None if consistency.doubtful else placed
+        if trusted is not None and self._lag.on_scan(name, t, trusted.pose.yaw):
+            self._notes.append(f"{name}: {_late(self._lag.found[name])}: counted for")
         if fix is not None and not consistency.lost:
             self._apply([fix])
             known = self._filter.at(t)

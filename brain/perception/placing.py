@@ -25,6 +25,7 @@ from brain.perception.consistency import CERTAIN, OUTLIER, POOR, Agreement
 from brain.perception.filter_inputs import Nis, PoseFix
 from brain.perception.graph import in_axes
 from brain.perception.keyframes import NEW_GROUND, Keyframes, KeyframeSettings, Motion, Placed
+from brain.perception.lag import Lag
 from brain.perception.loops import TORN, Loops, LoopSettings
 from brain.perception.map import Map
 from brain.perception.match import WINDOWS, Match, MatchSettings, examine, match
@@ -82,6 +83,8 @@ class Placing:
         """Time of the newest scan before which the base moved"""
         self._at: dict[str, Pose] = {}
         """Where the robot was at the newest scan"""
+        self._last: dict[str, tuple[Nanos, Pose]] = {}
+        """Time of the newest scan, and where it was placed"""
         self.driven = self.turned = 0.0
         """m, rad: since a scan last corrected the pose"""
         self._way = 0.0
@@ -99,11 +102,13 @@ class Placing:
         self.loops.forget_search()
         self._way, self._torn = self._way + self.loops.settings.away, True
         self._at.clear()
+        self._last.clear()
         self.driven = self.turned = 0.0
 
     def shift(self, by: Pose) -> None:
         """Turn and shift the frame "map"."""
         self._at = {name: moved(by, pose) for name, pose in self._at.items()}
+        self._last = {name: (t, moved(by, pose)) for name, (t, pose) in self._last.items()}
 
     def keep(
         self, pose: Pose, covariance: Floats, scan: BodyScan, static: Bools, told: Placed | None
@@ -133,23 +138,28 @@ class Placing:
         chart: Map,
         believed: tuple[Pose, Floats],
         nis: Mapping[str, Nis],
+        lag: Lag,
         *,
         doubtful: bool,
     ) -> Told:
         """Return what a scan tells about the pose that is believed at its end, with that one's covariance
-        (3 × 3). `doubtful`: the scans before have disagreed."""
+        (3 × 3). `lag`: what is known of the lidar's stamps; `doubtful`: the scans before have disagreed."""
         pose, covariance = believed
         before = self._at.get(name, pose)
         motion = Motion(math.dist((before.x, before.y), (pose.x, pose.y)), wrap(pose.yaw - before.yaw))
         if motion.distance > STILL or abs(motion.turn) > STILL:
             self._moved[name] = t
         stands = t - self._moved.get(name, t - STANDS) >= STANDS
+        earlier, last = self._last.get(name, (t, pose))
+        by = lag.motion(name, earlier, t)
+        start = pose if by is None else moved(last, by)
         self._at[name] = pose
         self.driven, self.turned = self.driven + motion.distance, self.turned + abs(motion.turn)
         self._way += motion.distance
         odometry = motion.noise()
         self._rolled = self._rolled + odometry
-        placed = self.keyframes.place(scan, pose, odometry)
+        placed = self.keyframes.place(scan, start, odometry)
+        self._last[name] = t, start if placed is None else placed.pose
         found = placed or self._found(chart, scan, pose, covariance, doubtful=doubtful)
         if found is None:
             return Told(Agreement(t, examine(chart, scan, pose), matched=False), None, None)

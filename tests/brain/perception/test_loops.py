@@ -83,7 +83,7 @@ def lap(settings: PerceptionSettings, seed: int = 1) -> Lap:
                 result.leaps[k] = max(result.leaps[k], math.dist((a.x, a.y), (b.x, b.y)))
         if step % 200 == 0:
             result.true.append(rover.truth)
-            result.anchors.append(result.perception.anchor())
+            result.anchors.append(None if after is None else result.perception.anchor(after.pose))
     return result
 
 
@@ -146,7 +146,7 @@ def test_keyframes_are_bounded(closed: Lap) -> None:
     """There were more, of which some were of one place."""
     count = int(closed.perception.loops.split()[0])
     assert count <= 110
-    newest = closed.perception.anchor()
+    newest = closed.perception.anchor(Pose(0.0, 0.0, 0.0))
     assert newest is not None
     assert newest.keyframe > 120
 
