@@ -138,6 +138,31 @@ class _Inquiry:
     found: list[tuple[float, Floats, Floats]] = field(default_factory=list)
     """Share, pose, information"""
 
+    def advance(self, matching: KeyframeSettings) -> bool:
+        """Do one part of the search; return whether it is done."""
+        if self.local is None:
+            self.local = Surfaces(self.old_points, self.old_normals)
+            if self.near:
+                self.starts = [self.guess]
+            else:
+                self.cells = _cells(self.old_points)
+                count = max(1, math.ceil(self.reach_yaw / COARSE_YAW))
+                self.headings = [self.reach_yaw * k / count for k in range(-count, count + 1)]
+            return False
+        if self.headings and self.cells is not None:
+            self.coarse += _laid(self, self.cells, self.headings.pop(0))
+            if not self.headings:
+                self.starts = _peaks(self.coarse)
+            return False
+        if self.starts:
+            firm = 1.0 if self.near else 0.01
+            prior = firm * np.diag([self.reach**-2, self.reach**-2, self.reach_yaw**-2])
+            place = fit(self.local, self.points, self.normals, self.starts.pop(0), prior, matching, WIDE)
+            if place is not None:
+                share = self.local.share(self.points, self.normals, place.x)
+                self.found.append((share, place.x, place.information))
+        return not self.starts
+
 
 class Loops:
     """The search for loops, and the graph. Plain data: a deep copy continues exactly as the original."""
@@ -191,7 +216,7 @@ class Loops:
             self._asks = False
             self._inquiry = self._candidate(keyframes)
         elif self._inquiry is not None:
-            if self._inquire(self._inquiry, keyframes.settings):
+            if self._inquiry.advance(keyframes.settings):
                 inquiry, self._inquiry = self._inquiry, None
                 self._conclude(keyframes, inquiry)
         elif self._solution is not None and self._solution.advance():
@@ -253,31 +278,6 @@ class Loops:
         return _Inquiry(
             new, int(numbers[at]), guess, float(reach[at]), reach_yaw, near, points, normals, *old
         )
-
-    def _inquire(self, one: _Inquiry, matching: KeyframeSettings) -> bool:
-        """Do one part of the search; return whether it is done."""
-        if one.local is None:
-            one.local = Surfaces(one.old_points, one.old_normals)
-            if one.near:
-                one.starts = [one.guess]
-            else:
-                one.cells = _cells(one.old_points)
-                count = max(1, math.ceil(one.reach_yaw / COARSE_YAW))
-                one.headings = [one.reach_yaw * k / count for k in range(-count, count + 1)]
-            return False
-        if one.headings and one.cells is not None:
-            one.coarse += _laid(one, one.cells, one.headings.pop(0))
-            if not one.headings:
-                one.starts = _peaks(one.coarse)
-            return False
-        if one.starts:
-            firm = 1.0 if one.near else 0.01
-            prior = firm * np.diag([one.reach**-2, one.reach**-2, one.reach_yaw**-2])
-            place = fit(one.local, one.points, one.normals, one.starts.pop(0), prior, matching, WIDE)
-            if place is not None:
-                share = one.local.share(one.points, one.normals, place.x)
-                one.found.append((share, place.x, place.information))
-        return not one.starts
 
     def _conclude(self, keyframes: Keyframes, one: _Inquiry) -> None:
         """Keep the loop that was found, if it is one; solve the graph, if it is worth it."""

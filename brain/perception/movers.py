@@ -113,6 +113,13 @@ class _Track:
         self.pv += dt * (self.vv + 0.5 * SHAKE * dt)
         self.vv += SHAKE * dt
 
+    def shift(self, by: Pose) -> None:
+        """Turn and shift the frame that it is in."""
+        here, there = moved(by, Pose(self.x, self.y, 0.0)), moved(by, Pose(self.from_x, self.from_y, 0.0))
+        self.x, self.y, self.from_x, self.from_y = here.x, here.y, there.x, there.y
+        c, s = math.cos(by.yaw), math.sin(by.yaw)
+        self.vx, self.vy = c * self.vx - s * self.vy, s * self.vx + c * self.vy
+
     def update(self, cluster: _Cluster) -> None:
         """Correct by a cluster at the time of the state."""
         gain, rate = self.pp / (self.pp + NOISE**2), self.pv / (self.pp + NOISE**2)
@@ -182,14 +189,8 @@ class Movers:
 
     def shift(self, by: Pose) -> None:
         """Turn and shift the frame "map"."""
-        c, s = math.cos(by.yaw), math.sin(by.yaw)
         for one in self._tracks:
-            one.x, one.y = by.x + c * one.x - s * one.y, by.y + s * one.x + c * one.y
-            one.from_x, one.from_y = (
-                by.x + c * one.from_x - s * one.from_y,
-                by.y + s * one.from_x + c * one.from_y,
-            )
-            one.vx, one.vy = c * one.vx - s * one.vy, s * one.vx + c * one.vy
+            one.shift(by)
         for name, past in self._past.items():
             kept = [one._replace(at=moved(by, one.at)) for one in past]
             self._past[name] = deque(kept, maxlen=past.maxlen)
