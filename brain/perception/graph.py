@@ -81,6 +81,10 @@ class Graph:
                 ties.append(tie)
         self.ties = ties
 
+    def take_out(self, tie: Edge) -> None:
+        """Take out a loop."""
+        self.ties = [edge for edge in self.ties if edge is not tie]
+
     def lengths(self, ways: Floats) -> Floats:
         """Return the length of the shortest path in the graph [m] from the newest group to each; `ways`: m
         travelled up to each of them."""

@@ -25,10 +25,11 @@ LEAST = 0.03
 """s: a smaller lag is none: so far off stamps often are"""
 MATTERS = 0.02
 """rad that the turn at these lags must differ by, for a scan to count"""
-COUNT, FADES = 25, 0.995
+COUNT, FADES = 40, 0.995
 """Such scans before a lag is known; share that each sum keeps at the next one"""
-CLEARLY = 0.6
-"""Share of the squares without a lag, below which those with one are clearly less"""
+CLEARLY = 0.35
+"""Share of the squares without a lag, below which those with one are clearly less: of wheels that merely
+slip it was 0.5"""
 NOISE, MOST = 0.004, 0.1
 """rad: of a difference, in any case; beyond which it is no larger"""
 KEPT: Nanos = 2 * SECOND
@@ -59,9 +60,12 @@ class Lag:
             self._path.popleft()
 
     def motion(self, name: str, since: Nanos, until: Nanos) -> Pose | None:
-        """Return the motion between two stamps of a lidar, where its lag is known; None where it is not."""
+        """Return the motion between two stamps of a lidar, where its lag is known; None where it is not, or
+        the base has not yet told of that motion."""
         lag = round(self.found.get(name, 0.0) * SECOND)
-        if not lag or not self._path or since - lag < self._path[0][0]:
+        if not lag or not self._path:
+            return None
+        if not self._path[0][0] <= since - lag <= until - lag <= self._path[-1][0]:
             return None
         path = np.array(self._path, dtype=np.float64)
         times = np.array([since, until], dtype=np.float64) - lag - path[0, 0]

@@ -223,7 +223,7 @@ class Loops:
             solution, self._solution = self._solution, None
             refused = solution.refused()
             if refused is not None:
-                self.graph.ties = [edge for edge in self.graph.ties if edge is not refused]
+                self.graph.take_out(refused)
                 self._solve(keyframes)
                 return None
             self.closed = len(self.graph.ties)

@@ -159,6 +159,8 @@ class Placing:
         odometry = motion.noise()
         self._rolled = self._rolled + odometry
         placed = self.keyframes.place(scan, start, odometry)
+        if by is not None and (placed is None or placed.share < LIKELY):
+            placed = self.keyframes.place(scan, pose, odometry)
         self._last[name] = t, start if placed is None else placed.pose
         found = placed or self._found(chart, scan, pose, covariance, doubtful=doubtful)
         if found is None:
