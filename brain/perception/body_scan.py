@@ -49,6 +49,38 @@ class BodyScan:
         return pose.x + c * x - s * y, pose.y + s * x + c * y
 
 
+STEP, FARTHEST = 0.002, 130.0
+"""m: of packed ranges, and their largest"""
+
+
+@dataclass(frozen=True, slots=True)
+class PackedScan:
+    """A scan as it is kept for later: in 8 bytes a beam instead of 66."""
+
+    origin: tuple[float, float]
+    bearings: npt.NDArray[np.float32]
+    ranges: npt.NDArray[np.uint16]
+    """STEP"""
+    hit: npt.NDArray[np.uint8]
+    """Eight beams a byte"""
+
+    @classmethod
+    def of(cls, scan: BodyScan, kept: Bools) -> PackedScan:
+        """Pack a scan; of the beams that are not `kept`, no hit remains."""
+        ranges = np.rint(np.minimum(scan.ranges, FARTHEST) / STEP).astype(np.uint16)
+        return cls(scan.origin, scan.bearings.astype(np.float32), ranges, np.packbits(scan.hit & kept))
+
+    def unpacked(self) -> BodyScan:
+        """Return the scan again."""
+        bearings = self.bearings.astype(np.float64)
+        ranges = self.ranges.astype(np.float64) * STEP
+        hit = np.unpackbits(self.hit, count=len(ranges)).astype(np.bool_)
+        x = self.origin[0] + ranges * np.cos(bearings)
+        ends = np.column_stack([x, self.origin[1] + ranges * np.sin(bearings)])
+        surfaces = _surfaces(self.origin, bearings, ranges, hit, ends)
+        return BodyScan(self.origin, bearings, ranges, hit, ends, *surfaces)
+
+
 def to_body(
     scan: LaserScan, mount: Mount, farthest: float = math.inf, motion: Floats | None = None
 ) -> BodyScan:

@@ -46,7 +46,15 @@ from brain.perception.filter_inputs import (
     is_valid,
 )  # fmt: skip
 from brain.perception.filter_settings import CHI_SQUARE, FilterSettings
-from brain.perception.filter_state import MAX_INPUTS, NEVER, FilterModel, FilterState, source_of
+from brain.perception.filter_state import (
+    MAX_INPUTS,
+    NEVER,
+    FilterModel,
+    FilterState,
+    moved_fix,
+    shifted,
+    source_of,
+)  # fmt: skip
 from brain.perception.wheel_odometry import Point, arc_end
 from protocols.messages import MILLISECOND, SECOND, Nanos, seconds
 
@@ -171,6 +179,13 @@ class Filter:
         """Set the pose at a time, keeping bias, scale and slip; False if that is too long ago."""
         judged = self.observe([Relocated(t, np.array([pose.x, pose.y, pose.yaw]), covariance)])
         return all(each.source for each in judged)  # what has no source is this
+
+    def shift(self, by: Pose) -> None:
+        """Turn and shift the frame "map": all that is believed in it, also of the past, and the fixes that
+        were made from this belief. The motion in "odom" is none of its concern."""
+        self._origin, *self._states = shifted([self._origin, *self._states], by)
+        self._items = [moved_fix(item, by) if isinstance(item, PoseFix) else item for item in self._items]
+        self._keys = [_key(item) for item in self._items]
 
     def observe(self, inputs: Sequence[Input]) -> list[Judged]:
         """Apply inputs, each at its own time; return the decisions that were made for the first time. A pose

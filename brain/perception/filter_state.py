@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import sub
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from brain.belief import Floats
+from brain.belief import Floats, Pose
 from brain.bodies.body import Base
 from brain.bodies.plane import wrap
 from brain.perception.engine import (
@@ -483,6 +483,32 @@ class FilterState:
 
 
 BIAS_BIAS = AT[BIAS][BIAS]
+
+
+def shifted(states: Sequence[FilterState], by: Pose) -> list[FilterState]:
+    """Return states in a frame "map" that was turned and shifted."""
+    c, s = math.cos(by.yaw), math.sin(by.yaw)
+    turn = np.eye(len(states[0].x))
+    turn[:2, :2] = [[c, -s], [s, c]]
+    covariances = [pack(turn @ unpacked(state.P) @ turn.T) for state in states]
+    moved = []
+    for state, P in zip(states, covariances, strict=True):
+        x, y, yaw, *rest = state.x
+        place = by.x + c * x - s * y, by.y + s * x + c * y, yaw + by.yaw
+        moved.append(replace(state, x=(*place, *rest), P=P))
+    return moved
+
+
+def moved_fix(item: PoseFix, by: Pose) -> PoseFix:
+    """Return a fix in that frame, if it was made from this belief: others are of where the robot truly is."""
+    if item.drift is None:
+        return item
+    c, s = math.cos(by.yaw), math.sin(by.yaw)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    value = turn @ item.value + (by.x, by.y, by.yaw)
+    noise, drift = turn @ item.noise @ turn.T, turn @ item.drift @ turn.T
+    shared = None if item.shared is None else turn @ item.shared @ turn.T
+    return replace(item, value=value, noise=noise, shared=shared, drift=drift)
 
 
 def source_of(item: Input) -> str:

@@ -1,9 +1,10 @@
 """The surroundings as the newest scans saw them, and the pose of a scan among them: point to line.
 
-Rules. A keyframe is a scan's surfaces, each a point with the normal of its line, at the pose where it was
-taken. The newest few are one local map, a tree over x, y and the direction that a surface faces: what faces
-otherwise is far away. Whatever else was once drawn plays no part, so a building whose far end does not fit
-its beginning is none of its concern.
+Rules. A keyframe is a scan's surfaces, each a point with the normal of its line, and what it takes to draw
+the scan again, at the pose where it was taken. The newest few are one local map, a tree over x, y and the
+direction that a surface faces: what faces otherwise is far away. Whatever was seen before plays no part, so a
+building whose far end does not fit its beginning is none of its concern: `loops` closes them, by moving the
+poses of the keyframes.
 The pose of a scan is searched from the prediction by Gauss-Newton: of surfaces evenly spread along the
 scan, each pulls to the line of the nearest one of the local map, less the farther it is off (Cauchy), and
 the prediction holds as firmly as the motion since the last scan is known. Real odometry has heavy tails:
@@ -14,7 +15,7 @@ as the steps do. Sources: Censi 2008 (point to line); Zhang 1997 (robust weights
 from __future__ import annotations
 
 import math
-from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
 
@@ -22,11 +23,13 @@ import numpy as np
 import numpy.typing as npt
 
 from brain.belief import Floats, Pose
-from brain.bodies.plane import wrap
-from brain.perception.body_scan import BodyScan, Bools, rotated, to_world
+from brain.bodies.plane import seen_from, wrap
+from brain.perception.body_scan import BodyScan, Bools, PackedScan, rotated, to_world
+from brain.perception.match import OPEN, inverted
 from protocols.bounds import Bounds, check, ordered
 
 Indices = npt.NDArray[np.int64]
+Singles = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +85,15 @@ HEADINGS, LOOSE = (-0.2, 0.2, -0.1, 0.1), 0.05
 GAP, GRAZING, LONGEST = (0.06, 3.5), 0.12, 0.3
 """m, and times the beams' spacing: hits farther apart are of two surfaces; cosine between normal and beam
 below which a normal is none; m that two surfaces may be apart along the scan, at most"""
+HOLD = 0.02
+"""Share of the surfaces by which a direction is held, below which it is open: the scatter of their own
+directions would pass for it, as in a bare corridor"""
 TINY = 1e-6 * np.eye(3)
+NEIGHBOURHOOD, BESIDE, NEIGHBOURS = 1.0, 0.3, 0.6
+"""m about a surface in which others are to be compared; m to one that it lies on; share of a scan that must
+be so, to count fully"""
+GROWTH = 256
+"""Poses by which their memory grows, at first"""
 
 
 class Motion(NamedTuple):
@@ -116,56 +127,201 @@ class Placed:
 
 
 @dataclass(frozen=True, slots=True)
-class _Keyframe:
-    pose: Pose
+class Keyframe:
+    """What is kept of a scan."""
+
+    way: float
+    """m that the robot had travelled"""
     covariance: Floats
-    points: Floats
-    """m, n × 2, in the map; so is the next"""
-    normals: Floats
+    """3 × 3, of the pose when it was kept"""
+    points: Singles
+    """m, n × 2, in the robot's frame; so is the next"""
+    normals: Singles
+    scan: PackedScan
+
+
+# -- matching --------------------------------------------------------------------------------------------
+
+
+class Surfaces:
+    """Points with normals in one frame, and a tree over place and facing."""
+
+    def __init__(self, points: Floats, normals: Floats) -> None:
+        self.points, self.normals = points, normals
+        self.tree = _tree(np.hstack([points, FACING * normals]))
+
+    def share(self, points: Floats, normals: Floats, x: Floats) -> float:
+        """Return the share of a scan's surfaces, from a pose x, y, yaw, that lie on these; of those that lie
+        in their neighbourhood, but at least of NEIGHBOURS of all."""
+        yaw = float(x[2])
+        at = rotated(points, yaw) + x[:2]
+        apart, nearest = self.tree.query(
+            np.hstack([at, FACING * rotated(normals, yaw)]), distance_upper_bound=NEIGHBOURHOOD
+        )
+        near = apart < NEIGHBOURHOOD
+        nearest = nearest[near]
+        off = np.abs(((at[near] - self.points[nearest]) * self.normals[nearest]).sum(axis=1))
+        on = int(np.count_nonzero((off < ON_LINE) & (apart[near] < BESIDE)))
+        return on / max(float(np.count_nonzero(near)), NEIGHBOURS * len(points))
+
+
+class Fit(NamedTuple):
+    """Where surfaces fit others."""
+
+    x: Floats
+    """x, y, yaw"""
+    information: Floats
+    """3 × 3: what the surfaces say of it"""
+    share: float
+    """Of the surfaces: on the others"""
+    nearest: Indices
+    """Of those: the nearest ones, at the last step"""
+    noise: Floats
+    """3 × 3 covariance; a direction that hardly any surface holds is left open"""
+    alone: Floats
+    """x, y, yaw by the surfaces alone, where they hold it: without the pull of the prior"""
+
+
+def fit(
+    local: Surfaces,
+    points: Floats,
+    normals: Floats,
+    start: Floats,
+    prior: Floats,
+    settings: KeyframeSettings,
+    wide: float = 0.0,
+) -> Fit | None:
+    """Return where surfaces fit a local map, searched from a pose; `prior`: its information, 3 × 3; `wide`:
+    m, the first search distance, if another than the settings'. None if too few lie near the map's."""
+    x, reach = start, wide or settings.wide
+    for number in range(settings.steps):
+        yaw = float(x[2])
+        c, s = math.cos(yaw), math.sin(yaw)
+        turn = np.array([[c, s], [-s, c]])
+        arm = points @ turn
+        at = np.concatenate((arm + x[:2], normals @ (FACING * turn)), axis=1)
+        distances, nearest = local.tree.query(at, distance_upper_bound=reach)
+        found = np.flatnonzero(distances < reach)
+        if len(found) < LEAST // 2:
+            return None
+        nearest, arm = nearest[found], arm[found]
+        J = np.empty((3, len(found)))
+        lines = local.normals[nearest].T
+        J[:2] = lines
+        np.subtract(lines[1] * arm[:, 0], lines[0] * arm[:, 1], out=J[2])
+        off = ((at[found, :2] - local.points[nearest]).T * lines).sum(axis=0)
+        size = np.abs(off)
+        weight = 1.0 / (1.0 + (off / max(ROBUST, 0.25 * reach)) ** 2)
+        variance = max(settings.sigma, float(size.sum()) / len(size)) ** 2
+        weighted = J * (weight / variance)
+        information = weighted @ J.T
+        apart = x - start
+        firm = prior / (1.0 + float(apart @ prior @ apart) / TAIL)
+        step = np.linalg.solve(information + firm + TINY, -(weighted @ off + firm @ apart))
+        x = x + step
+        dx, dy, turned = np.abs(step).tolist()
+        largest = max(dx, dy, 3.0 * turned)
+        if reach <= settings.near and largest < 0.002:
+            break
+        if largest < 0.03:
+            reach = max(settings.near, 0.5 * reach)
+        elif number > 2:
+            reach = max(settings.near, 0.7 * reach)
+    length = max(math.sqrt(float(np.vdot(arm, arm)) / len(arm)), 0.1)
+    held, left_open = inverted(information, length, HOLD * float(weight.sum()) / variance)
+    share = float(np.count_nonzero(size < ON_LINE)) / len(points)
+    alone = x + held @ (firm @ (x - start))
+    return Fit(x, information, share, nearest, held + OPEN * left_open, alone)
+
+
+# -- keyframes -------------------------------------------------------------------------------------------
 
 
 class Keyframes:
-    """The newest keyframes. Plain data: a deep copy continues exactly as the original."""
+    """All keyframes, numbered as they came, their poses, and the local map of the newest. Plain data: a deep
+    copy continues exactly as the original."""
 
     def __init__(self, settings: KeyframeSettings) -> None:
         self.settings = settings
-        self._kept: deque[_Keyframe] = deque(maxlen=settings.count)
-        self._points: Floats = np.zeros((0, 2))
-        self._normals: Floats = np.zeros((0, 2))
+        self.kept: dict[int, Keyframe] = {}
+        self.count = 0
+        """That there have been"""
+        self._poses: Floats = np.zeros((GROWTH, 3))
+        self._first = 0
+        """Number of the oldest that may be in the local map"""
+        self._local = Surfaces(np.zeros((0, 2)), np.zeros((0, 2)))
         self._owners: Indices = np.zeros(0, dtype=np.int64)
-        self._tree = _tree(np.zeros((0, 4)))
 
     def __len__(self) -> int:
-        return len(self._kept)
+        return self.count - self._first
 
-    def forget(self) -> None:
-        """Forget all of them: the robot is elsewhere."""
-        self._kept.clear()
+    @property
+    def poses(self) -> Floats:
+        """Pose of every keyframe in the map: n × 3."""
+        return self._poses[: self.count]
+
+    def pose(self, number: int) -> Pose:
+        """Return where a keyframe was taken, as it is known now."""
+        x, y, yaw = self._poses[number].tolist()
+        return Pose(x, y, wrap(yaw))
+
+    def forget_local(self) -> None:
+        """The robot is elsewhere: what comes next has nothing in common with the newest ones."""
+        self._first = self.count
         self._build()
 
-    def add(self, pose: Pose, covariance: Floats, scan: BodyScan, static: Bools, share: float) -> None:
-        """Keep a scan if it was taken far enough from the newest keyframe; `static`: the beams that may be
-        kept, `share`: of it on the local map."""
-        settings = self.settings
-        if self._kept:
-            last = self._kept[-1].pose
-            far = math.dist((last.x, last.y), (pose.x, pose.y)) / settings.move
-            far = max(far, abs(wrap(pose.yaw - last.yaw)) / settings.turn)
-            if far < (1.0 if share > NEW_GROUND else 1.0 / 3.0):
-                return
-        points, normals = _surfaces(scan, static & (scan.ranges < settings.farthest), spacing=SPACING)
+    def wants(self, pose: Pose, share: float) -> bool:
+        """Return whether a scan at this pose is to be the next one; `share`: of it on the local map."""
+        if not len(self):
+            return True
+        x, y, yaw = self._poses[self.count - 1].tolist()
+        far = math.dist((x, y), (pose.x, pose.y)) / self.settings.move
+        far = max(far, abs(wrap(pose.yaw - yaw)) / self.settings.turn)
+        return far >= (1.0 if share > NEW_GROUND else 1.0 / 3.0)
+
+    def add(self, pose: Pose, covariance: Floats, scan: BodyScan, static: Bools, way: float) -> bool:
+        """Keep a scan; `static`: the beams that may be kept, `way`: m travelled. False if it shows too
+        little."""
+        points, normals = _surfaces(scan, static & (scan.ranges < self.settings.farthest), spacing=SPACING)
         if len(points) < LEAST:
-            return
-        points, normals = to_world(points, pose), rotated(normals, pose.yaw)
-        self._kept.append(_Keyframe(pose, covariance, points, normals))
+            return False
+        if self.count == len(self._poses):
+            self._poses = np.concatenate([self._poses, np.zeros_like(self._poses)])
+        self._poses[self.count] = pose.x, pose.y, pose.yaw
+        packed = PackedScan.of(scan, static)
+        single = points.astype(np.float32), normals.astype(np.float32)
+        self.kept[self.count] = Keyframe(way, covariance, *single, packed)
+        self.count += 1
         self._build()
+        return True
+
+    def move(self, poses: Floats) -> None:
+        """Set the poses of all keyframes."""
+        self._poses[: self.count] = poses
+        self._build()
+
+    def gathered(self, numbers: Iterable[int], base: Floats | None = None) -> tuple[Floats, Floats]:
+        """Return points and normals of keyframes that are there, in the map, or in the frame of a pose."""
+        points, normals = [np.zeros((0, 2))], [np.zeros((0, 2))]
+        for number in numbers:
+            one = self.kept.get(number)
+            if one is None:
+                continue
+            pose = self.pose(number)
+            if base is not None:
+                pose = seen_from(Pose(*base.tolist()), pose)
+            points.append(to_world(one.points.astype(np.float64), pose))
+            normals.append(rotated(one.normals.astype(np.float64), pose.yaw))
+        return np.concatenate(points), np.concatenate(normals)
+
+    def _newest(self) -> range:
+        return range(max(self._first, self.count - self.settings.count), self.count)
 
     def _build(self) -> None:
-        self._points = np.concatenate([np.zeros((0, 2)), *(one.points for one in self._kept)])
-        self._normals = np.concatenate([np.zeros((0, 2)), *(one.normals for one in self._kept)])
-        sizes = [len(one.points) for one in self._kept]
-        self._owners = np.repeat(np.arange(len(sizes)), np.array(sizes, dtype=np.int64))
-        self._tree = _tree(np.hstack([self._points, FACING * self._normals]))
+        newest = [number for number in self._newest() if number in self.kept]
+        self._local = Surfaces(*self.gathered(newest))
+        sizes = np.array([len(self.kept[number].points) for number in newest], dtype=np.int64)
+        self._owners = np.repeat(np.array(newest, dtype=np.int64), sizes)
 
     def place(self, scan: BodyScan, predicted: Pose, noise: Floats) -> Placed | None:
         """Return the pose of a scan, searched from a prediction with this covariance (3 × 3), and, if
@@ -173,61 +329,35 @@ class Keyframes:
         or too few of its surfaces lie near theirs."""
         settings = self.settings
         points, normals = _surfaces(scan, scan.ranges < settings.farthest, most=settings.surfaces)
-        if not self._kept or len(points) < LEAST:
+        if not len(self) or len(points) < LEAST:
             return None
         start = np.array([predicted.x, predicted.y, predicted.yaw])
         prior: Floats = np.asarray(np.linalg.inv(noise), dtype=np.float64)
-        best = self._search(points, normals, start, prior)
+        best = fit(self._local, points, normals, start, prior, settings)
         if best is None or best.share < BAD:
             for turn in HEADINGS:
-                other = self._search(points, normals, start + np.array([0.0, 0.0, turn]), LOOSE * prior)
+                turned = start + np.array([0.0, 0.0, turn])
+                other = fit(self._local, points, normals, turned, LOOSE * prior, settings)
                 if other is not None and (best is None or other.share > best.share + BETTER):
                     best = other
-        return best
-
-    def _search(self, points: Floats, normals: Floats, start: Floats, prior: Floats) -> Placed | None:
-        """Search from one pose; `prior`: its information, 3 × 3."""
-        settings, x = self.settings, start
-        reach = settings.wide
-        for number in range(settings.steps):
-            arm = rotated(points, float(x[2]))
-            at = np.hstack([arm + x[:2], FACING * rotated(normals, float(x[2]))])
-            distances, nearest = self._tree.query(at, distance_upper_bound=reach)
-            found = np.flatnonzero(distances < reach)
-            if len(found) < LEAST // 2:
-                return None
-            nearest, arm = nearest[found], arm[found]
-            lines = self._normals[nearest]
-            off = ((at[found, :2] - self._points[nearest]) * lines).sum(axis=1)
-            weight = 1.0 / (1.0 + (off / max(ROBUST, 0.25 * reach)) ** 2)
-            J = np.column_stack([lines, lines[:, 1] * arm[:, 0] - lines[:, 0] * arm[:, 1]])
-            weighted = J * (weight / max(settings.sigma, float(np.abs(off).mean())) ** 2)[:, None]
-            information = weighted.T @ J
-            apart = x - start
-            firm = prior / (1.0 + float(apart @ prior @ apart) / TAIL)
-            step = np.linalg.solve(information + firm + TINY, -(weighted.T @ off + firm @ apart))
-            x = x + step
-            largest = max(abs(step[0]), abs(step[1]), 3.0 * abs(step[2]))
-            if reach <= settings.near and largest < 0.002:
-                break
-            if largest < 0.03:
-                reach = max(settings.near, 0.5 * reach)
-            elif number > 2:
-                reach = max(settings.near, 0.7 * reach)
+        if best is None:
+            return None
+        x, y, yaw = best.alone.tolist()  # the filter has its own prior: one must not count twice
+        pose = Pose(x, y, wrap(yaw))
         floor = np.diag([settings.floor**2, settings.floor**2, settings.floor_yaw**2])
-        pose = Pose(float(x[0]), float(x[1]), wrap(float(x[2])))
-        share = float(np.count_nonzero(np.abs(off) < ON_LINE)) / len(points)
-        return Placed(pose, np.linalg.inv(information + TINY) + floor, self._shared(nearest, pose), share)
+        return Placed(pose, best.noise + floor, self._shared(best.nearest, pose), best.share)
 
     def _shared(self, nearest: Indices, pose: Pose) -> Floats:
         """Return the covariance of the keyframes to which these surfaces belong, moved to a pose."""
-        counts = np.bincount(self._owners[nearest], minlength=len(self._kept)) / len(nearest)
+        first = self._newest().start
+        counts = np.bincount(self._owners[nearest] - first) / len(nearest)
         total = np.zeros((3, 3))
-        for part, one in zip(counts.tolist(), self._kept, strict=True):
+        for number, part in enumerate(counts.tolist(), first):
             if part:
+                x, y, _ = self._poses[number].tolist()
                 turn = np.eye(3)
-                turn[0, 2], turn[1, 2] = one.pose.y - pose.y, pose.x - one.pose.x
-                total += part * (turn @ one.covariance @ turn.T)
+                turn[0, 2], turn[1, 2] = y - pose.y, pose.x - x
+                total += part * (turn @ self.kept[number].covariance @ turn.T)
         return total
 
 

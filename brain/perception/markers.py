@@ -110,6 +110,11 @@ class Markers:
             None if known is None else self._fix(event, known, (ahead, aside), turn, (pose.yaw, yaw_variance))
         )
 
+    def shift(self, by: Pose) -> None:
+        """Turn and shift the frame "map"."""
+        for number, place in self.places.items():
+            self.places[number] = place._replace(pose=moved(by, place.pose))
+
     def seen(self, marker: int, now: Nanos) -> Pose | None:
         """Return where a marker is that is seen now; None if it is not."""
         place = self.places.get(marker)

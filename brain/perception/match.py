@@ -249,12 +249,12 @@ def _solved(pairs: _Pairs, pose: Pose, settings: MatchSettings) -> tuple[Floats,
     total = float(weight.sum())
     variance = settings.floor**2 + float(np.vdot(distance, distance)) / len(distance)
     length = max(math.sqrt(float(np.vdot(arm, arm)) / len(arm)), 0.1)
-    inverse, left_open = _inverted(weighted @ J.T, length, settings.hold * total)
+    inverse, left_open = inverted(weighted @ J.T, length, settings.hold * total)
     step = -inverse @ (weighted @ distance)
     return step, CORRELATED * variance * inverse + OPEN * left_open
 
 
-def _inverted(information: Floats, length: float, least: float) -> tuple[Floats, Floats]:
+def inverted(information: Floats, length: float, least: float) -> tuple[Floats, Floats]:
     """Return the inverse in the directions with at least this information, and the projection on the others.
     To compare metres with radians, a turn counts by how far it moves points at `length` [m]."""
     scale = np.array([1.0, 1.0, 1.0 / length])

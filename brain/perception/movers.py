@@ -113,6 +113,13 @@ class _Track:
         self.pv += dt * (self.vv + 0.5 * SHAKE * dt)
         self.vv += SHAKE * dt
 
+    def shift(self, by: Pose) -> None:
+        """Turn and shift the frame that it is in."""
+        here, there = moved(by, Pose(self.x, self.y, 0.0)), moved(by, Pose(self.from_x, self.from_y, 0.0))
+        self.x, self.y, self.from_x, self.from_y = here.x, here.y, there.x, there.y
+        c, s = math.cos(by.yaw), math.sin(by.yaw)
+        self.vx, self.vy = c * self.vx - s * self.vy, s * self.vx + c * self.vy
+
     def update(self, cluster: _Cluster) -> None:
         """Correct by a cluster at the time of the state."""
         gain, rate = self.pp / (self.pp + NOISE**2), self.pv / (self.pp + NOISE**2)
@@ -179,6 +186,14 @@ class Movers:
                 velocity = c * one.vx - s * one.vy, s * one.vx + c * one.vy
                 found.append(Moving(*at, *velocity, one.radius, math.sqrt(one.vv)))
         return tuple(found)
+
+    def shift(self, by: Pose) -> None:
+        """Turn and shift the frame "map"."""
+        for one in self._tracks:
+            one.shift(by)
+        for name, past in self._past.items():
+            kept = [one._replace(at=moved(by, one.at)) for one in past]
+            self._past[name] = deque(kept, maxlen=past.maxlen)
 
     def observe(self, name: str, t: Nanos, duration: Nanos, here: Pose, scan: BodyScan) -> Bools:
         """Follow what a scan shows that ended at a time, with the robot there; return which of its beams end

@@ -22,7 +22,7 @@ import numpy as np
 
 from brain.belief import Estimate, Floats, Pose
 from brain.bodies.body import Base
-from brain.bodies.plane import wrap
+from brain.bodies.plane import moved, seen_from, wrap
 from brain.perception.beams import Beams
 from brain.perception.body_scan import BodyScan, Bools, to_body
 from brain.perception.consistency import Consistency, Verdict
@@ -32,7 +32,9 @@ from brain.perception.filter_inputs import GateResult, GyroRate, Input, Nis, Sca
 from brain.perception.filter_settings import FilterSettings
 from brain.perception.filter_state import FilterState
 from brain.perception.fixes import Fixes, FixSettings, is_possible
-from brain.perception.keyframes import KeyframeSettings
+from brain.perception.keyframes import KeyframeSettings, Placed
+from brain.perception.lag import Lag
+from brain.perception.loops import LoopSettings
 from brain.perception.map import Map, MapSettings
 from brain.perception.markers import Markers, MarkerSettings
 from brain.perception.markers import is_possible as is_possible_marker
@@ -42,6 +44,7 @@ from brain.perception.mount import Mount
 from brain.perception.movers import Movers, Moving
 from brain.perception.percept import Sight, extrapolated
 from brain.perception.placing import Placing, is_covered
+from brain.perception.redraw import Redraw, correction
 from brain.perception.relocalise import PoseFound, PoseSearch, PoseSearching, RelocaliseSettings
 from protocols import messages as msg
 from protocols.bounds import Bounds, Duration, check
@@ -58,6 +61,7 @@ class PerceptionSettings:
     map: MapSettings = field(default_factory=MapSettings)
     match: MatchSettings = field(default_factory=MatchSettings)
     keyframes: KeyframeSettings = field(default_factory=KeyframeSettings)
+    loops: LoopSettings = field(default_factory=LoopSettings)
     relocalise: RelocaliseSettings = field(default_factory=RelocaliseSettings)
     fixes: FixSettings = field(default_factory=FixSettings)
     markers: MarkerSettings = field(default_factory=MarkerSettings)
@@ -88,6 +92,8 @@ ASTRAY = 0.5
 """Of what a lost robot has driven, by which it may be off: it was not carried meanwhile"""
 FAR, FAR_YAW = 1.0, 0.6
 """m, rad: who is found farther off was carried there; two scans must say so"""
+DRAWS = 1
+"""Slices more that a keyframe drawn again counts for"""
 MOST_MOVING = 0.1
 """Share of the hits that may be of what moves; if there are more, it is the estimate that moves."""
 
@@ -115,8 +121,17 @@ class _Part:
     """It may be added to the map,"""
     keep: bool = True
     """and to the keyframes"""
-    share: float = 0.0
-    """Of it on those"""
+    placed: Placed | None = None
+    """Where it was placed among those"""
+
+
+class Anchor(NamedTuple):
+    """Where the robot was, as it can be told later, too."""
+
+    keyframe: int
+    """The newest then"""
+    pose: Pose
+    """In its frame"""
 
 
 class _Search(NamedTuple):
@@ -163,7 +178,7 @@ class Perception:
         """What is left to do for the scan before those."""
         self._map_began: Pose | None = None
         self._consistency = Consistency()
-        self._placing = Placing(settings.match, settings.keyframes)
+        self._placing = Placing(settings.match, settings.keyframes, settings.loops)
         self._sure: dict[str, float] = {}
         """Variance of the position [m²] after the newest scan of each lidar that showed a place"""
         self._fixes = Fixes(settings.fixes)
@@ -172,10 +187,14 @@ class Perception:
         """Sensors that have measured the pose."""
         self._check = MotionCheck(body)
         self._movers = Movers()
+        self._lag = Lag()
         self._joints = frozenset(body.joints)
         self._compared: FilterState | None = None
         """Up to which the wheels' motion was compared."""
         self._notes: list[str] = []
+        self._redraw = Redraw()
+        self._credit = 0
+        """Slices of the loops' work that are left to be done"""
         self._search: _Search | None = None
         self._found: tuple[Pose, Pose] | None = None
         """Where a lost robot was found by the search before, and where it was believed to be then"""
@@ -211,6 +230,34 @@ class Perception:
             self.absent,
             self.helpful,
         )
+
+    def anchor(self, pose: Pose) -> Anchor | None:
+        """Return a pose in the map, as it is known now, relative to the newest keyframe; None before the
+        first."""
+        keyframes = self._placing.keyframes
+        if not keyframes.count:
+            return None
+        newest = keyframes.count - 1
+        return Anchor(newest, seen_from(keyframes.pose(newest), pose))
+
+    def anchored(self, anchor: Anchor) -> Pose:
+        """Return where the robot was, as it is known now."""
+        return moved(self._placing.keyframes.pose(anchor.keyframe), anchor.pose)
+
+    @property
+    def lags(self) -> Mapping[str, float]:
+        """By how much the stamps of lidars are late [s], where that was found."""
+        return self._lag.found
+
+    @property
+    def closed(self) -> int:
+        """Number of loops that count."""
+        return self._placing.loops.closed
+
+    @property
+    def loops(self) -> str:
+        """The keyframes and loops, in words."""
+        return f"{len(self._placing.keyframes.kept)} keyframes, {self.closed} loops"
 
     @property
     def gyro_bias(self) -> float:
@@ -281,6 +328,7 @@ class Perception:
             linear, angular, lateral = self._filter.twist
             covariance = pose_part(self._filter.state.P)
             odom = Pose(*self._filter.odom[:2], wrap(self._filter.odom[2]))
+            self._lag.on_motion(t, odom)
             self.estimate = Estimate(t, Pose(x, y, wrap(yaw)), linear, angular, covariance, lateral, odom)
         return results
 
@@ -397,12 +445,17 @@ class Perception:
         while self._scans and self._is_ready(now, self._scans[0]):
             while self._todo:
                 self._do(*self._todo.popleft())
+            while self._credit > 0:
+                self._close_loops()
+            self._credit = self.settings.loops.slices
             self._free(self._scans.popleft())
             if not self._scans:
                 self._advance_search()
                 return
         if self._todo:
             self._do(*self._todo.popleft())
+        elif self._credit > 0:
+            self._close_loops()
         else:
             self._advance_search()
 
@@ -458,9 +511,12 @@ class Perception:
         """Correct the filter by what a scan tells; return the scan with whether it may be drawn."""
         consistency, placing, nis = self._consistency, self._placing, self._filter.nis
         name, t = part.name, part.t
-        agreement, fix, pose = placing.tell(
-            name, t, part.scan, self.map, believed, nis, doubtful=consistency.doubtful
+        agreement, fix, pose, placed = placing.tell(
+            name, t, part.scan, self.map, believed, nis, self._lag, doubtful=consistency.doubtful
         )
+        trusted = None if consistency.doubtful else placed
+        if trusted is not None and self._lag.on_scan(name, t, trusted.pose.yaw):
+            self._notes.append(f"{name}: {_late(self._lag.found[name])}: counted for")
         if fix is not None and not consistency.lost:
             self._apply([fix])
             known = self._filter.at(t)
@@ -475,7 +531,7 @@ class Perception:
         if agreement.disagrees:
             self._count(name, "does not fit the map")
         keep = not agreement.disagrees and not consistency.lost
-        return replace(part, keep=keep, draw=keep and not agreement.poor, share=agreement.share or 0.0)
+        return replace(part, keep=keep, draw=keep and not agreement.poor, placed=placed)
 
     def _motion(self, scan: LaserScan) -> Floats | None:
         """Return the robot's pose at each beam's time, in its frame at the scan's end: n × 3."""
@@ -511,7 +567,8 @@ class Perception:
     def _keep(self, part: _Part) -> None:
         at = self._filter.at(part.t)
         if at is not None and not self._consistency.lost:
-            self._placing.keyframes.add(*at, part.scan, part.static, part.share)
+            pose = at[0] if part.placed is None else part.placed.pose
+            self._placing.keep(pose, at[1], part.scan, part.static, part.placed)
 
     def _compare(self, part: _Part) -> None:
         yaw = self._check.on_scan(part.name, part.t, part.scan)
@@ -536,11 +593,43 @@ class Perception:
             self._filter.reset(t, back, covariance + np.diag([unsure, unsure, 0.0]))
             self._apply([])
         self.map.forget()
+        self._redraw.forget()
         self._movers = Movers()
         self._placing.forget()
         self._map_began = self._search = self._found = None
         self._consistency.found()
         self._count(name, "mounting corrected")
+
+    # -- loops ---------------------------------------------------------------------------------
+
+    def _close_loops(self) -> None:
+        """Do the next slice: of the map that is drawn again, or of the search for loops."""
+        self._credit -= 1
+        if self._consistency.lost or self._outside != self._last_scan.keys():
+            return  # what else measures the pose holds it in the map
+        keyframes, loops, redraw = self._placing.keyframes, self._placing.loops, self._redraw
+        if redraw.waiting or (redraw.busy and not loops.busy):
+            self._credit -= 0 if redraw.waiting else DRAWS
+            poses = redraw.advance(keyframes, self.map)
+        else:
+            poses = loops.advance(keyframes)
+            if poses is not None and not redraw.begin(keyframes, poses, self.map):
+                poses = None
+        if poses is not None:
+            self._move(poses)
+
+    def _move(self, poses: Floats) -> None:
+        """Give all keyframes better poses: the map moves, and the robot with the newest of them."""
+        keyframes = self._placing.keyframes
+        by = correction(keyframes.poses[-1], poses[-1])
+        keyframes.move(poses)
+        self._filter.shift(by)
+        self._placing.shift(by)
+        self._movers.shift(by)
+        self.markers.shift(by)
+        if self._map_began is not None:
+            self._map_began = moved(by, self._map_began)
+        self._apply([])
 
     # -- lost ----------------------------------------------------------------------------------
 
@@ -596,6 +685,10 @@ class Perception:
     def _count(self, name: str, reason: str) -> None:
         reasons = self.anomalies.setdefault(name, {})
         reasons[str(reason)] = reasons.get(str(reason), 0) + 1
+
+
+def _late(lag: float) -> str:
+    return f"its stamps are {abs(lag):.2f} s {'late' if lag > 0.0 else 'early'}, beside those of the wheels"
 
 
 def _moved(start: Pose, a: Pose, b: Pose) -> Pose:

@@ -1,9 +1,9 @@
 """What a scan says about the pose: where it places the robot, how surely, and whether it may be trusted.
 
-Rules. A scan is placed among the newest keyframes first (`keyframes`): they are near, and agree with one
-another however far the map as a whole is off. From there it is matched with the map (`match`), which ties
-the pose to what was drawn long ago; where the two contradict each other, and the keyframes know the scan
-well, they are right: the map is bent there. How far the odometry is off is no reason to refuse a good
+Rules. A scan is placed among the newest keyframes (`keyframes`): they are near, and agree with one another
+however far the map as a whole is off. What was drawn long ago has no say: it moves the pose as a loop that
+closes, with all since (`loops`). Without keyframes, after the robot was found anew, a scan is matched with
+the map (`match`). How far the odometry is off is no reason to refuse a good
 match: real wheels slip by 5 to 20° within a second. What is learnt instead, within bounds, is how good the
 odometry is: by the innovations of a base that moves; those of one that stands show how good the matches are.
 A scan of which somebody covers too much shows no place: most of its beams end at once, at nothing that was
@@ -19,17 +19,21 @@ from typing import NamedTuple
 import numpy as np
 
 from brain.belief import Floats, Pose
-from brain.bodies.plane import wrap
-from brain.perception.body_scan import BodyScan, to_world
+from brain.bodies.plane import moved, wrap
+from brain.perception.body_scan import BodyScan, Bools, to_world
 from brain.perception.consistency import CERTAIN, OUTLIER, POOR, Agreement
 from brain.perception.filter_inputs import Nis, PoseFix
-from brain.perception.keyframes import Keyframes, KeyframeSettings, Motion, Placed
+from brain.perception.graph import in_axes
+from brain.perception.keyframes import NEW_GROUND, Keyframes, KeyframeSettings, Motion, Placed
+from brain.perception.lag import Lag
+from brain.perception.loops import TORN, Loops, LoopSettings
 from brain.perception.map import Map
 from brain.perception.match import WINDOWS, Match, MatchSettings, examine, match
 from protocols.messages import SECOND, Nanos
 
-LOUDER, LOUDEST = 0.1, 25.0
-"""Share of one innovation in the factor on the noise of matches, and its bound"""
+LOUDER, QUIETER, QUIETEST, LOUDEST = 0.1, 0.01, 0.1, 25.0
+"""Share of one innovation in the factor on the noise of matches, of a base that stands and of one that moves,
+and its bounds"""
 WORSE, BEST, WORST = 0.05, 1e-4, 25.0
 """The same of the factor on what real odometry makes of a motion (`keyframes.Motion`), and its bounds: on
 clean ground wheels are a hundred times better"""
@@ -40,10 +44,12 @@ MOVED, TURNED = 0.15, 0.09
 uncertain,"""
 SLIPPED, SPUN = 0.5, 0.35
 """or this near, if the base moves and the scan is certain: so far wheels may slip between two scans,"""
+FLOOR = np.diag([0.004**2, 0.004**2, 0.0015**2])
+"""Covariance of a keyframe's pose from the one before, at least"""
+TEARS = 20.0
+"""By which its standard deviation grows with the share that a scan between them lacks: there it may tear"""
 LIKELY = 0.5
 """or as near as real odometry is since the last match, if this share of the scan is on the keyframes."""
-BENT, BENT_YAW = 0.05, 0.01
-"""m, rad: a match with the map that is farther from that with the keyframes contradicts it"""
 CLOSE, COVERED, CAME = 0.5, 0.4, 0.5
 """m: beams that end nearer; share of them that may; and of them the share that ends where the map is free,
 below which the place is narrow, or new"""
@@ -57,14 +63,17 @@ class Told(NamedTuple):
     """For the filter; None: no match, or one that may not correct it"""
     pose: Pose | None
     """Where the match places the robot"""
+    placed: Placed | None = None
+    """The same, among the keyframes"""
 
 
 class Placing:
     """The keyframes, and what was learnt of the noise. Plain data: a deep copy continues exactly as the
     original."""
 
-    def __init__(self, matching: MatchSettings, keyframes: KeyframeSettings) -> None:
+    def __init__(self, matching: MatchSettings, keyframes: KeyframeSettings, loops: LoopSettings) -> None:
         self.keyframes = Keyframes(keyframes)
+        self.loops = Loops(loops)
         self._settings = matching
         self._loud: dict[str, float] = {}
         """Factor on the noise of matches, by lidar; so are the next"""
@@ -74,14 +83,48 @@ class Placing:
         """Time of the newest scan before which the base moved"""
         self._at: dict[str, Pose] = {}
         """Where the robot was at the newest scan"""
+        self._last: dict[str, tuple[Nanos, Pose]] = {}
+        """Time of the newest scan, and where it was placed"""
         self.driven = self.turned = 0.0
         """m, rad: since a scan last corrected the pose"""
+        self._way = 0.0
+        """m: travelled so far"""
+        self._rolled: Floats = np.zeros((3, 3))
+        """Covariance of the motion since the newest keyframe, by real odometry"""
+        self._worst = 1.0
+        """Least share of a scan on the keyframes since then"""
+        self._torn = False
+        """The robot was carried since then"""
 
     def forget(self) -> None:
         """Forget the keyframes: the robot is elsewhere."""
-        self.keyframes.forget()
+        self.keyframes.forget_local()
+        self.loops.forget_search()
+        self._way, self._torn = self._way + self.loops.settings.away, True
         self._at.clear()
+        self._last.clear()
         self.driven = self.turned = 0.0
+
+    def shift(self, by: Pose) -> None:
+        """Turn and shift the frame "map"."""
+        self._at = {name: moved(by, pose) for name, pose in self._at.items()}
+        self._last = {name: (t, moved(by, pose)) for name, (t, pose) in self._last.items()}
+
+    def keep(
+        self, pose: Pose, covariance: Floats, scan: BodyScan, static: Bools, told: Placed | None
+    ) -> None:
+        """Keep a scan that was taken at a pose, if it is the next keyframe; `static`: the beams that may be
+        kept, `told`: where it was placed."""
+        keyframes, share = self.keyframes, 0.0 if told is None else told.share
+        if not keyframes.wants(pose, share) or not keyframes.add(pose, covariance, scan, static, self._way):
+            return
+        edge = TORN
+        if told is not None and not self._torn:
+            known = np.linalg.inv(told.noise) + np.linalg.inv(self._rolled)
+            lacking = max(0.0, NEW_GROUND - self._worst)
+            edge = (np.linalg.inv(known) + FLOOR) * (1.0 + TEARS * lacking) ** 2
+        self.loops.added(keyframes, in_axes(edge, pose.yaw))
+        self._rolled, self._worst, self._torn = np.zeros((3, 3)), 1.0, False
 
     def is_at(self, name: str, pose: Pose) -> None:
         """Take note of where the robot is believed to be, after the newest scan of a lidar has counted."""
@@ -95,25 +138,35 @@ class Placing:
         chart: Map,
         believed: tuple[Pose, Floats],
         nis: Mapping[str, Nis],
+        lag: Lag,
         *,
         doubtful: bool,
     ) -> Told:
         """Return what a scan tells about the pose that is believed at its end, with that one's covariance
-        (3 × 3). `doubtful`: the scans before have disagreed."""
+        (3 × 3). `lag`: what is known of the lidar's stamps; `doubtful`: the scans before have disagreed."""
         pose, covariance = believed
         before = self._at.get(name, pose)
         motion = Motion(math.dist((before.x, before.y), (pose.x, pose.y)), wrap(pose.yaw - before.yaw))
         if motion.distance > STILL or abs(motion.turn) > STILL:
             self._moved[name] = t
         stands = t - self._moved.get(name, t - STANDS) >= STANDS
+        earlier, last = self._last.get(name, (t, pose))
+        by = lag.motion(name, earlier, t)
+        start = pose if by is None else moved(last, by)
         self._at[name] = pose
         self.driven, self.turned = self.driven + motion.distance, self.turned + abs(motion.turn)
+        self._way += motion.distance
         odometry = motion.noise()
-        placed = self.keyframes.place(scan, pose, odometry)
-        found = self._tied(chart, scan, placed, pose, covariance, doubtful=doubtful)
+        self._rolled = self._rolled + odometry
+        placed = self.keyframes.place(scan, start, odometry)
+        if by is not None and (placed is None or placed.share < LIKELY):
+            placed = self.keyframes.place(scan, pose, odometry)
+        self._last[name] = t, start if placed is None else placed.pose
+        found = placed or self._found(chart, scan, pose, covariance, doubtful=doubtful)
         if found is None:
             return Told(Agreement(t, examine(chart, scan, pose), matched=False), None, None)
         share = placed.share if placed is not None else None
+        self._worst = min(self._worst, share or 0.0)
         offset = math.dist((found.pose.x, found.pose.y), (pose.x, pose.y))
         turn = abs(wrap(found.pose.yaw - pose.yaw))
         known = share is not None and share > POOR and not doubtful
@@ -132,29 +185,15 @@ class Placing:
         loud, worse = self._noise(name, nis.get(name), stands=stands)
         drift = 0.0 * odometry if stands else worse * odometry
         fix = PoseFix(name, t, value, loud * found.noise, found.shared, drift)
-        return Told(agreement, fix, found.pose)
+        return Told(agreement, fix, found.pose, placed)
 
-    def _tied(
-        self,
-        chart: Map,
-        scan: BodyScan,
-        placed: Placed | None,
-        pose: Pose,
-        covariance: Floats,
-        *,
-        doubtful: bool,
-    ) -> Match | Placed | None:
-        """Return the match with the map; that with the keyframes where there is none, or one that
-        contradicts."""
+    def _found(
+        self, chart: Map, scan: BodyScan, pose: Pose, covariance: Floats, *, doubtful: bool
+    ) -> Match | None:
+        """Return the match of a scan with the map."""
         settings = self._settings
-        sigma = math.sqrt(max(covariance[0, 0], covariance[1, 1])) if placed is None else 0.0
-        near = pose if placed is None else placed.pose
-        found = match(chart, scan, near, max(sigma, settings.widest) if doubtful else sigma, settings)
-        if placed is None or found is None:
-            return placed or found
-        bent = math.dist((found.pose.x, found.pose.y), (near.x, near.y)) > BENT
-        bent = bent or abs(wrap(found.pose.yaw - near.yaw)) > BENT_YAW
-        return placed if bent and placed.share > CERTAIN else found
+        sigma = math.sqrt(max(covariance[0, 0], covariance[1, 1]))
+        return match(chart, scan, pose, max(sigma, settings.widest) if doubtful else sigma, settings)
 
     def _noise(self, name: str, nis: Nis | None, *, stands: bool) -> tuple[float, float]:
         """Return the factors on the noise of a lidar's matches, and on that of the motion."""
@@ -162,8 +201,11 @@ class Placing:
         if nis is not None and nis.window:
             distance, freedom = nis.window[-1]
             change = min(distance / freedom, OUTLIER) - 1.0
-            if stands:
-                loud = min(max(loud * (1.0 + LOUDER * change), 1.0), LOUDEST)
+            if stands:  # one place, again and again: that they agree is no proof
+                loud = min(max(loud * (1.0 + LOUDER * change), min(loud, 1.0)), LOUDEST)
+            elif worse <= BEST:
+                loud = min(max(loud * (1.0 + QUIETER * change), QUIETEST), LOUDEST)
+                worse *= 1.0 + WORSE * max(change, 0.0)
             else:
                 worse = min(max(worse * (1.0 + WORSE * change), BEST), WORST)
         self._loud[name], self._worse[name] = loud, worse

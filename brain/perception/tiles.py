@@ -190,6 +190,26 @@ class Tiles:
         for tile in self.known():
             self._forget(tile)
 
+    def become(self, other: Tiles) -> None:
+        """Take over what another one of the same shape holds, which is given up: all tiles have changed."""
+        self.version = max(self.version, other.version) + 1
+        gone = [tile for tile in self._at if tile not in other._at]
+        for name in ("lines", "_at", "_values", "_unused", "_tiles", "_stamps", "_touched"):
+            setattr(self, name, getattr(other, name))
+        self._first, self._window = other._first, other._window
+        self.forgotten += other.forgotten
+        used = np.array(list(self._at.values()), dtype=np.int64) // AREA
+        self._stamps[used] = self._touched[used] = self.version
+        self._copies.clear()
+        self._view = None
+        for tile in self._at:
+            self._gone.pop(tile, None)
+        for tile in gone:
+            self._gone.pop(tile, None)
+            self._gone[tile] = self.version
+        while len(self._gone) > self._most:
+            del self._gone[next(iter(self._gone))]
+
     def _make(self, tile: Tile, number: int) -> None:
         if len(self._at) >= self._most:
             from_middle = np.abs(2 * (self._tiles[1:] - self._first) - (self._across - 1)).max(axis=1)

@@ -23,7 +23,7 @@ from brain.bodies.plane import arc
 from brain.perception.consistency import Trust
 from brain.perception.filter_inputs import Nis
 from brain.perception.mount import Mount
-from brain.perception.perception import Perception
+from brain.perception.perception import Anchor, Perception
 from gateway.core.robot import Robot
 from gateway.errors import BagError
 from gateway.rosbag import Bag, Topic, read
@@ -36,6 +36,8 @@ MAX_EXTRAPOLATION: Nanos = 500 * MILLISECOND
 """Longest time that an estimate is extrapolated by its own twist."""
 PATH_PERIOD: Nanos = 100 * MILLISECOND
 ESTIMATED, WHEELS, OWN = "estimated", "dead reckoning", "the recording's own"
+KNOWN = "known in the end"
+"""The path after all loops, where one was closed"""
 PASSED, NOT_PASSED, NOT_JUDGED = 0, 1, 3
 """Exit statuses."""
 NO_TRUTH = "there is no ground truth: name a topic of poses or fixes (truth, under [bag]) or a file (--truth)"
@@ -222,14 +224,25 @@ class Trace:
     """What is kept of a run beside its figures."""
 
     path: list[tuple[Nanos, Pose]] = field(default_factory=list)
-    """Where the robot was believed to be, at most every `PATH_PERIOD`"""
+    """Where the robot was, as it is known in the end, at most every `PATH_PERIOD`"""
     map: MapView | None = None
     """The last"""
+    anchors: list[Anchor | None] = field(default_factory=list)
+    """Where it was relative to keyframes, which loops may move"""
 
-    def add(self, t: Nanos, pose: Pose) -> None:
+    def add(self, t: Nanos, pose: Pose, perception: Perception) -> None:
         """Add a pose, if the last one is old enough."""
         if not self.path or t >= self.path[-1][0] + PATH_PERIOD:
             self.path.append((t, pose))
+            self.anchors.append(perception.anchor(pose))
+
+    def end(self, perception: Perception) -> None:
+        """Keep the map, and the path as it is known now."""
+        self.map = perception.map.view()
+        self.path = [
+            (t, pose if anchor is None else perception.anchored(anchor))
+            for (t, pose), anchor in zip(self.path, self.anchors, strict=True)
+        ]
 
 
 def mounts_of(bag: Bag, robot: Robot) -> dict[str, Mount]:
@@ -257,19 +270,27 @@ def evaluate(
     events = _EventFeed(heapq.merge(bag.events, bag.scans(), key=lambda one: one.t), perception, watch, trace)
     reference = truth or Positions(bag.truth)
     paths: dict[str, list[Pose | None]] = {ESTIMATED: [], WHEELS: []}
+    anchors: list[Anchor | None] = []
     if bag.own_path:
         paths[OWN] = []
     for t in reference.times:
         events.process_until(t + reference.slack)
         known = perception.estimate
-        paths[ESTIMATED].append(None if known is None else extrapolated(known, t))
+        there = None if known is None else extrapolated(known, t)
+        anchors.append(None if there is None else perception.anchor(there))
+        paths[ESTIMATED].append(there)
         paths[WHEELS].append(None if known is None else perception.raw)
         if bag.own_path:
             at = bisect_right(bag.odometry, t, key=lambda one: one.t) - 1
             paths[OWN].append(bag.odometry[at].pose if at >= 0 else None)
     events.process_until(None)
     if trace is not None:
-        trace.map = perception.map.view()
+        trace.end(perception)
+    if perception.closed:
+        paths[KNOWN] = [
+            there if anchor is None else perception.anchored(anchor)
+            for there, anchor in zip(paths[ESTIMATED], anchors, strict=True)
+        ]
     errors, extent, early = ({}, 0.0, 0) if isinstance(reference, Relations) else reference.errors(paths)
     placed = bag.placed if robot.recorded else {}
     return Evaluation(
@@ -289,7 +310,7 @@ def evaluate(
         scans=events.scans,
         lost=events.lost,
         mounts={name: f"{at_text(one.mount)}: {one.by}" for name, one in placed.items()},
-        notes=(*_scales(robot), *remarks(bag)),
+        notes=(*_scales(robot), *remarks(bag), *perception.take_notes(), *_closed(perception)),
     )
 
 
@@ -298,6 +319,11 @@ def at_text(mount: Mount) -> str:
     text = f"{mount.x:g} m, {mount.y:g} m, {mount.z:g} m, yaw {degrees(mount.yaw):.1f} degrees"
     level = not (mount.pitch or mount.roll)
     return text if level else f"{text}, pitch {degrees(mount.pitch):.1f}, roll {degrees(mount.roll):.1f}"
+
+
+def _closed(perception: Perception) -> tuple[str, ...]:
+    """Return the loops in words, if there are any."""
+    return (f"places seen again: {perception.loops}",) if perception.closed else ()
 
 
 def _scales(robot: Robot) -> tuple[str, ...]:
@@ -349,7 +375,7 @@ class _EventFeed:
                 self.scans += 1
                 self.lost += self._perception.verdict.trust is Trust.LOST
             if self._trace is not None and after is not None:
-                self._trace.add(after.t, after.pose)
+                self._trace.add(after.t, after.pose, self._perception)
             self.last = event.t
             self._count += 1
             self._watch(self._count)
