@@ -22,6 +22,7 @@ from dataclasses import dataclass
 
 from brain.bodies.body import Base
 from brain.perception.body_scan import BodyScan
+from brain.perception.explain import Explanation
 from brain.perception.mounting import Mounting
 from brain.perception.scan_motion import ReferenceScan, Shown
 from brain.perception.track import AHEAD, SLIP_SHARE, Motion, SourceTrack
@@ -54,6 +55,8 @@ TURN_SHARE = 0.15
 `SLIP_SHARE`."""
 LIKELY_SLIP = 0.07
 """Share of the slip allowed for, by which wheels may be wrong where they decide between two others."""
+JUST: Nanos = 80 * MILLISECOND
+"""The rate at which the base turns is a mean over this time."""
 PAST: Nanos = 5 * SECOND
 """A gyro's bias is compared over this time."""
 BIAS, JUMP, SCALE = 0.08, 0.04, 0.05
@@ -99,6 +102,12 @@ class MotionCheck:
         self._differ: dict[str, tuple[int, Nanos, str]] = {}
         """By lidar ("": wheels and gyro): comparisons in a row that differed, since when, and how."""
 
+        self.explanations: dict[str, Explanation] = {}
+        """By lidar: what would make all agree"""
+        self._rates: dict[str, float] = {}
+        """rad/s by the wheels, at the time of each reference"""
+        self._news: list[str] = []
+
         self._hidden: dict[str, int] = {}
         """By lidar: scans in a row of which most was hidden by what has appeared."""
 
@@ -111,6 +120,11 @@ class MotionCheck:
             for name, one in self._mountings.items()
             if one.flaw
         ]
+
+    def take_news(self) -> list[str]:
+        """Return what was explained since the last call."""
+        news, self._news = self._news, []
+        return news
 
     def on_wheels(
         self, since: Nanos, t: Nanos, distance: float, turn: float, sideways: float, slid: float
@@ -161,25 +175,47 @@ class MotionCheck:
         if shown is None or wheels is None or hidden:
             self._differ.pop(name, None)
             self._past[name] = deque()
-            self._references[name] = ReferenceScan(t, scan)
+            self._refer(name, t, scan)
             return 0.0
         turn = shown.motion.turn
         now = gyro and self._turns(since, t, turn, wheels, gyro)
         reason = self._difference(name, shown, wheels, gyro) or self._drift(name, self._past[name], now)
         self._count(name, t, reason)
         if reason:
+            self._explain(name, since, t, shown, wheels, gyro, keep=False)
             return 0.0
         way, resting = self._way(wheels), wheels.uncertain < RESTING
         old = t - since > (REST_AGE if resting and now else RENEW_AGE)
         renewed = (old or way > RENEW_DISTANCE or abs(turn) > RENEW_TURN) and not self._confirmed(name)
         mounting = self._mountings.setdefault(name, Mounting(self._any_way))
         correction = 0.0 if resting else mounting.add(wheels, shown, keep=renewed)
+        self._explain(name, since, t, shown, wheels, gyro, keep=renewed)
         if renewed:
             self._learn(self._past[name], now)
-            self._references[name] = ReferenceScan(t, scan)
+            self._refer(name, t, scan)
         if correction:
             del self._references[name]
         return correction
+
+    def _refer(self, name: str, t: Nanos, scan: BodyScan) -> None:
+        """Compare the next scans with this one."""
+        self._references[name], self._rates[name] = ReferenceScan(t, scan), self._rate(t)
+        if name in self.explanations:
+            self.explanations[name].begin()
+
+    def _rate(self, t: Nanos) -> float:
+        """Return how fast the wheels turn the base [rad/s]."""
+        just = self._wheels.between(t - JUST, t)
+        return 0.0 if just is None else just.turn / seconds(JUST)
+
+    def _explain(
+        self, name: str, since: Nanos, t: Nanos, shown: Shown, wheels: Motion, gyro: Motion | None, *, keep: bool
+    ) -> None:
+        """Look for what would make a comparison agree with the others."""
+        rate = self._rate(t) - self._rates.get(name, 0.0)
+        one = self.explanations.setdefault(name, Explanation(name))
+        if told := one.add(wheels, shown, gyro, rate, seconds(t - since), keep=keep):
+            self._news.append(told)
 
     def _compare_turns(self, t: Nanos) -> None:
         since = self._turned
