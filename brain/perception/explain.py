@@ -169,7 +169,7 @@ class Explanation:
             about = 90.0 * round(math.degrees(off) / 90.0)
             turned = about if about and abs(math.degrees(off) - about) < 20.0 else math.degrees(off)
             return (
-                f"its scans show ways in another direction than the wheels: it is turned by {turned:+.0f}° "
+                f"{self.name}: its scans show ways in another direction than the wheels: it is turned by {turned:+.0f}° "
                 "against its mount in the robot file"
             )
         if abs(off) < SKEWED and factor > 0.05 and _ratio(factor) > FACTOR + 3.0 * sigma:
