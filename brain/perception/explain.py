@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ import numpy as np
 from brain.belief import Floats
 from brain.perception.scan_motion import Shown
 from brain.perception.track import Motion
+from protocols.messages import SECOND
 
 KEPT, PRESENT = 24, 24
 """Comparisons that are kept, and of the present reference"""
@@ -30,9 +32,10 @@ SKEWED = math.radians(35.0)
 """rad by which a lidar looks elsewhere, from which on it is named here; less is `mounting`'s"""
 SPINS = 2.0
 """rad per m ahead that a base turns with a wheel of the wrong sign, at least"""
-LATE, SHARP = 0.04, 0.4
-"""s by which scans are late, from which on it is named; change of the rate [rad/s] that shows it (root of the
-squares)"""
+DELAYS = tuple(round(delay * SECOND) for delay in (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4))
+"""Times by which scans may be stamped late that are tried,"""
+LATE, BETTER = 0.04, 0.3
+"""s from which on they are named, and by which share of the misfit that must leave at most"""
 SCATTER = 0.25
 """Share of what is shown by which single comparisons may miss an explanation (root of the squares)"""
 NOISE_WAY, NOISE_TURN = 0.012, 0.012
@@ -59,10 +62,10 @@ class Compared(NamedTuple):
     """and by the gyro; not a number: there is none"""
     noise: float
     """m, of the match"""
-    rate: float
-    """rad/s: change of the wheels' rate between both times"""
     span: float
     """s"""
+    earlier: tuple[float, ...]
+    """rad by the wheels between times that are earlier by `DELAYS`; not a number where that is not known"""
 
 
 class Explanation:
@@ -74,18 +77,27 @@ class Explanation:
         self._present: deque[Compared] = deque(maxlen=PRESENT)
 
     def add(
-        self, wheels: Motion, shown: Shown, gyro: Motion | None, rate: float, span: float, *, keep: bool
+        self,
+        wheels: Motion,
+        shown: Shown,
+        gyro: Motion | None,
+        span: float,
+        earlier: tuple[float, ...],
+        *,
+        keep: bool,
     ) -> str:
-        """Take a comparison; `keep`: the last of its reference. Return what is told for the first time."""
+        """Take a comparison over a span [s]; `keep`: the last of its reference. Return what is told for the
+        first time."""
         (way, _), (along, aside) = wheels.ahead(), shown.motion.ahead()
         turned = math.nan if gyro is None else gyro.turn
         noise = math.sqrt(shown.variance) * max(shown.spread())
-        one = Compared(way, along, aside, wheels.turn, shown.motion.turn, turned, noise, rate, span)
+        one = Compared(way, along, aside, wheels.turn, shown.motion.turn, turned, noise, span, earlier)
         self._present.append(one)
-        found = "" if self.told else self._named(np.array([*self._kept, *self._present]))
+        found = "" if self.told else self._named([*self._kept, *self._present])
         self.told = self.told or found
         if keep:
-            self._kept.append(one)
+            if abs(way) > WAY / 4.0 or abs(wheels.turn) > TURN / 4.0 or abs(shown.motion.turn) > TURN / 4.0:
+                self._kept.append(one)
             self._present.clear()
         return found
 
@@ -93,13 +105,12 @@ class Explanation:
         """Forget the present reference: it was lost."""
         self._present.clear()
 
-    def _named(self, rows: Floats) -> str:
-        way, along, aside, turn, shown, gyro, noise, rate, span = rows.T
-        if found := self._spins(way, along, aside, turn, shown):
+    def _named(self, compared: Sequence[Compared]) -> str:
+        way, along, aside, turn, shown, gyro, noise, span = np.array([one[:8] for one in compared]).T
+        if found := self._spins(way, along, aside, turn, shown) or self._turns(turn, shown, gyro, way):
             return found
-        if found := self._turns(turn, shown, gyro, way):
-            return found
-        return self._ways(way, along, aside, turn, noise, span) or self._late(turn, shown, rate)
+        earlier = np.array([one.earlier for one in compared])
+        return self._ways(way, along, aside, turn, noise, span) or self._late(shown, earlier)
 
     def _spins(self, way: Floats, along: Floats, aside: Floats, turn: Floats, shown: Floats) -> str:
         """One wheel rolls backward: it turns on the spot where its wheels say a way, and the reverse."""
@@ -125,9 +136,7 @@ class Explanation:
         if _enough(turn[known], TURN):
             (of_gyro, _), gyro_fits = _fit(np.column_stack([turn[known], way[known]]), gyro[known])
             if gyro_fits and of_gyro < -0.5 and by_wheels > 0.5:
-                return (
-                    "the gyro turns against wheels and scans: it is mounted upside down (roll = 3.1416 in its mount)"
-                )
+                return "the gyro turns against wheels and scans: it is mounted upside down (roll = 3.1416 in its mount)"
         if not fits:
             return ""
         if by_wheels < -0.5:
@@ -160,7 +169,9 @@ class Explanation:
         weight = float(way @ way)
         ahead, left = float(along @ way) / weight, float(aside @ way) / weight
         factor, off = math.hypot(ahead, left), -math.atan2(left, ahead)
-        missed = math.hypot(float(np.linalg.norm(along - ahead * way)), float(np.linalg.norm(aside - left * way)))
+        missed = math.hypot(
+            float(np.linalg.norm(along - ahead * way)), float(np.linalg.norm(aside - left * way))
+        )
         size = math.sqrt(weight)
         sigma = (NOISE_WAY + float(noise.max())) / max(float(np.abs(way).max()), 1e-9)
         if missed > SCATTER * max(factor, 0.3) * size or sigma > 0.25:
@@ -183,26 +194,38 @@ class Explanation:
             )
         return ""
 
-    def _late(self, turn: Floats, shown: Floats, rate: Floats) -> str:
-        """Scans that show turns later than the wheels do."""
-        if not _enough(rate, SHARP):
+    def _late(self, shown: Floats, earlier: Floats) -> str:
+        """Scans that show the turns that the wheels have shown before."""
+        known = ~np.isnan(earlier).any(axis=1)
+        if not _enough(shown[known], TURN):
             return ""
-        (behind, _), fits = _fit(np.column_stack([rate, turn]), turn - shown, 0.6)
-        sigma = NOISE_TURN / math.sqrt(float(rate @ rate) / max(len(rate), 1)) / math.sqrt(len(rate))
-        if not fits or abs(behind) < LATE + 3.0 * sigma:
+        misfits = ((earlier[known] - shown[known, None]) ** 2).sum(axis=0)
+        best = int(misfits.argmin())
+        if not 0 < best < len(DELAYS) - 1:
+            return ""
+        delays = np.array(DELAYS[best - 1 : best + 2]) / SECOND
+        curve = np.polyfit(delays, misfits[best - 1 : best + 2], 2)
+        behind = float(-curve[1] / (2.0 * curve[0]))
+        now, noise = float(misfits[DELAYS.index(0)]), NOISE_TURN**2 * np.count_nonzero(known)
+        least = max(float(np.polyval(curve, behind)), 0.0)
+        if abs(behind) < LATE or least + noise > BETTER * now:
             return ""
         return f"{self.name}: its scans are stamped {1e3 * behind:+.0f} ms late against the wheels"
 
 
 def _enough(values: Floats, least: float) -> bool:
     return bool(
-        np.count_nonzero(np.abs(values) > least / 4.0) >= FEWEST and float(values @ values) > least * least
+        np.count_nonzero(np.abs(values) > least / 4.0) >= FEWEST
+        and float(values @ values) > least * least
+        and float(np.abs(values).max()) > 0.8 * least
     )
 
 
 def _fit(columns: Floats, values: Floats, scatter: float = SCATTER) -> tuple[Floats, bool]:
     """Return the factors by least squares, and whether what is left is little of the values."""
-    found = np.linalg.lstsq(columns.T @ columns + 1e-6 * np.eye(columns.shape[1]), columns.T @ values, rcond=None)[0]
+    found = np.linalg.lstsq(
+        columns.T @ columns + 1e-6 * np.eye(columns.shape[1]), columns.T @ values, rcond=None
+    )[0]
     left = float(np.linalg.norm(values - columns @ found))
     noise = NOISE_TURN * math.sqrt(len(values))
     return found, left < scatter * float(np.linalg.norm(values)) + noise

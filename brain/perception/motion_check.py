@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 from brain.bodies.body import Base
 from brain.perception.body_scan import BodyScan
-from brain.perception.explain import Explanation
+from brain.perception.explain import DELAYS, Explanation
 from brain.perception.mounting import Mounting
 from brain.perception.scan_motion import ReferenceScan, Shown
 from brain.perception.track import AHEAD, SLIP_SHARE, Motion, SourceTrack
@@ -55,8 +55,6 @@ TURN_SHARE = 0.15
 `SLIP_SHARE`."""
 LIKELY_SLIP = 0.07
 """Share of the slip allowed for, by which wheels may be wrong where they decide between two others."""
-JUST: Nanos = 80 * MILLISECOND
-"""The rate at which the base turns is a mean over this time."""
 PAST: Nanos = 5 * SECOND
 """A gyro's bias is compared over this time."""
 BIAS, JUMP, SCALE = 0.08, 0.04, 0.05
@@ -104,8 +102,6 @@ class MotionCheck:
 
         self.explanations: dict[str, Explanation] = {}
         """By lidar: what would make all agree"""
-        self._rates: dict[str, float] = {}
-        """rad/s by the wheels, at the time of each reference"""
         self._news: list[str] = []
 
         self._hidden: dict[str, int] = {}
@@ -199,22 +195,26 @@ class MotionCheck:
 
     def _refer(self, name: str, t: Nanos, scan: BodyScan) -> None:
         """Compare the next scans with this one."""
-        self._references[name], self._rates[name] = ReferenceScan(t, scan), self._rate(t)
+        self._references[name] = ReferenceScan(t, scan)
         if name in self.explanations:
             self.explanations[name].begin()
 
-    def _rate(self, t: Nanos) -> float:
-        """Return how fast the wheels turn the base [rad/s]."""
-        just = self._wheels.between(t - JUST, t)
-        return 0.0 if just is None else just.turn / seconds(JUST)
-
     def _explain(
-        self, name: str, since: Nanos, t: Nanos, shown: Shown, wheels: Motion, gyro: Motion | None, *, keep: bool
+        self,
+        name: str,
+        since: Nanos,
+        t: Nanos,
+        shown: Shown,
+        wheels: Motion,
+        gyro: Motion | None,
+        *,
+        keep: bool,
     ) -> None:
         """Look for what would make a comparison agree with the others."""
-        rate = self._rate(t) - self._rates.get(name, 0.0)
-        one = self.explanations.setdefault(name, Explanation(name))
-        if told := one.add(wheels, shown, gyro, rate, seconds(t - since), keep=keep):
+        moved = [self._wheels.between(since - delay, t - delay) for delay in DELAYS]
+        earlier = tuple(math.nan if one is None else one.turn for one in moved)
+        explanation = self.explanations.setdefault(name, Explanation(name))
+        if told := explanation.add(wheels, shown, gyro, seconds(t - since), earlier, keep=keep):
             self._news.append(told)
 
     def _compare_turns(self, t: Nanos) -> None:

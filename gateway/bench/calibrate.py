@@ -263,9 +263,7 @@ class _Comparisons:
     """n × 3 × 3"""
 
 
-def _fit(
-    sensor: str, wheels: WheelPath, path: ScanPath, stated: Mount, before: LidarFit | None
-) -> LidarFit:
+def _fit(sensor: str, wheels: WheelPath, path: ScanPath, stated: Mount, before: LidarFit | None) -> LidarFit:
     pairs = _compared(path, wheels)
     any_way = bool(np.any(wheels.steps[:, 2]))
     centre = np.array([1.0, 1.0, 0.0, stated.yaw, stated.x, stated.y, 0.0, 1.0])[: 8 if any_way else 7]
@@ -402,9 +400,7 @@ def _scattered(jacobian: Floats, off: Floats, prior: Floats) -> Floats:
 # -- gyro --------------------------------------------------------------------------------------------
 
 
-def _gyro(
-    name: str, rates: Sequence[tuple[Nanos, float]], began: Nanos, lidar: LidarFit
-) -> GyroFit | None:
+def _gyro(name: str, rates: Sequence[tuple[Nanos, float]], began: Nanos, lidar: LidarFit) -> GyroFit | None:
     """Compare a gyro with the turns that scans show; None if they have too little in common."""
     from scipy.optimize import least_squares
 
@@ -439,7 +435,9 @@ def _gyro(
         return np.concatenate([residuals(x), (x - np.array([1.0, 0.0, 0.0])) / prior])
 
     slope = float(np.sign(np.dot(np.interp(end, t, angle) - np.interp(start, t, angle), turned)) or 1.0)
-    found = least_squares(weighted, np.array([slope, 0.0, 0.0]), x_scale=prior, diff_step=1e-6, loss="soft_l1")
+    found = least_squares(
+        weighted, np.array([slope, 0.0, 0.0]), x_scale=prior, diff_step=1e-6, loss="soft_l1"
+    )
     off = residuals(found.x)
     jacobian = found.jac[: len(off)].reshape(len(off), 1, 3)
     covariance = _scattered(jacobian, off[:, None] / np.sqrt(1.0 + off[:, None] ** 2), prior)

@@ -68,7 +68,11 @@ def legs(body: Base, length: float = LENGTH, rounds: int = ROUNDS) -> list[Leg]:
     v = min(FAST[0], FAST[1] * body.max_linear)
     w = min(QUICK[0], QUICK[1] * body.max_angular)
     bend = min(w, v / body.turning_radius * 0.8) if body.turning_radius else 0.6 * w
-    pause, ramp, spin_up = Leg(0.0, 0.0, REST), v / body.max_linear_acceleration, w / body.max_angular_acceleration
+    pause, ramp, spin_up = (
+        Leg(0.0, 0.0, REST),
+        v / body.max_linear_acceleration,
+        w / body.max_angular_acceleration,
+    )
     straight, arc = length / v + ramp, 0.7 * length / v + ramp
     found = [Leg(0.0, 0.0, FIRST)]
     for _ in range(rounds):
@@ -156,7 +160,9 @@ class PatternDrive:
         made: list[Command] = []
         for name, one in zip(self.body.joints, self.body.inverse(self._now, at), strict=True):
             made.append(
-                Velocity(name, one.velocity) if one.velocity is not None else Position(name, one.position or 0.0)
+                Velocity(name, one.velocity)
+                if one.velocity is not None
+                else Position(name, one.position or 0.0)
             )
         return made
 

@@ -54,7 +54,9 @@ def parts(limits: Limits, speed: float, travel: float) -> list[Part]:
             continue
         found += [Part(v, span), Part(-v, 2.0 * span), Part(v, span), Part(0.0, PAUSE)]
     for hertz in SINES:
-        amplitude = min(0.6 * speed, travel * math.pi * hertz, 0.7 * limits.acceleration / (2.0 * math.pi * hertz))
+        amplitude = min(
+            0.6 * speed, travel * math.pi * hertz, 0.7 * limits.acceleration / (2.0 * math.pi * hertz)
+        )
         found += [Part(amplitude, CYCLES / hertz, hertz), Part(0.0, PAUSE)]
     return found
 
@@ -145,7 +147,9 @@ def excite(session: Session, made: Excitation) -> None:
                 break
             if not joint.is_heard_since(0) or session.belief.reason.startswith("waiting"):
                 if tick.now - began > READY:
-                    raise UserError(f"{made.motor} is not ready: {session.belief.reason or 'it is not heard'}")
+                    raise UserError(
+                        f"{made.motor} is not ready: {session.belief.reason or 'it is not heard'}"
+                    )
                 continue
             wanted = made.velocity(tick.now)
             if wanted is None:

@@ -58,7 +58,9 @@ def corrected(body: Base, factors: Factors) -> Mapping[str, float]:
         columns = np.column_stack([slope(now, key) for key in keys])
         change = np.clip(np.linalg.lstsq(columns, left, rcond=1e-6)[0], -0.7, 0.7).tolist()
         try:
-            now = replace(now, **{k: getattr(now, k) * math.exp(c) for k, c in zip(keys, change, strict=True)})
+            now = replace(
+                now, **{k: getattr(now, k) * math.exp(c) for k, c in zip(keys, change, strict=True)}
+            )
         except ValueError:
             return {}
     if float(np.abs(goal - motion(now)).max()) > TRIED:

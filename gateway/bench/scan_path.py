@@ -100,11 +100,7 @@ class ScanPath:
     def _velocity(self) -> Floats:
         """Return the mean motion per second of the newest scans, in the lidar's frame."""
         first = len(self.t) - 1
-        while (
-            first > 0
-            and self.parts[first - 1] == self._part
-            and self.t[-1] - self.t[first] < LAG / SECOND
-        ):
+        while first > 0 and self.parts[first - 1] == self._part and self.t[-1] - self.t[first] < LAG / SECOND:
             first -= 1
         span = self.t[-1] - self.t[first] if self.t else 0.0
         if span <= 0.0:

@@ -168,7 +168,14 @@ def _refined(first: Identified, trace: JointTrace, torque_limit: float) -> Ident
 
     starts = [
         np.array(
-            [guess[0] + math.log(share), *guess[1:], guess[0] + math.log(share * fast), 0.0, first.load.value, delay]
+            [
+                guess[0] + math.log(share),
+                *guess[1:],
+                guess[0] + math.log(share * fast),
+                0.0,
+                first.load.value,
+                delay,
+            ]
         )
         for share, fast, delay in product(*STARTS)
     ]
@@ -193,9 +200,7 @@ def _refined(first: Identified, trace: JointTrace, torque_limit: float) -> Ident
     return first if off > STRANGE else replace(one, misfit=off)
 
 
-def _of(
-    first: Identified, x: Floats, backlash: float, sigmas: Floats | None = None
-) -> Identified:
+def _of(first: Identified, x: Floats, backlash: float, sigmas: Floats | None = None) -> Identified:
     """Return the joint with these values: logarithms of inertia, friction, damping, gain and integral;
     load; delay."""
     sizes = np.exp(np.clip(x[:5], -20.0, 12.0))

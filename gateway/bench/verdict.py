@@ -122,7 +122,11 @@ def _wrong_wheels(made: Calibration, fit: LidarFit) -> list[str]:
         return []
     if factors.turn < 0.0:
         both = factors.distance < 0.0
-        what = "both sides roll backward: change the sign of every wheel" if both else "left and right are swapped"
+        what = (
+            "both sides roll backward: change the sign of every wheel"
+            if both
+            else "left and right are swapped"
+        )
         return [f"the base turns to the other side than its wheels say: {what}"]
     found = []
     radius = corrected(made.driven.body, Factors(factors.distance, factors.distance))
@@ -135,7 +139,10 @@ def _wrong_wheels(made: Calibration, fit: LidarFit) -> list[str]:
             f"{times(1.0 / factors.distance)}"
         )
     if ratio(wide) > GROSS:
-        track = next((k for k in corrected(made.driven.body, Factors(1.0, 0.9)) if k != key), "the distance of the wheels")
+        track = next(
+            (k for k in corrected(made.driven.body, Factors(1.0, 0.9)) if k != key),
+            "the distance of the wheels",
+        )
         found.append(
             f"the wheels say {90.0 / factors.turn * factors.distance:.0f}° where the scans show "
             f"{90 * factors.distance:.0f}°: {track} is about {times(1.0 / wide)}"
@@ -168,7 +175,11 @@ def table(found: Sequence[Figure]) -> list[str]:
 def _figure(one: Figure) -> str:
     if not one.known:
         return f"not shown by this drive (stated {one.stated:.4g} {one.unit})"
-    shown = f"{one.value:.4f} ± {one.sigma:.4f}" if one.unit not in ("ms", "%") else f"{one.value:.2f} ± {one.sigma:.2f}"
+    shown = (
+        f"{one.value:.4f} ± {one.sigma:.4f}"
+        if one.unit not in ("ms", "%")
+        else f"{one.value:.2f} ± {one.sigma:.2f}"
+    )
     if one.value == one.stated:
         return f"{shown} {one.unit}"
     remark = "differs" if one.differs else "as stated"

@@ -30,7 +30,9 @@ def add_arguments(parser: ArgumentParser) -> None:
     one = what.add_parser("base", help="wheels, lidars and gyros of a base")
     arguments.add_verbosity(one)
     one.add_argument(
-        "source", metavar="FILE|ROBOT", help="a recording, a bag, a log; or a robot, which drives a few metres"
+        "source",
+        metavar="FILE|ROBOT",
+        help="a recording, a bag, a log; or a robot, which drives a few metres",
     )
     one.add_argument("--robot", metavar="ROBOT", help="the robot file of a bag or a log (with a table [bag])")
     one.add_argument("--yes", action="store_true", help="drive without asking first")

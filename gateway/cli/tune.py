@@ -31,7 +31,9 @@ WRONG = 0.05
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the arguments of the command."""
-    parser.add_argument("source", metavar="FILE|ROBOT", help="a recording; or a robot, one joint of which moves")
+    parser.add_argument(
+        "source", metavar="FILE|ROBOT", help="a recording; or a robot, one joint of which moves"
+    )
     parser.add_argument("joint", metavar="JOINT", help="its motor's name in the robot file")
     parser.add_argument("--yes", action="store_true", help="move without asking first")
     parser.add_argument(
@@ -42,7 +44,10 @@ def add_arguments(parser: ArgumentParser) -> None:
         help="rad that it may move to either side of where it is (default: %(default)s)",
     )
     parser.add_argument(
-        "--speed", type=arguments.number("rad/s"), metavar="RAD_PER_S", help="rad/s at most (default: half its limit)"
+        "--speed",
+        type=arguments.number("rad/s"),
+        metavar="RAD_PER_S",
+        help="rad/s at most (default: half its limit)",
     )
     parser.add_argument(
         "--inertia",
@@ -83,7 +88,9 @@ def _moved(robot: Robot, options: Namespace) -> JointTrace:
     limits = robot.motors[options.joint].joint.limits
     speed = SPEED * limits.velocity if options.speed is None else options.speed
     single = excite.one_motor(robot, options.joint, speed)
-    made = excite.Excitation(options.joint, excite.parts(limits, speed, options.travel), options.travel, trace)
+    made = excite.Excitation(
+        options.joint, excite.parts(limits, speed, options.travel), options.travel, trace
+    )
     ask_consent(
         f"{options.joint} will move for {made.span:.0f} s at up to {speed:g} rad/s, within {options.travel:g} rad to "
         "either side of where it stands; whatever it carries moves too. Its limits hold; Ctrl-C stops it.",
@@ -113,10 +120,14 @@ def _print(one: Identified, period: float, inertia: float | None) -> None:
         print(f"  {name:<14} {shown}")
     if inertia is not None:
         scale = inertia / one.inertia.value
-        print(f"  torque scale   {scale:.3f}: reported torque × this is the true one; friction and gains likewise")
+        print(
+            f"  torque scale   {scale:.3f}: reported torque × this is the true one; friction and gains likewise"
+        )
     if one.gain is not None:
         print(f"  delay          {1e3 * one.delay:.1f} ms from a set-point to its torque")
-        print(f"a twin with these values follows the same set-points within {100 * one.misfit:.2f} % of the fastest")
+        print(
+            f"a twin with these values follows the same set-points within {100 * one.misfit:.2f} % of the fastest"
+        )
     bandwidth, gain, integral, position = tune.proposed(one, period)
     print(f"\nproposed, for a bandwidth of {bandwidth:.0f} rad/s:")
     for name, new, old in (("velocity gain", gain, one.gain), ("its integral", integral, one.integral)):

@@ -68,7 +68,12 @@ class ShaftFile:
 
     def __post_init__(self) -> None:
         if self.backlash and self.stops:
-            raise Invalid(("backlash", "backlash and stops exclude each other: where the load is at a stop is not known"))
+            raise Invalid(
+                (
+                    "backlash",
+                    "backlash and stops exclude each other: where the load is at a stop is not known",
+                )
+            )
         if self.stops and not self.stops[0] < 0.0 < self.stops[1]:
             raise Invalid(("stops", "stops must be below and above 0, where the shaft starts"))
 

@@ -58,7 +58,9 @@ class Shaft:
         play = self.position - at
         # Where the flank pushes the load, both are one shaft; else each is by itself.
         together = self._faster(self.velocity, torque + file.load, 1.0)
-        pushes = abs(play) >= half - 1e-12 and play * (together - self._faster(speed, file.load, 1.0 - own)) > 0.0
+        pushes = (
+            abs(play) >= half - 1e-12 and play * (together - self._faster(speed, file.load, 1.0 - own)) > 0.0
+        )
         if pushes and self.velocity == speed:
             self.velocity = speed = together
         else:
