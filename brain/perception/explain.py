@@ -3,7 +3,8 @@
 Rules. The comparisons of `motion_check` are kept, the newest of each reference, and those with the present
 one: bounded. An explanation is one number that makes all of them agree (a factor on the wheels' way or turn,
 a direction of the lidar, a time), or a sign. It is told if the comparisons reject that nothing is wrong, and
-agree with one another about the number; once told it stays. Slipping wheels do not agree with what they did before, and are not explained.
+agree with one another about the number; once told it stays. Slipping wheels do not agree with what they did
+before, and are not explained.
 """
 
 from __future__ import annotations
@@ -40,8 +41,10 @@ SCATTER = 0.25
 """Share of what is shown by which single comparisons may miss an explanation (root of the squares)"""
 NOISE_WAY, NOISE_TURN = 0.012, 0.012
 """m, rad: of a comparison, beside that of the match"""
+GYRO = "the gyro turns against wheels and scans: it is mounted upside down (roll = 3.1416 in its mount)"
 MIRRORED = (
-    "its scans turn against wheels and gyro: it is mirrored: upside down (roll = 3.1416 in its mount), or its "
+    "its scans turn against wheels and gyro: it is mirrored: upside down (roll = 3.1416 in its "
+    "mount), or its "
     "beams are counted the other way"
 )
 
@@ -122,8 +125,8 @@ class Explanation:
             return ""
         side = "left" if per_metre > 0.0 else "right"
         return (
-            f"the base turns where its wheels say straight ahead: the {side} wheel rolls backward: change its "
-            "sign in the robot file"
+            f"the base turns where its wheels say straight ahead: the {side} wheel rolls backward: "
+            "change its sign in the robot file"
         )
 
     def _turns(self, turn: Floats, shown: Floats, gyro: Floats, way: Floats) -> str:
@@ -136,7 +139,7 @@ class Explanation:
         if _enough(turn[known], TURN):
             (of_gyro, _), gyro_fits = _fit(np.column_stack([turn[known], way[known]]), gyro[known])
             if gyro_fits and of_gyro < -0.5 and by_wheels > 0.5:
-                return "the gyro turns against wheels and scans: it is mounted upside down (roll = 3.1416 in its mount)"
+                return GYRO
         if not fits:
             return ""
         if by_wheels < -0.5:
@@ -154,8 +157,10 @@ class Explanation:
     def _wide(self, factor: float, turn: Floats, shown: Floats) -> str:
         at = int(np.abs(turn).argmax())
         return (
-            f"the wheels say {math.degrees(turn[at]):.0f}°, the scans {math.degrees(shown[at]):.0f}°: the wheels "
-            f"turn the base {factor:.2g} times as far as stated: see wheel_separation (or effective_separation), then wheel_radius"
+            f"the wheels say {math.degrees(turn[at]):.0f}°, the scans {math.degrees(shown[at]):.0f}°: "
+            "the wheels "
+            f"turn the base {factor:.2g} times as far as stated: see wheel_separation (or "
+            "effective_separation), then wheel_radius"
         )
 
     def _ways(
@@ -180,7 +185,8 @@ class Explanation:
             about = 90.0 * round(math.degrees(off) / 90.0)
             turned = about if about and abs(math.degrees(off) - about) < 20.0 else math.degrees(off)
             return (
-                f"{self.name}: its scans show ways in another direction than the wheels: it is turned by {turned:+.0f}° "
+                f"{self.name}: its scans show ways in another direction than the wheels: it is turned "
+                f"by {turned:+.0f}° "
                 "against its mount in the robot file"
             )
         if abs(off) < SKEWED and factor > 0.05 and _ratio(factor) > FACTOR + 3.0 * sigma:
@@ -188,8 +194,10 @@ class Explanation:
             seconds = max(float(span[at]), 1e-3)
             large = factor < 1.0
             return (
-                f"the wheels say {abs(way[at]) / seconds:.2f} m/s, the scans {math.hypot(along[at], aside[at]) / seconds:.2f}: "
-                f"wheel radius about {_ratio(factor):.1f} times too {'large' if large else 'small'} in the robot "
+                f"the wheels say {abs(way[at]) / seconds:.2f} m/s, the scans "
+                f"{math.hypot(along[at], aside[at]) / seconds:.2f}: "
+                f"wheel radius about {_ratio(factor):.1f} times too {'large' if large else 'small'} "
+                "in the robot "
                 f"file{', or they slip' if large else ''}"
             )
         return ""
@@ -223,9 +231,8 @@ def _enough(values: Floats, least: float) -> bool:
 
 def _fit(columns: Floats, values: Floats, scatter: float = SCATTER) -> tuple[Floats, bool]:
     """Return the factors by least squares, and whether what is left is little of the values."""
-    found = np.linalg.lstsq(
-        columns.T @ columns + 1e-6 * np.eye(columns.shape[1]), columns.T @ values, rcond=None
-    )[0]
+    normal = columns.T @ columns + 1e-6 * np.eye(columns.shape[1])
+    found: Floats = np.asarray(np.linalg.solve(normal, columns.T @ values), dtype=np.float64)
     left = float(np.linalg.norm(values - columns @ found))
     noise = NOISE_TURN * math.sqrt(len(values))
     return found, left < scatter * float(np.linalg.norm(values)) + noise

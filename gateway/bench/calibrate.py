@@ -1,7 +1,8 @@
-"""Calibration of a base: how far its wheels roll, how it turns, where its lidars and how late its sensors are.
+"""Calibration of a base: how far its wheels roll, how it turns, where its lidars and how late its sensors
+are.
 
-Rules. The scans of a lidar give its path without anybody's help (`scan_path`); the wheels, each factor and the
-lidar's place unknown, must give the same between any two moments (least squares; Censi et al. 2013,
+Rules. The scans of a lidar give its path without anybody's help (`scan_path`); the wheels, each factor and
+the lidar's place unknown, must give the same between any two moments (least squares; Censi et al. 2013,
 "Simultaneous calibration of odometry and sensor parameters for mobile robots"). What is found then predicts
 the sweep of each scan, and all is done once more. A gyro is compared with the turns of the scans. Standard
 deviations are taken from how the residuals scatter, neighbours together (Newey and West 1987): wheels that
@@ -22,6 +23,7 @@ from brain.bodies.plane import wrap
 from brain.perception.mount import Mount
 from gateway.bench.driven import Driven, Events
 from gateway.bench.scan_path import Predict, ScanPath
+from gateway.bench.scatter import covariance
 from gateway.bench.wheel_path import Factors, WheelPath, after, seen_from
 from gateway.errors import UserError
 from protocols.messages import SECOND, Event, Feedback, Imu, LaserScan, Nanos
@@ -34,7 +36,7 @@ NOISE, NOISE_YAW = 0.003, 0.0015
 """m, rad: of a scan's pose, beside what its match says,"""
 SLIP, SLIP_YAW = 0.02, 0.03
 """and of what wheels do, as a share of the motion: only the weight of a comparison"""
-NEIGHBOURS = 4
+NEIGHBOURS = 6
 """Comparisons that may be wrong together"""
 HEAVY = 3.0
 """Standard deviations from which on a comparison counts less (Huber)"""
@@ -274,17 +276,17 @@ def _fit(sensor: str, wheels: WheelPath, path: ScanPath, stated: Mount, before: 
         if best is None or found[0] < best[0]:
             best = found
     assert best is not None, "there is a start"
-    _, x, covariance, residuals = best
+    _, x, spread, residuals = best
     ahead = x[0] > 0.0 if x[1] > 0.0 else abs(wrap(x[3] - stated.yaw)) < math.pi / 2.0
     if not ahead:  # forward is backward: a lidar that looks the other way shows the same
         flipped = np.ones(len(x))
         flipped[[0, 2, 4, 5, *range(7, len(x))]] = -1.0
-        x, covariance = flipped * x, covariance * np.outer(flipped, flipped)
+        x, spread = flipped * x, spread * np.outer(flipped, flipped)
         x[3] += math.pi
     factors = Factors(*(float(value) for value in (*x[:3], *x[7:])))
     mount = replace(stated, yaw=wrap(float(x[3])), x=float(x[4]), y=float(x[5]))
     rms = float(np.sqrt(np.mean(residuals**2)))
-    return LidarFit(sensor, factors, mount, float(x[6]), covariance, path, rms, len(pairs.since))
+    return LidarFit(sensor, factors, mount, float(x[6]), spread, path, rms, len(pairs.since))
 
 
 def _compared(path: ScanPath, wheels: WheelPath) -> _Comparisons:
@@ -316,8 +318,8 @@ def _compared(path: ScanPath, wheels: WheelPath) -> _Comparisons:
         turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         way, angle = math.hypot(*motion[k, :2]), abs(motion[k, 2])
         own = np.array([NOISE**2 + (SLIP * way) ** 2] * 2 + [NOISE_YAW**2 + (SLIP_YAW * angle) ** 2])
-        covariance = turn @ (noises[i] + noises[j]) @ turn.T + np.diag(own)
-        whitening[k] = np.linalg.inv(np.linalg.cholesky(covariance))
+        noise = turn @ (noises[i] + noises[j]) @ turn.T + np.diag(own)
+        whitening[k] = np.linalg.inv(np.linalg.cholesky(noise))
     return _Comparisons(t[since], t[until], motion, whitening)
 
 
@@ -372,8 +374,8 @@ def _solve(
         scale = max(float(np.median(size)), 1e-9)
         weight = np.minimum(1.0, HEAVY * scale / np.maximum(size, 1e-12))
     jacobian = found.jac[: 3 * len(off)].reshape(len(off), 3, -1)
-    covariance = _scattered(jacobian, np.sqrt(weight)[:, None] * off, prior)
-    return float((np.minimum(size, HEAVY * scale) ** 2).sum()), x, covariance, off
+    spread = _scattered(jacobian, np.sqrt(weight)[:, None] * off, prior)
+    return float((np.minimum(size, HEAVY * scale) ** 2).sum()), x, spread, off
 
 
 def _less(x: Floats, centre: Floats) -> Floats:
@@ -383,18 +385,11 @@ def _less(x: Floats, centre: Floats) -> Floats:
 
 
 def _scattered(jacobian: Floats, off: Floats, prior: Floats) -> Floats:
-    """Return the covariance of a solution by the scatter of its residuals: neighbours may be wrong together.
-
-    `jacobian`: n × m × parameters; `off`: n × m. Never less than what their weights say."""
+    """Return the covariance of a solution; `jacobian`: n × m × parameters; `off`: n × m, whitened."""
     pull = np.einsum("kmi,km->ki", jacobian, off)
-    meat = pull.T @ pull
-    for lag in range(1, NEIGHBOURS + 1):
-        both = pull[lag:].T @ pull[:-lag]
-        meat += (1.0 - lag / (NEIGHBOURS + 1.0)) * (both + both.T)
-    bread = np.linalg.inv(np.einsum("kmi,kmj->ij", jacobian, jacobian) + np.diag(1.0 / prior**2))
-    freedom = off.shape[0] * off.shape[1]
-    sandwich: Floats = bread @ meat @ bread * (freedom / max(freedom - len(prior), 1))
-    return sandwich
+    inverse = np.linalg.inv(np.einsum("kmi,kmj->ij", jacobian, jacobian) + np.diag(1.0 / prior**2))
+    found: Floats = covariance(pull, inverse, NEIGHBOURS) * (off.size / max(off.size - len(prior), 1))
+    return found
 
 
 # -- gyro --------------------------------------------------------------------------------------------
@@ -440,9 +435,9 @@ def _gyro(name: str, rates: Sequence[tuple[Nanos, float]], began: Nanos, lidar: 
     )
     off = residuals(found.x)
     jacobian = found.jac[: len(off)].reshape(len(off), 1, 3)
-    covariance = _scattered(jacobian, off[:, None] / np.sqrt(1.0 + off[:, None] ** 2), prior)
+    spread = _scattered(jacobian, off[:, None] / np.sqrt(1.0 + off[:, None] ** 2), prior)
     scale, bias, late = found.x.tolist()
-    sigmas = np.sqrt(np.diag(covariance))
+    sigmas = np.sqrt(np.diag(spread))
     return GyroFit(
         name,
         scale,

@@ -1,4 +1,5 @@
-"""What one joint was told and what it did: the set-points on the wire, and its feedback, at the output shaft."""
+"""What one joint was told and what it did: the set-points on the wire, and its feedback, at the output
+shaft."""
 
 from __future__ import annotations
 

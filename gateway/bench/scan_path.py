@@ -75,7 +75,7 @@ class ScanPath:
             self._strays += 1
             return
         self._strays = 0
-        self._keep(end, placed, guess, body)
+        self._keep(end, placed, body)
 
     def _begin(self, end: float, body: BodyScan) -> None:
         self._frames.forget()
@@ -88,7 +88,7 @@ class ScanPath:
         self.noises.append(np.diag([1e-6, 1e-6, 1e-6]))
         self.parts.append(self._part)
 
-    def _keep(self, end: float, placed: Placed, guess: Pose, body: BodyScan) -> None:
+    def _keep(self, end: float, placed: Placed, body: BodyScan) -> None:
         pose = placed.pose
         yaw = self.poses[-1][2] + wrap(pose.yaw - self.poses[-1][2])
         self.t.append(end)

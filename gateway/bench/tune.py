@@ -1,12 +1,10 @@
-"""What a joint is, from what it was told and did: inertia, friction, load, backlash, and its own loop's gains.
+"""What a joint is, from what it was told and did: inertia, friction, load, backlash, and its loop's gains.
 
 Rules. All is at the output shaft, SI. Between two moments the integral of the torque is what inertia, dry and
-viscous friction and load took: linear in them, and no acceleration is ever computed. The same holds for a
-velocity loop: its torque changes by what its gains make of the error. Torque counts as reported: where the
-true inertia is known, the factor on it follows. What is found is simulated (`simulated`) on the set-points
-that were sent, and how far that is from what was measured is told.
-Source: the least squares of integrals is Åström and Eykhoff 1971, section 4; the dead zone of Nordin and
-Gutman 2002, section 2.
+viscous friction and load took: linear in them, and no acceleration is ever computed. From there the joint is
+simulated with its velocity loop on the set-points that were sent, and every value is changed until velocity
+and torque are those that were reported. Torque counts as reported: where the true inertia is known, the
+factor on it follows.
 """
 
 from __future__ import annotations
@@ -19,6 +17,7 @@ import numpy as np
 
 from brain.belief import Floats
 from gateway.bench.joint_trace import JointTrace, columns
+from gateway.bench.scatter import covariance
 from gateway.errors import UserError
 from gateway.sim.files import ShaftFile
 from gateway.sim.shafts import DT, Shaft
@@ -34,8 +33,8 @@ SHIFTS = np.arange(-0.02, 0.0401, 0.002)
 NOISE = 0.01, 0.02
 """Of velocity and torque, as shares of the largest: their weights"""
 STARTS, RATIOS = ((0.8, 1.0), (15.0, 40.0, 100.0, 250.0), (0.0005, 0.0015, 0.003, 0.008)), (1.0, 8.0)
-"""Where the search begins: the inertia as a share of the first guess, the bandwidth of the loop [rad/s], s from
-a set-point to the torque that answers it; the integral's gain over the other [1/s]"""
+"""Where the search begins: the inertia as a share of the first guess, the bandwidth of the loop [rad/s], s
+from a set-point to the torque that answers it; the integral's gain over the other [1/s]"""
 FEWEST = 50
 """Set-points of velocity from which on a loop is looked for"""
 STRANGE = 0.1
@@ -46,6 +45,8 @@ BACKLASHES, WORTH = (0.01, 0.03, 0.06, 0.12), 0.7
 """rad that are tried, and the share of the misfit that one must leave at most, lest it be no backlash"""
 DIFFERENCE = 1e-4
 """Share by which a value is changed to see what it does"""
+WIDEST = 80.0
+"""rad/s, of the bandwidth that is proposed"""
 NEIGHBOURS, TOGETHER = 6, 20
 """Windows, and readings, that may be wrong together"""
 LEAST_TRAVEL = 0.05
@@ -102,8 +103,10 @@ def identify(trace: JointTrace, torque_limit: float) -> Identified:
         rate = (len(rows) - 1) / max(rows[-1][0] - rows[0][0], 1e-9) if len(rows) > 1 else 0.0
         if rate < SLOWEST:
             raise UserError(
-                f"{trace.joint} reports its {what} {rate:.3g} times a second, and at least {SLOWEST:g} are needed: have "
-                f"it report {what} (or current) every 10 ms or faster, as its protocol's README says, then repeat"
+                f"{trace.joint} reports its {what} {rate:.3g} times a second, and at least "
+                f"{SLOWEST:g} are needed: have "
+                f"it report {what} (or current) every 10 ms or faster, as its protocol's README says, "
+                "then repeat"
             )
     grid, position, velocity, torque = _resampled(trace)
     if float(np.ptp(position)) < LEAST_TRAVEL or float(np.abs(velocity).max()) < CREEP:
@@ -114,14 +117,15 @@ def identify(trace: JointTrace, torque_limit: float) -> Identified:
         if best is None or found[0] < best[0]:
             best = (*found, float(shift))
     assert best is not None, "there are shifts"
-    _, x, covariance, shift = best
+    _, x, spread, shift = best
     torque = np.interp(grid - shift, grid, torque)
     inertia, friction, damping, load = (
-        Value(float(v), float(s)) for v, s in zip(x, np.sqrt(np.diag(covariance)), strict=True)
+        Value(float(v), float(s)) for v, s in zip(x, np.sqrt(np.diag(spread)), strict=True)
     )
     if inertia.value <= 0.0 or inertia.sigma > 0.3 * inertia.value:
         raise UserError(
-            f"{trace.joint}: its inertia is not to be seen ({inertia.value:.2g} ± {inertia.sigma:.2g} kg·m²): it needs "
+            f"{trace.joint}: its inertia is not to be seen ({inertia.value:.2g} ± {inertia.sigma:.2g} "
+            "kg·m²): it needs "
             "faster steps, or a longer travel"
         )
     most = float(np.abs(torque).max())
@@ -194,7 +198,9 @@ def _refined(first: Identified, trace: JointTrace, torque_limit: float) -> Ident
             best = (*tried, factor * best[3])
     _, x, jacobian, backlash = best
     left = residuals(x, backlash)
-    sigmas = np.sqrt(np.maximum(np.diag(_covariance(jacobian, left)), 0.0))
+    inverse: Floats = np.asarray(np.linalg.pinv(jacobian.T @ jacobian), dtype=np.float64)
+    spread = covariance(jacobian * left[:, None], inverse, TOGETHER)
+    sigmas = np.sqrt(np.maximum(np.diag(spread), 0.0))
     one = _of(first, x, backlash, sigmas)
     off = misfit(one, trace, torque_limit)
     return first if off > STRANGE else replace(one, misfit=off)
@@ -220,18 +226,6 @@ def _of(first: Identified, x: Floats, backlash: float, sigmas: Floats | None = N
         integral=integral,
         delay=max(float(x[6]), 0.0),
     )
-
-
-def _covariance(jacobian: Floats, left: Floats) -> Floats:
-    """Return the covariance of a solution by the scatter of what is left, neighbours together."""
-    pull = jacobian * left[:, None]
-    meat = pull.T @ pull
-    for lag in range(1, TOGETHER + 1):
-        both = pull[lag:].T @ pull[:-lag]
-        meat += (1.0 - lag / (TOGETHER + 1.0)) * (both + both.T)
-    bread = np.linalg.pinv(jacobian.T @ jacobian)
-    found: Floats = bread @ meat @ bread
-    return found
 
 
 def _resampled(trace: JointTrace) -> tuple[Floats, Floats, Floats, Floats]:
@@ -271,19 +265,14 @@ def _mechanics(
 
 
 def _least_squares(rows: Floats, values: Floats) -> tuple[float, Floats, Floats]:
-    """Return what is left, the factors, and their covariance by how the rest scatters, neighbours together."""
-    bread = np.linalg.pinv(rows.T @ rows)
-    x = bread @ rows.T @ values
+    """Return what is left, the factors, and their covariance."""
+    inverse: Floats = np.asarray(np.linalg.pinv(rows.T @ rows), dtype=np.float64)
+    x = inverse @ rows.T @ values
     left = values - rows @ x
-    pull = rows * left[:, None]
-    meat = pull.T @ pull
-    for lag in range(1, NEIGHBOURS + 1):
-        both = pull[lag:].T @ pull[:-lag]
-        meat += (1.0 - lag / (NEIGHBOURS + 1.0)) * (both + both.T)
-    return float(left @ left), x, bread @ meat @ bread
+    return float(left @ left), x, covariance(rows * left[:, None], inverse, NEIGHBOURS)
 
 
-# -- the device's own loop ---------------------------------------------------------------------------
+# -- what it would do ----------------------------------------------------------------------------------
 
 
 def _held(trace: JointTrace, at: Floats) -> Floats:
@@ -292,9 +281,6 @@ def _held(trace: JointTrace, at: Floats) -> Floats:
     index = np.searchsorted(t, at, side="right") - 1
     found: Floats = np.where(index >= 0, values[np.maximum(index, 0)], np.nan)
     return found
-
-
-# -- what it would do ----------------------------------------------------------------------------------
 
 
 def simulated(one: Identified, trace: JointTrace, torque_limit: float) -> tuple[Floats, Floats, Floats]:
@@ -333,13 +319,14 @@ def misfit(one: Identified, trace: JointTrace, torque_limit: float) -> float:
     return float(np.sqrt(np.mean(off**2)) / max(float(np.abs(measured).max()), 1e-9))
 
 
-def proposed(one: Identified, period: float) -> tuple[float, float, float, float]:
-    """Return the bandwidth [rad/s] that delay and feedback allow, and gains for it: of velocity [N·m·s/rad],
-    its integral [N·m/rad], and position [1/s].
+def proposed(one: Identified) -> tuple[float, float, float, float]:
+    """Return a bandwidth [rad/s], and gains of the device's loop for it: of velocity [N·m·s/rad], its
+    integral [N·m/rad], and of position [1/s].
 
-    A loop whose torque is late by T loses T times its bandwidth of phase: a quarter rad is spared. The poles
-    of inertia, gain and integral are then equal (no overshoot of the error); position is four times slower."""
-    bandwidth = 0.25 / max(one.delay + period, 1e-3)
-    gain = max(one.inertia.value * bandwidth - max(one.damping.value, 0.0), 0.0)
-    whole = gain + max(one.damping.value, 0.0)
-    return bandwidth, gain, whole * whole / (4.0 * one.inertia.value), bandwidth / 4.0
+    A loop whose torque is late by T loses T times its bandwidth of phase: a quarter rad is spared, and no
+    more than `WIDEST` is asked of gears and frames. The two poles that inertia, gain and integral make are
+    equal: the error does not swing. Position is four times slower."""
+    bandwidth = min(0.25 / max(one.delay, 1e-3), WIDEST)
+    damping = max(one.damping.value, 0.0)
+    gain = max(one.inertia.value * bandwidth - damping, 0.0)
+    return bandwidth, gain, (gain + damping) ** 2 / (4.0 * one.inertia.value), bandwidth / 4.0

@@ -1,4 +1,5 @@
-"""What a calibration means: figures with what the robot file says, gross errors by name, the lines to write."""
+"""What a calibration means: figures with what the robot file says, gross errors by name, the lines to
+write."""
 
 from __future__ import annotations
 
@@ -111,7 +112,10 @@ def named(made: Calibration) -> list[str]:
     return found
 
 
-MIRRORED = "its scans turn against wheels and gyro; it is upside down (roll = 3.1416), or counts its beams the other way"
+MIRRORED = (
+    "its scans turn against wheels and gyro; it is upside down (roll = 3.1416), or counts its "
+    "beams the other way"
+)
 
 
 def _wrong_wheels(made: Calibration, fit: LidarFit) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -43,7 +44,7 @@ class WheelPath:
         angles = np.column_stack(
             [np.interp(self.t, t, one[:, 1]) for t, one in zip(times, series, strict=True)]
         ).tolist()
-        travels = [body.travel(a, b)[:3] for a, b in zip(angles, angles[1:], strict=False)]
+        travels = [body.travel(a, b)[:3] for a, b in pairwise(angles)]
         self.steps: Floats = np.array(travels)
         """m ahead, rad to the left, m to the left, of each step"""
 

@@ -1,4 +1,5 @@
-"""`gateway calibrate base`: how far wheels roll, how a base turns, where its lidars are, how late its sensors.
+"""`gateway calibrate base`: how far wheels roll, how a base turns, where its lidars are, how late its
+sensors.
 
 Of a recording, or of a short drive. Exit status: 0 all is as the robot file says; 1 something is not; 2 it
 could not be seen.
@@ -81,7 +82,8 @@ def _driven(robot: Robot, options: Namespace) -> Driven:
     reach = options.length + body.radius + drive.MARGIN
     fastest = max(abs(leg.linear) for leg in plan)
     ask_consent(
-        f"{robot.name} will drive for {made.span:.0f} s at up to {fastest:.2f} m/s, there and back and in turns, "
+        f"{robot.name} will drive for {made.span:.0f} s at up to {fastest:.2f} m/s, there and back "
+        "and in turns, "
         f"within {reach:.1f} m of where it stands; obstacles are watched for by the lidar alone.",
         options.yes,
     )

@@ -1,5 +1,5 @@
-"""`gateway doctor`: why nothing moves, from the interface to the motor; only questions are sent. And why a base
-does not drive as it should: of a gateway that is running, or of a recording.
+"""`gateway doctor`: why nothing moves, from the interface to the motor; only questions are sent. And why a
+base does not drive as it should: of a gateway that is running, or of a recording.
 
 Exit status: 0 nothing was found; 1 something was; 2 no bus could be opened, or the file could not be read.
 """
@@ -14,9 +14,9 @@ from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
 
-from gateway.buses import Bus, open_bus
 from gateway.bench.diagnosis import recorded
 from gateway.bench.driven import is_recording
+from gateway.buses import Bus, open_bus
 from gateway.cli import arguments
 from gateway.config import load_robot, with_interfaces
 from gateway.core.clock import Clock, SimulatedClock, WallClock

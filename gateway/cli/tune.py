@@ -21,7 +21,6 @@ from gateway.core.message_text import escaped
 from gateway.core.robot import TWIN, Robot
 from gateway.recording import read_recording
 from gateway.runtime.session import open_session
-from protocols.messages import SECOND
 
 SPEED, TRAVEL = 0.5, 3.0
 """Share of the velocity limit, and rad to either side, if none is given"""
@@ -73,7 +72,7 @@ def run(options: Namespace) -> int:
     joint = robot.motors[options.joint]
     limit = joint.joint.limits.torque
     one = tune.identify(trace, limit)
-    _print(one, joint.spec.feedback_period / SECOND, options.inertia)
+    _print(one, options.inertia)
     if options.picture is not None:
         from gateway.cli.picture import draw_joint
 
@@ -92,7 +91,8 @@ def _moved(robot: Robot, options: Namespace) -> JointTrace:
         options.joint, excite.parts(limits, speed, options.travel), options.travel, trace
     )
     ask_consent(
-        f"{options.joint} will move for {made.span:.0f} s at up to {speed:g} rad/s, within {options.travel:g} rad to "
+        f"{options.joint} will move for {made.span:.0f} s at up to {speed:g} rad/s, within "
+        f"{options.travel:g} rad to "
         "either side of where it stands; whatever it carries moves too. Its limits hold; Ctrl-C stops it.",
         options.yes,
     )
@@ -104,7 +104,7 @@ def _moved(robot: Robot, options: Namespace) -> JointTrace:
     return trace
 
 
-def _print(one: Identified, period: float, inertia: float | None) -> None:
+def _print(one: Identified, inertia: float | None) -> None:
     print(f"{one.joint}, at its output shaft (± one standard deviation):")
     rows: list[tuple[str, Value | None, str]] = [
         ("inertia", one.inertia, "kg·m²"),
@@ -121,14 +121,16 @@ def _print(one: Identified, period: float, inertia: float | None) -> None:
     if inertia is not None:
         scale = inertia / one.inertia.value
         print(
-            f"  torque scale   {scale:.3f}: reported torque × this is the true one; friction and gains likewise"
+            f"  torque scale   {scale:.3f}: reported torque × this is the true one; friction and "
+            "gains likewise"
         )
     if one.gain is not None:
         print(f"  delay          {1e3 * one.delay:.1f} ms from a set-point to its torque")
         print(
-            f"a twin with these values follows the same set-points within {100 * one.misfit:.2f} % of the fastest"
+            f"a twin with these values follows the same set-points within {100 * one.misfit:.2f} % of "
+            "the fastest"
         )
-    bandwidth, gain, integral, position = tune.proposed(one, period)
+    bandwidth, gain, integral, position = tune.proposed(one)
     print(f"\nproposed, for a bandwidth of {bandwidth:.0f} rad/s:")
     for name, new, old in (("velocity gain", gain, one.gain), ("its integral", integral, one.integral)):
         now = f" (× {new / old.value:.2f} of what it has)" if old is not None and old.value > 0.0 else ""

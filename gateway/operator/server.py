@@ -133,8 +133,8 @@ class Operator:
     ) -> list[Instruction]:
         """Return the instructions since the last poll, of the client answered longest ago first. Never waits.
 
-        `status`, `doctor`, and `view` with its arguments, are called for each line that asks for it; `unready` says for
-        what lines of a pipe must be kept, but for one that ends something."""
+        `status`, `doctor`, and `view` with its arguments, are called for each line that asks for it;
+        `unready` says for what lines of a pipe must be kept, but for one that ends something."""
         answers: dict[str, Callable[[str], str]] = {
             "status": lambda _: status(),
             "doctor": lambda _: doctor(),

@@ -132,33 +132,28 @@ class DriveDoctor:
                 hits = sum(event.range_min <= one < event.range_max for one in event.ranges)
                 self._rays[event.sensor] = hits
         elif isinstance(event, Imu) and event.sensor in self._mounts:
-            up = sum(
-                a * b
-                for a, b in zip(
-                    self._mounts[event.sensor].rotation()[2],
-                    event.linear_acceleration or (0.0,) * 3,
-                    strict=True,
-                )
-            )
-            total, count = self._gravity.get(event.sensor, (0.0, 0))
-            total, count = total + up, count + 1
-            self._gravity[event.sensor] = total, count
-            if count >= 100 and total / count < UPSIDE:
-                text = f"it reads {total / count:.1f} m/s² upward at rest, +9.8 are expected"
-                turned = "its rate has the wrong sign: the base believes to turn to the other side"
-                todo = f"roll = 3.1416 in [sensors.{event.sensor}] mount"
-                self._say(
-                    f"upside {event.sensor}",
-                    Finding(True, event.sensor, f"{text}: upside down", turned, todo),
-                )
-        elif isinstance(event, Feedback) and self._base is not None and event.motor in self._base.joints:
-            if event.position is not None:
-                index = self._base.joints.index(event.motor)
-                before = self._angles.get(event.motor, event.position)
-                self._rolled += (
-                    self._base.rolling[index] * abs(event.position - before) / len(self._base.joints)
-                )
-                self._angles[event.motor] = event.position
+            self._on_imu(event)
+        elif isinstance(event, Feedback) and self._base is not None and event.position is not None:
+            self._on_angle(self._base, event.motor, event.position)
+
+    def _on_imu(self, event: Imu) -> None:
+        """Sum what it reads along the robot's vertical."""
+        row, read = self._mounts[event.sensor].rotation()[2], event.linear_acceleration
+        total, count = self._gravity.get(event.sensor, (0.0, 0))
+        total, count = total + sum(a * b for a, b in zip(row, read, strict=True)), count + 1
+        self._gravity[event.sensor] = total, count
+        if count >= 100 and total / count < UPSIDE:
+            text = f"it reads {total / count:.1f} m/s² upward, +9.8 are expected: it is mounted upside down"
+            turned = "its rate has the wrong sign: the base believes to turn to the other side"
+            todo = f"roll = 3.1416 in [sensors.{event.sensor}] mount; then: gateway check {self._name}"
+            self._say(f"upside {event.sensor}", Finding(True, event.sensor, text, turned, todo))
+
+    def _on_angle(self, base: Base, motor: str, angle: float) -> None:
+        """Add what a wheel has rolled."""
+        if motor in base.joints:
+            turned = abs(angle - self._angles.get(motor, angle))
+            self._rolled += base.rolling[base.joints.index(motor)] * turned / len(base.joints)
+            self._angles[motor] = angle
 
     def _explained(self, text: str) -> None:
         geometry = "wheel" in text and "sign" not in text and "swapped" not in text
@@ -248,11 +243,13 @@ class DriveDoctor:
             (pose.x, pose.y), (goal.x, goal.y)
         )
         if abs(turned) > ROUNDS and nearer < 0.3:
-            text = f"it has turned by {math.degrees(turned):+.0f}° within {seconds(now - first[0]):.0f} s, and is not nearer"
+            span = seconds(now - first[0])
+            text = f"it has turned by {math.degrees(turned):+.0f}° within {span:.0f} s, and is not nearer"
             spins = "one side drives the wrong way, or the gyro's sign is wrong"
             self._say("spins", Finding(True, "wheels", text, spins, f"gateway calibrate base {self._name}"))
-        here = min(range(len(belief.path)), key=lambda i: math.dist(belief.path[i], (pose.x, pose.y)), default=0)
-        length = sum(math.dist(a, b) for a, b in pairwise(belief.path[here:]))
+        path, at = belief.path, (pose.x, pose.y)
+        here = min(range(len(path)), key=lambda i: math.dist(path[i], at), default=0)
+        length = sum(math.dist(a, b) for a, b in pairwise(path[here:]))
         straight = math.dist((pose.x, pose.y), (goal.x, goal.y))
         if straight > 0.5 and length > LONG * straight and _is_free(belief, pose, goal):
             text = f"its path is {length:.1f} m for a goal {straight:.1f} m away"
@@ -355,7 +352,10 @@ def from_file(robot: Robot) -> list[Finding]:
         limit = motor.joint.limits.velocity
         if limit < 0.2 * abs(one.velocity):
             able = base.max_linear * limit / abs(one.velocity)
-            text = f"its velocity limit, {limit:g} rad/s, lets the base drive {able:.2g} of {base.max_linear:g} m/s"
+            text = (
+                f"its velocity limit, {limit:g} rad/s, lets the base drive {able:.2g} of "
+                f"{base.max_linear:g} m/s"
+            )
             found.append(Finding(able < SLOWEST, name, text, SMALL, f"gateway check {robot.name}"))
     return found
 

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import pytest
 
 from brain.belief import Belief
-from brain.bodies.plane import arc
-from brain.brain import Brain, BrainSettings
+from brain.brain import BrainSettings
 from gateway.config import load_robot
 from gateway.core.robot import Robot
 from gateway.runtime.doctor import Finding
-from gateway.runtime.drive_doctor import DriveDoctor, from_file
+from gateway.runtime.drive_doctor import DriveDoctor
 from protocols import messages as msg
 from protocols.messages import MILLISECOND, SECOND, Command, Event
-from tests.brain.helpers import BODY, MOUNTS, TIMEOUTS, Trip
-from tests.brain.test_contradictions import HALF, REVERSED, slipping, Fault, Faulty, rates, scans, yawed
+from tests.brain.helpers import MOUNTS, TIMEOUTS, Trip
+from tests.brain.test_contradictions import HALF, REVERSED, Fault, Faulty, scans, slipping, yawed
 
 ACROSS, AHEAD = msg.Goal(-1.0, 3.0), msg.Goal(1.5, 0.0)
 ROBOT = load_robot("diffbot")
