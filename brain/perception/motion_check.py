@@ -185,8 +185,8 @@ class MotionCheck:
         renewed = (old or way > RENEW_DISTANCE or abs(turn) > RENEW_TURN) and not self._confirmed(name)
         mounting = self._mountings.setdefault(name, Mounting(self._any_way))
         correction = 0.0 if resting else mounting.add(wheels, shown, keep=renewed)
-        self._explain(name, since, t, shown, wheels, gyro, keep=renewed)
         if renewed:
+            self._explain(name, since, t, shown, wheels, gyro, keep=True)
             self._learn(self._past[name], now)
             self._refer(name, t, scan)
         if correction:

@@ -1,4 +1,4 @@
-"""Calibration in rooms, with robots, that nobody tuned to: seeded, in the simulated world, driven by its twins.
+"""Calibration in rooms, with robots, that nobody tuned to: seeded, simulated, driven by their twins.
 
 The plant's wheels, track, lidar and gyro differ from the robot file; stamps are late. Radius, track and yaw
 must be found within 0.5 %, 1 % and 0.5°, and be off by no more than their standard deviations allow.
