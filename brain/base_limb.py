@@ -277,6 +277,7 @@ class BaseLimb:
             reached=route.reached,
             raw=sight.raw,
             systems=self._systems(route),
+            explained=tuple(self.perception.explanations()),
         )
 
     def _systems(self, route: Route) -> tuple[SystemState, ...]:

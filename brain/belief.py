@@ -161,3 +161,5 @@ class Belief:
     """The present mission, or the last; None before the first"""
     systems: tuple[SystemState, ...] = ()
     """Of perception, planning and control"""
+    explained: tuple[str, ...] = ()
+    """What, if it was wrong, would make wheels, gyro and scans agree; it stays told"""

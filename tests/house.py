@@ -30,7 +30,7 @@ ONLY: dict[str, tuple[str, ...]] = {
     "queue": (),
     "random": (),
     "rosbags": RECORDINGS,
-    "scipy": ("brain.perception.graph", "brain.perception.keyframes"),
+    "scipy": ("brain.perception.graph", "brain.perception.keyframes", "gateway.bench"),
     "secrets": ("gateway.cli.live",),
     "serial": ("gateway.buses",),
     "signal": ("gateway.runtime.process",),

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 
 from brain.bodies.body import Base
 from brain.perception.body_scan import BodyScan
+from brain.perception.explain import DELAYS, Explanation
 from brain.perception.mounting import Mounting
 from brain.perception.scan_motion import ReferenceScan, Shown
 from brain.perception.track import AHEAD, SLIP_SHARE, Motion, SourceTrack
@@ -99,6 +100,10 @@ class MotionCheck:
         self._differ: dict[str, tuple[int, Nanos, str]] = {}
         """By lidar ("": wheels and gyro): comparisons in a row that differed, since when, and how."""
 
+        self.explanations: dict[str, Explanation] = {}
+        """By lidar: what would make all agree"""
+        self._news: list[str] = []
+
         self._hidden: dict[str, int] = {}
         """By lidar: scans in a row of which most was hidden by what has appeared."""
 
@@ -111,6 +116,11 @@ class MotionCheck:
             for name, one in self._mountings.items()
             if one.flaw
         ]
+
+    def take_news(self) -> list[str]:
+        """Return what was explained since the last call."""
+        news, self._news = self._news, []
+        return news
 
     def on_wheels(
         self, since: Nanos, t: Nanos, distance: float, turn: float, sideways: float, slid: float
@@ -161,13 +171,14 @@ class MotionCheck:
         if shown is None or wheels is None or hidden:
             self._differ.pop(name, None)
             self._past[name] = deque()
-            self._references[name] = ReferenceScan(t, scan)
+            self._refer(name, t, scan)
             return 0.0
         turn = shown.motion.turn
         now = gyro and self._turns(since, t, turn, wheels, gyro)
         reason = self._difference(name, shown, wheels, gyro) or self._drift(name, self._past[name], now)
         self._count(name, t, reason)
         if reason:
+            self._explain(name, since, t, shown, wheels, gyro, keep=False)
             return 0.0
         way, resting = self._way(wheels), wheels.uncertain < RESTING
         old = t - since > (REST_AGE if resting and now else RENEW_AGE)
@@ -175,11 +186,36 @@ class MotionCheck:
         mounting = self._mountings.setdefault(name, Mounting(self._any_way))
         correction = 0.0 if resting else mounting.add(wheels, shown, keep=renewed)
         if renewed:
+            self._explain(name, since, t, shown, wheels, gyro, keep=True)
             self._learn(self._past[name], now)
-            self._references[name] = ReferenceScan(t, scan)
+            self._refer(name, t, scan)
         if correction:
             del self._references[name]
         return correction
+
+    def _refer(self, name: str, t: Nanos, scan: BodyScan) -> None:
+        """Compare the next scans with this one."""
+        self._references[name] = ReferenceScan(t, scan)
+        if name in self.explanations:
+            self.explanations[name].begin()
+
+    def _explain(
+        self,
+        name: str,
+        since: Nanos,
+        t: Nanos,
+        shown: Shown,
+        wheels: Motion,
+        gyro: Motion | None,
+        *,
+        keep: bool,
+    ) -> None:
+        """Look for what would make a comparison agree with the others."""
+        moved = [self._wheels.between(since - delay, t - delay) for delay in DELAYS]
+        earlier = tuple(math.nan if one is None else one.turn for one in moved)
+        explanation = self.explanations.setdefault(name, Explanation(name))
+        if told := explanation.add(wheels, shown, gyro, seconds(t - since), earlier, keep=keep):
+            self._news.append(told)
 
     def _compare_turns(self, t: Nanos) -> None:
         since = self._turned

@@ -283,6 +283,10 @@ class Perception:
         """Return what the sources show that cannot all be true."""
         return self._check.contradictions()
 
+    def explanations(self) -> list[str]:
+        """Return what, if it was wrong, would make the sources agree; it stays told."""
+        return [one.told for one in self._check.explanations.values() if one.told]
+
     def take_notes(self) -> list[str]:
         """Return the notes for the operator since the last call."""
         notes, self._notes = self._notes, []
@@ -572,6 +576,7 @@ class Perception:
 
     def _compare(self, part: _Part) -> None:
         yaw = self._check.on_scan(part.name, part.t, part.scan)
+        self._notes += self._check.take_news()
         if yaw:
             self._correct_mounting(part.name, yaw)
         elif part.keep and self.settings.matching:

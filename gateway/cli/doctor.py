@@ -1,43 +1,57 @@
-"""`gateway doctor`: why nothing moves, from the interface to the motor; only questions are sent.
+"""`gateway doctor`: why nothing moves, from the interface to the motor; only questions are sent. And why a
+base does not drive as it should: of a gateway that is running, or of a recording.
 
-Exit status: 0 nothing was found; 1 something was; 2 no bus could be opened.
+Exit status: 0 nothing was found; 1 something was; 2 no bus could be opened, or the file could not be read.
 """
 
 from __future__ import annotations
 
 import json
 import logging
-import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict
+from pathlib import Path
 
+from gateway.bench.diagnosis import recorded
+from gateway.bench.driven import is_recording
 from gateway.buses import Bus, open_bus
 from gateway.cli import arguments
 from gateway.config import load_robot, with_interfaces
 from gateway.core.clock import Clock, SimulatedClock, WallClock
-from gateway.core.message_text import escaped
 from gateway.core.robot import TWIN, Robot
-from gateway.errors import BusError
+from gateway.errors import BusError, OperatorError
+from gateway.operator import ask, socket_path
 from gateway.runtime import doctor
 from gateway.runtime.doctor import Finding
+from gateway.runtime.drive_doctor import from_file
 from gateway.runtime.scan import Overhearing
+from gateway.runtime.status import NOTHING, finding_lines
 
 log = logging.getLogger("gateway")
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the arguments of the command."""
-    arguments.add_robot(parser)
+    parser.add_argument(
+        "robot", metavar="ROBOT|FILE", help="a robot file or its name; or a recording, a bag, a log"
+    )
+    parser.add_argument("--robot", dest="of_bag", metavar="ROBOT", help="the robot file of a bag or a log")
     arguments.add_bus(parser, "where a bus is: can0=socketcan:can0")
     parser.add_argument("--explain", action="store_true", help="say of each finding why it matters")
     parser.add_argument("--json", action="store_true", help="print one JSON array")
 
 
 def run(options: Namespace) -> int:
-    """Examine a robot, and print what was found."""
+    """Examine a robot, or a recording, and print what was found."""
+    path = Path(options.robot)
+    if is_recording(path):
+        return _told(recorded(path, options.of_bag), options)
     robot = with_interfaces(load_robot(options.robot), dict(options.bus))
+    if (running := _running(robot.name)) is not None:
+        print(f"{robot.name} is running; what it has seen so far:\n{running}")
+        return 0 if running.endswith(NOTHING) else 1
     twins = all(bus.interface == TWIN for bus in robot.buses.values())
     clock: Clock = SimulatedClock() if twins else WallClock()
     log.addFilter(_is_told_otherwise)
@@ -46,14 +60,30 @@ def run(options: Namespace) -> int:
             buses, failed = _open(robot, clock, stack)
             if not options.json:
                 _head(robot, buses)
-            findings = [*failed, *(_examined(robot, buses, clock) if buses else ())]
+            findings = [*failed, *(_examined(robot, buses, clock) if buses else ()), *from_file(robot)]
     finally:
         log.removeFilter(_is_told_otherwise)
+    return _told(findings, options) if buses else _told(findings, options) and 2
+
+
+def _told(findings: Sequence[Finding], options: Namespace) -> int:
+    """Print what was found; return 1 if that is anything."""
     if options.json:
         print(json.dumps([asdict(one) for one in findings], indent=2))
     else:
-        _print(findings, explain=options.explain)
-    return 2 if not buses else 1 if findings else 0
+        print("\n".join(finding_lines(findings, explain=options.explain)))
+    return 1 if findings else 0
+
+
+def _running(name: str) -> str | None:
+    """Return what a running gateway of this robot has found; None if none runs."""
+    path = socket_path(name)
+    if not path.exists():
+        return None
+    try:
+        return ask(path, "doctor")
+    except OperatorError:  # its socket is left over
+        return None
 
 
 def _is_told_otherwise(record: logging.LogRecord) -> bool:
@@ -105,16 +135,3 @@ def _head(robot: Robot, buses: dict[str, Bus]) -> None:
     count = len(robot.devices())
     where = ", ".join(f"{name} ({robot.buses[name].interface})" for name in buses) or "no bus"
     print(f"{robot.name}: {count} devices; looking at {where} for {doctor.EXAMINED / 1e9:g} s", flush=True)
-
-
-def _print(findings: Sequence[Finding], *, explain: bool) -> None:
-    for one in findings:
-        print(f"{'!!' if one.grave else ' !'} {one.about}: {escaped(one.seen)}")
-        if explain:
-            print(f"     why it matters: {escaped(one.matters)}")
-        print(f"     what to do: {escaped(one.todo)}")
-    grave = sum(one.grave for one in findings)
-    print(
-        f"{len(findings)} findings, {grave} of them grave" if findings else "nothing was found",
-        file=sys.stdout,
-    )

@@ -50,13 +50,15 @@ COMMANDS = {
     "doctor": "say why nothing moves, from the interface to the motor; sends questions alone",
     "jog": "turn one motor slowly, as long as a key is held",
     "motor": "read, compare and restore what is configured on the motors",
+    "calibrate": "measure wheels, lidars and gyros of a base, from a short drive or a recording",
+    "tune": "identify one joint by steps within a travel, or from a recording, and propose its gains",
     "check": "read a robot file and print its meaning, or every mistake in it",
     "schema": "print every key of a robot, world, plant or mission file, for an editor or to read",
     "schedule": "count how much of its buses a robot takes, and the highest rate that fits",
     "protocols": "list the installed protocols, check one, or start a new one",
     "ask": "send a line to a running robot, as on its terminal",
 }
-LIVE = ("demo", "run", "twin", "jog", "motor", "new")
+LIVE = ("demo", "run", "twin", "jog", "motor", "new", "calibrate", "tune")
 """Those that must not wait for who reads their output: a robot would wait with them."""
 LINUX = (*LIVE, "view", "ask", "scan", "doctor")
 """Those that need what Linux alone has: SocketCAN, termios, real-time signals, /proc."""

@@ -15,6 +15,8 @@ import numpy as np
 
 from brain.belief import Pose
 from brain.bodies.plane import moved
+from gateway.bench.joint_trace import JointTrace
+from gateway.bench.tune import Identified, simulated
 from gateway.cli.side_view import draw_arms
 from gateway.cli.tour import Tour
 from gateway.errors import UserError
@@ -23,6 +25,7 @@ from protocols.messages import SECOND
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
     from brain.belief import Floats, MapView
 
@@ -65,6 +68,10 @@ def draw(tour: Tour, file: Path) -> None:
         if arms:
             draw_arms(figure.add_subplot(grid[0]), arms, tour)
         _joints(figure.add_subplot(grid[1] if arms else grid[0:]), tour)
+    _save(figure, file)
+
+
+def _save(figure: Figure, file: Path) -> None:
     drawn = BytesIO()
     figure.savefig(drawn, dpi=110, metadata={"Software": None})
     try:
@@ -221,3 +228,29 @@ def _age(axes: Axes, tour: Tour, seconds: Floats) -> None:
     axes.set_ylabel("age of\nfeedback [ms]")
     axes.set_ylim(0.0, 1.2 * max([1.0, *ages]))
     axes.set_xlabel("time [s]")
+
+
+def draw_joint(file: Path, one: Identified, trace: JointTrace, torque_limit: float) -> None:
+    """Write a PNG: velocity and torque of a joint, as measured and as its twin would do. Raises UserError if
+    it cannot be written."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 7), layout="constrained")
+    FigureCanvasAgg(figure)
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    told = [(t, value) for t, value in trace.commanded if value == value]
+    if told:
+        upper.plot(*zip(*told, strict=True), color=PLANNED, lw=0.8, label="set-point")
+    upper.plot(*zip(*trace.velocity, strict=True), color=TRUE, lw=1.2, label="measured")
+    lower.plot(*zip(*trace.torque, strict=True), color=TRUE, lw=1.0, label="reported")
+    if one.gain is not None:
+        grid, velocity, torque = simulated(one, trace, torque_limit)
+        upper.plot(grid, velocity, "--", color=BELIEVED, lw=1.0, label="its twin")
+        lower.plot(grid, torque, "--", color=BELIEVED, lw=0.8, label="its twin")
+    upper.set_ylabel("velocity [rad/s]")
+    lower.set_ylabel("torque [N·m]")
+    lower.set_xlabel("time [s]")
+    for axes in (upper, lower):
+        _legend_above(axes)
+    _save(figure, file)

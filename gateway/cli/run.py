@@ -23,7 +23,7 @@ from gateway.operator import Operator
 from gateway.runtime.realtime import realtime, wanted_of
 from gateway.runtime.schedule import COUNTING, NotCounted, not_armed, refuse_overload
 from gateway.runtime.session import Session, open_session
-from gateway.runtime.status import status_text, unready
+from gateway.runtime.status import doctor_text, status_text, unready
 from protocols.messages import MILLISECOND, Goal, Instruction, Mission
 
 log = logging.getLogger("gateway")
@@ -107,7 +107,9 @@ def _drive(session: Session, operator: Operator, options: Namespace, mission: Mi
 
     def poll() -> Sequence[Instruction]:
         view = partial(view_on_demand, session)
-        instructions = operator.poll(lambda: status_text(session), view, lambda: unready(session))
+        instructions = operator.poll(
+            lambda: status_text(session), view, lambda: unready(session), lambda: doctor_text(session)
+        )
         if operator.leaving and not session.reasons:
             session.leave("an operator sent quit")
         return instructions

@@ -38,7 +38,7 @@ ALL = "all"
 class Query:
     """A line that is answered at once, and does not reach the robot."""
 
-    kind: Literal["status", "help", "quit", "view"]
+    kind: Literal["status", "doctor", "help", "quit", "view"]
     text: str = ""
     """Its arguments."""
 
@@ -293,6 +293,7 @@ COMMANDS: dict[str, _Command] = {
     "setaddress": _Command("MOTOR ADDRESS", "give the device of a motor another address; it is silent then",
                            msg.SetAddress, (_motor, _integer(10))),
     "status": _Command("", "what the robot does, and why", partial(Query, "status")),
+    "doctor": _Command("", "what hinders it, why that matters, and what to type", partial(Query, "doctor")),
     "view": _Command("[HOST:PORT] [steer]", "open the live view for a browser; print its address",
                      partial(Query, "view"), free_text=True),
     "help": _Command("", "this list", partial(Query, "help")),

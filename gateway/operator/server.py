@@ -129,12 +129,17 @@ class Operator:
         status: Callable[[], str],
         view: Callable[[str], str] = lambda _: "there is no view here",
         unready: Callable[[], str] = lambda: "",
+        doctor: Callable[[], str] = lambda: "there is no doctor here",
     ) -> list[Instruction]:
         """Return the instructions since the last poll, of the client answered longest ago first. Never waits.
 
-        `status`, and `view` with its arguments, are called for each line that asks for it; `unready` says for
-        what lines of a pipe must be kept, but for one that ends something."""
-        answers: dict[str, Callable[[str], str]] = {"status": lambda _: status(), "view": view}
+        `status`, `doctor`, and `view` with its arguments, are called for each line that asks for it;
+        `unready` says for what lines of a pipe must be kept, but for one that ends something."""
+        answers: dict[str, Callable[[str], str]] = {
+            "status": lambda _: status(),
+            "doctor": lambda _: doctor(),
+            "view": view,
+        }
         instructions: list[Instruction] = []
         for client in list(self._clients):
             self._read(client)

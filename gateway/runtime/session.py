@@ -30,6 +30,7 @@ from gateway.errors import UserError, expect
 from gateway.monitor.lines import LineTroubles
 from gateway.monitor.silence import Silence
 from gateway.runtime import loop
+from gateway.runtime.drive_doctor import DriveDoctor
 from gateway.runtime.process import fine_timers, quiet_collector, signals
 from gateway.runtime.timing import LoopStats
 from gateway.runtime.watchdog import WatchdogProcess, covered
@@ -68,7 +69,9 @@ class Session:
     silence: Silence = field(init=False)
     """Says why a device is silent,"""
     troubles: LineTroubles = field(init=False)
-    """and what does not go as it should on a serial line."""
+    """what does not go as it should on a serial line,"""
+    driving: DriveDoctor = field(init=False)
+    """and why it does not drive as it should."""
     _watchers: list[loop.Record] = field(default_factory=list)
     _view: SessionView | None = None
     _recorders: list[Recorder] = field(default_factory=list)
@@ -84,6 +87,7 @@ class Session:
     def __post_init__(self) -> None:
         self.silence = Silence(self.gateway, self.buses)
         self.troubles = LineTroubles(self.gateway, self.buses)
+        self.driving = DriveDoctor(self.robot)
 
     def submit(self, *instructions: Instruction) -> None:
         """Ask for something at the next step.
@@ -348,6 +352,7 @@ class Session:
         self._guarded(lambda view: view.take(tick, belief))
         self.silence.take(tick)
         self.troubles.take(tick)
+        self.driving.take(tick, belief)
         if self.recorder is not None:
             self.recorder.record(tick, belief, patient=isinstance(self.clock, SimulatedClock))
 

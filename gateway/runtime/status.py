@@ -9,11 +9,33 @@ from gateway.core.message_text import escaped
 from protocols.messages import MILLISECOND
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from gateway.buses import Bus
     from gateway.core.joint import Joint
     from gateway.core.step import Gateway
+    from gateway.runtime.doctor import Finding
     from gateway.runtime.session import Session
     from protocols.messages import Nanos
+
+
+def doctor_text(session: Session) -> str:
+    """Return what hinders the robot, and what to do about it: a line each."""
+    return "\n".join(finding_lines(session.driving.findings(), explain=True))
+
+
+def finding_lines(findings: Sequence[Finding], *, explain: bool) -> list[str]:
+    """Return findings as lines, and how many they are."""
+    lines = []
+    for one in findings:
+        lines.append(f"{'!!' if one.grave else ' !'} {one.about}: {escaped(one.seen)}")
+        lines += [f"     why it matters: {escaped(one.matters)}"] if explain else []
+        lines.append(f"     what to do: {escaped(one.todo)}")
+    grave = sum(one.grave for one in findings)
+    return [*lines, f"{len(findings)} findings, {grave} of them grave" if findings else NOTHING]
+
+
+NOTHING = "nothing was found"
 
 
 def unready(session: Session) -> str:

@@ -61,8 +61,20 @@ class ShaftFile:
     """N·m, constant, as of a hanging weight; positive drives the shaft forward"""
     stops: tuple[Angle, Angle] | None = None
     """rad, hard stops below and above; the shaft starts at 0"""
+    backlash: Annotated[float, Bounds(0.0, 1.0, "rad")] = 0.0
+    """Of the gear: so far the motor turns at a reversal before it takes its load along"""
+    rotor: Annotated[float, Bounds(0.01, 0.99)] = 0.2
+    """Share of inertia, damping and friction on the motor's side of the backlash; the load itself is beyond
+    it"""
 
     def __post_init__(self) -> None:
+        if self.backlash and self.stops:
+            raise Invalid(
+                (
+                    "backlash",
+                    "backlash and stops exclude each other: where the load is at a stop is not known",
+                )
+            )
         if self.stops and not self.stops[0] < 0.0 < self.stops[1]:
             raise Invalid(("stops", "stops must be below and above 0, where the shaft starts"))
 

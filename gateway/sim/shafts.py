@@ -27,18 +27,53 @@ class Shaft:
         self.touches = 0
         """How often it reached a hard stop."""
         self._at_stop = False
+        self._load = 0.0, 0.0
+        """Position and velocity of what is beyond the backlash"""
 
     def step(self, torque: float) -> None:
         """Advance by one time step under a torque [N·m]."""
         file = self.file
-        velocity = self.velocity + (torque + file.load) * DT / file.inertia
-        velocity /= 1.0 + file.damping * DT / file.inertia
-        brake = file.friction * DT / file.inertia
-        velocity = max(0.0, velocity - brake) if velocity > 0.0 else min(0.0, velocity + brake)
+        if file.backlash:
+            self._step_apart(torque)
+            return
+        velocity = self._faster(self.velocity, torque + file.load, 1.0)
         self.position += velocity * DT
         self.velocity = velocity
         if file.stops:
             self._hold_within(*file.stops)
+
+    def _faster(self, velocity: float, torque: float, share: float) -> float:
+        """Return the velocity after a time step of a share of the shaft."""
+        file, inertia = self.file, share * self.file.inertia
+        velocity += torque * DT / inertia
+        velocity /= 1.0 + file.damping * DT / file.inertia
+        brake = file.friction * DT / file.inertia
+        return max(0.0, velocity - brake) if velocity > 0.0 else min(0.0, velocity + brake)
+
+    def _step_apart(self, torque: float) -> None:
+        """Advance motor and load, each by itself while the gear has play, together where it pushes: an
+        impact without rebound."""
+        file, half = self.file, self.file.backlash / 2.0
+        own, (at, speed) = file.rotor, self._load
+        play = self.position - at
+        # Where the flank pushes the load, both are one shaft; else each is by itself.
+        together = self._faster(self.velocity, torque + file.load, 1.0)
+        pushes = (
+            abs(play) >= half - 1e-12 and play * (together - self._faster(speed, file.load, 1.0 - own)) > 0.0
+        )
+        if pushes and self.velocity == speed:
+            self.velocity = speed = together
+        else:
+            self.velocity = self._faster(self.velocity, torque, own)
+            speed = self._faster(speed, file.load, 1.0 - own)
+        self.position += self.velocity * DT
+        at += speed * DT
+        if abs(self.position - at) > half:  # they meet
+            both = own * self.velocity + (1.0 - own) * speed
+            if (self.position - at) * (self.velocity - speed) > 0.0:
+                self.velocity = speed = both
+            at = self.position - (half if self.position > at else -half)
+        self._load = at, speed
 
     def _hold_within(self, low: float, high: float) -> None:
         """Apply the stops: they are rigid and take all of the shaft's motion."""

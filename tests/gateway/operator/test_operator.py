@@ -93,6 +93,7 @@ LINES: list[tuple[Robot, str, msg.Instruction | Query | None]] = [
     (BENCH, "idle left", msg.Idle("left")),
     (BENCH, "hold left", msg.Hold("left")),
     (BENCH, "status", Query("status")),
+    (BENCH, "doctor", Query("doctor")),
     (BENCH, "help", Query("help")),
     (BENCH, "quit  # enough", Query("quit")),
     (BENCH, "view 127.0.0.1:0 steer", Query("view", "127.0.0.1:0 steer")),

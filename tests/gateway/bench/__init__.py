@@ -1,0 +1,1 @@
+"""Calibration, tuning, and what they are made of."""

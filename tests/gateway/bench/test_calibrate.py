@@ -1,0 +1,144 @@
+"""Calibration: a drive in the kinematic office, whose wheels and lidar are not as the robot file says."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+
+from brain.belief import Pose
+from gateway.bench import verdict
+from gateway.bench.calibrate import Calibration, calibrate
+from gateway.bench.drive import Leg, PatternDrive, legs
+from gateway.bench.driven import of_events
+from gateway.bench.geometry import corrected
+from gateway.bench.wheel_path import Factors
+from gateway.config import load_robot
+from gateway.errors import UserError
+from protocols.messages import LaserScan, Velocity
+from tests.brain.helpers import BODY, MOUNTS
+from tests.brain.test_contradictions import Faulty
+from tests.gateway.runtime.test_drive_doctor import mirrored
+
+ROBOT = load_robot("diffbot")
+TRUE = replace(MOUNTS["lidar"], yaw=0.07, x=0.10, y=0.03)
+
+ROOM = (
+    (-3.1, -2.6, 3.1, -2.5),
+    (-3.1, 2.2, 3.1, 2.3),
+    (-2.7, -2.6, -2.6, 2.3),
+    (2.9, -2.6, 3.0, 2.3),
+    (1.6, 1.3, 2.1, 1.7),
+    (-1.9, -1.7, -1.6, -1.2),
+)
+
+
+def driven(office: Faulty, rounds: int = 2) -> Calibration:
+    """Drive the legs in an office, and calibrate by what was reported."""
+    office.boxes, office.pose = list(ROOM), Pose(0.0, 0.0, 0.0)
+    made = PatternDrive(BODY, legs(BODY, 0.6, rounds))
+    commands: list[Velocity] = []
+    while True:
+        made.observe(office.step(commands))
+        wanted = made.commands(office.now)
+        if wanted is None:
+            assert not made.ended
+            return calibrate(of_events(ROBOT, lambda: made.events))
+        commands = [one for one in wanted if isinstance(one, Velocity)]
+
+
+def scaled(factor: float) -> tuple[float, float]:
+    """Return the scales of a wheel whose true radius is so many times the stated one."""
+    return factor, 1.0 / factor
+
+
+def test_wheels_and_a_lidar_that_are_a_little_off_are_found() -> None:
+    made = driven(Faulty(TRUE, left=scaled(1.04), right=scaled(1.04)))
+    found = {one.name: one for one in verdict.figures(made)}
+    true = {
+        "wheel_radius": (0.05 * 1.04, 0.005 * 0.05),
+        "wheel_separation": (0.22, 0.01 * 0.22),
+        "lidar yaw": (TRUE.yaw, math.radians(0.5)),
+        "lidar x": (TRUE.x, 0.005),
+        "lidar y": (TRUE.y, 0.005),
+    }
+    for name, (value, within) in true.items():
+        one = found[name]
+        assert abs(one.value - value) < within, one
+        assert abs(one.value - value) < 4.0 * one.sigma + 1e-4, one
+    assert found["wheel_radius"].differs
+    assert not found["wheel_separation"].differs
+    assert verdict.named(made) == []
+    text = "\n".join(verdict.lines(made))
+    assert "[brain.differential]\nwheel_radius = 0.05" in text
+    assert "[sensors.lidar]\nmount = { x = 0.1" in text
+    assert "z = 0.1200" in text  # as stated: no drive shows it
+    assert "wheel_separation" not in text
+
+
+NAMED: dict[str, tuple[Callable[[], Faulty], str]] = {
+    "radius": (
+        lambda: Faulty(left=scaled(0.5), right=scaled(0.5)),
+        "wheel_radius is about 2 times too large",
+    ),
+    "mirrored": (lambda: _with(mirrored), "lidar is mirrored"),
+    "90°": (lambda: Faulty(replace(MOUNTS["lidar"], yaw=math.pi / 2.0)), "lidar is turned by +90°"),
+    "swapped": (lambda: Faulty(swapped=True), "left and right are swapped"),
+}
+
+
+def _with(fault: Callable[..., object]) -> Faulty:
+    office = Faulty()
+    office.fault = fault  # type: ignore[assignment]
+    return office
+
+
+@pytest.mark.sample(1)
+@pytest.mark.parametrize(("office", "said"), NAMED.values(), ids=list(NAMED))
+def test_what_is_grossly_wrong_is_named(office: Callable[[], Faulty], said: str) -> None:
+    assert any(said in one for one in verdict.named(driven(office(), 1)))
+
+
+def test_a_drive_that_shows_nothing_is_said_to_show_nothing() -> None:
+    office = Faulty()
+    events = [event for _ in range(300) for event in office.step(())]
+    with pytest.raises(UserError, match="show 0 motions: at least 12 are needed"):
+        calibrate(of_events(ROBOT, lambda: events))
+    with pytest.raises(UserError, match="no scans of a lidar"):
+        calibrate(of_events(ROBOT, lambda: [one for one in events if not isinstance(one, LaserScan)]))
+    with pytest.raises(UserError, match="no angles of left, right"):
+        calibrate(of_events(ROBOT, tuple))
+
+
+def test_something_near_ends_the_drive() -> None:
+    office, made = Faulty(), PatternDrive(BODY, [Leg(0.3, 0.0, 60.0)])
+    for _ in range(6000):
+        made.observe(
+            office.step([one for one in made.commands(office.now) or () if isinstance(one, Velocity)])
+        )
+        if made.ended:
+            break
+    assert "sees something 0.3" in made.ended
+    assert office.touched == 0
+
+
+@pytest.mark.parametrize(
+    ("robot", "keys"),
+    [
+        ("diffbot", {"wheel_radius": 0.0525, "wheel_separation": 0.2310}),
+        ("skid_steer", {"wheel_radius": 0.084, "effective_separation": 0.651}),
+        ("tracked", {"wheel_radius": None, "effective_separation": None}),
+        ("ackermann", {"wheel_radius": None, "wheelbase": None, "wheel_separation": None}),
+        ("mecanum", {"wheel_radius": None, "wheelbase": None, "wheel_separation": None}),
+    ],
+)
+def test_the_numbers_of_any_body_make_up_for_factors(robot: str, keys: dict[str, float | None]) -> None:
+    body = load_robot(robot).brain.base
+    assert body is not None
+    found = corrected(body, Factors(1.05, 1.0))
+    assert set(found) == set(keys)
+    for key, value in keys.items():
+        assert value is None or found[key] == pytest.approx(value, rel=1e-3)
+    assert found["wheel_radius"] == pytest.approx(1.05 * getattr(body, "wheel_radius"), rel=1e-6)  # noqa: B009
