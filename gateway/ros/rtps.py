@@ -20,8 +20,20 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from gateway.ros import rtps_wire as wire
-from gateway.ros.rtps_wire import Acknack, Data, Entity, Fragment, Gap, Guid, Heartbeat, Identity, Locator
-from gateway.ros.rtps_wire import NackFragments, Prefix, Received
+from gateway.ros.rtps_wire import (
+    Acknack,
+    Data,
+    Entity,
+    Fragment,
+    Gap,
+    Guid,
+    Heartbeat,
+    Identity,
+    Locator,
+    NackFragments,
+    Prefix,
+    Received,
+)
 from protocols.messages import MILLISECOND, SECOND, Nanos
 
 ANNOUNCEMENT: Nanos = SECOND
@@ -84,8 +96,8 @@ class Endpoint:
 class Sample(NamedTuple):
     """What came for one of our readers."""
 
-    index: int
-    """Of the endpoint"""
+    endpoint: int
+    """Its place among ours"""
     payload: bytes
     identity: Identity
     related: Identity | None
@@ -94,8 +106,8 @@ class Sample(NamedTuple):
 class Match(NamedTuple):
     """How many endpoints of others match one of ours."""
 
-    index: int
-    count: int
+    endpoint: int
+    others: int
 
 
 @dataclass(slots=True)
@@ -202,7 +214,7 @@ class Participant:
         domain: 0 to 232.
         discovery: where it listens for discovery,
         data: and for data.
-        endpoints: its own; `Sample.index` is the place of one here.
+        endpoints: its own; `Sample.endpoint` is the place of one here.
         targets: where it announces itself, beside those that it knows.
         user_data: that others see of it.
     """
@@ -242,11 +254,9 @@ class Participant:
     def _add(self, index: int, one: Endpoint) -> None:
         entity = (index + 1).to_bytes(3, "big") + (b"\x03" if one.writes else b"\x04")
         if one.writes:
-            made: _Writer | _Reader = _Writer(entity, one.qos, index)
-            self._writers[entity] = made
+            self._mine[index] = self._writers[entity] = _Writer(entity, one.qos, index)
         else:
-            made = self._readers[entity] = _Reader(entity, one.qos, index)
-        self._mine[index] = made
+            self._mine[index] = self._readers[entity] = _Reader(entity, one.qos, index)
         self._by_topic.setdefault((one.topic, one.type, one.writes), []).append(index)
         announcer = self._publications if one.writes else self._subscriptions
         self._append(announcer, self._described(one, entity), None)
@@ -330,7 +340,15 @@ class Participant:
         beat = [writer.heartbeat(reader)] if reader.reliable else []
         if len(change.payload) <= FRAGMENT:
             data = wire.write(
-                Data(entity, writer.entity, change.number, change.payload, change.related, change.ends, change.key)
+                Data(
+                    entity,
+                    writer.entity,
+                    change.number,
+                    change.payload,
+                    change.related,
+                    change.ends,
+                    change.key,
+                )
             )
             self._out.append((reader.to, wire.datagram(self.prefix, to, [data, *beat])))
             return
@@ -343,7 +361,8 @@ class Participant:
             return
         part = change.payload[(number - 1) * FRAGMENT : number * FRAGMENT]
         fragment = Fragment(
-            reader.guid[12:], writer.entity, change.number, number, 1, FRAGMENT, len(change.payload), part, change.related
+            reader.guid[12:], writer.entity, change.number, number, 1, FRAGMENT, len(change.payload), part,
+            change.related,
         )  # fmt: skip
         self._large.append((reader.to, wire.datagram(self.prefix, reader.guid[:12], [wire.write(fragment)])))
 
@@ -384,7 +403,9 @@ class Participant:
             (_LEASE, wire.duration(LEASE_S)), (_BUILTIN, BUILTIN.to_bytes(4, "little")),
             (_DOMAIN, self._domain.to_bytes(4, "little")), (_USER_DATA, wire.octets(self._user_data)),
         ])  # fmt: skip
-        data = wire.write(Data(SPDP_READER, SPDP_WRITER, 2 if ends else 1, payload, None, ends, guid if ends else b""))
+        data = wire.write(
+            Data(SPDP_READER, SPDP_WRITER, 2 if ends else 1, payload, None, ends, guid if ends else b"")
+        )
         for target in dict.fromkeys(targets):
             self._out.append((target, wire.datagram(self.prefix, EVERYBODY, [data])))
 
@@ -466,8 +487,8 @@ class Participant:
                     if number >= source.next and len(source.waiting) < MOST_WAITING:
                         source.waiting.setdefault(number, None)
                 return self._deliver(now, reader, source)
-            case Heartbeat() if source.reliable and one.count != source.heartbeats:
-                source.heartbeats = one.count
+            case Heartbeat() if source.reliable and one.serial != source.heartbeats:
+                source.heartbeats = one.serial
                 source.next = max(source.next, one.first)
                 found = self._deliver(now, reader, source)
                 self._acknowledge(reader, source, one)
@@ -567,7 +588,7 @@ class Participant:
         has = int.from_bytes(parameters.get(_BUILTIN, b"")[:4], "little")
         for (writer, reader), bit in ((PUBLICATIONS, 2), (SUBSCRIPTIONS, 4)):
             if has >> (bit + 1) & 1:
-                other = _Other(prefix + reader, peer.discovery, True, 1, 0, now)  # noqa: FBT003
+                other = _Other(prefix + reader, peer.discovery, True, 1, 0, now)
                 self._writers[writer].readers[other.guid] = other
                 self._beat(self._writers[writer], other)
             if has >> bit & 1:
@@ -577,7 +598,7 @@ class Participant:
         source = reader.writers[guid] = _Source(guid, to, reliable)
         self._by_writer.setdefault(guid, []).append((reader, source))
         if reliable:  # it has nothing yet
-            self._acknowledge(reader, source, Heartbeat(reader.entity, guid[12:], 1, 0, 0, False))  # noqa: FBT003
+            self._acknowledge(reader, source, Heartbeat(reader.entity, guid[12:], 1, 0, 0, False))
 
     def _on_endpoint(self, now: Nanos, found: Mapping[int, bytes], *, writes: bool) -> None:
         """Match what somebody announces with our own."""
@@ -596,7 +617,8 @@ class Participant:
             return
         for index in self._by_topic.get((topic, type_, not writes), ()):
             mine = self._mine[index]
-            offered, wanted = (Qos(reliable, transient), mine.qos) if writes else (mine.qos, Qos(reliable, transient))
+            theirs = Qos(reliable, transient)
+            offered, wanted = (theirs, mine.qos) if writes else (mine.qos, theirs)
             if (wanted.reliable and not offered.reliable) or (wanted.transient and not offered.transient):
                 continue
             peer.endpoints.add(guid)
@@ -650,9 +672,9 @@ def _put_together(source: _Source, one: Fragment) -> tuple[bytes, Identity | Non
     if len(parts.data) != one.total:
         return None
     at = (one.first - 1) * one.size
-    payload = one.payload[: min(one.count * one.size, one.total - at)]
+    payload = one.payload[: min(one.parts * one.size, one.total - at)]
     parts.data[at : at + len(payload)] = payload
-    parts.left.difference_update(range(one.first, min(one.first + one.count, count + 1)))
+    parts.left.difference_update(range(one.first, min(one.first + one.parts, count + 1)))
     if parts.left:
         return None
     del source.parts[one.number]

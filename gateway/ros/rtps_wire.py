@@ -3,8 +3,8 @@
 Rules. Little endian is written, both are read. `read` never raises: what is malformed ends the datagram, and
 what comes before it counts. Sequence numbers and counts are plain integers; an entity is its four bytes.
 
-Source: OMG formal/2021-03-03, "The Real-time Publish-Subscribe Protocol (RTPS), version 2.3", chapters 8.3 and
-9.4 (submessages), 9.6 (parameters); DDS-RPC 1.0 and Fast DDS for the identity of a request in inline QoS.
+Source: OMG formal/2021-03-03, "The Real-time Publish-Subscribe Protocol, version 2.3", chapters 8.3 and 9.4
+(submessages), 9.6 (parameters); DDS-RPC 1.0 and Fast DDS for the identity of a request in inline QoS.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class Fragment(NamedTuple):
     number: int
     first: int
     """From 1"""
-    count: int
+    parts: int
     size: int
     """Of a fragment"""
     total: int
@@ -84,7 +84,7 @@ class Heartbeat(NamedTuple):
     writer: Entity
     first: int
     last: int
-    count: int
+    serial: int
     final: bool
     """Whether no answer is needed"""
 
@@ -96,7 +96,7 @@ class Acknack(NamedTuple):
     writer: Entity
     base: int
     missing: tuple[int, ...]
-    count: int
+    serial: int
 
 
 class Gap(NamedTuple):
@@ -273,11 +273,6 @@ def _with_head(kind: int, flags: int, body: bytes) -> bytes:
     return struct.pack("<BBH", kind, flags, len(body) if len(body) < 65536 else 0) + body
 
 
-def timestamp(seconds: int, nanos: int) -> bytes:
-    """Return the time of the samples that follow, since 1970."""
-    return _with_head(_INFO_TS, 1, struct.pack("<II", seconds & 0xFFFFFFFF, (nanos << 32) // 10**9))
-
-
 def write(one: Submessage) -> bytes:
     """Return the bytes of a submessage."""
     match one:
@@ -289,16 +284,16 @@ def write(one: Submessage) -> bytes:
             return _with_head(_DATA, flags, head + qos + one.payload)
         case Fragment():
             qos = _inline(one.related, ends=False, key=b"")
-            numbers = *_halves(one.number), one.first, one.count, one.size, one.total
+            numbers = *_halves(one.number), one.first, one.parts, one.size, one.total
             head = struct.pack("<2xH4s4siiIHHI", 28, one.reader, one.writer, *numbers)
             return _with_head(_DATA_FRAG, 3 if qos else 1, head + qos + one.payload)
         case Heartbeat():
-            numbers = *_halves(one.first), *_halves(one.last)
-            body = struct.pack("<4s4siiiiI", one.reader, one.writer, *numbers, one.count)
+            ends = *_halves(one.first), *_halves(one.last)
+            body = struct.pack("<4s4siiiiI", one.reader, one.writer, *ends, one.serial)
             return _with_head(_HEARTBEAT, 3 if one.final else 1, body)
         case Acknack():
             body = one.reader + one.writer + _packed_set(one.base, one.missing)
-            return _with_head(_ACKNACK, 1 if one.missing else 3, body + struct.pack("<I", one.count))
+            return _with_head(_ACKNACK, 1 if one.missing else 3, body + struct.pack("<I", one.serial))
         case Gap():
             body = one.reader + one.writer + struct.pack("<ii", *_halves(one.start))
             return _with_head(_GAP, 1, body + _packed_set(one.base, one.others))

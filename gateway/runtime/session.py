@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from gateway.buses.virtual.bus import TwinWorld
     from gateway.recording import Recorder
     from gateway.runtime.live_view import SessionView
+    from gateway.runtime.ros_bridge import SessionBridge
 
 log = logging.getLogger("gateway")
 _Result = TypeVar("_Result")
@@ -68,6 +69,7 @@ class Session:
     """and what does not go as it should on a serial line."""
     _watchers: list[loop.Record] = field(default_factory=list)
     _view: SessionView | None = None
+    _ros: SessionBridge | None = None
     _recorders: list[Recorder] = field(default_factory=list)
     """All that were opened."""
     _submitted: list[Instruction] = field(default_factory=list)
@@ -145,6 +147,9 @@ class Session:
             seen = self._guarded(lambda view: view.poll()) or ()
             submitted = [*self._submitted, *poll(), *seen]
             self._submitted.clear()
+            graph = self._with_graph(lambda ros: ros.poll(submitted)) or ()
+            submitted += [*graph, *self._submitted]
+            self._submitted.clear()
             return submitted
 
         ticks = loop.live(
@@ -166,6 +171,7 @@ class Session:
                     yield tick
         finally:  # the run's end has ended what was held
             self._guarded(lambda view: view.ends())
+            self._with_graph(lambda ros: ros.ends())
 
     def start_recording(self, path: Path | str) -> None:
         """Record from the next step on. A recording that does not begin with the run shows what happened; a
@@ -235,6 +241,50 @@ class Session:
             self._submitted += view.ends()
             view.close()
 
+    def ros(self, network: str = "", *, domain: int | None = None) -> str:
+        """Put the robot into ROS 2's graph, while the session runs: topics, services, parameters, actions.
+
+        Args:
+            network: "": this machine alone. Else our interface to a network, by its name or IPv4 address:
+                then whoever is there can drive the robot.
+            domain: of DDS; None: the robot file's.
+
+        Returns:
+            str: the node's name in the graph, and where it listens.
+
+        Raises:
+            UserError: there is no such interface, or its ports are taken.
+        """
+        from gateway.ros import parse_network
+        from gateway.runtime.ros_bridge import SessionBridge
+
+        address = parse_network(network)
+        self.close_ros()
+        self._ros = SessionBridge(self, address, self.robot.ros.domain if domain is None else domain)
+        return self._ros.name
+
+    def close_ros(self) -> None:
+        """Leave ROS 2's graph. What is held there ends with the next step."""
+        ros, self._ros = self._ros, None
+        if ros is not None:
+            self._submitted += ros.ends()
+            ros.close()
+
+    def _with_graph(self, use: Callable[[SessionBridge], _Result]) -> _Result | None:
+        """Return what something does with ROS 2's graph; None without one. One that fails is left, and keeps
+        nothing from the robot."""
+        if self._ros is None:
+            return None
+        try:
+            return use(self._ros)
+        except Exception:
+            log.exception("ROS 2's graph is left")
+            try:
+                self.close_ros()
+            except Exception:
+                log.exception("ROS 2's graph could not be left in order")
+            return None
+
     def _guarded(self, use: Callable[[SessionView], _Result]) -> _Result | None:
         """Return what something does with the view; None without one. A view that fails is closed, and
         keeps nothing from the robot."""
@@ -255,6 +305,7 @@ class Session:
         if self._ticks is not None:
             self._ticks.close()
         self.close_view()
+        self.close_ros()
         for recorder in self._recorders:
             recorder.close()
 
@@ -282,6 +333,7 @@ class Session:
         for take in self._watchers:
             take(tick, belief)
         self._guarded(lambda view: view.take(tick, belief))
+        self._with_graph(lambda ros: ros.take(tick, belief))
         self.silence.take(tick)
         self.troubles.take(tick)
         if self.recorder is not None:
