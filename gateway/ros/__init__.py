@@ -5,7 +5,3 @@ limited and guarded, and below a person. The loop writes to a pipe and reads fro
 process of its own (`process`) has the sockets, and speaks with other participants (`rtps`, which knows no
 socket). Must not import: `gateway.cli`, `gateway.runtime`.
 """
-
-from gateway.ros.bridge import Bridge as Bridge
-from gateway.ros.bridge import open_bridge as open_bridge
-from gateway.ros.network import parse_network as parse_network

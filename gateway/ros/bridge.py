@@ -19,11 +19,11 @@ nothing here raises: what is refused is in the log and in /rosout, once, until i
 from __future__ import annotations
 
 import logging
+import select
 import socket
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -32,7 +32,7 @@ from typing import Any
 
 import numpy as np
 
-from brain.belief import Belief
+from brain.belief import Belief, BrainState
 from gateway.config.mission import cannot
 from gateway.core.tick import Note, Tick
 from gateway.errors import UserError
@@ -61,7 +61,7 @@ TAKEN: Nanos = 2 * SECOND
 """Within which the robot must have taken a goal."""
 PER_SECOND, AT_ONCE = 20, 40
 """Goals, trajectories and requests."""
-START_S, END_S = 20.0, 2.0
+START_S, END_S = 60.0, 2.0
 """How long the process may take to begin, and to end."""
 ARRIVED, SETTLING = 0.05, 2.0
 """rad by which a joint may be off when a trajectory is over, and s that it may take, unless the goal says."""
@@ -116,12 +116,9 @@ def open_bridge(scene: Scene, address: str, domain: int, epoch: Nanos) -> Bridge
         (r.kind, r.shown, r.type, r.hash, r.qos.reliable, r.qos.transient, r.qos.depth) for r in rows
     ]
     link.send(address, domain, graph.node_name(robot), robot.ros.namespace, described)
-    ours.settimeout(START_S)
     first: list[list[Any]] = []
-    with suppress(OSError):
-        while not first and not link.closed:
-            first = link.receive()
-    ours.setblocking(False)
+    while not first and not link.closed and select.select([link], [], [], START_S)[0]:
+        first = link.receive()
     if not first or first[0][0] != "opened":
         link.close()
         process.kill()
@@ -359,6 +356,8 @@ class Bridge:
         self, now: Nanos, name: str, writer: bytes, wanted: Sequence[Instruction], *, rests: bool
     ) -> None:
         why = self._held[name].take(now, writer, rests=rests)
+        if not why and self.scene.belief.state is BrainState.INITIALISING:
+            why = "the robot is not ready yet"
         self._say(name, why)
         if not why:
             self._end_motions(f"{name} moves the robot")
@@ -378,6 +377,8 @@ class Bridge:
     def _spend(self, now: Nanos) -> None:
         if self._stopped:
             raise asked.Refused(f"stopped: {self._stopped}")
+        if self.scene.belief.state is BrainState.INITIALISING:
+            raise asked.Refused("the robot is not ready yet")
         if not self._budget.take(now):
             raise asked.Refused(f"too many: {PER_SECOND} a second are taken")
 

@@ -255,7 +255,7 @@ class Session:
         Raises:
             UserError: there is no such interface, or its ports are taken.
         """
-        from gateway.ros import parse_network
+        from gateway.ros.network import parse_network
         from gateway.runtime.ros_bridge import SessionBridge
 
         address = parse_network(network)
