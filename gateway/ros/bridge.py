@@ -377,8 +377,6 @@ class Bridge:
     def _spend(self, now: Nanos) -> None:
         if self._stopped:
             raise asked.Refused(f"stopped: {self._stopped}")
-        if self.scene.belief.state is BrainState.INITIALISING:
-            raise asked.Refused("the robot is not ready yet")
         if not self._budget.take(now):
             raise asked.Refused(f"too many: {PER_SECOND} a second are taken")
 

@@ -30,7 +30,7 @@ from typing import Any
 from gateway.core.clock import WallClock
 from gateway.ros.link import Link
 from gateway.ros.network import LOOPBACK
-from gateway.ros.rtps import MULTICAST, Endpoint, Match, Participant, Qos, Sample, ports
+from gateway.ros.rtps import MULTICAST, Endpoint, Participant, Qos, Sample, ports
 from gateway.ros.rtps_wire import Identity, Locator
 from protocols.messages import MILLISECOND, Nanos
 
@@ -214,6 +214,10 @@ class Carrier:
         self.take(now, self.link.receive())
         self._listen(now)
         self.participant.step(now)
+        for found in self.participant.matches():
+            row = self._of.get(found.endpoint)
+            if row is not None and self._rows[row][0] == found.endpoint:
+                self.link.send("match", row, found.others)
         self._send()
         if now - self._passed >= THINNED:
             self._passed = now
@@ -231,18 +235,11 @@ class Carrier:
                 except OSError:  # nothing more, or what a port that is closed by now answered
                     break
                 for found in self.participant.receive(now, data, host):
-                    if isinstance(found, Match):
-                        self._matched(found)
-                    elif not self.participant.endpoints[found.endpoint].qos.reliable:
+                    if not self.participant.endpoints[found.endpoint].qos.reliable:
                         self._stream(found)
                     elif passed < REQUESTS:
                         passed += 1
                         self._pass_on(found)
-
-    def _matched(self, found: Match) -> None:
-        row = self._of.get(found.endpoint)
-        if row is not None and self._rows[row][0] == found.endpoint:
-            self.link.send("match", row, found.others)
 
     def _stream(self, found: Sample) -> None:
         key = self._of[found.endpoint], found.identity.guid

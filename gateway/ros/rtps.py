@@ -415,9 +415,9 @@ class Participant:
 
     # -- what comes in --------------------------------------------------------------------------------
 
-    def receive(self, now: Nanos, datagram: bytes, host: str) -> list[Sample | Match]:
-        """Return the samples that a datagram brings, and what matches since. Never raises."""
-        found: list[Sample | Match] = []
+    def receive(self, now: Nanos, datagram: bytes, host: str) -> list[Sample]:
+        """Return the samples that a datagram brings. Never raises."""
+        found: list[Sample] = []
         for received in wire.read(datagram):
             if received.source == self.prefix or received.destination not in (EVERYBODY, self.prefix):
                 continue
@@ -425,11 +425,15 @@ class Participant:
                 self._on_participant(now, received.content, host)
             elif received.source in self._peers:
                 found += self._on(now, received)
-        found += [Match(index, count) for index, count in self._matches.items()]
+        return found
+
+    def matches(self) -> list[Match]:
+        """Return what matches now, of what has changed since the last call."""
+        found = [Match(index, count) for index, count in self._matches.items()]
         self._matches.clear()
         return found
 
-    def _on(self, now: Nanos, received: Received) -> list[Sample | Match]:
+    def _on(self, now: Nanos, received: Received) -> list[Sample]:
         one, source = received.content, received.source
         if isinstance(one, Acknack | NackFragments):
             writer = self._writers.get(one.writer)
@@ -437,7 +441,7 @@ class Participant:
             if writer is not None and reader is not None:
                 self._on_request(now, writer, reader, one)
             return []
-        found: list[Sample | Match] = []
+        found: list[Sample] = []
         for reader_, from_ in self._by_writer.get(source + one.writer, ()):
             if one.reader in (wire.UNKNOWN, reader_.entity):
                 found += self._on_sample(now, reader_, from_, one)
@@ -471,7 +475,7 @@ class Participant:
 
     def _on_sample(
         self, now: Nanos, reader: _Reader, source: _Source, one: Data | Fragment | Heartbeat | Gap
-    ) -> list[Sample | Match]:
+    ) -> list[Sample]:
         match one:
             case Data():
                 return self._take(now, reader, source, one.number, (one.payload, one.related), one)
@@ -480,10 +484,10 @@ class Participant:
                 if whole is not None:
                     return self._take(now, reader, source, one.number, whole, None)
             case Gap() if source.reliable:
-                numbers = [*range(one.start, min(one.base, one.start + 100_000)), *one.others]
                 if one.start <= source.next < one.base:
                     source.next = one.base
-                for number in numbers:
+                begin = max(one.start, source.next)
+                for number in (*range(begin, min(one.base, begin + MOST_WAITING)), *one.others):
                     if number >= source.next and len(source.waiting) < MOST_WAITING:
                         source.waiting.setdefault(number, None)
                 return self._deliver(now, reader, source)
@@ -512,7 +516,7 @@ class Participant:
         number: int,
         sample: tuple[bytes, Identity | None],
         whole: Data | None,
-    ) -> list[Sample | Match]:
+    ) -> list[Sample]:
         if whole is not None and (whole.ends or not whole.payload):
             if reader.index < 0 and len(whole.key) == wire.GUID:
                 self._remove(whole.key)
@@ -529,9 +533,9 @@ class Participant:
             source.waiting[number] = sample
         return self._deliver(now, reader, source)
 
-    def _deliver(self, now: Nanos, reader: _Reader, source: _Source) -> list[Sample | Match]:
+    def _deliver(self, now: Nanos, reader: _Reader, source: _Source) -> list[Sample]:
         """Return what comes next, in order."""
-        found: list[Sample | Match] = []
+        found: list[Sample] = []
         for number in [one for one in source.waiting if one < source.next]:
             del source.waiting[number]
         while source.next in source.waiting:
@@ -549,7 +553,7 @@ class Participant:
         number: int,
         payload: bytes,
         related: Identity | None,
-    ) -> list[Sample | Match]:
+    ) -> list[Sample]:
         if reader.index >= 0:
             return [Sample(reader.index, payload, Identity(source.guid, number), related)]
         self._on_endpoint(now, dict(wire.read_parameters(payload)), writes=reader.entity == PUBLICATIONS[1])

@@ -1,0 +1,125 @@
+"""A robot in real time, judged by real ROS 2 (rclpy on Fast DDS) and by Cyclone DDS: what they see is true,
+what they ask is done, and all of it is in the recording.
+
+They are Python packages, in an environment of their own: `bash tests/gateway/ros/judges/install`.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import gateway
+from brain.belief import Belief
+from gateway.core.tick import Tick
+from gateway.recording import read_recording
+from gateway.replay import replay_recording
+from gateway.ros import types
+from protocols import messages as msg
+from tests.gateway.processes import PATIENCE
+from tests.gateway.ros.judged import Judge, domain, python
+
+NEAR, FAR = (0.35, 0.0), (0.15, 0.1)
+"""Goals"""
+
+
+class Seen:
+    """What the robot did."""
+
+    def __init__(self) -> None:
+        self.asked: list[Any] = []
+        self.odom: set[tuple[float, float, float]] = set()
+        self.map: set[tuple[float, float, float]] = set()
+        self.scans: list[tuple[float, ...]] = []
+
+    def take(self, tick: Tick, belief: Belief) -> None:
+        self.asked += tick.inputs.instructions
+        self.scans += [one.ranges for one in tick.outputs.events if isinstance(one, msg.LaserScan)]
+        if (estimate := belief.estimate) is not None:
+            for poses, pose in ((self.odom, estimate.odom), (self.map, estimate.pose)):
+                poses.add((round(pose.x, 9), round(pose.y, 9), round(pose.yaw, 9)))
+
+
+def agree(found: list[list[float]], true: set[tuple[float, float, float]]) -> float:
+    """Return the largest difference of any of these poses from the nearest true one."""
+    worst = 0.0
+    for _, x, y, yaw in found:
+        worst = max(
+            worst,
+            min(max(abs(x - a), abs(y - b), abs(math.remainder(yaw - c, math.tau))) for a, b, c in true),
+        )
+    return worst
+
+
+def test_two_implementations_of_dds_drive_a_robot(tmp_path: Path) -> None:
+    python()
+    seen, recording, number = Seen(), tmp_path / "run.mcap", domain()
+    results: list[dict[str, Any]] = []
+    with gateway.open_session("diffbot", seed=1, record=recording) as session:
+        session.watch(seen.take)
+        assert session.ros(domain=number).startswith(f"/diffbot in domain {number}, at 127.0.0.1:")
+        scripts = [
+            ("cyclone_client", (str(number), *map(str, NEAR))),
+            ("rclpy_robot", tuple(map(str, FAR))),
+        ]
+        judge = None
+        for _ in session.run(seconds=PATIENCE):
+            if judge is not None and judge.done():
+                results.append(judge.end())
+                judge = None
+            if judge is None:
+                if not scripts:
+                    break
+                script, arguments = scripts.pop(0)
+                judge = Judge(tmp_path, script, number, *arguments)
+        if judge is not None:
+            judge.end()
+    cyclone, ros = results
+
+    # Cyclone DDS: a message of several fragments, an action, a service
+    grid = cyclone["map"]
+    assert grid["cells"] == grid["width"] * grid["height"] > 0
+    assert cyclone["goal"]["accepted"]
+    assert (cyclone["result"]["status"], cyclone["result"]["error"]) == (4, 0)
+    distances = cyclone["feedback"]["distances"]
+    assert len(distances) >= 3
+    assert distances[-1] < distances[0] == pytest.approx(math.dist((0.0, 0.0), NEAR), abs=0.1)
+    assert cyclone["clear"] == {"kind": "clear", "success": True, "text": "accepted"}
+
+    # ROS 2: who we are
+    assert ["diffbot", "/"] in ros["nodes"]["names"]
+    for name, (node, type_, hash_) in ros["infos"]["of"].items():
+        assert node == "diffbot", name
+        assert hash_ == types.type_hash(type_), name
+    assert {"/diffbot/stop", "/diffbot/get_parameters"} <= set(ros["services"]["names"])
+
+    # what it reads is what the robot has
+    ranges = ros["scan"]["ranges"]
+    assert any(ranges == pytest.approx(one, rel=1e-6, nan_ok=True) for one in seen.scans)
+    assert ros["scan"]["frame"] == "lidar"
+    assert ros["joints"]["names"] == ["left", "right"]
+    assert ros["battery"]["volts"] == pytest.approx(24.0, abs=2.0)
+    assert agree(ros["odom"]["poses"][::10], seen.odom) < 1e-6
+    assert agree(ros["estimate"]["poses"][::10], seen.map) < 1e-6
+
+    # what it asks is done
+    parameters = ros["parameters"]
+    assert "brain.differential.max_linear" in parameters["listed"]
+    assert (parameters["unknown"], parameters["set"]) == (True, [True, False])
+    assert parameters["now"] == parameters["value"] / 2 == parameters["high"] / 2
+    assert ros["square"]["off"] < 0.1
+    assert ros["goal"]["off"] < 0.15
+    assert ros["goal"]["points"] >= 2
+    assert (ros["stop"]["success"], ros["stop"]["message"]) == (True, "accepted")
+    assert ros["stopped"]["moved"] < 0.02
+    assert ros["stopped"]["refused"]
+    kinds = {type(one) for one in seen.asked}
+    assert {msg.Drive, msg.Goal, msg.Mission, msg.Set, msg.Stop, msg.ClearFault} <= kinds
+    assert any(isinstance(one, msg.Goal) and (one.x, one.y) == FAR for one in seen.asked)
+
+    # and all of it is replayed to the same bytes
+    comparison = replay_recording(read_recording(recording))
+    assert comparison.ok, comparison.text()
