@@ -83,6 +83,8 @@ class Held:
     timeout: Nanos
     writer: bytes = b""
     """b"": nobody"""
+    moves: bool = False
+    """Whether it moves the robot."""
     since: Nanos = 0
     """The last message of who holds,"""
     barred: bool = False
@@ -92,36 +94,48 @@ class Held:
     person: Nanos = -PERSON
     """The last instruction of a person"""
 
-    def take(self, now: Nanos, writer: bytes, *, rests: bool) -> str:
-        """Take a message; return why it counts for nothing, "" if it counts. `rests`: it asks for rest."""
+    def take(self, now: Nanos, writer: bytes, *, rests: bool) -> tuple[bool, str]:
+        """Take a message; return whether it changes anything, and why it counts for nothing.
+
+        `rests`: it asks for rest, which ends a motion of its own, but none of others (a goal)."""
         if self.writer and now - self.since > self.timeout:
-            self.writer, self.barred = b"", False
+            self.writer, self.barred, self.moves = b"", False, False
         if self.writer not in (b"", writer):
-            return "another publisher drives: the first one does, until it is silent"
+            return False, "another publisher drives: the first one does, until it is silent"
         self.writer, self.since = writer, now
-        self.barred = self.barred and not rests
-        if self.stopped and not rests:
-            self.barred = True
+        if rests:
+            moved, self.moves, self.barred = self.moves, False, False
+            return moved, ""
+        if why := self._why_not(now):
+            self.moves, self.barred = False, True
+            return False, why
+        self.moves = True
+        return True, ""
+
+    def _why_not(self, now: Nanos) -> str:
+        if self.stopped:
             return f"stopped: {self.stopped}"
         if now - self.person < PERSON:
-            self.barred = not rests
-            return "" if rests else f"a person has the robot: {PERSON // SECOND} s after the last instruction"
+            return f"a person has the robot: for {PERSON // SECOND} s after the last instruction"
         return "after a stop, or a person, it must let go first: by zeros, or silence" if self.barred else ""
 
     def ended(self, now: Nanos) -> bool:
-        """Return whether who holds has just become silent."""
+        """Return whether who moved the robot has just become silent."""
         if not self.writer or now - self.since <= self.timeout:
             return False
-        was, self.writer, self.barred = self.barred, b"", False
-        return not was
+        moved, self.writer, self.barred, self.moves = self.moves, b"", False, False
+        return moved
 
     def on_person(self, now: Nanos) -> None:
         """A person asks for something."""
         self.person = now
-        self.barred = self.barred or bool(self.writer)
+        self._bar()
 
     def on_stop(self, reason: str) -> None:
         """Take why the robot must not move."""
         self.stopped = reason
         if reason:
-            self.barred = self.barred or bool(self.writer)
+            self._bar()
+
+    def _bar(self) -> None:
+        self.barred, self.moves = self.barred or self.moves, False

@@ -194,7 +194,7 @@ class Bridge:
                 held.on_person(now)
             self._end_motions("a person has the robot")
         messages, self._early = [*self._early, *self._link.receive()], []
-        for kind, row, *rest in messages:
+        for kind, row, *rest in self._newest(messages):
             if kind == "match":
                 self._matched(now, row, rest[0])
             elif kind == "sample":
@@ -256,9 +256,9 @@ class Bridge:
         """Return what ends all that is held."""
         self._instructions.clear()
         for name, held in self._held.items():
-            if held.writer and not held.barred:
+            if held.moves:
                 self._let_go(name)
-            held.writer = b""
+            held.moves, held.writer = False, b""
         ended, self._instructions = self._instructions, []
         return ended
 
@@ -270,6 +270,14 @@ class Bridge:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+
+    def _newest(self, messages: Sequence[list[Any]]) -> Sequence[list[Any]]:
+        """Return messages without samples of a stream that a newer one follows."""
+        last: dict[object, int] = {}
+        for i, one in enumerate(messages):
+            stream = one[0] == "sample" and not self.rows[one[1]].qos.reliable
+            last[(one[1], one[3]) if stream else i] = i
+        return [messages[i] for i in sorted(last.values())]
 
     # -- what goes out ------------------------------------------------------------------------------
 
@@ -355,11 +363,11 @@ class Bridge:
     def _hold(
         self, now: Nanos, name: str, writer: bytes, wanted: Sequence[Instruction], *, rests: bool
     ) -> None:
-        why = self._held[name].take(now, writer, rests=rests)
-        if not why and self.scene.belief.state is BrainState.INITIALISING:
-            why = "the robot is not ready yet"
-        self._say(name, why)
-        if not why:
+        waits = self.scene.belief.state is BrainState.INITIALISING
+        why = "the robot is not ready yet" if waits and not rests else ""
+        changes, refused = (False, why) if why else self._held[name].take(now, writer, rests=rests)
+        self._say(name, refused)
+        if changes:
             self._end_motions(f"{name} moves the robot")
             self._instructions += wanted
 

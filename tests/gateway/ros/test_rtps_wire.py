@@ -12,7 +12,7 @@ from gateway.ros.rtps_wire import Acknack, Data, Fragment, Gap, Heartbeat, Ident
 SOURCE, TO = bytes(range(12)), bytes(range(12, 24))
 READER, WRITER = b"\x00\x00\x01\x04", b"\x00\x00\x02\x03"
 HEAD = b"RTPS\x02\x03\x01\x0f" + SOURCE
-SENT = [
+SENT: list[wire.Submessage] = [
     Data(READER, WRITER, 7, b"\x00\x01\x00\x00abcd"),
     Data(READER, WRITER, (5 << 32) + 3, b"\x00\x01\x00\x00abcd", Identity(SOURCE + WRITER, 2**31 + 1)),
     Data(READER, WRITER, 2, b"", None, ends=True, key=SOURCE + WRITER),
