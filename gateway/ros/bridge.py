@@ -37,7 +37,7 @@ from gateway.config.mission import cannot
 from gateway.core.tick import Note, Tick
 from gateway.errors import UserError
 from gateway.recording import ros_messages
-from gateway.recording.ros_views import ViewMessage, Views, to_view
+from gateway.recording.ros_views import OF_SENSORS, ViewMessage, Views, to_view
 from gateway.ros import actions, asked, graph, parameters, trajectory, types
 from gateway.ros.actions import ABORTED, CANCELED, CANCELING, EXECUTING, SUCCEEDED, Action, Token
 from gateway.ros.asked import Held
@@ -56,7 +56,7 @@ MAP, CLOCK, ROSOUT = "/map", "/clock", "/rosout"
 CLOCK_PERIOD: Nanos = 20 * MILLISECOND
 FEEDBACK_PERIOD: Nanos = 200 * MILLISECOND
 LATE: Nanos = 100 * MILLISECOND
-"""After which who has come gets what is latched."""
+"""After which who has come gets what there is."""
 TAKEN: Nanos = 2 * SECOND
 """Within which the robot must have taken a goal."""
 PER_SECOND, AT_ONCE = 20, 40
@@ -158,7 +158,7 @@ class Bridge:
         self._views.prepare()
         self._map = Drawing()
         self._new: set[str] = set()
-        """Latched topics that somebody has begun to listen to,"""
+        """Topics that somebody has begun to listen to: who comes gets what there is now, but no old scan."""
         self._new_at: Nanos = 0
         self._clock_at: Nanos = -CLOCK_PERIOD
         self._troubles: dict[str, str] = {}
@@ -183,7 +183,8 @@ class Bridge:
     # -- what the loop calls ------------------------------------------------------------------------
 
     def poll(self, now: Nanos, others: Sequence[Instruction] = ()) -> list[Instruction]:
-        """Return what is asked since the last poll. Never waits.
+        """Return what is asked since the last poll. Never waits. Raises BrokenPipeError if the process with
+        the sockets is gone: then `ends` has what ends all.
 
         Args:
             now: any clock that keeps step with a person's: what is held times out by it.
@@ -208,7 +209,6 @@ class Bridge:
                 )
                 self._let_go(name)
         if self._link.closed:
-            self.ends()
             raise BrokenPipeError("the process with the sockets has ended")
         self._follow()
         asked_, self._instructions = self._instructions, []
@@ -242,9 +242,10 @@ class Bridge:
         if self._new and now - self._new_at >= LATE:
             if MAP in self._new:
                 self._map.anew()
-            views = Views(self._mounts, self._store, self._new - {MAP}, epoch=self._epoch)
+            self._views = Views(self._mounts, self._store, self._in_ticks, epoch=self._epoch)
+            present = self._views.messages(self.scene.present(), self.scene.belief)
+            self._send([one for one in present if one.topic in self._new])
             self._new.clear()
-            self._send(views.messages(self.scene.present(), self.scene.belief))
         view = self.scene.belief.map if MAP in self.wanted else None
         if view is not None and self._map.draw(now, self.scene.now, view):
             layout, t = self._map.layout, self._map.t + self._epoch
@@ -306,7 +307,7 @@ class Bridge:
         (self.wanted.add if count else self.wanted.discard)(row.name)
         if row.name != MAP:
             (self._in_ticks.add if count else self._in_ticks.discard)(row.name)
-        if count > before and row.name in graph.LATCHED:
+        if count > before and row.name not in OF_SENSORS:
             self._new.add(row.name)
             self._new_at = now
 
@@ -348,6 +349,7 @@ class Bridge:
                 goal = asked.goal(self.scene.robot, message)
                 self._spend(now)
                 self._end_motions("another goal has come")
+                self._take_over()
                 self._instructions += [*self._dropped(), goal]
                 self._say(row.name, "")
             case graph.TRAJECTORIES:
@@ -387,6 +389,11 @@ class Bridge:
             raise asked.Refused(f"stopped: {self._stopped}")
         if not self._budget.take(now):
             raise asked.Refused(f"too many: {PER_SECOND} a second are taken")
+
+    def _take_over(self) -> None:
+        """Let a goal follow what was held: the zeros with which that ends may come after it."""
+        for held in self._held.values():
+            held.moves = False
 
     def _dropped(self) -> list[Instruction]:
         """Return what ends the goals and missions that there are."""
@@ -458,6 +465,7 @@ class Bridge:
         if before is not None:
             self._end(action, before, ABORTED, "another goal has taken its place")
         if action.type == NAVIGATE:
+            self._take_over()
             mission = f"navigate_to_pose {goal.id.hex()[:8]}"
             self._instructions += [*self._dropped(), msg.Mission(mission, (made[0],))]
             self._navigation = _Navigation(goal, mission, self.scene.now, made[0])

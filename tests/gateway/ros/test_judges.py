@@ -7,9 +7,14 @@ They are Python packages, in an environment of their own: `bash tests/gateway/ro
 from __future__ import annotations
 
 import math
+import socket
+import subprocess
+import sys
+import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import gateway
@@ -17,7 +22,8 @@ from brain.belief import Belief
 from gateway.core.tick import Tick
 from gateway.recording import read_recording
 from gateway.replay import replay_recording
-from gateway.ros import types
+from gateway.ros import actions, definitions, graph, types
+from gateway.ros.link import Link
 from protocols import messages as msg
 from tests.gateway.processes import PATIENCE
 from tests.gateway.ros.judged import Judge, domain, python
@@ -123,3 +129,88 @@ def test_two_implementations_of_dds_drive_a_robot(tmp_path: Path) -> None:
     # and all of it is replayed to the same bytes
     comparison = replay_recording(read_recording(recording))
     assert comparison.ok, comparison.text()
+
+
+class Server:
+    """A server of an action of which ROS installs the types: one step of the sequence in each turn."""
+
+    def __init__(self, number: int) -> None:
+        name, type_ = "/fibonacci", "test_msgs/action/Fibonacci"
+        rows = [
+            (kind, one, type_, types.type_hash(type_), qos)
+            for kind, one, type_, qos in graph._action(name, type_)
+        ]
+        ours, theirs = socket.socketpair()
+        with theirs:
+            command = [sys.executable, "-m", "gateway.ros.process"]
+            self.process = subprocess.Popen(command, stdin=theirs.fileno())
+        self._link, self._names = Link(ours), [one[1] for one in rows]
+        described = [(*row[:4], row[4].reliable, row[4].transient, row[4].depth) for row in rows]
+        self._link.send("127.0.0.1", number, "server", "", described)
+        self._action = actions.Action(name, type_, self._publish, self._answer)
+        self._sequence = [0, 1]
+
+    def _publish(self, name: str, data: bytes) -> None:
+        self._link.send("publish", self._names.index(name), data)
+
+    def _answer(self, name: str, data: bytes, token: Any) -> None:
+        self._link.send("answer", self._names.index(name), data, token)
+
+    def turn(self) -> None:
+        self._link.flush()
+        for kind, *rest in self._link.receive():
+            if kind == "request":
+                self._request(*rest)
+        goal = self._action.active
+        if goal is None:
+            return
+        self._sequence.append((self._sequence[-1] + self._sequence[-2]) % 1000)
+        content = np.array(self._sequence, np.int32)
+        self._action.feedback(goal, types.make("test_msgs/action/Fibonacci_Feedback", sequence=content))
+        if len(self._sequence) > goal.content.order:
+            result = types.make("test_msgs/action/Fibonacci_Result", sequence=content)
+            self._action.set(goal, actions.SUCCEEDED, result)
+
+    def _request(self, row: int, payload: bytes, token: Any) -> None:
+        kinds = {"send_goal": "test_msgs/action/Fibonacci_SendGoal", "cancel_goal": graph.CANCEL}
+        part = self._names[row].rpartition("/")[2]
+        request = types.decode(f"{kinds.get(part, 'test_msgs/action/Fibonacci_GetResult')}_Request", payload)
+        if part == "get_result":
+            self._action.get_result(request, token)
+        elif part == "cancel_goal":
+            for goal in self._action.cancel(request, token):
+                nothing = types.make("test_msgs/action/Fibonacci_Result")
+                self._action.set(goal, actions.CANCELED, nothing)
+        else:
+            stamp = types.make("builtin_interfaces/msg/Time")
+            refuse = lambda goal: "negative" if goal.order < 0 else ""  # noqa: E731
+            if (goal := self._action.send_goal(request, stamp, token, refuse)) is not None:
+                self._sequence = [0, 1]
+                self._action.set(goal, actions.EXECUTING)
+
+    def close(self) -> None:
+        self._link.close()
+        self.process.wait()
+
+
+def test_an_action_client_of_ros(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    python()
+    fibonacci = "int32 order\n---\nint32[] sequence\n---\nint32[] sequence"
+    monkeypatch.setitem(definitions.ACTIONS, "test_msgs/action/Fibonacci", fibonacci)
+    types.store.cache_clear()
+    number = domain() + 60
+    server = Server(number)
+    judge = Judge(tmp_path, "rclpy_action", number)
+    try:
+        while not judge.done():
+            server.turn()
+            time.sleep(0.02)
+    finally:
+        found = judge.end()
+        server.close()
+    done = found["done"]
+    assert (done["accepted"], done["status"], done["sequence"]) == (True, actions.SUCCEEDED, [0, 1, 1, 2, 3])
+    assert done["feedback"] == [[0, 1, 1], [0, 1, 1, 2], [0, 1, 1, 2, 3]]
+    assert found["refused"]["accepted"] is False
+    assert found["cancelled"] == {"kind": "cancelled", "code": 0, "goals": 1, "status": actions.CANCELED}
+    assert found["again"]["code"] == actions.TERMINATED

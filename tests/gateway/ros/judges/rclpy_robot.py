@@ -192,6 +192,7 @@ def main():
 
     answer = judge.call(Trigger, "/diffbot/stop", Trigger.Request())
     say("stop", success=answer.success, message=answer.message)
+    judge.until(lambda: abs(judge.got["/odom"][-1].twist.twist.linear.x) < 1e-3, "rest")
     end = time.monotonic() + 1.0
     x, y, _ = judge.pose
     judge.until(lambda: time.monotonic() > end, "", lambda: judge.drive(SPEED, 0.0))
