@@ -159,7 +159,8 @@ def read(text: str) -> ET.Element:
         depth -= 1
         builder.end(tag)
 
-    parser.StartElementHandler, parser.EndElementHandler = start, end
+    for name, handler in (("StartElementHandler", start), ("EndElementHandler", end)):
+        setattr(parser, name, handler)
     try:
         parser.Parse(COMMENT.sub(_lines, text.lstrip("\ufeff \t\r\n")), True)
     except expat.ExpatError as error:

@@ -184,9 +184,10 @@ class Server:
         else:
             stamp = types.make("builtin_interfaces/msg/Time")
             refuse = lambda goal: "negative" if goal.order < 0 else ""  # noqa: E731
-            if (goal := self._action.send_goal(request, stamp, token, refuse)) is not None:
+            made = self._action.send_goal(request, stamp, token, refuse)
+            if made is not None:
                 self._sequence = [0, 1]
-                self._action.set(goal, actions.EXECUTING)
+                self._action.set(made, actions.EXECUTING)
 
     def close(self) -> None:
         self._link.close()
