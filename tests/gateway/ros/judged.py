@@ -49,6 +49,10 @@ class Judge:
                 env=env,
             )
 
+    def begun(self) -> bool:
+        """Whether it has printed anything: it takes seconds to be imported."""
+        return self._out.stat().st_size > 0
+
     def done(self) -> bool:
         return self._process.poll() is not None
 

@@ -12,10 +12,10 @@ import pytest
 import gateway
 from brain.belief import MapView
 from gateway.errors import UserError
-from gateway.ros import actions, graph, types
+from gateway.ros import actions, asked, graph, types
 from gateway.ros.types import make
 from protocols import messages as msg
-from protocols.messages import Drive, Goal, Position, Stop, Velocity
+from protocols.messages import MILLISECOND, Drive, Goal, Position, Stop, Velocity
 from tests.gateway.ros.judged import domain
 from tests.gateway.ros.rig import ARRAY, LOG, TWIST, Rig, rig, twist
 from tests.gateway.ros.test_trajectory import message, point
@@ -32,7 +32,8 @@ def drives(one: Rig) -> list[Drive]:
     return [each for each in one.asked if isinstance(each, Drive)]
 
 
-def test_who_drives_and_what_ends_it() -> None:
+def test_who_drives_and_what_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(asked, "PERSON", 300 * MILLISECOND)
     with rig("diffbot") as one:
         first = one.join(publishes={"/cmd_vel": TWIST}, subscribes={"/rosout": LOG}, calls=STOP)
         first.publish("/cmd_vel", twist(0.1))
@@ -87,7 +88,7 @@ def test_who_drives_and_what_ends_it() -> None:
         assert drives(one)[before:] == [Drive(0.1, 0.0)]
 
         # silence
-        one.run(500)
+        one.run(140)
         first.publish("/cmd_vel", twist(0.15))
         one.until(lambda: drives(one)[-1] == Drive(0.15, 0.0), "driving again")
         one.until(lambda: drives(one)[-1] == Drive(0.0, 0.0), "the end of it")
@@ -166,12 +167,12 @@ def test_a_goal_is_reached_replaced_cancelled_and_ended_by_a_stop() -> None:
         results = peer.got[f"{NAVIGATE}/get_result"]
         assert not send(one, peer, NAVIGATE, graph.NAVIGATE, 1, pose=stamped(1.0, 0.0, "odom"))
         assert [result.status for result in one.until(lambda: results, "a result")] == [actions.UNKNOWN]
-        assert send(one, peer, NAVIGATE, graph.NAVIGATE, 2, pose=stamped(0.5, 0.0))
+        assert send(one, peer, NAVIGATE, graph.NAVIGATE, 2, pose=stamped(0.25, 0.0))
         one.until(lambda: len(results) == 2, "a result")
         assert (results[1].status, results[1].result.error_code) == (actions.SUCCEEDED, 0)
         pose = one.session.pose
         assert pose is not None
-        assert math.dist((pose.x, pose.y), (0.5, 0.0)) < 0.15
+        assert math.dist((pose.x, pose.y), (0.25, 0.0)) < 0.15
         far = [feedback.feedback.distance_remaining for feedback in peer.got[f"{NAVIGATE}/feedback"]]
         assert far[-1] < far[0] < 0.7
 
@@ -283,13 +284,13 @@ def test_its_process_dies_and_the_robot_runs_on() -> None:
         next(ticks)
         assert session._ros is not None
         session._ros._bridge._held["/cmd_vel"].moves = True
-        asked: list[object] = []
-        session.watch(lambda tick, _: asked.extend(tick.inputs.instructions))
+        done: list[object] = []
+        session.watch(lambda tick, _: done.extend(tick.inputs.instructions))
         session._ros._bridge._process.kill()
         session._ros._bridge._process.wait()
         assert sum(1 for _ in ticks) > 150
         assert session._ros is None
-        assert Drive(0.0, 0.0) in asked, "what was held has ended"
+        assert Drive(0.0, 0.0) in done, "what was held has ended"
 
 
 @pytest.mark.parametrize("address", ["203.0.113.7", "127.0.0.1"])

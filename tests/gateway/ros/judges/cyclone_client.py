@@ -221,6 +221,7 @@ class Client:
         )
 
 
+say("begin")
 grids = reader("rt/map", OccupancyGrid, KEPT)
 grid = until(lambda: next(iter(grids.take(10)), None), "a map")
 say("map", width=grid.info.width, height=grid.info.height, cells=len(grid.data), frame=grid.header.frame_id)

@@ -108,15 +108,16 @@ class Judge(Node):
             return (heading - self.pose[2] + math.pi) % (2 * math.pi) - math.pi
 
         def towards():
-            self.drive(0.0, math.copysign(min(TURN, max(0.15, 2 * abs(left()))), left()))
+            self.drive(0.0, math.copysign(min(TURN, max(0.4, 2 * abs(left()))), left()))
 
-        self.until(lambda: abs(left()) < 0.03, "a turn", towards)
+        self.until(lambda: abs(left()) < 0.05, "a turn", towards)
 
 
 def main():
     goal = float(sys.argv[1]), float(sys.argv[2])
     rclpy.init()
     judge = Judge()
+    say("begin")
     first = [name for name in TOPICS if name not in ("/plan",)]
     judge.until(lambda: all(judge.got[name] for name in first), "a message of every topic")
     say("nodes", names=[list(one) for one in judge.get_node_names_and_namespaces()])
