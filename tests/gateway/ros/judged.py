@@ -30,10 +30,10 @@ def domain() -> int:
 
 
 class Judge:
-    """One judge while it runs."""
+    """One judge, or another script in its environment, while it runs."""
 
     def __init__(self, folder: Path, script: str, number: int, *arguments: str) -> None:
-        self._out = folder / f"{script}.out"
+        self._out = folder / f"{Path(script).name}.out"
         env = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "LD_", "COV"))}
         env |= {
             "ROS_DOMAIN_ID": str(number),
@@ -56,10 +56,13 @@ class Judge:
     def done(self) -> bool:
         return self._process.poll() is not None
 
-    def end(self) -> dict[str, Any]:
-        """Return what it has printed, by kind; fail if it has failed."""
+    def kill(self) -> None:
         self._process.kill()
         self._process.wait()
+
+    def end(self) -> dict[str, Any]:
+        """Return what it has printed, by kind; fail if it has failed."""
+        self.kill()
         text = self._out.read_text()
         lines = [json.loads(line) for line in text.splitlines() if line.startswith("{")]
         if self._process.returncode != 0:

@@ -55,7 +55,8 @@ def test_goals() -> None:
     turned = (0.0, 0.0, math.sin(0.5), math.cos(0.5))
     for frame in ("map", "/map", ""):
         goal = asked.goal(DIFFBOT, pose(1.0, 2.0, turned, frame))
-        assert (goal.x, goal.y, goal.yaw) == (1.0, 2.0, pytest.approx(1.0))
+        assert (goal.x, goal.y) == (1.0, 2.0)
+        assert goal.yaw == pytest.approx(1.0)
     for wrong, why in (
         (pose(1.0, NAN), "not finite"),
         (pose(1.0, 1.0, (0.0, 0.0, 0.0, 0.0)), "no rotation"),

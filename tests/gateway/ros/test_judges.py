@@ -217,3 +217,35 @@ def test_an_action_client_of_ros(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert found["refused"]["accepted"] is False
     assert found["cancelled"] == {"kind": "cancelled", "code": 0, "goals": 1, "status": actions.CANCELED}
     assert found["again"]["code"] == actions.TERMINATED
+
+
+TUTORIAL = Path(__file__).parents[3] / "examples" / "ros2_tutorial"
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("mine", [(), ("perception",)])
+def test_three_nodes_of_a_tutorial_drive_a_robot(mine: tuple[str, ...], tmp_path: Path) -> None:
+    """Perception may be the gateway's own."""
+    python()
+    number, recording, there = domain(), tmp_path / "drive.mcap", (1.2, 0.3)
+    names = [name for name in ("perception", "planner", "controller") if name not in mine]
+    seen = Seen()
+    with gateway.open_session("diffbot", seed=1, record=recording) as session:
+        session.watch(seen.take)
+        session.ros(domain=number)
+        remapped = ("--ros-args", "-r", "/tutorial/map:=/map") if mine else ()
+        nodes = [Judge(tmp_path, f"{TUTORIAL}/{name}", number, *remapped) for name in names]
+        judge = Judge(tmp_path, "goal", number, *map(str, there))
+        try:
+            for _ in session.run(seconds=PATIENCE):
+                if judge.done():
+                    break
+        finally:
+            for node in nodes:
+                node.kill()
+        found = judge.end()
+    assert found["there"]["off"] < 0.2
+    driven = [one for one in seen.asked if isinstance(one, msg.Drive)]
+    assert len(driven) > 20
+    comparison = replay_recording(read_recording(recording))
+    assert comparison.ok, comparison.text()
