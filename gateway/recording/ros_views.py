@@ -15,7 +15,7 @@ most 50 per second, the map one, the diagnostics two or one per change of state.
 | /tf_static | tf2_msgs/TFMessage | once, at the start: the sensors' mountings |
 | /joint_states | sensor_msgs/JointState | new feedback, at most 50 Hz |
 | /map | nav_msgs/OccupancyGrid | a new version, at most 1 Hz |
-| /battery_state | sensor_msgs/BatteryState | 1 Hz, where a motor measures its voltage: their mean |
+| /battery_state | sensor_msgs/BatteryState | 1 Hz, the mean of what motors measure; not recorded |
 | /plan, /goal_pose | nav_msgs/Path, geometry_msgs/PoseStamped | on change |
 | /diagnostics | diagnostic_msgs/DiagnosticArray | 2 Hz, on a change of state, with every note |
 | /rosout | rcl_interfaces/Log | each note |
@@ -427,7 +427,7 @@ class Views:
 
     def _battery(self, now: Nanos) -> list[ViewMessage]:
         topic = "/battery_state"
-        if not self._wants(topic):
+        if self._wanted is None or topic not in self._wanted:  # older recordings lack it, and are compared
             return []
         measured = [volts for m in self._motors.values() if (volts := m.measured.get("voltage")) is not None]
         if not measured or not self._due(topic, now, BATTERY_PERIOD):

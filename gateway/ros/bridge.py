@@ -23,6 +23,7 @@ import select
 import socket
 import subprocess
 import sys
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -60,7 +61,10 @@ LATE: Nanos = 100 * MILLISECOND
 TAKEN: Nanos = 2 * SECOND
 """Within which the robot must have taken a goal."""
 PER_SECOND, AT_ONCE = 20, 40
-"""Goals, trajectories and requests."""
+"""Goals, trajectories and requests that are granted,"""
+IN_A_STEP, MOST_WAITING = 4, 200
+"""and that are looked at in one step, and wait for the next; a stop does not."""
+STOP = "~/stop"
 START_S, END_S = 60.0, 2.0
 """How long the process may take to begin, and to end."""
 ARRIVED, SETTLING = 0.05, 2.0
@@ -168,6 +172,8 @@ class Bridge:
         timeout = scene.robot.ros.cmd_vel_timeout
         self._held = {name: Held(timeout) for name in ("/cmd_vel", *graph.JOINT_COMMANDS)}
         self._instructions: list[Instruction] = []
+        self._waiting: deque[Sequence[Any]] = deque()
+        """Goals and requests that are still to be looked at."""
         self._stopped = ""
         self._warned = ""
         """The last warning of the robot."""
@@ -195,13 +201,15 @@ class Bridge:
                 held.on_person(now)
             self._end_motions("a person has the robot")
         messages, self._early = [*self._early, *self._link.receive()], []
-        for kind, row, *rest in self._newest(messages):
-            if kind == "match":
-                self._matched(now, row, rest[0])
-            elif kind == "sample":
-                self._guarded(row, partial(self._sample, now, self.rows[row], *rest))
-            elif kind == "request":
-                self._guarded(row, partial(self._request, now, self.rows[row], *rest))
+        for message in self._newest(messages):
+            if message[0] == "match":
+                self._matched(now, *message[1:])
+            elif self._is_at_once(message):
+                self._use(now, *message)
+            elif len(self._waiting) < MOST_WAITING:
+                self._waiting.append(message)
+        for _ in range(min(IN_A_STEP, len(self._waiting))):
+            self._use(now, *self._waiting.popleft())
         for name, held in self._held.items():
             if held.ended(now):
                 self._say(
@@ -271,6 +279,15 @@ class Bridge:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+
+    def _is_at_once(self, message: Sequence[Any]) -> bool:
+        """Return whether a message waits for no other: a stream's, and a stop."""
+        row = self.rows[message[1]]
+        return row.name == STOP or (message[0] == "sample" and not row.qos.reliable)
+
+    def _use(self, now: Nanos, kind: str, row: int, *rest: Any) -> None:  # noqa: ANN401 -- as they came
+        use = self._sample if kind == "sample" else self._request
+        self._guarded(row, partial(use, now, self.rows[row], *rest))
 
     def _newest(self, messages: Sequence[list[Any]]) -> Sequence[list[Any]]:
         """Return messages without samples of a stream that a newer one follows."""

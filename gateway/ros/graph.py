@@ -17,12 +17,12 @@ from __future__ import annotations
 import re
 from typing import Literal, NamedTuple, TypeAlias
 
+from gateway.config.errors import unknown
 from gateway.core.robot import Robot
 from gateway.errors import UserError
 from gateway.recording.ros_views import OF_SENSORS, topic_name, topics, typestore
 from gateway.ros import types
 from gateway.ros.rtps import Qos
-from protocols.suggest import did_you_mean
 
 Kind: TypeAlias = Literal["publish", "subscribe", "serve"]
 TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
@@ -94,8 +94,7 @@ def rows(robot: Robot, *, steers: bool) -> list[Row]:
     names = [name for _, name, _, _ in found]
     for key in robot.ros.remap:
         if key not in names:
-            hint = did_you_mean(key, names)
-            raise UserError(f"[ros] remap: there is no topic {key!r}{f'; {hint}' if hint else ''}")
+            raise UserError(f"[ros] remap: {unknown('topic', key, names)}")
     return [Row(*one, full_name(robot, one[1]), types.type_hash(one[2])) for one in found]
 
 

@@ -42,7 +42,7 @@ THINNED: Nanos = 4 * MILLISECOND
 AT_ONCE = 256
 """Datagrams that are read before something else is done,"""
 REQUESTS = 50
-"""and samples and requests, of those that are not thinned, that go on in that time."""
+"""and of each row's samples and requests, if they are not thinned, that go on in that time."""
 IDLE, BUSY = 0.005, 0.0005
 BUFFER = 1 << 20
 ENCAPSULATION = b"\x00\x01\x00\x00"
@@ -227,7 +227,7 @@ class Carrier:
         self.link.flush()
 
     def _listen(self, now: Nanos) -> None:
-        passed = 0
+        passed: dict[int, int] = {}
         for one in self.sockets:
             for _ in range(AT_ONCE):
                 try:
@@ -237,8 +237,8 @@ class Carrier:
                 for found in self.participant.receive(now, data, host):
                     if not self.participant.endpoints[found.endpoint].qos.reliable:
                         self._stream(found)
-                    elif passed < REQUESTS:
-                        passed += 1
+                    elif passed.get(found.endpoint, 0) < REQUESTS:
+                        passed[found.endpoint] = passed.get(found.endpoint, 0) + 1
                         self._pass_on(found)
 
     def _stream(self, found: Sample) -> None:

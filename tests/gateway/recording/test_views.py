@@ -172,13 +172,14 @@ def test_joint_states_hold_the_last_values_of_each_motor() -> None:
 
 
 def test_a_battery_is_the_voltage_that_motors_measure() -> None:
-    views, measured = Views(), [Feedback("left", T, voltage=24.0), Feedback("right", T, voltage=23.0)]
+    views = Views(wanted={"/battery_state"})
+    measured = [Feedback("left", T, voltage=24.0), Feedback("right", T, voltage=23.0)]
     state = shown(tick(*measured), views=views)["/battery_state"]
     assert (state.voltage, state.present, at(state)[0]) == (23.5, True, T)
     assert math.isnan(state.percentage)
     assert math.isnan(state.current)
     assert "/battery_state" not in shown(tick(now=T + SECOND // 2), views=views), "once a second"
-    assert "/battery_state" not in shown(tick(Feedback("left", T, position=1.0)))
+    assert "/battery_state" not in shown(tick(*measured)), "recordings have none"
 
 
 def test_times_of_another_clock() -> None:

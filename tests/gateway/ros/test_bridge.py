@@ -20,7 +20,7 @@ from tests.gateway.ros.judged import domain
 from tests.gateway.ros.rig import ARRAY, LOG, TWIST, Rig, rig, twist
 from tests.gateway.ros.test_trajectory import message, point
 
-STOP = {"/diffbot/stop": graph.TRIGGER, "/diffbot/release": graph.TRIGGER}
+STOP = {f"/diffbot/{name}": graph.TRIGGER for name in graph.SERVICES}
 TRIGGER = make(f"{graph.TRIGGER}_Request")
 
 
@@ -51,7 +51,7 @@ def test_who_drives_and_what_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
         # a flood, of 10 kHz and then less: one of each step counts, and a stop comes through
         def flood(count: int = 5) -> None:
             for x in range(count):
-                first.publish("/cmd_vel", twist(0.001 * x))
+                first.publish("/cmd_vel", twist(0.001 + 0.001 * x))
 
         one.until(lambda: len(drives(one)) > 20, "driving", lambda: flood(50))
         assert one.most == 1
@@ -61,8 +61,13 @@ def test_who_drives_and_what_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
         one.until(lambda: any("another publisher" in text for text in said(first)), "a refusal", flood)
         assert Drive(0.3, 0.0) not in drives(one)
         assert len(drives(one)) > before
+        for _ in range(100):  # a flood of requests, before it
+            first.call("/diffbot/clear_faults", TRIGGER)
         first.call("/diffbot/stop", TRIGGER)
         one.until(lambda: first.got["/diffbot/stop"], "an answer to a stop", flood)
+        answers = first.got["/diffbot/clear_faults"]
+        one.until(lambda: any(each.message.startswith("too many requests") for each in answers), "a refusal")
+        assert 0 < sum(each.success for each in answers) <= 60
         assert first.got["/diffbot/stop"][0].success
         assert Stop("asked for in ROS 2") in one.asked
         one.until(
@@ -71,8 +76,10 @@ def test_who_drives_and_what_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
 
         # released, it must let go first
         before = len(drives(one))
+        one.run(100)
         first.call("/diffbot/release", TRIGGER)
         one.until(lambda: first.got["/diffbot/release"], "an answer to a release", flood)
+        assert first.got["/diffbot/release"][0].success
         one.until(lambda: any("let go first" in text for text in said(first)), "a refusal", flood)
         assert len(drives(one)) == before
         first.publish("/cmd_vel", twist())
@@ -93,6 +100,12 @@ def test_who_drives_and_what_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
         one.until(lambda: drives(one)[-1] == Drive(0.15, 0.0), "driving again")
         one.until(lambda: drives(one)[-1] == Drive(0.0, 0.0), "the end of it")
         one.until(lambda: any("silent for 500 ms" in text for text in said(first)), "a sentence")
+
+        # another type, and a clock that is of another century
+        third = one.join(publishes={"/cmd_vel": graph.TWIST_STAMPED})
+        header = make("std_msgs/msg/Header", stamp=make("builtin_interfaces/msg/Time", sec=2**31 - 1))
+        third.publish("/cmd_vel", make(graph.TWIST_STAMPED, header=header, twist=twist(0.12)))
+        one.until(lambda: Drive(0.12, 0.0) in drives(one), "driving by it")
 
 
 def test_joints_by_arrays_and_trajectories() -> None:
