@@ -70,7 +70,8 @@ PYTEST = ["-m", "pytest", "-n", "2", "--dist", "loadfile"]
 REAL_CAN = ["-m", "tests.real_can"]
 """The tests of a real CAN; the file named next gets what of them could not run, and why."""
 REQUIRE = "MOTOR_GATEWAY_REQUIRE"
-"""Names of what must not be left out: "real-can"; and for the tests "data", "foxglove", "browser"."""
+"""Names of what must not be left out: "real-can"; and for the tests "data", "foxglove", "browser",
+"ros"."""
 PROGRESS_PERIOD = 10.0
 """Seconds between two lines of progress where the output is no terminal."""
 

@@ -32,6 +32,8 @@ GIVEN = {
 PLUGIN = FOLDER / "robstride_can"
 DOORS = FOLDER / "wiggle_and_steady"
 """Run by tests/brain/skills/test_found.py and tests/brain/test_other_brain.py"""
+TUTORIAL = FOLDER / "ros2_tutorial"
+"""Run by tests/gateway/ros/test_judges.py"""
 GUIDE = FOLDER.parent / "docs" / "adding-a-skill.md"
 
 
@@ -54,7 +56,12 @@ def test_none_is_left_out() -> None:
     text = (FOLDER / "README.md").read_text()
     assert set(PRINTED) == {path.stem for path in FOLDER.glob("*.py")}
     assert all(f"[{name}.py]({name}.py)" in text for name in PRINTED)
-    assert {path.name for path in FOLDER.iterdir() if path.is_dir()} == {PLUGIN.name, DOORS.name}
+    assert {path.name for path in FOLDER.iterdir() if path.is_dir()} == {
+        PLUGIN.name,
+        DOORS.name,
+        TUTORIAL.name,
+    }
+    assert f"[{TUTORIAL.name}]({TUTORIAL.name}/README.md)" in text
     assert f"[{PLUGIN.name}]({PLUGIN.name}/{PLUGIN.name}/README.md)" in text
     assert f"[{DOORS.name}]({DOORS.name}/pyproject.toml)" in text
 

@@ -229,6 +229,8 @@ class _Bodies:
         for name, (body, place) in self.links.items():
             link = self._model.links[name]
             if body >= 0 and link.inertial is not None:
+                if link.inertial.wrong:
+                    raise ValueError(link.inertial.wrong)
                 kg, centre, inertia = _mass(link, place)
                 mass[body] += kg
                 moment[body] += kg * centre

@@ -1,26 +1,43 @@
 """URDF: the text of a robot's links and joints as a `UrdfModel`.
 
 Rules. What a brain needs is read: kinematics, limits, inertia, plain shapes; meshes, materials, transmissions
-and what simulators add are skipped. Every mistake becomes a sentence, all of one ValueError. A text with a
-DOCTYPE or an entity, or beyond the bounds below, is refused before it is read further.
+and what simulators add are skipped. What ROS's own parser takes is taken, as far as it has a meaning: the
+axis of a joint that does not move is not read; a limit that is negative, infinite or beyond the bounds below
+is none; an inertia that no body has is a mistake of who uses it. Every mistake becomes a sentence, all of one
+ValueError. A text with an entity, or beyond the bounds, is refused before it is read further.
 
-Source: the URDF specification at wiki.ros.org/urdf/XML (robot, link, joint). Lengths in m, angles in rad; a
-joint's frame is its child link's, at position 0 at `origin` in the parent link's frame; roll, pitch and yaw
-turn about the fixed axes x, y, z, in this order.
+Source: the URDF specification at wiki.ros.org/urdf/XML (robot, link, joint); urdfdom for what is taken (no
+namespaces, anything in comments). Lengths in m, angles in rad; a joint's frame is its child link's, at
+position 0 at `origin` in the parent link's frame; roll, pitch and yaw turn about the fixed axes x, y, z, in
+this order.
 """
 
 from __future__ import annotations
 
 import math
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any, Literal, NamedTuple, TypeAlias, cast, get_args
+from typing import Literal, NamedTuple, TypeAlias, cast, get_args
+from xml.parsers import expat
 
-MOST_CHARACTERS, MOST_LINKS, MOST_ELEMENTS, MOST_DEPTH = 200_000, 128, 20_000, 32
+MOST_CHARACTERS, MOST_LINKS, MOST_ELEMENTS, MOST_DEPTH = 1_000_000, 512, 20_000, 32
 FARTHEST, HEAVIEST = 1e3, 1e5
 """m and rad; kg and kg·m²"""
+FASTEST, STRONGEST = 1e3, 1e5
+"""rad/s and m/s; N·m and N: what is beyond means no limit"""
+EXPAND = (
+    "it is xacro that was not expanded: make a URDF of it, with ROS by `xacro FILE.xacro > FILE.urdf`, "
+    "without by `xacrodoc FILE.xacro -o FILE.urdf` (pip install xacrodoc)"
+)
+OTHERS = {
+    "sdf": "Gazebo's SDF",
+    "mujoco": "MuJoCo's MJCF",
+    "COLLADA": "a mesh",
+}
+"""What is taken for a URDF, by its root element."""
 Vector: TypeAlias = tuple[float, float, float]
 Kind: TypeAlias = Literal["revolute", "continuous", "prismatic", "fixed", "floating", "planar"]
 Numbers: TypeAlias = dict[str, float]
@@ -41,6 +58,8 @@ class Inertial(NamedTuple):
     """kg"""
     inertia: tuple[float, float, float, float, float, float]
     """kg·m²: xx, xy, xz, yy, yz, zz"""
+    wrong: str = ""
+    """Why no body has it, as a sentence; "": one can."""
 
 
 class Geometry(NamedTuple):
@@ -108,7 +127,7 @@ class UrdfModel:
 def parse(text: str) -> UrdfModel:
     """Return the model of a URDF's text. Raises ValueError with every mistake, in sentences."""
     reader = _Reader()
-    root = _read(text)
+    root = read(text)
     links = {link.name: link for element in root.findall("link") if (link := reader.link(element))}
     joints = {one.name: one for element in root.findall("joint") if (one := reader.joint(element))}
     model = reader.model(root.get("name", ""), links, joints)
@@ -117,33 +136,50 @@ def parse(text: str) -> UrdfModel:
     return model
 
 
-def _read(text: str) -> ET.Element:
-    """Return the element <robot>, whose size is bounded."""
+def read(text: str) -> ET.Element:
+    """Return the element <robot>, whose size is bounded. Raises ValueError if it is none."""
     if len(text) > MOST_CHARACTERS:
         raise ValueError(f"the URDF is too large: expected at most {MOST_CHARACTERS} characters")
-    for forbidden in ("<!DOCTYPE", "<!ENTITY"):
-        if forbidden in text:
-            raise ValueError(f"the URDF has a {forbidden[2:]}: expected plain elements only")
-    parser: Any = ET.XMLPullParser(("start", "end"))
+    if "<!ENTITY" in text:
+        raise ValueError("the URDF has an ENTITY: expected plain elements only")
+    builder, parser = ET.TreeBuilder(), expat.ParserCreate()
     depth = count = 0
-    root: ET.Element | None = None
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal depth, count
+        depth, count = depth + 1, count + 1
+        if depth > MOST_DEPTH or count > MOST_ELEMENTS:
+            raise ValueError(
+                f"the URDF has more than {MOST_ELEMENTS} elements, or {MOST_DEPTH} in each other"
+            )
+        builder.start(tag, attributes)
+
+    def end(tag: str) -> None:
+        nonlocal depth
+        depth -= 1
+        builder.end(tag)
+
+    for name, handler in (("StartElementHandler", start), ("EndElementHandler", end)):
+        setattr(parser, name, handler)
     try:
-        parser.feed(text)
-        for event, element in parser.read_events():
-            if root is None:
-                root = element
-            depth += 1 if event == "start" else -1
-            count += event == "start"
-            if depth > MOST_DEPTH or count > MOST_ELEMENTS:
-                raise ValueError(
-                    f"the URDF has more than {MOST_ELEMENTS} elements, or {MOST_DEPTH} in each other"
-                )
-        parser.close()
-    except ET.ParseError as error:
+        parser.Parse(COMMENT.sub(_lines, text.lstrip("\ufeff \t\r\n")), True)
+    except expat.ExpatError as error:
         raise ValueError(f"the URDF is not XML: {error}") from error
-    if root is None or root.tag != "robot":
-        raise ValueError(f"the URDF has the root <{root.tag if root is not None else ''}>, expected <robot>")
+    root = builder.close()
+    if root.tag != "robot":
+        known = f" ({OTHERS[root.tag]})" if root.tag in OTHERS else ""
+        raise ValueError(f"the URDF has the root <{root.tag[:40]}>{known}, expected <robot>")
+    if any(one.tag.startswith("xacro:") or "${" in "".join(one.attrib.values()) for one in root.iter()):
+        raise ValueError(f"the URDF cannot be read: {EXPAND}")
     return root
+
+
+COMMENT = re.compile("<!--.*?-->", re.DOTALL)
+
+
+def _lines(comment: re.Match[str]) -> str:
+    """Return the ends of lines in a comment, so that those after it keep their numbers."""
+    return "\n" * comment.group().count("\n")
 
 
 @dataclass(slots=True)
@@ -169,7 +205,7 @@ class _Reader:
         return name
 
     def numbers(
-        self, element: ET.Element, key: str, default: str, what: str, count: int
+        self, element: ET.Element, key: str, default: str, what: str, count: int, most: float = HEAVIEST
     ) -> tuple[float, ...]:
         """Return the numbers of an attribute; zeros, with a mistake, if they are not as they should be."""
         written = element.get(key, default)
@@ -177,14 +213,16 @@ class _Reader:
             found = tuple(map(float, written.split()))
         except ValueError:
             found = ()
-        if len(found) == count and all(abs(one) <= HEAVIEST for one in found):
+        if len(found) == count and all(abs(one) <= most for one in found):
             return found
         wanted = "a number" if count == 1 else f"{count} numbers"
-        self.wrong(f"{what}: {key} is {written[:40]!r}, expected {wanted} within ±{HEAVIEST:g}")
+        within = f" within ±{most:g}" if most < math.inf else ""
+        self.wrong(f"{what}: {key} is {written[:40]!r}, expected {wanted}{within}")
         return (0.0,) * count
 
     def number(self, element: ET.Element, key: str, default: str, what: str) -> float:
-        return self.numbers(element, key, default, what, 1)[0]
+        """Return the number of an attribute, of any size."""
+        return self.numbers(element, key, default, what, 1, math.inf)[0]
 
     def origin(self, element: ET.Element | None, what: str) -> Origin:
         if element is None:
@@ -214,12 +252,16 @@ class _Reader:
         keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
         xx, xy, xz, yy, yz, zz = (self.number(inertia, key, "0", what) for key in keys)
         kg = self.number(mass, "value", "", what)
+        moments = (xx, xy, xz, yy, yz, zz)
         most = sum((xx, yy, zz)) / 2.0 * (1.0 + 1e-6) + 1e-12
+        wrong = ""
         if kg < 0.0 or min(xx, yy, zz) < 0.0:
-            self.wrong(f"{what}: mass and moments of inertia must not be negative")
+            wrong = f"{what}: mass and moments of inertia must not be negative"
+        elif max(kg, *map(abs, moments)) > HEAVIEST:
+            wrong = f"{what}: mass or inertia is more than {HEAVIEST:g}"
         elif max(xx, yy, zz) > most:
-            self.wrong(f"{what}: no body has these moments of inertia, {xx:g}, {yy:g}, {zz:g}")
-        return Inertial(self.origin(element.find("origin"), what), kg, (xx, xy, xz, yy, yz, zz))
+            wrong = f"{what}: no body has these moments of inertia, {xx:g}, {yy:g}, {zz:g}"
+        return Inertial(self.origin(element.find("origin"), what), kg, moments, wrong)
 
     def shape(self, element: ET.Element, what: str) -> Geometry | None:
         geometry = element.find("geometry")
@@ -230,7 +272,8 @@ class _Reader:
                 size = self.numbers(one, key, "", what, count)
                 if one.tag == "cylinder":
                     size += self.numbers(one, "length", "", what, 1)
-                return Geometry(one.tag, size, self.origin(element.find("origin"), what))
+                origin = self.origin(element.find("origin"), what)
+                return Geometry(one.tag, size, origin) if min(size) > 0.0 else None
         return None
 
     def joint(self, element: ET.Element) -> UrdfJoint | None:
@@ -248,11 +291,11 @@ class _Reader:
             if not ends[-1]:
                 self.wrong(f"{what}: it has no <{tag} link=…>")
         axis = (1.0, 0.0, 0.0)
-        if (given := element.find("axis")) is not None:
+        if (given := element.find("axis")) is not None and kind not in ("fixed", "floating"):
             axis = cast(Vector, self.numbers(given, "xyz", "1 0 0", what, 3))
         length = math.hypot(*axis)
         if length < 1e-6:
-            self.wrong(f"{what}: its axis has no direction")
+            self.wrong(f"{what}: its axis, 0 0 0, has no direction: only a fixed joint may have that")
             length = 1.0
         x, y, z = (one / length for one in axis)
         limits = self.limits(element.find("limit"), kind, what)
@@ -269,13 +312,14 @@ class _Reader:
             if bounded:
                 self.wrong(f"{what}: a {kind} joint needs a <limit>")
             return None, None, None
-        low, high = (self.number(element, key, "0", what) for key in ("lower", "upper"))
+        low, high = sorted(self.number(element, key, "0", what) for key in ("lower", "upper"))
         velocity, effort = (self.number(element, key, "0", what) for key in ("velocity", "effort"))
-        if bounded and not low <= high:
-            self.wrong(f"{what}: its range is from {low:g} to {high:g}, expected the lowest first")
-        if velocity < 0.0 or effort < 0.0:
-            self.wrong(f"{what}: velocity and effort must not be negative")
-        return (low, high) if bounded else None, velocity or None, effort or None
+        endless = not bounded or (low < -FARTHEST and high > FARTHEST)
+        return (
+            None if endless else (max(low, -FARTHEST), min(high, FARTHEST)),
+            velocity if 0.0 < velocity <= FASTEST else None,
+            effort if 0.0 < effort <= STRONGEST else None,
+        )
 
     def model(self, name: str, links: dict[str, Link], joints: dict[str, UrdfJoint]) -> UrdfModel | None:
         """Return the tree of these joints, if they form one."""
@@ -290,7 +334,9 @@ class _Reader:
             above[joint.child] = joint
             below.setdefault(joint.parent, []).append(joint)
         roots = [link for link in links if link not in above]
-        if len(links) > MOST_LINKS:
+        if not links:
+            self.wrong("there is no <link>, expected one tree of links")
+        elif len(links) > MOST_LINKS:
             self.wrong(f"there are {len(links)} links, expected at most {MOST_LINKS}")
         elif len(roots) != 1:
             found = (

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from brain.belief import Belief, MissionView
 from gateway.cli import arguments
-from gateway.cli.live import add_view, check_view, open_view
+from gateway.cli.live import add_ros, add_view, check_view, open_ros, open_view
 from gateway.cli.picture import draw
 from gateway.cli.reports import add_report, reported
 from gateway.cli.run import goals_of, print_recording
@@ -55,6 +55,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     arguments.add_goal(parser, "drive here, instead of the world's tour")
     parser.add_argument("--mission", metavar="FILE", help="do this mission, instead of the world's tour")
     add_view(parser)
+    add_ros(parser)
 
 
 def run(options: Namespace) -> int:
@@ -75,6 +76,7 @@ def run(options: Namespace) -> int:
         reported(session, options.report, "demo") as ending,
     ):
         open_view(session, options)
+        open_ros(session, options)
         mission, goals = _choice(options, session, asked)
         tour = Tour(session, goals)
         began = stopwatch()

@@ -10,10 +10,13 @@ from typing import TYPE_CHECKING
 from gateway.errors import UserError
 
 if TYPE_CHECKING:
+    from gateway.core.robot import Robot
     from gateway.runtime.session import Session
 
 TOKEN = "MOTOR_GATEWAY_TOKEN"  # noqa: S105 -- the name of a variable
 """Environment variable with the token of the view; without it a new one is made where one is needed."""
+DOMAIN, MOST_DOMAIN = "ROS_DOMAIN_ID", 232
+"""Environment variable of ROS 2."""
 
 
 def add_view(parser: ArgumentParser, *, steer: bool = True) -> None:
@@ -58,6 +61,35 @@ def token_for(address: str) -> str:
 
     loopback = (parse_address(address) if address else Address()).loopback
     return os.environ.get(TOKEN) or ("" if loopback else secrets.token_urlsafe(16))
+
+
+def add_ros(parser: ArgumentParser) -> None:
+    """Add --ros."""
+    parser.add_argument(
+        "--ros",
+        nargs="?",
+        const="",
+        metavar="INTERFACE",
+        help="put it into ROS 2's graph: on this machine alone, or on the network of an interface or address",
+    )
+
+
+def domain_of(robot: Robot) -> int:
+    """Return the DDS domain: ROS_DOMAIN_ID, else the robot file's. Raises UserError if it is none."""
+    text = os.environ.get(DOMAIN, "")
+    if not text:
+        return robot.ros.domain
+    if not text.isdecimal() or not int(text) <= MOST_DOMAIN:
+        raise UserError(f"{DOMAIN} is {text!r}, expected a number from 0 to {MOST_DOMAIN}")
+    return int(text)
+
+
+def open_ros(session: Session, options: Namespace) -> None:
+    """Enter the graph that is asked for, and print under which name."""
+    if options.ros is not None:
+        if getattr(options, "fast", False):
+            raise UserError("--ros shows a run in real time: leave --fast away")
+        print(f"ROS 2: {session.ros(options.ros, domain=domain_of(session.robot))}", flush=True)
 
 
 def open_view(session: Session, options: Namespace) -> None:

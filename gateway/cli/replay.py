@@ -8,7 +8,7 @@ from itertools import count
 from pathlib import Path
 
 from gateway.cli import arguments
-from gateway.cli.live import add_view, check_view
+from gateway.cli.live import add_ros, add_view, check_view
 from gateway.cli.reports import add_report, check_report
 from gateway.cli.terminal.progress import progress
 from gateway.cli.view import show_recordings
@@ -37,6 +37,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     add_foreign(parser)
     add_report(parser)
     add_view(parser, steer=False)
+    add_ros(parser)
 
 
 def add_foreign(parser: ArgumentParser) -> None:
@@ -70,10 +71,11 @@ def run(options: Namespace) -> int:
         if value is not None:
             text = f"{options.file} is a recording of this gateway: {option} is for bags and logs only"
             raise UserError(text)
-    if options.view is not None:
+    if options.view is not None or options.ros is not None:
         if options.report is not None:
             raise UserError("--view shows the recording and writes no report: leave --report or --view away")
-        return show_recordings([options.file], options.view, tuple(options.origin), options.robot)
+        at, origins = options.view or "", tuple(options.origin)
+        return show_recordings([options.file], at, origins, options.robot, options.ros)
     if options.report is not None:
         check_report(options.report)
     try:
@@ -104,7 +106,7 @@ def run(options: Namespace) -> int:
 
 def _evaluate(options: Namespace) -> int:
     """Evaluate another program's recording."""
-    for option, value in (("--view", options.view), ("--report", options.report)):
+    for option, value in (("--view", options.view), ("--ros", options.ros), ("--report", options.report)):
         if value is not None:
             text = f"{options.file} is another program's recording: {option} is for this gateway's"
             raise UserError(text)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from brain.belief import BrainState
 from gateway.cli import arguments
-from gateway.cli.live import add_view, check_view, open_view, view_on_demand
+from gateway.cli.live import add_ros, add_view, check_view, open_ros, open_view, view_on_demand
 from gateway.cli.reports import add_report, reported
 from gateway.cli.terminal.progress import simulation
 from gateway.config import IF_IT_DIES, cannot, if_it_dies, load_mission, load_robot, with_interfaces
@@ -49,6 +49,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     arguments.add_seed(parser)
     arguments.add_realtime(parser)
     add_view(parser)
+    add_ros(parser)
 
 
 def run(options: Namespace) -> int:
@@ -68,6 +69,7 @@ def run(options: Namespace) -> int:
         reported(session, options.report, "run") as ending,
     ):
         open_view(session, options)
+        open_ros(session, options)
         session.submit(*goals, *([mission] if mission else []))
         with realtime(wanted, robot):
             status = _drive(session, operator, options, mission)

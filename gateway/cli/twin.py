@@ -5,12 +5,13 @@ from __future__ import annotations
 import logging
 import shlex
 from argparse import ArgumentParser, Namespace
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 
 from gateway.cli import arguments
-from gateway.cli.live import add_view, check_view, token_for
+from gateway.cli.live import add_ros, add_view, check_view, domain_of, token_for
 from gateway.config import load_robot, with_interfaces
 from gateway.core.clock import WallClock
 from gateway.core.robot import BusSettings
@@ -58,6 +59,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     arguments.add_seed(parser)
     arguments.add_realtime(parser)
     add_view(parser, steer=False)
+    add_ros(parser)
 
 
 def run(options: Namespace) -> int:
@@ -69,9 +71,9 @@ def run(options: Namespace) -> int:
     with devices(robot, WallClock(), options.seed, adapters, options.link, echo=options.echo) as made:
         print("\n".join(invitation(made, options.robot)), flush=True)
         with ExitStack() as stack:
-            watch = _view(made, options, stack)
+            watchers = [one for one in (_view(made, options, stack), _ros(made, options, stack)) if one]
             with realtime(wanted, robot):
-                made.serve(options.seconds, watch)
+                made.serve(options.seconds, partial(_all, watchers) if watchers else None)
     stats = made.stats
     stalled = f"; stood still for {stats.stalled / SECOND:.1f} s in all" if stats.stalled else ""
     sums = {name: bus.overlaps for name, bus in made.twins.buses.items() if bus.overlaps}
@@ -94,6 +96,24 @@ def _view(made: Devices, options: Namespace, stack: ExitStack) -> Callable[[Nano
     stack.callback(view.close)
     print(f"live view of the simulated world: {view.url}", flush=True)
     return view.watch
+
+
+def _ros(made: Devices, options: Namespace, stack: ExitStack) -> Callable[[Nanos], None] | None:
+    """Enter the graph that is asked for, and print under which name; return what it has to be called with."""
+    if options.ros is None:
+        return None
+    from gateway.ros.network import parse_network
+    from gateway.runtime.twin_view import TwinBridge
+
+    bridge = TwinBridge(made, parse_network(options.ros), domain_of(made.robot))
+    stack.callback(bridge.close)
+    print(f"ROS 2, the simulated world: {bridge.name}", flush=True)
+    return bridge.watch
+
+
+def _all(watchers: Sequence[Callable[[Nanos], None]], now: Nanos) -> None:
+    for watch in watchers:
+        watch(now)
 
 
 def invitation(made: Devices, robot: str) -> list[str]:

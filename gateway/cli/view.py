@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from gateway.cli.live import add_origin, token_for
+from gateway.cli.live import add_origin, domain_of, token_for
 from gateway.config import load_robot
 from gateway.core.clock import WallClock
 from gateway.errors import UserError
@@ -16,6 +18,10 @@ from gateway.replay.player import Player
 from gateway.runtime.process import signals
 from gateway.runtime.replay_view import ReplayView
 from gateway.view import place
+
+if TYPE_CHECKING:
+    from gateway.runtime.ros_bridge import ShownBridge
+    from gateway.view import Scene
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -62,17 +68,30 @@ def _view_robot(options: Namespace) -> int:
     return 0 if "http://" in answer else 1
 
 
-def show_recordings(files: list[Path], at: str, origins: tuple[str, ...], robot: str | None) -> int:
-    """Show recordings until a signal."""
+def show_recordings(
+    files: list[Path], at: str, origins: tuple[str, ...], robot: str | None, ros: str | None = None
+) -> int:
+    """Show recordings until a signal, the first in ROS 2's graph, too, if a network is named."""
     where, access = place(at, token_for(at), origins)
     clock, reasons = WallClock(), list[str]()
     with ExitStack() as stack:
         stack.enter_context(signals(reasons.append, suspend=False))
         loaded = None if robot is None else load_robot(robot)
         players = [stack.enter_context(Player(read_recording(file), loaded)) for file in files]
-        view = ReplayView(players, where, access)
+        graph = None if ros is None else partial(_graph, ros, clock)
+        view = ReplayView(players, where, access, graph)
         stack.callback(view.close)
         print(f"{' and '.join(map(str, files))}: {view.url} (end with Ctrl-C)", flush=True)
+        if view.graph:
+            print(f"ROS 2: {view.graph}", flush=True)
         while not reasons:
             clock.wait(view.slice(clock.now()))
     return 0
+
+
+def _graph(network: str, clock: WallClock, scene: Scene) -> ShownBridge:
+    """Return a scene's place in ROS 2's graph."""
+    from gateway.ros.network import parse_network
+    from gateway.runtime.ros_bridge import ShownBridge
+
+    return ShownBridge(scene, parse_network(network), domain_of(scene.robot), clock)

@@ -20,6 +20,7 @@ dataclasses, so this file knows none of them by name. Files are TOML (toml.io, v
     [brain]                             brain.settings.BrainSettings; [brain.BODY] is the body's own; `kind`
                                         names a brain of another distribution, [brain.KIND] is its own
     [limbs.NAME]                        of a robot of several: body, mounted_on, at, the body's own keys
+    [ros]                               gateway.core.robot.RosSettings: names in ROS 2's graph
     [bag]                               gateway.core.robot.BagTopics: the topics of a foreign bag
 """
 
@@ -45,14 +46,14 @@ from gateway.config.schema import build
 from gateway.config.sections import Find, Table, check_interface, own_ids, read_bus, read_motor, read_sensor
 from gateway.config.text import read_text, read_toml
 from gateway.config.urdf import Description, with_files
-from gateway.core.robot import STALL_TIMEOUT, BagTopics, BusDevice, Robot
+from gateway.core.robot import STALL_TIMEOUT, BagTopics, BusDevice, Robot, RosSettings
 from gateway.errors import UserError
 from protocols import plugin
 from protocols.bounds import Bounds, Duration, keys
 from protocols.messages import SECOND
 
 GROUPS = ("buses", "motors", "sensors")
-SECTIONS = (*GROUPS, "defaults", "brain", "limbs", "bag", "files")
+SECTIONS = (*GROUPS, "defaults", "brain", "limbs", "ros", "bag", "files")
 NAME = "[A-Za-z_][A-Za-z0-9_]{0,63}"
 EXPECTED_NAME = "expected a name of letters, digits and _ that begins with no digit"
 LOWEST_RATE, HIGHEST_RATE = 10.0, 1000.0
@@ -173,6 +174,7 @@ def parse_robot(
     complete = partial(described.body, joints=moved)
     brain = _brain(table.get("brain", {}), limb_tables, motor_names, sensor_names, complete, mistakes)
     bag = build(BagTopics, table["bag"], ("bag",), mistakes) if "bag" in table else None
+    ros = build(RosSettings, table.get("ros", {}), ("ros",), mistakes)
 
     period = round(SECOND / top.rate_hz) if top else 0
     validate.check_interfaces(buses, ("buses",), mistakes)
@@ -185,7 +187,8 @@ def parse_robot(
     if top is None or brain is None:
         raise AssertionError("a section is missing, and no mistake was added")
     named = top.name, text, period, top.world, top.seed
-    return Robot(*named, buses, motors, sensors, brain, bag, top.plant, top.stall_timeout)
+    rest = bag, top.plant, top.stall_timeout, ros or RosSettings(), described.text
+    return Robot(*named, buses, motors, sensors, brain, *rest)
 
 
 def _recorded(table: Table, text: str, mistakes: Mistakes) -> Robot:

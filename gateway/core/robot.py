@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 from brain.perception.mount import Mount
 from gateway.core.joint import JointSettings
 from gateway.vision.detectors import Detectors
-from protocols.bounds import Bounds, check
+from protocols.bounds import Bounds, Duration, Invalid, check
 from protocols.frames import IdMask
 from protocols.messages import MILLISECOND, Nanos
 from protocols.plugin import Device, Plugin, Spec
@@ -230,6 +230,35 @@ class BagTopics:
 
 
 @dataclass(frozen=True, slots=True)
+class RosSettings:
+    """The table [ros]: how the robot is called in ROS 2's graph (gateway.ros)."""
+
+    node: str = ""
+    """Of our node; "": the robot's name"""
+    namespace: str = ""
+    """Before every name that is not remapped, as "/left"; "": none"""
+    domain: Annotated[int, Bounds(0, 232)] = 0
+    """DDS domain; the environment's ROS_DOMAIN_ID wins"""
+    remap: dict[str, str] = field(default_factory=dict)
+    """Whole names by those of our table: { "/scan" = "/front/scan" }"""
+    cmd_vel_timeout: Annotated[Duration, Bounds(50, 5000)] = 500 * MILLISECOND
+    """How long a command that is repeated holds after its last message"""
+
+    def __post_init__(self) -> None:
+        check(self)
+        if self.node and not NODE.fullmatch(self.node):
+            raise Invalid(("node", f"node is {self.node!r}, expected letters, digits and _, no digit first"))
+        if self.namespace and not TOPIC.fullmatch(self.namespace):
+            raise Invalid(("namespace", f'namespace is {self.namespace!r}, expected a name as "/left"'))
+        if wrong := next((name for name in self.remap.values() if not TOPIC.fullmatch(name)), ""):
+            raise Invalid(("remap", f'remap: {wrong!r} is no name of a topic, expected one as "/front/scan"'))
+
+
+NODE = re.compile("[A-Za-z_][A-Za-z0-9_]{0,99}")
+TOPIC = re.compile("(/[A-Za-z_][A-Za-z0-9_]{0,99}){1,16}")
+
+
+@dataclass(frozen=True, slots=True)
 class Robot:
     """A complete robot file."""
 
@@ -252,6 +281,10 @@ class Robot:
     """What the robot truly is in a simulated scene: a shipped plant's name or a file's path."""
     stall_timeout: Nanos = STALL_TIMEOUT
     """How long the loop may stand before the watchdog process sends the stop action."""
+    ros: RosSettings = field(default_factory=RosSettings)
+    """How it is called in ROS 2's graph."""
+    description: str = ""
+    """The text of its URDF; "" if it has none."""
 
     @property
     def recorded(self) -> bool:

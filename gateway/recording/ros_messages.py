@@ -142,6 +142,30 @@ def grid(
     )
 
 
+def battery(types: Types, t: Nanos, volts: float) -> Message:
+    """Make sensor_msgs/BatteryState of the voltage alone; what is not measured is NaN."""
+    unknown = float("nan")
+    nothing = np.empty(0, np.float32)
+    return types["sensor_msgs/msg/BatteryState"](
+        header=header(types, t, ""),
+        voltage=float32(volts),
+        temperature=unknown,
+        current=unknown,
+        charge=unknown,
+        capacity=unknown,
+        design_capacity=unknown,
+        percentage=unknown,
+        power_supply_status=0,
+        power_supply_health=0,
+        power_supply_technology=0,
+        present=True,
+        cell_voltage=nothing,
+        cell_temperature=nothing,
+        location="",
+        serial_number="",
+    )
+
+
 # -- diagnostics -------------------------------------------------------------------------------
 
 

@@ -15,6 +15,7 @@ most 50 per second, the map one, the diagnostics two or one per change of state.
 | /tf_static | tf2_msgs/TFMessage | once, at the start: the sensors' mountings |
 | /joint_states | sensor_msgs/JointState | new feedback, at most 50 Hz |
 | /map | nav_msgs/OccupancyGrid | a new version, at most 1 Hz |
+| /battery_state | sensor_msgs/BatteryState | 1 Hz, the mean of what motors measure; not recorded |
 | /plan, /goal_pose | nav_msgs/Path, geometry_msgs/PoseStamped | on change |
 | /diagnostics | diagnostic_msgs/DiagnosticArray | 2 Hz, on a change of state, with every note |
 | /rosout | rcl_interfaces/Log | each note |
@@ -27,7 +28,7 @@ from __future__ import annotations
 import contextlib
 import re
 from collections.abc import Container, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -48,12 +49,14 @@ if TYPE_CHECKING:
 BELIEF_PERIOD = 20 * MILLISECOND
 MAP_PERIOD = SECOND
 DIAGNOSTICS_PERIOD = 500 * MILLISECOND
+BATTERY_PERIOD = SECOND
 
 UINT64 = 2**64 - 1
 OF_SENSORS = {kind.ros.topic: kind.ros.type for kind in sensors.OURS if kind.ros}
 """Topics of our kinds of sensors, with their types."""
 ODOMETRY, TRANSFORMS = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
 JOINT_STATE, POSE = "sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseWithCovarianceStamped"
+BATTERY = "sensor_msgs/msg/BatteryState"
 _BY_STRUCT = (
     ros_messages.CAN_FRAME,
     ros_messages.FD_FRAME,
@@ -65,6 +68,7 @@ _BY_STRUCT = (
 )
 _BY_SERIALISER = (
     TRANSFORMS,
+    BATTERY,
     "nav_msgs/msg/OccupancyGrid",
     "nav_msgs/msg/Path",
     "geometry_msgs/msg/PoseStamped",
@@ -80,6 +84,7 @@ TOPICS = {
     "/tf": TRANSFORMS,
     "/tf_static": TRANSFORMS,
     "/joint_states": JOINT_STATE,
+    "/battery_state": BATTERY,
     "/map": "nav_msgs/msg/OccupancyGrid",
     "/plan": "nav_msgs/msg/Path",
     "/goal_pose": "geometry_msgs/msg/PoseStamped",
@@ -196,6 +201,7 @@ class Views:
         mounts: where the sensors are, for /tf_static.
         store: the message types, if they are at hand (`typestore`).
         wanted: the topics to make messages for, looked at in each tick; None: all.
+        epoch: added to all times but those of frames, where they are to be those of another clock.
     """
 
     def __init__(
@@ -203,8 +209,9 @@ class Views:
         mounts: Mapping[str, Mount] | None = None,
         store: Typestore | None = None,
         wanted: Container[str] | None = None,
+        epoch: Nanos = 0,
     ) -> None:
-        self._mounts, self._wanted = dict(mounts or {}), wanted
+        self._mounts, self._wanted, self._epoch = dict(mounts or {}), wanted, epoch
         self._store = store or typestore()
         self._types: ros_messages.Types = self._store.types
         self._layouts = ros_cdr.Layouts()
@@ -221,6 +228,8 @@ class Views:
 
     def messages(self, tick: Tick, belief: Belief) -> list[ViewMessage]:
         """Return the messages for a tick, in a fixed order."""
+        if self._epoch:
+            tick, belief = self._moved_to_epoch(tick, belief)
         views = self._mounts_view(tick.now)
         views += self._frames(tick.inputs.packets, "from")
         views += self._events(tick.outputs.events)
@@ -228,6 +237,7 @@ class Views:
         views += self._estimate_and_map(tick.now, belief)
         views += self._goal_and_plan(tick.now, belief)
         views += self._joints(tick.now)
+        views += self._battery(tick.now)
         if self._wants("/rosout"):
             views += [
                 self._view("/rosout", tick.now, ros_messages.log(self._types, tick.now, note))
@@ -288,6 +298,16 @@ class Views:
     def _view(self, topic: str, t: Nanos, message: Message) -> ViewMessage:
         return to_view(self._store, topic, t, message)
 
+    def _moved_to_epoch(self, tick: Tick, belief: Belief) -> tuple[Tick, Belief]:
+        """Return what is shown, but frames, with the times of the other clock."""
+        epoch, estimate = self._epoch, belief.estimate
+        events = tuple(
+            replace(one, t=one.t + epoch) if isinstance(one, msg.Measurement) else one
+            for one in tick.outputs.events
+        )
+        moved = replace(tick, now=tick.now + epoch, outputs=replace(tick.outputs, events=events))
+        return moved, replace(belief, estimate=estimate and replace(estimate, t=estimate.t + epoch))
+
     # -- frames and events ------------------------------------------------------------------------
 
     def _frames(self, packets: Sequence[Packet], direction: str) -> list[ViewMessage]:
@@ -313,7 +333,7 @@ class Views:
 
     def _events(self, events: Sequence[Event]) -> list[ViewMessage]:
         views: list[ViewMessage] = []
-        motors = self._wants("/joint_states") or self._wants("/diagnostics")
+        motors = any(map(self._wants, _OF_MOTORS))
         for event in events:
             if isinstance(event, msg.Measurement):
                 views += self._reading(event)
@@ -405,6 +425,16 @@ class Views:
         }
         return [ViewMessage("/joint_states", JOINT_STATE, _stamp(now), ros_cdr.joint_state(now, measured))]
 
+    def _battery(self, now: Nanos) -> list[ViewMessage]:
+        topic = "/battery_state"
+        if self._wanted is None or topic not in self._wanted:  # older recordings lack it, and are compared
+            return []
+        measured = [volts for m in self._motors.values() if (volts := m.measured.get("voltage")) is not None]
+        if not measured or not self._due(topic, now, BATTERY_PERIOD):
+            return []
+        volts = sum(measured) / len(measured)
+        return [self._view(topic, now, ros_messages.battery(self._types, now, volts))]
+
     # -- diagnostics ------------------------------------------------------------------------------
 
     def _diagnostics(self, tick: Tick, belief: Belief) -> list[ViewMessage]:
@@ -457,6 +487,7 @@ class Views:
 
 _MEASURED = ("position", "velocity", "torque", "current", "voltage", "temperature")
 _REPORTED = {"current": "A", "voltage": "V", "temperature": "degC"}
+_OF_MOTORS = ("/joint_states", "/diagnostics", "/battery_state")
 _OF_ESTIMATE = ("/odom", "/tf", "/estimate", "/wheel_odom")
 _TOPIC = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 

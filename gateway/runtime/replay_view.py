@@ -17,6 +17,7 @@ from gateway.core.tick import Tick
 from gateway.replay.beside import Beside
 from gateway.replay.compare import Difference
 from gateway.replay.player import Playback, Player
+from gateway.runtime.ros_bridge import ShownBridge
 from gateway.view import Access, Address, Scene, View
 from gateway.view.requests import ViewAnswer
 from gateway.view.scene import Json
@@ -67,17 +68,24 @@ class ReplayView:
         players: one, or two that are shown beside each other.
         address: where to listen.
         access: who may connect.
+        graph: makes the first recording's place in ROS 2's graph.
 
     Raises:
         UserError: the address cannot be opened.
     """
 
-    def __init__(self, players: Sequence[Player], address: Address, access: Access) -> None:
+    def __init__(
+        self,
+        players: Sequence[Player],
+        address: Address,
+        access: Access,
+        graph: Callable[[Scene], ShownBridge] | None = None,
+    ) -> None:
         self._shown = [_Shown(player) for player in players]
         for one in self._shown:
             one.scene = Scene(one.player.gateway, "replay", partial(self._facts, one))
         self._playback = Playback(0, 0)
-        """Held while a recording is under way."""
+        """Held while a recording is under way; it plays at once in a graph, which has no button."""
         self._steps = 0
         """Ticks to be stepped once none is under way."""
         self._stepping = False
@@ -86,9 +94,21 @@ class ReplayView:
         self._compared = False
         """Whether the two are compared with each other."""
         self._now: Nanos = 0
+        self._graph = graph(Scene(players[0].gateway, "replay", dict)) if graph is not None else None
+        self._playback = self._playback.changed(0, playing=self._graph is not None)
         self._view = View([one.scene for one in self._shown], address, access, acts={"play": self._play})
         self.url = self._view.url
-        self.close = self._view.close
+
+    @property
+    def graph(self) -> str:
+        """Its name in ROS 2's graph; "" if it is not there."""
+        return self._graph.name if self._graph is not None else ""
+
+    def close(self) -> None:
+        """Send every client the end, and leave the graph."""
+        self._view.close()
+        if self._graph is not None:
+            self._graph.close()
 
     @property
     def _longest(self) -> Nanos:
@@ -174,6 +194,8 @@ class ReplayView:
         one.passed.clear()
         one.tick = replace(player.tick, outputs=player.outputs)
         self._view.take(one.tick, player.gateway.belief(), number)
+        if self._graph is not None and number == 0:
+            self._graph.take(one.tick, player.gateway.belief(), player.gateway)
 
     def _facts(self, one: _Shown) -> Json:
         player, playback = one.player, self._playback

@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from gateway.recording import Recorder
     from gateway.replay import SignalLog
     from gateway.runtime.live_view import SessionView
+    from gateway.runtime.ros_bridge import SessionBridge
 
 log = logging.getLogger("gateway")
 _Result = TypeVar("_Result")
@@ -74,6 +75,7 @@ class Session:
     """and why it does not drive as it should."""
     _watchers: list[loop.Record] = field(default_factory=list)
     _view: SessionView | None = None
+    _ros: SessionBridge | None = None
     _recorders: list[Recorder] = field(default_factory=list)
     """All that were opened."""
     _submitted: deque[Instruction] = field(default_factory=deque)
@@ -157,8 +159,9 @@ class Session:
 
         def instructions() -> Sequence[Instruction]:
             seen = self._guarded(lambda view: view.poll()) or ()
-            submitted = [self._submitted.popleft() for _ in range(len(self._submitted))]
-            return [*submitted, *poll(), *seen]
+            submitted = [*self._take_submitted(), *poll(), *seen]
+            graph = self._with_graph(lambda ros: ros.poll(submitted)) or ()
+            return [*submitted, *graph, *self._take_submitted()]
 
         ticks = loop.live(
             self.gateway,
@@ -179,6 +182,10 @@ class Session:
                     yield tick
         finally:  # the run's end has ended what was held
             self._guarded(lambda view: view.ends())
+            self._with_graph(lambda ros: ros.ends())
+
+    def _take_submitted(self) -> list[Instruction]:
+        return [self._submitted.popleft() for _ in range(len(self._submitted))]
 
     async def run_async(
         self,
@@ -289,6 +296,50 @@ class Session:
             self._submitted += view.ends()
             view.close()
 
+    def ros(self, network: str = "", *, domain: int | None = None) -> str:
+        """Put the robot into ROS 2's graph, while the session runs: topics, services, parameters, actions.
+
+        Args:
+            network: "": this machine alone. Else our interface to a network, by its name or IPv4 address:
+                then whoever is there can drive the robot.
+            domain: of DDS; None: the robot file's.
+
+        Returns:
+            str: the node's name in the graph, and where it listens.
+
+        Raises:
+            UserError: there is no such interface, or its ports are taken.
+        """
+        from gateway.ros.network import parse_network
+        from gateway.runtime.ros_bridge import SessionBridge
+
+        address = parse_network(network)
+        self.close_ros()
+        self._ros = SessionBridge(self, address, self.robot.ros.domain if domain is None else domain)
+        return self._ros.name
+
+    def close_ros(self) -> None:
+        """Leave ROS 2's graph. What is held there ends with the next step."""
+        ros, self._ros = self._ros, None
+        if ros is not None:
+            self._submitted += ros.ends()
+            ros.close()
+
+    def _with_graph(self, use: Callable[[SessionBridge], _Result]) -> _Result | None:
+        """Return what something does with ROS 2's graph; None without one. One that fails is left, and keeps
+        nothing from the robot."""
+        if self._ros is None:
+            return None
+        try:
+            return use(self._ros)
+        except Exception:
+            log.exception("ROS 2's graph is left")
+            try:
+                self.close_ros()
+            except Exception:
+                log.exception("ROS 2's graph could not be left in order")
+            return None
+
     def _guarded(self, use: Callable[[SessionView], _Result]) -> _Result | None:
         """Return what something does with the view; None without one. A view that fails is closed, and
         keeps nothing from the robot."""
@@ -323,6 +374,7 @@ class Session:
         if self._ticks is not None:
             self._ticks.close()
         self.close_view()
+        self.close_ros()
         for recorder in self._recorders:
             recorder.close()
 
@@ -350,6 +402,7 @@ class Session:
         for take in self._watchers:
             take(tick, belief)
         self._guarded(lambda view: view.take(tick, belief))
+        self._with_graph(lambda ros: ros.take(tick, belief))
         self.silence.take(tick)
         self.troubles.take(tick)
         self.driving.take(tick, belief)

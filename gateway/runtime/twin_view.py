@@ -11,6 +11,7 @@ from brain.belief import Belief, Estimate
 from gateway.buses.virtual import TwinWorld
 from gateway.core.step import Gateway
 from gateway.core.tick import Inputs, Outputs, Tick
+from gateway.runtime.ros_bridge import ShownBridge
 from gateway.runtime.twin_process import Devices
 from gateway.sim.world import World
 from gateway.view import Access, Address, Scene, View
@@ -68,6 +69,24 @@ class TwinScene(Scene):
     def _world(self) -> World:
         assert self.twins is not None
         return self.twins.world
+
+
+class TwinBridge:
+    """Simulated devices in ROS 2's graph: what is true. `watch` is called as that of a view is.
+
+    Raises UserError if the network cannot be opened."""
+
+    def __init__(self, made: Devices, address: str, domain: int) -> None:
+        self._last = -PERIOD
+        self._scene = TwinScene(Gateway(made.robot), "twin", dict, twins=made.twins)
+        self._bridge = ShownBridge(self._scene, address, domain, made.clock)
+        self.name, self.close = self._bridge.name, self._bridge.close
+
+    def watch(self, now: Nanos) -> None:
+        """Publish the world. Never waits."""
+        if now - self._last >= PERIOD:
+            self._last = self._scene.now = now
+            self._bridge.take(self._scene.present(), self._scene.truth(), self._scene.gateway)
 
 
 class TwinView:

@@ -93,7 +93,7 @@ def _wrong(part: AssemblyPart, error: Exception) -> WorldError:
 
 
 def _element(text: str) -> ET.Element:
-    return ET.fromstring(text)  # noqa: S314 - our own text, or one that `urdf.parse` has taken
+    return ET.fromstring(text)  # noqa: S314 - our own text
 
 
 def _robot(part: AssemblyPart, start: Start | None, imus: dict[str, Mount]) -> mjcf.MjcfRobot:
@@ -104,7 +104,11 @@ def _robot(part: AssemblyPart, start: Start | None, imus: dict[str, Mount]) -> m
     moving = [name for name, joint in model.joints.items() if joint.moves]
     if wrong := [unknown("joint", name, moving) for name in plant.joints if name not in moving]:
         raise ValueError("; ".join(wrong))
-    spec: Any = import_mujoco(plant.name).MjSpec.from_string(_prepared(text))
+    if wrong := [
+        link.inertial.wrong for link in model.links.values() if link.inertial and link.inertial.wrong
+    ]:
+        raise ValueError("; ".join(wrong))
+    spec: Any = import_mujoco(plant.name).MjSpec.from_string(_prepared(text, model))
     tree = _element(spec.to_xml())
     base = tree.find("worldbody/body")
     assert base is not None, "the root link is the first body"
@@ -143,20 +147,43 @@ def _place(body: ET.Element, x: float, y: float, z: float, yaw: float) -> None:
     body.set("quat", f"{math.cos(yaw / 2.0)} 0 0 {math.sin(yaw / 2.0)}")
 
 
-def _prepared(text: str) -> str:
-    """Return the URDF with links that stay apart, and with the shapes that touch alone."""
-    root = _element(text)
+def _prepared(text: str, model: urdf.UrdfModel) -> str:
+    """Return the URDF with links that stay apart, the shapes that touch alone, and limits as read."""
+    root = urdf.read(text)
     for old in root.findall("mujoco"):
         root.remove(old)
     root.append(_element('<mujoco><compiler fusestatic="false"/></mujoco>'))
     for link in root.findall("link"):
         touching = link.findall("collision") or link.findall("visual")
         for shape in (*link.findall("collision"), *link.findall("visual")):
-            if shape not in touching or shape.find("geometry/mesh") is not None:
+            if shape not in touching or not _solid(shape):
                 link.remove(shape)
             else:
                 shape.tag = "collision"
+    for joint in root.findall("joint"):
+        _set_limits(joint, model.joints[joint.get("name", "")])
     return ET.tostring(root, encoding="unicode")
+
+
+def _solid(shape: ET.Element) -> bool:
+    """Return whether a shape is one of ours: no mesh, nothing without extent."""
+    sizes = " ".join(" ".join(one.attrib.values()) for one in shape.findall("geometry/*"))
+    return shape.find("geometry/mesh") is None and all(float(size) > 0.0 for size in sizes.split())
+
+
+def _set_limits(joint: ET.Element, read: urdf.UrdfJoint) -> None:
+    """Set the range and effort of a joint as they were read; MuJoCo would take what means none for one."""
+    if not read.moves:
+        for axis in joint.findall("axis"):
+            joint.remove(axis)
+    elif read.range is None and read.kind == "revolute":
+        joint.set("type", "continuous")
+    for limit in joint.findall("limit"):
+        limit.attrib.clear()
+        if read.range is not None:
+            limit.attrib |= {"lower": str(read.range[0]), "upper": str(read.range[1])}
+        if read.effort is not None:
+            limit.set("effort", str(read.effort))
 
 
 def _set_figures(joint: ET.Element, plant: LinkedFile) -> None:

@@ -58,7 +58,7 @@ SILENT = ViewAnswer(ok=True, text="")
 
 
 @dataclass(slots=True)
-class _Budget:
+class Budget:
     """How much of something may be asked: so much a second, and that of `span` seconds at once."""
 
     rate: float
@@ -86,9 +86,9 @@ class _Budget:
 class Asking:
     """One client, as one who asks."""
 
-    requests: _Budget = field(default_factory=lambda: _Budget(PER_SECOND, AT_ONCE))
-    holds: _Budget = field(
-        default_factory=lambda: _Budget(HOLDS_PER_SECOND, HOLDS_PER_SECOND, debt=HOLDS_PER_SECOND)
+    requests: Budget = field(default_factory=lambda: Budget(PER_SECOND, AT_ONCE))
+    holds: Budget = field(
+        default_factory=lambda: Budget(HOLDS_PER_SECOND, HOLDS_PER_SECOND, debt=HOLDS_PER_SECOND)
     )
     polled: Nanos = -1
     """The last poll in which it asked."""

@@ -115,7 +115,7 @@ def test_mistakes(tmp_path: Path, old: str, new: str, place: str, sentence: str)
 
 
 def test_a_wrong_urdf_is_told_in_sentences_all_at_once(tmp_path: Path) -> None:
-    wrong = CART.replace('radius="0.06"', 'radius="thick"').replace('velocity="12"', 'velocity="-1"')
+    wrong = CART.replace('radius="0.06"', 'radius="thick"').replace('velocity="12"', 'velocity="fast"')
     with pytest.raises(ConfigError) as caught:
         load_robot(write(tmp_path, urdf=wrong))
     texts = [one.text for one in caught.value.mistakes]

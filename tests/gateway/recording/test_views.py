@@ -171,6 +171,28 @@ def test_joint_states_hold_the_last_values_of_each_motor() -> None:
 # -- belief ------------------------------------------------------------------------------------
 
 
+def test_a_battery_is_the_voltage_that_motors_measure() -> None:
+    views = Views(wanted={"/battery_state"})
+    measured = [Feedback("left", T, voltage=24.0), Feedback("right", T, voltage=23.0)]
+    state = shown(tick(*measured), views=views)["/battery_state"]
+    assert (state.voltage, state.present, at(state)[0]) == (23.5, True, T)
+    assert math.isnan(state.percentage)
+    assert math.isnan(state.current)
+    assert "/battery_state" not in shown(tick(now=T + SECOND // 2), views=views), "once a second"
+    assert "/battery_state" not in shown(tick(*measured)), "recordings have none"
+
+
+def test_times_of_another_clock() -> None:
+    epoch = 1_700_000_000 * SECOND
+    views = Views({"lidar": Mount()}, epoch=epoch)
+    scan = LaserScan("lidar", T - 5, -1.0, 0.5, 0.1, 10.0, (1.0,))
+    made = shown(tick(scan, Feedback("left", T, position=1.0)), believing(T - 3), views)
+    assert at(made["/scan"])[0] == epoch + T - 5
+    assert at(made["/odom"])[0] == at(made["/estimate"])[0] == epoch + T - 3
+    assert {at(one)[0] for one in made["/tf"].transforms} == {epoch + T - 3}
+    assert at(made["/joint_states"])[0] == at(made["/tf_static"].transforms[0])[0] == epoch + T
+
+
 def test_odometry_and_tf() -> None:
     message = shown(tick(), believing(T - 3))["/odom"]
     assert (*at(message), message.child_frame_id) == (T - 3, "odom", "base_link")

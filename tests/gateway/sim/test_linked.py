@@ -88,11 +88,25 @@ def test_a_torque_holds_it_and_effort_bounds_it(tmp_path: Path) -> None:
     assert pushed.shaft("swing")[0] == pytest.approx(math.asin(5.0 / 9.81), abs=1e-3)
 
 
+@pytest.mark.parametrize("limit", ['lower="-1e16" upper="1e16" effort="1e7" velocity="-1"',
+    'lower="-inf" upper="inf" effort="-1" velocity="1e16"'])  # fmt: skip
+def test_what_means_no_limit_is_none(tmp_path: Path, limit: str) -> None:
+    text = PENDULUM.replace('lower="-3" upper="2" effort="5" velocity="10"', limit)
+    loose = '<link name="flag"/><joint name="f" type="fixed"><parent link="rod"/><child link="flag"/>'
+    text = text.replace("</robot>", f'{loose}<axis xyz="0 0 0"/></joint><sensor:eye/></robot>')
+    pushed = pendulum(tmp_path, text)
+    for _ in range(1000):
+        pushed.step({"swing": 50.0})
+    assert pushed.shaft("swing")[0] > 7.0, "once around, and against a weight that 5 N·m cannot lift"
+
+
 def test_what_is_wrong_is_said(tmp_path: Path) -> None:
     with pytest.raises(WorldError, match="no joint 'pivot'"):
         pendulum(tmp_path, PENDULUM.replace('"pivot"', '"hinge"'))
-    with pytest.raises(WorldError, match="has a DOCTYPE"):
-        pendulum(tmp_path, "<!DOCTYPE robot>" + PENDULUM)
+    with pytest.raises(WorldError, match="link 'rod': no body has these moments of inertia"):
+        pendulum(tmp_path, PENDULUM.replace('izz="0.01"', 'izz="1"'))
+    with pytest.raises(WorldError, match="has an ENTITY"):
+        pendulum(tmp_path, "<!DOCTYPE robot [<!ENTITY a 'b'>]>" + PENDULUM)
     with pytest.raises(WorldError, match=r"urdf: .*No such file"):
         pendulum(tmp_path, plant=PLANT.replace("{urdf}", "nowhere/{urdf}"))
     with pytest.raises(WorldError, match="a motor of its own"):

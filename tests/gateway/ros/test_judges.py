@@ -1,0 +1,251 @@
+"""A robot in real time, judged by real ROS 2 (rclpy on Fast DDS) and by Cyclone DDS: what they see is true,
+what they ask is done, and all of it is in the recording.
+
+They are Python packages, in an environment of their own: `bash tests/gateway/ros/judges/install`.
+"""
+
+from __future__ import annotations
+
+import math
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import gateway
+from brain.belief import Belief
+from gateway.core.tick import Tick
+from gateway.recording import read_recording
+from gateway.replay import replay_recording
+from gateway.ros import actions, definitions, graph, types
+from gateway.ros.link import Link
+from protocols import messages as msg
+from tests.gateway.processes import PATIENCE
+from tests.gateway.ros.judged import Judge, domain, python
+
+NEAR, FAR = (0.35, 0.0), (0.15, 0.1)
+"""Goals"""
+
+
+class Seen:
+    """What the robot did."""
+
+    def __init__(self) -> None:
+        self.asked: list[Any] = []
+        self.odom: set[tuple[float, float, float]] = set()
+        self.map: set[tuple[float, float, float]] = set()
+        self.scans: list[tuple[float, ...]] = []
+
+    def take(self, tick: Tick, belief: Belief) -> None:
+        self.asked += tick.inputs.instructions
+        self.scans += [one.ranges for one in tick.outputs.events if isinstance(one, msg.LaserScan)]
+        if (estimate := belief.estimate) is not None:
+            for poses, pose in ((self.odom, estimate.odom), (self.map, estimate.pose)):
+                poses.add((round(pose.x, 9), round(pose.y, 9), round(pose.yaw, 9)))
+
+
+def agree(found: list[list[float]], true: set[tuple[float, float, float]]) -> float:
+    """Return the largest difference of any of these poses from the nearest true one."""
+    worst = 0.0
+    for _, x, y, yaw in found:
+        worst = max(
+            worst,
+            min(max(abs(x - a), abs(y - b), abs(math.remainder(yaw - c, math.tau))) for a, b, c in true),
+        )
+    return worst
+
+
+def test_two_implementations_of_dds_drive_a_robot(tmp_path: Path) -> None:
+    python()
+    seen, recording, number = Seen(), tmp_path / "run.mcap", domain()
+    results: list[dict[str, Any]] = []
+    with gateway.open_session("diffbot", seed=1, record=recording) as session:
+        session.watch(seen.take)
+        assert session.ros(domain=number).startswith(f"/diffbot in domain {number}, at 127.0.0.1:")
+        scripts = [
+            ("cyclone_client", (str(number), *map(str, NEAR))),
+            ("rclpy_robot", tuple(map(str, FAR))),
+        ]
+        judge = None
+        for _ in session.run(seconds=PATIENCE):
+            while judge is not None and not (judge.begun() or judge.done()):
+                time.sleep(0.05)
+            if judge is not None and judge.done():
+                results.append(judge.end())
+                judge = None
+            if judge is None:
+                if not scripts:
+                    break
+                script, arguments = scripts.pop(0)
+                judge = Judge(tmp_path, script, number, *arguments)
+        if judge is not None:
+            judge.end()
+    cyclone, ros = results
+
+    # Cyclone DDS: a message of several fragments, an action, a service
+    grid = cyclone["map"]
+    assert grid["cells"] == grid["width"] * grid["height"] > 0
+    assert cyclone["goal"]["accepted"]
+    assert (cyclone["result"]["status"], cyclone["result"]["error"]) == (4, 0)
+    distances = cyclone["feedback"]["distances"]
+    assert len(distances) >= 3
+    assert distances[-1] < distances[0] == pytest.approx(math.dist((0.0, 0.0), NEAR), abs=0.1)
+    assert cyclone["clear"] == {"kind": "clear", "success": True, "text": "accepted"}
+
+    # ROS 2: who we are
+    assert ["diffbot", "/"] in ros["nodes"]["names"]
+    for name, (node, type_, hash_) in ros["infos"]["of"].items():
+        assert node == "diffbot", name
+        assert hash_ == types.type_hash(type_), name
+    assert {"/diffbot/stop", "/diffbot/get_parameters"} <= set(ros["services"]["names"])
+
+    # what it reads is what the robot has
+    ranges = ros["scan"]["ranges"]
+    assert any(ranges == pytest.approx(one, rel=1e-6, nan_ok=True) for one in seen.scans)
+    assert ros["scan"]["frame"] == "lidar"
+    assert ros["joints"]["names"] == ["left", "right"]
+    assert ros["battery"]["volts"] == pytest.approx(24.0, abs=2.0)
+    assert agree(ros["odom"]["poses"][::10], seen.odom) < 1e-6
+    assert agree(ros["estimate"]["poses"][::10], seen.map) < 1e-6
+
+    # what it asks is done
+    parameters = ros["parameters"]
+    assert "brain.differential.max_linear" in parameters["listed"]
+    assert (parameters["unknown"], parameters["set"]) == (True, [True, False])
+    assert parameters["now"] == parameters["value"] / 2 == parameters["high"] / 2
+    assert ros["square"]["off"] < 0.1
+    assert ros["goal"]["off"] < 0.15
+    assert ros["goal"]["points"] >= 2
+    assert (ros["stop"]["success"], ros["stop"]["message"]) == (True, "accepted")
+    assert ros["stopped"]["moved"] < 0.02
+    assert ros["stopped"]["refused"]
+    kinds = {type(one) for one in seen.asked}
+    assert {msg.Drive, msg.Goal, msg.Mission, msg.Set, msg.Stop, msg.ClearFault} <= kinds
+    assert any(isinstance(one, msg.Goal) and (one.x, one.y) == FAR for one in seen.asked)
+
+    # and all of it is replayed to the same bytes
+    comparison = replay_recording(read_recording(recording))
+    assert comparison.ok, comparison.text()
+
+
+class Server:
+    """A server of an action of which ROS installs the types: one step of the sequence in each turn."""
+
+    def __init__(self, number: int) -> None:
+        name, type_ = "/fibonacci", "test_msgs/action/Fibonacci"
+        rows = [
+            (kind, one, type_, types.type_hash(type_), qos)
+            for kind, one, type_, qos in graph._action(name, type_)
+        ]
+        ours, theirs = socket.socketpair()
+        with theirs:
+            command = [sys.executable, "-m", "gateway.ros.process"]
+            self.process = subprocess.Popen(command, stdin=theirs.fileno())
+        self._link, self._names = Link(ours), [one[1] for one in rows]
+        described = [(*row[:4], row[4].reliable, row[4].transient, row[4].depth) for row in rows]
+        self._link.send("127.0.0.1", number, "server", "", described)
+        self._action = actions.Action(name, type_, self._publish, self._answer)
+        self._sequence = [0, 1]
+
+    def _publish(self, name: str, data: bytes) -> None:
+        self._link.send("publish", self._names.index(name), data)
+
+    def _answer(self, name: str, data: bytes, token: Any) -> None:
+        self._link.send("answer", self._names.index(name), data, token)
+
+    def turn(self) -> None:
+        self._link.flush()
+        for kind, *rest in self._link.receive():
+            if kind == "request":
+                self._request(*rest)
+        goal = self._action.active
+        if goal is None:
+            return
+        self._sequence.append((self._sequence[-1] + self._sequence[-2]) % 1000)
+        content = np.array(self._sequence, np.int32)
+        self._action.feedback(goal, types.make("test_msgs/action/Fibonacci_Feedback", sequence=content))
+        if len(self._sequence) > goal.content.order:
+            result = types.make("test_msgs/action/Fibonacci_Result", sequence=content)
+            self._action.set(goal, actions.SUCCEEDED, result)
+
+    def _request(self, row: int, payload: bytes, token: Any) -> None:
+        kinds = {"send_goal": "test_msgs/action/Fibonacci_SendGoal", "cancel_goal": graph.CANCEL}
+        part = self._names[row].rpartition("/")[2]
+        request = types.decode(f"{kinds.get(part, 'test_msgs/action/Fibonacci_GetResult')}_Request", payload)
+        if part == "get_result":
+            self._action.get_result(request, token)
+        elif part == "cancel_goal":
+            for goal in self._action.cancel(request, token):
+                nothing = types.make("test_msgs/action/Fibonacci_Result")
+                self._action.set(goal, actions.CANCELED, nothing)
+        else:
+            stamp = types.make("builtin_interfaces/msg/Time")
+            refuse = lambda goal: "negative" if goal.order < 0 else ""  # noqa: E731
+            made = self._action.send_goal(request, stamp, token, refuse)
+            if made is not None:
+                self._sequence = [0, 1]
+                self._action.set(made, actions.EXECUTING)
+
+    def close(self) -> None:
+        self._link.close()
+        self.process.wait()
+
+
+def test_an_action_client_of_ros(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    python()
+    fibonacci = "int32 order\n---\nint32[] sequence\n---\nint32[] sequence"
+    monkeypatch.setitem(definitions.ACTIONS, "test_msgs/action/Fibonacci", fibonacci)
+    types.store.cache_clear()
+    number = domain() + 60
+    server = Server(number)
+    judge = Judge(tmp_path, "rclpy_action", number)
+    try:
+        while not judge.done():
+            server.turn()
+            time.sleep(0.02)
+    finally:
+        found = judge.end()
+        server.close()
+    done = found["done"]
+    assert (done["accepted"], done["status"], done["sequence"]) == (True, actions.SUCCEEDED, [0, 1, 1, 2, 3])
+    assert done["feedback"] == [[0, 1, 1], [0, 1, 1, 2], [0, 1, 1, 2, 3]]
+    assert found["refused"]["accepted"] is False
+    assert found["cancelled"] == {"kind": "cancelled", "code": 0, "goals": 1, "status": actions.CANCELED}
+    assert found["again"]["code"] == actions.TERMINATED
+
+
+TUTORIAL = Path(__file__).parents[3] / "examples" / "ros2_tutorial"
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("mine", [(), ("perception",)])
+def test_three_nodes_of_a_tutorial_drive_a_robot(mine: tuple[str, ...], tmp_path: Path) -> None:
+    """Perception may be the gateway's own."""
+    python()
+    number, recording, there = domain(), tmp_path / "drive.mcap", (1.2, 0.3)
+    names = [name for name in ("perception", "planner", "controller") if name not in mine]
+    seen = Seen()
+    with gateway.open_session("diffbot", seed=1, record=recording) as session:
+        session.watch(seen.take)
+        session.ros(domain=number)
+        remapped = ("--ros-args", "-r", "/tutorial/map:=/map") if mine else ()
+        nodes = [Judge(tmp_path, f"{TUTORIAL}/{name}", number, *remapped) for name in names]
+        judge = Judge(tmp_path, "goal", number, *map(str, there))
+        try:
+            for _ in session.run(seconds=PATIENCE):
+                if judge.done():
+                    break
+        finally:
+            for node in nodes:
+                node.kill()
+        found = judge.end()
+    assert found["there"]["off"] < 0.2
+    driven = [one for one in seen.asked if isinstance(one, msg.Drive)]
+    assert len(driven) > 20
+    comparison = replay_recording(read_recording(recording))
+    assert comparison.ok, comparison.text()
