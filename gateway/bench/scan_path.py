@@ -78,7 +78,7 @@ class ScanPath:
         self._keep(end, placed, body)
 
     def _begin(self, end: float, body: BodyScan) -> None:
-        self._frames.forget()
+        self._frames = Keyframes(SETTINGS)
         self._frames.add(Pose(0.0, 0.0, 0.0), np.zeros((3, 3)), body, body.hit, 0.0)
         if not len(self._frames):
             return
@@ -95,7 +95,9 @@ class ScanPath:
         self.poses.append((pose.x, pose.y, yaw))
         self.noises.append(placed.noise)
         self.parts.append(self._part)
-        self._frames.add(pose, np.zeros((3, 3)), body, body.hit, placed.share)
+        if self._frames.wants(pose, placed.share):
+            self._frames.add(pose, np.zeros((3, 3)), body, body.hit, 0.0)
+            self._frames.kept.pop(self._frames.count - 1 - SETTINGS.count, None)  # beyond the local map
 
     def _velocity(self) -> Floats:
         """Return the mean motion per second of the newest scans, in the lidar's frame."""
