@@ -105,7 +105,7 @@ def make(plan: Plan, shown: which_motor.Shown | None, *, read: bool) -> str:
         try:
             plan.allowed = which_motor.allowed(plan)
         except BusError as error:
-            print(f"the devices' own limits are not read: {error}", file=sys.stderr)
+            print(f"the devices' own limits are not read: {error}")
     return plan.text()
 
 
@@ -172,7 +172,7 @@ def _shown(plan: Plan, how: str) -> which_motor.Shown | None:
         try:
             return show(name, left)
         except BusError as error:  # then its address is asked for
-            print(error, file=sys.stderr)
+            print(error)
             return None
 
     return shown

@@ -402,13 +402,13 @@ def test_on_a_terminal_it_is_asked_for_and_an_end_of_the_input_writes_nothing(
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
     words = ["new", str(robot), "--from", str(scan)]
     assert main(words) == 2
-    err = capsys.readouterr().err
-    assert "'socketcan:nowhere'" in err  # the bus is not there: nothing can be shown by hand
+    out, err = capsys.readouterr()
+    assert "'socketcan:nowhere'" in out  # the bus is not there: nothing can be shown by hand
     assert "the input has ended, and nothing was done" in err
     assert not robot.exists()
     typed["left.address"] = "1"
     assert main([*words, "--which", "ask"]) == 0
-    assert "the devices' own limits are not read: " in capsys.readouterr().err
+    assert "the devices' own limits are not read: " in capsys.readouterr().out
     assert load_robot(robot).motors["right"].joint.sign == -1
 
 
