@@ -17,6 +17,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 from gateway.cli import arguments
+from gateway.cli.terminal.output import typed
 from gateway.config import load_robot, with_interfaces
 from gateway.core.message_text import escaped
 from gateway.core.robot import TWIN, Robot
@@ -135,7 +136,7 @@ def _agreed() -> bool:
     """Ask whether it is to be done. Raises UserError where nobody can answer."""
     if not sys.stdin.isatty():
         raise UserError("nothing was done: standard input is no terminal that could be asked; give --yes")
-    return input("do it? [y/N] ").strip().lower() in ("y", "yes")
+    return typed("do it? [y/N] ").lower() in ("y", "yes")
 
 
 @contextmanager

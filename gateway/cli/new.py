@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from brain.bodies.urdf import MOST_CHARACTERS
+from gateway.cli.terminal.output import typed
 from gateway.config import load_robot
 from gateway.config.answers import Answers, Question
 from gateway.config.new_robot import Part, Plan
@@ -104,7 +105,7 @@ def make(plan: Plan, shown: which_motor.Shown | None, *, read: bool) -> str:
         try:
             plan.allowed = which_motor.allowed(plan)
         except BusError as error:
-            print(f"the devices' own limits are not read: {error}", file=sys.stderr)
+            print(f"the devices' own limits are not read: {error}")
     return plan.text()
 
 
@@ -165,13 +166,13 @@ def _shown(plan: Plan, how: str) -> which_motor.Shown | None:
     if how == "ask":
         return None
     by_hand = which_motor.by_hand(plan, print)
-    show = by_hand if how == "hand" else which_motor.by_jog(plan, print, _input)
+    show = by_hand if how == "hand" else which_motor.by_jog(plan, print, typed)
 
     def shown(name: str, left: Sequence[Part]) -> tuple[Part, int] | None:
         try:
             return show(name, left)
         except BusError as error:  # then its address is asked for
-            print(error, file=sys.stderr)
+            print(error)
             return None
 
     return shown
@@ -179,15 +180,7 @@ def _shown(plan: Plan, how: str) -> which_motor.Shown | None:
 
 def _asked(question: Question) -> str:
     proposal = f" [{question.proposal}]" if question.proposal else ""
-    return _input(f"{question.key}: {question.text}{proposal}: ")
-
-
-def _input(text: str) -> str:
-    """Return a line that a person types. Raises UserError if none can come any more."""
-    try:
-        return input(text).strip()
-    except EOFError as error:
-        raise UserError("the input has ended, and nothing was written") from error
+    return typed(f"{question.key}: {question.text}{proposal}: ")
 
 
 def _stated(text: str) -> tuple[str, str]:

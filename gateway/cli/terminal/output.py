@@ -9,11 +9,14 @@ together with all programs that share it, the shell among them. It touches nothi
 from __future__ import annotations
 
 import os
+import sys
 import threading
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, TextIO
+
+from gateway.errors import UserError
 
 ROOM = 1 << 18
 """Characters that may wait: as much as is printed in minutes."""
@@ -117,3 +120,13 @@ def unblocked(*streams: TextIO) -> Iterator[list[Unblocked]]:
             with suppress(OSError):
                 last.write(f"{left_out} characters of the output were left out: nobody read them\n")
             last.close(0.1)
+
+
+def typed(prompt: str) -> str:
+    """Return the line that a person types after a prompt, which follows what was printed before. Raises
+    UserError if none can come any more."""
+    print(prompt, end="", flush=True)
+    line = sys.stdin.readline()
+    if not line:
+        raise UserError("the input has ended, and nothing was done")
+    return line.strip()

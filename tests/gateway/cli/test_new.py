@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from gateway.cli import new
 from gateway.cli.main import main
 from gateway.cli.new import make, parts_in
 from gateway.config import cautions, load_robot, parse_robot
@@ -391,23 +392,23 @@ def test_on_a_terminal_it_is_asked_for_and_an_end_of_the_input_writes_nothing(
     scan.write_text(json.dumps([{**row, "address": at} for at in (1, 2)]))
     typed = {**STATED, "left.address": ""}
 
-    def type_(prompt: str = "") -> str:
+    def type_(prompt: str) -> str:
         key = prompt.partition(":")[0]
         if key == "left.address" and not typed[key]:
-            raise EOFError
+            raise UserError("the input has ended, and nothing was done")
         return typed.get(key, "")
 
-    monkeypatch.setattr("builtins.input", type_)
+    monkeypatch.setattr(new, "typed", type_)
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
     words = ["new", str(robot), "--from", str(scan)]
     assert main(words) == 2
-    err = capsys.readouterr().err
-    assert "'socketcan:nowhere'" in err  # the bus is not there: nothing can be shown by hand
-    assert "the input has ended, and nothing was written" in err
+    out, err = capsys.readouterr()
+    assert "'socketcan:nowhere'" in out  # the bus is not there: nothing can be shown by hand
+    assert "the input has ended, and nothing was done" in err
     assert not robot.exists()
     typed["left.address"] = "1"
     assert main([*words, "--which", "ask"]) == 0
-    assert "the devices' own limits are not read: " in capsys.readouterr().err
+    assert "the devices' own limits are not read: " in capsys.readouterr().out
     assert load_robot(robot).motors["right"].joint.sign == -1
 
 
