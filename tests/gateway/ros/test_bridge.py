@@ -226,7 +226,7 @@ def test_a_goal_is_reached_replaced_cancelled_and_ended_by_a_stop() -> None:
         one.until(lambda: len(results) == 6, "the result of what was stopped")
         assert results[5].status == actions.ABORTED
         assert "a button" in results[5].result.error_msg or "a person" in results[5].result.error_msg
-        assert statuses(peer, NAVIGATE) == [4, 6, 5, 6]
+        one.until(lambda: statuses(peer, NAVIGATE) == [4, 6, 5, 6], "their states")
 
         one.persons.append(msg.Release())
         one.run(20)
