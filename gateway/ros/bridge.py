@@ -199,7 +199,7 @@ class Bridge:
         if any(isinstance(one, MOVES) for one in others):
             for held in self._held.values():
                 held.on_person(now)
-            self._end_motions("a person has the robot")
+            self._end_motion("a person has the robot")  # a mission is paused by it, and then ends
         messages, self._early = [*self._early, *self._link.receive()], []
         for message in self._newest(messages):
             if message[0] == "match":
@@ -514,6 +514,10 @@ class Bridge:
         if (one := self._navigation) is not None:
             self._end(self._actions["/navigate_to_pose"], one.goal, ABORTED, why)
             self._instructions += self._dropped()
+        self._end_motion(why)
+
+    def _end_motion(self, why: str) -> None:
+        """Give no more samples of a trajectory."""
         motion, self._motion = self._motion, None
         if motion is not None and motion.goal is not None:
             self._end(self._actions[_FOLLOW], motion.goal, ABORTED, why)

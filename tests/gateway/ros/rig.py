@@ -10,6 +10,7 @@ from typing import Any
 
 import gateway
 from brain.belief import Belief
+from gateway.config import load_robot, parse_robot
 from gateway.core.tick import Tick
 from gateway.ros import graph, types
 from gateway.ros.bridge import Bridge, open_bridge
@@ -140,7 +141,9 @@ class Rig:
 
 
 @contextmanager
-def rig(robot: str) -> Iterator[Rig]:
+def rig(name: str, settings: str = "") -> Iterator[Rig]:
+    """`settings`: of the table [ros]."""
+    robot = parse_robot(f"{load_robot(name).text}\n[ros]\n{settings}\n")
     with gateway.open_session(robot, simulated=True, seed=1) as session:
         bridge = open_bridge(Scene(session.gateway, "live", dict), "127.0.0.1", domain(), 0)
         made = Rig(session, bridge)
