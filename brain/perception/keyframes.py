@@ -80,7 +80,7 @@ SPACING = 0.04
 BAD, BETTER = 0.55, 0.1
 """Share of a scan on the local map, below which other headings are tried, and by how much one must have
 more"""
-HEADINGS, LOOSE = (-0.2, 0.2, -0.1, 0.1), 0.05
+HEADINGS, LOOSE = (-0.2, 0.2, -0.1, 0.1, -0.4, 0.4), 0.05
 """rad: by which those are off, and the weight of the prediction then"""
 GAP, GRAZING, LONGEST = (0.06, 3.5), 0.12, 0.3
 """m, and times the beams' spacing: hits farther apart are of two surfaces; cosine between normal and beam
