@@ -1,5 +1,4 @@
-"""Before a robot drives: a base calibrated, a motor tuned, what hinders it named, each from what was
-measured.
+"""Before a robot drives: a base calibrated, a motor tuned, what hinders it named: by measuring.
 
 Must not import: gateway.cli. What is estimated comes from events alone, so that a drive that is under way, a
 recording and another program's bag are read alike. What moves a robot is a session (`gateway.runtime`), with

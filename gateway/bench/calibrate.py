@@ -1,5 +1,4 @@
-"""Calibration of a base: how far its wheels roll, how it turns, where its lidars and how late its sensors
-are.
+"""Calibration of a base: how far its wheels roll, how it turns, where its lidars are, what is late.
 
 Rules. The scans of a lidar give its path without anybody's help (`scan_path`); the wheels, each factor and
 the lidar's place unknown, must give the same between any two moments (least squares; Censi et al. 2013,

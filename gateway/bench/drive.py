@@ -49,6 +49,8 @@ MARGIN = 0.12
 """m: beams that end nearer than the robot's circle and this end the drive,"""
 NEAR = 3
 """if so many do"""
+BLIND: Nanos = SECOND
+"""Without a scan for so long, it ends."""
 READY: Nanos = 15 * SECOND
 """For so long motors and sensors are awaited."""
 
@@ -104,6 +106,12 @@ class PatternDrive:
     """Of the drive so far"""
     ended: str = ""
     """Why it was ended before its time"""
+    sees: bool = False
+    """Whether a scan has come"""
+    _came: bool = False
+    """Whether one has come since the last set-points"""
+    _scanned: Nanos = 0
+    """When one had"""
     _began: Nanos | None = None
     _last: Nanos = 0
     _now: Twist = field(default_factory=Twist)
@@ -124,6 +132,7 @@ class PatternDrive:
             if isinstance(event, Feedback) and event.position is not None:
                 self._positions[event.motor] = event.position
             elif isinstance(event, LaserScan) and not self.ended:
+                self.sees = self._came = True
                 self._look(event)
 
     def _look(self, scan: LaserScan) -> None:
@@ -142,7 +151,10 @@ class PatternDrive:
     def commands(self, now: Nanos) -> list[Command] | None:
         """Return the joints' set-points; None once all legs are driven."""
         if self._began is None:
-            self._began = self._last = now
+            self._began = self._last = self._scanned = now
+        self._scanned, self._came = (now if self._came else self._scanned), False
+        if now - self._scanned > BLIND:
+            self.ended = f"no scan has come for {seconds(BLIND):g} s: it would drive blindly"
         since, dt = seconds(now - self._began), seconds(now - self._last)
         self._last = now
         for leg in self.plan:
@@ -180,9 +192,10 @@ def drive(session: Session, made: PatternDrive) -> None:
                 made.ended = made.ended or session.gateway.in_fault() or session.gateway.why_stopped()
             if made.ended:
                 break
-            if waits or not heard:
+            if waits or not heard or not made.sees:
                 if tick.now - began > READY:
-                    raise UserError(f"motors are not ready: {session.belief.reason or 'not all were heard'}")
+                    lacks = "no scan of a lidar has come" if heard else "not all motors were heard"
+                    raise UserError(f"it is not ready: {session.belief.reason or lacks}")
                 continue
             wanted = made.commands(tick.now)
             if wanted is None:

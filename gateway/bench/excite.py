@@ -31,6 +31,8 @@ LONGEST, SHORTEST = 2.0, 0.15
 PAUSE = 0.25
 """s between the parts"""
 READY: Nanos = 15 * SECOND
+OVERSHOOT = 1.5
+"""Times the speed that is commanded, which a joint may turn: a loop that is not tuned yet overshoots"""
 OVER = 1.25
 """Times the travel, at which a joint has left it"""
 
@@ -70,7 +72,8 @@ def one_motor(robot: Robot, motor: str, speed: float) -> Robot:
     limits = settings.joint.limits
     if speed > limits.velocity:
         raise UserError(f"--speed {speed:g}: the limit of {motor} is {limits.velocity:g} rad/s")
-    joint = replace(settings.joint, limits=replace(limits, velocity=speed))
+    most = min(limits.velocity, OVERSHOOT * speed)
+    joint = replace(settings.joint, limits=replace(limits, velocity=most))
     return replace(
         robot,
         world=robot.world if robot.brain.body.bare else None,

@@ -1,5 +1,4 @@
-"""What one joint was told and what it did: the set-points on the wire, and its feedback, at the output
-shaft."""
+"""What one joint was told and did: set-points on the wire, and its feedback, at the output shaft."""
 
 from __future__ import annotations
 
@@ -13,7 +12,8 @@ from gateway.core.guard import decoder_of
 from gateway.core.robot import Robot
 from gateway.core.tick import Tick
 from gateway.errors import UserError
-from protocols.messages import SECOND, Feedback, Nanos, Velocity
+from protocols.messages import SECOND, Command, Feedback, Nanos, Velocity
+from protocols.plugin import CommandDecoder
 
 
 @dataclass(slots=True)
@@ -32,6 +32,10 @@ class JointTrace:
     commanded: list[tuple[float, float]] = field(default_factory=list)
     """rad/s: what the device would obey; not a number where it was told something else"""
 
+    _bus: str = field(init=False)
+    _ratio: float = field(init=False)
+    _decoder: CommandDecoder = field(init=False)
+
     def __post_init__(self) -> None:
         if self.joint not in self.robot.motors:
             known = ", ".join(self.robot.motors)
@@ -39,10 +43,6 @@ class JointTrace:
         motor = self.robot.motors[self.joint]
         self._bus, self._ratio = motor.bus, motor.joint.gear * motor.joint.sign
         self._decoder = decoder_of(self.robot, motor.bus)
-
-    _bus: str = field(init=False, default="")
-    _ratio: float = field(init=False, default=1.0)
-    _decoder: object = field(init=False, default=None)
 
     def take(self, tick: Tick) -> None:
         """Keep what a tick says of the joint."""
@@ -61,11 +61,11 @@ class JointTrace:
         for packet in tick.outputs.packets:
             if packet.bus != self._bus:
                 continue
-            for one in self._decoder.decode(packet.t, packet.frame):  # type: ignore[attr-defined]
-                if getattr(one, "motor", "") == self.joint and hasattr(one, "motor"):
+            for one in self._decoder.decode(packet.t, packet.frame):
+                if isinstance(one, Command) and one.motor == self.joint:
                     self._told(now, one)
 
-    def _told(self, now: float, one: object) -> None:
+    def _told(self, now: float, one: Command) -> None:
         value = one.velocity / self._ratio if isinstance(one, Velocity) else np.nan
         if not self.commanded or now > self.commanded[-1][0]:
             self.commanded.append((now, value))

@@ -1,5 +1,4 @@
-"""What a calibration means: figures with what the robot file says, gross errors by name, the lines to
-write."""
+"""What a calibration means: figures beside what is stated, gross errors by name, the lines to write."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""`gateway calibrate base`: how far wheels roll, how a base turns, where its lidars are, how late its
-sensors.
+"""`gateway calibrate base`: how far wheels roll, how a base turns, where its lidars are, what is late.
 
 Of a recording, or of a short drive. Exit status: 0 all is as the robot file says; 1 something is not; 2 it
 could not be seen.

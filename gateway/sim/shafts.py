@@ -56,16 +56,13 @@ class Shaft:
         file, half = self.file, self.file.backlash / 2.0
         own, (at, speed) = file.rotor, self._load
         play = self.position - at
-        # Where the flank pushes the load, both are one shaft; else each is by itself.
-        together = self._faster(self.velocity, torque + file.load, 1.0)
-        pushes = (
-            abs(play) >= half - 1e-12 and play * (together - self._faster(speed, file.load, 1.0 - own)) > 0.0
-        )
-        if pushes and self.velocity == speed:
-            self.velocity = speed = together
+        alone = self._faster(self.velocity, torque, own)
+        load = self._faster(speed, file.load, 1.0 - own)
+        # Where a flank pushes the load, both are one shaft; else each is by itself.
+        if abs(play) >= half - 1e-12 and self.velocity == speed and play * (alone - load) > 0.0:
+            self.velocity = speed = self._faster(self.velocity, torque + file.load, 1.0)
         else:
-            self.velocity = self._faster(self.velocity, torque, own)
-            speed = self._faster(speed, file.load, 1.0 - own)
+            self.velocity, speed = alone, load
         self.position += self.velocity * DT
         at += speed * DT
         if abs(self.position - at) > half:  # they meet

@@ -127,6 +127,17 @@ def test_something_near_ends_the_drive() -> None:
     assert office.touched == 0
 
 
+def test_without_scans_it_does_not_drive_on() -> None:
+    office, made, ticks = Faulty(), PatternDrive(BODY, [Leg(0.0, 0.3, 60.0)]), 0
+    while not made.ended and ticks < 600:
+        ticks += 1
+        office.silent = {"lidar"} if ticks > 200 else set()
+        wanted = made.commands(office.now) or ()
+        made.observe(office.step([one for one in wanted if isinstance(one, Velocity)]))
+    assert made.ended == "no scan has come for 1 s: it would drive blindly"
+    assert 290 <= ticks <= 320
+
+
 @pytest.mark.parametrize(
     ("robot", "keys"),
     [

@@ -12,7 +12,8 @@ from brain.brain import BrainSettings
 from gateway.config import load_robot
 from gateway.core.robot import Robot
 from gateway.runtime.doctor import Finding
-from gateway.runtime.drive_doctor import DriveDoctor
+from gateway.runtime.drive_doctor import DriveDoctor, from_file
+from gateway.runtime.status import NOTHING, finding_lines
 from protocols import messages as msg
 from protocols.messages import MILLISECOND, SECOND, Command, Event
 from tests.brain.helpers import MOUNTS, TIMEOUTS, Trip
@@ -209,3 +210,30 @@ def test_each_trouble_is_named_with_what_to_type(case: Case) -> None:
 
 def test_of_a_good_drive_nothing_is_said() -> None:
     assert examined(Case(Faulty, ACROSS, (), 20.0)) == []
+
+
+def test_limits_that_are_too_small_are_found_in_the_file() -> None:
+    base, left = ROBOT.brain.base, ROBOT.motors["left"]
+    assert base is not None
+    assert from_file(ROBOT) == []
+    slow = replace(left, joint=replace(left.joint, limits=replace(left.joint.limits, velocity=0.5)))
+    weak = replace(base, max_linear_acceleration=0.01)
+    robot = replace(ROBOT, motors={**ROBOT.motors, "left": slow}, brain=replace(ROBOT.brain, body=weak))
+    said = [(one.about, one.seen) for one in from_file(robot)]
+    assert said == [
+        ("brain.differential", "max_linear_acceleration = 0.01 m/s²: too small to move"),
+        ("left", "its velocity limit, 0.5 rad/s, lets the base drive 0.025 of 0.6 m/s"),
+    ]
+
+
+def test_a_running_robot_says_what_it_has_seen() -> None:
+    lines = finding_lines(
+        [Finding(True, "wheels", "they slip", "it is lost", "gateway check x")], explain=True
+    )
+    assert lines == [
+        "!! wheels: they slip",
+        "     why it matters: it is lost",
+        "     what to do: gateway check x",
+        "1 findings, 1 of them grave",
+    ]
+    assert finding_lines([], explain=True) == [NOTHING]
