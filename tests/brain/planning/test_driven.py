@@ -35,7 +35,7 @@ def test_in_a_slow_zone_it_drives_slowly() -> None:
     settings = BrainSettings(OUTLINED, planner=PlannerSettings(zones={"ramp": ramp}))
     trip, inside, outside = Trip(Office(body=OUTLINED), settings), [0.0], [0.0]
     trip.tick([msg.Goal(1.6, 1.5)])
-    for _ in range(1000):
+    for _ in range(1200):
         trip.tick()
         (inside if 0.32 < trip.office.pose.x < 0.88 else outside).append(trip.office.speed)
     assert trip.office.pose.x > 1.0
