@@ -312,6 +312,12 @@ class Perception:
             self._apply(inputs)
         self._work(now)
 
+    def finish(self, now: Nanos) -> None:
+        """Do what is left of the scans that came. A robot's steps between two scans do that; a log whose
+        events are as far apart as its scans has none."""
+        while self._todo:
+            self.observe(now, [])
+
     def _apply(self, inputs: Sequence[Input]) -> dict[str, GateResult]:
         """Give measurements to the filter; return the newest decision by source."""
         results: dict[str, GateResult] = {}

@@ -48,5 +48,6 @@ def _foreign(driven: Driven) -> list[Finding]:
     perception = Perception(driven.body, driven.mounts, driven.robot.brain.perception)
     for event in driven.events():
         perception.observe(event.t, [event])
+        perception.finish(event.t)
     found = [one.reason for one in perception.contradictions()]
     return explained(driven.robot, [text, *found])

@@ -368,6 +368,7 @@ class _EventFeed:
             self._next = next(self._events, None)
             before = self._perception.estimate
             self._perception.observe(event.t, [event])
+            self._perception.finish(event.t)
             after = self._perception.estimate
             if before is not None and after is not None:
                 self.driven += abs(after.linear) * seconds(after.t - before.t)

@@ -21,6 +21,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from brain.belief import Pose
 from brain.bodies.body import Base
+from brain.bodies.plane import arc, seen_from, wrap
 from gateway.cli.main import main
 from gateway.config import load_robot, parse_robot
 from gateway.core.robot import CloudSlice, Robot
@@ -596,3 +597,36 @@ def test_inspect_knows_our_own_recordings_and_what_is_none(
     ):
         assert main(["inspect", str(path)]) == 2
         assert sentence in capsys.readouterr().err
+
+
+def test_a_scan_is_placed_before_what_comes_next_is_read(tmp_path: Path) -> None:
+    """Defect: a log with an event for each scan gave perception no steps between them, and each pose was that
+    of the odometry since the scan before. Here the odometry turns 1.5 times too far."""
+    path, odometry, poses = tmp_path / "drive.clf", Pose(0.0, 0.0, 0.0), dict[int, Pose]()
+    lines, before = made.carmen_log(8.0).splitlines(), Pose(0.0, 0.0, 0.0)
+    kept = []
+    for number, (t, _, _, pose, _) in enumerate(made.motion(8.0)):
+        if number % 10 != 5:
+            continue
+        ahead = math.dist((pose.x, pose.y), (before.x, before.y))
+        odometry = arc(odometry, ahead, 1.5 * wrap(pose.yaw - before.yaw))
+        poses[t], before = pose, pose
+        scan = next(one for one in lines if one.startswith("FLASER") and f" {t / SECOND:.6f} host" in one)
+        at = f"{odometry.x:.6f} {odometry.y:.6f} {odometry.yaw:.6f}"
+        end = scan.split()[-3:]
+        kept += [f"ODOM {at} 0 0 0 {' '.join(end)}", " ".join([*scan.split()[:183], *at.split() * 2, *end])]
+    path.write_text("\n".join([*lines[:2], *kept]) + "\n")
+    relations = tmp_path / "drive.relations"
+    times = sorted(poses)[10:]
+    relations.write_text(
+        "".join(
+            f"{a / SECOND:.6f} {b / SECOND:.6f} {one.x:.6f} {one.y:.6f} 0 0 0 {one.yaw:.6f}\n"
+            for a, b in zip(times, times[8:], strict=False)
+            for one in [seen_from(poses[a], poses[b])]
+        )
+    )
+    robot = stranger('odometry = "odometry"\nsensors = { lidar = "FLASER" }\n')
+    found = evaluate_file(path, robot, truth=read_truth(relations)).relations
+    assert found["dead reckoning"].mean_turn > math.radians(10.0)
+    assert found["estimated"].mean_turn < 0.02 * found["dead reckoning"].mean_turn
+    assert found["estimated"].mean < 0.05 * found["dead reckoning"].mean
