@@ -284,7 +284,7 @@ def test_what_needs_no_bus_runs_elsewhere_and_the_rest_is_a_sentence(tmp_path: P
     assert [line for line in done.stdout.splitlines() if " -> " in line] == [
         f"{line} -> {status}" for line, status in runs.items()
     ], done.stderr
-    there = "replay, judge, inspect, map, recover, watch, check, schema"
+    there = "replay, judge, diff, inspect, map, recover, watch, check, schema"
     assert done.stderr.count(f": runs on Linux only; here do: {there},") == 5
     assert done.stderr.count("gateway watch: this runs on Linux only") == 1
 
