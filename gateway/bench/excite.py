@@ -10,11 +10,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from brain.bodies import bare
 from gateway.bench.joint_trace import JointTrace
+from gateway.config.robot_file import with_motor_alone
 from gateway.core.limits import Limits
 from gateway.core.robot import Robot
 from gateway.errors import UserError
@@ -73,15 +73,7 @@ def one_motor(robot: Robot, motor: str, speed: float) -> Robot:
     if speed > limits.velocity:
         raise UserError(f"--speed {speed:g}: the limit of {motor} is {limits.velocity:g} rad/s")
     most = min(limits.velocity, OVERSHOOT * speed)
-    joint = replace(settings.joint, limits=replace(limits, velocity=most))
-    return replace(
-        robot,
-        world=robot.world if robot.brain.body.bare else None,
-        buses={settings.bus: robot.buses[settings.bus]},
-        motors={motor: replace(settings, joint=joint)},
-        sensors={},
-        brain=replace(robot.brain, body=bare([motor]), other=None),
-    )
+    return with_motor_alone(robot, motor, most)
 
 
 @dataclass(slots=True)

@@ -17,14 +17,14 @@ from argparse import ArgumentParser, Namespace
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
-from brain.bodies import bare
 from gateway.cli import arguments
 from gateway.cli.terminal.keys import HeldKey, Key, ask, parse, press, raw_mode, read_keys, speed_share
 from gateway.cli.terminal.screen import TerminalLine
 from gateway.config import load_robot, with_interfaces
 from gateway.config.errors import unknown
+from gateway.config.robot_file import with_motor_alone
 from gateway.core.joint import Joint
 from gateway.core.robot import Robot
 from gateway.errors import UserError
@@ -106,15 +106,7 @@ def single_motor(robot: Robot, motor: str, speed: float | None = None) -> Robot:
     speed = DEFAULT_SHARE * limits.velocity if speed is None else speed
     if speed > limits.velocity:
         raise UserError(f"--speed {speed:g}: the limit of {motor} is {limits.velocity:g} rad/s")
-    joint = replace(settings.joint, limits=replace(limits, velocity=speed))
-    return replace(
-        robot,
-        world=robot.world if robot.brain.body.bare else None,
-        buses={settings.bus: robot.buses[settings.bus]},
-        motors={motor: replace(settings, joint=joint)},
-        sensors={},
-        brain=replace(robot.brain, body=bare([motor]), other=None),
-    )
+    return with_motor_alone(robot, motor, speed)
 
 
 @dataclass(slots=True)

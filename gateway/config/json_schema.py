@@ -67,8 +67,8 @@ def texts(kind: type) -> Mapping[str, str]:
         body = cast("ast.ClassDef", tree).body
         for field, text in pairwise(body):
             match field, text:
-                case ast.AnnAssign(target=ast.Name(name)), ast.Expr(ast.Constant(str(said))):
-                    found[name] = " ".join(said.split())
+                case ast.AnnAssign(target=ast.Name(name)), ast.Expr(ast.Constant(str(text))):
+                    found[name] = " ".join(text.split())
     return found
 
 
@@ -116,13 +116,13 @@ class Writer:
             also: further keys, or another schema of one.
             without: fields that are not in the file.
         """
-        known, said = hints(kind), texts(kind)
+        known, meanings = hints(kind), texts(kind)
         own = {k: field for k, field in keys(kind).items() if field.name not in without and k not in also}
         made: Schema = {"type": "object", "properties": dict(also), "additionalProperties": False}
         for key, field in own.items():
             hint = known[field.name]
             one = self.value(hint, complete=complete)
-            if text := said.get(field.name) or _unit(hint):
+            if text := meanings.get(field.name) or _unit(hint):
                 one = {"allOf": [one]} if "$ref" in one else one  # beside a reference draft 7 reads nothing
                 one = {**one, "description": text}
             if (default := default_of(field, hint)) is not MISSING and default not in ({}, []):
@@ -347,11 +347,11 @@ class Row(NamedTuple):
 
 
 def rows_of(schema: Schema) -> dict[str, list[Row]]:
-    """Return the keys of a file by the heading of their table; what fills several tables is told once."""
+    """Return the keys of a file by the heading of their table; what fills several tables is listed once."""
     found: dict[str, list[Row]] = {}
-    told: dict[str, str] = {}
+    listed: dict[str, str] = {}
 
-    def tell(path: str, node: Schema, heading: str = "") -> None:
+    def list_table(path: str, node: Schema, heading: str = "") -> None:
         heading = heading or f"[{path}]"
         rows = found.setdefault(heading, [])
         for key, one in node.get("properties", {}).items():
@@ -367,24 +367,24 @@ def rows_of(schema: Schema) -> dict[str, list[Row]]:
                 default = _shown(one["default"]) if "default" in one else ""
                 needed = "required" if key in node.get("required", ()) else default
                 rows.append(Row(key, _what(_resolved(schema, one)[0]), needed, text))
-            elif _kind(name) in told:
-                rows.append(Row(key, f"table, as {told[_kind(name)]}", "", text))
+            elif _kind(name) in listed:
+                rows.append(Row(key, f"table, as {listed[_kind(name)]}", "", text))
             else:
                 if name:
-                    told[_kind(name)] = f"[{below}]"
+                    listed[_kind(name)] = f"[{below}]"
                 rows.append(Row(key, f"table [{below}]", "", text))
-                tell(below, table)
+                list_table(below, table)
         for case in node.get("allOf", ()):
             ((key, chosen),) = case["if"]["properties"].items()
             then, name = _resolved(schema, case["then"])
             parts = {path: (then, name)} if name else _parts(schema, path, then)
             for below, (table, name) in parts.items():
-                if name and _kind(name) not in told and table.get("properties"):
-                    told[_kind(name)] = f'[{below}] of {key} = "{chosen["const"]}"'.removeprefix("[] of ")
-                    tell(below, table, told[_kind(name)])
+                if name and _kind(name) not in listed and table.get("properties"):
+                    listed[_kind(name)] = f'[{below}] of {key} = "{chosen["const"]}"'.removeprefix("[] of ")
+                    list_table(below, table, listed[_kind(name)])
 
     whole = schema.get("else", {}).get("else", {}).get("properties", {})
-    tell("", {**schema, "properties": {**schema.get("properties", {}), **whole}}, BEFORE)
+    list_table("", {**schema, "properties": {**schema.get("properties", {}), **whole}}, BEFORE)
     return {heading: rows for heading, rows in found.items() if rows}
 
 

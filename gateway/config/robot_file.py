@@ -213,6 +213,26 @@ def _as_it_is(_: type[Body], table: object, __: Key) -> object:
     return table
 
 
+def with_motor_alone(robot: Robot, motor: str, most: float) -> Robot:
+    """Return the robot as one bare joint on its bus.
+
+    Args:
+        robot: whose motor.
+        motor: its name, which the robot has.
+        most: its limit of velocity [rad/s], within that of the robot file.
+    """
+    settings = robot.motors[motor]
+    joint = replace(settings.joint, limits=replace(settings.joint.limits, velocity=most))
+    return replace(
+        robot,
+        world=robot.world if robot.brain.body.bare else None,
+        buses={settings.bus: robot.buses[settings.bus]},
+        motors={motor: replace(settings, joint=joint)},
+        sensors={},
+        brain=replace(robot.brain, body=bare([motor]), other=None),
+    )
+
+
 def with_interfaces(robot: Robot, interfaces: Mapping[str, str]) -> Robot:
     """Return the robot with some of its buses on other interfaces.
 

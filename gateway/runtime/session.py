@@ -71,8 +71,8 @@ class Session:
     """Says why a device is silent,"""
     troubles: LineTroubles = field(init=False)
     """what does not go as it should on a serial line,"""
-    driving: DriveDoctor = field(init=False)
-    """and why it does not drive as it should."""
+    driving: DriveDoctor | None = field(init=False)
+    """and why it does not drive as it should; None once that has failed."""
     _watchers: list[loop.Record] = field(default_factory=list)
     _view: SessionView | None = None
     _ros: SessionBridge | None = None
@@ -398,6 +398,17 @@ class Session:
         """Return the goals of the world's own tour; none where there is no world."""
         return [Goal(x, y) for x, y in self.twins.world.tour] if self.twins is not None else []
 
+    def _look(self, tick: Tick, belief: Belief) -> None:
+        """Look why it does not drive as it should; what fails there ends no run, and keeps no tick from the
+        recording."""
+        if self.driving is None:
+            return
+        try:
+            self.driving.take(tick, belief)
+        except Exception:
+            log.exception("it is no longer looked why the base does not drive as it should")
+            self.driving = None
+
     def _record(self, tick: Tick, belief: Belief) -> None:
         for take in self._watchers:
             take(tick, belief)
@@ -405,7 +416,7 @@ class Session:
         self._with_graph(lambda ros: ros.take(tick, belief))
         self.silence.take(tick)
         self.troubles.take(tick)
-        self.driving.take(tick, belief)
+        self._look(tick, belief)
         if self.recorder is not None:
             self.recorder.record(tick, belief, patient=isinstance(self.clock, SimulatedClock))
 

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 def doctor_text(session: Session) -> str:
     """Return what hinders the robot, and what to do about it: a line each."""
+    if session.driving is None:
+        return "it is no longer looked for: that has failed, and the log says how"
     return "\n".join(finding_lines(session.driving.findings(), explain=True))
 
 
