@@ -65,8 +65,8 @@ def texts(kind: type) -> Mapping[str, str]:
         except (OSError, TypeError, SyntaxError, ValueError):
             continue
         body = cast("ast.ClassDef", tree).body
-        for field, text in pairwise(body):
-            match field, text:
+        for field, below in pairwise(body):
+            match field, below:
                 case ast.AnnAssign(target=ast.Name(name)), ast.Expr(ast.Constant(str(text))):
                     found[name] = " ".join(text.split())
     return found
