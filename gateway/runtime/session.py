@@ -15,6 +15,7 @@ from collections import deque
 from collections.abc import AsyncGenerator, Callable, Generator, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
+from inspect import GEN_RUNNING, getgeneratorstate
 from pathlib import Path
 from typing import TYPE_CHECKING, Self, TypeVar
 
@@ -365,7 +366,15 @@ class Session:
 
     def close(self) -> None:
         """End a run that was not ended, as `run` does, and close all that is open; again: nothing. Who
-        forgets it has it closed when the program ends."""
+        forgets it has it closed when the program ends.
+
+        Raises:
+            UserError: another thread steps it at this moment: that run is asked to end, and nothing is closed
+                under it.
+        """
+        if self._ticks is not None and getgeneratorstate(self._ticks) == GEN_RUNNING:
+            self.leave("closed")
+            raise UserError("another thread steps this session: its run ends now; close it after that")
         with self.opened:
             atexit.unregister(self.close)
 

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable
 from contextlib import aclosing
 from pathlib import Path
-from threading import Thread
+from threading import Event, Thread
 from typing import Any
 
 import numpy as np
@@ -75,6 +75,29 @@ def test_from_a_thread() -> None:
     thread.start()
     thread.join()
     assert took == [400]
+
+
+def test_what_another_thread_steps_is_not_closed_under_it_but_ends_with_its_stop_action() -> None:
+    session = gw.open_session("bench", simulated=True)
+    inside, tried = Event(), Event()
+
+    def wait() -> list[gw.Velocity]:
+        if session.stats.ticks == 300:
+            inside.set()
+            assert tried.wait(60.0)
+        return [gw.Velocity("left", 2.0)]
+
+    thread = Thread(target=lambda: [*session.run(poll=wait)])
+    thread.start()
+    assert inside.wait(60.0)
+    with pytest.raises(gw.UserError, match="another thread steps this session"):
+        session.close()
+    tried.set()
+    thread.join(60.0)
+    assert not thread.is_alive()
+    assert (session.joints["left"].feedback.position or 0.0) > 0.5
+    assert disarmed(session)
+    session.close()
 
 
 def test_from_asyncio_beside_another_task() -> None:
