@@ -147,8 +147,7 @@ def test_what_a_plot_is_zoomed_to_stays_when_it_gets_dark(
     file = tmp_path / "drive.html"
     write(file, drive[0], FACTS)
     with chromium(tmp_path / "profile") as browser:
-        tab = browser.open("about:blank")
-        tab.call("Page.navigate", url=file.as_uri())
+        tab = browser.open(file.as_uri())
         tab.until("document.querySelector('.u-over')")
         x, y = tab.middle(".u-over")
         tab.mouse("mousePressed", (x, y))

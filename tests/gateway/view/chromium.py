@@ -131,15 +131,18 @@ class Chromium:
 
     def call(self, method: str, session: str = "", **parameters: Any) -> Any:
         """Call a method of the protocol, and note what comes in between."""
-        self.number += 1
-        message = {"id": self.number, "method": method, "params": parameters}
-        self.connection.send(json.dumps(message | ({"sessionId": session} if session else {})))
+        self._send(method, session, **parameters)
         until = time.monotonic() + PATIENCE
         while (answer := json.loads(self.connection.recv(timeout=PATIENCE))).get("id") != self.number:
             assert time.monotonic() < until, f"{method} is not answered"
             self._note(answer)
         assert "error" not in answer, answer
         return answer["result"]
+
+    def _send(self, method: str, session: str, **parameters: Any) -> None:
+        self.number += 1
+        message = {"id": self.number, "method": method, "params": parameters}
+        self.connection.send(json.dumps(message | ({"sessionId": session} if session else {})))
 
     def _note(self, event: Any) -> None:
         tab, method, given = (
@@ -169,7 +172,7 @@ class Chromium:
         tab.call("Emulation.setDeviceMetricsOverride", **size)
         if before:
             tab.call("Page.addScriptToEvaluateOnNewDocument", source=before)
-        tab.run(f"void setTimeout(() => {{ location = {json.dumps(url)} }})")  # does not wait for the server
+        self._send("Page.navigate", session, url=url)  # its answer waits for the server: nobody waits for it
         return tab
 
 
