@@ -49,6 +49,7 @@ _Result = TypeVar("_Result")
 
 NO_WATCHDOG = "no watchdog process, and if this one dies, none stops the motors: %s"
 MAX_STALE_READS = 100
+_DRIVING = "why it does not drive as it should"
 """Of one bus, before a run begins."""
 
 
@@ -68,12 +69,10 @@ class Session:
     """Why the run is to end before its time: `leave`."""
     watchdog: WatchdogProcess | None = None
     """The process that sends the stop action if this one dies; None if there is none."""
-    silence: Silence = field(init=False)
-    """Says why a device is silent,"""
-    troubles: LineTroubles = field(init=False)
-    """what does not go as it should on a serial line,"""
     driving: DriveDoctor | None = field(init=False)
-    """and why it does not drive as it should; None once that has failed."""
+    """Says why it does not drive as it should; None once that has failed."""
+    _observers: dict[str, loop.Record] = field(init=False)
+    """Who looks at each tick, by what for; who fails is left out from then on."""
     _watchers: list[loop.Record] = field(default_factory=list)
     _view: SessionView | None = None
     _ros: SessionBridge | None = None
@@ -88,9 +87,13 @@ class Session:
     """What is closed with it, after its run, its view and its recordings."""
 
     def __post_init__(self) -> None:
-        self.silence = Silence(self.gateway, self.buses)
-        self.troubles = LineTroubles(self.gateway, self.buses)
-        self.driving = DriveDoctor(self.robot)
+        silence, troubles = Silence(self.gateway, self.buses), LineTroubles(self.gateway, self.buses)
+        self.driving = driving = DriveDoctor(self.robot)
+        self._observers = {
+            "why a device is silent": lambda tick, _: silence.take(tick),
+            "what does not go as it should on a serial line": lambda tick, _: troubles.take(tick),
+            _DRIVING: driving.take,
+        }
 
     def submit(self, *instructions: Instruction) -> None:
         """Ask for something at the next step.
@@ -407,25 +410,22 @@ class Session:
         """Return the goals of the world's own tour; none where there is no world."""
         return [Goal(x, y) for x, y in self.twins.world.tour] if self.twins is not None else []
 
-    def _look(self, tick: Tick, belief: Belief) -> None:
-        """Look why it does not drive as it should; what fails there ends no run, and keeps no tick from the
-        recording."""
-        if self.driving is None:
-            return
-        try:
-            self.driving.take(tick, belief)
-        except Exception:
-            log.exception("it is no longer looked why the base does not drive as it should")
-            self.driving = None
+    def _observe(self, tick: Tick, belief: Belief) -> None:
+        """Have the observers look; one that fails ends no run, and keeps no tick from the recording."""
+        for purpose, take in tuple(self._observers.items()):
+            try:
+                take(tick, belief)
+            except Exception:
+                log.exception("it is no longer looked %s", purpose)
+                del self._observers[purpose]
+                self.driving = self.driving if _DRIVING in self._observers else None
 
     def _record(self, tick: Tick, belief: Belief) -> None:
         for take in self._watchers:
             take(tick, belief)
         self._guarded(lambda view: view.take(tick, belief))
         self._with_graph(lambda ros: ros.take(tick, belief))
-        self.silence.take(tick)
-        self.troubles.take(tick)
-        self._look(tick, belief)
+        self._observe(tick, belief)
         if self.recorder is not None:
             self.recorder.record(tick, belief, patient=isinstance(self.clock, SimulatedClock))
 

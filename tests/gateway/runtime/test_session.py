@@ -8,6 +8,9 @@ from pathlib import Path
 import pytest
 
 import gateway as gw
+from gateway.monitor.lines import LineTroubles
+from gateway.monitor.silence import Silence
+from gateway.runtime.drive_doctor import DriveDoctor
 from gateway.runtime.session import Session
 
 
@@ -131,16 +134,16 @@ def test_what_a_robot_can_never_do_is_refused_when_it_is_submitted() -> None:
             assert not session._submitted
 
 
-def test_who_looks_why_it_does_not_drive_ends_no_run_by_failing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+@pytest.mark.parametrize("observer", [Silence, LineTroubles, DriveDoctor])
+def test_an_observer_ends_no_run_by_failing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, observer: type
 ) -> None:
     """Nor does it keep a tick from the recording."""
     path = tmp_path / "failed.mcap"
+    monkeypatch.setattr(observer, "take", lambda self, *_: self.no_such_thing)
     with gw.open_session("bench", simulated=True, record=path) as session:
-        monkeypatch.setattr(session.driving, "_found", None)
-        monkeypatch.setattr(type(session.driving), "take", lambda self, *_: self._found.update())
         ticks = [tick.number for tick in session.run(1.0)]
-        assert session.driving is None
+        assert (session.driving is None) == (observer is DriveDoctor)
     assert len(ticks) == 200
     assert sum("no longer looked" in message for message in caplog.messages) == 1
     assert len(list(gw.read_recording(path).ticks)) >= 200
