@@ -30,7 +30,7 @@ from gateway.rosbag import Bag, Topic, read
 from gateway.rosbag.contradictions import contradictions, remarks
 from gateway.rosbag.trajectory_error import MIN_PAIRS, PathError
 from gateway.rosbag.truth import CLOSE, MIN_EXTENT, Positions, RelationError, Relations
-from protocols.messages import MILLISECOND, Event, Fix, LaserScan, Nanos, seconds
+from protocols.messages import MILLISECOND, Event, LaserScan, Nanos, seconds
 
 MAX_EXTRAPOLATION: Nanos = 500 * MILLISECOND
 """Longest time that an estimate is extrapolated by its own twist."""
@@ -54,15 +54,14 @@ class Evaluation:
     """m: estimated distance travelled"""
     end: Pose | None
     """Last estimated pose, relative to the start in the robot file"""
-    fixes: int
-    """Fixes, poses or relations of the truth,"""
+    truth: Positions | Relations
+    """What it was judged by: the recording's own, or a file's; perhaps empty."""
     early: int
-    """and those before the first estimate: not compared."""
+    """Fixes or poses of it before the first estimate: not compared."""
     extent: float
     """m: largest distance of the truth from its centre; 0 without a truth"""
     errors: Mapping[str, PathError]
-    """By path: PATH_PERIOD: Nanos = 100 * MILLISECOND
-ESTIMATED, WHEELS, OWN; {} if there are too few fixes."""
+    """By path: `ESTIMATED`, `WHEELS`, `OWN`; {} if there are too few fixes."""
     relations: Mapping[str, RelationError]
     """The same, where the truth consists of relations."""
     nis: Mapping[str, Nis]
@@ -105,7 +104,7 @@ ESTIMATED, WHEELS, OWN; {} if there are too few fixes."""
         """PASSED, NOT_PASSED, or NOT_JUDGED where there is no truth and nothing else is wrong."""
         if self.objections():
             return NOT_PASSED
-        return PASSED if self.fixes else NOT_JUDGED
+        return PASSED if self.truth else NOT_JUDGED
 
     def objections(self) -> list[str]:
         """Return why it does not pass; [] if nothing is wrong."""
@@ -116,12 +115,14 @@ ESTIMATED, WHEELS, OWN; {} if there are too few fixes."""
         figure = self.relations[ESTIMATED].mean if self.relations else None
         if self.estimated is not None:
             figure = self.estimated.rms
-        if not self.fixes:
+        if not self.truth:
             if self.at_most is not None:
                 objections.append(f"at most {self.at_most:g} m is allowed, and {NO_TRUTH}")
         elif figure is None:
-            least = 1 if self.relations or not self.bag.truth else MIN_PAIRS
-            objections.append(f"fewer than {least} fixes can be compared: the path cannot be evaluated")
+            least = 1 if isinstance(self.truth, Relations) else MIN_PAIRS
+            objections.append(
+                f"fewer than {least} {self.truth.what} can be compared: the path cannot be evaluated"
+            )
         elif self.estimated is not None and self.extent < MIN_EXTENT:
             objections.append(
                 f"the truth stays within {self.extent:.2f} m: it did not move, and proves nothing"
@@ -160,9 +161,9 @@ ESTIMATED, WHEELS, OWN; {} if there are too few fixes."""
     def _path_errors(self) -> list[str]:
         if self.estimated is None:
             return []
-        what = "fixes" if isinstance(self.bag.truth[0], Fix) else "poses"
         early = f" ({self.early} more before the first estimate)" if self.early else ""
-        head = f"path error against the truth, over {self.estimated.count} {what}{early}, after alignment"
+        compared = f"{self.estimated.count} {self.truth.what}{early}"
+        head = f"path error against the truth, over {compared}, after alignment"
         lines = [head, *(f"  {f'{name}:':<21}{_error(error)}" for name, error in self.errors.items())]
         if self.driven:
             lines[1] += f", {100 * self.estimated.rms / self.driven:.2f} % of the path"
@@ -172,10 +173,11 @@ ESTIMATED, WHEELS, OWN; {} if there are too few fixes."""
         if not self.relations:
             return []
         one = self.relations[ESTIMATED]
-        early = f" ({self.fixes - one.count} more are beyond the recording)" if self.fixes > one.count else ""
+        more = len(self.truth) - one.count
+        beyond = f" ({more} more are beyond the recording)" if more else ""
         close = f"; within {seconds(CLOSE):g} s ({one.close})" if one.close else ""
         return [
-            f"error over {one.count} relations between poses{early}{close}",
+            f"error over {one.count} {self.truth.what}{beyond}{close}",
             *(f"  {f'{name}:':<21}{_relation(error)}" for name, error in self.relations.items()),
         ]
 
@@ -298,7 +300,7 @@ def evaluate(
         duration=events.last - events.first,
         driven=events.driven,
         end=perception.estimate.pose if perception.estimate is not None else None,
-        fixes=len(reference),
+        truth=reference,
         early=early,
         extent=extent,
         errors=errors,

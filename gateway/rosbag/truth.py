@@ -13,9 +13,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -62,6 +61,11 @@ class Positions:
 
     truth: tuple[Truth, ...]
     slack: Nanos = 0
+
+    @property
+    def what(self) -> str:
+        """What they are, in words."""
+        return "fixes" if any(isinstance(one, Fix) for one in self.truth) else "poses"
 
     def __len__(self) -> int:
         return len(self.truth)
@@ -110,6 +114,7 @@ class Relations:
     relations: tuple[Relation, ...]
     slack: Nanos = ROUNDED
     """What was measured so much later still counts: their stamps are rounded."""
+    what: ClassVar[str] = "relations between poses"
 
     def __len__(self) -> int:
         return len(self.relations)
@@ -172,8 +177,9 @@ def read_truth(path: Path) -> Positions | Relations:
         raise BagError(f"{path}: it holds no numbers; {EXPECTED}")
     table = np.array(rows)
     quaternions = np.abs((table[:, 4:] ** 2).sum(axis=1) - 1.0) < 1e-2
-    if quaternions.all() and all(a[0] < b[0] for a, b in pairwise(rows)):
-        return Positions(tuple(_of_tum(row) for row in rows))
+    if quaternions.all():
+        by_time = {row[0]: _of_tum(row) for row in rows}
+        return Positions(tuple(by_time[t] for t in sorted(by_time)))
     relations = tuple(Relation(_nanos(row[0]), _nanos(row[1]), Pose(row[2], row[3], row[7])) for row in rows)
     return Relations(relations)
 

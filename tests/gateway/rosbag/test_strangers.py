@@ -320,7 +320,7 @@ def test_any_pose_may_be_the_truth(tmp_path: Path, kind: str) -> None:
     true = [message(t, shifted(pose)) for n, (t, _, _, pose, _) in enumerate(motion()) if n % 5 == 4]
     evaluation = evaluate(bag_of(tmp_path, robot, [*told(made.by_odometry), *true]), robot)
     assert evaluation.status == PASSED
-    assert evaluation.fixes == 200
+    assert len(evaluation.truth) == 200
     assert evaluation.estimated is not None
     assert evaluation.estimated.rms < 0.02
 
@@ -352,6 +352,7 @@ def test_relations_are_judged_one_by_one(tmp_path: Path) -> None:
     assert (one.count, one.close) == (10, 10)
     assert (one.mean, one.mean_turn, one.median) == pytest.approx((0.5, 0.05, 0.5), abs=0.01)
     assert evaluation.status == PASSED
+    assert "error over 10 relations between poses" in evaluation.text()
     assert evaluate(bag, robot, at_most=0.4, truth=truth).status == 1
 
 
@@ -367,6 +368,10 @@ def test_a_path_in_a_file_is_a_truth_and_nonsense_is_a_sentence(tmp_path: Path) 
     evaluation = evaluate(bag, robot, truth=read_truth(path))
     assert evaluation.estimated is not None
     assert evaluation.estimated.rms < 0.02
+    assert f"over {len(rows)} poses, after alignment" in evaluation.text()
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines[:0:-1], lines[3]]))
+    assert read_truth(path) == evaluation.truth  # of what says the time, the order says nothing
     for text in ("1 2 3\n", "a b c d e f g h\n", "", "1 2 3 4 5 6 7 nan\n"):
         path.write_text(text)
         with pytest.raises(BagError, match="expected lines of 8 numbers"):
