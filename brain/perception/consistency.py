@@ -5,8 +5,10 @@ denies free ground, but no ray passes through the wall. It disagrees if little o
 before saw, and rays pass through walls besides, or hardly any of it; or if it fits elsewhere than the
 covariance, and slipping wheels, allow. Disagreeing for `LOST_AFTER` the robot is lost: it was moved, or
 believes a wrong pose; before that comes a doubt. Being lost ends by relocalisation, or when scans in a row
-fit near the believed pose. Besides, innovations that are larger than believed, over a window, make the
-filter too sure (Bar-Shalom, Li, Kirubarajan 2001, section 5.4).
+fit near the believed pose; or when it has driven on to ground that the map does not have, and scans there
+agree with one another: the map goes on, and the place in it is doubtful until a loop ties both. Besides,
+innovations that are larger than believed, over a window, make the filter too sure (Bar-Shalom, Li,
+Kirubarajan 2001, section 5.4).
 """
 
 from __future__ import annotations
@@ -111,6 +113,8 @@ class Consistency:
     def __init__(self) -> None:
         self.lost = ""
         """Why the robot is lost; "" if it is not."""
+        self.adrift = ""
+        """Why the place in the map is doubtful although the scans agree; "" if it is not."""
         self._since: dict[str, tuple[Nanos, int]] = {}
         """By lidar: since when its scans disagree, and how many."""
         self._doubt: dict[str, str] = {}
@@ -151,9 +155,9 @@ class Consistency:
         self._recognised = self._recognised + 1 if fits else 0
         return self._recognised >= RECOGNISED_SCANS
 
-    def found(self) -> None:
-        """End being lost."""
-        self.lost = ""
+    def found(self, adrift: str = "") -> None:
+        """End being lost; `adrift`: why the place in the map is doubtful all the same."""
+        self.lost, self.adrift = "", adrift
         self._recognised = 0
         self._since.clear()
         self._doubt.clear()
@@ -165,6 +169,8 @@ class Consistency:
             return Verdict(Trust.LOST, self.lost)
         if self._doubt:
             return Verdict(Trust.DOUBTFUL, next(iter(self._doubt.values())))
+        if self.adrift:
+            return Verdict(Trust.DOUBTFUL, self.adrift)
         for name, one in nis.items():
             limit = HONEST if name in self._too_sure else SURE
             ratio = one.recent(OUTLIER) if len(one.window) == WINDOW else 0.0

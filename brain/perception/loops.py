@@ -193,6 +193,10 @@ class Loops:
         """Whether there is something left to do."""
         return self._asks or self._inquiry is not None or self._solution is not None
 
+    def ties_to_before(self, number: int) -> bool:
+        """Return whether a loop ties a keyframe from before this one to one since then."""
+        return any(one.first * GROUP < number <= one.second * GROUP for one in self.graph.ties)
+
     def added(self, keyframes: Keyframes, covariance: Floats) -> None:
         """The newest keyframe was kept: 3 × 3 covariance of its pose from the one before, in its axes."""
         new = keyframes.count - 1

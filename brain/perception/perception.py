@@ -25,7 +25,16 @@ from brain.bodies.body import Base
 from brain.bodies.plane import moved, seen_from, wrap
 from brain.perception.beams import Beams
 from brain.perception.body_scan import BodyScan, Bools, to_body
-from brain.perception.consistency import Consistency, Verdict
+from brain.perception.consistency import (
+    LEAST_KNOWN,
+    LEAST_SCANS,
+    LITTLE,
+    POOR,
+    RECOGNISED_SCANS,
+    Agreement,
+    Consistency,
+    Verdict,
+)
 from brain.perception.engine import pose_part
 from brain.perception.filter import Filter
 from brain.perception.filter_inputs import GateResult, GyroRate, Input, Nis, ScanEnd, WheelAngle
@@ -92,6 +101,10 @@ ASTRAY = 0.5
 """Of what a lost robot has driven, by which it may be off: it was not carried meanwhile"""
 FAR, FAR_YAW = 1.0, 0.6
 """m, rad: who is found farther off was carried there; two scans must say so"""
+ADRIFT = "its place in the map is doubtful"
+GOES_ON = (
+    "lost, on ground that the map does not have: the map goes on from where the wheels say that it is, after"
+)
 DRAWS = 1
 """Slices more that a keyframe drawn again counts for"""
 MOST_MOVING = 0.1
@@ -141,6 +154,20 @@ class _Search(NamedTuple):
     scan: BodyScan
     believed: Pose
     """When the scan was taken"""
+
+
+@dataclass(slots=True)
+class _NewGround:
+    """Ground that the map does not have, on which a lost robot drives."""
+
+    unknown: int = 0
+    """Scans in a row that show it"""
+    first: int | None = None
+    """Keyframe with which the map is begun anew; None: it is not, so far"""
+    began: float = 0.0
+    """m driven then"""
+    agreeing: int = 0
+    """Scans in a row that agree with the keyframes since then"""
 
 
 class Perception:
@@ -196,6 +223,8 @@ class Perception:
         self._credit = 0
         """Slices of the loops' work that are left to be done"""
         self._search: _Search | None = None
+        self._new_ground: _NewGround | None = None
+        """Where a lost robot goes on"""
         self._found: tuple[Pose, Pose] | None = None
         """Where a lost robot was found by the search before, and where it was believed to be then"""
 
@@ -521,27 +550,63 @@ class Perception:
         """Correct the filter by what a scan tells; return the scan with whether it may be drawn."""
         consistency, placing, nis = self._consistency, self._placing, self._filter.nis
         name, t = part.name, part.t
+        lost, anew = bool(consistency.lost), self._begins_anew
         agreement, fix, pose, placed = placing.tell(
-            name, t, part.scan, self.map, believed, nis, self._lag, doubtful=consistency.doubtful
+            name,
+            t,
+            part.scan,
+            self.map,
+            believed,
+            nis,
+            self._lag,
+            doubtful=consistency.doubtful and not anew,
+            alone=anew,
         )
         trusted = None if consistency.doubtful else placed
         if trusted is not None and self._lag.on_scan(name, t, trusted.pose.yaw):
             self._notes.append(f"{name}: {_late(self._lag.found[name])}: counted for")
-        if fix is not None and not consistency.lost:
+        if fix is not None and (anew or not lost):
             self._apply([fix])
             known = self._filter.at(t)
-            if known is not None:
+            if known is not None and not lost:
                 placing.is_at(name, known[0])
                 self._sure[name] = float(max(known[1][0, 0], known[1][1, 1]))
-        elif pose is not None and consistency.recognised(agreement):
+        elif pose is not None and not anew and consistency.recognised(agreement):
             # as unsure as it was wrong: a match may leave a direction open
             offset, turn = agreement.offset, agreement.turn
             self._relocate(t, pose, believed[1] + np.diag([offset * offset, offset * offset, turn * turn]))
         consistency.on_scan(name, agreement)
         if agreement.disagrees:
             self._count(name, "does not fit the map")
-        keep = not agreement.disagrees and not consistency.lost
+        if consistency.lost:
+            self._new_ground = (self._new_ground if lost else None) or _NewGround()
+            self._go_on(agreement, self._new_ground)
+        keep = not agreement.disagrees and (self._begins_anew or not consistency.lost)
         return replace(part, keep=keep, draw=keep and not agreement.poor, placed=placed)
+
+    @property
+    def _begins_anew(self) -> bool:
+        """Whether it is lost, and has begun with new keyframes."""
+        ground = self._new_ground
+        return bool(self._consistency.lost) and ground is not None and ground.first is not None
+
+    def _go_on(self, agreement: Agreement, ground: _NewGround) -> None:
+        """While it is lost: where it has driven on to ground that the map does not have, begin with new
+        keyframes; once scans agree with those, it is not lost any more."""
+        seen, share, driven = agreement.seen, agreement.share, self._placing.driven
+        if ground.first is None:
+            ground.unknown = ground.unknown + 1 if seen is not None and seen.known < LEAST_KNOWN else 0
+            begins = ground.unknown >= LEAST_SCANS and driven > FAR
+        else:
+            agrees = share is not None and share > POOR and not agreement.disagrees
+            ground.agreeing = ground.agreeing + 1 if agrees else 0
+            begins = share is not None and share < LITTLE
+        if begins:
+            self._placing.forget(carried=False)
+            ground.first, ground.began, ground.agreeing = self._placing.keyframes.count, driven, 0
+        elif ground.agreeing >= RECOGNISED_SCANS and driven - ground.began > FAR:
+            self._consistency.found(f"{ADRIFT}: it drove {driven:.1f} m while it was lost")
+            self._notes.append(f"{GOES_ON} it was lost, {driven:.1f} m on")
 
     def _motion(self, scan: LaserScan) -> Floats | None:
         """Return the robot's pose at each beam's time, in its frame at the scan's end: n × 3."""
@@ -576,7 +641,7 @@ class Perception:
 
     def _keep(self, part: _Part) -> None:
         at = self._filter.at(part.t)
-        if at is not None and not self._consistency.lost:
+        if at is not None and (self._begins_anew or not self._consistency.lost):
             pose = at[0] if part.placed is None else part.placed.pose
             self._placing.keep(pose, at[1], part.scan, part.static, part.placed)
 
@@ -607,7 +672,7 @@ class Perception:
         self._redraw.forget()
         self._movers = Movers()
         self._placing.forget()
-        self._map_began = self._search = self._found = None
+        self._map_began = self._search = self._found = self._new_ground = None
         self._consistency.found()
         self._count(name, "mounting corrected")
 
@@ -628,6 +693,9 @@ class Perception:
                 poses = None
         if poses is not None:
             self._move(poses)
+            ground = self._new_ground
+            if self._consistency.adrift and ground is not None and loops.ties_to_before(ground.first or 0):
+                self._consistency.adrift = ""
 
     def _move(self, poses: Floats) -> None:
         """Give all keyframes better poses: the map moves, and the robot with the newest of them."""
@@ -666,8 +734,8 @@ class Perception:
         if isinstance(result, PoseSearching) or not isinstance(result, PoseFound):
             return
         self._search = None
-        if self._placing.stays(search.scan, search.believed):
-            self._consistency.found()
+        if not self._begins_anew and self._placing.stays(search.scan, search.believed):
+            self._consistency.found(self._consistency.adrift)
             self._count("", "lost, and had not moved")
             return
         t = self._filter.t
@@ -689,6 +757,7 @@ class Perception:
         self._filter.reset(t, pose, covariance)
         self._movers = Movers()
         self._placing.forget()
+        self._new_ground = None
         self._consistency.found()
         self._count("", "relocalised")
         self._apply([])

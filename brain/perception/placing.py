@@ -96,14 +96,15 @@ class Placing:
         self._torn = False
         """The robot was carried since then"""
 
-    def forget(self) -> None:
-        """Forget the keyframes: the robot is elsewhere."""
+    def forget(self, *, carried: bool = True) -> None:
+        """Forget the keyframes: the robot is elsewhere; `carried`: it was found there."""
         self.keyframes.forget_local()
         self.loops.forget_search()
         self._way, self._torn = self._way + self.loops.settings.away, True
         self._at.clear()
         self._last.clear()
-        self.driven = self.turned = 0.0
+        if carried:
+            self.driven = self.turned = 0.0
 
     def shift(self, by: Pose) -> None:
         """Turn and shift the frame "map"."""
@@ -141,9 +142,11 @@ class Placing:
         lag: Lag,
         *,
         doubtful: bool,
+        alone: bool,
     ) -> Told:
         """Return what a scan tells about the pose that is believed at its end, with that one's covariance
-        (3 × 3). `lag`: what is known of the lidar's stamps; `doubtful`: the scans before have disagreed."""
+        (3 × 3). `lag`: what is known of the lidar's stamps; `doubtful`: the scans before have disagreed;
+        `alone`: by the keyframes alone, since the map does not have this ground."""
         pose, covariance = believed
         before = self._at.get(name, pose)
         motion = Motion(math.dist((before.x, before.y), (pose.x, pose.y)), wrap(pose.yaw - before.yaw))
@@ -162,7 +165,9 @@ class Placing:
         if by is not None and (placed is None or placed.share < LIKELY):
             placed = self.keyframes.place(scan, pose, odometry)
         self._last[name] = t, start if placed is None else placed.pose
-        found = placed or self._found(chart, scan, pose, covariance, doubtful=doubtful)
+        found: Placed | Match | None = placed
+        if found is None and not alone:
+            found = self._found(chart, scan, pose, covariance, doubtful=doubtful)
         if found is None:
             return Told(Agreement(t, examine(chart, scan, pose), matched=False), None, None)
         share = placed.share if placed is not None else None
