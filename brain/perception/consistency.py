@@ -65,9 +65,9 @@ class Agreement:
         """Why the scan speaks against the believed pose; "" if it does not."""
         if self.matched and not self.near:
             return f"it fits {self.offset:.2f} m and {math.degrees(self.turn):.0f}° off the believed pose"
-        if self.share is not None and self.share < LITTLE:
-            return f"{100 * self.share:.0f} % of it lies on what the scans before saw"
         seen = self.seen
+        if self.share is not None and self.share < LITTLE and not (seen is not None and _agrees(seen)):
+            return f"{100 * self.share:.0f} % of it lies on what the scans before saw"
         if seen is None or (self.share is not None and self.share > POOR):
             return ""
         if seen.crossed > CROSSED or (seen.crossed > FEW_CROSSED and seen.fit < LITTLE_FIT):
@@ -80,6 +80,11 @@ class Agreement:
     def poor(self) -> bool:
         """Whether it shows too little of what is known to be drawn."""
         return self.share is not None and self.share < POOR
+
+
+def _agrees(seen: MatchShares) -> bool:
+    """Return whether the map knows the place, although the newest scans have not seen it."""
+    return seen.known > LEAST_KNOWN and seen.fit > LITTLE_FIT and seen.crossed < CROSSED
 
 
 LITTLE, POOR, CERTAIN = 0.3, 0.45, 0.7

@@ -102,9 +102,7 @@ ASTRAY = 0.5
 FAR, FAR_YAW = 1.0, 0.6
 """m, rad: who is found farther off was carried there; two scans must say so"""
 ADRIFT = "its place in the map is doubtful"
-GOES_ON = (
-    "lost, on ground that the map does not have: the map goes on from where the wheels say that it is, after"
-)
+GOES_ON = "the map does not have this ground, and goes on from where the wheels have taken the robot since"
 DRAWS = 1
 """Slices more that a keyframe drawn again counts for"""
 MOST_MOVING = 0.1
@@ -606,7 +604,7 @@ class Perception:
             ground.first, ground.began, ground.agreeing = self._placing.keyframes.count, driven, 0
         elif ground.agreeing >= RECOGNISED_SCANS and driven - ground.began > FAR:
             self._consistency.found(f"{ADRIFT}: it drove {driven:.1f} m while it was lost")
-            self._notes.append(f"{GOES_ON} it was lost, {driven:.1f} m on")
+            self._notes.append(f"{GOES_ON} it was lost: {driven:.1f} m")
 
     def _motion(self, scan: LaserScan) -> Floats | None:
         """Return the robot's pose at each beam's time, in its frame at the scan's end: n × 3."""

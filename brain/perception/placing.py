@@ -178,7 +178,7 @@ class Placing:
         seen = None if known else examine(chart, scan, found.pose)
         slips = share is not None and share > CERTAIN and not stands
         far, wide = (SLIPPED, SPUN) if slips else (MOVED, TURNED)
-        if share is not None and share > LIKELY:
+        if share is not None and share > POOR:
             since = Motion(self.driven, self.turned).noise()
             far, wide = max(far, 3.0 * math.sqrt(since[0, 0])), max(wide, 3.0 * math.sqrt(since[2, 2]))
         near = offset < max(3.0 * math.sqrt(max(covariance[0, 0], covariance[1, 1])), far)

@@ -12,6 +12,7 @@ import pytest
 
 from brain.belief import Floats, Pose
 from brain.bodies.plane import moved, wrap
+from brain.perception.consistency import Trust
 from brain.perception.filter import Filter
 from brain.perception.filter_inputs import Input, PoseFix
 from brain.perception.filter_settings import FilterSettings
@@ -21,7 +22,7 @@ from brain.perception.loops import LoopSettings
 from brain.perception.map import MapSettings
 from brain.perception.perception import Anchor, Perception, PerceptionSettings
 from protocols.messages import SECOND, Imu
-from tests.brain.perception.office import BODY, MOUNTS, SETTINGS, Rover, _towards, box, clearance
+from tests.brain.perception.office import BODY, MOUNTS, OFFICE, SETTINGS, Rover, _towards, box, clearance
 from tests.brain.perception.rolling import BODY as ROLLING
 from tests.brain.perception.rolling import MS, Floor, roll
 
@@ -89,6 +90,25 @@ def lap(settings: PerceptionSettings, seed: int = 1) -> Lap:
 
 COPIED = 15_500
 """Step, of some 17,800, before the loop is closed"""
+
+
+def test_lost_on_the_way_to_new_ground_the_map_goes_on_in_doubt_until_a_loop_ties_it() -> None:
+    """For 3.5 m its lidar shows another place, as in a crowd; what is seen after that is on no map."""
+    rover = Rover(1, walls=RING, lidar_noise=0.03)
+    perception = Perception(BODY, {"lidar": MOUNTS["lidar"]}, SHORT)
+    seen = [(perception.verdict.trust, "")]
+    for speeds in _round(rover):
+        rover.walls = OFFICE + [rover.truth.x, 0.5] * 2 if 5.0 < rover.length < 8.5 else RING
+        perception.observe(rover.now, [one for one in rover.step(*speeds) if not isinstance(one, Imu)])
+        if perception.verdict.trust is not seen[-1][0]:
+            seen.append((perception.verdict.trust, perception.verdict.reason))
+    trusts = [trust for trust, _ in seen]
+    assert trusts == [Trust.CONSISTENT, Trust.DOUBTFUL, Trust.LOST, Trust.DOUBTFUL, Trust.CONSISTENT]
+    assert seen[3][1].startswith("its place in the map is doubtful: it drove ")
+    assert any("does not have this ground" in note for note in perception.take_notes())
+    estimate, truth = perception.estimate, rover.truth
+    assert estimate is not None
+    assert math.dist((estimate.pose.x, estimate.pose.y), (truth.x, truth.y)) < 0.05
 
 
 def _round(rover: Rover) -> Iterator[tuple[float, float]]:
