@@ -134,7 +134,8 @@ class Explanation:
         known = ~np.isnan(gyro)
         if not _enough(turn, TURN):
             return ""
-        (by_wheels, _), fits = _fit(np.column_stack([turn, way]), shown)
+        columns = np.column_stack([turn, way])
+        (by_wheels, _), fits = _fit(columns, shown)
         of_gyro = math.nan
         if _enough(turn[known], TURN):
             (of_gyro, _), gyro_fits = _fit(np.column_stack([turn[known], way[known]]), gyro[known])
@@ -150,7 +151,7 @@ class Explanation:
                 return f"the base turns against its wheels: {swapped}"
             return f"scans turn against the wheels: {self.name} is mirrored (upside down), or {swapped}"
         agree = math.isnan(of_gyro) or abs(of_gyro - by_wheels) < 0.25 * abs(by_wheels)
-        if agree and _ratio(by_wheels) > FACTOR:
+        if agree and _ratio(by_wheels) > FACTOR + 3.0 * _ratio(by_wheels) * _unsure(columns):
             return self._wide(by_wheels, turn, shown)
         return ""
 
@@ -236,6 +237,12 @@ def _fit(columns: Floats, values: Floats, scatter: float = SCATTER) -> tuple[Flo
     left = float(np.linalg.norm(values - columns @ found))
     noise = NOISE_TURN * math.sqrt(len(values))
     return found, left < scatter * float(np.linalg.norm(values)) + noise
+
+
+def _unsure(columns: Floats) -> float:
+    """Return the standard deviation of the first factor, by the noise of the comparisons."""
+    normal = columns.T @ columns + 1e-6 * np.eye(columns.shape[1])
+    return NOISE_TURN * math.sqrt(float(np.linalg.inv(normal)[0, 0]))
 
 
 def _ratio(factor: float) -> float:
