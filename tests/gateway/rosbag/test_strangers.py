@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import bz2
+import gc
 import gzip
 import json
 import lzma
-import gc
 import math
 import sqlite3
 import tracemalloc
