@@ -111,7 +111,7 @@ def unread(folder: Path, *arguments: str) -> Iterator[subprocess.Popen[bytes]]:
 def answer(folder: Path, line: str) -> str:
     """Return the answer of the robot; "" if it does not."""
     try:
-        return ask(socket_path("bench", folder / "motor-gateway"), line)
+        return ask(socket_path("bench", folder / "motor-gateway"), line, PATIENCE)
     except OperatorError:
         return ""
 
