@@ -26,7 +26,7 @@ from tests.gateway.processes import eventually
 from tests.gateway.rig import BENCH
 from tests.real_can.programs import Program
 
-ROBOT = BENCH.replace(
+ROBOT = "stall_timeout_ms = 2000\n" + BENCH.replace(
     "limits = { velocity = 20.0, acceleration = 60.0, torque = 2.0 }",
     "limits = { velocity = 20.0, acceleration = 20.0, torque = 2.0 }\n"
     'stop_action = "brake"\nfeedback_timeout_ms = 2000\ncommand_timeout_ms = 2000',
