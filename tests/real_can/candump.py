@@ -62,7 +62,7 @@ def candump(interface: str, log: Path) -> Iterator[None]:
 def listeners(interface: str) -> int:
     """Return how many programs receive all that is on an interface: the kernel's own list."""
     rows = Path("/proc/net/can/rcvlist_all").read_text().splitlines()
-    return sum(row.split()[:1] == [interface] for row in rows)
+    return sum(row.split()[:1] == [interface] for row in rows)  # device, id, mask, …
 
 
 def in_order(some: Sequence[CanFrame], frames: Sequence[CanFrame]) -> bool:

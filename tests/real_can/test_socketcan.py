@@ -143,7 +143,8 @@ def test_a_timestamp_is_when_a_frame_arrived_and_not_when_it_was_read(vcan0: str
 def test_another_process_sends_to_us_and_receives_from_us(vcan0: str, opened: Open) -> None:
     bus = opened(settings(vcan0))
     before = listeners(vcan0)
-    with subprocess.Popen(["candump", "-L", "-n", "3", vcan0], stdout=subprocess.PIPE, text=True) as dump:
+    command = ["candump", "-L", "-n3", "-T60000", vcan0]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as dump:
         assert eventually(lambda: listeners(vcan0) > before)
         subprocess.run(["cansend", vcan0, "345#DEADBEEF"], check=True)
         assert frames_of(receive(bus)) == [CanFrame(0x345, b"\xde\xad\xbe\xef")]
