@@ -51,13 +51,13 @@ def patient(text: str) -> str:
 
 
 class Process:
-    """`gateway ARGUMENTS…`, with its output so far in `text`."""
+    """`gateway ARGUMENTS…` (patient.py), with its output so far in `text`."""
 
     def __init__(self, folder: Path, *arguments: str, terminal: int | None = None) -> None:
         """`folder` is for its socket; `terminal` is for its input and output, instead of pipes."""
         stream = subprocess.PIPE if terminal is None else terminal
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "gateway", *arguments],
+            [sys.executable, "-m", "tests.gateway.patient", *arguments],
             stdin=stream,
             stdout=stream,
             stderr=subprocess.STDOUT,

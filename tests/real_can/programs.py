@@ -30,7 +30,10 @@ _CONTEXT.set_forkserver_preload(["tests.real_can.loaded", "tests.real_can.progra
 def _become(arguments: tuple[str, ...], folder: Path, output: Path) -> None:
     """Run the command in this process, with its output in a file."""
     from gateway.cli.main import main
+    from tests.gateway.patient import be_patient
     from tests.real_can import springs
+
+    be_patient()
 
     log = os.open(output, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     for stream in (sys.stdout, sys.stderr):
