@@ -1,4 +1,4 @@
-"""`python -m tests.gateway.patient …`: `gateway …` that gives devices a minute to report that they are disarmed.
+"""`python -m tests.gateway.patient …`: `gateway …` that gives devices a minute to report themselves disarmed.
 
 They are another process in these tests, which may have no processor in the half second that real ones get."""
 
