@@ -6,6 +6,7 @@ import codecs
 import fcntl
 import os
 import pty
+import re
 import select
 import signal
 import subprocess
@@ -27,17 +28,36 @@ def eventually(condition: Callable[[], bool], seconds: float = PATIENCE) -> bool
     while time.monotonic() < end:
         if condition():
             return True
+        time.sleep(0.005)  # the processor is for what is waited for
     return False
 
 
+def written(terminal: int) -> bytes:
+    """Return all that was written to the other end of a pty, now that it is closed: a kernel hands it over in
+    any pieces."""
+    data = b""
+    with suppress(OSError):  # EIO: nothing is left
+        while piece := os.read(terminal, 65536):
+            data += piece
+    return data
+
+
+def patient(text: str) -> str:
+    """Return a robot file with long timeouts, since this machine may do other things for a while."""
+    text = re.sub(r"(feedback|command)_timeout_ms = \d+", r"\1_timeout_ms = 2000", text)
+    text = re.sub(r"(?m)^timeout_ms = \d+", "timeout_ms = 3000", text)
+    text = text.replace('mode = "vel"', 'mode = "vel"\ntimeout_ms = 3000\noffline_ms = 5000')
+    return text.replace('watchdog = "acknowledged"', 'watchdog = "acknowledged"\noffline_ms = 5000')
+
+
 class Process:
-    """`gateway ARGUMENTS…`, with its output so far in `text`."""
+    """`gateway ARGUMENTS…` (patient.py), with its output so far in `text`."""
 
     def __init__(self, folder: Path, *arguments: str, terminal: int | None = None) -> None:
         """`folder` is for its socket; `terminal` is for its input and output, instead of pipes."""
         stream = subprocess.PIPE if terminal is None else terminal
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "gateway", *arguments],
+            [sys.executable, "-m", "tests.gateway.patient", *arguments],
             stdin=stream,
             stdout=stream,
             stderr=subprocess.STDOUT,
@@ -72,6 +92,15 @@ class Process:
                 self.send_keys(keys)
             self.look()
         return self.text
+
+    def find(self, pattern: str) -> str:
+        """Wait until it has printed a line with this, to its end; return the first group."""
+        end = time.monotonic() + PATIENCE
+        while (found := re.search(f"{pattern}.*\n", self.text)) is None:
+            if self._ended or time.monotonic() > end:
+                raise AssertionError(f"not printed: {pattern}; printed:\n{self.text}")
+            self.look()
+        return found[1]
 
     def look(self) -> None:
         """Read what it prints within a moment."""

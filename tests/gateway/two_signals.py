@@ -22,10 +22,11 @@ from gateway.buses.virtual.bus import TwinBus
 from gateway.core.step import LEFT_ARMED
 from gateway.core.tick import Tick
 from protocols.messages import MILLISECOND, SECOND, Mode, Nanos, Velocity
+from tests.gateway.processes import eventually
 from tests.gateway.rig import BENCH
 from tests.real_can.programs import Program
 
-ROBOT = BENCH.replace(
+ROBOT = "stall_timeout_ms = 2000\n" + BENCH.replace(
     "limits = { velocity = 20.0, acceleration = 60.0, torque = 2.0 }",
     "limits = { velocity = 20.0, acceleration = 20.0, torque = 2.0 }\n"
     'stop_action = "brake"\nfeedback_timeout_ms = 2000\ncommand_timeout_ms = 2000',
@@ -43,7 +44,7 @@ class Outcome:
 
     signals: tuple[int, int]
     waited: float
-    """s from the commands to the first signal,"""
+    """s from the commands, or every second time from when a motor was armed, to the first signal,"""
     between: float
     """and from there to the second."""
     armed: bool
@@ -66,6 +67,8 @@ def one_run(start: Callable[[], Program], twin: Program, seed: int, number: int)
         run.until("left: ready", "right: ready")
         for motor in MOTORS:
             run.ask("rig", f"velocity {motor} {SPEED}")
+        if number % 2 == 0:
+            twin.until("armed", after=mark)
         time.sleep(waited)
         armed = "armed" in twin.text[mark:]
         assert run.pid is not None
@@ -92,10 +95,7 @@ def settled(twin: Program, mark: int) -> None:
         modes = [re.findall(rf"{motor}: (armed|ready|fault|offline)", twin.text[mark:]) for motor in MOTORS]
         return all(of_one[-1:] in ([], ["ready"]) for of_one in modes)
 
-    for _ in range(100):  # the machine may have other things to do
-        if disarmed():
-            break
-        time.sleep(0.1)
+    eventually(disarmed)
     time.sleep(0.3)
     assert disarmed(), twin.text[mark:]
 

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-from protocols.messages import Nanos
+from protocols.messages import SECOND, Nanos
 from tests.gateway.processes import PATIENCE
 
 NOTHING = -1
@@ -96,7 +96,8 @@ class Killed:
     """and its last."""
     queued: Nanos
     """How long, in its last 150 ms, its threads were ready to run and the machine did not let them, one of
-    which may have had what others waited for: a busy machine's doing, as the kernel accounts it."""
+    which may have had what others waited for, or the machine itself did not run: a busy machine's doing, and
+    its host's, as the kernel accounts them."""
 
 
 def _watch(pid: int, span: float) -> Nanos:
@@ -105,12 +106,18 @@ def _watch(pid: int, span: float) -> Nanos:
     samples: list[tuple[float, int]] = []
     while True:
         now = time.monotonic()
-        samples.append((now, _queued(pid)))
+        samples.append((now, _queued(pid) + _stolen()))
         if now >= end:
             break
         time.sleep(min(0.01, end - now))
     before = [queued for t, queued in samples if t <= now - 0.15]
     return samples[-1][1] - (before[-1] if before else 0)
+
+
+def _stolen() -> Nanos:
+    """Return how long the processors of a virtual machine were ready to run and did not (proc_stat(5))."""
+    fields = Path("/proc/stat").read_text().split("\n", 1)[0].split()
+    return int(fields[8]) * SECOND // os.sysconf("SC_CLK_TCK") if len(fields) > 8 else 0
 
 
 def _queued(pid: int) -> Nanos:

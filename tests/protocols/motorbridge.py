@@ -19,6 +19,7 @@ from protocols.frames import EXTENDED_BIT, CanFrame
 from protocols.messages import MILLISECOND, Feedback, Nanos
 from protocols.plugin import Twin
 from protocols.toolkit.serial import crc
+from tests.gateway.processes import eventually
 
 CRC8 = crc(8, 0x07, reflected=False)
 INERTIA = 0.01
@@ -36,9 +37,10 @@ class Bench:
 
     def exchange(self, frame: CanFrame) -> list[CanFrame]:
         """Return what the twin answers."""
-        self.received.append(frame)
         self.twin.receive(self.now, frame)
-        return self.step() + self.step()
+        answers = self.step() + self.step()
+        self.received.append(frame)  # who waits for it finds it done
+        return answers
 
     def step(self) -> list[CanFrame]:
         """Let a millisecond pass."""
@@ -76,8 +78,12 @@ class Microcontroller:
 def _serve(
     line: int, bench: Bench, adapter: EmulatedAdapter | Microcontroller, stop: threading.Event
 ) -> None:
-    while not stop.is_set():
+    """Answer until there is nothing more after the end."""
+    while True:
+        over = stop.is_set()
         if not select([line], [], [], 0.01)[0]:
+            if over:
+                return
             continue
         frames, replies = adapter.feed(os.read(line, 4096))
         answers = [answer for frame in frames for answer in bench.exchange(frame)]
@@ -106,14 +112,10 @@ def connected(bench: Bench, *, dm_serial: bool = False) -> Iterator[motorbridge.
 
 
 def received(bench: Bench, count: int, act: Callable[[], None]) -> list[CanFrame]:
-    """Do something, and return the frames that arrive for it: as many as this, or fewer after a while."""
+    """Do something, and return the frames that arrive for it, once there are as many as this."""
     before = len(bench.received)
     act()
-    waiting = threading.Event()
-    for _ in range(20_000):
-        if len(bench.received) - before >= count:
-            break
-        waiting.wait(0.0005)
+    assert eventually(lambda: len(bench.received) - before >= count)
     return bench.received[before:]
 
 

@@ -180,11 +180,8 @@ KINDS: tuple[Abuse, ...] = (
 @contextmanager
 def driving(folder: Path) -> Iterator[tuple[Process, Address]]:
     with Process(folder, "run", "diffbot", "--view", "0", "--steer", "-v") as robot:
-        robot.until("live view: ", "diffbot is running")
-        found = re.search(r"live view: http://([^/]+)/", robot.text)
-        assert found is not None
-        robot.until("ready")
-        yield robot, parse_address(found[1])
+        robot.until("diffbot is running", "ready")
+        yield robot, parse_address(robot.find(r"live view: http://([^/]+)/"))
 
 
 def ticks(path: Path) -> int:

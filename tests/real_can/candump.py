@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from protocols.frames import CanFrame
+from tests.gateway.processes import eventually
 
 LINE = re.compile(r"\((\d+\.\d+)\) (\S+) ([0-9A-F]+)#(R|#[0-9A-F])?([0-9A-F]*)")
 """A line of `candump -L`: (seconds) interface ID#DATA; ID#R and perhaps the length asked for; of CAN FD ID##F
@@ -46,14 +47,22 @@ def _frame(number: str, kind: str, data: str) -> CanFrame:
 @contextmanager
 def candump(interface: str, log: Path) -> Iterator[None]:
     """While inside, all that is on the interface is written to a file."""
+    before = listeners(interface)
     with (
         log.open("w") as output,
         subprocess.Popen(["candump", "-L", "-D", interface], stdout=output, stderr=subprocess.PIPE) as dump,
     ):
         try:
+            assert eventually(lambda: listeners(interface) > before or dump.poll() is not None)
             yield
         finally:
             dump.terminate()
+
+
+def listeners(interface: str) -> int:
+    """Return how many programs receive all that is on an interface: the kernel's own list."""
+    rows = Path("/proc/net/can/rcvlist_all").read_text().splitlines()
+    return sum(row.split()[:1] == [interface] for row in rows)  # device, id, mask, …
 
 
 def in_order(some: Sequence[CanFrame], frames: Sequence[CanFrame]) -> bool:

@@ -4,7 +4,6 @@ The shipped ones as they are; and, where a bus has a bit rate, a rover, which is
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -24,8 +23,8 @@ def connected(folder: Path, robot: Path, ends: tuple[str, str], *arguments: str)
     """`run` on our interface, `twin` on theirs; the sensors over a pty. `arguments` go to `gateway run`."""
     ours, theirs = ends
     with Program(folder, "twin", str(robot), "--bus", f"can0=socketcan:{theirs}", "-v") as twin:
-        twin.until("to run the robot:\n", "sensors=serial:")
-        sensors = re.findall(r"sensors=(serial:\S+)", twin.text)[0]
+        twin.until("to run the robot:\n")
+        sensors = twin.find(r"sensors=(serial:\S+)")
         buses = ("--bus", f"can0=socketcan:{ours}", "--bus", f"sensors={sensors}")
         with Program(folder, "run", str(robot), *buses, "-v", *arguments) as run:
             yield run, twin

@@ -7,16 +7,20 @@ slow modules loaded (`multiprocessing`'s forkserver), and then does what `gatewa
 from __future__ import annotations
 
 import os
+import re
 import signal
 import sys
 import time
+from collections.abc import Callable
 from multiprocessing import get_context
 from pathlib import Path
 from types import TracebackType
+from typing import TypeVar
 
 from gateway.errors import OperatorError
 from gateway.operator import ask
 
+T = TypeVar("T")
 PATIENCE = 60.0
 """s of the clock that the processes run on, against hanging."""
 _CONTEXT = get_context("forkserver")
@@ -26,7 +30,10 @@ _CONTEXT.set_forkserver_preload(["tests.real_can.loaded", "tests.real_can.progra
 def _become(arguments: tuple[str, ...], folder: Path, output: Path) -> None:
     """Run the command in this process, with its output in a file."""
     from gateway.cli.main import main
+    from tests.gateway.patient import be_patient
     from tests.real_can import springs
+
+    be_patient()
 
     log = os.open(output, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     for stream in (sys.stdout, sys.stderr):
@@ -72,14 +79,22 @@ class Program:
 
     def until(self, *texts: str, after: int = 0) -> int:
         """Wait until its output beyond `after` characters has all of these; return its length."""
-        end = time.monotonic() + PATIENCE
-        while not all(text in self.text[after:] for text in texts):
-            if time.monotonic() > end or not self._process.is_alive():
-                missing = [text for text in texts if text not in self.text[after:]]
-                command = " ".join(self.arguments)
-                raise AssertionError(f"gateway {command}: not in its output: {missing}; output:\n{self.text}")
-            time.sleep(0.02)
+        self._wait(lambda: all(text in self.text[after:] for text in texts), ", ".join(texts))
         return len(self.text)
+
+    def find(self, pattern: str) -> str:
+        """Wait until its output has a line with this, to its end; return the first group."""
+        return self._wait(lambda: re.search(f"{pattern}.*\n", self.text), pattern)[1]
+
+    def _wait(self, seen: Callable[[], T | None], what: str) -> T:
+        end = time.monotonic() + PATIENCE
+        while True:
+            over = time.monotonic() > end or not self.alive  # before it is looked at what it has printed
+            if found := seen():
+                return found
+            command = " ".join(self.arguments)
+            assert not over, f"gateway {command}: not in its output: {what}; output:\n{self.text}"
+            time.sleep(0.02)
 
     def ask(self, robot: str, line: str) -> str:
         """Return its reply to a line, as `gateway ask` would print it."""

@@ -23,7 +23,8 @@ from gateway.recording import read_recording
 from gateway.runtime.schedule import count_buses
 from protocols.frames import CanFrame
 from protocols.messages import SECOND, Nanos
-from tests.real_can.candump import Seen, candump, parse
+from tests.gateway.processes import eventually
+from tests.real_can.candump import Seen, candump, listeners, parse
 from tests.real_can.pair import SHIPPED, connected
 from tests.real_can.programs import Program
 from tests.real_can.springs import ROBOTS
@@ -50,7 +51,7 @@ def test_bit_lengths_are_those_of_canbusload(vcan0: str, tmp_path: Path) -> None
         load.open("w") as output,
         subprocess.Popen(["canbusload", "-e", f"{vcan0}@1000000"], stdout=output) as counting,
     ):
-        time.sleep(1.0)
+        assert eventually(lambda: listeners(vcan0) == 2)  # candump, and this
         for form in ((), ("-e",), ("-R", "-L0"), ("-e", "-R", "-L0")):
             subprocess.run(["cangen", vcan0, "-g1", "-n200", *form], check=True)
         time.sleep(2.5)

@@ -20,6 +20,8 @@ from gateway.core.robot import BusSettings
 from gateway.errors import BusError
 from protocols.frames import BusState, CanFrame, Packet
 from protocols.messages import MILLISECOND, SECOND
+from tests.gateway.processes import eventually
+from tests.real_can.candump import listeners
 from tests.real_can.conftest import ip
 
 CLOCK = WallClock()
@@ -140,10 +142,10 @@ def test_a_timestamp_is_when_a_frame_arrived_and_not_when_it_was_read(vcan0: str
 
 def test_another_process_sends_to_us_and_receives_from_us(vcan0: str, opened: Open) -> None:
     bus = opened(settings(vcan0))
-    with subprocess.Popen(
-        ["candump", "-L", "-n", "3", "-T", "5000", vcan0], stdout=subprocess.PIPE, text=True
-    ) as dump:
-        time.sleep(0.5)
+    before = listeners(vcan0)
+    command = ["candump", "-L", "-n3", "-T60000", vcan0]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as dump:
+        assert eventually(lambda: listeners(vcan0) > before)
         subprocess.run(["cansend", vcan0, "345#DEADBEEF"], check=True)
         assert frames_of(receive(bus)) == [CanFrame(0x345, b"\xde\xad\xbe\xef")]
         bus.write(CLOCK.now(), [CanFrame(0x12, b"\x01"), CanFrame(0x1ABCDEF0, b"\x02", extended=True)])

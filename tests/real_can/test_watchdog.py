@@ -12,9 +12,10 @@ from tests.gateway.rig import BENCH
 from tests.gateway.two_signals import settled
 from tests.real_can.programs import Program
 
-ROBOT = BENCH.replace("rate_hz = 200", "rate_hz = 50").replace(  # less work to emulate
+ROBOT = "stall_timeout_ms = 2000\n" + BENCH.replace("rate_hz = 200", "rate_hz = 50").replace(
     "limits = {", "feedback_timeout_ms = 2000\ncommand_timeout_ms = 2000\nlimits = {"
 )
+"""Less work to emulate; a machine that does other things for a while makes no fault."""
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])

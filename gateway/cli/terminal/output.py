@@ -21,7 +21,9 @@ from gateway.errors import UserError
 ROOM = 1 << 18
 """Characters that may wait: as much as is printed in minutes."""
 PATIENCE = 2.0
-"""s for which the end waits for the reader of what is left"""
+"""s for which the end waits for the reader of what is left,"""
+TOLD = 0.1
+"""and then until it is told how much was left out"""
 
 
 class Unblocked:
@@ -119,7 +121,7 @@ def unblocked(*streams: TextIO) -> Iterator[list[Unblocked]]:
             last = Unblocked(streams[-1])
             with suppress(OSError):
                 last.write(f"{left_out} characters of the output were left out: nobody read them\n")
-            last.close(0.1)
+            last.close(TOLD)
 
 
 def typed(prompt: str) -> str:

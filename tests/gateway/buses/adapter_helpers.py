@@ -14,9 +14,11 @@ from hypothesis import strategies as st
 
 from gateway.buses.adapters.adapter_pty import Adapter
 from gateway.buses.adapters.pty import Pty
+from gateway.buses.can import CanBus
 from gateway.buses.frame_time import LENGTHS
 from gateway.core.robot import BusSettings
 from protocols.frames import CanFrame
+from protocols.messages import Nanos
 from tests.gateway.processes import PATIENCE
 
 T = TypeVar("T")
@@ -89,6 +91,14 @@ def gather(look: Callable[[], bytes], count: int) -> bytes:
     while len(got) < count:
         got += poll(look)
     return got
+
+
+def frames_of(bus: CanBus, now: Nanos, count: int) -> list[object]:
+    """Read until `count` frames have come: a line may be cut anywhere, and what is behind it comes later."""
+    frames: list[object] = []
+    while len(frames) < count:
+        frames += [packet.frame for packet in poll(lambda: bus.read(now)[1])]
+    return frames
 
 
 def taken(fd: int, count: int) -> bytes:

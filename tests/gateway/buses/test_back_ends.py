@@ -22,7 +22,7 @@ from gateway.core.robot import BusSettings
 from gateway.errors import BusError
 from protocols.frames import BusState, CanFrame
 from protocols.messages import MILLISECOND, SECOND
-from tests.gateway.buses.adapter_helpers import poll, raw_pty
+from tests.gateway.buses.adapter_helpers import frames_of, poll, raw_pty
 
 FRAME, NEXT = CanFrame(0x123, b"\x01\x02\x03"), CanFrame(0x124, b"\x04")
 
@@ -62,23 +62,16 @@ def line(kind: str, tmp_path: Path) -> Iterator[tuple[CanBus, int, Path]]:
         yield bus, device, link
 
 
-def received(bus: CanBus, count: int) -> list[object]:
-    frames: list[object] = []
-    while len(frames) < count:
-        frames += [packet.frame for packet in poll(lambda: bus.read(0)[1])]
-    return frames
-
-
 @on_ports
 def test_half_a_frame_delays_what_follows_and_no_more(kind: str, line: tuple[CanBus, int, Path]) -> None:
     bus, device, _ = line
     os.write(device, ENCODE[kind](FRAME))
-    assert received(bus, 1) == [FRAME]
+    assert frames_of(bus, 0, 1) == [FRAME]
     os.write(device, ENCODE[kind](FRAME)[:6])
     if kind != "robotell":  # the others wait 0.1 s for the rest
         poll(lambda: bus.read(0) == ([], []) and bus.bad)
     os.write(device, 3 * ENCODE[kind](NEXT))
-    assert set(received(bus, 1)) == {NEXT}
+    assert set(frames_of(bus, 0, 1)) == {NEXT}
     assert bus.read(0)[0] == []
 
 
@@ -99,7 +92,7 @@ def test_frames_are_sent_and_a_port_that_vanishes_is_gone_and_opened_again(
     link.symlink_to(os.ttyname(host))
     assert poll(lambda: list(bus.read(SECOND)[0])) == [BusState.BACK]
     os.write(device, ENCODE[kind](NEXT))
-    assert received(bus, 1) == [NEXT]
+    assert frames_of(bus, 0, 1) == [NEXT]
     os.close(device)
     os.close(host)
 

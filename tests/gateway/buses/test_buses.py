@@ -24,7 +24,7 @@ from gateway.core.robot import BusSettings
 from gateway.errors import BusError
 from protocols.frames import BusState, CanFrame, Packet
 from protocols.messages import MILLISECOND, SECOND
-from tests.gateway.buses.adapter_helpers import gather, poll, raw_pty, taken, wait_for_input
+from tests.gateway.buses.adapter_helpers import frames_of, gather, poll, raw_pty, taken, wait_for_input
 
 CAN = BusSettings("can0", "can", "virtual:test_buses", bitrate=500_000)
 
@@ -81,7 +81,7 @@ def test_the_systems_stamp_is_moved_onto_the_clock_and_never_runs_backwards() ->
         before = clock.now()
         one.write(before, FRAMES[:3])
         between = clock.now()
-        stamps = [packet.t for packet in other.read(clock.now())[1]]
+        stamps = [packet.t for packet in other.read(between)[1]]
         assert stamps == sorted(stamps)
         assert len(stamps) == 3
         slack = SECOND  # the two clocks of the machine, decades apart, are read one after the other
@@ -226,12 +226,9 @@ def test_an_adapters_acknowledgements_and_bad_lines_are_skipped() -> None:
         assert sent.endswith(b"O\rt123201FF\rr0120\r")
         os.write(device, b"z\r\rz\rt0452AABB\rtXYZ\rt0\rz\rT123456780\rt04")
         frames = [CanFrame(0x45, b"\xaa\xbb"), CanFrame(0x12345678, extended=True)]
-        received: list[object] = []
-        while len(received) < 2:
-            received += [packet.frame for packet in poll(lambda: bus.read(1)[1])]
-        assert received == frames
+        assert frames_of(bus, 1, 2) == frames
         os.write(device, b"61CC\r")
-        assert [packet.frame for packet in poll(lambda: bus.read(2)[1])] == [CanFrame(0x46, b"\xcc")]
+        assert frames_of(bus, 2, 1) == [CanFrame(0x46, b"\xcc")]
         assert bus.bad == 2
         os.close(device)
         assert poll(lambda: list(bus.read(3)[0])) == [BusState.GONE]

@@ -63,6 +63,7 @@ def test_the_end_waits_for_a_bounded_time_and_tells_what_was_left_out(
 ) -> None:
     fill(pipe[1])
     monkeypatch.setattr("gateway.cli.terminal.output.PATIENCE", 0.0)
+    monkeypatch.setattr("gateway.cli.terminal.output.TOLD", PATIENCE)  # its thread waits for its turn
     errors = io.StringIO()
     with os.fdopen(os.dup(pipe[1]), "w") as stream:
         with unblocked(stream, errors) as (out, _):
@@ -111,7 +112,7 @@ def unread(folder: Path, *arguments: str) -> Iterator[subprocess.Popen[bytes]]:
 def answer(folder: Path, line: str) -> str:
     """Return the answer of the robot; "" if it does not."""
     try:
-        return ask(socket_path("bench", folder / "motor-gateway"), line)
+        return ask(socket_path("bench", folder / "motor-gateway"), line, PATIENCE)
     except OperatorError:
         return ""
 

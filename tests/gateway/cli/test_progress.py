@@ -15,6 +15,7 @@ import gateway as gw
 from gateway.cli.terminal import progress
 from gateway.cli.terminal.progress import Progress, duration, simulation, text
 from protocols.messages import SECOND
+from tests.gateway.processes import written
 
 TEXTS = [
     (0, 100, 0.0, "replay: 0% of 100, 0 s"),
@@ -89,7 +90,7 @@ def test_a_replay_shows_it_on_a_terminal_and_its_output_is_the_same(recording: P
     try:
         shown = subprocess.run(command, stdout=subprocess.PIPE, stderr=theirs, text=True, check=False)
         os.close(theirs)
-        drawn = os.read(ours, 65536).decode()
+        drawn = written(ours).decode()
     finally:
         os.close(ours)
     plain = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -33,7 +33,8 @@ from gateway.recording import read_recording
 from protocols.frames import BusState, CanFrame, Packet
 from protocols.messages import SECOND, Imu, Velocity
 from protocols.plain import table as plain
-from tests.gateway.processes import TerminalProcess, eventually
+from tests.gateway.buses.adapter_helpers import poll
+from tests.gateway.processes import TerminalProcess, eventually, written
 from tests.gateway.rig import BENCH, Rig
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -109,12 +110,12 @@ def test_an_adapter_on_a_serial_port_is_opened_listen_only_and_sent_no_frame() -
         tty.setraw(adapter)
         source = open_source(settings, SimulatedClock())
         os.write(adapter, b"t0213010203\r\r\a")
-        result = source.read(SECOND)
+        result = poll(lambda: (read := source.read(SECOND))[1] and read)
         source.close()
-        commands = os.read(adapter, 4096).split(b"\r")
+        os.close(port)
+        commands = written(adapter).split(b"\r")
     finally:
         os.close(adapter)
-        os.close(port)
     assert result == ([], [Packet(SECOND, "can0", CanFrame(0x021, b"\x01\x02\x03"))])
     assert set(commands) == {b"C", b"S6", b"L", b""}
 

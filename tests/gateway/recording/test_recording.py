@@ -59,11 +59,7 @@ def child(code: str, path: Path, seed: str = "0") -> str:
 
 def drained(recorder: Recorder) -> None:
     """Wait until the thread has taken all, and has gone idle once."""
-    for _ in range(500):
-        if not recorder._queue and not recorder._writer.pending:
-            return
-        threading.Event().wait(0.01)
-    raise AssertionError("the recorder did not flush within 5 s")
+    assert eventually(lambda: not recorder._queue and not recorder._writer.pending), "it did not flush"
 
 
 # -- there and back ----------------------------------------------------------------------------

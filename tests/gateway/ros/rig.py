@@ -104,10 +104,11 @@ class Rig:
         self._ticks = session.run(poll=self._poll)
         session.watch(self._watch)
 
-    def join(self, **what: dict[str, str]) -> Peer:
+    def join(self, each: Callable[[], None] | None = None, **what: dict[str, str]) -> Peer:
         peer = Peer(self.number, **{"publishes": {}, "subscribes": {}, "calls": {}} | what)
         self.peers.append(peer)
-        self.until(lambda: len(peer.matched) == len(peer.participant.endpoints), "a match of everything")
+        matched = lambda: len(peer.matched) == len(peer.participant.endpoints)  # noqa: E731
+        self.until(matched, "a match of everything", each)
         return peer
 
     def _poll(self) -> Sequence[Instruction]:

@@ -128,9 +128,9 @@ with gateway.open_session("bench", simulated=True) as session:
     environment.digest_of = type(typestore()).generate_msgdef = None
     before = set(sys.modules)
     session.start_recording("a.mcap")
-    print(*set(sys.modules) - before)
     for _ in session.run(0.1):
         pass
+print(*set(sys.modules) - before)
 """
 
 

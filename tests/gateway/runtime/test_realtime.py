@@ -20,6 +20,7 @@ from gateway.runtime.realtime import (
     interrupts,
     wanted_of,
 )
+from tests.gateway.processes import PATIENCE
 
 
 @pytest.mark.parametrize(
@@ -75,7 +76,7 @@ end.set()
 
 def asked(text: str) -> list[str]:
     done = subprocess.run(
-        [sys.executable, "-c", ASKED, text], capture_output=True, text=True, check=True, timeout=120
+        [sys.executable, "-c", ASKED, text], capture_output=True, text=True, check=True, timeout=PATIENCE
     )
     return done.stdout.splitlines()
 

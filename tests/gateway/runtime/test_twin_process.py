@@ -40,7 +40,7 @@ from gateway.runtime.serve import MADE_UP, ServeStats, ServeTick, serve
 from gateway.runtime.twin_process import devices, without_interfaces
 from protocols.frames import BusState, CanFrame, Frame, Packet
 from protocols.messages import MILLISECOND, SECOND, Mode, Nanos, Velocity
-from tests.gateway.processes import Process
+from tests.gateway.processes import Process, eventually, patient
 from tests.gateway.rig import BENCH, WATCHED, Rig
 
 MS = MILLISECOND
@@ -310,14 +310,6 @@ def test_ptys_may_have_names_that_stay_the_same(tmp_path: Path) -> None:
 # -- two processes ---------------------------------------------------------------------------------
 
 
-def patient(text: str) -> str:
-    """Return a robot file with long timeouts, since this machine may do other things for a while."""
-    text = re.sub(r"(feedback|command)_timeout_ms = \d+", r"\1_timeout_ms = 2000", text)
-    text = re.sub(r"(?m)^timeout_ms = \d+", "timeout_ms = 3000", text)
-    text = text.replace('mode = "vel"', 'mode = "vel"\ntimeout_ms = 3000\noffline_ms = 5000')
-    return text.replace('watchdog = "acknowledged"', 'watchdog = "acknowledged"\noffline_ms = 5000')
-
-
 @pytest.fixture
 def folder() -> Iterator[Path]:
     """A directory with a short name, as sockets need."""
@@ -331,9 +323,7 @@ def folder() -> Iterator[Path]:
 
 def invited(twin: Process, *more: str) -> list[str]:
     """Return the arguments in the line that the twin has printed."""
-    line = re.search(r"(?m)^  gateway (run .*)$", twin.until("gateway run "))
-    assert line is not None
-    return [*shlex.split(line[1]), *more]
+    return [*shlex.split(twin.find(r"(?m)^  gateway (run .*)")), *more]
 
 
 @pytest.mark.sample(1)
@@ -441,17 +431,14 @@ def test_the_vendors_client_then_typed_lines_then_the_twin_goes_and_comes_back(f
             robot.until("left: ready", "right: ready")
             robot.send_line("position left 1.5")
             robot.until("left: armed")
-            for _ in range(200):
-                robot.send_line("status")
-                robot.until("ticks:")
-                if (
-                    abs(float(re.findall(r"left: armed.*position (-?[\d.]+) rad", robot.text)[-1]) - 1.5)
-                    < 0.01
-                ):
-                    break
+
+            def there() -> bool:
                 robot.text = ""
-            else:
-                raise AssertionError(robot.text)
+                robot.send_line("status")
+                found = re.findall(r"left: armed.*position (-?[\d.]+) rad", robot.until("ticks:"))
+                return abs(float(found[-1]) - 1.5) < 0.01
+
+            assert eventually(there), robot.text
             status, text = twin.end(signal.SIGTERM)
             assert status == 0
             assert "Traceback" not in text
@@ -465,7 +452,8 @@ def test_the_vendors_client_then_typed_lines_then_the_twin_goes_and_comes_back(f
 
 
 def test_motors_of_a_host_that_was_killed_are_stopped_by_their_watchdog(tmp_path: Path) -> None:
-    (tmp_path / "rig.toml").write_text(patient(WATCHED))
+    watched = WATCHED.replace("watchdog_timeout = 0.2", "watchdog_timeout = 2.0")  # or the host is too slow
+    (tmp_path / "rig.toml").write_text(patient(watched))
     with Process(tmp_path, "twin", str(tmp_path / "rig.toml"), "-v") as twin:
         with Process(tmp_path, *invited(twin, "-v")) as robot:
             robot.until("left: ready")
@@ -473,7 +461,7 @@ def test_motors_of_a_host_that_was_killed_are_stopped_by_their_watchdog(tmp_path
             twin.until("left: armed")
             robot.end(signal.SIGKILL)
         twin.until(
-            "can0: client disconnected; left will be disarmed by its watchdog in 200 ms",
+            "can0: client disconnected; left will be disarmed by its watchdog in 2000 ms",
             "left: fault: WATCHDOG_TIMER_EXPIRED",
         )
         with Process(tmp_path, *invited(twin, "-v")) as robot:  # the next program finds it so

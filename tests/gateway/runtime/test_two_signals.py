@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,8 +18,7 @@ def served(folder: Path) -> Iterator[tuple[Callable[[], Program], Program]]:
     robot = folder / "rig.toml"
     robot.write_text(ROBOT)
     with Program(folder, "twin", str(robot), "-v") as twin:
-        twin.until("--bus can0=slcan:")
-        (bus,) = re.findall(r"--bus (can0=slcan:\S+)", twin.text)
+        bus = twin.find(r"--bus (can0=slcan:\S+)")
         yield lambda: Program(folder, "run", str(robot), "--bus", bus, "-v"), twin
 
 

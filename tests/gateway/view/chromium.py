@@ -19,6 +19,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from tests.gateway.processes import PATIENCE
 
+FRAME = "new Promise(requestAnimationFrame)"
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
 OPTIONS = [f"--{option}" for option in (
     "headless=new", "no-sandbox", "disable-dev-shm-usage", "disable-gpu", "no-first-run", "disable-sync",
@@ -70,12 +71,23 @@ class Tab:
         """Return the text of an element."""
         return str(self.run(f"document.querySelector({selector!r}).innerText"))
 
+    def drawn(self) -> None:
+        """Wait until what has come is drawn: a canvas is in the next frame, and elements have their sizes."""
+        self.run(f"(async () => {{ await {FRAME}; await {FRAME}; }})()")
+
     def middle(self, selector: str) -> tuple[float, float]:
-        """Return where the middle of an element is, scrolled into view."""
-        box = (
-            f"(e => {{ e.scrollIntoView({{block: 'nearest'}}); const b = e.getBoundingClientRect();"
-            f" return [b.x + b.width / 2, b.y + b.height / 2] }})(document.querySelector({selector!r}))"
-        )
+        """Return where the middle of an element is, scrolled into view, once that has rested for a frame."""
+        box = f"""(async () => {{
+          for (let before;;) {{
+            const element = document.querySelector({selector!r});
+            element.scrollIntoView({{block: 'nearest'}});
+            const b = element.getBoundingClientRect();
+            const now = [b.x + b.width / 2, b.y + b.height / 2];
+            if (`${{now}}` === before) return now;
+            before = `${{now}}`;
+            await {FRAME};
+          }}
+        }})()"""
         x, y = self.run(box)
         return x, y
 
@@ -189,7 +201,9 @@ def chromium(profile: Path) -> Iterator[Chromium]:
             number, path = wait(
                 lambda: port.exists() and port.read_text().split("\n")[1:] and port.read_text(), "a port"
             ).split("\n")
-            with connect(f"ws://127.0.0.1:{number}{path}", max_size=None) as connection:
+            # Its own limits of time would end all tests: it reads nothing while a test does something else.
+            limits: Any = {"open_timeout": PATIENCE, "ping_interval": None, "proxy": None, "max_size": None}
+            with connect(f"ws://127.0.0.1:{number}{path}", **limits) as connection:
                 yield Chromium(connection)
         finally:
             process.terminate()

@@ -7,13 +7,14 @@ ends the run.
 |---|---|
 | look | the true pose, the joints' velocities, and what the robot was asked, with the number of the tick |
 | provoke MOTOR | the first fault that the device's specification lists |
-| rest | releases, clears, drops and idles what there is; then as look |
+| rest | releases, clears, drops and idles what there is; drives back from far away; then as look |
 | forget | what it was asked is forgotten |
 """
 
 from __future__ import annotations
 
 import json
+import math
 import os
 import sys
 from collections.abc import Sequence
@@ -23,7 +24,10 @@ import gateway
 from gateway.core.tick import Tick
 from gateway.operator import commands
 from gateway.operator.commands import parse
-from protocols.messages import SECOND, Drive, Instruction, Nanos, Stop, Velocity
+from protocols.messages import SECOND, Drive, Goal, Instruction, Nanos, Stop, Velocity
+
+FAR, HOME = 0.7, Goal(0.0, 0.0)
+"""m from where it began, from where it drives back: what is held drives as long as a busy machine takes."""
 
 
 class Robot:
@@ -72,7 +76,8 @@ class Robot:
 
     def answer(self, words: list[str]) -> dict[str, Any]:
         """Do what a line asks."""
-        session = self.session
+        session, truth = self.session, self.session.twins.world.truth()
+        far = math.hypot(truth.x, truth.y) > FAR
         if words[0] == "provoke":
             code = min(session.robot.motors[words[1]].spec.faults)
             session.twins.twin(words[1]).provoke(code)
@@ -81,19 +86,21 @@ class Robot:
         if words[0] == "rest":
             self.lines += ["release"] * bool(session.gateway.stopped)
             self.lines += ["clear all"] * bool(session.gateway.in_fault())
-            self.lines += ["drop"] * (session.gateway.belief().goal is not None)
+            goal = session.gateway.belief().goal
+            self.lines += ["drop"] * (goal is not None and not (far and goal == HOME))
+            self.lines += ["goal 0 0"] * (far and goal is None)
             bare = session.robot.brain.body.bare
             self.lines += [f"idle {name}" for name, joint in session.joints.items() if bare and joint.armed]
         if words[0] == "forget":
             self.asked.clear()
         speeds = {name: joint.feedback.velocity for name, joint in session.joints.items()}
         asked = {"asked": self.asked, "held": self.held, "stop": self.stop}
-        truth = session.twins.world.truth()
         return {
             "state": session.gateway.belief().state.value,
             "tick": self.number,
             "t": self.now / 1e9,
             "pose": (truth.x, truth.y),
+            "far": far,
             "speeds": speeds,
         } | asked
 

@@ -23,7 +23,7 @@ import scservo_sdk as fs
 
 order, path = int(sys.argv[1]), sys.argv[2]
 port = fs.PortHandler(path)
-port.setPacketTimeout = lambda size: port.setPacketTimeoutMillis(5000)
+port.setPacketTimeout = lambda size: port.setPacketTimeoutMillis(60_000)
 assert port.openPort() and port.setBaudRate(1_000_000)
 ph = fs.PacketHandler(order)
 got = {"ping": ph.ping(port, 1), "nobody": order and 0}

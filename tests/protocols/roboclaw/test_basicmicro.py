@@ -19,6 +19,7 @@ CLIENT = """
 import json, sys
 from basicmicro import Basicmicro
 rc = Basicmicro(sys.argv[1], 38400); assert rc.Open(); a = 0x80
+rc._port.timeout = 60.0  # else it asks again after a second, and takes one answer for the next
 said = []
 for name, *arguments in json.loads(%r):
     said.append(getattr(rc, name)(a, *arguments))

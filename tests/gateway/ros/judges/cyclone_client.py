@@ -226,7 +226,8 @@ grids = reader("rt/map", OccupancyGrid, KEPT)
 grid = until(lambda: next(iter(grids.take(10)), None), "a map")
 say("map", width=grid.info.width, height=grid.info.height, cells=len(grid.data), frame=grid.header.frame_id)
 
-feedback = reader("rt/navigate_to_pose/_action/feedback", FeedbackMessage)
+ALL = Qos(RELIABLE, Policy.History.KeepAll, Policy.Durability.Volatile)  # however late it is looked at
+feedback = reader("rt/navigate_to_pose/_action/feedback", FeedbackMessage, ALL)
 send = Client("/navigate_to_pose/_action/send_goal", SendGoalRequest, SendGoalResponse)
 result = Client("/navigate_to_pose/_action/get_result", GetResultRequest, GetResultResponse)
 id_ = Uuid(list(range(16)))
@@ -235,13 +236,13 @@ goal = Goal(PoseStamped(Header(frame_id="map"), Pose(Point(x, y))))
 answer = until(send.call(SendGoalRequest(goal_id=id_, goal=goal)), "an answer to a goal")
 say("goal", accepted=answer.accepted)
 asked = result.call(GetResultRequest(goal_id=id_))
-far = [one.feedback for one in feedback.take(100)]
+far = [one.feedback for one in feedback.take(1000)]
 found = None
 
 
 def ended():
     global found
-    far.extend(one.feedback for one in feedback.take(100))
+    far.extend(one.feedback for one in feedback.take(1000))
     found = found or asked()
     return found
 

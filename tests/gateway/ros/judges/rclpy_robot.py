@@ -7,7 +7,6 @@ import json
 import math
 import sys
 import time
-from functools import partial
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -90,27 +89,33 @@ class Judge(Node):
 
     def square(self):
         x, y, heading = self.pose
-        for side in range(1, 5):
-            self.side(self.pose[:2])
-            self.turn(heading + side * math.pi / 2)
-        self.drive(0.0, 0.0)
+        for side in range(4):
+            self.side(self.pose[:2], heading + side * math.pi / 2)
+            self.turn(heading + (side + 1) * math.pi / 2)
         return math.dist(self.pose[:2], (x, y))
 
-    def side(self, begin):
-        there = partial(self.far, begin, SIDE)
-        self.until(there, "a side", lambda: self.drive(SPEED, 0.0))
+    def side(self, begin, heading):
+        def left():
+            dx, dy = self.pose[0] - begin[0], self.pose[1] - begin[1]
+            return SIDE - dx * math.cos(heading) - dy * math.sin(heading)
 
-    def far(self, begin, distance):
-        return math.dist(self.pose[:2], begin) >= distance
+        self.servo(left, 0.01, lambda far: self.drive(max(-SPEED, min(SPEED, 2 * far)), 0.0), "a side")
 
     def turn(self, heading):
         def left():
             return (heading - self.pose[2] + math.pi) % (2 * math.pi) - math.pi
 
-        def towards():
-            self.drive(0.0, math.copysign(min(TURN, max(0.4, 2 * abs(left()))), left()))
+        self.servo(left, 0.05, lambda far: self.drive(0.0, max(-TURN, min(TURN, 3 * far))), "a turn")
 
-        self.until(lambda: abs(left()) < 0.05, "a turn", towards)
+    def servo(self, left, near, drive, what):
+        """Drive until it stands where nothing is left, also back: this process may be late."""
+
+        def there():
+            twist = self.got["/odom"][-1].twist.twist
+            return abs(left()) < near and abs(twist.linear.x) < 0.01 and abs(twist.angular.z) < 0.02
+
+        self.until(there, what, lambda: drive(left() if abs(left()) > near / 2 else 0.0))
+        self.drive(0.0, 0.0)
 
 
 def main():
