@@ -18,16 +18,6 @@ COMMANDS: dict[str, frozenset[type[Command]]] = {
     "wheel": frozenset({msg.Idle, msg.Velocity}),
     "pwm": frozenset({msg.Idle, msg.Torque}),
 }
-PROTECTED = {
-    "ID": "the robot file has its address",
-    "Baud_Rate": "the robot file has the rate of the line",
-    "Response_Status_Level": "what is asked for would not be answered",
-    "Homing_Offset": "its calibration: Zero, or a tool of its own",
-    "Phase": "how it is built",
-    "Angular_Resolution": "what a step is",
-    "Torque_Enable": "commands switch it",
-    "Goal_Position": "commands set it",
-}
 NO_WATCHDOG = "it has no watchdog: without a host it holds its position, or turns on at its last velocity"
 
 
@@ -61,7 +51,7 @@ def configured(options: Options) -> dict[str, Setting]:
     written, table, found = options.set_up, options.table, dict[str, Setting]()
     for name, each in table.by_name.items():
         if each.writable and (table.is_stored(name) or name in written):
-            protected = DRIVER_WRITES if name in written else PROTECTED.get(name, "")
+            protected = DRIVER_WRITES if name in written else ft.DATA["protected"].get(name, "")
             found[name] = Setting(None, *each.ends(), protected)
     return found
 

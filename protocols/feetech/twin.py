@@ -77,30 +77,13 @@ def decoder(devices: Sequence[Device]) -> ServoDecoder:
 
 def delivered(options: Options, settings: Settings) -> dict[str, float]:
     """Return what the registers of a servo hold when it is switched on."""
-    return {
-        "Firmware_Major_Version": 3,
-        "Firmware_Minor_Version": 10,
+    return ft.DATA["delivered"] | {
         "Model_Number": options.of.number,
         "Return_Delay_Time": settings.return_delay,
-        "Response_Status_Level": 1,
         "Max_Position_Limit": options.of.steps - 1,
-        "Max_Temperature_Limit": 70,
-        "Max_Voltage_Limit": 140,
-        "Min_Voltage_Limit": 40,
-        "Max_Torque_Limit": 1000,
         "Phase": 12 | 16 * settings.full_angle,
-        "Unloading_Condition": 44,
-        "LED_Alarm_Condition": 47,
-        "P_Coefficient": 32,
-        "D_Coefficient": 32,
-        "Protection_Current": 500,
-        "Angular_Resolution": 1,
         "Homing_Offset": settings.offset,
         "Operating_Mode": settings.mode,
-        "Protective_Torque": 20,
-        "Protection_Time": 200,
-        "Overload_Torque": 80,
-        "Torque_Limit": 1000,
         "Goal_Position": options.of.middle,
     }
 
