@@ -65,14 +65,7 @@ def configured(device: Device) -> dict[str, Setting]:
     """Return the registers that are configuration."""
     options: Options = device.options
     has = options.table.by_name
-    protected = {
-        "baud_rate": "it would answer at another rate",
-        "homing_offset": "it is its zero",
-        "operating_mode": DRIVER_WRITES,
-        "status_return_level": "below 1 it answers no question",
-        "max_position_limit": "it depends on how it is built in",
-        "min_position_limit": "it depends on how it is built in",
-    }
+    protected = dt.DEVICE["protected"] | {"operating_mode": DRIVER_WRITES}
     found = configuration(
         device.settings, {name: setting for name, setting in STORED.items() if name in has}, (), protected
     )

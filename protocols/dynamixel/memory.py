@@ -13,7 +13,7 @@ from protocols import messages as msg
 from protocols.asked import waiting
 from protocols.dynamixel import packets as dx
 from protocols.dynamixel.options import STORED, Options
-from protocols.dynamixel.table import BAUD_RATES, DATA, INDIRECT, TRIPPED, Model, data_of, modes_of
+from protocols.dynamixel.table import BAUD_RATES, DATA, DEVICE, INDIRECT, TRIPPED, Model, data_of, modes_of
 from protocols.messages import Obeyed
 from protocols.plugin import Device
 from protocols.toolkit import servo_packets as sp
@@ -28,10 +28,6 @@ SIZE = 1024
 """Bytes of the image: no model has a register behind"""
 FIRST_DATA = min(DATA)
 """Below it there are no indirect data, in no model."""
-BOUNDS = {
-    "Torque_Enable": (0, 1), "ID": (0, 252), "Return_Delay_Time": (0, 254), "Status_Return_Level": (0, 2),
-    "Bus_Watchdog": (0, 127),
-}  # fmt: skip
 LIMITS = {"Goal_Velocity": "Velocity_Limit", "Goal_Current": "Current_Limit"}
 
 
@@ -99,7 +95,7 @@ class Memory(ServoMemory):
         register, get, far = self.table.by_name[name], self.get, self.model.far
         if not register.writable or (self.armed and self.table.is_stored(name)):
             return ACCESS
-        least, most = BOUNDS.get(name, register.ends())
+        least, most = DEVICE["ends"].get(name, register.ends())
         if name == "Baud_Rate":
             most = 9 if self.model.family == "P" else 7
         if not least <= value <= most or (name == "Operating_Mode" and value not in modes_of(self.model)):
@@ -145,15 +141,12 @@ def memory_of(device: Device, mode: int | None = None) -> Memory:
     settings, options = device.settings, device.options
     model: Model = options.of
     delivered: dict[str, int] = {name: getattr(settings, setting) for name, setting in STORED.items()}
-    delivered |= {
+    delivered |= DEVICE["delivered"] | {
         "Model_Number": settings.model_number or model.number,
         "Firmware_Version": settings.firmware,
         "ID": device.address,
-        "Protocol_Type": 2,
-        "Secondary_ID": 255,
         "Velocity_Limit": settings.velocity_limit or max(model.velocity, options.velocity),
         "Current_Limit": settings.current_limit or max(model.current, options.current),
-        "Position_P_Gain": 800,
         "Goal_Position": model.zero,
         "Goal_Current": settings.current_limit or model.current,
     }
