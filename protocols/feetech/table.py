@@ -10,7 +10,7 @@ import math
 import struct
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from protocols.toolkit.device_file import device_file
 from protocols.toolkit.faults import Faults, faults
@@ -25,7 +25,7 @@ DELAY_UNIT = 2_000
 """ns of Return_Delay_Time"""
 LONGEST_DELAY = 254 * DELAY_UNIT
 
-DATA = device_file("protocols.feetech")
+DATA: Mapping[str, Mapping[str, Any]] = device_file("protocols.feetech")
 BLOCKS = {"who": (0, 40), "state": (33, 38), "motion": (56, 8)}
 """What is asked for at once: first register, and bytes."""
 REGISTERS: Mapping[str, str] = DATA["registers"]

@@ -77,7 +77,8 @@ def decoder(devices: Sequence[Device]) -> ServoDecoder:
 
 def delivered(options: Options, settings: Settings) -> dict[str, float]:
     """Return what the registers of a servo hold when it is switched on."""
-    return ft.DATA["delivered"] | {
+    return {
+        **ft.DATA["delivered"],
         "Model_Number": options.of.number,
         "Return_Delay_Time": settings.return_delay,
         "Max_Position_Limit": options.of.steps - 1,
