@@ -10,14 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from protocols import messages as msg
-from protocols.asked import waiting
 from protocols.dynamixel import packets as dx
 from protocols.dynamixel.options import STORED, Options
 from protocols.dynamixel.table import BAUD_RATES, DATA, DEVICE, INDIRECT, TRIPPED, Model, data_of, modes_of
 from protocols.messages import Obeyed
 from protocols.plugin import Device
 from protocols.toolkit import servo_packets as sp
-from protocols.toolkit.memory_map import SetPoint
 from protocols.toolkit.servo_device import ServoDecoder, ServoMemory
 from protocols.toolkit.servo_packets import Packet, ServoPackets
 
@@ -41,11 +39,6 @@ class Memory(ServoMemory):
     def model(self) -> Model:
         """The model."""
         return self.options.of
-
-    @property
-    def armed(self) -> bool:
-        """Whether the torque is on."""
-        return self.get("Torque_Enable") == 1
 
     def others(self, packets: ServoPackets, one: Packet) -> tuple[int, Sequence[Obeyed]]:
         match one.instruction:
@@ -110,29 +103,11 @@ class Memory(ServoMemory):
             return 0 if least <= value <= most else LIMIT
         return 0
 
-    def wrote(self, before: bytes, at: int, size: int) -> Sequence[Obeyed]:
-        written = self.table.values(at, self.image[at : at + size])
-        return [does for name, value in written.items() for does in self._does(name, value)]
-
-    def _does(self, name: str, value: int) -> Sequence[Obeyed]:
-        mode = self.get("Operating_Mode")
-        if name == "Torque_Enable":
-            return (msg.Arm(self.name), *self._goal(mode)) if value else (msg.Idle(self.name),)
-        goal = self.options.goal_in(mode)
-        if goal is not None and name == goal.register:
-            obeyed = goal.obeyed(self.name, value)
-            return (obeyed,) if self.armed else waiting(obeyed)
+    def does(self, name: str, value: int) -> Sequence[Obeyed]:
         if name == "Operating_Mode":
             self.put("Goal_Velocity", 0)
             self.put("Goal_Current", 0)
-        elif name == "ID":
-            self.id = value
-        return (msg.WriteParameter(self.name, name, float(value)),)
-
-    def _goal(self, mode: int) -> Sequence[SetPoint]:
-        """Return what its set-point makes it do."""
-        goal = self.options.goal_in(mode)
-        return () if goal is None else (goal.obeyed(self.name, self.get(goal.register)),)
+        return ServoMemory.does(self, name, value)
 
 
 def memory_of(device: Device, mode: int | None = None) -> Memory:
