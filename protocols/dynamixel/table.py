@@ -103,8 +103,8 @@ class ControlTable(MemoryMap):
         shift, texts = 448 if family == "P" else 0, DEVICE["registers"]
         super().__init__(
             [
-                *rows(texts["stored"] + (texts["current_limit"] if current else "") + texts[family]),
-                *rows(texts["volatile"] + texts["current" if current else "load"], shift),
+                *rows(texts["stored"], texts["current_limit"] if current else "", texts[family]),
+                *rows(texts["volatile"], texts["current" if current else "load"], shift=shift),
                 *([] if family == "P" else rows(texts["led"])),
                 *rows("|".join(f"{168 + 2 * k} u16 Indirect_Address_{k + 1}" for k in range(INDIRECT))),
             ],

@@ -30,9 +30,9 @@ BLOCKS = {"who": (0, 40), "state": (33, 38), "motion": (56, 8)}
 """What is asked for at once: first register, and bytes."""
 REGISTERS: Mapping[str, str] = DATA["registers"]
 FAMILIES = {
-    "sts": MemoryMap(rows(REGISTERS["common"] + REGISTERS["sts"]), BLOCKS, stored=40),
+    "sts": MemoryMap(rows(REGISTERS["common"], REGISTERS["sts"]), BLOCKS, stored=40),
     "scs": MemoryMap(
-        rows(REGISTERS["common"] + REGISTERS["scs"]), BLOCKS | {"state": (40, 27)}, stored=40, order="big"
+        rows(REGISTERS["common"], REGISTERS["scs"]), BLOCKS | {"state": (40, 27)}, stored=40, order="big"
     ),
 }
 AMPERE = 6.5e-3
