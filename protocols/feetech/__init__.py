@@ -9,7 +9,7 @@ from protocols.feetech.options import Options, Settings
 from protocols.feetech.twin import FeetechTwin, decoder
 from protocols.messages import Command
 from protocols.plugin import DRIVER_WRITES, Device, Plugin, Range, Setting, Spec, Watchdog
-from protocols.toolkit.assembly import declared, driver_of, own_ramps, serial_motor
+from protocols.toolkit.assembly import bus_servo, driver_of, own_ramps
 
 __all__ = ["plugin"]
 
@@ -61,22 +61,16 @@ def spec(device: Device) -> Spec:
     options: Options = device.options
     scales = {"model": "its Model_Number is read" if options.of.number else ""}
     zero = {msg.Zero} if "Homing_Offset" in options.table.by_name else set()
-    return serial_motor(
+    return bus_servo(
         device,
-        ft.PACKETS.read_only,
-        ft.PACKETS.addresses,
-        "half-duplex",
+        ft.PACKETS,
         commands=COMMANDS[options.mode],
         requests=frozenset({msg.ClearFault, msg.Scan, msg.ReadParameter, msg.WriteParameter} | zero),
         ranges=ranges(options),
         watchdog=Watchdog(None, enabled=False, note=NO_WATCHDOG),
         holds_unattended=True,
         faults=ft.FAULTS,
-        id_parameter="ID",
-        parameters=tuple(options.table.by_name),
         configuration=configured(options),
-        set_up=declared(options.set_up),
-        stop=(ft.disarms(device.address),),
         writes={msg.WriteParameter: {"Lock": (0.0, 1.0)}},
         ramps=own_ramps(options.acceleration, msg.Position, msg.Velocity),
         scales=scales | ({"stall_torque": ""} if options.mode == "pwm" else {}),

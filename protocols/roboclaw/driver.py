@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from protocols import messages as msg
 from protocols.frames import Frame
@@ -42,6 +43,8 @@ POLLED = {
     "GETTEMP": SELDOM,
 }
 """Questions about a whole board, and in how many periods each is asked."""
+PARAMETERS = frozenset({"GETTIMEOUT", "READM1PID", "READM2PID"})
+"""Questions whose answers hold parameters"""
 SET_POINTS = {"SPEED": Rank.SET_POINT, "SPEEDACCELDECCELPOS": Rank.SET_POINT, "DUTY": Rank.RELEASE}
 """What drives motors, in the order in which it is sent"""
 SILENT = 3
@@ -170,21 +173,30 @@ class Motor:
         elif name == self.message("SETM#ENCCOUNT"):
             self.counts = None
 
-    def see(self, name: str, values: Values) -> None:
-        """Note what the board reports of its state."""
-        if name == "GETPWMS":
-            self.duty = values[f"duty{self.side}"]
-        elif name == "GETERROR":
-            self.status = values["status"]
-        elif name == "GETTIMEOUT":
-            known, timeout = self.board.timeout, values["timeout"]
-            if known is not None and timeout != self.board.options.timeout:
-                self.driven = False  # it has restarted
-            self.board.keep(timeout)
-
-    def read(self, t: Nanos, values: Values) -> None:
-        """Note its gains."""
-        self.pid, self.pid_at = values, t
+    def take(self, t: Nanos, name: str, values: Values) -> dict[str, float | None]:
+        """Note what the board answers; return what that measures, as fields of `Feedback`."""
+        unit = self.board.options.unit
+        match name:
+            case "GETM1ENC" | "GETM2ENC":
+                return {"position": self.count(values["count"]) * unit}
+            case "GETM1SPEED" | "GETM2SPEED":
+                speed = values["speed"]  # some firmware has the sign in the next byte alone
+                speed = -speed if values["backwards"] & 1 and speed > 0 else speed
+                return {"velocity": speed * unit if abs(speed) < MOST else None}
+            case "GETPWMS":
+                self.duty = values[f"duty{self.side}"]
+            case "GETERROR":
+                self.status = values["status"]
+            case "GETTIMEOUT":
+                known, timeout = self.board.timeout, values["timeout"]
+                if known is not None and timeout != self.board.options.timeout:
+                    self.driven = False  # it has restarted
+                self.board.keep(timeout)
+            case "READM1PID" | "READM2PID":
+                self.pid, self.pid_at = values, t
+            case "GETCURRENTS" | "GETMBATT" | "GETTEMP":
+                return {key.rstrip("12"): v for key, v in values.items() if key[-1] not in f"{3 - self.side}"}
+        return {}
 
     def message(self, kind: str) -> str:
         """Return the name of a message to or about this motor alone."""
@@ -236,7 +248,7 @@ class RoboclawAdapter(LineAdapter[Motor]):
         else:
             decoded = rt.PACKETS.in_frame(bytes(asked))[0][0]
             assert decoded is not None
-            reports = [self._obeyed(host, decoded.name, decoded.values) for host in hosts]
+            reports = [self._obeyed(host, decoded.name) for host in hosts]
         return counted_once(reports)
 
     def _found(self, address: int, version: str, driver: MotorDriver[Motor]) -> Sequence[Report[Motor] | Rx]:
@@ -247,42 +259,20 @@ class RoboclawAdapter(LineAdapter[Motor]):
             Report(driver.at.get(at), at, note=f"motor {side} of {version}") for side, at in motors.items()
         )
 
-    def _obeyed(self, host: Host[Motor], name: str, values: Values) -> Report[Motor]:
+    @staticmethod
+    def _report(host: Host[Motor], **others: Any) -> Report[Motor]:  # noqa: ANN401 -- fields
+        mode, detail, faults = host.own.state()
+        return Report(host, host.address, mode, detail, faults if mode else None, **others)
+
+    def _obeyed(self, host: Host[Motor], name: str) -> Report[Motor]:
         """Return what an acknowledgement reports."""
-        own, written = host.own, rt.SAVE if name == "WRITENVM" else ""
-        own.obeyed(name)
-        mode, detail, faults = own.state()
-        return Report(host, host.address, mode, detail, faults if mode else None, written=written)
+        host.own.obeyed(name)
+        return self._report(host, written=rt.SAVE if name == "WRITENVM" else "")
 
     def _answered(self, t: Nanos, host: Host[Motor], name: str, values: Values) -> Report[Motor]:
-        own, feedback, parameters = host.own, None, dict[str, float]()
-        unit = host.options.unit
-        match name:
-            case "GETM1ENC" | "GETM2ENC":
-                feedback = Feedback(host.name, t, own.count(values["count"]) * unit)
-            case "GETM1SPEED" | "GETM2SPEED":
-                speed = values["speed"]  # some firmware has the sign in the next byte alone
-                speed = -speed if values["backwards"] & 1 and speed > 0 else speed
-                velocity = speed * unit if abs(speed) < MOST else None
-                feedback = Feedback(host.name, t, velocity=velocity)
-            case "GETPWMS" | "GETERROR":
-                own.see(name, values)
-            case "GETCURRENTS":
-                feedback = Feedback(host.name, t, current=values[f"current{own.side}"])
-            case "GETMBATT":
-                feedback = Feedback(host.name, t, voltage=values["voltage"])
-            case "GETTEMP":
-                feedback = Feedback(host.name, t, temperature=values["temperature"])
-            case "GETTIMEOUT":
-                own.see(name, values)
-                parameters = {"timeout": values["timeout"]}
-            case _:
-                own.read(t, values)
-                parameters = values
-        mode, detail, faults = own.state()
-        return Report(
-            host, host.address, mode, detail, faults if mode else None, feedback, parameters=parameters
-        )
+        measured = host.own.take(t, name, values)
+        feedback = Feedback(host.name, t, **measured) if measured else None
+        return self._report(host, feedback=feedback, parameters=values if name in PARAMETERS else {})
 
     # -- sent -----------------------------------------------------------------------------------------
 
