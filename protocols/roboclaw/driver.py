@@ -26,11 +26,9 @@ from protocols.toolkit.host import Host, Report, counted_once
 from protocols.toolkit.lines import LineAdapter
 from protocols.toolkit.motor_driver import NEVER, MotorDriver, Pending, Rx
 from protocols.toolkit.questions import Questions
-from protocols.toolkit.registers import Register, Registers
 from protocols.toolkit.requests import ANSWER
 from protocols.toolkit.table import Values
 
-REGISTERS = Registers(Register("timeout", 14, "u8"), *(Register(name, 28, "u32") for name in rt.PID))
 PROTECTED = {"timeout": "the driver writes it before it arms (timeout_ms)"}
 SELDOM = 10
 """Supply, current and temperature are asked for so many times less often than the state."""
@@ -43,8 +41,6 @@ POLLED = {
     "GETTEMP": SELDOM,
 }
 """Questions about a whole board, and in how many periods each is asked."""
-PARAMETERS = frozenset({"GETTIMEOUT", "READM1PID", "READM2PID"})
-"""Questions whose answers hold parameters"""
 SET_POINTS = {"SPEED": Rank.SET_POINT, "SPEEDACCELDECCELPOS": Rank.SET_POINT, "DUTY": Rank.RELEASE}
 """What drives motors, in the order in which it is sent"""
 SILENT = 3
@@ -131,8 +127,8 @@ class Motor:
     status: int | None = None
     counts: int | None = None
     """Of its encoder, continued beyond 32 bits."""
-    pid: dict[str, float] = field(default_factory=dict)
-    pid_at: Nanos = -NEVER
+    held: dict[str, tuple[Nanos, Values]] = field(default_factory=dict)
+    """Its parameters, and when they were read, by question"""
 
     def forget(self) -> None:
         """Forget what it reported: the board may have restarted, or been replaced."""
@@ -176,6 +172,8 @@ class Motor:
     def take(self, t: Nanos, name: str, values: Values) -> dict[str, float | None]:
         """Note what the board answers; return what that measures, as fields of `Feedback`."""
         unit = self.board.options.unit
+        if values.keys() <= rt.PARAMETERS.keys():
+            self.held[name] = t, values
         match name:
             case "GETM1ENC" | "GETM2ENC":
                 return {"position": self.count(values["count"]) * unit}
@@ -192,8 +190,6 @@ class Motor:
                 if known is not None and timeout != self.board.options.timeout:
                     self.driven = False  # it has restarted
                 self.board.keep(timeout)
-            case "READM1PID" | "READM2PID":
-                self.pid, self.pid_at = values, t
             case "GETCURRENTS" | "GETMBATT" | "GETTEMP":
                 return {key.rstrip("12"): v for key, v in values.items() if key[-1] not in f"{3 - self.side}"}
         return {}
@@ -267,12 +263,13 @@ class RoboclawAdapter(LineAdapter[Motor]):
     def _obeyed(self, host: Host[Motor], name: str) -> Report[Motor]:
         """Return what an acknowledgement reports."""
         host.own.obeyed(name)
-        return self._report(host, written=rt.SAVE if name == "WRITENVM" else "")
+        return self._report(host, written={"WRITENVM": rt.SAVE, "SETCONFIG": rt.CONFIG}.get(name, ""))
 
     def _answered(self, t: Nanos, host: Host[Motor], name: str, values: Values) -> Report[Motor]:
         measured = host.own.take(t, name, values)
         feedback = Feedback(host.name, t, **measured) if measured else None
-        return self._report(host, feedback=feedback, parameters=values if name in PARAMETERS else {})
+        parameters = values if name in host.own.held else {}
+        return self._report(host, feedback=feedback, parameters=parameters)
 
     # -- sent -----------------------------------------------------------------------------------------
 
@@ -343,7 +340,7 @@ class RoboclawAdapter(LineAdapter[Motor]):
     def begin(
         self, now: Nanos, request: Request, host: Host[Motor] | None, driver: MotorDriver[Motor]
     ) -> Pending[Motor] | str:
-        wrong = REGISTERS.wrong_request(request, rt.SAVE, PROTECTED)
+        wrong = rt.REGISTERS.wrong_request(request, rt.SAVE, PROTECTED)
         if wrong is None and not isinstance(request, msg.Zero):
             return super().begin(now, request, host, driver)
         if wrong or host is None:
@@ -365,11 +362,14 @@ class RoboclawAdapter(LineAdapter[Motor]):
             case msg.Zero():
                 zero = board.message(own.message("SETM#ENCCOUNT"), count=0)
                 return zero, board.ask(now, own.message("GETM#ENC"))
-            case msg.ReadParameter(_, "timeout"):
-                return (board.ask(now, "GETTIMEOUT"),)
             case msg.WriteParameter(_, name) if name == rt.SAVE:
                 return (board.message("WRITENVM", key=rt.NVM_KEY),)
-            case msg.WriteParameter(_, name, value) if own.pid_at > pending.began:
-                written = board.message(own.message("SETM#PID"), **own.pid | {name: value})
-                return written, board.ask(now, own.message("READM#PID"))
-        return (board.ask(now, own.message("READM#PID")),)
+            case msg.ReadParameter(_, name) | msg.WriteParameter(_, name):
+                written, read = map(own.message, rt.PARAMETERS[name])
+                at, held = own.held.get(read, (-NEVER, {}))
+                asked = board.ask(now, read)
+                if isinstance(pending.request, msg.ReadParameter) or at <= pending.began:
+                    return (asked,)
+                change = board.message(written, **held | {name: pending.request.value})
+                return (change,) if name == rt.CONFIG else (change, asked)
+        return ()

@@ -19,6 +19,7 @@ from protocols.toolkit.boards import SIDES, Boards
 from protocols.toolkit.device_file import device_file
 from protocols.toolkit.faults import faults
 from protocols.toolkit.packets import Packets
+from protocols.toolkit.registers import Register, Registers
 from protocols.toolkit.serial import CRC16_XMODEM, Coded, Covered
 from protocols.toolkit.table import Field, Row, Table, Values, const, fields, uint
 
@@ -31,8 +32,8 @@ NVM_KEY = 0xE22EAB7A
 SAVE = "save"
 """The parameter that saves all when 1 is written."""
 TIMEOUT_UNIT_MS = 100
-PID = "velocity_d", "velocity_p", "velocity_i", "qpps"
-"""In the order in which they are written; gains in 1/65536."""
+CONFIG = "config"
+"""The parameter with mode, address and bit rate: what is written counts at once, and is not read back."""
 FULL = 32767
 """Duty: all of the supply's voltage."""
 
@@ -81,6 +82,21 @@ ANSWERS = Table(_row(*each, direction="from_device") for each in _READ if each[2
 COVERED = Covered(2, CRC16_XMODEM, 2)
 """An answer's checksum covers address and command of the question."""
 QUESTIONS = frozenset(_QUESTIONS.values())
+PARAMETERS: Mapping[str, tuple[str, str]] = {
+    field.name: (written, read)
+    for written, read in DEVICE["parameters"].items()
+    for field in PACKETS.row(written.replace("#", "1")).fields
+}
+"""The messages that write and read a parameter, of the first motor with "#" in the place of 1"""
+REGISTERS = Registers(
+    *(
+        Register(field.name, function, f"u{field.bits}")  # type: ignore[arg-type]
+        for name, function, numbers in _WRITTEN
+        for field in numbers
+        if PARAMETERS.get(field.name, ("",))[0].replace("#", "1") == name
+    )
+)
+"""The parameters by name, and what they can hold"""
 
 
 def is_question(frame: bytes) -> bool:

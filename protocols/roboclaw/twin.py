@@ -23,6 +23,8 @@ from protocols.toolkit.servo import Encoder, Gains, clamp
 from protocols.toolkit.table import Decoded, Values
 
 VERSION = "USB Roboclaw 2x15a v4.2.3\n"
+PACKET_SERIAL = 3
+"""What `config` holds. What is written there is kept, and means nothing here."""
 FAULT_PASSES: Nanos = 500 * MILLISECOND
 
 
@@ -51,9 +53,7 @@ class Motor:
                 return used, msg.Arm(name), msg.Velocity(name, unloaded)
             case {"speed": speed} if decoded.name not in rt.QUESTIONS:
                 return msg.Arm(name), msg.Velocity(name, speed * unit)
-            case {"timeout": timeout}:
-                return (msg.WriteParameter(name, "timeout", float(timeout)),)
-            case {"qpps": _}:
+            case _ if own and own.keys() <= rt.PARAMETERS.keys():
                 return tuple(msg.WriteParameter(name, key, float(value)) for key, value in own.items())
             case {"key": key}:
                 return (msg.WriteParameter(name, rt.SAVE, 1.0),) if key == rt.NVM_KEY else ()
@@ -85,8 +85,9 @@ class RoboclawTwin(PacketFirmware):
         super().__init__(device, seed, Gains(torque_limit=device.settings.max_torque), motor_of(device))
         self.board, self.side = rt.BOARDS.board(device.address), rt.BOARDS.side(device.address)
         self.encoder = Encoder(1.0 / device.options.unit, bandwidth=1000.0)
-        self.pid: Values = {name: getattr(device.settings, name) for name in rt.PID}
-        self.serial_timeout: int = device.settings.timeout
+        self.held: Values = {name: getattr(device.settings, name, 0) for name in rt.PARAMETERS}
+        self.held[rt.CONFIG] = PACKET_SERIAL
+        """Its parameters."""
         self.duty: float | None = None
         """The share of the supply on the motor, if that is commanded."""
         self.other: RoboclawTwin | None = None
@@ -100,7 +101,7 @@ class RoboclawTwin(PacketFirmware):
     # -- serial timeout and faults --------------------------------------------------------------------
 
     def timeout(self) -> Nanos:
-        timeout = self.serial_timeout * rt.TIMEOUT_UNIT_MS * MILLISECOND
+        timeout = self.held["timeout"] * rt.TIMEOUT_UNIT_MS * MILLISECOND
         return timeout if self.mode is Mode.ARMED else 0
 
     def on_timeout(self) -> None:
@@ -133,15 +134,13 @@ class RoboclawTwin(PacketFirmware):
     def _take(self, own: Values) -> None:
         """Take over what is no command of its own: timeout, gains, duty, and the path to a position."""
         unit = self.device.options.unit
-        self.serial_timeout = own.get("timeout", self.serial_timeout)
-        if "qpps" in own:
-            self.pid = own
+        self.held |= {name: value for name, value in own.items() if name in self.held}
         if "duty" in own or "speed" in own or "position" in own:
             self.duty = own["duty"] / rt.FULL if "duty" in own else None
             self.speed_up = own.get("accel", 0) * unit or math.inf
             self.slow_down = own.get("deccel", own.get("accel", 0)) * unit or math.inf
             self.fastest = (
-                own["speed"] * unit if "position" in own and "speed" in own else self.pid["qpps"] * unit
+                own["speed"] * unit if "position" in own and "speed" in own else self.held["qpps"] * unit
             )
         if own.get("count"):
             count = own["count"]
@@ -158,14 +157,13 @@ class RoboclawTwin(PacketFirmware):
         asked = second if "2" in name.removesuffix("TEMP2") else first
         one = asked or self
         values: dict[str, Any] = {
-            "timeout": self.serial_timeout,
             "voltage": self.settings.supply,
             "temperature": self.settings.temperature,
             "status": _status(first, second) if name == "GETERROR" else one.backwards << 1,
             "count": one.counted,
             "speed": one.turning,
             "backwards": one.backwards,
-            **one.pid,
+            **one.held,
             "buffer1": 0x80,
             "buffer2": 0x80,
         }
