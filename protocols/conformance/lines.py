@@ -69,6 +69,8 @@ class OnWire:
     stepped: dict[str, Nanos] = field(default_factory=dict)
     dues: dict[int, Nanos | None] = field(default_factory=dict)
     """When each device does something by itself, as it said since it was last stepped or sent anything."""
+    quiet: Nanos = 0
+    """Until when nothing ends on the wire, and no device does anything."""
 
     def step(self, messages: Messages = ()) -> None:
         """Advance a millisecond."""
@@ -81,13 +83,15 @@ class OnWire:
             for _, each in self.line.take(self.now):
                 self.down.send(self.now, HOST, bytes(each))
                 self.sent.append((self.now, each))
+                self.quiet = 0
             self.now += FINE
-            self._run(self.now)
-            for late in [one for one in self.late if one[0] <= self.now]:
-                self.late.remove(late)
-                self._read(*late)
-            for ended in self.line.expire(self.now):
-                self._on_events(self.driver.answered(self.now, ended))
+            if self.now >= self.quiet:
+                self._run(self.now)
+            while self.late and self.late[0][0] <= self.now:
+                self._read(*self.late.pop(0))
+            if self.line.out is not None:
+                for ended in self.line.expire(self.now):
+                    self._on_events(self.driver.answered(self.now, ended))
         self.most = max(self.most, len(self.line.waiting))
 
     def steps(self, count: int, messages: Messages = ()) -> None:
@@ -123,6 +127,7 @@ class OnWire:
             end = min(ends) if ends else until + 1
             due, at = min([(self._due(at), at) for at in range(len(self.bench.twins))])
             if end > until and due > until:
+                self.quiet = min(end, due) if ends else due
                 return
             if due <= end:
                 self._step_twin(at, due, 0)
@@ -148,6 +153,7 @@ class OnWire:
         shaft = self.bench.shafts[name]
         self.stepped[name] = now
         self.dues.pop(at, None)
+        self.quiet = 0
         measured = [msg.Feedback(name, now, shaft.position, shaft.velocity)]
         torques, frames = self.bench.twins[at].step(now, measured)
         for torque in torques:
