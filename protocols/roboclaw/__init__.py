@@ -8,16 +8,7 @@ from collections.abc import Sequence
 from protocols import messages as msg
 from protocols.line import Exchange, Rank
 from protocols.messages import MILLISECOND
-from protocols.plugin import (
-    DRIVER_WRITES,
-    Device,
-    Driver,
-    Plugin,
-    Range,
-    Setting,
-    Spec,
-    Written,
-)
+from protocols.plugin import DRIVER_WRITES, Device, Driver, Plugin, Range, Setting, Spec, Written
 from protocols.roboclaw import table as rt
 from protocols.roboclaw.driver import RoboclawAdapter
 from protocols.roboclaw.options import MOST, Options, Settings
