@@ -84,7 +84,8 @@ class Wire:
 
     def first_end(self) -> Nanos | None:
         """Return when the next bytes end; None if nothing is sent."""
-        return min((one.end for one in self._sending if not one.over), default=None)
+        ends = [one.end for one in self._sending if not one.over]
+        return min(ends) if ends else None
 
     def run(self, until: Nanos) -> list[Arrived]:
         """Return all that arrives up to a time, in order."""

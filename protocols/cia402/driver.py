@@ -25,14 +25,13 @@ from protocols.cia402.drive import Drive
 from protocols.cia402.drive_state import FAULTY
 from protocols.cia402.faults import DUPLICATE_NODE, FAULTS, HOMING_FAILED, fault_info
 from protocols.cia402.objects import OBJECTS, SIGNATURES
-from protocols.cia402.options import Options
 from protocols.cia402.polls import feedback
 from protocols.cia402.setpoints import Values
 from protocols.frames import CanFrame, Frame
 from protocols.messages import MILLISECOND, Command, Event, Nanos, Request
 from protocols.plugin import Device
 from protocols.toolkit.faults import Faults
-from protocols.toolkit.host import Host, Phase, Report, Timing
+from protocols.toolkit.host import Host, Phase, Report
 from protocols.toolkit.motor_driver import ARMED, NEVER, Adapter, MotorDriver, Pending, Rx
 
 TPDOS = (0x180, 0x280, 0x380, 0x480)
@@ -58,6 +57,7 @@ class Cia402Adapter(Adapter[Drive]):
     faults = Faults(FAULTS, fault_info)
     duplicate = DUPLICATE_NODE
     blind = True  # `ready` decides
+    releasing = 50 * MILLISECOND
     needs_idle = (msg.Reboot,)
     addresses = range(1, cs.MAX_NODE + 1)
 
@@ -73,9 +73,6 @@ class Cia402Adapter(Adapter[Drive]):
         drive = Drive(device)
         self.drives.append(drive)
         return drive
-
-    def timing(self, options: Options) -> Timing:
-        return Timing(options.offline_ms * MILLISECOND, release=50 * MILLISECOND)
 
     # -- received -------------------------------------------------------------------------------------
 

@@ -67,6 +67,10 @@ class OnWire:
     absent: set[str] = field(default_factory=set)
     """Devices that neither receive nor answer."""
     stepped: dict[str, Nanos] = field(default_factory=dict)
+    dues: dict[int, Nanos | None] = field(default_factory=dict)
+    """When each device does something by itself, as it said since it was last stepped or sent anything."""
+    quiet: Nanos = 0
+    """Until when nothing ends on the wire, and no device does anything."""
 
     def step(self, messages: Messages = ()) -> None:
         """Advance a millisecond."""
@@ -79,13 +83,15 @@ class OnWire:
             for _, each in self.line.take(self.now):
                 self.down.send(self.now, HOST, bytes(each))
                 self.sent.append((self.now, each))
+                self.quiet = 0
             self.now += FINE
-            self._run(self.now)
-            for late in [one for one in self.late if one[0] <= self.now]:
-                self.late.remove(late)
-                self._read(*late)
-            for ended in self.line.expire(self.now):
-                self._on_events(self.driver.answered(self.now, ended))
+            if self.now >= self.quiet:
+                self._run(self.now)
+            while self.late and self.late[0][0] <= self.now:
+                self._read(*self.late.pop(0))
+            if self.line.out is not None:
+                for ended in self.line.expire(self.now):
+                    self._on_events(self.driver.answered(self.now, ended))
         self.most = max(self.most, len(self.line.waiting))
 
     def steps(self, count: int, messages: Messages = ()) -> None:
@@ -117,9 +123,11 @@ class OnWire:
     def _run(self, until: Nanos) -> None:
         """Let devices receive, answer and send up to a time, in order."""
         while True:
-            end = min((t for wire in self.wires if (t := wire.first_end()) is not None), default=until + 1)
-            at, due = min(((i, self._due(i)) for i in range(len(self.bench.twins))), key=lambda one: one[1])
-            if min(end, due) > until:
+            ends = [t for wire in self.wires if (t := wire.first_end()) is not None]
+            end = min(ends) if ends else until + 1
+            due, at = min([(self._due(at), at) for at in range(len(self.bench.twins))])
+            if end > until and due > until:
+                self.quiet = min(end, due) if ends else due
                 return
             if due <= end:
                 self._step_twin(at, due, 0)
@@ -135,13 +143,17 @@ class OnWire:
 
     def _due(self, at: int) -> Nanos:
         """Return when a device next does something by itself; far away if it has just been asked to."""
-        due, name = self.bench.twins[at].due(), self.bench.devices[at].name
+        if at not in self.dues:
+            self.dues[at] = self.bench.twins[at].due()
+        due, name = self.dues[at], self.bench.devices[at].name
         return self.now + 2 * STEP if due is None or due <= self.stepped.get(name, -1) else due
 
     def _step_twin(self, at: int, now: Nanos, span: Nanos) -> None:
         name = self.bench.devices[at].name
         shaft = self.bench.shafts[name]
         self.stepped[name] = now
+        self.dues.pop(at, None)
+        self.quiet = 0
         measured = [msg.Feedback(name, now, shaft.position, shaft.velocity)]
         torques, frames = self.bench.twins[at].step(now, measured)
         for torque in torques:
@@ -164,6 +176,7 @@ class OnWire:
             if name != arrived.sender and wire is self.down and name not in self.absent:
                 twin.receive(arrived.t, arrived.data)
                 self.stepped.pop(name, None)
+                self.dues.pop(at, None)
 
     def _read(self, t: Nanos, data: bytes) -> None:
         self.unasked += self.line.out is None

@@ -11,7 +11,7 @@ from protocols.dynamixel.options import STORED, Options, Settings
 from protocols.dynamixel.twin import DynamixelTwin
 from protocols.messages import MILLISECOND, Command
 from protocols.plugin import DRIVER_WRITES, Device, Plugin, Range, Setting, Spec
-from protocols.toolkit.assembly import declared, driver_of, fed_by_any_frame, serial_motor
+from protocols.toolkit.assembly import bus_servo, declared, driver_of, fed_by_any_frame
 from protocols.toolkit.options import configuration
 
 __all__ = ["plugin"]
@@ -65,14 +65,7 @@ def configured(device: Device) -> dict[str, Setting]:
     """Return the registers that are configuration."""
     options: Options = device.options
     has = options.table.by_name
-    protected = {
-        "baud_rate": "it would answer at another rate",
-        "homing_offset": "it is its zero",
-        "operating_mode": DRIVER_WRITES,
-        "status_return_level": "below 1 it answers no question",
-        "max_position_limit": "it depends on how it is built in",
-        "min_position_limit": "it depends on how it is built in",
-    }
+    protected = dt.DEVICE["protected"] | {"operating_mode": DRIVER_WRITES}
     found = configuration(
         device.settings, {name: setting for name, setting in STORED.items() if name in has}, (), protected
     )
@@ -93,20 +86,16 @@ def spec(device: Device) -> Spec:
     scales = {"model": "Model_Number is read before it is armed"}
     goal = SET_POINT.get(options.mode, "Position.position")
     offset = {"Homing_Offset": ((-float(1 << 31), float(1 << 31)),)}
-    return serial_motor(
+    return bus_servo(
         device,
-        dx.PACKETS.read_only,
-        dx.PACKETS.addresses,
-        "half-duplex",
+        dx.PACKETS,
         commands=COMMANDS.get(options.mode, PLACED),
         requests=REQUESTS | ({msg.Scan} if options.scan else set()),
         ranges=ranges(options),
         faults=dt.FAULTS,
-        id_parameter="ID",
         parameters=tuple(each for each in options.table.by_name if not each.startswith("Indirect_Address")),
         configuration=configured(device),
         set_up={**declared(options.set_up), goal: (goal,)},
-        stop=(dx.PACKETS.sync_write(options.table.target("Torque_Enable")[0], {device.address: b"\0"}),),
         writes={msg.Zero: offset},
         scales=scales | ({"torque_constant": ""} if options.mode == "current" else {}),
         **fed_by_any_frame(options.watchdog * dt.WATCHDOG_UNIT_MS * MILLISECOND),

@@ -14,15 +14,13 @@ from protocols import messages as msg
 from protocols.dynamixel import packets as dx
 from protocols.dynamixel import table as dt
 from protocols.dynamixel.memory import OFFSET_OF_ONE_TURN
-from protocols.dynamixel.options import Options
 from protocols.frames import Frame
 from protocols.line import Exchange, Rank
-from protocols.messages import MILLISECOND, SECOND, Command, Event, Feedback, Mode, Nanos
-from protocols.plugin import Device
-from protocols.toolkit.host import Host, Report, Timing
+from protocols.messages import MILLISECOND, SECOND, Command, Event, Mode, Nanos
+from protocols.toolkit.host import Host, Report
 from protocols.toolkit.memory_map import Target, Values
 from protocols.toolkit.motor_driver import Pending
-from protocols.toolkit.servo_driver import Known, ServoAdapter
+from protocols.toolkit.servo_driver import Known, Motion, ServoAdapter
 from protocols.toolkit.servo_packets import PING, Packet, Targets
 
 SLOWEST: Nanos = 254 * dt.DELAY_UNIT
@@ -61,26 +59,17 @@ class Own(Known):
 class DynamixelAdapter(ServoAdapter[Own]):
     """What devices are sent, and what they report."""
 
-    name = dt.NAME
-    packets = dx.PACKETS
+    name, kind = dt.NAME, Own
+    packets, supply = dx.PACKETS, "Present_Input_Voltage"
     faults = dt.ALL_FAULTS
     not_armed = dt.NOT_ARMED
     commanded = dt.COMMANDED
     clearing = REBOOT
     silence = 3 * MILLISECOND
+    arming = 3 * SECOND
     details = DETAILS
 
-    def known(self, device: Device) -> Own:
-        goal = device.options.goal_in(device.options.operating_mode)
-        return Own(device.address, goal)
-
-    def timing(self, options: Options) -> Timing:
-        return Timing(round(options.offline_ms * MILLISECOND), arming=3 * SECOND)
-
     # -- received -------------------------------------------------------------------------------------
-
-    def delay(self, host: Host[Own]) -> Nanos:
-        return host.own.values.get("Return_Delay_Time", 254) * dt.DELAY_UNIT
 
     def who(self, number: int) -> Exchange:
         return self.packets.tells(number, PING, b"", f"{number} ping", SLOWEST, 3, Rank.BACKGROUND)
@@ -99,27 +88,15 @@ class DynamixelAdapter(ServoAdapter[Own]):
         bits, tripped = values["Hardware_Error_Status"], values["Bus_Watchdog"] == dt.TRIPPED
         return [bit for bit in dt.FAULTS if bits & bit] + [dt.WATCHDOG] * tripped
 
-    def feedback(self, t: Nanos, host: Host[Own], values: Values) -> Feedback | None:
+    def shaft(self, t: Nanos, host: Host[Own], values: Values) -> Motion | None:
         if "Present_Position" not in values or "Present_Velocity" not in values:
             return None
-        options: Options = host.options
-        model, position = options.of, values["Present_Position"]
+        model, position = host.options.of, values["Present_Position"]
         # Disarmed it counts on beyond its turn, and begins anew when it is armed: there it has no place.
         counts, speed = position - model.zero, values["Present_Velocity"]
-        one_turn = options.mode == "position"
+        one_turn = host.options.mode == "position"
         known = -model.counts <= 2 * counts < model.counts if one_turn else abs(position) < MOST
-        current = values.get("Present_Current")
-        volts, degrees = values.get("Present_Input_Voltage"), values.get("Present_Temperature")
-        return Feedback(
-            host.name,
-            t,
-            counts * model.count if known else None,
-            speed * model.step if abs(speed) < MOST else None,
-            None if current is None else current * options.newton_metre,
-            None if current is None else current * model.ampere,
-            None if volts is None else volts * 0.1,
-            None if degrees is None else float(degrees),
-        )
+        return counts * model.count if known else None, speed * model.step if abs(speed) < MOST else None
 
     # -- commands -------------------------------------------------------------------------------------
 
@@ -152,7 +129,7 @@ class DynamixelAdapter(ServoAdapter[Own]):
         own, options = host.own, host.options
         if options.indirect and "indirect" not in own.read_at:
             return self.ask(now, host, "indirect")
-        wrong = own.different(options.set_up)
+        wrong = own.different(own.set_up)
         if "Operating_Mode" in wrong:
             if now >= own.due("mode", AGAIN):
                 own.ask(now, "mode")
@@ -172,13 +149,13 @@ class DynamixelAdapter(ServoAdapter[Own]):
         return [*self.ask(now, host, "state"), *(self.ask(now, host, "indirect") if indirect else ())]
 
     def command(self, now: Nanos, host: Host[Own], command: Command) -> Sequence[Frame]:
-        options, own = host.options, host.own
+        own = host.own
         self.set_point(host, command)
         # One that runs already may have been set up by another host.
         if now < own.due("set-up", AGAIN) or not self.ready(host):
             return ()
         own.ask(now, "set-up")
-        wrong = own.different(options.set_up)
+        wrong = own.different(own.set_up)
         alive = {name: raw for name, raw in wrong.items() if name in ("Bus_Watchdog", "Goal_Current")}
         self.put(host, alive)
         return self.ask(now, host, "state") if alive else ()

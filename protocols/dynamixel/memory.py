@@ -10,14 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from protocols import messages as msg
-from protocols.asked import waiting
 from protocols.dynamixel import packets as dx
 from protocols.dynamixel.options import STORED, Options
-from protocols.dynamixel.table import BAUD_RATES, DATA, INDIRECT, TRIPPED, Model, data_of, modes_of
+from protocols.dynamixel.table import BAUD_RATES, DATA, DEVICE, INDIRECT, TRIPPED, Model, data_of, modes_of
 from protocols.messages import Obeyed
 from protocols.plugin import Device
 from protocols.toolkit import servo_packets as sp
-from protocols.toolkit.memory_map import SetPoint
 from protocols.toolkit.servo_device import ServoDecoder, ServoMemory
 from protocols.toolkit.servo_packets import Packet, ServoPackets
 
@@ -28,10 +26,6 @@ SIZE = 1024
 """Bytes of the image: no model has a register behind"""
 FIRST_DATA = min(DATA)
 """Below it there are no indirect data, in no model."""
-BOUNDS = {
-    "Torque_Enable": (0, 1), "ID": (0, 252), "Return_Delay_Time": (0, 254), "Status_Return_Level": (0, 2),
-    "Bus_Watchdog": (0, 127),
-}  # fmt: skip
 LIMITS = {"Goal_Velocity": "Velocity_Limit", "Goal_Current": "Current_Limit"}
 
 
@@ -45,11 +39,6 @@ class Memory(ServoMemory):
     def model(self) -> Model:
         """The model."""
         return self.options.of
-
-    @property
-    def armed(self) -> bool:
-        """Whether the torque is on."""
-        return self.get("Torque_Enable") == 1
 
     def others(self, packets: ServoPackets, one: Packet) -> tuple[int, Sequence[Obeyed]]:
         match one.instruction:
@@ -99,7 +88,7 @@ class Memory(ServoMemory):
         register, get, far = self.table.by_name[name], self.get, self.model.far
         if not register.writable or (self.armed and self.table.is_stored(name)):
             return ACCESS
-        least, most = BOUNDS.get(name, register.ends())
+        least, most = DEVICE["ends"].get(name, register.ends())
         if name == "Baud_Rate":
             most = 9 if self.model.family == "P" else 7
         if not least <= value <= most or (name == "Operating_Mode" and value not in modes_of(self.model)):
@@ -114,29 +103,11 @@ class Memory(ServoMemory):
             return 0 if least <= value <= most else LIMIT
         return 0
 
-    def wrote(self, before: bytes, at: int, size: int) -> Sequence[Obeyed]:
-        written = self.table.values(at, self.image[at : at + size])
-        return [does for name, value in written.items() for does in self._does(name, value)]
-
-    def _does(self, name: str, value: int) -> Sequence[Obeyed]:
-        mode = self.get("Operating_Mode")
-        if name == "Torque_Enable":
-            return (msg.Arm(self.name), *self._goal(mode)) if value else (msg.Idle(self.name),)
-        goal = self.options.goal_in(mode)
-        if goal is not None and name == goal.register:
-            obeyed = goal.obeyed(self.name, value)
-            return (obeyed,) if self.armed else waiting(obeyed)
+    def does(self, name: str, value: int) -> Sequence[Obeyed]:
         if name == "Operating_Mode":
             self.put("Goal_Velocity", 0)
             self.put("Goal_Current", 0)
-        elif name == "ID":
-            self.id = value
-        return (msg.WriteParameter(self.name, name, float(value)),)
-
-    def _goal(self, mode: int) -> Sequence[SetPoint]:
-        """Return what its set-point makes it do."""
-        goal = self.options.goal_in(mode)
-        return () if goal is None else (goal.obeyed(self.name, self.get(goal.register)),)
+        return ServoMemory.does(self, name, value)
 
 
 def memory_of(device: Device, mode: int | None = None) -> Memory:
@@ -145,15 +116,12 @@ def memory_of(device: Device, mode: int | None = None) -> Memory:
     settings, options = device.settings, device.options
     model: Model = options.of
     delivered: dict[str, int] = {name: getattr(settings, setting) for name, setting in STORED.items()}
-    delivered |= {
+    delivered |= DEVICE["delivered"] | {
         "Model_Number": settings.model_number or model.number,
         "Firmware_Version": settings.firmware,
         "ID": device.address,
-        "Protocol_Type": 2,
-        "Secondary_ID": 255,
         "Velocity_Limit": settings.velocity_limit or max(model.velocity, options.velocity),
         "Current_Limit": settings.current_limit or max(model.current, options.current),
-        "Position_P_Gain": 800,
         "Goal_Position": model.zero,
         "Goal_Current": settings.current_limit or model.current,
     }

@@ -108,6 +108,11 @@ class Options:
         return int(self.max_current / self.of.ampere + 1e-6) if self.max_current else self.of.current
 
     @property
+    def ampere(self) -> float:
+        """A of one step of the current"""
+        return self.of.ampere
+
+    @property
     def newton_metre(self) -> float:
         """N·m of one step of the current"""
         return (self.torque_constant or self.of.torque) * self.of.ampere

@@ -9,7 +9,7 @@ from protocols.feetech.options import Options, Settings
 from protocols.feetech.twin import FeetechTwin, decoder
 from protocols.messages import Command
 from protocols.plugin import DRIVER_WRITES, Device, Plugin, Range, Setting, Spec, Watchdog
-from protocols.toolkit.assembly import declared, driver_of, own_ramps, serial_motor
+from protocols.toolkit.assembly import bus_servo, driver_of, own_ramps
 
 __all__ = ["plugin"]
 
@@ -17,16 +17,6 @@ COMMANDS: dict[str, frozenset[type[Command]]] = {
     "position": frozenset({msg.Idle, msg.Hold, msg.Position}),
     "wheel": frozenset({msg.Idle, msg.Velocity}),
     "pwm": frozenset({msg.Idle, msg.Torque}),
-}
-PROTECTED = {
-    "ID": "the robot file has its address",
-    "Baud_Rate": "the robot file has the rate of the line",
-    "Response_Status_Level": "what is asked for would not be answered",
-    "Homing_Offset": "its calibration: Zero, or a tool of its own",
-    "Phase": "how it is built",
-    "Angular_Resolution": "what a step is",
-    "Torque_Enable": "commands switch it",
-    "Goal_Position": "commands set it",
 }
 NO_WATCHDOG = "it has no watchdog: without a host it holds its position, or turns on at its last velocity"
 
@@ -61,7 +51,7 @@ def configured(options: Options) -> dict[str, Setting]:
     written, table, found = options.set_up, options.table, dict[str, Setting]()
     for name, each in table.by_name.items():
         if each.writable and (table.is_stored(name) or name in written):
-            protected = DRIVER_WRITES if name in written else PROTECTED.get(name, "")
+            protected = DRIVER_WRITES if name in written else ft.DATA["protected"].get(name, "")
             found[name] = Setting(None, *each.ends(), protected)
     return found
 
@@ -71,22 +61,16 @@ def spec(device: Device) -> Spec:
     options: Options = device.options
     scales = {"model": "its Model_Number is read" if options.of.number else ""}
     zero = {msg.Zero} if "Homing_Offset" in options.table.by_name else set()
-    return serial_motor(
+    return bus_servo(
         device,
-        ft.PACKETS.read_only,
-        ft.PACKETS.addresses,
-        "half-duplex",
+        ft.PACKETS,
         commands=COMMANDS[options.mode],
         requests=frozenset({msg.ClearFault, msg.Scan, msg.ReadParameter, msg.WriteParameter} | zero),
         ranges=ranges(options),
         watchdog=Watchdog(None, enabled=False, note=NO_WATCHDOG),
         holds_unattended=True,
         faults=ft.FAULTS,
-        id_parameter="ID",
-        parameters=tuple(options.table.by_name),
         configuration=configured(options),
-        set_up=declared(options.set_up),
-        stop=(ft.disarms(device.address),),
         writes={msg.WriteParameter: {"Lock": (0.0, 1.0)}},
         ramps=own_ramps(options.acceleration, msg.Position, msg.Velocity),
         scales=scales | ({"stall_torque": ""} if options.mode == "pwm" else {}),

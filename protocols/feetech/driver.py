@@ -8,19 +8,18 @@ whether they were armed or not.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 
 from protocols import messages as msg
 from protocols.feetech import table as ft
-from protocols.feetech.options import MODES, Options
+from protocols.feetech.options import Options
 from protocols.frames import Frame
 from protocols.line import Exchange, Rank
-from protocols.messages import MILLISECOND, SECOND, Command, Feedback, Nanos
-from protocols.plugin import Device
-from protocols.toolkit.host import Host, Timing
+from protocols.messages import MILLISECOND, SECOND, Command, Nanos
+from protocols.toolkit.host import Host
 from protocols.toolkit.memory_map import Values
-from protocols.toolkit.servo_driver import Known, ServoAdapter
+from protocols.toolkit.servo_driver import Known, Motion, ServoAdapter
 from protocols.toolkit.servo_packets import READ, Packet
 from protocols.toolkit.turns import Turns
 
@@ -43,8 +42,6 @@ DETAILS = {
 class Servo(Known):
     """What is known of one servo beyond its phase. Plain data."""
 
-    set_up: Mapping[str, int] = field(default_factory=dict)
-    """What it must hold before it is armed."""
     written_at: Nanos | None = None
     """When that was first written since it was last forgotten,"""
     confirmed: bool = False
@@ -73,8 +70,8 @@ class Servo(Known):
 class FeetechAdapter(ServoAdapter[Servo]):
     """What servos are sent, and what they report."""
 
-    name = ft.NAME
-    packets = ft.PACKETS
+    name, kind = ft.NAME, Servo
+    packets, supply, late = ft.PACKETS, "Present_Voltage", LATE
     faults, latch, not_armed = ft.ALL_FAULTS, True, ft.NOT_ARMED
     clearing = 2 * SECOND
     zero_tolerance = 0.02
@@ -82,18 +79,7 @@ class FeetechAdapter(ServoAdapter[Servo]):
     again = 20 * MILLISECOND
     details = DETAILS
 
-    def known(self, device: Device) -> Servo:
-        options = device.options
-        return Servo(device.address, options.goal_in(MODES[options.mode]), set_up=options.set_up)
-
-    def timing(self, options: Options) -> Timing:
-        return Timing(round(options.offline_ms * MILLISECOND))
-
     # -- received -------------------------------------------------------------------------------------
-
-    def delay(self, host: Host[Servo]) -> Nanos:
-        delay = host.own.values.get("Return_Delay_Time", 254) * ft.DELAY_UNIT
-        return min(delay, ft.LONGEST_DELAY) + LATE
 
     def who(self, number: int) -> Exchange:
         return self.packets.asks({number: WHO}, f"scan {number}", ft.LONGEST_DELAY + LATE, Rank.BACKGROUND)
@@ -105,7 +91,7 @@ class FeetechAdapter(ServoAdapter[Servo]):
     def faults_in(self, host: Host[Servo], error: int, values: Values) -> Collection[int]:
         return ft.faults_in(error)
 
-    def feedback(self, t: Nanos, host: Host[Servo], values: Values) -> Feedback | None:
+    def shaft(self, t: Nanos, host: Host[Servo], values: Values) -> Motion | None:
         if "Present_Position" not in values or "Present_Temperature" not in values:
             return None
         options: Options = host.options
@@ -113,14 +99,10 @@ class FeetechAdapter(ServoAdapter[Servo]):
         velocity = None if abs(speed) >= 0x7FFF else speed * model.step
         if options.mode == "position":
             low, high = model.ends
-            position = (place - model.middle) * model.step if low < place < high else None
-        else:  # it goes on beyond the turn in which it is reported
-            within = (place % model.steps - model.middle) * model.step
-            position = host.own.turns.add(t, within, velocity, math.pi)
-        current = values.get("Present_Current")
-        amperes = None if current is None else current * ft.AMPERE
-        volts, degrees = values["Present_Voltage"] * 0.1, float(values["Present_Temperature"])
-        return Feedback(host.name, t, position, velocity, None, amperes, volts, degrees)
+            return (place - model.middle) * model.step if low < place < high else None, velocity
+        # It goes on beyond the turn in which it is reported.
+        within = (place % model.steps - model.middle) * model.step
+        return host.own.turns.add(t, within, velocity, math.pi), velocity
 
     # -- commanded ------------------------------------------------------------------------------------
 

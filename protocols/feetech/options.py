@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from protocols.bounds import Bounds, check
-from protocols.feetech.table import MODELS, Model
+from protocols.feetech.table import AMPERE, MODELS, Model
 from protocols.messages import Position, Torque, Velocity
 from protocols.toolkit.memory_map import GoalRegister, MemoryMap
 
@@ -54,6 +54,14 @@ class Options:
         """Its registers."""
         return self.of.table
 
+    @property
+    def operating_mode(self) -> int:
+        """The value of Operating_Mode."""
+        return MODES[self.mode]
+
+    ampere, newton_metre = AMPERE, 0.0
+    """What one step of the current is; its torque is not known."""
+
     def goal_in(self, mode: int) -> GoalRegister | None:
         """Return the register of the set-point in an Operating_Mode."""
         model = self.of
@@ -72,7 +80,7 @@ class Options:
         model, position = self.of, self.mode == "position"
         wanted = {"Lock": 1, "Return_Delay_Time": 0}
         if "Operating_Mode" in self.table.by_name:
-            wanted["Operating_Mode"] = MODES[self.mode]
+            wanted["Operating_Mode"] = self.operating_mode
             wanted["Acceleration"] = min(254, round(self.acceleration / model.step / 100.0))
             wanted |= {"Torque_Limit": round(self.torque_limit * 1000.0)} if self.torque_limit else {}
         if position:

@@ -9,10 +9,11 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
-from protocols.plugin import FaultInfo
-from protocols.toolkit.faults import Faults
+from protocols.toolkit.device_file import device_file
+from protocols.toolkit.faults import Faults, faults
 from protocols.toolkit.memory_map import MemoryMap, rows
 from protocols.toolkit.serial import Framing, inverted_sum8
 from protocols.toolkit.servo_packets import IDS, Packet, ServoPackets, Status, Targets
@@ -24,29 +25,15 @@ DELAY_UNIT = 2_000
 """ns of Return_Delay_Time"""
 LONGEST_DELAY = 254 * DELAY_UNIT
 
-# -- registers ---------------------------------------------------------------------------------------------
-
-COMMON = """
-0 u8 Firmware_Major_Version r|1 u8 Firmware_Minor_Version r|3 u16 Model_Number r|5 u8 ID|6 u8 Baud_Rate
-7 u8 Return_Delay_Time|8 u8 Response_Status_Level|9 u16 Min_Position_Limit|11 u16 Max_Position_Limit
-13 u8 Max_Temperature_Limit|14 u8 Max_Voltage_Limit|15 u8 Min_Voltage_Limit|16 u16 Max_Torque_Limit
-18 u8 Phase|19 u8 Unloading_Condition|20 u8 LED_Alarm_Condition|21 u8 P_Coefficient|22 u8 D_Coefficient
-23 u8 I_Coefficient|24 u16 Minimum_Startup_Force|26 u8 CW_Dead_Zone|27 u8 CCW_Dead_Zone|40 u8 Torque_Enable
-56 m15 Present_Position r|58 m15 Present_Velocity r|60 m10 Present_Load r|62 u8 Present_Voltage r
-63 u8 Present_Temperature r|65 u8 Status r|66 u8 Moving r"""
-STS = """
-28 u16 Protection_Current|30 u8 Angular_Resolution|31 m11 Homing_Offset|33 u8 Operating_Mode
-34 u8 Protective_Torque|35 u8 Protection_Time|36 u8 Overload_Torque|37 u8 Velocity_P_Coefficient
-38 u8 Over_Current_Protection_Time|39 u8 Velocity_I_Coefficient|41 u8 Acceleration|42 m15 Goal_Position
-44 m10 Goal_Time|46 m15 Goal_Velocity|48 u16 Torque_Limit|55 u8 Lock|69 m15 Present_Current r"""
-SCS = """
-37 u8 Protective_Torque|38 u8 Protection_Time|42 u16 Goal_Position|44 u16 Goal_Time|46 u16 Goal_Velocity
-48 u8 Lock"""
+DATA: Mapping[str, Mapping[str, Any]] = device_file("protocols.feetech")
 BLOCKS = {"who": (0, 40), "state": (33, 38), "motion": (56, 8)}
 """What is asked for at once: first register, and bytes."""
+REGISTERS: Mapping[str, str] = DATA["registers"]
 FAMILIES = {
-    "sts": MemoryMap(rows(COMMON + STS), BLOCKS, stored=40),
-    "scs": MemoryMap(rows(COMMON + SCS), BLOCKS | {"state": (40, 27)}, stored=40, order="big"),
+    "sts": MemoryMap(rows(REGISTERS["common"], REGISTERS["sts"]), BLOCKS, stored=40),
+    "scs": MemoryMap(
+        rows(REGISTERS["common"], REGISTERS["scs"]), BLOCKS | {"state": (40, 27)}, stored=40, order="big"
+    ),
 }
 AMPERE = 6.5e-3
 """A of one step of Present_Current"""
@@ -82,21 +69,14 @@ class Model(NamedTuple):
         return (0, 1, 2) if "Operating_Mode" in self.table.by_name else (0,)
 
 
-def _sts(number: int) -> Model:
-    return Model(FAMILIES["sts"], number, 4096, 2.0 * math.pi, (-0x7FFF, 0x7FFF))
-
-
-def _scs(number: int) -> Model:
-    return Model(FAMILIES["scs"], number, 1024, math.radians(300.0), (0, 1023), sync_read=False)
-
-
+_FAMILY = {
+    "sts": partial(Model, FAMILIES["sts"], steps=4096, span=2.0 * math.pi, ends=(-0x7FFF, 0x7FFF)),
+    "scs": partial(
+        Model, FAMILIES["scs"], steps=1024, span=math.radians(300.0), ends=(0, 1023), sync_read=False
+    ),
+}
 MODELS: Mapping[str, Model] = {
-    "sts3215": _sts(777),
-    "sts3250": _sts(2825),
-    "sm8512bl": _sts(11272),
-    "sts": _sts(0),
-    "scs0009": _scs(1284),
-    "scs": _scs(0),
+    name: _FAMILY[family](number=number) for name, (family, number) in DATA["models"].items()
 }
 NUMBERS = {model.number: name for name, model in MODELS.items() if model.number}
 
@@ -166,27 +146,9 @@ def disarms(number: int) -> bytes:
 
 # -- faults ------------------------------------------------------------------------------------------------
 
-NOT_ARMED = 0x100
-FAULTS = {
-    bit: FaultInfo(name, cause, remedy, latching=False)
-    for bit, name, cause, remedy in (
-        (0x01, "voltage", "the supply is outside Min_ … Max_Voltage_Limit", "check supply and load"),
-        (0x02, "angle", "the magnetic encoder or potentiometer",
-         "restart it; if it comes again, replace the servo"),
-        (0x04, "overheat", "hotter than Max_Temperature_Limit: too much load for too long", "let it cool"),
-        (0x08, "current", "more than Protection_Current for too long", "free the shaft; look for a short"),
-        (0x20, "overload", "more than Overload_Torque for Protection_Time", "free the shaft, or carry less"),
-    )
-}  # fmt: skip
-ALL_FAULTS = Faults(
-    FAULTS
-    | {
-        NOT_ARMED: FaultInfo(
-            "does not obey", "it answers, and its registers do not become what is written",
-            "check the wire to it (does it hear broadcasts?), its id, and whether another host writes to it",
-        )
-    }
-)  # fmt: skip
+FAULTS = faults(DATA["faults"]["servo"])
+ALL_FAULTS = Faults(FAULTS | faults(DATA["faults"]["driver"]))
+(NOT_ARMED,) = faults(DATA["faults"]["driver"])
 
 
 def faults_in(error: int) -> tuple[int, ...]:

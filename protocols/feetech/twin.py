@@ -31,35 +31,30 @@ class Memory(ServoMemory):
     options: Options
 
     def wrote(self, before: bytes, at: int, size: int) -> Sequence[Obeyed]:
-        end, table = at + size, self.table
-        self.id = self.image[5] if at <= 5 < end else self.id
-        touched = table.within(at, size)
+        end, touched, does = at + size, self.table.within(at, size), list[Obeyed]()
         for register in touched:
             if not register.writable:
                 self.place(register.number, before[register.number : register.number + register.size])
-        does: list[Obeyed] = []
+        names = [register.name for register in touched if register.writable]
         switch = self.image[SWITCH] if at <= SWITCH < end else None
-        sts = "Operating_Mode" in table.by_name
+        sts = "Operating_Mode" in self.table.by_name
         goal = self.options.goal_in(self.get("Operating_Mode"))
-        aimed = goal is not None and goal.register in [register.name for register in touched]
         if switch == ft.MIDDLE_HERE and sts:
             self.place(SWITCH, before[SWITCH : SWITCH + 1])
             does.append(msg.Zero(self.name))
         elif switch == 0:
             does.append(msg.Idle(self.name))
         other_mode = sts and before[MODE] != self.image[MODE] and self.image[SWITCH]
-        if switch == 1 or aimed or other_mode:
+        if switch == 1 or (goal and goal.register in names) or other_mode:
             self.put("Torque_Enable", 1)
-            does.append(msg.Arm(self.name))
-            does += [goal.obeyed(self.name, self.get(goal.register))] if goal else []
+            does += self.does("Torque_Enable", 1)
         if switch not in (None, 0, 1, ft.MIDDLE_HERE):
             does.append(msg.Kept(self.name, "Torque_Enable", float(switch or 0)))
-        others = [
-            r for r in touched if r.writable and r.name not in ("Torque_Enable", goal and goal.register)
-        ]
-        does += [msg.WriteParameter(self.name, r.name, float(self.get(r.name))) for r in others]
-        named = {n for r in touched if r.writable for n in range(r.number, r.number + r.size)}
-        bare = [n for n in range(at, end) if n not in named]
+        for name in names:
+            if name not in ("Torque_Enable", goal and goal.register):
+                does += self.does(name, self.get(name))
+        known = {n for r in touched if r.writable for n in range(r.number, r.number + r.size)}
+        bare = [n for n in range(at, end) if n not in known]
         return does + [msg.Kept(self.name, f"register {n}", float(self.image[n])) for n in bare]
 
 
@@ -78,29 +73,13 @@ def decoder(devices: Sequence[Device]) -> ServoDecoder:
 def delivered(options: Options, settings: Settings) -> dict[str, float]:
     """Return what the registers of a servo hold when it is switched on."""
     return {
-        "Firmware_Major_Version": 3,
-        "Firmware_Minor_Version": 10,
+        **ft.DATA["delivered"],
         "Model_Number": options.of.number,
         "Return_Delay_Time": settings.return_delay,
-        "Response_Status_Level": 1,
         "Max_Position_Limit": options.of.steps - 1,
-        "Max_Temperature_Limit": 70,
-        "Max_Voltage_Limit": 140,
-        "Min_Voltage_Limit": 40,
-        "Max_Torque_Limit": 1000,
         "Phase": 12 | 16 * settings.full_angle,
-        "Unloading_Condition": 44,
-        "LED_Alarm_Condition": 47,
-        "P_Coefficient": 32,
-        "D_Coefficient": 32,
-        "Protection_Current": 500,
-        "Angular_Resolution": 1,
         "Homing_Offset": settings.offset,
         "Operating_Mode": settings.mode,
-        "Protective_Torque": 20,
-        "Protection_Time": 200,
-        "Overload_Torque": 80,
-        "Torque_Limit": 1000,
         "Goal_Position": options.of.middle,
     }
 

@@ -16,7 +16,7 @@ import struct
 from collections.abc import Mapping, Sequence
 
 from protocols.frames import Frame
-from protocols.odrive_can.table import ERASE, REBOOT, SAVING, ControlMode, InputMode
+from protocols.toolkit.device_file import device_file
 from protocols.toolkit.serial import Finds, Stream, TextLines, xor8
 from protocols.toolkit.table import FLOAT_MAX, Decoded, Direction
 
@@ -59,29 +59,12 @@ def binary32(value: float) -> float:
 
 # -- what a line means -------------------------------------------------------------------------------------
 
-INPUTS: Mapping[str, tuple[Mapping[str, int], tuple[str, ...]]] = {
-    "p": ({"Control_Mode": ControlMode.POSITION}, ("Input_Pos", "Input_Vel", "Input_Torque")),
-    "q": ({"Control_Mode": ControlMode.POSITION}, ("Input_Pos", "vel_limit", "torque_lim")),
-    "v": ({"Control_Mode": ControlMode.VELOCITY}, ("Input_Vel", "Input_Torque")),
-    "c": ({"Control_Mode": ControlMode.TORQUE}, ("Input_Torque",)),
-    "t": ({"Control_Mode": ControlMode.POSITION, "Input_Mode": InputMode.TRAP_TRAJ}, ("Input_Pos",)),
-}
+_DEVICE = device_file("protocols.odrive_ascii")
+INPUTS: Mapping[str, tuple[Mapping[str, int], Sequence[str]]] = _DEVICE["inputs"]
 """By letter: the modes that it sets, and its numbers, of which the first must be there."""
-_WRITTEN = {
-    "requested_state": ("Set_Axis_State", "Axis_Requested_State", int),
-    "controller.config.control_mode": ("Input", "Control_Mode", int),
-    "controller.config.input_mode": ("Input", "Input_Mode", int),
-    "controller.input_pos": ("Input", "Input_Pos", float),
-    "controller.input_vel": ("Input", "Input_Vel", float),
-    "controller.input_torque": ("Input", "Input_Torque", float),
-}
-"""Properties of an axis that are commands: the message that does the same, its field, and the type."""
-_SYSTEM: Mapping[str, tuple[str, dict[str, int]]] = {
-    "sc": ("Clear_Errors", {}),
-    "sr": ("Reboot", {"Action": REBOOT}),
-    "ss": ("Reboot", {"Action": SAVING}),
-    "se": ("Reboot", {"Action": ERASE}),
-}
+_WRITTEN: Mapping[str, tuple[str, str, bool]] = _DEVICE["written"]
+"""Properties of an axis that are commands: message that does the same, its field, and whether it is whole."""
+_SYSTEM: Mapping[str, tuple[str, dict[str, int]]] = _DEVICE["system"]
 READING = frozenset("frihu")
 """Letters of lines that change nothing; `u` only feeds the watchdog."""
 _AXIS = re.compile(r"axis(\d)\.(\S+)")
@@ -169,10 +152,10 @@ def _write(name: str, text: str) -> Decoded | None:
     known = _WRITTEN.get(found[2])
     if known is None:
         return Decoded("w", axis, {"name": name, "value": numbers[0]})
-    message, field, kind = known
-    if kind is int and not math.isfinite(numbers[0]):
+    message, field, whole = known
+    if whole and not math.isfinite(numbers[0]):
         return None
-    return Decoded(message, axis, {field: kind(numbers[0])})
+    return Decoded(message, axis, {field: int(numbers[0]) if whole else numbers[0]})
 
 
 # -- questions and answers ---------------------------------------------------------------------------------
@@ -213,30 +196,8 @@ def plain(text: str, *, whole: bool = False) -> float | None:
     return None if cut else float(text) + 0.0
 
 
-PROPERTIES: Mapping[str, Mapping[str, str]] = {
-    "0.5": {
-        "errors": "error",
-        "current": "motor.current_control.Iq_measured",
-        "temperature": "motor.fet_thermistor.temperature",
-        "Get_Motor_Error": "motor.error",
-        "Get_Encoder_Error": "encoder.error",
-        "Get_Controller_Error": "controller.error",
-        "Get_Sensorless_Error": "sensorless_estimator.error",
-    },
-    "0.6": {
-        "errors": "active_errors",
-        "reason": "disarm_reason",
-        "result": "procedure_result",
-        "current": "motor.foc.Iq_measured",
-        "temperature": "motor.fet_thermistor.temperature",
-    },
-}
+PROPERTIES: Mapping[str, Mapping[str, str]] = _DEVICE["properties"]
 """Of an axis, by firmware line and what is asked for; of the components' errors by the message over CAN."""
 SUPPLY = "vbus_voltage"
-FLAGS = {
-    "MOTOR_FAILED": "Get_Motor_Error",
-    "ENCODER_FAILED": "Get_Encoder_Error",
-    "CONTROLLER_FAILED": "Get_Controller_Error",
-    "SENSORLESS_ESTIMATOR_FAILED": "Get_Sensorless_Error",
-}
+FLAGS: Mapping[str, str] = _DEVICE["flags"]
 """By the axis' error (0.5.x): the message with the word of the component."""

@@ -18,12 +18,11 @@ from protocols.frames import EXTENDED_BIT, CanFrame, Frame
 from protocols.messages import MILLISECOND, SECOND, Command, Event, Feedback, Mode, Nanos, Request
 from protocols.odrive_can import errors, table
 from protocols.odrive_can.axis import NO_DISCOVERY, Axis
-from protocols.odrive_can.options import Options
 from protocols.odrive_can.setpoints import armed_of, control_mode, inputs, outcome, refusal
 from protocols.odrive_can.table import CLOSED_LOOP, SAVE, WRITABLE, ControlMode
 from protocols.plugin import Device
 from protocols.toolkit.duplicates import IDENTIFY_PERIOD
-from protocols.toolkit.host import Host, Phase, Report, Timing
+from protocols.toolkit.host import Host, Phase, Report
 from protocols.toolkit.motor_driver import ARMED, NEVER, Adapter, MotorDriver, Pending, Rx
 from protocols.toolkit.requests import subject
 from protocols.toolkit.table import FLOAT_MAX, Decoded
@@ -66,6 +65,7 @@ class OdriveAdapter(Adapter[Axis]):
     name = "odrive_can"
     faults = errors.FAULTS
     duplicate = errors.DUPLICATE_NODE
+    releasing = 50 * MILLISECOND
     needs_idle = (msg.Zero, msg.Reboot, msg.Home)
     zero_tolerance = 0.05 * math.tau
     set_id_detail = f"not saved yet: write {SAVE} 1 to keep it after power-off"
@@ -82,9 +82,6 @@ class OdriveAdapter(Adapter[Axis]):
 
     def own(self, device: Device) -> Axis:
         return Axis(device.address, device.options)
-
-    def timing(self, options: Options) -> Timing:
-        return Timing(options.offline_ms * MILLISECOND, release=50 * MILLISECOND)
 
     # -- received -------------------------------------------------------------------------------------
 

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from protocols.plugin import FaultInfo
-from protocols.toolkit.faults import Faults
+from protocols.toolkit.faults import Faults, faults
 
 BASE_SHIFT = 48
 _PHRASES = {
@@ -160,14 +160,11 @@ class Word:
         head, *lines = section.strip().splitlines()
         number, *prefix = head.partition(":")[0].split()
         self.base = int(number) << BASE_SHIFT
-        self.bits: dict[str, int] = {}  # By the vendor's name.
-        self.faults: dict[int, FaultInfo] = {}  # By code.
-        for line in lines:
-            bit, _, fault = line.partition(" ")
-            name, _, texts = fault.partition(": ")
-            self.bits[name] = int(bit, 0)
-            cause, remedy = texts.format_map(_PHRASES).split(" | ")
-            self.faults[self.base + int(bit, 0)] = FaultInfo(" ".join((*prefix, name)), cause, remedy)
+        known = faults("\n".join(lines), _PHRASES)
+        self.bits = {info.name: bit for bit, info in known.items()}  # By the vendor's name.
+        self.faults: dict[int, FaultInfo] = {  # By code.
+            self.base + bit: replace(info, name=" ".join((*prefix, info.name))) for bit, info in known.items()
+        }
 
     def __deepcopy__(self, memo: object) -> Word:
         """A word is a constant."""

@@ -8,16 +8,7 @@ from collections.abc import Sequence
 from protocols import messages as msg
 from protocols.line import Exchange, Rank
 from protocols.messages import MILLISECOND
-from protocols.plugin import (
-    DRIVER_WRITES,
-    Device,
-    Driver,
-    Plugin,
-    Range,
-    Setting,
-    Spec,
-    Written,
-)
+from protocols.plugin import DRIVER_WRITES, Device, Driver, Plugin, Range, Setting, Spec, Written
 from protocols.roboclaw import table as rt
 from protocols.roboclaw.driver import RoboclawAdapter
 from protocols.roboclaw.options import MOST, Options, Settings
@@ -52,8 +43,10 @@ def ranges(options: Options) -> dict[str, Range]:
 
 def configured(settings: Settings, options: Options) -> dict[str, Setting]:
     """Return what is configured on a board."""
-    found = configuration(settings, {name: name for name in rt.PID})
-    return found | {"timeout": Setting(float(options.timeout), 0.0, 255.0, DRIVER_WRITES)}
+    names = [name for name in rt.PARAMETERS if name not in ("timeout", rt.CONFIG)]
+    found = configuration(settings, dict(zip(names, names, strict=True)))
+    found |= {"timeout": Setting(float(options.timeout), 0.0, 255.0, DRIVER_WRITES)}
+    return found | {rt.CONFIG: Setting(protected="it would answer at another address or rate, or not at all")}
 
 
 def spec(device: Device) -> Spec:
@@ -62,7 +55,7 @@ def spec(device: Device) -> Spec:
     rt.BOARDS.check(device)
     idle = rt.PACKETS.encode(rt.name_of("M#DUTY", device.address), rt.BOARDS.board(device.address), duty=0)
     parameters = configured(device.settings, options)
-    any_gains: Written = {name: ((0.0, float(MOST * 2 + 1)),) for name in rt.PID}
+    beside: Written = {name: (each.ends(),) for name, each in rt.REGISTERS.by_name.items()}
     return serial_motor(
         device,
         rt.PACKETS.read_only,
@@ -75,7 +68,7 @@ def spec(device: Device) -> Spec:
         parameters=tuple(parameters),
         configuration=parameters,
         set_up=declared({"timeout": float(options.timeout)}),
-        writes={msg.WriteParameter: any_gains},
+        writes={msg.WriteParameter: beside},
         save=rt.SAVE,
         stop=(Exchange(idle, options.answer(idle), Rank.RELEASE),),
         ramps=own_ramps(math.tau * options.acceleration / options.counts, msg.Position),

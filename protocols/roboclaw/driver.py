@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from protocols import messages as msg
 from protocols.frames import Frame
@@ -25,11 +26,9 @@ from protocols.toolkit.host import Host, Report, counted_once
 from protocols.toolkit.lines import LineAdapter
 from protocols.toolkit.motor_driver import NEVER, MotorDriver, Pending, Rx
 from protocols.toolkit.questions import Questions
-from protocols.toolkit.registers import Register, Registers
 from protocols.toolkit.requests import ANSWER
 from protocols.toolkit.table import Values
 
-REGISTERS = Registers(Register("timeout", 14, "u8"), *(Register(name, 28, "u32") for name in rt.PID))
 PROTECTED = {"timeout": "the driver writes it before it arms (timeout_ms)"}
 SELDOM = 10
 """Supply, current and temperature are asked for so many times less often than the state."""
@@ -128,8 +127,8 @@ class Motor:
     status: int | None = None
     counts: int | None = None
     """Of its encoder, continued beyond 32 bits."""
-    pid: dict[str, float] = field(default_factory=dict)
-    pid_at: Nanos = -NEVER
+    held: dict[str, tuple[Nanos, Values]] = field(default_factory=dict)
+    """Its parameters, and when they were read, by question"""
 
     def forget(self) -> None:
         """Forget what it reported: the board may have restarted, or been replaced."""
@@ -170,21 +169,30 @@ class Motor:
         elif name == self.message("SETM#ENCCOUNT"):
             self.counts = None
 
-    def see(self, name: str, values: Values) -> None:
-        """Note what the board reports of its state."""
-        if name == "GETPWMS":
-            self.duty = values[f"duty{self.side}"]
-        elif name == "GETERROR":
-            self.status = values["status"]
-        elif name == "GETTIMEOUT":
-            known, timeout = self.board.timeout, values["timeout"]
-            if known is not None and timeout != self.board.options.timeout:
-                self.driven = False  # it has restarted
-            self.board.keep(timeout)
-
-    def read(self, t: Nanos, values: Values) -> None:
-        """Note its gains."""
-        self.pid, self.pid_at = values, t
+    def take(self, t: Nanos, name: str, values: Values) -> dict[str, float | None]:
+        """Note what the board answers; return what that measures, as fields of `Feedback`."""
+        unit = self.board.options.unit
+        if values.keys() <= rt.PARAMETERS.keys():
+            self.held[name] = t, values
+        match name:
+            case "GETM1ENC" | "GETM2ENC":
+                return {"position": self.count(values["count"]) * unit}
+            case "GETM1SPEED" | "GETM2SPEED":
+                speed = values["speed"]  # some firmware has the sign in the next byte alone
+                speed = -speed if values["backwards"] & 1 and speed > 0 else speed
+                return {"velocity": speed * unit if abs(speed) < MOST else None}
+            case "GETPWMS":
+                self.duty = values[f"duty{self.side}"]
+            case "GETERROR":
+                self.status = values["status"]
+            case "GETTIMEOUT":
+                known, timeout = self.board.timeout, values["timeout"]
+                if known is not None and timeout != self.board.options.timeout:
+                    self.driven = False  # it has restarted
+                self.board.keep(timeout)
+            case "GETCURRENTS" | "GETMBATT" | "GETTEMP":
+                return {key.rstrip("12"): v for key, v in values.items() if key[-1] not in f"{3 - self.side}"}
+        return {}
 
     def message(self, kind: str) -> str:
         """Return the name of a message to or about this motor alone."""
@@ -236,7 +244,7 @@ class RoboclawAdapter(LineAdapter[Motor]):
         else:
             decoded = rt.PACKETS.in_frame(bytes(asked))[0][0]
             assert decoded is not None
-            reports = [self._obeyed(host, decoded.name, decoded.values) for host in hosts]
+            reports = [self._obeyed(host, decoded.name) for host in hosts]
         return counted_once(reports)
 
     def _found(self, address: int, version: str, driver: MotorDriver[Motor]) -> Sequence[Report[Motor] | Rx]:
@@ -247,42 +255,21 @@ class RoboclawAdapter(LineAdapter[Motor]):
             Report(driver.at.get(at), at, note=f"motor {side} of {version}") for side, at in motors.items()
         )
 
-    def _obeyed(self, host: Host[Motor], name: str, values: Values) -> Report[Motor]:
+    @staticmethod
+    def _report(host: Host[Motor], **others: Any) -> Report[Motor]:  # noqa: ANN401 -- fields
+        mode, detail, faults = host.own.state()
+        return Report(host, host.address, mode, detail, faults if mode else None, **others)
+
+    def _obeyed(self, host: Host[Motor], name: str) -> Report[Motor]:
         """Return what an acknowledgement reports."""
-        own, written = host.own, rt.SAVE if name == "WRITENVM" else ""
-        own.obeyed(name)
-        mode, detail, faults = own.state()
-        return Report(host, host.address, mode, detail, faults if mode else None, written=written)
+        host.own.obeyed(name)
+        return self._report(host, written={"WRITENVM": rt.SAVE, "SETCONFIG": rt.CONFIG}.get(name, ""))
 
     def _answered(self, t: Nanos, host: Host[Motor], name: str, values: Values) -> Report[Motor]:
-        own, feedback, parameters = host.own, None, dict[str, float]()
-        unit = host.options.unit
-        match name:
-            case "GETM1ENC" | "GETM2ENC":
-                feedback = Feedback(host.name, t, own.count(values["count"]) * unit)
-            case "GETM1SPEED" | "GETM2SPEED":
-                speed = values["speed"]  # some firmware has the sign in the next byte alone
-                speed = -speed if values["backwards"] & 1 and speed > 0 else speed
-                velocity = speed * unit if abs(speed) < MOST else None
-                feedback = Feedback(host.name, t, velocity=velocity)
-            case "GETPWMS" | "GETERROR":
-                own.see(name, values)
-            case "GETCURRENTS":
-                feedback = Feedback(host.name, t, current=values[f"current{own.side}"])
-            case "GETMBATT":
-                feedback = Feedback(host.name, t, voltage=values["voltage"])
-            case "GETTEMP":
-                feedback = Feedback(host.name, t, temperature=values["temperature"])
-            case "GETTIMEOUT":
-                own.see(name, values)
-                parameters = {"timeout": values["timeout"]}
-            case _:
-                own.read(t, values)
-                parameters = values
-        mode, detail, faults = own.state()
-        return Report(
-            host, host.address, mode, detail, faults if mode else None, feedback, parameters=parameters
-        )
+        measured = host.own.take(t, name, values)
+        feedback = Feedback(host.name, t, **measured) if measured else None
+        parameters = values if name in host.own.held else {}
+        return self._report(host, feedback=feedback, parameters=parameters)
 
     # -- sent -----------------------------------------------------------------------------------------
 
@@ -353,7 +340,7 @@ class RoboclawAdapter(LineAdapter[Motor]):
     def begin(
         self, now: Nanos, request: Request, host: Host[Motor] | None, driver: MotorDriver[Motor]
     ) -> Pending[Motor] | str:
-        wrong = REGISTERS.wrong_request(request, rt.SAVE, PROTECTED)
+        wrong = rt.REGISTERS.wrong_request(request, rt.SAVE, PROTECTED)
         if wrong is None and not isinstance(request, msg.Zero):
             return super().begin(now, request, host, driver)
         if wrong or host is None:
@@ -375,11 +362,14 @@ class RoboclawAdapter(LineAdapter[Motor]):
             case msg.Zero():
                 zero = board.message(own.message("SETM#ENCCOUNT"), count=0)
                 return zero, board.ask(now, own.message("GETM#ENC"))
-            case msg.ReadParameter(_, "timeout"):
-                return (board.ask(now, "GETTIMEOUT"),)
             case msg.WriteParameter(_, name) if name == rt.SAVE:
                 return (board.message("WRITENVM", key=rt.NVM_KEY),)
-            case msg.WriteParameter(_, name, value) if own.pid_at > pending.began:
-                written = board.message(own.message("SETM#PID"), **own.pid | {name: value})
-                return written, board.ask(now, own.message("READM#PID"))
-        return (board.ask(now, own.message("READM#PID")),)
+            case msg.ReadParameter(_, name) | msg.WriteParameter(_, name):
+                written, read = map(own.message, rt.PARAMETERS[name])
+                at, held = own.held.get(read, (-NEVER, {}))
+                asked = board.ask(now, read)
+                if isinstance(pending.request, msg.ReadParameter) or at <= pending.began:
+                    return (asked,)
+                change = board.message(written, **held | {name: pending.request.value})
+                return (change,) if name == rt.CONFIG else (change, asked)
+        return ()

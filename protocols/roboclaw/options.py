@@ -71,6 +71,9 @@ class Settings:
     velocity_d: Annotated[int, Bounds(0, MOST)] = 16384
     qpps: Annotated[int, Bounds(0, MOST)] = 44_000
     """Speed at full power; as delivered 44000"""
+    max_current: Annotated[int, Bounds(0, MOST)] = 1500
+    """0.01 A"""
+    min_current: Annotated[int, Bounds(0, MOST)] = 0
     older_status: bool = False
     """Its firmware is older than 4.1.3x: a status of 16 bits."""
     max_torque: Annotated[float, Bounds(0.01, 1000.0)] = 5.0

@@ -10,16 +10,20 @@ question, too. How long a message is follows from its command.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from protocols.messages import MILLISECOND, Nanos
 from protocols.plugin import FaultInfo
 from protocols.toolkit.boards import SIDES, Boards
+from protocols.toolkit.device_file import device_file
+from protocols.toolkit.faults import faults
 from protocols.toolkit.packets import Packets
+from protocols.toolkit.registers import Register, Registers
 from protocols.toolkit.serial import CRC16_XMODEM, Coded, Covered
-from protocols.toolkit.table import Field, Row, Table, Values, const, sint, uint
+from protocols.toolkit.table import Field, Row, Table, Values, const, fields, uint
 
+DEVICE = device_file("protocols.roboclaw")
 BOARDS = Boards(range(0x80, 0x88))
 ACK = b"\xff"
 GAP: Nanos = 10 * MILLISECOND
@@ -28,8 +32,8 @@ NVM_KEY = 0xE22EAB7A
 SAVE = "save"
 """The parameter that saves all when 1 is written."""
 TIMEOUT_UNIT_MS = 100
-PID = "velocity_d", "velocity_p", "velocity_i", "qpps"
-"""In the order in which they are written; gains in 1/65536."""
+CONFIG = "config"
+"""The parameter with mode, address and bit rate: what is written counts at once, and is not read back."""
 FULL = 32767
 """Duty: all of the supply's voltage."""
 
@@ -42,75 +46,24 @@ def name_of(kind: str, motor: int) -> str:
 # -- messages ----------------------------------------------------------------------------------------------
 
 
-def _row(name: str, number: int, *fields: Field, read: bool = False, answer: bool = False) -> Row:
-    direction = "from_device" if answer else "to_device"
-    ids = uint("address"), const(number)
-    return Row(name, ids, fields, direction, "big", read_only=read, extended=True)  # type: ignore[arg-type]
+def _messages(text: str) -> Iterator[tuple[str, int, tuple[Field, ...]]]:
+    """Return name, number and fields of each message."""
+    for line in text.strip().splitlines():
+        number, name, *numbers = line.split()
+        for side in SIDES if "#" in name else SIDES[:1]:
+            yield name.replace("#", str(side)), int(number) + side - 1, fields(" ".join(numbers))
 
 
-def _long(*names: str) -> tuple[Field, ...]:
-    return tuple(uint(name, 32) for name in names)
+def _row(name: str, number: int, numbers: tuple[Field, ...], **others: Any) -> Row:  # noqa: ANN401 -- fields
+    return Row(name, (uint("address"), const(number)), numbers, order="big", extended=True, **others)
 
 
-def _signed(bits: int, *names: str) -> tuple[Field, ...]:
-    return tuple(sint(name, bits) for name in names)
-
-
-_PATH = _long("accel", "speed", "deccel")
-_BUFFER = uint("buffer")
-"""0: behind what is under way; 1: at once."""
-_WRITTEN: Mapping[str, tuple[int, tuple[Field, ...]]] = {
-    "SETTIMEOUT": (14, (uint("timeout"),)),
-    "RESETENC": (20, ()),
-    **{f"SETM{n}ENCCOUNT": (21 + n, _long("count")) for n in SIDES},
-    **{f"SETM{n}PID": (27 + n, _long(*PID)) for n in SIDES},
-    **{f"M{n}DUTY": (31 + n, _signed(16, "duty")) for n in SIDES},
-    "MIXEDDUTY": (34, _signed(16, "duty1", "duty2")),
-    **{f"M{n}SPEED": (34 + n, _signed(32, "speed")) for n in SIDES},
-    "MIXEDSPEED": (37, _signed(32, "speed1", "speed2")),
-    **{f"M{n}SPEEDACCEL": (37 + n, (*_long("accel"), sint("speed", 32))) for n in SIDES},
-    "MIXEDSPEEDACCEL": (40, (*_long("accel"), *_signed(32, "speed1", "speed2"))),
-    **{f"M{n}DUTYACCEL": (51 + n, (sint("duty"), *_long("accel"))) for n in SIDES},
-    "MIXEDDUTYACCEL": (54, tuple(f for n in SIDES for f in (sint(f"duty{n}"), *_long(f"accel{n}")))),
-    **{
-        f"M{n}SPEEDACCELDECCELPOS": (64 + n, (*_PATH, sint("position", 32), _BUFFER)) for n in SIDES
-    },
-    "MIXEDSPEEDACCELDECCELPOS": (
-        67,
-        (
-            *_long("accel1", "speed1", "deccel1"),
-            sint("position1", 32),
-            *_long("accel2", "speed2", "deccel2"),
-            sint("position2", 32),
-            _BUFFER,
-        ),
-    ),
-    "WRITENVM": (94, _long("key")),
-    **{f"M{n}POS": (118 + n, (sint("position", 32), _BUFFER)) for n in SIDES},
-    "MIXEDPOS": (121, (*_signed(32, "position1", "position2"), _BUFFER)),
-    "RESETESTOP": (200, ()),
-}  # fmt: skip
-_READ: Mapping[str, tuple[int, tuple[Field, ...]]] = {
-    "GETTIMEOUT": (15, (uint("timeout"),)),
-    **{f"GETM{n}ENC": (15 + n, (*_long("count"), uint("status"))) for n in SIDES},
-    **{f"GETM{n}SPEED": (17 + n, (sint("speed", 32), uint("backwards"))) for n in SIDES},
-    "GETVERSION": (21, ()),
-    "GETMBATT": (24, (uint("voltage", 16, 0.1),)),
-    "GETLBATT": (25, (uint("voltage", 16, 0.1),)),
-    "GETBUFFERS": (47, (uint("buffer1"), uint("buffer2"))),
-    "GETPWMS": (48, _signed(16, "duty1", "duty2")),
-    "GETCURRENTS": (49, (sint("current1", 16, 0.01), sint("current2", 16, 0.01))),
-    **{f"READM{n}PID": (54 + n, _long("velocity_p", "velocity_i", "velocity_d", "qpps")) for n in SIDES},
-    "GETENCODERS": (78, _long("count1", "count2")),
-    "GETTEMP": (82, (uint("temperature", 16, 0.1),)),
-    "GETTEMP2": (83, (uint("temperature", 16, 0.1),)),
-    "GETERROR": (90, (uint("status", 32),)),
-    "GETSPEEDS": (108, _signed(32, "speed1", "speed2")),
-}
+_WRITTEN = tuple(_messages(DEVICE["messages"]["written"]))
+_READ = tuple(_messages(DEVICE["messages"]["read"]))
 LONGEST_VERSION = 48
-_QUESTIONS = {number: name for name, (number, _) in _READ.items()}
-_SIZES = {number: sum(field.bits for field in fields) // 8 for number, fields in _WRITTEN.values()}
-_ANSWERED = {number: 2 + sum(f.bits for f in fields) // 8 for number, fields in _READ.values() if fields}
+_QUESTIONS = {number: name for name, number, _ in _READ}
+_SIZES = {number: sum(field.bits for field in numbers) // 8 for _, number, numbers in _WRITTEN}
+_ANSWERED = {number: 2 + sum(each.bits for each in numbers) // 8 for _, number, numbers in _READ if numbers}
 """Bytes of the answer to each question, but for a text."""
 OLDER_STATUS = 4
 """Bytes of the answer to GETERROR of firmware before 4.1.3x."""
@@ -118,19 +71,32 @@ OLDER_STATUS = 4
 
 PACKETS = Packets(
     (
-        *(_row(name, number, *fields) for name, (number, fields) in _WRITTEN.items()),
-        *(_row(name, number, read=True) for name, (number, _) in _READ.items()),
+        *(_row(*each) for each in _WRITTEN),
+        *(_row(name, number, (), read_only=True) for name, number, _ in _READ),
     ),
     Coded(BOARDS.addresses, _SIZES | dict.fromkeys(_QUESTIONS, 0), _QUESTIONS, CRC16_XMODEM, 2),
     lambda address, function, data: bytes((address, function)) + data,
     lambda message: (message[0], message[1], message[2:]),
 )
-ANSWERS = Table(
-    (_row(name, number, *fields, answer=True) for name, (number, fields) in _READ.items() if fields)
-)
+ANSWERS = Table(_row(*each, direction="from_device") for each in _READ if each[2])
 COVERED = Covered(2, CRC16_XMODEM, 2)
 """An answer's checksum covers address and command of the question."""
-QUESTIONS = frozenset(_READ)
+QUESTIONS = frozenset(_QUESTIONS.values())
+PARAMETERS: Mapping[str, tuple[str, str]] = {
+    field.name: (written, read)
+    for written, read in DEVICE["parameters"].items()
+    for field in PACKETS.row(written.replace("#", "1")).fields
+}
+"""The messages that write and read a parameter, of the first motor with "#" in the place of 1"""
+REGISTERS = Registers(
+    *(
+        Register(field.name, function, f"u{field.bits}")  # type: ignore[arg-type]
+        for name, function, numbers in _WRITTEN
+        for field in numbers
+        if PARAMETERS.get(field.name, ("",))[0].replace("#", "1") == name
+    )
+)
+"""The parameters by name, and what they can hold"""
 
 
 def is_question(frame: bytes) -> bool:
@@ -186,30 +152,15 @@ def read_answer(frame: bytes, data: bytes) -> tuple[str, Values]:
 
 # -- faults ------------------------------------------------------------------------------------------------
 
-ESTOP, TEMPERATURE, TEMPERATURE2, MBATT_HIGH, LBATT_HIGH, LBATT_LOW = 0x1, 0x2, 0x4, 0x8, 0x10, 0x20
-DRIVER, SPEED, POSITION, CURRENT, MBATT_LOW, MBATT_HYSTERESIS = 0x40, 0x100, 0x400, 0x1000, 0x4000, 0x8000
-OF_MOTOR = DRIVER | SPEED | POSITION | CURRENT
+ESTOP, DRIVER = 0x1, 0x40
+OF_MOTOR, WARNINGS_OF_MOTOR = 0x1540, 0x4501_0000
 """Bits of the first motor; those of the second are the next higher ones. The others are of both."""
-WARNINGS: Mapping[int, str] = {
-    0x1_0000: "current",
-    0x4_0000: "main battery high",
-    0x8_0000: "main battery low",
-    0x10_0000: "temperature",
-    0x20_0000: "temperature 2",
-    0x40_0000: "S4",
-    0x80_0000: "S5",
-    0x100_0000: "speed",
-    0x400_0000: "position",
-    0x1000_0000: "CAN",
-    0x2000_0000: "boot",
-    0x4000_0000: "regeneration",
-}
-WARNINGS_OF_MOTOR = 0x4500_0000 | 0x1_0000
-_OLDER_BITS = (
-    0x1_0000, 0x2_0000, ESTOP, TEMPERATURE, TEMPERATURE2, MBATT_HIGH, LBATT_HIGH, LBATT_LOW,
-    DRIVER, 2 * DRIVER, 0x4_0000, 0x8_0000, 0x10_0000, 0x20_0000, 0x40_0000, 0x80_0000,
-)  # fmt: skip
-"""What each bit of the status of older firmware is today."""
+_KNOWN = DEVICE["faults"]
+FAULTS: Mapping[int, FaultInfo] = faults(_KNOWN["board"], _KNOWN["phrases"])
+(NOT_ARMED,) = _OWN = faults(_KNOWN["driver"])
+ALL_FAULTS: Mapping[int, FaultInfo] = {**FAULTS, **_OWN}
+WARNINGS: Mapping[int, str] = {int(bit, 0): text for bit, text in DEVICE["warnings"].items()}
+_OLDER_BITS: Sequence[int] = DEVICE["older"]["bits"]
 
 
 def _newer(status: int) -> int:
@@ -229,33 +180,3 @@ def of_side(status: int, side: int) -> tuple[list[int], list[str]]:
     all_of_it = own | status & ~(motors | motors << 1)
     faults = [code for code in FAULTS if code & all_of_it]
     return faults, [text for bit, text in WARNINGS.items() if bit & all_of_it]
-
-
-_BATTERY = "check battery and cables, and the limits that are configured"
-FAULTS: Mapping[int, FaultInfo] = {
-    ESTOP: FaultInfo("emergency stop", "an input for it is active", "release it, then clear"),
-    **{
-        code: FaultInfo(name, cause, remedy, latching=False)
-        for code, name, cause, remedy in (
-            (TEMPERATURE, "temperature", "the board is too hot", "let it cool; less current, more air"),
-            (TEMPERATURE2, "temperature 2", "the board is too hot", "let it cool; less current, more air"),
-            (MBATT_HIGH, "main battery high", "braking feeds back more than the supply takes", _BATTERY),
-            (LBATT_HIGH, "logic battery high", "the logic supply is beyond its limit", _BATTERY),
-            (LBATT_LOW, "logic battery low", "the logic supply is below its limit", _BATTERY),
-            (DRIVER, "driver fault", "a shorted motor, or a damaged power stage", "check the motor's cables"),
-            (SPEED, "speed error", "the speed is beyond its limit of error", "check encoder, load and PID"),
-            (POSITION, "position error", "the position is beyond its limit of error", "check load and PID"),
-            (CURRENT, "over-current", "a blocked shaft, or a low limit", "free it; check the limit"),
-            (MBATT_LOW, "main battery low", "the main supply is below its limit", _BATTERY),
-            (MBATT_HYSTERESIS, "main battery was high", "it has not come down yet", _BATTERY),
-        )
-    },
-}  # fmt: skip
-NOT_ARMED = 0x1_0000_0000
-"""A fault that the driver finds."""
-ALL_FAULTS: Mapping[int, FaultInfo] = {
-    **FAULTS,
-    NOT_ARMED: FaultInfo(
-        "does not obey", "it acknowledges no set-point, or not its serial timeout", "check its mode and cable"
-    ),
-}

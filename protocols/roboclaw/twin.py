@@ -23,6 +23,8 @@ from protocols.toolkit.servo import Encoder, Gains, clamp
 from protocols.toolkit.table import Decoded, Values
 
 VERSION = "USB Roboclaw 2x15a v4.2.3\n"
+PACKET_SERIAL = 3
+"""What `config` holds. What is written there is kept, and means nothing here."""
 FAULT_PASSES: Nanos = 500 * MILLISECOND
 
 
@@ -51,9 +53,7 @@ class Motor:
                 return used, msg.Arm(name), msg.Velocity(name, unloaded)
             case {"speed": speed} if decoded.name not in rt.QUESTIONS:
                 return msg.Arm(name), msg.Velocity(name, speed * unit)
-            case {"timeout": timeout}:
-                return (msg.WriteParameter(name, "timeout", float(timeout)),)
-            case {"qpps": _}:
+            case _ if own and own.keys() <= rt.PARAMETERS.keys():
                 return tuple(msg.WriteParameter(name, key, float(value)) for key, value in own.items())
             case {"key": key}:
                 return (msg.WriteParameter(name, rt.SAVE, 1.0),) if key == rt.NVM_KEY else ()
@@ -85,8 +85,9 @@ class RoboclawTwin(PacketFirmware):
         super().__init__(device, seed, Gains(torque_limit=device.settings.max_torque), motor_of(device))
         self.board, self.side = rt.BOARDS.board(device.address), rt.BOARDS.side(device.address)
         self.encoder = Encoder(1.0 / device.options.unit, bandwidth=1000.0)
-        self.pid: Values = {name: getattr(device.settings, name) for name in rt.PID}
-        self.serial_timeout: int = device.settings.timeout
+        self.held: Values = {name: getattr(device.settings, name, 0) for name in rt.PARAMETERS}
+        self.held[rt.CONFIG] = PACKET_SERIAL
+        """Its parameters."""
         self.duty: float | None = None
         """The share of the supply on the motor, if that is commanded."""
         self.other: RoboclawTwin | None = None
@@ -100,7 +101,7 @@ class RoboclawTwin(PacketFirmware):
     # -- serial timeout and faults --------------------------------------------------------------------
 
     def timeout(self) -> Nanos:
-        timeout = self.serial_timeout * rt.TIMEOUT_UNIT_MS * MILLISECOND
+        timeout = self.held["timeout"] * rt.TIMEOUT_UNIT_MS * MILLISECOND
         return timeout if self.mode is Mode.ARMED else 0
 
     def on_timeout(self) -> None:
@@ -133,15 +134,13 @@ class RoboclawTwin(PacketFirmware):
     def _take(self, own: Values) -> None:
         """Take over what is no command of its own: timeout, gains, duty, and the path to a position."""
         unit = self.device.options.unit
-        self.serial_timeout = own.get("timeout", self.serial_timeout)
-        if "qpps" in own:
-            self.pid = own
+        self.held |= {name: value for name, value in own.items() if name in self.held}
         if "duty" in own or "speed" in own or "position" in own:
             self.duty = own["duty"] / rt.FULL if "duty" in own else None
             self.speed_up = own.get("accel", 0) * unit or math.inf
             self.slow_down = own.get("deccel", own.get("accel", 0)) * unit or math.inf
             self.fastest = (
-                own["speed"] * unit if "position" in own and "speed" in own else self.pid["qpps"] * unit
+                own["speed"] * unit if "position" in own and "speed" in own else self.held["qpps"] * unit
             )
         if own.get("count"):
             count = own["count"]
@@ -155,59 +154,31 @@ class RoboclawTwin(PacketFirmware):
         first, second = (self, self.other) if self.side == 1 else (self.other, self)
         if name == "GETERROR" and self.settings.older_status:
             return rt.older_status(message, rt.older(_status(first, second)))
-        asked = second if "2" in name.removesuffix("TEMP2") else first
-        one = asked or self
-        values: dict[str, Any] = {
-            "timeout": self.serial_timeout,
-            "voltage": self.settings.supply,
-            "temperature": self.settings.temperature,
-            "status": _status(first, second) if name == "GETERROR" else one.backwards << 1,
-            "count": one.counted,
-            "speed": one.turning,
-            "backwards": one.backwards,
-            **one.pid,
-            "buffer1": 0x80,
-            "buffer2": 0x80,
-        }
+        one = (second if "2" in name.removesuffix("TEMP2") else first) or self
+        values: dict[str, Any] = one.held | one.measured() | dict.fromkeys(("buffer1", "buffer2"), 0x80)
+        values |= {"voltage": self.settings.supply, "temperature": self.settings.temperature}
+        values["status"] = _status(first, second) if name == "GETERROR" else values["backwards"] << 1
         for side, each in ((1, first), (2, second)):
-            values |= {f"{name}{side}": value for name, value in _measured(each).items()}
+            measured = dict.fromkeys(values, 0) if each is None else each.measured()
+            values |= {f"{what}{side}": value for what, value in measured.items()}
         fields = rt.ANSWERS.row(name).fields
         return rt.answer(message, name, **{each.name: values[each.name] for each in fields})
 
     # -- measured -------------------------------------------------------------------------------------
 
-    @property
-    def counted(self) -> int:
-        """Its encoder's count, in 32 bits."""
-        return round(self.encoder.position * self.encoder.counts) % (1 << 32)
-
-    @property
-    def turning(self) -> int:
-        """counts/s"""
-        return round(self.encoder.velocity * self.encoder.counts)
-
-    @property
-    def backwards(self) -> bool:
-        """It turns backwards."""
-        return self.turning < 0
-
-    @property
-    def current(self) -> float:
-        """A"""
-        constant: float = self.settings.torque_constant
-        return self.torque / constant
-
-    @property
-    def put(self) -> int:
-        """The duty that is put on the motor."""
-        if self.mode is not Mode.ARMED:
-            return 0
-        if self.duty is not None:
-            return round(self.duty * rt.FULL)
-        voltage = (
-            self.current * self.settings.resistance + self.encoder.velocity * self.settings.torque_constant
-        )
-        return round(clamp(voltage / self.settings.supply, 1.0) * rt.FULL)
+    def measured(self) -> dict[str, float]:
+        """Return what it reports of its motion, by name."""
+        settings, encoder = self.settings, self.encoder
+        speed, current = round(encoder.velocity * encoder.counts), self.torque / settings.torque_constant
+        voltage = current * settings.resistance + encoder.velocity * settings.torque_constant
+        duty = clamp(voltage / settings.supply, 1.0) if self.duty is None else self.duty
+        return {
+            "count": round(encoder.position * encoder.counts) % (1 << 32),
+            "speed": speed,
+            "backwards": speed < 0,
+            "duty": round(duty * rt.FULL) if self.mode is Mode.ARMED else 0,
+            "current": current,
+        }
 
     def cycle(self, now: Nanos, dt: float, position: float, velocity: float) -> float:
         torque = super().cycle(now, dt, position, velocity)
@@ -217,13 +188,6 @@ class RoboclawTwin(PacketFirmware):
         constant, settings = self.settings.torque_constant, self.settings
         current = (self.duty * settings.supply - constant * velocity) / settings.resistance
         return clamp(current * constant, self.servo.gains.torque_limit)
-
-
-def _measured(motor: RoboclawTwin | None) -> dict[str, float]:
-    """Return what a motor reports beside the other one; None: it is not there."""
-    if motor is None:
-        return {"duty": 0, "current": 0.0, "count": 0, "speed": 0}
-    return {"duty": motor.put, "current": motor.current, "count": motor.counted, "speed": motor.turning}
 
 
 def _status(first: RoboclawTwin | None, second: RoboclawTwin | None) -> int:

@@ -23,6 +23,7 @@ from protocols.plugin import (
     unchanged,
 )
 from protocols.toolkit.motor_driver import Adapter, MotorDriver, may_scan
+from protocols.toolkit.servo_packets import ServoPackets
 from protocols.toolkit.table import Decoded, Table
 
 
@@ -71,6 +72,15 @@ def serial_motor(
         "line": line,
     }
     return _motor(device, addresses, usual | others)
+
+
+def bus_servo(device: Device, packets: ServoPackets, **others: Any) -> Spec:  # noqa: ANN401 -- fields
+    """Return the same for a servo on a bus, whose options have `table` and `set_up`."""
+    options: Any = device.options
+    off = packets.sync_write(options.table.target("Torque_Enable")[0], {device.address: b"\0"})
+    usual: dict[str, Any] = {"id_parameter": "ID", "parameters": tuple(options.table.by_name), "stop": (off,)}
+    usual |= {"set_up": declared(options.set_up)}
+    return serial_motor(device, packets.read_only, packets.addresses, "half-duplex", **usual | others)
 
 
 def _motor(device: Device, addresses: range, others: dict[str, Any]) -> Spec:

@@ -24,3 +24,19 @@ class Faults(dict[int, FaultInfo]):
 
     def __deepcopy__(self, memo: object) -> Faults:
         return self
+
+
+def faults(text: str, phrases: Mapping[str, str] | None = None) -> dict[int, FaultInfo]:
+    """Return the faults of a text, by code: a line each, "code name: cause | remedy".
+
+    Args:
+        text: the lines; "~" before a code: the device withdraws it by itself (`FaultInfo.latching`).
+        phrases: what several lines have in common, there in braces by its name.
+    """
+    found = {}
+    for line in text.strip().splitlines():
+        code, _, words = line.format_map(phrases or {}).partition(" ")
+        name, _, why = words.partition(": ")
+        cause, remedy = why.split(" | ")
+        found[int(code.lstrip("~"), 0)] = FaultInfo(name, cause, remedy, latching=code[0] != "~")
+    return found

@@ -7,6 +7,7 @@ bit; bits above it mean nothing. Writing saturates, and raises ValueError for a 
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -26,11 +27,11 @@ LAYOUTS = 1024
 FORMS: Mapping[Type, str] = {"u8": "B", "u16": "H", "u32": "I", "i16": "h", "i32": "i"}
 
 
-def rows(text: str, shift: int = 0) -> list[Register]:
-    """Return the registers of a text: rows are lines, or stand between "|"; `shift`: how far they lie from
+def rows(*texts: str, shift: int = 0) -> list[Register]:
+    """Return the registers of texts: rows are lines, or stand between "|"; `shift`: how far they lie from
     the addresses given."""
     found = []
-    for at, kind, name, *access in (row.split() for row in text.strip().replace("\n", "|").split("|")):
+    for at, kind, name, *access in map(str.split, filter(None, re.split(r"\n|\|", "|".join(texts)))):
         sign = int(kind[1:]) if kind[0] == "m" else 0
         type_ = cast("Type", "u16" if sign else kind)
         found.append(Register(name, int(at) + shift, type_, not access, sign))

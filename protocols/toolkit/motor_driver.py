@@ -61,7 +61,11 @@ class Adapter(Generic[Own]):
     clearing: Nanos = 0
     """Time for ClearFault: in it, faults that pass by themselves must have passed. 0: see `begin`."""
     confirmations: int = 2
-    """Reports that it is disarmed which end a release."""
+    """Reports that it is disarmed which end a release,"""
+    releasing: Nanos = 20 * MILLISECOND
+    """and the period of Idle until then."""
+    arming: Nanos = 1000 * MILLISECOND
+    """Time after which a device that does not arm is a fault."""
     zero_tolerance: float = 0.01
     """rad within which the position is zero after Zero"""
     restarted: Nanos = 0
@@ -81,7 +85,8 @@ class Adapter(Generic[Own]):
 
     def timing(self, options: Any) -> Timing:  # noqa: ANN401 -- the protocol's own type
         """Return the periods and timeouts of a device."""
-        return Timing(round(options.offline_ms * MILLISECOND), confirmations=self.confirmations)
+        offline = round(options.offline_ms * MILLISECOND)
+        return Timing(offline, self.releasing, self.confirmations, self.arming)
 
     def receive(self, t: Nanos, frame: Frame, driver: MotorDriver[Own]) -> Sequence[Report[Own] | Rx]:
         """Return what a frame (on a stream: each message that it completes) reports."""

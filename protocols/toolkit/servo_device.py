@@ -13,11 +13,12 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from protocols import messages as msg
+from protocols.asked import waiting
 from protocols.frames import Frame
 from protocols.messages import Nanos, Obeyed
 from protocols.plugin import Device
 from protocols.toolkit.firmware import ServoFirmware
-from protocols.toolkit.memory_map import MemoryMap, Target
+from protocols.toolkit.memory_map import GoalRegister, MemoryMap, Target
 from protocols.toolkit.serial import Stream
 from protocols.toolkit.servo import Gains
 from protocols.toolkit.servo_packets import (
@@ -46,7 +47,7 @@ class ServoMemory:
     name: str
     id: int
     options: Any
-    """With `table`, its `MemoryMap`."""
+    """With `table`, its `MemoryMap`, and `goal_in`: the register of the set-point in an Operating_Mode."""
     delivered: bytes = b""
     """The registers when it is switched on,"""
     image: bytes = b""
@@ -67,11 +68,31 @@ class ServoMemory:
 
     def wrote(self, before: bytes, at: int, size: int) -> Sequence[Obeyed]:
         """Return what the device does upon a write, that is done; `before`: the image before."""
-        raise NotImplementedError
+        written = self.table.values(at, self.image[at : at + size])
+        return [each for name, value in written.items() for each in self.does(name, value)]
+
+    def does(self, name: str, value: int) -> Sequence[Obeyed]:
+        """Return what the device does upon one register that was written."""
+        goal: GoalRegister | None = self.options.goal_in(self.get("Operating_Mode"))
+        if name == "Torque_Enable":
+            if not value:
+                return (msg.Idle(self.name),)
+            goals = (goal.obeyed(self.name, self.get(goal.register)),) if goal is not None else ()
+            return msg.Arm(self.name), *goals
+        if goal is not None and name == goal.register:
+            obeyed = goal.obeyed(self.name, value)
+            return (obeyed,) if self.armed else waiting(obeyed)
+        self.id = value if name == "ID" else self.id
+        return (msg.WriteParameter(self.name, name, float(value)),)
 
     def others(self, packets: ServoPackets, one: Packet) -> tuple[int, Sequence[Obeyed]]:
         """Obey an instruction to it of the protocol's own."""
         return 0, ()
+
+    @property
+    def armed(self) -> bool:
+        """Whether the torque is on."""
+        return bool(self.get("Torque_Enable"))
 
     # -- registers ----------------------------------------------------------------------------------------
 

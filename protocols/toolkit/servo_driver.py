@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple, TypeAlias, TypeVar
 
 from protocols import messages as msg
 from protocols.frames import Frame
@@ -25,6 +25,8 @@ from protocols.toolkit.requests import ANSWER
 from protocols.toolkit.serial import Stream
 from protocols.toolkit.servo_packets import WRITE, Packet, ServoPackets, Status, Targets
 
+LONGEST, DELAY_UNIT = 254, 2_000
+"""Steps of the longest Return_Delay_Time, which is that of a device that has not told its own; ns of one."""
 EARLY: Nanos = 100_000
 """How much before its time something is asked for, rather than a step later."""
 ONCE: Nanos = 300 * MILLISECOND
@@ -41,6 +43,8 @@ class Known:
     """At which it is asked: another one than in the robot file, once it was changed."""
     goal: GoalRegister
     """Its set-point's register, in the mode that the options have."""
+    set_up: Mapping[str, int]
+    """What its registers must hold before it is armed."""
     values: Values = field(default_factory=dict)
     """What its registers hold, since it was last forgotten."""
     read_at: dict[str, Nanos] = field(default_factory=dict)
@@ -91,11 +95,17 @@ class Answered(NamedTuple):
 
 
 K = TypeVar("K", bound=Known)
+Motion: TypeAlias = tuple[float | None, float | None]
+"""Position and velocity, None where it is not known."""
 
 
 class ServoAdapter(Adapter[K]):
     """The options of a device have `table` (its `MemoryMap`, with the blocks "motion" and "state"),
-    `feedback_ms` and `offline_ms`."""
+    `operating_mode`, `goal_in` and `set_up` of it, `ampere` and `newton_metre` (what one step of the current
+    is in A and N·m; 0: not known), `feedback_ms` and `offline_ms`."""
+
+    kind: type[K]
+    """What is known of one device"""
 
     packets: ServoPackets
     clearing_disarms = True
@@ -108,6 +118,10 @@ class ServoAdapter(Adapter[K]):
     """The register that Zero changes"""
     commanded: Collection[str] = ()
     """Registers that commands write, not requests"""
+    late: Nanos = 0
+    """How much later than after its delay an answer may come"""
+    supply: str
+    """The register of the supply [0.1 V]"""
     silence: Nanos
     """Time after which an id is known to be without a device"""
     again: Nanos = 100 * MILLISECOND
@@ -119,7 +133,7 @@ class ServoAdapter(Adapter[K]):
 
     def delay(self, host: Host[K]) -> Nanos:
         """Return how long a device waits before it answers, at most."""
-        return 0
+        return min(host.own.values.get("Return_Delay_Time", LONGEST), LONGEST) * DELAY_UNIT + self.late
 
     def who(self, number: int) -> Exchange:
         """Return the read-only question by which a scan finds a device: in the background, so that those
@@ -138,8 +152,8 @@ class ServoAdapter(Adapter[K]):
         """Return the faults that an answer shows; None if it shows none, nor that there are none."""
         return None
 
-    def feedback(self, t: Nanos, host: Host[K], values: Values) -> Feedback | None:
-        """Return what registers measure of the motion; None if these do not."""
+    def shaft(self, t: Nanos, host: Host[K], values: Values) -> Motion | None:
+        """Return position and velocity by the registers of the motion; None if these are not of it."""
         raise NotImplementedError
 
     def wanted(self, host: Host[K]) -> Iterable[tuple[str, Nanos]]:
@@ -195,11 +209,8 @@ class ServoAdapter(Adapter[K]):
 
     def own(self, device: Device) -> K:
         self._pace = max(self._pace, self.silence + 24 * BITS * SECOND // (device.line_rate or 1_000_000))
-        return self.known(device)
-
-    def known(self, device: Device) -> K:
-        """Return what is known of a device at first."""
-        raise NotImplementedError
+        options = device.options
+        return self.kind(device.address, options.goal_in(options.operating_mode), options.set_up)
 
     def forget(self, now: Nanos, host: Host[K]) -> None:
         host.own.forget()
@@ -279,10 +290,27 @@ class ServoAdapter(Adapter[K]):
         if question.instruction == WRITE and answering == question.id:
             name = self.table(host).by_number.get(self.packets.writes(question)[0][1])
             content = Answered(name.name if name else "", refusal)
-        feedback = self.feedback(t, host, values) if values else None
+        feedback = self._feedback(t, host, values) if values else None
         parameters = {name: float(value) for name, value in values.items()} if self._reads_back else {}
         return Report(
             host, number, mode, detail, faults, feedback, content=content, parameters=parameters, note=note
+        )
+
+    def _feedback(self, t: Nanos, host: Host[K], values: Values) -> Feedback | None:
+        """Return what registers measure of the motion; None if these do not."""
+        shaft = self.shaft(t, host, values)
+        if shaft is None:
+            return None
+        volts, degrees = values.get(self.supply), values.get("Present_Temperature")
+        counts, torque = values.get("Present_Current"), host.options.newton_metre
+        return Feedback(
+            host.name,
+            t,
+            *shaft,
+            None if counts is None or not torque else counts * torque,
+            None if counts is None else counts * host.options.ampere,
+            None if volts is None else volts * 0.1,
+            None if degrees is None else float(degrees),
         )
 
     def _block(self, host: Host[K], target: Target) -> str:

@@ -114,6 +114,17 @@ def unused(bits: int = 8, value: int = 0) -> Field:
     return Field("", "uint", bits, low=value)
 
 
+def fields(text: str) -> tuple[Field, ...]:
+    """Return the numbers of a text: "count:u32 speed:i32 voltage:u16*0.1" are counts from 0, with a sign, and
+    of which one is 0.1."""
+    found = []
+    for word in text.split():
+        name, _, kind = word.partition(":")
+        bits, _, unit = kind[1:].partition("*")
+        found.append((sint if kind[0] == "i" else uint)(name, int(bits), float(unit or 1.0)))
+    return tuple(found)
+
+
 # -- rows --------------------------------------------------------------------------------------------------
 
 

@@ -18,7 +18,7 @@ from protocols.frames import Frame
 from protocols.messages import MILLISECOND, SECOND, Command, Event, Feedback, Mode, Nanos
 from protocols.plugin import Device
 from protocols.toolkit.duplicates import AnswerCount
-from protocols.toolkit.host import Host, Timing
+from protocols.toolkit.host import Host
 from protocols.toolkit.motor_driver import Adapter
 from protocols.toolkit.table import Values
 from protocols.vesc import table as vt
@@ -113,15 +113,13 @@ class ControllerAdapter(Adapter[Controller]):
     """What controllers are sent, and what they report, over any transport."""
 
     faults, not_armed, latch, clearing = vt.ALL_FAULTS, vt.NOT_ARMED, True, SECOND
+    confirmations = 4
     needed: tuple[str, ...] = ("state",)
 
     def own(self, device: Device) -> Controller:
         options: MotorOptions = device.options
         timeout = (11 * options.timeout_ms // 10 + 50) * MILLISECOND
         return Controller(timeout, options.idle_current, self.needed)
-
-    def timing(self, options: MotorOptions) -> Timing:
-        return Timing(options.offline_ms * MILLISECOND, confirmations=4)
 
     # -- the transport's own --------------------------------------------------------------------------
 

@@ -18,7 +18,7 @@ from protocols.plugin import FaultInfo
 from protocols.toolkit.masked import Masked
 from protocols.toolkit.packets import Packets
 from protocols.toolkit.serial import CRC16_XMODEM, Envelope, Finds
-from protocols.toolkit.table import Field, Row, const, sint, uint
+from protocols.toolkit.table import Field, Row, const, fields, sint, uint
 from protocols.vesc.table import ALIVE, ALL_FAULTS, GET_VALUES_SELECTIVE, NO_ANSWER, SETTERS, TUNNELLED
 
 ADDRESSES = range(254)
@@ -48,8 +48,8 @@ def unpack(payload: bytes) -> tuple[int, int, bytes] | None:
     return (payload[1], payload[2], payload[3:]) if len(payload) > 2 else None
 
 
-def _row(name: str, function: int, *fields: Field, read_only: bool = False) -> Row:
-    return Row(name, (uint("address", 16), const(function)), fields, order="big", read_only=read_only)
+def _row(name: str, function: int, *data: Field, read_only: bool = False) -> Row:
+    return Row(name, (uint("address", 16), const(function)), data, order="big", read_only=read_only)
 
 
 def _setter(name: str, function: int, unit: float) -> Row:
@@ -75,28 +75,13 @@ PACKETS = Packets(
 
 # -- values ------------------------------------------------------------------------------------------------
 
-_TEMPERATURES = tuple(sint(f"temp_mos{number}", 16, 0.1) for number in (1, 2, 3))
-_ENERGY = ("amp_hours", "amp_hours_charged", "watt_hours", "watt_hours_charged")
-VALUES = Masked(
-    (
-        (sint("temp_fet", 16, 0.1),),
-        (sint("temp_motor", 16, 0.1),),
-        *((sint(name, 32, 0.01),) for name in ("avg_motor_current", "avg_input_current", "avg_id", "avg_iq")),
-        (sint("duty_cycle_now", 16, 1e-3),),
-        (sint("rpm", 32),),
-        (sint("v_in", 16, 0.1),),
-        *((sint(name, 32, 1e-4),) for name in _ENERGY),
-        (sint("tachometer", 32),),
-        (sint("tachometer_abs", 32),),
-        (uint("fault_code"),),
-        (sint("pid_pos_now", 32, 1e-6),),
-        (uint("controller_id"),),
-        _TEMPERATURES,
-        (sint("avg_vd", 32, 1e-3),),
-        (sint("avg_vq", 32, 1e-3),),
-        (uint("status"),),
-    )
-)
+_BITS = """
+temp_fet:i16*0.1|temp_motor:i16*0.1|avg_motor_current:i32*0.01|avg_input_current:i32*0.01|avg_id:i32*0.01
+|avg_iq:i32*0.01|duty_cycle_now:i16*1e-3|rpm:i32|v_in:i16*0.1|amp_hours:i32*1e-4|amp_hours_charged:i32*1e-4
+|watt_hours:i32*1e-4|watt_hours_charged:i32*1e-4|tachometer:i32|tachometer_abs:i32|fault_code:u8
+|pid_pos_now:i32*1e-6|controller_id:u8|temp_mos1:i16*0.1 temp_mos2:i16*0.1 temp_mos3:i16*0.1
+|avg_vd:i32*1e-3|avg_vq:i32*1e-3|status:u8"""
+VALUES = Masked(tuple(fields(each) for each in _BITS.split("|")))
 """By the bit of a mask. The current since the last question is an average. `status`: whether the timeout has
 passed (1) and a kill switch is on (2)."""
 BIT = VALUES.bit

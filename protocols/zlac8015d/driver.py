@@ -23,7 +23,7 @@ from protocols.canopen.services import NODE_MASK, Nmt, NmtCommand, NmtState, rpd
 from protocols.frames import CanFrame, Frame
 from protocols.messages import MILLISECOND, Command, Event, Feedback, Nanos, Request
 from protocols.plugin import Device
-from protocols.toolkit.host import Host, Report, Timing
+from protocols.toolkit.host import Host, Report
 from protocols.toolkit.motor_driver import NEVER, Adapter, MotorDriver, Pending, Rx
 from protocols.zlac8015d import table as z
 from protocols.zlac8015d.options import Options
@@ -258,7 +258,7 @@ class ZlacAdapter(Adapter[Motor]):
 
     name = "zlac8015d"
     faults = z.ALL_FAULTS
-    not_armed, duplicate = z.NOT_ENABLED, z.DUPLICATE
+    not_armed, duplicate, arming = z.NOT_ENABLED, z.DUPLICATE, ARMING
 
     def __init__(self, devices: Sequence[Device]) -> None:
         sides: dict[int, list[int]] = {}
@@ -271,9 +271,6 @@ class ZlacAdapter(Adapter[Motor]):
 
     def own(self, device: Device) -> Motor:
         return self.drives[device.address & NODE_MASK], z.side_of(device.address)
-
-    def timing(self, options: Options) -> Timing:
-        return Timing(options.offline_ms * MILLISECOND, arming=ARMING)
 
     def forget(self, now: Nanos, host: Host[Motor]) -> None:
         host.own[0].forget(now)

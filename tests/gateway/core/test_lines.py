@@ -238,6 +238,28 @@ def test_many_motors_that_brake_lose_no_readings() -> None:
     assert set(modes(rig).values()) == {Mode.READY}
 
 
+@pytest.mark.parametrize("name", ["arm_feetech", "many"])
+def test_one_that_is_unplugged_stops_alone_where_the_joints_are_bare(name: str) -> None:
+    """In a chain of answers, and asked one by one. What disarms it and finds out whether it is back takes at
+    most half of the line from the others, as the contract's clause `dead` has it."""
+    given = {"on_fault": "continue"}
+    rig, wire = driven(many(**given) if name == "many" else of_file(name, **given), 0.6)
+    gone, *others = reversed(rig.robot.motors)
+    before = readings(rig.ticks, rig.clock.now() - 300 * MS, rig.clock.now())
+    rig.world.disconnect(gone)
+    commands = [command_of(rig.robot, each) for each in rig.robot.motors]
+    ticks = rig.run(0.4, *commands)
+    began = rig.clock.now()
+    ticks += rig.run(0.3, *commands)
+    assert [each for each, joint in rig.gateway.joints.items() if joint.faults] == [gone]
+    assert {rig.gateway.joints[each].mode for each in others} == {Mode.ARMED}
+    assert rig.gateway.why_stopped() == ""
+    after = readings(ticks, began, began + 300 * MS)
+    assert gone not in after
+    assert min(after[each] / before[each] for each in others) >= 0.5
+    assert wire.bus.overlaps == 0
+
+
 def readings(ticks: Sequence[Tick], begin: Nanos, end: Nanos) -> dict[str, int]:
     """Return how often each motor was read in a time."""
     count: dict[str, int] = {}

@@ -14,7 +14,7 @@ import pytest
 from protocols import messages as msg
 from protocols.frames import Frame
 from protocols.line import Exchange
-from protocols.messages import MILLISECOND, Command, Event, Feedback, Mode, Nanos, Obeyed
+from protocols.messages import MILLISECOND, Command, Event, Feedback, Mode, Nanos
 from protocols.plugin import Device, FaultInfo, Range
 from protocols.toolkit.assembly import declared
 from protocols.toolkit.host import Host
@@ -23,7 +23,7 @@ from protocols.toolkit.motor_driver import MotorDriver
 from protocols.toolkit.serial import CRC8_MAXIM, Framing
 from protocols.toolkit.servo import Gains
 from protocols.toolkit.servo_device import BusServo, ServoDecoder, ServoMemory
-from protocols.toolkit.servo_driver import Known, ServoAdapter
+from protocols.toolkit.servo_driver import Known, Motion, ServoAdapter
 from protocols.toolkit.servo_packets import READ, SYNC_READ, SYNC_WRITE, Packet, ServoPackets, Status
 
 TABLE = MemoryMap(
@@ -70,19 +70,24 @@ class Options:
     feedback_ms: int = 5
     offline_ms: int = 100
     table: MemoryMap = TABLE
+    set_up: Mapping[str, int] = field(default_factory=lambda: {"Limit": 700})
+    operating_mode: int = 0
+    ampere: float = 0.0
+    newton_metre: float = 0.0
+
+    @staticmethod
+    def goal_in(mode: int) -> GoalRegister:
+        return GOAL
 
 
 class Adapter(ServoAdapter[Known]):
     """Its set-up is a limit of 700."""
 
-    name = "made_up"
-    packets = PACKETS
+    name, kind = "made_up", Known
+    packets, supply = PACKETS, "Supply"
     faults: Mapping[int, FaultInfo] = {}
     silence = MILLISECOND
     commanded = ("Goal_Position",)
-
-    def known(self, device: Device) -> Known:
-        return Known(device.address, GOAL)
 
     def who(self, number: int) -> Exchange:
         return self.packets.asks({number: (0, 2)}, f"{number} who", 0)
@@ -96,8 +101,8 @@ class Adapter(ServoAdapter[Known]):
     def faults_in(self, host: Host[Known], error: int, values: Values) -> Collection[int] | None:
         return () if "Torque_Enable" in values else None
 
-    def feedback(self, t: Nanos, host: Host[Known], values: Values) -> Feedback | None:
-        return Feedback(host.name, t, values["Position"] * STEP) if "Load" in values else None
+    def shaft(self, t: Nanos, host: Host[Known], values: Values) -> Motion | None:
+        return (values["Position"] * STEP, None) if "Load" in values else None
 
     def wanted(self, host: Host[Known]) -> Iterable[tuple[str, Nanos]]:
         return [("state", 20 * MILLISECOND), ("motion", host.options.feedback_ms * MILLISECOND)]
@@ -110,7 +115,7 @@ class Adapter(ServoAdapter[Known]):
         return (self.change(host, "Homing_Offset", 0),), 0
 
     def arm(self, now: Nanos, host: Host[Known], command: Command) -> Sequence[Frame]:
-        wrong = host.own.different({"Limit": 700})
+        wrong = host.own.different(host.own.set_up)
         self.put(host, wrong or {"Torque_Enable": 1})
         return self.ask(now, host, "state")
 
@@ -126,18 +131,6 @@ class Memory(ServoMemory):
     def wrong(self, at: int, data: bytes) -> int:
         locked = at < TABLE.stored and self.get("Lock")
         return 3 if locked or not TABLE.layout(at, len(data)).whole else 0
-
-    def wrote(self, before: bytes, at: int, size: int) -> Sequence[Obeyed]:
-        does: list[Obeyed] = []
-        for name, value in self.table.values(at, self.image[at : at + size]).items():
-            self.id = value if name == "ID" else self.id
-            if name == "Torque_Enable":
-                does.append(msg.Arm(self.name) if value else msg.Idle(self.name))
-            elif name == "Goal_Position":
-                does.append(GOAL.obeyed(self.name, value))
-            else:
-                does.append(msg.WriteParameter(self.name, name, float(value)))
-        return does
 
 
 def memory_of(device: Device) -> Memory:
@@ -334,6 +327,10 @@ def test_a_scan_finds_all() -> None:
 def test_decoder_and_twin_obey_the_same() -> None:
     made = devices(2)
     decoder = ServoDecoder(PACKETS, [memory_of(each) for each in made])
+    frames = PACKETS.sync_write(10, {1: b"\1", 2: b"\1"})
+    assert list(decoder.decode(0, frames)) == [
+        msg.Arm("m1"), msg.Position("m1", 0.0), msg.Arm("m2"), msg.Position("m2", 0.0),
+    ]  # fmt: skip
     frames = PACKETS.sync_write(12, {1: b"\0\1", 2: b"\0\2"}) + PACKETS.packet(1, 4, b"\x0e\0\x09")
     assert list(decoder.decode(0, frames)) == [
         msg.Position("m1", 0.001), msg.Position("m2", 0.002), msg.Kept("m1", "reg write 14", 2.0),
