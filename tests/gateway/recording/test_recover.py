@@ -192,7 +192,7 @@ def test_no_length_is_trusted(recorded: Path, tmp_path: Path, length: int) -> No
     data = bytearray(recorded.read_bytes())
     data[parts[1][0] + 1 : parts[1][0] + 9] = length.to_bytes(8, "little")
     recorded.write_bytes(data)
-    assert recovered_ticks(recorded, tmp_path / "out.mcap") == [t for p in (0, 2, 3) for t in parts[p][2]]
+    assert recovered_ticks(recorded, tmp_path / "out.mcap") == [t for p in (0, 2, 3, 4) for t in parts[p][2]]
 
 
 # -- the command -------------------------------------------------------------------------------
