@@ -14,7 +14,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from copy import deepcopy
+from copy import copy, deepcopy
 from math import inf, isclose, isfinite, isnan, nan, tau
 from typing import Any, NamedTuple
 
@@ -111,6 +111,31 @@ def shape_of(data: bytes) -> Shape | None:
     )
 
 
+class Shapes:
+    """The shapes that were seen. Copies of a decoder share them: what is remembered changes no answer."""
+
+    def __init__(self) -> None:
+        self._seen: dict[int, list[Shape]] = {}
+        """By length."""
+
+    def __deepcopy__(self, memo: object) -> Shapes:
+        """It is shared."""
+        return self
+
+    def of(self, data: bytes) -> Shape | None:
+        """Return the shape of a frame; None if it has none."""
+        if len(data) < 2 or data[0] & ~0b11 or data[1] != tb.MODE:  # it does not begin by writing the mode
+            return None
+        seen, number = self._seen.setdefault(len(data), []), int.from_bytes(data, "little")
+        for shape in seen:
+            if number & shape.mask == shape.rest:
+                return shape
+        made = shape_of(data)
+        if made is not None and len(seen) < SHAPES_KEPT:
+            seen.append(made)
+        return made
+
+
 class Memory:
     """What one device keeps of the frames it received. Revolutions, N·m. Plain data."""
 
@@ -172,9 +197,13 @@ class Memory:
 
     def __deepcopy__(self, memo: object) -> Memory:
         """Copy what frames change: all else is constant. The guard does that every few frames."""
-        made = object.__new__(type(self))
-        made.__dict__ |= self.__dict__ | {"command": {**self.command}}
+        made = copy(self)
+        made.become_another()
         return made
+
+    def become_another(self) -> None:
+        """Have a command of its own from now on, and no longer that of the memory that it is a copy of."""
+        self.command = {**self.command}
 
     def _write(self, register: int, value: float | None) -> int:
         """Write a register. Returns the number of the write error, or 0."""
@@ -312,15 +341,14 @@ class MoteusDecoder:
 
     def __init__(self, devices: Sequence[Device]) -> None:
         self._memories = [Memory(each, bytes.fromhex(each.settings.uuid)) for each in devices]
-        self._shapes: dict[int, list[Shape]] = {}
-        """What was seen, by length."""
+        self._shapes = Shapes()
 
     def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
         """Return the messages that the devices would obey; [] if none would do anything."""
         obeyed: list[Obeyed] = []
         for memory in self._memories:
             if isinstance(frame, CanFrame) and memory.is_addressed(frame):
-                usual = (shape := self._shape(frame.data)) is not None and memory.command_by(
+                usual = (shape := self._shapes.of(frame.data)) is not None and memory.command_by(
                     shape, frame.data
                 )
                 done = () if usual else memory.obey(frame.data)
@@ -338,23 +366,6 @@ class MoteusDecoder:
                         if isinstance(each, msg.SetId)
                     ]
         return obeyed
-
-    def _shape(self, data: bytes) -> Shape | None:
-        """Return the shape of a frame, one that was seen before if it is of that; None if it has none."""
-        seen, number = self._shapes.setdefault(len(data), []), int.from_bytes(data, "little")
-        for shape in seen:
-            if number & shape.mask == shape.rest:
-                return shape
-        made = shape_of(data)
-        if made is not None and len(seen) < SHAPES_KEPT:
-            seen.append(made)
-        return made
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> MoteusDecoder:
-        """Copy the memories: the shapes are constants."""
-        made = object.__new__(type(self))
-        made.__dict__ |= self.__dict__ | {"_memories": deepcopy(self._memories, memo)}
-        return made
 
 
 def _answers(done: Request | Subframe) -> bool:
