@@ -1,8 +1,8 @@
 """A Damiao motor behind the vendor's serial adapter: ours, and motorbridge, whose core is Rust.
 
 Rules. Both write the same packets to a pty and read what is put into its other end: motorbridge gives its
-bytes no other way. So what the kernel takes to carry a packet stands beside, by itself. motorbridge receives
-in a thread of its own: what is measured is how long it takes until the numbers of a feedback can be read.
+bytes no other way. So what the kernel takes to carry a packet stands beside, by itself. motorbridge is read
+as its own page recommends (`poll_feedback_once`, then `get_state`): its thread looks only every so often.
 """
 
 from __future__ import annotations
@@ -102,6 +102,7 @@ def theirs(motorbridge: Any) -> Any:  # noqa: ANN401 -- a package without types
             numbers = [NUMBERS[name] for name in ("position", "velocity", "stiffness", "damping", "torque")]
 
             def position() -> float:
+                controller.poll_feedback_once()
                 state = motor.get_state()
                 return 0.0 if state is None else float(state.pos)
 

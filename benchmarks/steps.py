@@ -2,34 +2,42 @@
 
 Rules. The motors are twins; they arm, are given targets and turn, in simulated time. What came in is kept and
 given to fresh gateways, which alone are timed. Only steps count in which each motor reported its position
-and a packet for each went out.
+and a packet for each went out. A step is timed back to back, with all that it needs in the processor's
+caches; a tick as it is on a robot: at its own pace, with the loop, buses that cost nothing, and the recorder.
 """
 
 from __future__ import annotations
 
+from bisect import bisect_right
+from collections import deque
 from collections.abc import Callable, Collection, Sequence
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from itertools import islice
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias
 
 from benchmarks.measure import Effort, Figures, figures
 from benchmarks.rows import Row, Target, span
 from brain.bodies import bare
 from gateway import config
+from gateway.buses import Bus
 from gateway.buses.virtual.bus import open_world
-from gateway.core.clock import SimulatedClock, stopwatch
+from gateway.core.clock import PacedClock, SimulatedClock, processor_time, stopwatch
 from gateway.core.guard import Blocked, Guard
 from gateway.core.robot import Robot
 from gateway.core.step import Gateway
 from gateway.core.tick import Tick
+from gateway.recording import Recorder
 from gateway.runtime.loop import live
 from gateway.runtime.process import quiet_collector
-from protocols.frames import Frame
+from protocols.frames import BusState, Frame, Packet
 from protocols.messages import MILLISECOND, SECOND, Feedback, Instruction, Nanos, Position, Velocity
 
 GROUP = "a step of the gateway (all motors report, all are commanded)"
+TICKS = "a tick of the live loop at its own pace: processor time (read, step, write, record)"
 GUARD = "the guard (for each frame that goes out, part of the step)"
 TICK = "a tick of 5 ms"
 FRAME = "the frame on a bus of 1 Mbit/s"
@@ -39,11 +47,15 @@ SETTLED = 300 * MILLISECOND
 """When targets are asked for: by then every motor has reported."""
 WARM = 600 * MILLISECOND
 """From here on steps count."""
+SPRING = 'mode = "mit"\nstiffness = 20.0\ndamping = 1.0\nfeedback_ms = 5'
+"""Options of motors that take their set-points as springs."""
+WINDOW = 20
+"""Ticks over which the work is gathered: the recorder's threads work by chunks."""
 Drive: TypeAlias = tuple[Robot, Sequence[Tick]]
 
 
 def steps(effort: Effort) -> list[Row]:
-    """12 motors, and the first 2 of them; 12 others, which take their set-points as springs."""
+    """12 motors, and the first 2 of them; 12 of other protocols; and the whole ticks of all of these."""
     twelve = config.load_robot("twelve")
     seconds = effort.of(3, 1)
     drives = {
@@ -52,9 +64,18 @@ def steps(effort: Effort) -> list[Row]:
         "12 motors, position": drive(twelve, lambda motor: Position(motor, 3.0), seconds),
     } | {
         f"12 {name} in MIT mode, position": drive(
-            springs(protocol), lambda motor: Position(motor, 1.0), seconds
+            of_protocol(protocol, SPRING), lambda motor: Position(motor, 1.0), seconds
         )
         for name, protocol in (("Damiao", "damiao"), ("RobStride", "robstride"))
+    }
+    drives |= {
+        f"12 {name}, velocity": drive(
+            of_protocol(protocol, options), lambda motor: Velocity(motor, 5.0), seconds
+        )
+        for name, protocol, options in (
+            ("moteus", "moteus", "timeout_ms = 100"),
+            ("CiA 402", "cia402", "sync_ms = 5"),
+        )
     }
     found = time_steps(drives, effort.of(9, 1))
     targets = {name: Target(at_most=0.4 * MILLISECOND) for name in drives if name.startswith("12 motors")}
@@ -63,8 +84,53 @@ def steps(effort: Effort) -> list[Row]:
     frame = (span(FRAME, CAN_FRAME),)
     return [
         *(Row(GROUP, name, found[name], tick[name], targets.get(name)) for name in drives),
+        *(Row(TICKS, f"a tick: {name}", paced(*drives[name]), tick[name]) for name in drives),
         *(Row(GUARD, f"a frame: {name}", checked[name], frame, None) for name in drives),
     ]
+
+
+@dataclass(slots=True)
+class Played:
+    """A bus on which what once came in comes again, at its times, and that takes all that is sent."""
+
+    name: str
+    packets: Sequence[Packet]
+    _read: int = 0
+
+    def read(self, now: Nanos) -> tuple[Sequence[BusState], Sequence[Packet]]:
+        """Return what has come since the last call."""
+        begun, self._read = self._read, bisect_right(self.packets, now, key=lambda packet: packet.t)
+        return (), self.packets[begun : self._read]
+
+    def write(self, now: Nanos, frames: Sequence[Frame]) -> None:
+        """Take them."""
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def paced(robot: Robot, ticks: Sequence[Tick]) -> Figures:
+    """Processor time of a tick with its recording, all threads together, by windows of so many ticks."""
+    packets = [packet for tick in ticks for packet in tick.inputs.packets]
+    buses: dict[str, Bus] = {
+        name: Played(name, [packet for packet in packets if packet.bus == name]) for name in robot.buses
+    }
+    asked = deque((tick.now, tick.inputs.instructions) for tick in ticks if tick.inputs.instructions)
+    clock, found = PacedClock(), list[float]()
+
+    def ask() -> Sequence[Instruction]:
+        return asked.popleft()[1] if asked and clock.now() >= asked[0][0] else ()
+
+    with TemporaryDirectory() as folder, Recorder(Path(folder) / "a.mcap", robot.text, {}) as recorder:
+        run = live(Gateway(robot), buses, clock, poll=ask, record=recorder.record, until=ticks[-1].now)
+        with quiet_collector(), closing(run):
+            begun = processor_time()
+            for tick in run:
+                if tick.number % WINDOW == 0:
+                    now = processor_time()
+                    found += [(now - begun) / WINDOW] if tick.now >= WARM else []
+                    begun = now
+    return figures(found)
 
 
 class TimedGuard(Guard):
@@ -93,12 +159,13 @@ def guard_time(robot: Robot, ticks: Sequence[Tick]) -> Figures:
     return figures(guard.took)
 
 
-def springs(protocol: str) -> Robot:
-    """The robot of twelve motors with motors of another protocol, in MIT mode and without a gear."""
+def of_protocol(protocol: str, options: str) -> Robot:
+    """The robot of twelve motors with motors of another protocol, without a gear."""
     text = (files("gateway.fixtures") / "robots" / "twelve.toml").read_text("utf-8")
     head, _, rest = text.partition("[defaults.motors.options]")
     head = head.replace('"odrive_can"', f'"{protocol}"').replace("gear = 8.0", "gear = 1.0")
-    options = 'mode = "mit"\nstiffness = 20.0\ndamping = 1.0\nfeedback_ms = 5'
+    if protocol == "moteus":
+        head = head.replace('kind = "can"', 'kind = "canfd"\ndata_bitrate = 5_000_000')
     return config.parse_robot(
         f"{head}[defaults.motors.options]\n{options}\n[motors]{rest.partition('[motors]')[2]}"
     )

@@ -54,6 +54,7 @@ NUMBERS: Mapping[type[Command], tuple[str, ...]] = {
     msg.Torque: ("torque",),
     msg.Impedance: ("position", "velocity", "torque", "stiffness", "damping"),
 }
+_KEYS = {kind: [(name, f"{kind.__name__}.{name}") for name in names] for kind, names in NUMBERS.items()}
 _KINDS = {f"{kind.__name__}.{name}": (kind, name) for kind, names in NUMBERS.items() for name in names}
 
 
@@ -118,12 +119,13 @@ class _Given:
         """True if a number of a command is this one, but for its encoding."""
         number: float = getattr(one, name)
         off = abs(number - value)
+        if off <= 1e-9:
+            return True
         # A number of one command may reach the device, in between, in the encoding of another.
-        return off <= 1e-9 or any(
-            off <= 2.0 * self.error(type(each), name, value) + 1e-9
-            for each in (one, self.command, self.before)
-            if each is not None
-        )
+        for each in (one, self.command, self.before):
+            if each is not None and off <= 2.0 * self.error(type(each), name, value) + 1e-9:
+                return True
+        return False
 
     def error(self, kind: type[Command], name: str, value: float) -> float:
         """Return by how much the encoding of a number of a command may be wrong."""
@@ -218,7 +220,8 @@ class Asked:
         if isinstance(one, msg.Kept):
             device.kept[one.name] = one.value
         elif isinstance(one, msg.COMMANDS):
-            device.kept |= {f"{type(one).__name__}.{name}": getattr(one, name) for name in NUMBERS[type(one)]}
+            for name, key in _KEYS[type(one)]:
+                device.kept[key] = getattr(one, name)
             device.before = one
             if not reported.armed:
                 device.place = None
@@ -291,9 +294,12 @@ class Asked:
         device = self._devices.get(name)
         if device is None:
             return "a command to a device that is not a motor of this robot", name
+        if isinstance(one, msg.Idle):
+            return None
+        if isinstance(one, msg.COMMANDS):
+            device.start = reported.position if device.start is None else device.start
+            return _objection_to_command(now, device, one, reported, NUMBERS[type(one)])
         match one:
-            case msg.Idle():
-                return None
             case msg.Arm():
                 return (NOT_TO_ARM, "") if isinstance(device.command, msg.Idle) else None
             case msg.WriteParameter(_, parameter, value) | msg.Kept(_, parameter, value):
@@ -310,9 +316,6 @@ class Asked:
             case msg.SetAddress(_, address):
                 same = device.address == address and device.under_way(now, msg.SetAddress)
                 return None if same else (NOT_MADE, f"SetAddress {address}")
-        if isinstance(one, msg.COMMANDS):
-            device.start = reported.position if device.start is None else device.start
-            return _objection_to_command(now, device, one, reported, NUMBERS[type(one)])
         return None if device.under_way(now, type(one)) else (NOT_MADE, type(one).__name__)
 
 

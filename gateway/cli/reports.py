@@ -66,7 +66,7 @@ def reported(session: Session, file: Path | None, what: str) -> Iterator[Ending]
 
     world = session.twins.world if session.twins is not None else None
     truth = partial(_truth, world, world.truth()) if world is not None else None
-    collector = Collector(session.gateway, truth, session.stats.busy)
+    collector = Collector(session.gateway, truth, session.stats.transmission_times())
     session.watch(collector.take)
     error = ""
     try:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import logging
+import re
 import sys
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Sequence
 from contextlib import closing
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -21,6 +23,7 @@ from gateway.core.step import LEFT_ARMED
 from gateway.errors import UserError
 from gateway.operator import Operator
 from gateway.runtime.realtime import realtime, wanted_of
+from gateway.runtime.rotation import Rotation
 from gateway.runtime.schedule import COUNTING, NotCounted, not_armed, refuse_overload
 from gateway.runtime.session import Session, open_session
 from gateway.runtime.status import doctor_text, status_text, unready
@@ -40,6 +43,20 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--record", type=Path, metavar="FILE", help="write a recording (MCAP); FILE must not exist yet"
     )
+    parser.add_argument(
+        "--rotate",
+        type=rotated,
+        metavar="TIME|SIZE",
+        default=Rotation(),
+        help="go on recording in FILE-0002, FILE-0003 … after this time or size: 10min, 1h, 500MB, 2GB",
+    )
+    parser.add_argument(
+        "--keep",
+        type=arguments.number("minutes"),
+        metavar="MINUTES",
+        default=0.0,
+        help="of the recording, keep only the last minutes, and those before each fault",
+    )
     add_report(parser)
     arguments.add_seconds(parser, "Ctrl-C, or quit")
     parser.add_argument("--dry-run", action="store_true", help="do everything except writing to the buses")
@@ -57,6 +74,9 @@ def run(options: Namespace) -> int:
     check_view(options)
     wanted = wanted_of(options.realtime)
     robot = with_interfaces(load_robot(options.robot), dict(options.bus))
+    rotation = replace(options.rotate, keep=60.0 * options.keep)
+    if rotation != Rotation() and options.record is None:
+        raise UserError("--rotate and --keep are of a recording: name its file by --record")
     if options.mission and options.goal:
         raise UserError("--mission and --goal exclude each other: put the goals into the mission")
     goals = goals_of(options, robot)
@@ -68,6 +88,8 @@ def run(options: Namespace) -> int:
         Operator(robot) as operator,
         reported(session, options.report, "run") as ending,
     ):
+        if rotation != Rotation():
+            session.rotate_recording(rotation)
         open_view(session, options)
         open_ros(session, options)
         session.submit(*goals, *([mission] if mission else []))
@@ -78,6 +100,22 @@ def run(options: Namespace) -> int:
     if options.report is not None:
         print(f"report: {options.report}")
     return status
+
+
+def rotated(text: str) -> Rotation:
+    """Return what --rotate asks for. Raises ArgumentTypeError."""
+    found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([A-Za-z]+)", text)
+    number, unit = (float(found[1]), found[2]) if found else (0.0, "")
+    if number > 0.0 and unit in _SPANS:
+        return Rotation(seconds=min(1e7, number * _SPANS[unit]))
+    if number > 0.0 and unit in _SIZES:
+        return Rotation(size=min(1 << 50, round(number * _SIZES[unit])))
+    units = ", ".join((*_SPANS, *_SIZES))
+    raise ArgumentTypeError(f"found {text!r}, expected a number and one of {units}, such as 10min or 500MB")
+
+
+_SPANS = {"s": 1.0, "min": 60.0, "h": 3600.0}
+_SIZES = {"kB": 1e3, "MB": 1e6, "GB": 1e9}
 
 
 def _check_load(robot: Robot) -> None:

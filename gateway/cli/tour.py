@@ -118,7 +118,7 @@ class Tour:
         self.contacts = self.touched_people = 0
         self._leg = 0
         """Number of goals that are reached once the present leg is."""
-        self._busy: dict[str, Nanos] = {}
+        self._busy = dict(session.stats.transmission_times())
         self._ages: list[Nanos] = []
         self._next: Nanos = 0
 
@@ -142,7 +142,7 @@ class Tour:
         belief, estimate = self.belief, self.belief.estimate
         if estimate is None:
             return
-        busy = dict(self._session.stats.busy)
+        busy = dict(self._session.stats.transmission_times())
         load = {bus: (busy[bus] - self._busy.get(bus, 0)) / SAMPLE_PERIOD for bus in busy}
         true, age = self._in_map(self._world.truth()), max(self._ages, default=0) / MILLISECOND
         raw, off = belief.raw or estimate.pose, self._follow(now, true)

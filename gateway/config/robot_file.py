@@ -58,7 +58,7 @@ NAME = "[A-Za-z_][A-Za-z0-9_]{0,63}"
 EXPECTED_NAME = "expected a name of letters, digits and _ that begins with no digit"
 LOWEST_RATE, HIGHEST_RATE = 10.0, 1000.0
 """Steps per second."""
-MAX_NAMED = 64
+MAX_NAMED = 256
 """Buses, motors or sensors of a robot."""
 _FILES: tuple[tuple[str, Literal["worlds", "plants"]], ...] = (("world", "worlds"), ("plant", "plants"))
 """Keys that name another file, and its kind."""

@@ -88,6 +88,8 @@ class _Receivers:
         """The decoders as they were some frames ago"""
         self._since: list[list[tuple[Nanos, Frame]]] = [[] for _ in listeners]
         """The frames that each decoder was given since, and that were kept"""
+        self._most = [1 + number % FRAMES_KEPT for number in range(len(listeners))]
+        """How many these may become: few at first, so that not all are copied in the same step."""
         specs = [[plugin.spec(device) for device in some] for plugin, some in listeners]
         self._read_only = [tuple(dict.fromkeys(spec.read_only for spec in some)) for some in specs]
         """By decoder: what decides whether a frame leaves its devices unchanged."""
@@ -107,9 +109,10 @@ class _Receivers:
         """Keep the frame that was decoded last."""
         for number in self._listening(frame):
             self._since[number].append((t, frame))
-            if len(self._since[number]) >= FRAMES_KEPT:
+            if len(self._since[number]) >= self._most[number]:
                 self._before[number] = copy.deepcopy(self._decoders[number])
                 self._since[number].clear()
+                self._most[number] = FRAMES_KEPT
 
     def take_back(self, frame: Frame) -> None:
         """Decode from now on as if the frame that was decoded last had not been there."""

@@ -324,7 +324,7 @@ class Joint:
         measured, limits, armed = self.feedback, self.settings.limits, self.mode is Mode.ARMED
         first = self.armed and not self.owned
         self._intended = self._load.carried(now, out, measured, limits, taken_over=first)
-        there = self._measured.expected(now, self._swing)
+        there = self._measured.expected(now, self._swing) if self._load.pulls(out) else measured
         out = self._load.softened(self._intended, measured, there, limits, armed=armed)
         if isinstance(self._intended, msg.Impedance) and not stopped:
             self._stopping.on_spring(self._intended.damping)  # not that of a softened one

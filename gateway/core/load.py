@@ -54,6 +54,10 @@ class Load:
             return out
         return replace(out, torque=limits.torque_now(torque, here))
 
+    def pulls(self, out: Command) -> bool:
+        """True if the device makes a spring of a command: it pulls by where the shaft will be."""
+        return isinstance(out, msg.Impedance) or self._spring is not None
+
     def softened(
         self, out: Command, here: Feedback, there: Feedback, limits: Limits, *, armed: bool
     ) -> Command:

@@ -105,8 +105,9 @@ class Measured:
         ahead = (age + IN_FORCE) / SECOND
         gained = swing.gained(ahead)
         older = max(0, here.t - (self._position_at or here.t)) / SECOND  # not every report has a position
+        rest = here.torque, here.current, here.voltage, here.temperature
         position = here.position + here.velocity * (older + ahead) + 0.5 * gained * ahead
-        return replace(here, position=position, velocity=here.velocity + gained)
+        return Feedback(here.motor, here.t, position, here.velocity + gained, *rest)
 
     def presumed(self, now: Nanos, commanded: float, span: float) -> Feedback | None:
         """Return the motion of an open-loop joint, commanded a velocity [rad/s] for a span [s]: nothing of it

@@ -11,7 +11,7 @@ end as far as it goes, and trusts no byte that its digest does not verify.
 The file: profile "ros2"; attachment "robot.toml"; metadata "motor_gateway" (format, digest of the robot file)
 and "facts" (versions, processor, …); channel /gateway/tick with `tick_codec.DEFINITION`, after each tick its
 views. A message's log time is the tick's `now`, its publish time the stamp of its contents, its sequence the
-number of the tick. Chunks are lz4; everything can be read with `rosbags` as a bare .mcap.
+number of the tick. Chunks are zstd (lz4 up to 0.18); everything can be read with `rosbags` as a bare .mcap.
 """
 
 from gateway.recording.reader import Recording, Step, read_recording

@@ -19,7 +19,7 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import lz4.frame
+import zstandard
 
 from gateway.recording.layout import MAGIC, Opcode
 from gateway.recording.new_file import create
@@ -32,14 +32,16 @@ _MESSAGE = struct.Struct("<BQHIQQ")
 _MESSAGE_BODY = 22
 _INDEX_ENTRY = struct.Struct("<QQ")
 _MESSAGE_INDEX = struct.Struct("<BQHI")
-_CHUNK = struct.Struct("<BQQQQII3sQ")
-_CHUNK_BODY = 8 + 8 + 8 + 4 + 4 + 3 + 8
+_CHUNK = struct.Struct("<BQQQQII4sQ")
+_CHUNK_BODY = 8 + 8 + 8 + 4 + 4 + 4 + 8
 _CHUNK_INDEX = struct.Struct("<BQQQQQI")
 _CHUNK_INDEX_OFFSET = struct.Struct("<HQ")
-_CHUNK_INDEX_END = struct.Struct("<QI3sQQ")
-_CHUNK_INDEX_BODY = 4 * 8 + 4 + 8 + 4 + 3 + 8 + 8
+_CHUNK_INDEX_END = struct.Struct("<QI4sQQ")
+_CHUNK_INDEX_BODY = 4 * 8 + 4 + 8 + 4 + 4 + 8 + 8
 _FOOTER = struct.Struct("<BQQQ")
 _INDEX_BLOCK = 256 * 1024
+LEVEL = 3
+"""Of zstd: twice as hard takes three times as long, for 1 % less."""
 UINT64 = 2**64 - 1
 
 
@@ -73,6 +75,7 @@ class McapFile:
         """Log time and offset of the messages in the chunk, by channel."""
         self._from: Nanos = UINT64
         self._to: Nanos = 0
+        self._compress = zstandard.ZstdCompressor(LEVEL).compress
         self._stream = os.fdopen(create(path), "wb", buffering=0)
         try:
             self._append(MAGIC + _bytes(Header("ros2", library)))
@@ -137,7 +140,8 @@ class McapFile:
         index += _INDEX_ENTRY.pack(log, len(chunk))
         chunk += _MESSAGE.pack(Opcode.MESSAGE, _MESSAGE_BODY + len(data), channel, sequence, log, publish)
         chunk += data
-        self._from, self._to = min(self._from, log), max(self._to, log)
+        if not self._from <= log <= self._to:
+            self._from, self._to = min(self._from, log), max(self._to, log)
 
     # -- write ----------------------------------------------------------------------------------
 
@@ -145,12 +149,12 @@ class McapFile:
         """Write the present chunk in one write. If that fails, all messages in it are lost."""
         if not self._chunk:
             return
-        data = lz4.frame.compress(self._chunk)
+        data = self._compress(self._chunk)
         out = bytearray(self._unwritten)
         start = self.size + len(out)
         out += _CHUNK.pack(
             Opcode.CHUNK, _CHUNK_BODY + len(data), self._from, self._to,
-            len(self._chunk), zlib.crc32(self._chunk), 3, b"lz4", len(data),
+            len(self._chunk), zlib.crc32(self._chunk), 4, b"zstd", len(data),
         )  # fmt: skip
         out += data
         length = self.size + len(out) - start
@@ -165,7 +169,7 @@ class McapFile:
         )
         entry += offsets
         entry += _CHUNK_INDEX_END.pack(
-            self.size + len(out) - start - length, 3, b"lz4", len(data), len(self._chunk)
+            self.size + len(out) - start - length, 4, b"zstd", len(data), len(self._chunk)
         )
         try:
             self._append(out)

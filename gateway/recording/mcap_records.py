@@ -10,6 +10,7 @@ if the file has one.
 from __future__ import annotations
 
 import os
+import re
 import struct
 import zlib
 from collections.abc import Iterator
@@ -26,8 +27,9 @@ FOOTER = struct.Struct("<BQQQI")
 """Opcode, length, start of the summary and of its offsets, checksum."""
 _U64 = struct.Struct("<Q")
 _U32 = struct.Struct("<I")
-_CHUNK_MARK = b"\x03\x00\x00\x00lz4"
-_MARK_OFFSET = _START.size + 28
+_CHUNK_MARK = re.compile(rb"\x03\x00\x00\x00lz4|\x04\x00\x00\x00zstd")
+"""How chunks name what they are packed with: of ours, those of 0.18 and before first."""
+_MARK_OFFSET, _MARK_SIZE = _START.size + 28, 8
 _SEARCH = 1 << 20
 MESSAGE_HEAD = struct.Struct("<HIQQ")
 """Channel, sequence, log time, publish time: the fields of a message before its data."""
@@ -186,7 +188,7 @@ def _contents(content: bytes) -> bytes | str:
             data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size)
         except (RuntimeError, EOFError, MemoryError) as error:  # RuntimeError is lz4's for a broken frame
             return f"a chunk that cannot be unpacked: {error}"
-    elif compression == "zstd":  # in bags of other programs
+    elif compression == "zstd":
         try:
             data = zstandard.ZstdDecompressor().stream_reader(data).read(size)
         except zstandard.ZstdError as error:
@@ -203,17 +205,11 @@ def _next_chunk(file: BinaryIO, at: int, size: int) -> int:
     while at < size:
         file.seek(at)
         block = file.read(_SEARCH)
-        mark = block.find(_CHUNK_MARK)
-        while mark >= 0:
-            start = at + mark - _MARK_OFFSET
-            if (
-                mark >= _MARK_OFFSET
-                and block[mark - _MARK_OFFSET] == Opcode.CHUNK
-                and _record(file, start, size)
-            ):
+        for mark in _CHUNK_MARK.finditer(block, _MARK_OFFSET):
+            start = at + mark.start() - _MARK_OFFSET
+            if block[mark.start() - _MARK_OFFSET] == Opcode.CHUNK and _record(file, start, size):
                 return start
-            mark = block.find(_CHUNK_MARK, mark + 1)
-        at += max(1, len(block) - _MARK_OFFSET - len(_CHUNK_MARK))
+        at += max(1, len(block) - _MARK_OFFSET - _MARK_SIZE)
         if len(block) < _SEARCH:
             break
     return size

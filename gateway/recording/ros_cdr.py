@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 import re
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -57,6 +57,15 @@ class Layouts:
     """Cache of `struct` layouts, by the numbers and names of a message. Belongs to one `Views`."""
 
     _known: dict[tuple[str, tuple[str, ...]], struct.Struct] = field(default_factory=dict)
+    _buses: dict[tuple[str, str], tuple[Callable[..., bytes], bytes]] = field(default_factory=dict)
+
+    def of_bus(self, numbers: str, bus: str) -> tuple[Callable[..., bytes], bytes]:
+        """Return how a stamped message with the name of a bus is packed, and that as it is packed."""
+        known = self._buses.get((numbers, bus))
+        if known is None:
+            name = bus.encode(errors="backslashreplace") + b"\0"
+            known = self._buses[numbers, bus] = self.stamped(numbers, bus).pack, name
+        return known
 
     def stamped(self, numbers: str, *names: str, many: bool = False) -> struct.Struct:
         """Return the layout: encapsulation, (with `many`, a sequence's count,) stamp, strings, numbers."""
@@ -92,16 +101,23 @@ def can_frame(layouts: Layouts, t: Nanos, bus: str, frame: CanFrame) -> bytes:
     """Encode can_msgs/Frame of a classic frame; the header's frame is the bus."""
     data = frame.data[:8]
     length = frame.requested if frame.remote else len(data)
-    head = (frame.id & 0xFFFFFFFF, frame.remote, frame.extended, 0, length)
-    return layouts.stamped(_CAN, bus).pack(_ENCAPSULATION, *clock(t), *_name(bus), *head, data)
+    pack, name = layouts.of_bus(_CAN, bus)
+    seconds, rest = clock(t)
+    number = frame.id & 0xFFFFFFFF
+    return pack(
+        _ENCAPSULATION, seconds, rest, len(name), name, number, frame.remote, frame.extended, 0, length, data
+    )
 
 
 def fd_frame(layouts: Layouts, t: Nanos, bus: str, frame: CanFrame) -> bytes:
     """Encode ros2_socketcan_msgs/FdFrame of an FD frame; the header's frame is the bus."""
     data = frame.data[:64]
     size = len(data)
-    head = (frame.id & 0xFFFFFFFF, frame.extended, 0, size, size)
-    return layouts.stamped(_FD, bus).pack(_ENCAPSULATION, *clock(t), *_name(bus), *head) + data
+    pack, name = layouts.of_bus(_FD, bus)
+    seconds, rest = clock(t)
+    number = frame.id & 0xFFFFFFFF
+    head = pack(_ENCAPSULATION, seconds, rest, len(name), name, number, frame.extended, 0, size, size)
+    return head + data
 
 
 def odometry(layouts: Layouts, estimate: Estimate) -> bytes:

@@ -14,8 +14,9 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from hashlib import blake2b
 from typing import Literal, cast
 
@@ -195,22 +196,25 @@ def _put_packets(out: bytearray, packets: Sequence[Packet]) -> None:
     _count(out, packets)
     for packet in packets:
         frame = packet.frame
-        bus = packet.bus.encode(errors="backslashreplace")
-        out += _PAD8[len(out) & 7]
-        start = len(out)
         if isinstance(frame, CanFrame):
             flags = frame.extended | frame.remote << 1 | frame.fd << 2 | frame.brs << 3
-            flags |= frame.requested << _REQUESTED
-            out += _PACKET.pack(packet.t, frame.id, _CAN, flags, len(bus) + 1)
-            data = frame.data
+            number, kind, flags, data = frame.id, _CAN, flags | frame.requested << _REQUESTED, frame.data
         else:
-            out += _PACKET.pack(packet.t, 0, _SERIAL, 0, len(bus) + 1)
-            data = frame
-        out += bus
-        out += b"\0"
-        _bytes(out, data)
-        out += _PAD4[len(out) & 3]
-        out += _U32.pack(zlib.crc32(out[start:]))
+            number, kind, flags, data = 0, _SERIAL, 0, frame
+        pack, bus = _packet_layout(packet.bus, len(data))
+        packed = pack(packet.t, number, kind, flags, len(bus), bus, len(data), data)
+        out += _PAD8[len(out) & 7]
+        out += packed
+        out += _U32.pack(zlib.crc32(packed))
+
+
+@lru_cache(maxsize=1024)
+def _packet_layout(bus: str, size: int) -> tuple[Callable[..., bytes], bytes]:
+    """Return how a packet on a bus, with so much data, is packed up to its checksum; and the bus as it is
+    packed."""
+    name = bus.encode(errors="backslashreplace") + b"\0"
+    layout = f"{_PACKET.format}{len(name)}s{-len(name) % 4}xI{size}s{-size % 4}x"
+    return struct.Struct(layout).pack, name
 
 
 def _put_messages(out: bytearray, messages: Sequence[Message]) -> None:
@@ -318,14 +322,17 @@ class _Reader:
         return [self._packet() for _ in range(self.count())]
 
     def _packet(self) -> tuple[Packet, bool]:
-        self.at += (_BODY - self.at) % 8
-        start = self.at
-        t, id_, kind, flags, size = cast(tuple[int, int, int, int, int], self.take(_PACKET))
-        bus = self.bytes(size)[:-1].decode()
-        data = self.bytes(self.count())
-        self.at += -self.at % 4
-        good = zlib.crc32(self.data[start : self.at]) == _U32.unpack_from(self.data, self.at)[0]
-        self.at += 4
+        whole, start = self.data, self.at + (_BODY - self.at) % 8
+        t, id_, kind, flags, size = _PACKET.unpack_from(whole, start)
+        at = start + _PACKET.size
+        bus = whole[at : at + size - 1].decode()
+        at += size + -size % 4
+        (size,) = _U32.unpack_from(whole, at)
+        at += _U32.size
+        data = whole[at : at + size]
+        at += size + -size % 4
+        good = zlib.crc32(whole[start:at]) == _U32.unpack_from(whole, at)[0]
+        self.at = at + _U32.size
         if kind > _CAN:
             raise TickCodecError(f"a packet of kind {kind}")
         if kind == _SERIAL:

@@ -22,8 +22,9 @@ from gateway.recording.mcap_file import McapFile
 from gateway.recording.ros_views import Views
 from protocols.messages import MILLISECOND, SECOND, Nanos
 
-FLUSH_PERIOD: Nanos = 50 * MILLISECOND
-"""Period of flushes, by the ticks' own time, if not requested sooner."""
+FLUSH_PERIOD: Nanos = 40 * MILLISECOND
+"""Period of flushes, by the ticks' own time, if not requested sooner: what a kill may lose, and with the time
+that ticks are queued less than 100 ms, on a busy machine too. Chunks of twice that pack 4 % better."""
 RETRY_PERIOD: Nanos = SECOND
 """Time from a failed write to the next attempt."""
 
@@ -80,6 +81,11 @@ class TickWriter:
     def descriptor(self) -> int:
         """File descriptor of the open file."""
         return self._file.descriptor
+
+    @property
+    def size(self) -> int:
+        """Bytes in the file."""
+        return self._file.size
 
     def add(self, tick: Tick, belief: Belief) -> str:
         """Add a tick and its views; flush if that is due, or after a warning or error."""

@@ -1,12 +1,12 @@
 """The recorder: takes ticks from the loop without delaying it; lost ticks are counted and reported.
 
 Rules. Two threads beside the loop: one writes, one syncs the file to disk. The writer is woken for 20 ms of
-ticks, which it writes at once, while the loop sleeps: to be woken for each would cost more than the writing,
-and to wake by itself would delay the loop. So a kill loses 25 ms, up to 100 ms if the machine is busy; a
-note is written immediately. After about a second the data survive a loss of power. For a slow disk 5 s of
-ticks are queued; then ticks are dropped until half of these are written, so that a gap is one gap. A problem
-is reported once when it begins and once when it ends, by the thread that meets it: to the log, and in
-`trouble`.
+ticks, which it encodes at once, while the loop sleeps: to be woken for each would cost more than the writing,
+and to wake by itself would delay the loop. It writes 40 ms of them as one chunk, and what it has when none
+come. So a kill loses up to 65 ms; a warning is written at once. After about a second the data survive a loss
+of power. For a slow disk 5 s of ticks are queued; then ticks are dropped until half of these are written, so
+that a gap is one gap. A problem is reported once when it begins and once when it ends, by the thread that
+meets it: to the log, and in `trouble`.
 """
 
 from __future__ import annotations
@@ -87,6 +87,16 @@ class Recorder:
         """Number of ticks that were recorded and are not in the file."""
         return self._dropped + self._writer.lost
 
+    @property
+    def size(self) -> int:
+        """Bytes in the file."""
+        return self._writer.size
+
+    @property
+    def over(self) -> bool:
+        """Whether it has ended, and all is written."""
+        return self._closing and not self._thread.is_alive()
+
     def record(self, tick: Tick, belief: Belief, *, patient: bool = False) -> None:
         """Queue a tick and the belief after it. Never waits, unless `patient` (in simulated time)."""
         if patient:
@@ -158,7 +168,7 @@ class Recorder:
     def _write_until_closed(self) -> None:
         closing = False
         while not closing:
-            self._wake.wait(POLL_PERIOD)
+            woken = self._wake.wait(POLL_PERIOD)
             self._wake.clear()
             closing = self._closing  # read before the last poll: nothing is queued after it
             while self._queue:
@@ -166,7 +176,8 @@ class Recorder:
                 self._report(self._writer.add(tick, replace(belief, rejected=rejected)))
                 self._queue.popleft()  # only now: until it is in the chunk, it is queued
                 self._room.set()
-            self._report(self._writer.flush())
+            if closing or not woken:
+                self._report(self._writer.flush())
 
     def _report(self, trouble: str) -> None:
         if trouble:

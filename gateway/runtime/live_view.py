@@ -52,7 +52,7 @@ class SessionView:
 
     def __init__(self, session: Viewed, where: Address, access: Access, *, steer: bool) -> None:
         self._session, self._steer = session, steer
-        self._busy: dict[str, Nanos] = {}
+        self._busy = dict(session.stats.transmission_times())
         self._loads: dict[str, float] = {}
         self._since: Nanos = 0
         paced = session.clock if isinstance(session.clock, PacedClock) else None
@@ -80,7 +80,7 @@ class SessionView:
     def take(self, tick: Tick, belief: Belief) -> None:
         """Show a tick."""
         if tick.now - self._since >= LOAD_PERIOD:
-            busy, span = dict(self._session.stats.busy), tick.now - self._since
+            busy, span = dict(self._session.stats.transmission_times()), tick.now - self._since
             self._loads = {bus: (t - self._busy.get(bus, 0)) / span for bus, t in busy.items()}
             self._busy, self._since = busy, tick.now
         self._view.take(tick, belief)

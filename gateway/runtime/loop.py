@@ -422,6 +422,8 @@ def _log_notes(notes: Sequence[Note], leaving: bool) -> None:
 def _count(stats: LoopStats, robot: Robot, tick: Tick) -> None:
     stats.sent += len(tick.outputs.packets)
     stats.received += len(tick.inputs.packets)
+    if stats.busy is None:
+        return
     for packet in (*tick.inputs.packets, *tick.outputs.packets):
         bus = robot.buses[packet.bus]
         time = frame_time(packet.frame, bus.baudrate or bus.bitrate, bus.data_bitrate)

@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from gateway.replay import SignalLog
     from gateway.runtime.live_view import SessionView
     from gateway.runtime.ros_bridge import SessionBridge
+    from gateway.runtime.rotation import Rotation
 
 log = logging.getLogger("gateway")
 _Result = TypeVar("_Result")
@@ -77,7 +78,7 @@ class Session:
     _view: SessionView | None = None
     _ros: SessionBridge | None = None
     _recorders: list[Recorder] = field(default_factory=list)
-    """All that were opened."""
+    """All that were opened, and are not written to their end."""
     _submitted: deque[Instruction] = field(default_factory=deque)
     """Another thread may add to it while the robot is stepped: it is never replaced."""
     _ticks: Generator[Tick] | None = None
@@ -250,7 +251,22 @@ class Session:
         recorder = Recorder(Path(path), self.robot.text, {"date": date()}, mounts)
         self.stop_recording()
         self.recorder = recorder
-        self._recorders.append(recorder)
+        self._recorders = [*(one for one in self._recorders if not one.over), recorder]
+
+    def rotate_recording(self, rotation: Rotation) -> None:
+        """Go on in another file after a time or a size: FILE, FILE-0002, …; and keep all, or a ring.
+
+        Args:
+            rotation: when, and what stays. What is in the ring when a note is an error stays in any case.
+
+        Raises:
+            UserError: nothing is recorded.
+        """
+        from gateway.runtime.rotation import Rotator
+
+        if self.recorder is None:
+            raise UserError("nothing is recorded: there is nothing to rotate")
+        self.watch(Rotator(self, rotation).take)
 
     def stop_recording(self) -> None:
         """End the recording, if there is one. Does not wait for the disk."""

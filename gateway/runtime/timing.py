@@ -7,7 +7,7 @@ with what to do.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from gateway.core.clock import Clock, PacedClock, stopwatch, thread_time
 from protocols.messages import MILLISECOND, SECOND, Nanos
@@ -39,14 +39,21 @@ class LoopStats:
     """Packets"""
     received: int = 0
     """Packets"""
-    busy: dict[str, Nanos] = field(default_factory=dict)
-    """By bus: transmission time of everything sent and received."""
+    busy: dict[str, Nanos] | None = None
+    """`transmission_times`; None: nobody has asked for them, and they are not counted."""
     pace: float = 1.0
     """Of a paced clock over the machine's, in the last second: below `SLOW` it is slow motion."""
     trouble: str = ""
     """How the loop does not keep its time, and what to do; "" if it does."""
     stalled: str = ""
     """Why the loop has left: it stood for so long that the watchdog has stopped the motors; "" if not."""
+
+    def transmission_times(self) -> dict[str, Nanos]:
+        """Return by bus the transmission time of everything sent and received since this was first called: to
+        count bits costs a quarter of a step. The loop goes on adding to it."""
+        if self.busy is None:
+            self.busy = {}
+        return self.busy
 
 
 @dataclass(slots=True)

@@ -21,7 +21,7 @@ from protocols.moteus.table import INTEGER, SCALES
 from protocols.toolkit.table import FLOAT_MAX, TINY, saturated
 
 INT8, INT16, INT32, F32 = range(4)
-_CODES, _SIZES = "bhif", (1, 2, 4, 4)
+CODES, SIZES = "bhif", (1, 2, 4, 4)
 LARGEST = (0x7F, 0x7FFF, 0x7FFFFFFF)
 """Counts, by resolution; the most negative number, one less than its opposite, is "not given"."""
 WRITE, READ, REPLY, WRITE_ERROR, READ_ERROR = 0x00, 0x10, 0x20, 0x30, 0x31
@@ -129,7 +129,7 @@ def encode(subframe: Subframe) -> bytes:
     """Return the bytes of one subframe."""
     code, register, resolution, raw, number, data = subframe
     if code in (WRITE, READ, REPLY):
-        packed = struct.pack(f"<{len(raw)}{_CODES[resolution]}", *raw)
+        packed = struct.pack(f"<{len(raw)}{CODES[resolution]}", *raw)
         return header(code, register, resolution, number or len(raw)) + packed
     return bytes((code,)) + varuint(register) + varuint(len(data) or number) + data
 
@@ -189,11 +189,11 @@ def _parse_next(data: bytes, at: int, out: list[Subframe]) -> int:
     if code == READ:
         out.append(Subframe(READ, register, resolution, number=count))
         return at
-    whole = min(count, (len(data) - at) // _SIZES[resolution])
+    whole = min(count, (len(data) - at) // SIZES[resolution])
     if whole:  # what precedes a flaw is obeyed
-        raw = struct.unpack_from(f"<{whole}{_CODES[resolution]}", data, at)
+        raw = struct.unpack_from(f"<{whole}{CODES[resolution]}", data, at)
         out.append(Subframe(code, register, resolution, raw))
-    return at + count * _SIZES[resolution]
+    return at + count * SIZES[resolution]
 
 
 # -- replies -----------------------------------------------------------------------------------------

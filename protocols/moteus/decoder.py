@@ -13,9 +13,10 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Iterator, Mapping, Sequence
-from copy import copy
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import copy, deepcopy
 from math import inf, isclose, isfinite, isnan, nan, tau
+from typing import Any, NamedTuple
 
 from protocols import messages as msg
 from protocols.asked import set_id
@@ -23,7 +24,7 @@ from protocols.frames import CanFrame, Frame
 from protocols.messages import Command, Nanos, Obeyed, Request
 from protocols.moteus import codec
 from protocols.moteus import table as tb
-from protocols.moteus.codec import INT32, TO_DEVICE, WRITE, Subframe
+from protocols.moteus.codec import INT8, INT32, READ, TO_DEVICE, WRITE, Subframe
 from protocols.moteus.loops import MOST_TORQUE, WATCHDOG_MODES, Settings, given, limits_of
 from protocols.moteus.table import NAMES, Mode
 from protocols.plugin import Device
@@ -61,6 +62,78 @@ GAINS = "command_kp_scale", "command_kd_scale", "command_ilimit_scale"
 """and its gains, where they are no numbers of the command."""
 COMMANDED = frozenset(Mode) - {Mode.FAULT, *tb.RISING}
 """A command of another mode is accepted, and ignored."""
+WRITEABLE = frozenset({tb.MODE, *tb.ACTIONS, *tb.UUID_MASK, *COMMAND_NAMES})
+"""Registers to be written, as far as is known here."""
+SHAPES_KEPT = 4
+"""Most shapes of one length that a decoder remembers."""
+
+
+class Shape(NamedTuple):
+    """Frames that differ in their numbers alone, and that write the mode, then numbers of its command, and
+    read: what is sent while a motor turns. They are taken apart by one `struct`."""
+
+    mask: int
+    """Of the data as an integer, the first byte lowest: all but the numbers."""
+    rest: int
+    """The data under the mask."""
+    numbers: Callable[[bytes], tuple[Any, ...]]
+    """Returns the mode, then the numbers as they are encoded."""
+    registers: tuple[tuple[str, int, int], ...]
+    """Of each number: its command register, by name and number, and the resolution."""
+
+
+def shape_of(data: bytes) -> Shape | None:
+    """Return the shape of a frame; None if it does anything else, or is not encoded as is usual here."""
+    mask, layout, registers, at, end = bytearray(b"\xff" * len(data)), "<", [], 0, 0
+    for subframe in codec.parse(data)[0]:
+        code, register, resolution, raw, *_ = subframe
+        encoded = codec.encode(subframe)
+        if code not in (WRITE, READ) or data[at : at + len(encoded)] != encoded:
+            return None
+        at += len(encoded)
+        if code == WRITE:
+            size = codec.SIZES[resolution] * len(raw)
+            mask[at - size : at] = bytes(size)
+            layout += f"{at - size - end}x{len(raw)}{codec.CODES[resolution]}"
+            registers += [(number, resolution) for number in range(register, register + len(raw))]
+            end = at
+    written = registers[1:]
+    if not registers or registers[0] != (tb.MODE, INT8) or data[at:].strip(bytes((codec.NOP,))):
+        return None
+    if any(register not in COMMAND_NAMES for register, _ in written):
+        return None
+    kept = int.from_bytes(mask, "little")
+    return Shape(
+        kept,
+        int.from_bytes(data, "little") & kept,
+        struct.Struct(f"{layout}{len(data) - end}x").unpack,
+        tuple((COMMAND_NAMES[register], register, resolution) for register, resolution in written),
+    )
+
+
+class Shapes:
+    """The shapes that were seen. Copies of a decoder share them: what is remembered changes no answer."""
+
+    def __init__(self) -> None:
+        self._seen: dict[int, list[Shape]] = {}
+        """By length."""
+
+    def __deepcopy__(self, memo: object) -> Shapes:
+        """It is shared."""
+        return self
+
+    def of(self, data: bytes) -> Shape | None:
+        """Return the shape of a frame; None if it has none."""
+        if len(data) < 2 or data[0] & ~0b11 or data[1] != tb.MODE:  # it does not begin by writing the mode
+            return None
+        seen, number = self._seen.setdefault(len(data), []), int.from_bytes(data, "little")
+        for shape in seen:
+            if number & shape.mask == shape.rest:
+                return shape
+        made = shape_of(data)
+        if made is not None and len(seen) < SHAPES_KEPT:
+            seen.append(made)
+        return made
 
 
 class Memory:
@@ -110,6 +183,28 @@ class Memory:
             elif subframe.register == 1:
                 yield from self._console(subframe.data, mask)
 
+    def command_by(self, shape: Shape, data: bytes) -> bool:
+        """Take a frame of a known shape, as `obey` would; False: its mode is none, and nothing was taken."""
+        mode, *numbers = shape.numbers(data)
+        if mode not in range(len(Mode)):
+            return False
+        self.mode, self.begun, self.chosen = mode, mode in COMMANDED, True
+        self.command = command = {**DEFAULTS}
+        for (name, register, resolution), raw in zip(shape.registers, numbers, strict=True):
+            value = codec.from_raw(register, resolution, raw)
+            command[name] = nan if value is None else value
+        return True
+
+    def __deepcopy__(self, memo: object) -> Memory:
+        """Copy what frames change: all else is constant. The guard does that every few frames."""
+        made = copy(self)
+        made.become_another()
+        return made
+
+    def become_another(self) -> None:
+        """Have a command of its own from now on, and no longer that of the memory that it is a copy of."""
+        self.command = {**self.command}
+
     def _write(self, register: int, value: float | None) -> int:
         """Write a register. Returns the number of the write error, or 0."""
         name = COMMAND_NAMES.get(register)
@@ -151,13 +246,13 @@ class Memory:
 
     def stranger(self) -> Memory:
         """Return a device of which no UUID is known, to read what is not for this one."""
-        other = copy(self)
+        other = deepcopy(self)
         other.become_unknown()
         return other
 
     def become_unknown(self) -> None:
-        """Forget the UUID; what is commanded from now on is this object's own."""
-        self.command, self.uuid = {**self.command}, b""
+        """Forget the UUID."""
+        self.uuid = b""
 
     def begins(self) -> Sequence[Obeyed]:
         """Return the command that the last frame began, if it did. In timeout a device is not armed: it is in
@@ -227,7 +322,7 @@ class Memory:
 
 def _is_same(bound: float, own: float) -> bool:
     """True if two bounds are the same, as binary32; NaN: none."""
-    return isclose(bound, own, rel_tol=1e-6) or (isnan(bound) and isnan(own))
+    return bound == own or isclose(bound, own, rel_tol=1e-6) or (isnan(bound) and isnan(own))
 
 
 def _mask(subframe: Subframe) -> Sequence[tuple[int, bytes]]:
@@ -246,16 +341,22 @@ class MoteusDecoder:
 
     def __init__(self, devices: Sequence[Device]) -> None:
         self._memories = [Memory(each, bytes.fromhex(each.settings.uuid)) for each in devices]
+        self._shapes = Shapes()
 
     def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
         """Return the messages that the devices would obey; [] if none would do anything."""
         obeyed: list[Obeyed] = []
         for memory in self._memories:
             if isinstance(frame, CanFrame) and memory.is_addressed(frame):
-                done = memory.obey(frame.data)
+                usual = (shape := self._shapes.of(frame.data)) is not None and memory.command_by(
+                    shape, frame.data
+                )
+                done = () if usual else memory.obey(frame.data)
                 at_once = [_as_setting(memory.motor, each) for each in done if not _answers(each)]
                 begun = memory.begins()
                 obeyed += [*begun, *(memory.besides(begun[-1]) if begun else ()), *at_once]
+                if usual:
+                    continue
                 if memory.chosen:
                     obeyed += _refused(memory.motor, frame.data)
                 else:  # for another device, which is asked for its id
@@ -279,8 +380,7 @@ def _as_setting(motor: str, done: Request | Subframe) -> Obeyed:
 
 def _refused(motor: str, data: bytes) -> Iterator[msg.Kept]:
     """Yield the registers that a frame writes, and that are none to be written as far as is known here."""
-    known = {tb.MODE, *tb.ACTIONS, *tb.UUID_MASK, *COMMAND_NAMES}
     for subframe in codec.parse(data)[0]:
         for register, value in subframe.quantities() if subframe.code == WRITE else ():
-            if register not in known:
+            if register not in WRITEABLE:
                 yield msg.Kept(motor, tb.name_of(register), nan if value is None else value)

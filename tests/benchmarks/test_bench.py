@@ -58,6 +58,8 @@ STEPS = [
     "12 motors, position",
     "12 Damiao in MIT mode, position",
     "12 RobStride in MIT mode, position",
+    "12 moteus, velocity",
+    "12 CiA 402, velocity",
 ]
 LANGUAGES = codec.languages()
 TARGETS = {
@@ -106,6 +108,7 @@ def test_every_row_is_there_once_and_in_order(run: Run) -> None:
         *STARTS,
         *MEMORIES,
         *STEPS,
+        *(f"a tick: {name}" for name in STEPS),
         *(f"a frame: {name}" for name in STEPS),
         *(what.format(name) for name in drivers.OPTIONS for what in drivers.WHAT),
         *(sample.what for _, language in LANGUAGES for sample in language.SAMPLES),
@@ -489,10 +492,18 @@ def test_the_steps_that_count_are_those_of_every_motor() -> None:
     assert steps.counting(ticks, twelve) == set()
 
 
+def test_a_paced_tick_takes_all_that_came_in_and_commands_again() -> None:
+    robot = steps.first(config.load_robot("twelve"), 2)
+    _, ticks = steps.drive(robot, lambda motor: Velocity(motor, 5.0), 1)
+    found = steps.paced(robot, ticks)
+    assert found.samples == len([tick for tick in ticks if tick.now >= steps.WARM]) // steps.WINDOW
+    assert 0.0 < found.median < math.inf
+
+
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("protocol", ["damiao", "robstride"])
 def test_twelve_other_motors_are_commanded_as_springs(protocol: str) -> None:
-    robot = steps.springs(protocol)
+    robot = steps.of_protocol(protocol, steps.SPRING)
     _, ticks = steps.drive(robot, lambda motor: Position(motor, 1.0), 1)
     assert len(steps.counting(ticks, robot)) > 40
     assert {motor.plugin.name for motor in robot.motors.values()} == {protocol}

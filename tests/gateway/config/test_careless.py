@@ -83,7 +83,7 @@ OFTEN = "".join(f"[motors.m{i}]\nprotocol = 'odrive_can'\nbus = 'can0'\naddress 
         ),
         ('name = "diffbot"', f'name = "{"x" * 1000}"', "expected letters, digits, _ and -"),
         ('world = "office"', 'world = "a\\u0000b.toml"', "there is no file"),
-        ("[motors.left]", f"{OFTEN}[motors.left]", "motors: found 902 tables, expected at most 64"),
+        ("[motors.left]", f"{OFTEN}[motors.left]", "motors: found 902 tables, expected at most 256"),
     ],
 )
 def test_a_careless_value_of_a_robot_is_a_mistake_in_words(old: str, new: str, mistake: str) -> None:

@@ -1160,14 +1160,14 @@ def test_a_dataclass_that_no_file_can_fill_is_reported() -> None:
     assert "Odd cannot be filled from a file" in str(mistakes.error())
 
 
-def test_more_than_64_motors_are_one_mistake() -> None:
+def test_more_than_256_motors_are_one_mistake() -> None:
     """Not one more for each wheel, limit and reference that names a motor beyond."""
-    names = [f"m{n}" for n in range(100)]
+    names = [f"m{n}" for n in range(300)]
     motors = "".join(f"[motors.{name}]\naddress = {n}\n" for n, name in enumerate(names))
     text = BENCH[: BENCH.index("[motors.")] + motors
     text += f'[brain]\nbody = "joints"\n[brain.joints]\nmotors = {names}\n'
     (found,) = mistakes_in(text)
-    assert found.endswith("motors: found 100 tables, expected at most 64")
+    assert found.endswith("motors: found 300 tables, expected at most 256")
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from functools import cache, lru_cache
 from pathlib import Path
 from random import Random
 
-import lz4.frame
+import zstandard
 
 from brain.belief import Belief
 from gateway.cli.main import main
@@ -165,13 +165,13 @@ def _put(file: McapFile, random: Random) -> None:
 
 def patched(data: bytearray, random: Random) -> bytearray:
     """Return a recording of which one chunk has other contents, and a valid checksum."""
-    mark = b"\x03\x00\x00\x00lz4"
+    mark = b"\x04\x00\x00\x00zstd"
     places = [i for i in range(len(data)) if data.startswith(mark, i)]
     at = random.choice(places[: max(1, len(places) // 2)]) - 28 - 9
     (length,) = struct.unpack_from("<Q", data, at + 1)
-    contents = damaged(lz4.frame.decompress(bytes(data[at + 9 + 28 + 15 : at + 9 + length])), random)
-    packed = lz4.frame.compress(bytes(contents))
-    head = struct.pack("<QQQII", 0, 0, len(contents), zlib.crc32(contents), 3) + b"lz4"
+    contents = damaged(zstandard.decompress(bytes(data[at + 9 + 28 + 16 : at + 9 + length])), random)
+    packed = zstandard.compress(bytes(contents))
+    head = struct.pack("<QQQII", 0, 0, len(contents), zlib.crc32(contents), 4) + b"zstd"
     chunk = head + struct.pack("<Q", len(packed)) + packed
     record = struct.pack("<BQ", Opcode.CHUNK, len(chunk)) + chunk
     return bytearray(data[:at] + record + data[at + 9 + length :])

@@ -26,7 +26,7 @@ SEED = 7
 
 @pytest.fixture
 def recorded(tmp_path: Path) -> Path:
-    """40 ticks in four chunks."""
+    """40 ticks in five chunks."""
     path = tmp_path / "a.mcap"
     little.record_in_chunks(path, 40)
     return path
@@ -42,7 +42,7 @@ def chunks(path: Path) -> list[tuple[int, int, list[bytes]]]:
             note(topics, record)
             if isinstance(record, Chunk):
                 end = file.tell()
-                size = 9 + 8 + 8 + 8 + 4 + 4 + 3 + 8 + len(record.data)
+                size = 9 + 8 + 8 + 8 + 4 + 4 + 4 + 8 + len(record.data)
                 ticks = [
                     r.data  # type: ignore[attr-defined]  # messages alone have a channel
                     for r in breakup_chunk(record)
@@ -89,7 +89,7 @@ def places(path: Path, count: int, seed: int) -> list[int]:
 def test_all_whole_ticks_before_a_cut_come_back(recorded: Path, tmp_path: Path) -> None:
     whole, cut = recorded.read_bytes(), tmp_path / "cut.mcap"
     parts = chunks(recorded)
-    assert len(parts) == 4
+    assert len(parts) == 5
     seen = set()
     for size in places(recorded, 60, SEED):
         cut.write_bytes(whole[:size])
@@ -139,7 +139,7 @@ def test_a_torn_chunk_in_the_middle_costs_its_own_ticks(recorded: Path, tmp_path
     data[(start + end) // 2] ^= 0x40
     recorded.write_bytes(data)
     found = recover(recorded, tmp_path / "out.mcap")
-    assert raw_ticks(tmp_path / "out.mcap") == [t for part in (0, 2, 3) for t in parts[part][2]]
+    assert raw_ticks(tmp_path / "out.mcap") == [t for part in (0, 2, 3, 4) for t in parts[part][2]]
     first = len(parts[0][2])
     assert found.gaps == [(first, first + len(parts[1][2]) - 1)]
     assert [(d.at, d.at + d.size) for d in found.damages] == [(start, end)]
@@ -153,7 +153,7 @@ def test_zeros_in_the_middle_are_stepped_over(recorded: Path, tmp_path: Path) ->
     data[start - 30 : start + 300] = bytes(330)
     recorded.write_bytes(data)
     recover(recorded, tmp_path / "out.mcap")
-    assert raw_ticks(tmp_path / "out.mcap") == [t for part in (0, 2, 3) for t in parts[part][2]]
+    assert raw_ticks(tmp_path / "out.mcap") == [t for part in (0, 2, 3, 4) for t in parts[part][2]]
 
 
 def test_a_file_without_its_index_loses_nothing(recorded: Path, tmp_path: Path) -> None:
@@ -192,7 +192,7 @@ def test_no_length_is_trusted(recorded: Path, tmp_path: Path, length: int) -> No
     data = bytearray(recorded.read_bytes())
     data[parts[1][0] + 1 : parts[1][0] + 9] = length.to_bytes(8, "little")
     recorded.write_bytes(data)
-    assert recovered_ticks(recorded, tmp_path / "out.mcap") == [t for p in (0, 2, 3) for t in parts[p][2]]
+    assert recovered_ticks(recorded, tmp_path / "out.mcap") == [t for p in (0, 2, 3, 4) for t in parts[p][2]]
 
 
 # -- the command -------------------------------------------------------------------------------
