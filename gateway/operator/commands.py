@@ -257,6 +257,8 @@ COMMANDS: dict[str, _Command] = {
     "drive": _Command("LINEAR ANGULAR [LATERAL]",
                       "drive by hand [m/s, rad/s, m/s to the left]; repeat it before it times out",
                       msg.Drive, (_number, _number, _number), optional=1, of_base=True),
+    "locate": _Command("X Y YAW", "tell a robot that does not know it where it is on the map [m, m, degrees]",
+                       msg.Locate, (_number, _number, _angle("deg")), of_base=True),
     "mission": _Command("FILE", "do the steps of a mission file, or of one that ships", _no,
                         of_words=_mission, of_file=True),
     **{skill.called: _of_skill(skill) for skill in found.ours().values() if skill.words},

@@ -369,6 +369,11 @@ class Bridge:
                 self._take_over()
                 self._instructions += [*self._dropped(), goal]
                 self._say(row.name, "")
+            case "/initialpose":
+                located = asked.located(self.scene.robot, message)
+                self._allow(now)
+                self._instructions.append(located)
+                self._say(row.name, "")
             case graph.TRAJECTORIES:
                 self._spend(now)
                 self._begin_motion(self._read(message), None)
@@ -404,6 +409,9 @@ class Bridge:
     def _spend(self, now: Nanos) -> None:
         if self._stopped:
             raise asked.Refused(f"stopped: {self._stopped}")
+        self._allow(now)
+
+    def _allow(self, now: Nanos) -> None:
         if not self._budget.take(now):
             raise asked.Refused(f"too many: {PER_SECOND} a second are taken")
 

@@ -8,6 +8,7 @@ its value is latched. A command is read without repetition: an old one is worth 
 |---|---|---|
 | cmd_vel | geometry_msgs/Twist, TwistStamped | drive, for as long as it is repeated |
 | goal_pose | geometry_msgs/PoseStamped | drive there, in place of what it does |
+| initialpose | geometry_msgs/PoseWithCovarianceStamped | it is there |
 | position_controller/commands, velocity_…, effort_… | std_msgs/Float64MultiArray | targets of bare joints |
 | joint_trajectory_controller/joint_trajectory | trajectory_msgs/JointTrajectory | a motion of joints |
 """
@@ -27,6 +28,7 @@ from gateway.ros.rtps import Qos
 Kind: TypeAlias = Literal["publish", "subscribe", "serve"]
 TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 POSE_STAMPED, ARRAY = "geometry_msgs/msg/PoseStamped", "std_msgs/msg/Float64MultiArray"
+POSE_KNOWN = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TRAJECTORY, CLOCK, STRING = (
     "trajectory_msgs/msg/JointTrajectory",
     "rosgraph_msgs/msg/Clock",
@@ -83,6 +85,7 @@ def rows(robot: Robot, *, steers: bool) -> list[Row]:
     if steers and able.base is not None:
         found += [("subscribe", "/cmd_vel", kind, STREAM) for kind in (TWIST, TWIST_STAMPED)]
         found.append(("subscribe", "/goal_pose", POSE_STAMPED, Qos()))
+        found.append(("subscribe", "/initialpose", POSE_KNOWN, Qos()))
         found += _action("/navigate_to_pose", NAVIGATE)
     if steers and able.joints:
         found += [("subscribe", name, ARRAY, STREAM) for name in JOINT_COMMANDS]

@@ -19,6 +19,7 @@ from protocols import messages as msg
 from protocols.messages import SECOND, Drive, Goal, Position, Stop, Velocity
 from tests.gateway.ros.judged import domain
 from tests.gateway.ros.rig import ARRAY, LOG, TWIST, Rig, rig, twist
+from tests.gateway.ros.test_asked import located
 from tests.gateway.ros.test_trajectory import message, point
 
 STOP = {f"/diffbot/{name}": graph.TRIGGER for name in graph.SERVICES}
@@ -313,6 +314,34 @@ def test_a_large_map_and_what_is_latched() -> None:
             assert set(grid.data.tolist()) == {12, 88, -1}
             frames = {each.child_frame_id for each in peer.got["/tf_static"][0].transforms}
             assert frames == set(one.session.robot.sensors)
+
+
+def test_who_says_where_the_robot_is() -> None:
+    """Believed at once, also while it is stopped; what is absurd is refused in words."""
+    kinds = {"/initialpose": graph.POSE_KNOWN, "/goal_pose": graph.POSE_STAMPED}
+    with rig("diffbot") as one:
+        peer = one.join(publishes=kinds, subscribes={"/rosout": LOG})
+        one.ready()
+        peer.publish("/goal_pose", stamped(2.0, 0.0))
+        one.until(lambda: one.session.belief.path, "a path")
+        here = one.session.pose
+        assert here is not None
+        peer.publish("/initialpose", located({0: -0.25, 35: 0.07}, here.x))
+        one.until(lambda: any("its covariance is none" in text for text in said(peer)), "a refusal")
+        peer.publish("/initialpose", located({0: 1e12, 7: 0.25, 35: 0.07}, here.x))
+        one.until(lambda: any("1e+06 m: 0.001 to 5 m" in text for text in said(peer)), "the brain's refusal")
+        assert not any("told that" in text for text in said(peer))
+        version = one.session.belief.path_version
+        peer.publish("/initialpose", located({0: 0.04, 7: 0.04, 35: 0.01}, here.x))
+        one.until(lambda: any("told that it is at" in text for text in said(peer)), "a note")
+        told = next(each for each in one.asked if isinstance(each, msg.Locate) and each.sigma < 1.0)
+        assert (told.x, told.y, told.yaw) == pytest.approx((here.x, 2.0, 1.0))
+        one.until(lambda: one.session.belief.path_version > version, "another path")
+        one.persons.append(Stop("a button"))
+        one.until(lambda: one.session.belief.state is BrainState.STOPPED, "a stop")
+        before = len(one.asked)
+        peer.publish("/initialpose", located({}, 0.5))
+        one.until(lambda: any(isinstance(each, msg.Locate) for each in one.asked[before:]), "another place")
 
 
 def test_its_process_dies_and_the_robot_runs_on() -> None:
