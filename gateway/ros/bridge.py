@@ -38,14 +38,14 @@ from gateway.config.mission import cannot
 from gateway.core.tick import Note, Tick
 from gateway.errors import UserError
 from gateway.recording import ros_messages
-from gateway.recording.ros_views import OF_SENSORS, ViewMessage, Views, to_view
+from gateway.recording.ros_views import OF_SENSORS, ViewMessage, Views
 from gateway.ros import actions, asked, graph, parameters, trajectory, types
 from gateway.ros.actions import ABORTED, CANCELED, CANCELING, EXECUTING, SUCCEEDED, Action, Token
 from gateway.ros.asked import Held
 from gateway.ros.graph import FOLLOW, NAVIGATE, Row
 from gateway.ros.link import Link
+from gateway.ros.map_topics import MAP, UPDATES, MapTopics
 from gateway.ros.types import decode, encode, make
-from gateway.view.foxglove_map import Drawing
 from gateway.view.requests import Budget, Requests
 from gateway.view.scene import Scene
 from protocols import messages as msg
@@ -53,7 +53,8 @@ from protocols.messages import MILLISECOND, SECOND, Goal, Instruction, Nanos
 
 log = logging.getLogger("gateway")
 
-MAP, CLOCK, ROSOUT = "/map", "/clock", "/rosout"
+MAP_TOPICS = frozenset((MAP, UPDATES))
+CLOCK, ROSOUT = "/clock", "/rosout"
 CLOCK_PERIOD: Nanos = 20 * MILLISECOND
 FEEDBACK_PERIOD: Nanos = 200 * MILLISECOND
 LATE: Nanos = 100 * MILLISECOND
@@ -160,7 +161,7 @@ class Bridge:
         self._mounts = {name: sensor.mount for name, sensor in scene.robot.sensors.items()}
         self._views = Views(self._mounts, self._store, self._in_ticks, epoch=epoch)
         self._views.prepare()
-        self._map = Drawing()
+        self._map = MapTopics(partial(self._publish, may_drop=True), epoch)
         self._new: set[str] = set()
         """Topics that somebody has begun to listen to: who comes gets what there is now, but no old scan."""
         self._new_at: Nanos = 0
@@ -174,6 +175,8 @@ class Bridge:
         self._instructions: list[Instruction] = []
         self._waiting: deque[Sequence[Any]] = deque()
         """Goals and requests that are still to be looked at."""
+        self._zeroing: dict[str, list[Token]] = {}
+        """Who waits for an answer, by motor"""
         self._stopped = ""
         self._warned = ""
         """The last warning of the robot."""
@@ -235,6 +238,8 @@ class Bridge:
         for note in tick.outputs.notes:
             if note.level != "info":
                 self._warned = note.text
+        if self._zeroing:
+            self._zeroed(tick.outputs.events)
         if self.scene.gateway is not self._gateway:
             self._gateway = self.scene.gateway
             self._views.reset()
@@ -248,17 +253,16 @@ class Bridge:
     def show(self, now: Nanos) -> None:
         """Send what is due: the map, and what is latched to who has come. Never waits."""
         if self._new and now - self._new_at >= LATE:
-            if MAP in self._new:
+            if MAP_TOPICS & self._new:
                 self._map.anew()
             self._views = Views(self._mounts, self._store, self._in_ticks, epoch=self._epoch)
             present = self._views.messages(self.scene.present(), self.scene.belief)
             self._send([one for one in present if one.topic in self._new])
             self._new.clear()
-        view = self.scene.belief.map if MAP in self.wanted else None
-        if view is not None and self._map.draw(now, self.scene.now, view):
-            layout, t = self._map.layout, self._map.t + self._epoch
-            grid = ros_messages.grid(self._store.types, t, layout.resolution, layout.origin, self._map.cells)
-            self._send([to_view(self._store, MAP, t, grid)])
+        view = self.scene.belief.map if MAP_TOPICS & self.wanted else None
+        if view is not None:
+            takers = {name: self._counts.get(self._index[name], 0) for name in MAP_TOPICS}
+            self._map.show(now, self.scene.now, view, takers)
         self._link.flush()
 
     def ends(self) -> list[Instruction]:
@@ -322,7 +326,7 @@ class Bridge:
         if row.kind != "publish":
             return
         (self.wanted.add if count else self.wanted.discard)(row.name)
-        if row.name != MAP:
+        if row.name not in MAP_TOPICS:
             (self._in_ticks.add if count else self._in_ticks.discard)(row.name)
         if count > before and row.name not in OF_SENSORS:
             self._new.add(row.name)
@@ -430,7 +434,7 @@ class Bridge:
 
     def _request(self, now: Nanos, row: Row, payload: bytes, token: Token) -> None:
         name = row.name.removeprefix("~/")
-        if name in graph.SERVICES:
+        if row.type == graph.TRIGGER:
             self._trigger(now, row, name, token)
             return
         request = decode(f"{row.type}_Request", payload)
@@ -451,10 +455,25 @@ class Bridge:
             self._goal(now, action, request, token)
 
     def _trigger(self, now: Nanos, row: Row, name: str, token: Token) -> None:
-        lines = {"stop": "stop asked for in ROS 2", "release": "release", "clear_faults": "clear"}
-        why = self._line(now, lines[name])
-        response = make(f"{row.type}_Response", success=not why, message=why or "accepted")
-        self._answer(row.name, encode(response), token)
+        motor = name.removesuffix(f"/{graph.ZERO}") if name not in graph.TRIGGERS else ""
+        why = self._line(now, f"zero {motor}" if motor else graph.TRIGGERS[name])
+        if motor and not why:
+            self._zeroing.setdefault(motor, []).append(token)
+        else:
+            self._respond(row.name, token, why or "accepted", success=not why)
+
+    def _zeroed(self, events: Sequence[msg.Event]) -> None:
+        """Tell who wants a shaft's place to be zero whether it is."""
+        for event in events:
+            if isinstance(event, msg.Done | msg.Refused) and event.request == msg.Zero.__name__:
+                done = isinstance(event, msg.Done)
+                text = event.detail or "it is zero now" if done else event.reason
+                for token in self._zeroing.pop(event.name, ()):
+                    self._respond(f"~/{event.name}/{graph.ZERO}", token, text, success=done)
+
+    def _respond(self, name: str, token: Token, text: str, *, success: bool) -> None:
+        response = make(f"{graph.TRIGGER}_Response", success=success, message=text)
+        self._answer(name, encode(response), token)
 
     def _line(self, now: Nanos, line: str) -> str:
         """Ask for a line of the operator's; return why not, or ""."""

@@ -23,6 +23,7 @@ from gateway.core.robot import Robot
 from gateway.errors import UserError
 from gateway.recording.ros_views import OF_SENSORS, topic_name, topics, typestore
 from gateway.ros import types
+from gateway.ros.map_topics import UPDATE, UPDATES
 from gateway.ros.rtps import Qos
 
 Kind: TypeAlias = Literal["publish", "subscribe", "serve"]
@@ -45,7 +46,10 @@ DEPTHS = {"/tf": 100, "/rosout": 100, "/clock": 1} | dict.fromkeys(LATCHED, 1) |
 STREAM = Qos(reliable=False, depth=1)
 JOINT_COMMANDS = {f"/{kind}_controller/commands": kind for kind in ("position", "velocity", "effort")}
 TRAJECTORIES = "/joint_trajectory_controller/joint_trajectory"
-SERVICES = ("stop", "release", "clear_faults")
+TRIGGERS = {"stop": "stop asked for in ROS 2", "release": "release", "clear_faults": "clear"}
+"""Services of the node, by the operator's line that each is"""
+ZERO = "zero"
+"""A service of each motor"""
 PARAMETERS = {
     name: f"rcl_interfaces/srv/{''.join(part.capitalize() for part in name.split('_'))}"
     for name in (
@@ -77,7 +81,7 @@ def rows(robot: Robot, *, steers: bool) -> list[Row]:
     """Return what a robot has. Raises UserError if its file remaps what there is not."""
     able = robot.brain.abilities(robot.motors)
     found: list[tuple[Kind, str, str, Qos]] = []
-    published = topics(typestore()) | {"/clock": CLOCK, "/robot_description": STRING}
+    published = topics(typestore()) | {"/clock": CLOCK, "/robot_description": STRING, UPDATES: UPDATE}
     published.pop("/goal_pose")
     for name, type_ in published.items():
         latched = name in LATCHED or name == "/rosout"
@@ -92,7 +96,8 @@ def rows(robot: Robot, *, steers: bool) -> list[Row]:
         found.append(("subscribe", TRAJECTORIES, TRAJECTORY, Qos()))
         found += _action("/joint_trajectory_controller/follow_joint_trajectory", FOLLOW)
     if steers:
-        found += [("serve", f"~/{name}", TRIGGER, Qos()) for name in SERVICES]
+        found += [("serve", f"~/{name}", TRIGGER, Qos()) for name in TRIGGERS]
+        found += [("serve", f"~/{name}/{ZERO}", TRIGGER, Qos()) for name in robot.motors]
         found += [("serve", f"~/{name}", type_, Qos()) for name, type_ in PARAMETERS.items()]
     names = [name for _, name, _, _ in found]
     for key in robot.ros.remap:

@@ -22,7 +22,7 @@ from tests.gateway.ros.rig import ARRAY, LOG, TWIST, Rig, rig, twist
 from tests.gateway.ros.test_asked import located
 from tests.gateway.ros.test_trajectory import message, point
 
-STOP = {f"/diffbot/{name}": graph.TRIGGER for name in graph.SERVICES}
+STOP = {f"/diffbot/{name}": graph.TRIGGER for name in graph.TRIGGERS}
 TRIGGER = make(f"{graph.TRIGGER}_Request")
 
 
@@ -115,6 +115,30 @@ def test_who_drives_and_what_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
         header = make("std_msgs/msg/Header", stamp=make("builtin_interfaces/msg/Time", sec=2**31 - 1))
         third.publish("/cmd_vel", make(graph.TWIST_STAMPED, header=header, twist=twist(0.12)))
         one.until(lambda: Drive(0.12, 0.0) in drives(one), "driving by it")
+
+
+def test_a_shaft_is_zeroed_by_a_service_that_answers_when_it_is() -> None:
+    calls = {f"/bench/{name}/zero": graph.TRIGGER for name in ("left", "right")}
+    with rig("bench") as one:
+        peer = one.join(calls=calls, publishes={"/velocity_controller/commands": ARRAY})
+        one.ready()
+        joint = one.session.joints["left"]
+        drive = lambda: peer.publish("/velocity_controller/commands", make(ARRAY, data=np.array([3.0, 0.0])))  # noqa: E731
+        one.until(lambda: (joint.feedback.position or 0.0) > 0.5, "a turn", drive)
+        peer.call("/bench/left/zero", TRIGGER)
+        answers = one.until(lambda: peer.got["/bench/left/zero"], "an answer", drive)
+        assert not answers[0].success, "a shaft that is driven is not zeroed"
+        assert answers[0].message
+        one.until(lambda: one.asked[-1] == Velocity("right", 0.0), "rest")
+        one.persons.extend(msg.Idle(name) for name in one.session.joints)
+        one.run(100)
+        assert abs(joint.feedback.position or 0.0) > 0.4
+        peer.call("/bench/left/zero", TRIGGER)
+        peer.call("/bench/right/zero", TRIGGER)
+        one.until(lambda: len(answers) == 2 and peer.got["/bench/right/zero"], "answers")
+        assert answers[1].success, answers[1].message
+        assert joint.feedback.position == pytest.approx(0.0, abs=0.02)
+        assert {msg.Zero("left"), msg.Zero("right")} <= set(one.asked)
 
 
 def test_joints_by_arrays_and_trajectories() -> None:
