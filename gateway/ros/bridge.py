@@ -35,6 +35,7 @@ import numpy as np
 
 from brain.belief import Belief, BrainState
 from gateway.config.mission import cannot
+from gateway.core.robot import Robot
 from gateway.core.tick import Note, Tick
 from gateway.errors import UserError
 from gateway.recording import ros_messages
@@ -65,6 +66,8 @@ PER_SECOND, AT_ONCE = 20, 40
 """Goals, trajectories and requests that are granted,"""
 IN_A_STEP, MOST_WAITING = 4, 200
 """and that are looked at in one step, and wait for the next; a stop does not."""
+BYTES_IN_A_STEP = 8192
+"""Of these, after which no further one is looked at in a step."""
 STOP = "~/stop"
 START_S, END_S = 60.0, 2.0
 """How long the process may take to begin, and to end."""
@@ -116,11 +119,7 @@ def open_bridge(scene: Scene, address: str, domain: int, epoch: Nanos) -> Bridge
             start_new_session=True,  # what is sent to our group, or by our terminal, does not reach it
         )
     link = Link(ours)
-    robot = scene.robot
-    described = [
-        (r.kind, r.shown, r.type, r.hash, r.qos.reliable, r.qos.transient, r.qos.depth) for r in rows
-    ]
-    link.send(address, domain, graph.node_name(robot), robot.ros.namespace, described)
+    link.send(*setup(scene.robot, rows, address, domain))
     first: list[list[Any]] = []
     while not first and not link.closed and select.select([link], [], [], START_S)[0]:
         first = link.receive()
@@ -132,15 +131,25 @@ def open_bridge(scene: Scene, address: str, domain: int, epoch: Nanos) -> Bridge
     return Bridge(scene, rows, link, process, first[0][1], epoch, first[1:])
 
 
+def setup(robot: Robot, rows: Sequence[Row], address: str, domain: int) -> Sequence[Any]:
+    """Return what the process with the sockets has to know: the fields of its `Setup`."""
+    described = [
+        (r.kind, r.shown, r.type, r.hash, r.qos.reliable, r.qos.transient, r.qos.depth) for r in rows
+    ]
+    return address, domain, graph.node_name(robot), robot.ros.namespace, described
+
+
 class Bridge:
-    """A robot in the graph. Made by `open_bridge`."""
+    """A robot in the graph. Made by `open_bridge`.
+
+    `process`: with the sockets; None if this one has the pipe's other end, too."""
 
     def __init__(
         self,
         scene: Scene,
         rows: Sequence[Row],
         link: Link,
-        process: subprocess.Popen[bytes],
+        process: subprocess.Popen[bytes] | None,
         where: str,
         epoch: Nanos,
         first: Sequence[list[Any]] = (),
@@ -211,8 +220,11 @@ class Bridge:
                 self._use(now, *message)
             elif len(self._waiting) < MOST_WAITING:
                 self._waiting.append(message)
-        for _ in range(min(IN_A_STEP, len(self._waiting))):
-            self._use(now, *self._waiting.popleft())
+        count = size = 0
+        while self._waiting and count < IN_A_STEP and size < BYTES_IN_A_STEP:
+            message = self._waiting.popleft()
+            count, size = count + 1, size + len(message[2])
+            self._use(now, *message)
         for name, held in self._held.items():
             if held.ended(now):
                 self._say(
@@ -278,6 +290,8 @@ class Bridge:
     def close(self) -> None:
         """Leave the graph."""
         self._link.close()
+        if self._process is None:
+            return
         try:
             self._process.wait(END_S)
         except subprocess.TimeoutExpired:
@@ -359,7 +373,9 @@ class Bridge:
             self._say(name, f"nothing was done: {type(error).__name__}: {error}")
 
     def _sample(self, now: Nanos, row: Row, payload: bytes, writer: bytes, count: int) -> None:  # noqa: ARG002
-        message = decode(row.type, payload)
+        if row.qos.reliable:
+            self._allow(now)
+        message = decode(row.type, self._checked(row, payload))
         match row.name:
             case "/cmd_vel":
                 twist = message.twist if row.type == graph.TWIST_STAMPED else message
@@ -368,18 +384,16 @@ class Bridge:
                 self._hold(now, row.name, writer, [drive], rests=rests)
             case "/goal_pose":
                 goal = asked.goal(self.scene.robot, message)
-                self._spend(now)
+                self._check_stop()
                 self._end_motions("another goal has come")
                 self._take_over()
                 self._instructions += [*self._dropped(), goal]
                 self._say(row.name, "")
             case "/initialpose":
-                located = asked.located(self.scene.robot, message)
-                self._allow(now)
-                self._instructions.append(located)
+                self._instructions.append(asked.located(self.scene.robot, message))
                 self._say(row.name, "")
             case graph.TRAJECTORIES:
-                self._spend(now)
+                self._check_stop()
                 self._begin_motion(self._read(message), None)
                 self._say(row.name, "")
             case name:
@@ -410,10 +424,16 @@ class Bridge:
         elif kind == "effort":
             self._instructions += [msg.Torque(joint, 0.0) for joint in joints]
 
-    def _spend(self, now: Nanos) -> None:
+    @staticmethod
+    def _checked(row: Row, payload: bytes) -> bytes:
+        """Return the bytes of a message if they are not too many to be looked at. Raises Refused."""
+        if len(payload) > (most := graph.MOST_BYTES.get(row.type, graph.LARGEST)):
+            raise asked.Refused(f"{len(payload)} bytes: {most} at most are read of a {row.type}")
+        return payload
+
+    def _check_stop(self) -> None:
         if self._stopped:
             raise asked.Refused(f"stopped: {self._stopped}")
-        self._allow(now)
 
     def _allow(self, now: Nanos) -> None:
         if not self._budget.take(now):
@@ -437,7 +457,7 @@ class Bridge:
         if row.type == graph.TRIGGER:
             self._trigger(now, row, name, token)
             return
-        request = decode(f"{row.type}_Request", payload)
+        request = decode(f"{row.type}_Request", self._checked(row, payload))
         if name in graph.PARAMETERS:
             response = parameters.answer(
                 name, request, self.scene.settings(), lambda line: self._line(now, line)
@@ -489,7 +509,8 @@ class Bridge:
 
         def refused(content: Any) -> str:  # noqa: ANN401
             try:
-                self._spend(now)
+                self._check_stop()
+                self._allow(now)
                 navigates = action.type == NAVIGATE
                 made.append(
                     asked.goal(self.scene.robot, content.pose)

@@ -44,6 +44,9 @@ LATCHED = frozenset(("/map", "/tf_static", "/robot_description", "/plan", "/batt
 """Topics whose newest message who comes later gets, too."""
 DEPTHS = {"/tf": 100, "/rosout": 100, "/clock": 1} | dict.fromkeys(LATCHED, 1) | dict.fromkeys(OF_SENSORS, 5)
 STREAM = Qos(reliable=False, depth=1)
+LARGEST = 1 << 16
+"""Bytes of a message or request that is read: a trajectory of six joints has 350 points with everything."""
+MOST_BYTES = dict.fromkeys((TWIST, TWIST_STAMPED, POSE_STAMPED, POSE_KNOWN, ARRAY), 2048)
 JOINT_COMMANDS = {f"/{kind}_controller/commands": kind for kind in ("position", "velocity", "effort")}
 TRAJECTORIES = "/joint_trajectory_controller/joint_trajectory"
 TRIGGERS = {"stop": "stop asked for in ROS 2", "release": "release", "clear_faults": "clear"}

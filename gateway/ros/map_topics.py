@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping
 
 from brain.belief import MapView
 from gateway.recording import ros_messages
+from gateway.recording.ros_cdr import MAP as FRAME
 from gateway.ros.types import encode, make, store
 from gateway.view.foxglove_map import Drawing, MapLayout, Rectangle
 from protocols.messages import SECOND, Nanos
@@ -68,7 +69,7 @@ class MapTopics:
         )
 
     def _send_band(self, band: Rectangle) -> None:
-        header = ros_messages.header(store().types, self._drawing.t + self._epoch, ros_messages.MAP)
+        header = ros_messages.header(store().types, self._drawing.t + self._epoch, FRAME)
         rows, columns = (
             slice(start, start + size) for start, size in ((band.y, band.height), (band.x, band.width))
         )

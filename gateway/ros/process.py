@@ -5,7 +5,8 @@ and answers, and gets samples, requests, and how many match each row. It ends wi
 it has nothing that a motor depends on.
 
 Rules. A stream (a row that is not reliable) is thinned: its newest sample from each writer goes on, at most
-every `THINNED`; what others send faster is counted. Everything else goes on in order, so many at once.
+every `THINNED`; what others send faster is counted. Everything else goes on in order, as far as `Share` has
+room in that time; a small request always has, since it may be a stop.
 
 | to the loop | |
 |---|---|
@@ -42,7 +43,11 @@ THINNED: Nanos = 4 * MILLISECOND
 AT_ONCE = 256
 """Datagrams that are read before something else is done,"""
 REQUESTS = 50
-"""and of each row's samples and requests, if they are not thinned, that go on in that time."""
+"""Of each row's samples and requests that are not thinned, those that go on in `THINNED`;"""
+IN_ALL, BYTES = 200, 1 << 16
+"""of all rows', and their bytes;"""
+ALWAYS, SMALL = 4, 2048
+"""and of each row's, those that always do, if they have no more bytes than that."""
 IDLE, BUSY = 0.005, 0.0005
 BUFFER = 1 << 20
 ENCAPSULATION = b"\x00\x01\x00\x00"
@@ -160,6 +165,30 @@ class _Stream:
 
 
 @dataclass(slots=True)
+class Share:
+    """What goes on in one time of `THINNED`. One that is larger than what there is left of the bytes goes on,
+    and the next times have fewer."""
+
+    of_rows: dict[int, int] = field(default_factory=dict)
+    count: int = 0
+    left: int = BYTES
+
+    def take(self, row: int, size: int) -> bool:
+        """Return whether a message of this row, and of so many bytes, goes on."""
+        of_row = self.of_rows.get(row, 0)
+        small = of_row < ALWAYS and size <= SMALL
+        if not small and (of_row >= REQUESTS or self.count >= IN_ALL or self.left <= 0):
+            return False
+        self.of_rows[row], self.count, self.left = of_row + 1, self.count + 1, self.left - size
+        return True
+
+    def begin(self) -> None:
+        """Begin another time."""
+        self.of_rows.clear()
+        self.count, self.left = 0, min(BYTES, self.left + BYTES)
+
+
+@dataclass(slots=True)
 class Carrier:
     """A participant between the pipe and the sockets."""
 
@@ -172,6 +201,7 @@ class Carrier:
     _of: dict[int, int] = field(init=False)
     """Rows by endpoint."""
     _streams: dict[tuple[int, bytes], _Stream] = field(default_factory=dict)
+    _share: Share = field(default_factory=Share)
     _passed: Nanos = 0
     _unsendable: int = 0
 
@@ -224,10 +254,10 @@ class Carrier:
             for (row, writer), stream in self._streams.items():
                 self.link.send("sample", row, stream.payload, writer, stream.count, may_drop=True)
             self._streams.clear()
+            self._share.begin()
         self.link.flush()
 
     def _listen(self, now: Nanos) -> None:
-        passed: dict[int, int] = {}
         for one in self.sockets:
             for _ in range(AT_ONCE):
                 try:
@@ -237,8 +267,7 @@ class Carrier:
                 for found in self.participant.receive(now, data, host):
                     if not self.participant.endpoints[found.endpoint].qos.reliable:
                         self._stream(found)
-                    elif passed.get(found.endpoint, 0) < REQUESTS:
-                        passed[found.endpoint] = passed.get(found.endpoint, 0) + 1
+                    elif self._share.take(self._of[found.endpoint], len(found.payload)):
                         self._pass_on(found)
 
     def _stream(self, found: Sample) -> None:
