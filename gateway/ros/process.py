@@ -4,10 +4,6 @@ Its standard input is the pipe. The first message says what there is (`Setup`); 
 and answers, and gets samples, requests, and how many match each row. It ends with the pipe, whatever happens:
 it has nothing that a motor depends on.
 
-Rules. A stream (a row that is not reliable) is thinned: its newest sample from each writer goes on, at most
-every `THINNED`; what others send faster is counted. Everything else goes on in order, as far as `Share` has
-room in that time; a small request always has, since it may be a stop.
-
 | to the loop | |
 |---|---|
 | "opened", where | |
@@ -26,28 +22,26 @@ import struct
 import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gateway.core.clock import WallClock
+from gateway.errors import UserError
+from gateway.ros.intake import Intake
 from gateway.ros.link import Link
-from gateway.ros.network import LOOPBACK
+from gateway.ros.network import LOOPBACK, is_zenoh
 from gateway.ros.rtps import MULTICAST, Endpoint, Participant, Qos, Sample, ports
 from gateway.ros.rtps_wire import Identity, Locator
-from protocols.messages import MILLISECOND, Nanos
+from protocols.messages import Nanos
+
+if TYPE_CHECKING:
+    from gateway.ros.zenoh_carrier import ZenohCarrier
 
 MOST_PARTICIPANTS = 120
 """Of this machine, in one domain: their ports are tried one after the other."""
 ANNOUNCED = 20
 """Of these, how many are told of us unasked; the others announce themselves to us."""
-THINNED: Nanos = 4 * MILLISECOND
 AT_ONCE = 256
-"""Datagrams that are read before something else is done,"""
-REQUESTS = 50
-"""Of each row's samples and requests that are not thinned, those that go on in `THINNED`;"""
-IN_ALL, BYTES = 200, 1 << 16
-"""of all rows', and their bytes;"""
-ALWAYS, SMALL = 4, 2048
-"""and of each row's, those that always do, if they have no more bytes than that."""
+"""Datagrams that are read before something else is done"""
 IDLE, BUSY = 0.005, 0.0005
 BUFFER = 1 << 20
 ENCAPSULATION = b"\x00\x01\x00\x00"
@@ -157,38 +151,6 @@ def join(address: str, domain: int) -> socket.socket:
 
 
 @dataclass(slots=True)
-class _Stream:
-    """The newest of a writer's samples."""
-
-    payload: bytes
-    count: int = 1
-
-
-@dataclass(slots=True)
-class Share:
-    """What goes on in one time of `THINNED`. One that is larger than what there is left of the bytes goes on,
-    and the next times have fewer."""
-
-    of_rows: dict[int, int] = field(default_factory=dict)
-    count: int = 0
-    left: int = BYTES
-
-    def take(self, row: int, size: int) -> bool:
-        """Return whether a message of this row, and of so many bytes, goes on."""
-        of_row = self.of_rows.get(row, 0)
-        small = of_row < ALWAYS and size <= SMALL
-        if not small and (of_row >= REQUESTS or self.count >= IN_ALL or self.left <= 0):
-            return False
-        self.of_rows[row], self.count, self.left = of_row + 1, self.count + 1, self.left - size
-        return True
-
-    def begin(self) -> None:
-        """Begin another time."""
-        self.of_rows.clear()
-        self.count, self.left = 0, min(BYTES, self.left + BYTES)
-
-
-@dataclass(slots=True)
 class Carrier:
     """A participant between the pipe and the sockets."""
 
@@ -200,13 +162,11 @@ class Carrier:
     _rows: list[tuple[int, ...]] = field(init=False)
     _of: dict[int, int] = field(init=False)
     """Rows by endpoint."""
-    _streams: dict[tuple[int, bytes], _Stream] = field(default_factory=dict)
-    _share: Share = field(default_factory=Share)
-    _passed: Nanos = 0
+    _intake: Intake = field(init=False)
     _unsendable: int = 0
 
     def __post_init__(self) -> None:
-        setup = self.setup
+        setup, self._intake = self.setup, Intake(self.link)
         discovery, data = open_sockets(setup.address, setup.domain)
         self.sockets = [discovery, data]
         targets = [Locator(LOOPBACK, ports(setup.domain, number)[1]) for number in range(ANNOUNCED)]
@@ -220,6 +180,11 @@ class Carrier:
         where = Locator(*discovery.getsockname()), Locator(*data.getsockname())
         self.participant = Participant(os.urandom(12), setup.domain, *where, made, targets)
         self.participant.publish(0, len(made) - 1, discovery_info(self.participant, setup))
+
+    @property
+    def where(self) -> str:
+        """Where it listens."""
+        return ", ".join(f"{host}:{port}" for host, port in (one.getsockname() for one in self.sockets))
 
     def run(self) -> None:
         """Carry, until the pipe is closed."""
@@ -249,12 +214,7 @@ class Carrier:
             if row is not None and self._rows[row][0] == found.endpoint:
                 self.link.send("match", row, found.others)
         self._send()
-        if now - self._passed >= THINNED:
-            self._passed = now
-            for (row, writer), stream in self._streams.items():
-                self.link.send("sample", row, stream.payload, writer, stream.count, may_drop=True)
-            self._streams.clear()
-            self._share.begin()
+        self._intake.turn(now)
         self.link.flush()
 
     def _listen(self, now: Nanos) -> None:
@@ -265,31 +225,19 @@ class Carrier:
                 except OSError:  # nothing more, or what a port that is closed by now answered
                     break
                 for found in self.participant.receive(now, data, host):
-                    if not self.participant.endpoints[found.endpoint].qos.reliable:
-                        self._stream(found)
-                    elif self._share.take(self._of[found.endpoint], len(found.payload)):
-                        self._pass_on(found)
+                    self._pass_on(self._of[found.endpoint], found)
 
-    def _stream(self, found: Sample) -> None:
-        key = self._of[found.endpoint], found.identity.guid
-        known = self._streams.get(key)
-        if known is not None:
-            known.payload, known.count = found.payload, known.count + 1
-        elif len(self._streams) < REQUESTS:
-            self._streams[key] = _Stream(found.payload)
-
-    def _pass_on(self, found: Sample) -> None:
-        row = self._of[found.endpoint]
+    def _pass_on(self, row: int, found: Sample) -> None:
         if len(self._rows[row]) == 1:
-            self.link.send("sample", row, found.payload, found.identity.guid, 1, may_drop=True)
-            return
-        if found.related is not None:  # Fast DDS: the request's number, and the reader of its client
+            reliable = self.participant.endpoints[found.endpoint].qos.reliable
+            take = self._intake.sample if reliable else self._intake.stream
+            take(row, found.payload, found.identity.guid)
+        elif found.related is not None:  # Fast DDS: the request's number, and the reader of its client
             token = [found.related.guid, found.identity.number, found.related.guid, b""]
-            payload = found.payload
+            self._intake.request(row, found.payload, token)
         else:  # Cyclone DDS: client and number before the content
             token = [b"", 0, found.identity.guid, found.payload[4:20]]
-            payload = found.payload[:4] + found.payload[20:]
-        self.link.send("request", row, payload, token, may_drop=True)
+            self._intake.request(row, found.payload[:4] + found.payload[20:], token)
 
     def _answer(self, now: Nanos, row: int, payload: bytes, token: Sequence[Any]) -> None:
         guid, number, client, head = token
@@ -305,6 +253,23 @@ class Carrier:
                 self._unsendable += 1
 
 
+def open_carrier(setup: Setup, link: Link) -> Carrier | ZenohCarrier:
+    """Return what carries, on the network that is asked for. Raises UserError if it cannot be opened."""
+    if not is_zenoh(setup.address):
+        try:
+            return Carrier(setup, link)
+        except OSError as error:
+            raise UserError(f"the network of {setup.address} cannot be opened: {error}") from error
+    try:
+        from gateway.ros.zenoh_carrier import ZenohCarrier, ZError
+    except ImportError as error:
+        raise UserError(f"it needs zenoh ({error}): pip install 'motor-gateway[ros]'") from error
+    try:
+        return ZenohCarrier(setup, link)
+    except ZError as error:
+        raise UserError(f"{setup.address} cannot be opened: {error}") from error
+
+
 def main(standard_input: int = 0) -> int:
     """Carry for the loop at the other end of the standard input; return 1 if the network cannot be opened."""
     end = socket.socket(fileno=standard_input)
@@ -317,12 +282,11 @@ def main(standard_input: int = 0) -> int:
         return 1
     setup = Setup(*first[0])
     try:
-        carrier = Carrier(setup, link)
-    except OSError as error:
-        link.send("trouble", f"the network of {setup.address} cannot be opened: {error}")
+        carrier = open_carrier(setup, link)
+    except UserError as error:
+        link.send("trouble", str(error))
         return 1
-    where = ", ".join(f"{host}:{port}" for host, port in (one.getsockname() for one in carrier.sockets))
-    link.send("opened", where)
+    link.send("opened", carrier.where)
     carrier.take(carrier.clock.now(), first[1:])
     carrier.run()
     return 0

@@ -234,7 +234,8 @@ def two_publishers(one: World, _dice: random.Random) -> Goes:
 
 
 def flood(one: World, dice: random.Random) -> Goes:
-    """10 kHz of twists from a second publisher, of goals, places and requests; some are not finite."""
+    """10 kHz of twists from a second publisher; 1.6 kHz of goals that are not finite, of places that are no
+    messages, and of requests of two services."""
     other = one.join(
         publishes={
             "/cmd_vel": TWIST,
@@ -251,6 +252,7 @@ def flood(one: World, dice: random.Random) -> Goes:
     def more(_tick: int) -> None:
         for _ in range(50):
             other.publish("/cmd_vel", twist(dice.uniform(-1.0, 1.0)))
+        for _ in range(8):
             other.publish("/goal_pose", stamped(math.nan, 0.0))
             other.publish_bytes("/initialpose", dice.randbytes(dice.choice((3, 300, 5000))))
             other.call("/diffbot/clear_faults", TRIGGER)

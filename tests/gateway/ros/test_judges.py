@@ -179,7 +179,7 @@ def test_joints_in_a_namespace_by_names_of_the_robot_file(tmp_path: Path) -> Non
 class Server:
     """A server of an action of which ROS installs the types: one step of the sequence in each turn."""
 
-    def __init__(self, number: int) -> None:
+    def __init__(self, number: int, network: str = "127.0.0.1") -> None:
         name, type_ = "/fibonacci", "test_msgs/action/Fibonacci"
         rows = [
             (kind, one, type_, types.type_hash(type_), qos)
@@ -191,7 +191,7 @@ class Server:
             self.process = subprocess.Popen(command, stdin=theirs.fileno())
         self._link, self._names = Link(ours), [one[1] for one in rows]
         described = [(*row[:4], row[4].reliable, row[4].transient, row[4].depth) for row in rows]
-        self._link.send("127.0.0.1", number, "server", "", described)
+        self._link.send(network, number, "server", "", described)
         self._action = actions.Action(name, type_, self._publish, self._answer)
         self._sequence = [0, 1]
 
