@@ -67,7 +67,7 @@ PER_SECOND, AT_ONCE = 20, 40
 IN_A_STEP, MOST_WAITING = 4, 200
 """and that are looked at in one step, and wait for the next; a stop does not."""
 BYTES_IN_A_STEP = 8192
-"""Of these, after which no further one is looked at in a step."""
+"""Of these, after which no further one is looked at in a step; a request for parameters counts as so many."""
 STOP = "~/stop"
 START_S, END_S = 60.0, 2.0
 """How long the process may take to begin, and to end."""
@@ -222,9 +222,10 @@ class Bridge:
                 self._waiting.append(message)
         count = size = 0
         while self._waiting and count < IN_A_STEP and size < BYTES_IN_A_STEP:
-            message = self._waiting.popleft()
-            count, size = count + 1, size + len(message[2])
-            self._use(now, *message)
+            waited = self._waiting.popleft()
+            asks_much = self.rows[waited[1]].type in graph.PARAMETERS.values()
+            count, size = count + 1, size + (BYTES_IN_A_STEP if asks_much else len(waited[2]))
+            self._use(now, *waited)
         for name, held in self._held.items():
             if held.ended(now):
                 self._say(
@@ -486,9 +487,9 @@ class Bridge:
         """Tell who wants a shaft's place to be zero whether it is."""
         for event in events:
             if isinstance(event, msg.Done | msg.Refused) and event.request == msg.Zero.__name__:
-                done = isinstance(event, msg.Done)
-                text = event.detail or "it is zero now" if done else event.reason
+                text = event.reason if isinstance(event, msg.Refused) else event.detail or "it is zero now"
                 for token in self._zeroing.pop(event.name, ()):
+                    done = isinstance(event, msg.Done)
                     self._respond(f"~/{event.name}/{graph.ZERO}", token, text, success=done)
 
     def _respond(self, name: str, token: Token, text: str, *, success: bool) -> None:

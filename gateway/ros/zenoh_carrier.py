@@ -15,7 +15,7 @@ from typing import Any
 
 import zenoh
 import zenoh.ext
-from zenoh import ZError
+from zenoh import ZError as ZError
 from zenoh.handlers import RingChannel
 
 from gateway.core.clock import WallClock
@@ -31,6 +31,8 @@ STREAM, QUEUE, TOKENS = 64, 256, 20_000
 """What waits of a stream, of another row, and of what is told of others."""
 MOST_OPEN = 200
 """Requests without an answer; then the oldest gets none."""
+HEARTBEAT_S = 0.5
+"""After a sample that is kept, as rmw_zenoh's: who lacks it asks for it."""
 KINDS = {"publish": keys.PUBLISHES, "subscribe": keys.SUBSCRIBES, "serve": keys.SERVES}
 
 
@@ -66,8 +68,14 @@ class _Publisher:
         drop = zenoh.CongestionControl.DROP
         if one.transient:
             cache = zenoh.ext.CacheConfig(max_samples=one.depth)
+            beats = zenoh.ext.MissDetectionConfig(sporadic_heartbeat=HEARTBEAT_S)
             self._made: Any = zenoh.ext.declare_advanced_publisher(
-                session, key, congestion_control=drop, cache=cache, publisher_detection=True
+                session,
+                key,
+                congestion_control=drop,
+                cache=cache,
+                sample_miss_detection=beats,
+                publisher_detection=True,
             )
         else:
             self._made = session.declare_publisher(key, congestion_control=drop)

@@ -88,7 +88,10 @@ def attachment(number: int, stamp: Nanos, writer: bytes) -> bytes:
 
 
 def read_attachment(data: bytes) -> tuple[int, bytes] | None:
-    """Return the number, and of whom it is; None if these bytes are no attachment."""
+    """Return the number, and of whom it is; None if these bytes are no attachment. Newer ones than Kilted's
+    have no length before the last 16 bytes."""
+    if len(data) == _ATTACHMENT.size - 1:
+        data = data[:16] + b"\x10" + data[16:]
     if len(data) != _ATTACHMENT.size:
         return None
     number, _, length, writer = _ATTACHMENT.unpack(data)

@@ -28,7 +28,7 @@ from brain.perception.lines import TILE
 from brain.perception.tiles import UNIT
 from gateway.config import load_robot, parse_robot
 from gateway.core.tick import Tick
-from gateway.ros import bridge, graph, process
+from gateway.ros import bridge, graph, process, types
 from gateway.ros.bridge import BYTES_IN_A_STEP, IN_A_STEP, Bridge
 from gateway.ros.link import Link
 from gateway.ros.process import Carrier, Setup
@@ -133,7 +133,7 @@ class World:
         scene = Scene(session.gateway, "live", dict)
         rows = graph.rows(session.robot, steers=True)
         self.bridge = Bridge(scene, rows, Link(ours), None, "", 0)
-        made = Setup(*bridge.setup(session.robot, rows, "127.0.0.1", NUMBER))  # type: ignore[arg-type]
+        made = Setup(*bridge.setup(session.robot, rows, "127.0.0.1", NUMBER))
         self.carrier = Carrier(made, Link(theirs))
         self._turn: Nanos = 0
         self._ticks = session.run(poll=self._poll)
@@ -144,10 +144,23 @@ class World:
         """The time of everything."""
         return self.session.clock.now() + self._turn
 
-    def join(self, clock: Callable[[], Nanos] | None = None, **what: dict[str, str]) -> Peer:
+    def join(
+        self,
+        *,
+        clock: Callable[[], Nanos] | None = None,
+        publishes: dict[str, str] | None = None,
+        subscribes: dict[str, str] | None = None,
+        calls: dict[str, str] | None = None,
+    ) -> Peer:
         """Return another participant; `clock`: its own."""
-        whole: dict[str, dict[str, str]] = {"publishes": {}, "subscribes": {}, "calls": {}, **what}
-        one = Peer(NUMBER, clock=clock or (lambda: self.now), sockets=self.network.open, **whole)  # type: ignore[arg-type]
+        one = Peer(
+            NUMBER,
+            publishes=publishes or {},
+            subscribes=subscribes or {},
+            calls=calls or {},
+            clock=clock or (lambda: self.now),
+            sockets=self.network.open,
+        )
         self.peers.append(one)
         return one
 
@@ -182,7 +195,7 @@ class World:
         self.work[-1].took += time.thread_time_ns() - began
 
     def close(self) -> None:
-        self._ticks.close()  # type: ignore[attr-defined]
+        self._ticks.close()
         self.bridge.close()
         self.carrier.link.close()
 
@@ -209,7 +222,7 @@ def world(monkeypatch: pytest.MonkeyPatch, name: str) -> Iterator[World]:
                 one.work[-1].largest = max(one.work[-1].largest, size)
             sent(link, *content, may_drop=may_drop)
 
-        decode, sent = bridge.decode, Link.send
+        decode, sent = types.decode, Link.send
         monkeypatch.setattr(bridge, "decode", read)
         monkeypatch.setattr(Link, "send", send)
         yield one
@@ -342,7 +355,12 @@ def deaf(one: World, _dice: random.Random) -> Goes:
 def everything(one: World, dice: random.Random) -> Goes:
     """All of it at once, but for the kill."""
     parts = [make_(one, dice) for make_ in (two_publishers, flood, large, huge_map, clocks_jump, deaf)]
-    return lambda tick: [part(tick) for part in parts] and None
+
+    def more(tick: int) -> None:
+        for part in parts:
+            part(tick)
+
+    return more
 
 
 FAULTS: tuple[Begin, ...] = (

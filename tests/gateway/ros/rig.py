@@ -112,8 +112,14 @@ class Rig:
         self._ticks = session.run(poll=self._poll)
         session.watch(self._watch)
 
-    def join(self, **what: dict[str, str]) -> Peer:
-        peer = Peer(self.number, **{"publishes": {}, "subscribes": {}, "calls": {}} | what)
+    def join(
+        self,
+        *,
+        publishes: dict[str, str] | None = None,
+        subscribes: dict[str, str] | None = None,
+        calls: dict[str, str] | None = None,
+    ) -> Peer:
+        peer = Peer(self.number, publishes=publishes or {}, subscribes=subscribes or {}, calls=calls or {})
         self.peers.append(peer)
         self.until(lambda: len(peer.matched) == len(peer.participant.endpoints), "a match of everything")
         return peer

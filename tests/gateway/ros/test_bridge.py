@@ -377,8 +377,10 @@ def test_its_process_dies_and_the_robot_runs_on() -> None:
         session._ros._bridge._held["/cmd_vel"].moves = True
         done: list[object] = []
         session.watch(lambda tick, _: done.extend(tick.inputs.instructions))
-        session._ros._bridge._process.kill()
-        session._ros._bridge._process.wait()
+        process = session._ros._bridge._process
+        assert process is not None
+        process.kill()
+        process.wait()
         assert sum(1 for _ in ticks) > 150
         assert getattr(session, "_ros", 0) is None
         assert Drive(0.0, 0.0) in done, "what was held has ended"

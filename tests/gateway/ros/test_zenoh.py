@@ -15,6 +15,7 @@ from gateway.errors import UserError
 from gateway.ros import actions, definitions, graph, types
 from gateway.ros import zenoh_keys as keys
 from gateway.ros.network import ROUTER, parse_network, zenoh_endpoint
+from gateway.ros.process import Setup, dds_type, open_carrier
 from gateway.ros.zenoh_keys import Endpoint, Node
 from protocols import messages as msg
 from tests.gateway.processes import PATIENCE
@@ -61,19 +62,24 @@ def test_nodes_data_and_attachments() -> None:
     inner = NODE._replace(namespace="/left/arm")
     assert keys.node_token(inner).endswith("/NN/%/%left%arm/listener")
     assert keys.data_key(0, Endpoint("MP", "/chatter", STRING, HASH)) == f"0/chatter/{STRING}/{HASH}"
+    goal = Endpoint(
+        "SS", "/left/navigate_to_pose/_action/send_goal", dds_type(f"{graph.NAVIGATE}_SendGoal"), HASH
+    )
+    assert keys.data_key(7, goal) == (  # by pamoja-ros2 0.2.0
+        f"7/left/navigate_to_pose/_action/send_goal/nav2_msgs::action::dds_::NavigateToPose_SendGoal_/{HASH}"
+    )
     assert keys.subscribed(keys.node_token(NODE)) is None
     whose = bytes(range(16))
     packed = keys.attachment(7, 1_000_000_007, whose)
     assert packed.hex() == "070000000000000007ca9a3b0000000010" + whose.hex()
     assert keys.read_attachment(packed) == (7, whose)
-    for wrong in (b"", packed[:-1], packed + b"\0", packed[:16] + b"\x0f" + packed[17:]):
+    assert keys.read_attachment(packed[:16] + whose) == (7, whose)
+    for wrong in (b"", packed[:-2], packed + b"\0", packed[:16] + b"\x0f" + packed[17:]):
         assert keys.read_attachment(wrong) is None
 
 
 def test_what_is_missing_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     """As the process with the network says it."""
-    from gateway.ros.process import Setup, open_carrier
-
     monkeypatch.setitem(sys.modules, "gateway.ros.zenoh_carrier", None)
     with pytest.raises(UserError, match=r"pip install 'motor-gateway\[ros\]'"):
         open_carrier(Setup("zenoh", 0, "n", "", ()), None)  # type: ignore[arg-type]
