@@ -68,6 +68,8 @@ IN_A_STEP, MOST_WAITING = 4, 200
 """and that are looked at in one step, and wait for the next; a stop does not."""
 BYTES_IN_A_STEP = 8192
 """Of these, after which no further one is looked at in a step; a request for parameters counts as so many."""
+MOST_REASONS = 10
+"""Why something of one name is refused, that are said before any of it is done again."""
 STOP = "~/stop"
 START_S, END_S = 60.0, 2.0
 """How long the process may take to begin, and to end."""
@@ -175,7 +177,7 @@ class Bridge:
         """Topics that somebody has begun to listen to: who comes gets what there is now, but no old scan."""
         self._new_at: Nanos = 0
         self._clock_at: Nanos = -CLOCK_PERIOD
-        self._troubles: dict[str, str] = {}
+        self._troubles: dict[str, set[str]] = {}
         self._requests = Requests(scene.robot, steer=True, live=scene.kind == "live")
         self._asking = self._requests.enter()
         self._budget = Budget(PER_SECOND, AT_ONCE)
@@ -184,6 +186,8 @@ class Bridge:
         self._instructions: list[Instruction] = []
         self._waiting: deque[Sequence[Any]] = deque()
         """Goals and requests that are still to be looked at."""
+        self._settings: Sequence[Any] = ()
+        """As they were read last; empty after a change"""
         self._zeroing: dict[str, list[Token]] = {}
         """Who waits for an answer, by motor"""
         self._stopped = ""
@@ -242,6 +246,8 @@ class Bridge:
         """Publish what a tick brought, as far as somebody listens."""
         self.scene.observe(tick, belief)
         pressed = any(isinstance(one, msg.Stop) for one in tick.inputs.instructions)
+        if any(isinstance(one, msg.Set) for one in tick.inputs.instructions):
+            self._settings = ()
         self._stopped = self.scene.gateway.why_stopped()
         self._requests.on_stop(self._stopped, pressed=pressed)
         for held in self._held.values():
@@ -256,6 +262,7 @@ class Bridge:
         if self.scene.gateway is not self._gateway:
             self._gateway = self.scene.gateway
             self._views.reset()
+            self._settings = ()
         if self._in_ticks:
             self._send(self._views.messages(tick, belief))
         if CLOCK in self.wanted and not 0 <= tick.now - self._clock_at < CLOCK_PERIOD:
@@ -351,11 +358,12 @@ class Bridge:
         return ros_messages.stamp(self._store.types, t + self._epoch)
 
     def _say(self, name: str, why: str) -> None:
-        """Log why something is refused, once; "" ends that."""
+        """Log why something is refused, each reason once, and not too many; "" ends that."""
+        known = self._troubles.setdefault(name, set())
         if not why:
-            self._troubles.pop(name, None)
-        elif self._troubles.get(name) != why:
-            self._troubles[name] = why
+            known.clear()
+        elif why not in known and len(known) < MOST_REASONS:
+            known.add(why)
             log.warning("ROS 2: %s: %s", name, why)
             note = Note("warning", "ros", f"{name}: {why}")
             said = ros_messages.log(self._store.types, self.scene.now + self._epoch, note)
@@ -460,9 +468,8 @@ class Bridge:
             return
         request = decode(f"{row.type}_Request", self._checked(row, payload))
         if name in graph.PARAMETERS:
-            response = parameters.answer(
-                name, request, self.scene.settings(), lambda line: self._line(now, line)
-            )
+            self._settings = self._settings or self.scene.settings()
+            response = parameters.answer(name, request, self._settings, lambda line: self._line(now, line))
             self._answer(row.name, encode(response), token)
             return
         action_name, _, part = name.partition("/_action/")

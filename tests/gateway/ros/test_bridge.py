@@ -13,7 +13,7 @@ import pytest
 import gateway
 from brain.belief import BrainState, MapView
 from gateway.errors import UserError
-from gateway.ros import actions, asked, graph, types
+from gateway.ros import actions, asked, bridge, graph, types
 from gateway.ros.types import make
 from protocols import messages as msg
 from protocols.messages import SECOND, Drive, Goal, Position, Stop, Velocity
@@ -366,6 +366,27 @@ def test_who_says_where_the_robot_is() -> None:
         before = len(one.asked)
         peer.publish("/initialpose", located({}, 0.5))
         one.until(lambda: any(isinstance(each, msg.Locate) for each in one.asked[before:]), "another place")
+
+
+def test_a_flood_of_reasons_is_said_and_not_for_ever() -> None:
+    with rig("diffbot") as one:
+        peer = one.join(publishes={"/cmd_vel": TWIST}, subscribes={"/rosout": LOG})
+        one.ready()
+
+        def wrong(count: int) -> None:
+            for number in range(count):
+                before = len(said(peer))
+                peer.publish_bytes("/cmd_vel", bytes((0, 64 + number)) + bytes(50))
+                one.until(lambda: len(said(peer)) > before, "another reason")  # noqa: B023 -- at once
+
+        wrong(bridge.MOST_REASONS)
+        peer.publish_bytes("/cmd_vel", bytes((0, 32)) + bytes(50))
+        peer.publish_bytes("/cmd_vel", bytes((0, 64)) + bytes(50))
+        one.run(100)
+        assert len([text for text in said(peer) if "encapsulation" in text]) == bridge.MOST_REASONS
+        peer.publish("/cmd_vel", twist(0.1))
+        one.until(lambda: drives(one), "driving")
+        wrong(1)
 
 
 def test_its_process_dies_and_the_robot_runs_on() -> None:
