@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 from gateway.core.clock import WallClock
 from gateway.errors import UserError
 from gateway.ros.intake import Intake
-from gateway.ros.link import Link
+from gateway.ros.link import Link, Setup, dds_type
 from gateway.ros.network import LOOPBACK, is_zenoh
 from gateway.ros.rtps import MULTICAST, Endpoint, Participant, Qos, Sample, ports
 from gateway.ros.rtps_wire import Identity, Locator
@@ -48,18 +48,6 @@ ENCAPSULATION = b"\x00\x01\x00\x00"
 DISCOVERY = "ros_discovery_info"
 
 
-@dataclass(frozen=True, slots=True)
-class Setup:
-    """What there is."""
-
-    address: str
-    domain: int
-    node: str
-    namespace: str
-    rows: Sequence[Sequence[Any]]
-    """Kind, name, type, hash; whether reliable, whether kept; depth"""
-
-
 def endpoints(setup: Setup) -> tuple[list[Endpoint], list[tuple[int, ...]]]:
     """Return the endpoints, and those of each row: one of a topic; of a service its reader and its writer."""
     found: list[Endpoint] = []
@@ -76,12 +64,6 @@ def endpoints(setup: Setup) -> tuple[list[Endpoint], list[tuple[int, ...]]]:
     type_ = dds_type("rmw_dds_common/msg/ParticipantEntitiesInfo")
     found.append(Endpoint(DISCOVERY, type_, True, Qos(transient=True, depth=1)))
     return found, of_rows
-
-
-def dds_type(type_: str) -> str:
-    """Return the name of a type in DDS."""
-    package, folder, name = type_.split("/")
-    return f"{package}::{folder}::dds_::{name}_"
 
 
 def discovery_info(participant: Participant, setup: Setup) -> bytes:

@@ -21,9 +21,8 @@ from zenoh.handlers import RingChannel
 from gateway.core.clock import WallClock
 from gateway.ros import zenoh_keys as keys
 from gateway.ros.intake import Intake
-from gateway.ros.link import Link
+from gateway.ros.link import Link, Setup, dds_type
 from gateway.ros.network import zenoh_endpoint
-from gateway.ros.process import Setup, dds_type
 from protocols.messages import Nanos
 
 POLL_S = 0.002
@@ -68,7 +67,7 @@ class _Publisher:
         drop = zenoh.CongestionControl.DROP
         if one.transient:
             cache = zenoh.ext.CacheConfig(max_samples=one.depth)
-            beats = zenoh.ext.MissDetectionConfig(sporadic_heartbeat=HEARTBEAT_S)
+            beats = zenoh.ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=HEARTBEAT_S)
             self._made: Any = zenoh.ext.declare_advanced_publisher(
                 session,
                 key,

@@ -30,8 +30,8 @@ from gateway.config import load_robot, parse_robot
 from gateway.core.tick import Tick
 from gateway.ros import bridge, graph, process, types
 from gateway.ros.bridge import BYTES_IN_A_STEP, IN_A_STEP, Bridge
-from gateway.ros.link import Link
-from gateway.ros.process import Carrier, Setup
+from gateway.ros.link import Link, Setup
+from gateway.ros.process import Carrier
 from gateway.ros.rtps import ports
 from gateway.ros.types import make
 from gateway.runtime.session import Session

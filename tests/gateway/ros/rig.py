@@ -14,7 +14,8 @@ from gateway.config import load_robot, parse_robot
 from gateway.core.tick import Tick
 from gateway.ros import graph, types
 from gateway.ros.bridge import Bridge, open_bridge
-from gateway.ros.process import dds_type, open_sockets
+from gateway.ros.link import dds_type
+from gateway.ros.process import open_sockets
 from gateway.ros.rtps import Endpoint, Participant, Qos, Sample, ports
 from gateway.ros.rtps_wire import Identity, Locator
 from gateway.runtime.session import Session

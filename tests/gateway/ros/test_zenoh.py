@@ -14,8 +14,9 @@ import gateway
 from gateway.errors import UserError
 from gateway.ros import actions, definitions, graph, types
 from gateway.ros import zenoh_keys as keys
+from gateway.ros.link import Setup, dds_type
 from gateway.ros.network import ROUTER, parse_network, zenoh_endpoint
-from gateway.ros.process import Setup, dds_type, open_carrier
+from gateway.ros.process import open_carrier
 from gateway.ros.zenoh_keys import Endpoint, Node
 from protocols import messages as msg
 from tests.gateway.processes import PATIENCE
