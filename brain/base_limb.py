@@ -10,11 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from math import hypot
+from math import hypot, pi
 
-from brain.belief import Belief, BrainTask, MissionView, SystemState
+from brain.belief import Belief, BrainTask, MissionView, Pose, SystemState
 from brain.bodies.body import Base
-from brain.bodies.plane import Twist
+from brain.bodies.plane import Twist, wrap
 from brain.checks import objection
 from brain.control.motion import MotionControl, MotionInputs
 from brain.health import Health, HealthLevel, SourceHealth
@@ -36,8 +36,10 @@ from protocols.messages import Command, Event, Nanos
 
 MAX_GOALS = 1000
 """Goals that wait."""
-FARTHEST_GOAL = 10_000.0
-"""m from the origin, along x and y."""
+FARTHEST = 10_000.0
+"""m from the origin, along x and y: of goals, and of where the robot may be."""
+LEAST_SIGMA, MOST_SIGMA = (0.001, 0.001), (5.0, pi)
+"""m, rad: how sure, and how unsure, who tells it where it is may be."""
 
 
 class BaseLimb:
@@ -120,7 +122,26 @@ class BaseLimb:
         if len(self.navigator.goals.waiting) >= MAX_GOALS:
             return f"{MAX_GOALS} goals are waiting already"
         far = max(abs(task.x), abs(task.y))
-        return "" if far <= FARTHEST_GOAL else f"({task.x:g}, {task.y:g}) is beyond {FARTHEST_GOAL:g} m"
+        return "" if far <= FARTHEST else f"({task.x:g}, {task.y:g}) is beyond {FARTHEST:g} m"
+
+    def locate(self, now: Nanos, task: msg.Locate) -> str:
+        """Believe that the base is where it is said to be; return why not, or "". A path that it was
+        following began elsewhere: another is searched."""
+        sigmas = zip(("m", "rad"), (task.sigma, task.sigma_yaw), LEAST_SIGMA, MOST_SIGMA, strict=True)
+        if why := objection(task):
+            return why
+        if max(abs(task.x), abs(task.y)) > FARTHEST:
+            return f"({task.x:g}, {task.y:g}) is beyond {FARTHEST:g} m"
+        for unit, sigma, least, most in sigmas:
+            if not least <= sigma <= most:
+                return (
+                    f"a standard deviation of {sigma:g} {unit}: {least:g} to {most:.3g} {unit} are expected"
+                )
+        if not self.perception.locate(Pose(task.x, task.y, wrap(task.yaw)), task.sigma, task.sigma_yaw):
+            return "there is no estimate yet: ask again when the robot is ready"
+        self._sight = self.perception.sight(now)
+        self.navigator.replan(now, "the path is dropped: the robot was told where it is")
+        return ""
 
     def drop(self, now: Nanos, allowance: Allowance) -> None:
         """Drop every task of a base that may not do it any more."""

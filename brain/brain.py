@@ -38,6 +38,7 @@ from protocols.messages import SECOND, Command, Event, Nanos
 
 __all__ = ["Brain", "BrainSettings", "HealthSettings"]
 
+NO_BASE = "these are bare joints: there is no base to drive"
 WAITING_NOTE_AFTER: Nanos = 3 * SECOND
 """After this time of waiting at the start, a note says for what."""
 
@@ -188,6 +189,8 @@ class Brain:
                 return self._drive_to(now, task, allowances)
             case msg.Mission() | msg.Pause() | msg.Resume() | msg.Drop():
                 return self._on_mission(now, task, allowances)
+            case msg.Locate():
+                return self._locate(now, task)
         name = self._of.get(task.motor)
         if name is None:
             hint = suggestion(task.motor, self._able.joints)
@@ -206,7 +209,7 @@ class Brain:
     def _drive_to(self, now: Nanos, task: msg.Goal | msg.Drive, allowances: Mapping[str, Allowance]) -> str:
         """Take a goal, or drive by hand; return why not, or ""."""
         if self.base is None:
-            return "these are bare joints: there is no base to drive"
+            return NO_BASE
         reason = self.base.objection(now, task, allowances[BASE])
         if not reason and isinstance(task, msg.Goal) and self._missions.running:
             reason = "a mission is running: pause it, or drop it"
@@ -214,6 +217,13 @@ class Brain:
             self._missions.forget()
             self._halt(now, "manual driving")
             self.base.accept(now, task)
+        return reason
+
+    def _locate(self, now: Nanos, task: msg.Locate) -> str:
+        """Take where the base is; return why not, or "". A mission measures by the pose: it is paused."""
+        reason = NO_BASE if self.base is None else self.base.locate(now, task)
+        if not reason:
+            self._halt(now, "the robot was told where it is")
         return reason
 
     # -- missions -----------------------------------------------------------------------------------

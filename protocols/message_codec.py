@@ -54,6 +54,7 @@ CODES: dict[int, type[Message]] = {
     53: messages.Pause,
     54: messages.Resume,
     55: messages.Drop,
+    66: messages.Locate,
     **messages.STEPS,
     70: messages.Feedback,
     71: messages.State,

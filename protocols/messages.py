@@ -297,6 +297,19 @@ class Drive:
     lateral: float = 0.0
 
 
+@value
+class Locate:
+    """Take it that the robot is at this place on the map [m], heading yaw [rad]: who asks has seen it."""
+
+    x: float
+    y: float
+    yaw: float
+    sigma: float = 0.5
+    """m: standard deviation of the place, in any direction"""
+    sigma_yaw: float = 0.26
+    """rad"""
+
+
 # -- missions: steps as data; a Goal is a step, too -----------------------------------------------------
 
 
@@ -447,7 +460,7 @@ class Drop:
     """Drop the mission, and every goal."""
 
 
-Task: TypeAlias = Goal | Drive | Mission | Pause | Resume | Drop
+Task: TypeAlias = Goal | Drive | Locate | Mission | Pause | Resume | Drop
 Instruction: TypeAlias = Request | Task | Command
 """What may be asked of a running robot from outside; a Command only of a joint that is no wheel of a base."""
 

@@ -36,6 +36,7 @@ ONLY: dict[str, tuple[str, ...]] = {
     "signal": ("gateway.runtime.process",),
     "socket": ("gateway.buses", "gateway.operator", "gateway.ros", "gateway.view"),
     "websockets": ("gateway.view",),
+    "zenoh": ("gateway.ros.zenoh_carrier",),
     "zstandard": ("gateway.recording",),
     "threading": ("gateway.buses.threaded", "gateway.recording.writer", "gateway.cli.terminal.output"),
     "time": ("gateway.core.clock",),

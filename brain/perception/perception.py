@@ -339,6 +339,23 @@ class Perception:
             self._apply(inputs)
         self._work(now)
 
+    def locate(self, pose: Pose, sigma: float, sigma_yaw: float) -> bool:
+        """Believe that the robot is at a pose now, as sure as that [m, rad]; return False before the first
+        estimate. What scans show decides from then on, as ever."""
+        estimate = self.estimate
+        if estimate is None:
+            return False
+        believed, off = estimate.pose, math.dist((estimate.pose.x, estimate.pose.y), (pose.x, pose.y))
+        turn = abs(math.degrees(wrap(pose.yaw - believed.yaw)))
+        self._search = self._found = None
+        self._relocate(estimate.t, pose, np.diag([sigma**2, sigma**2, sigma_yaw**2]), "told where it is")
+        self._set_verdict()
+        self._notes.append(
+            f"told that it is at ({pose.x:.2f}, {pose.y:.2f}), {math.degrees(pose.yaw):.0f}°: "
+            f"{off:.2f} m and {turn:.0f}° from where it took itself to be"
+        )
+        return True
+
     def finish(self, now: Nanos) -> None:
         """Do what is left of the scans that came. A robot's steps between two scans do that; a log whose
         events are as far apart as its scans has none."""
@@ -751,13 +768,13 @@ class Perception:
             return
         self._relocate(t, found, result.covariance)
 
-    def _relocate(self, t: Nanos, pose: Pose, covariance: Floats) -> None:
+    def _relocate(self, t: Nanos, pose: Pose, covariance: Floats, how: str = "relocalised") -> None:
         self._filter.reset(t, pose, covariance)
         self._movers = Movers()
         self._placing.forget()
         self._new_ground = None
         self._consistency.found()
-        self._count("", "relocalised")
+        self._count("", how)
         self._apply([])
 
     def _count(self, name: str, reason: str) -> None:

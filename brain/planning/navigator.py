@@ -265,7 +265,14 @@ class Navigator:
         if self._misses > MAX_MISSES and self.goals.waiting:
             self._give_up(now, f"{self.goals.name} is missed again and again: {reason}")
             return
-        self._replan(now, f"the path is dropped: {reason}")
+        self.replan(now, f"the path is dropped: {reason}")
+
+    def replan(self, now: Nanos, why: str = "") -> None:
+        """Drop the path, with a note why, and search for another at once."""
+        if why and self.path is not None:
+            self.note("info", why)
+        self._drop_path()
+        self._query, self._check_at = None, now
 
     def clearance(self, pose: Pose, most: float) -> float:
         """Return the distance [m] from the footprint to the nearest obstacle of the map; more than `most`
@@ -287,20 +294,13 @@ class Navigator:
         self._exploring.leave()
         self._passing = False
 
-    def _replan(self, now: Nanos, why: str = "") -> None:
-        """Drop the path, with a note why, and search for another at once."""
-        if why:
-            self.note("info", why)
-        self._drop_path()
-        self._query, self._check_at = None, now
-
     def _check_path(self, now: Nanos, here: Point, terrain: Terrain, moving: Sequence[Mover]) -> None:
         """Drop a path that is obstructed."""
         wait = now + 2 * self.settings.period if self._may_wait(now) else 0
         reason = self._watch.begin_check(here) if now >= self._check_at else ""
         reason = reason or self._watch.check(terrain.costmap, terrain.footprint, moving, wait)
         if reason:
-            self._replan(now, f"the path is dropped: {reason}")
+            self.replan(now, f"the path is dropped: {reason}")
 
     def _may_wait(self, now: Nanos) -> bool:
         """Return whether someone who crosses is waited for: not for ever."""
@@ -370,7 +370,7 @@ class Navigator:
         if behaviour.state is BehaviourState.GIVEN_UP:
             self._give_up(now, reason)
         elif before is BehaviourState.BACKING and self.path is not None:
-            self._replan(now)
+            self.replan(now)
 
     def _facts(
         self, now: Nanos, here: Point, yaw: float, standing: float, moving: Sequence[Mover]

@@ -69,8 +69,9 @@ def add_ros(parser: ArgumentParser) -> None:
         "--ros",
         nargs="?",
         const="",
-        metavar="INTERFACE",
-        help="put it into ROS 2's graph: on this machine alone, or on the network of an interface or address",
+        metavar="INTERFACE|zenoh",
+        help="put it into ROS 2's graph: on this machine alone, or on the network of an interface or address "
+        "or (zenoh, zenoh:ENDPOINT) where rmw_zenoh is used",
     )
 
 

@@ -263,6 +263,8 @@ COMMANDS: dict[str, _Command] = {
     "pause": _Command("", "stand, and keep the mission", msg.Pause),
     "resume": _Command("", "go on with a mission that was paused", msg.Resume),
     "drop": _Command("", "give up the mission, and every goal", msg.Drop),
+    "locate": _Command("X Y YAW", "tell a robot that does not know it where it is on the map [m, m, degrees]",
+                       msg.Locate, (_number, _number, _angle("deg")), of_base=True),
     "stop": _Command("[REASON]", "stop at once, and stay stopped until release", msg.Stop, free_text=True),
     "release": _Command("", "release stop", msg.Release),
     "clear": _Command("[MOTOR]", "clear the faults of a motor, or of all",

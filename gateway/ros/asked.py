@@ -9,7 +9,7 @@ go, by zeros or by silence, before it moves the robot again.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import asin, atan2, isfinite
+from math import asin, atan2, hypot, isfinite, sqrt
 from typing import Any
 
 from gateway.config.mission import cannot
@@ -22,6 +22,8 @@ PERSON: Nanos = 2 * SECOND
 MAP = "map"
 TILT = 0.05
 """rad by which a goal may lean"""
+SUREST = 0.001
+"""m, rad: a smaller standard deviation of where the robot is counts as this."""
 
 
 class Refused(ValueError):
@@ -47,10 +49,35 @@ def _refuse(why: str) -> Any:  # noqa: ANN401 -- it does not return
 
 def goal(robot: Robot, stamped: Any) -> Goal:  # noqa: ANN401 -- a message
     """Return what a PoseStamped asks. Raises Refused."""
-    frame = stamped.header.frame_id.lstrip("/")
+    asked = Goal(*_pose("a goal", stamped.header, stamped.pose))
+    return asked if not (wrong := cannot(asked, robot)) else _refuse(wrong)
+
+
+def located(robot: Robot, stamped: Any) -> msg.Locate:  # noqa: ANN401 -- a message
+    """Return where a PoseWithCovarianceStamped says that the robot is. Raises Refused.
+
+    A covariance of zeros is not stated: then it counts as RViz's."""
+    pose = _pose("the robot", stamped.header, stamped.pose.pose)
+    rows = [[float(one) for one in stamped.pose.covariance[6 * row : 6 * row + 6]] for row in (0, 1, 5)]
+    finite(*(one for row in rows for one in row))
+    (xx, xy), (yx, yy), yaw = rows[0][:2], rows[1][:2], rows[2][5]
+    if min(xx, yy, yaw) < 0.0 or abs(xy - yx) > 1e-6 * (xx + yy) or xy * yx > xx * yy * (1.0 + 1e-6):
+        raise Refused(
+            f"its covariance is none: x {xx:.3g}, y {yy:.3g}, x and y {xy:.3g} and {yx:.3g}, yaw {yaw:.3g}"
+        )
+    widest = 0.5 * (xx + yy) + hypot(0.5 * (xx - yy), xy)
+    asked = msg.Locate(*pose)
+    if widest or yaw:
+        asked = msg.Locate(*pose, max(sqrt(widest), SUREST), max(sqrt(yaw), SUREST))
+    return asked if not (wrong := cannot(asked, robot)) else _refuse(wrong)
+
+
+def _pose(what: str, header: Any, pose: Any) -> tuple[float, float, float]:  # noqa: ANN401 -- messages
+    """Return x, y [m] and yaw [rad] in the map. Raises Refused."""
+    frame = header.frame_id.lstrip("/")
     if frame not in ("", MAP):
-        raise Refused(f"a goal is in the frame {MAP!r}, not in {frame[:60]!r}")
-    p, q = stamped.pose.position, stamped.pose.orientation
+        raise Refused(f"{what} is in the frame {MAP!r}, not in {frame[:60]!r}")
+    p, q = pose.position, pose.orientation
     finite(p.x, p.y, q.x, q.y, q.z, q.w)
     norm = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w
     if not 0.9 < norm < 1.1:
@@ -59,8 +86,7 @@ def goal(robot: Robot, stamped: Any) -> Goal:  # noqa: ANN401 -- a message
     if lean > TILT:
         raise Refused("the robot turns about z alone: its orientation leans")
     yaw = atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
-    asked = Goal(float(p.x), float(p.y), yaw)
-    return asked if not (wrong := cannot(asked, robot)) else _refuse(wrong)
+    return float(p.x), float(p.y), yaw
 
 
 def targets(robot: Robot, kind: str, values: Any) -> list[Instruction]:  # noqa: ANN401 -- numbers

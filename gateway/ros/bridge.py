@@ -35,17 +35,18 @@ import numpy as np
 
 from brain.belief import Belief, BrainState
 from gateway.config.mission import cannot
+from gateway.core.robot import Robot
 from gateway.core.tick import Note, Tick
 from gateway.errors import UserError
 from gateway.recording import ros_messages
-from gateway.recording.ros_views import OF_SENSORS, ViewMessage, Views, to_view
+from gateway.recording.ros_views import OF_SENSORS, ViewMessage, Views
 from gateway.ros import actions, asked, graph, parameters, trajectory, types
 from gateway.ros.actions import ABORTED, CANCELED, CANCELING, EXECUTING, SUCCEEDED, Action, Token
 from gateway.ros.asked import Held
 from gateway.ros.graph import FOLLOW, NAVIGATE, Row
 from gateway.ros.link import Link
+from gateway.ros.map_topics import MAP, UPDATES, MapTopics
 from gateway.ros.types import decode, encode, make
-from gateway.view.foxglove_map import Drawing
 from gateway.view.requests import Budget, Requests
 from gateway.view.scene import Scene
 from protocols import messages as msg
@@ -53,7 +54,8 @@ from protocols.messages import MILLISECOND, SECOND, Goal, Instruction, Nanos
 
 log = logging.getLogger("gateway")
 
-MAP, CLOCK, ROSOUT = "/map", "/clock", "/rosout"
+MAP_TOPICS = frozenset((MAP, UPDATES))
+CLOCK, ROSOUT = "/clock", "/rosout"
 CLOCK_PERIOD: Nanos = 20 * MILLISECOND
 FEEDBACK_PERIOD: Nanos = 200 * MILLISECOND
 LATE: Nanos = 100 * MILLISECOND
@@ -64,6 +66,10 @@ PER_SECOND, AT_ONCE = 20, 40
 """Goals, trajectories and requests that are granted,"""
 IN_A_STEP, MOST_WAITING = 4, 200
 """and that are looked at in one step, and wait for the next; a stop does not."""
+BYTES_IN_A_STEP = 8192
+"""Of these, after which no further one is looked at in a step; a request for parameters counts as so many."""
+MOST_REASONS = 10
+"""Why something of one name is refused, that are said before any of it is done again."""
 STOP = "~/stop"
 START_S, END_S = 60.0, 2.0
 """How long the process may take to begin, and to end."""
@@ -115,11 +121,7 @@ def open_bridge(scene: Scene, address: str, domain: int, epoch: Nanos) -> Bridge
             start_new_session=True,  # what is sent to our group, or by our terminal, does not reach it
         )
     link = Link(ours)
-    robot = scene.robot
-    described = [
-        (r.kind, r.shown, r.type, r.hash, r.qos.reliable, r.qos.transient, r.qos.depth) for r in rows
-    ]
-    link.send(address, domain, graph.node_name(robot), robot.ros.namespace, described)
+    link.send(*setup(scene.robot, rows, address, domain))
     first: list[list[Any]] = []
     while not first and not link.closed and select.select([link], [], [], START_S)[0]:
         first = link.receive()
@@ -131,15 +133,25 @@ def open_bridge(scene: Scene, address: str, domain: int, epoch: Nanos) -> Bridge
     return Bridge(scene, rows, link, process, first[0][1], epoch, first[1:])
 
 
+def setup(robot: Robot, rows: Sequence[Row], address: str, domain: int) -> Sequence[Any]:
+    """Return what the process with the sockets has to know: the fields of its `Setup`."""
+    described = [
+        (r.kind, r.shown, r.type, r.hash, r.qos.reliable, r.qos.transient, r.qos.depth) for r in rows
+    ]
+    return address, domain, graph.node_name(robot), robot.ros.namespace, described
+
+
 class Bridge:
-    """A robot in the graph. Made by `open_bridge`."""
+    """A robot in the graph. Made by `open_bridge`.
+
+    `process`: with the sockets; None if this one has the pipe's other end, too."""
 
     def __init__(
         self,
         scene: Scene,
         rows: Sequence[Row],
         link: Link,
-        process: subprocess.Popen[bytes],
+        process: subprocess.Popen[bytes] | None,
         where: str,
         epoch: Nanos,
         first: Sequence[list[Any]] = (),
@@ -160,12 +172,12 @@ class Bridge:
         self._mounts = {name: sensor.mount for name, sensor in scene.robot.sensors.items()}
         self._views = Views(self._mounts, self._store, self._in_ticks, epoch=epoch)
         self._views.prepare()
-        self._map = Drawing()
+        self._map = MapTopics(partial(self._publish, may_drop=True), epoch)
         self._new: set[str] = set()
         """Topics that somebody has begun to listen to: who comes gets what there is now, but no old scan."""
         self._new_at: Nanos = 0
         self._clock_at: Nanos = -CLOCK_PERIOD
-        self._troubles: dict[str, str] = {}
+        self._troubles: dict[str, set[str]] = {}
         self._requests = Requests(scene.robot, steer=True, live=scene.kind == "live")
         self._asking = self._requests.enter()
         self._budget = Budget(PER_SECOND, AT_ONCE)
@@ -174,6 +186,10 @@ class Bridge:
         self._instructions: list[Instruction] = []
         self._waiting: deque[Sequence[Any]] = deque()
         """Goals and requests that are still to be looked at."""
+        self._settings: Sequence[Any] = ()
+        """As they were read last; empty after a change"""
+        self._zeroing: dict[str, list[Token]] = {}
+        """Who waits for an answer, by motor"""
         self._stopped = ""
         self._warned = ""
         """The last warning of the robot."""
@@ -208,8 +224,12 @@ class Bridge:
                 self._use(now, *message)
             elif len(self._waiting) < MOST_WAITING:
                 self._waiting.append(message)
-        for _ in range(min(IN_A_STEP, len(self._waiting))):
-            self._use(now, *self._waiting.popleft())
+        count = size = 0
+        while self._waiting and count < IN_A_STEP and size < BYTES_IN_A_STEP:
+            waited = self._waiting.popleft()
+            asks_much = self.rows[waited[1]].type in graph.PARAMETERS.values()
+            count, size = count + 1, size + (BYTES_IN_A_STEP if asks_much else len(waited[2]))
+            self._use(now, *waited)
         for name, held in self._held.items():
             if held.ended(now):
                 self._say(
@@ -226,6 +246,8 @@ class Bridge:
         """Publish what a tick brought, as far as somebody listens."""
         self.scene.observe(tick, belief)
         pressed = any(isinstance(one, msg.Stop) for one in tick.inputs.instructions)
+        if any(isinstance(one, msg.Set) for one in tick.inputs.instructions):
+            self._settings = ()
         self._stopped = self.scene.gateway.why_stopped()
         self._requests.on_stop(self._stopped, pressed=pressed)
         for held in self._held.values():
@@ -235,9 +257,12 @@ class Bridge:
         for note in tick.outputs.notes:
             if note.level != "info":
                 self._warned = note.text
+        if self._zeroing:
+            self._zeroed(tick.outputs.events)
         if self.scene.gateway is not self._gateway:
             self._gateway = self.scene.gateway
             self._views.reset()
+            self._settings = ()
         if self._in_ticks:
             self._send(self._views.messages(tick, belief))
         if CLOCK in self.wanted and not 0 <= tick.now - self._clock_at < CLOCK_PERIOD:
@@ -248,17 +273,16 @@ class Bridge:
     def show(self, now: Nanos) -> None:
         """Send what is due: the map, and what is latched to who has come. Never waits."""
         if self._new and now - self._new_at >= LATE:
-            if MAP in self._new:
+            if MAP_TOPICS & self._new:
                 self._map.anew()
             self._views = Views(self._mounts, self._store, self._in_ticks, epoch=self._epoch)
             present = self._views.messages(self.scene.present(), self.scene.belief)
             self._send([one for one in present if one.topic in self._new])
             self._new.clear()
-        view = self.scene.belief.map if MAP in self.wanted else None
-        if view is not None and self._map.draw(now, self.scene.now, view):
-            layout, t = self._map.layout, self._map.t + self._epoch
-            grid = ros_messages.grid(self._store.types, t, layout.resolution, layout.origin, self._map.cells)
-            self._send([to_view(self._store, MAP, t, grid)])
+        view = self.scene.belief.map if MAP_TOPICS & self.wanted else None
+        if view is not None:
+            takers = {name: self._counts.get(self._index[name], 0) for name in MAP_TOPICS}
+            self._map.show(now, self.scene.now, view, takers)
         self._link.flush()
 
     def ends(self) -> list[Instruction]:
@@ -274,6 +298,8 @@ class Bridge:
     def close(self) -> None:
         """Leave the graph."""
         self._link.close()
+        if self._process is None:
+            return
         try:
             self._process.wait(END_S)
         except subprocess.TimeoutExpired:
@@ -322,7 +348,7 @@ class Bridge:
         if row.kind != "publish":
             return
         (self.wanted.add if count else self.wanted.discard)(row.name)
-        if row.name != MAP:
+        if row.name not in MAP_TOPICS:
             (self._in_ticks.add if count else self._in_ticks.discard)(row.name)
         if count > before and row.name not in OF_SENSORS:
             self._new.add(row.name)
@@ -332,11 +358,12 @@ class Bridge:
         return ros_messages.stamp(self._store.types, t + self._epoch)
 
     def _say(self, name: str, why: str) -> None:
-        """Log why something is refused, once; "" ends that."""
+        """Log why something is refused, each reason once, and not too many; "" ends that."""
+        known = self._troubles.setdefault(name, set())
         if not why:
-            self._troubles.pop(name, None)
-        elif self._troubles.get(name) != why:
-            self._troubles[name] = why
+            known.clear()
+        elif why not in known and len(known) < MOST_REASONS:
+            known.add(why)
             log.warning("ROS 2: %s: %s", name, why)
             note = Note("warning", "ros", f"{name}: {why}")
             said = ros_messages.log(self._store.types, self.scene.now + self._epoch, note)
@@ -355,7 +382,9 @@ class Bridge:
             self._say(name, f"nothing was done: {type(error).__name__}: {error}")
 
     def _sample(self, now: Nanos, row: Row, payload: bytes, writer: bytes, count: int) -> None:  # noqa: ARG002
-        message = decode(row.type, payload)
+        if row.qos.reliable:
+            self._allow(now)
+        message = decode(row.type, self._checked(row, payload))
         match row.name:
             case "/cmd_vel":
                 twist = message.twist if row.type == graph.TWIST_STAMPED else message
@@ -364,13 +393,16 @@ class Bridge:
                 self._hold(now, row.name, writer, [drive], rests=rests)
             case "/goal_pose":
                 goal = asked.goal(self.scene.robot, message)
-                self._spend(now)
+                self._check_stop()
                 self._end_motions("another goal has come")
                 self._take_over()
                 self._instructions += [*self._dropped(), goal]
                 self._say(row.name, "")
+            case "/initialpose":
+                self._instructions.append(asked.located(self.scene.robot, message))
+                self._say(row.name, "")
             case graph.TRAJECTORIES:
-                self._spend(now)
+                self._check_stop()
                 self._begin_motion(self._read(message), None)
                 self._say(row.name, "")
             case name:
@@ -401,9 +433,18 @@ class Bridge:
         elif kind == "effort":
             self._instructions += [msg.Torque(joint, 0.0) for joint in joints]
 
-    def _spend(self, now: Nanos) -> None:
+    @staticmethod
+    def _checked(row: Row, payload: bytes) -> bytes:
+        """Return the bytes of a message if they are not too many to be looked at. Raises Refused."""
+        if len(payload) > (most := graph.MOST_BYTES.get(row.type, graph.LARGEST)):
+            raise asked.Refused(f"{len(payload)} bytes: {most} at most are read of a {row.type}")
+        return payload
+
+    def _check_stop(self) -> None:
         if self._stopped:
             raise asked.Refused(f"stopped: {self._stopped}")
+
+    def _allow(self, now: Nanos) -> None:
         if not self._budget.take(now):
             raise asked.Refused(f"too many: {PER_SECOND} a second are taken")
 
@@ -422,14 +463,13 @@ class Bridge:
 
     def _request(self, now: Nanos, row: Row, payload: bytes, token: Token) -> None:
         name = row.name.removeprefix("~/")
-        if name in graph.SERVICES:
+        if row.type == graph.TRIGGER:
             self._trigger(now, row, name, token)
             return
-        request = decode(f"{row.type}_Request", payload)
+        request = decode(f"{row.type}_Request", self._checked(row, payload))
         if name in graph.PARAMETERS:
-            response = parameters.answer(
-                name, request, self.scene.settings(), lambda line: self._line(now, line)
-            )
+            self._settings = self._settings or self.scene.settings()
+            response = parameters.answer(name, request, self._settings, lambda line: self._line(now, line))
             self._answer(row.name, encode(response), token)
             return
         action_name, _, part = name.partition("/_action/")
@@ -443,10 +483,25 @@ class Bridge:
             self._goal(now, action, request, token)
 
     def _trigger(self, now: Nanos, row: Row, name: str, token: Token) -> None:
-        lines = {"stop": "stop asked for in ROS 2", "release": "release", "clear_faults": "clear"}
-        why = self._line(now, lines[name])
-        response = make(f"{row.type}_Response", success=not why, message=why or "accepted")
-        self._answer(row.name, encode(response), token)
+        motor = name.removesuffix(f"/{graph.ZERO}") if name not in graph.TRIGGERS else ""
+        why = self._line(now, f"zero {motor}" if motor else graph.TRIGGERS[name])
+        if motor and not why:
+            self._zeroing.setdefault(motor, []).append(token)
+        else:
+            self._respond(row.name, token, why or "accepted", success=not why)
+
+    def _zeroed(self, events: Sequence[msg.Event]) -> None:
+        """Tell who wants a shaft's place to be zero whether it is."""
+        for event in events:
+            if isinstance(event, msg.Done | msg.Refused) and event.request == msg.Zero.__name__:
+                text = event.reason if isinstance(event, msg.Refused) else event.detail or "it is zero now"
+                for token in self._zeroing.pop(event.name, ()):
+                    done = isinstance(event, msg.Done)
+                    self._respond(f"~/{event.name}/{graph.ZERO}", token, text, success=done)
+
+    def _respond(self, name: str, token: Token, text: str, *, success: bool) -> None:
+        response = make(f"{graph.TRIGGER}_Response", success=success, message=text)
+        self._answer(name, encode(response), token)
 
     def _line(self, now: Nanos, line: str) -> str:
         """Ask for a line of the operator's; return why not, or ""."""
@@ -462,7 +517,8 @@ class Bridge:
 
         def refused(content: Any) -> str:  # noqa: ANN401
             try:
-                self._spend(now)
+                self._check_stop()
+                self._allow(now)
                 navigates = action.type == NAVIGATE
                 made.append(
                     asked.goal(self.scene.robot, content.pose)

@@ -3,6 +3,14 @@
 from __future__ import annotations
 
 MESSAGES = {
+    "map_msgs/msg/OccupancyGridUpdate": """
+std_msgs/Header header
+int32 x
+int32 y
+uint32 width
+uint32 height
+int8[] data
+""",
     "control_msgs/msg/JointTolerance": """
 string name
 float64 position

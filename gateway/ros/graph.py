@@ -8,6 +8,7 @@ its value is latched. A command is read without repetition: an old one is worth 
 |---|---|---|
 | cmd_vel | geometry_msgs/Twist, TwistStamped | drive, for as long as it is repeated |
 | goal_pose | geometry_msgs/PoseStamped | drive there, in place of what it does |
+| initialpose | geometry_msgs/PoseWithCovarianceStamped | it is there |
 | position_controller/commands, velocity_…, effort_… | std_msgs/Float64MultiArray | targets of bare joints |
 | joint_trajectory_controller/joint_trajectory | trajectory_msgs/JointTrajectory | a motion of joints |
 """
@@ -22,11 +23,13 @@ from gateway.core.robot import Robot
 from gateway.errors import UserError
 from gateway.recording.ros_views import OF_SENSORS, topic_name, topics, typestore
 from gateway.ros import types
+from gateway.ros.map_topics import UPDATE, UPDATES
 from gateway.ros.rtps import Qos
 
 Kind: TypeAlias = Literal["publish", "subscribe", "serve"]
 TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 POSE_STAMPED, ARRAY = "geometry_msgs/msg/PoseStamped", "std_msgs/msg/Float64MultiArray"
+POSE_KNOWN = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TRAJECTORY, CLOCK, STRING = (
     "trajectory_msgs/msg/JointTrajectory",
     "rosgraph_msgs/msg/Clock",
@@ -41,9 +44,15 @@ LATCHED = frozenset(("/map", "/tf_static", "/robot_description", "/plan", "/batt
 """Topics whose newest message who comes later gets, too."""
 DEPTHS = {"/tf": 100, "/rosout": 100, "/clock": 1} | dict.fromkeys(LATCHED, 1) | dict.fromkeys(OF_SENSORS, 5)
 STREAM = Qos(reliable=False, depth=1)
+LARGEST = 1 << 16
+"""Bytes of a message or request that is read: a trajectory of six joints has 350 points with everything."""
+MOST_BYTES = dict.fromkeys((TWIST, TWIST_STAMPED, POSE_STAMPED, POSE_KNOWN, ARRAY), 2048)
 JOINT_COMMANDS = {f"/{kind}_controller/commands": kind for kind in ("position", "velocity", "effort")}
 TRAJECTORIES = "/joint_trajectory_controller/joint_trajectory"
-SERVICES = ("stop", "release", "clear_faults")
+TRIGGERS = {"stop": "stop asked for in ROS 2", "release": "release", "clear_faults": "clear"}
+"""Services of the node, by the operator's line that each is"""
+ZERO = "zero"
+"""A service of each motor"""
 PARAMETERS = {
     name: f"rcl_interfaces/srv/{''.join(part.capitalize() for part in name.split('_'))}"
     for name in (
@@ -75,7 +84,7 @@ def rows(robot: Robot, *, steers: bool) -> list[Row]:
     """Return what a robot has. Raises UserError if its file remaps what there is not."""
     able = robot.brain.abilities(robot.motors)
     found: list[tuple[Kind, str, str, Qos]] = []
-    published = topics(typestore()) | {"/clock": CLOCK, "/robot_description": STRING}
+    published = topics(typestore()) | {"/clock": CLOCK, "/robot_description": STRING, UPDATES: UPDATE}
     published.pop("/goal_pose")
     for name, type_ in published.items():
         latched = name in LATCHED or name == "/rosout"
@@ -83,13 +92,15 @@ def rows(robot: Robot, *, steers: bool) -> list[Row]:
     if steers and able.base is not None:
         found += [("subscribe", "/cmd_vel", kind, STREAM) for kind in (TWIST, TWIST_STAMPED)]
         found.append(("subscribe", "/goal_pose", POSE_STAMPED, Qos()))
+        found.append(("subscribe", "/initialpose", POSE_KNOWN, Qos()))
         found += _action("/navigate_to_pose", NAVIGATE)
     if steers and able.joints:
         found += [("subscribe", name, ARRAY, STREAM) for name in JOINT_COMMANDS]
         found.append(("subscribe", TRAJECTORIES, TRAJECTORY, Qos()))
         found += _action("/joint_trajectory_controller/follow_joint_trajectory", FOLLOW)
     if steers:
-        found += [("serve", f"~/{name}", TRIGGER, Qos()) for name in SERVICES]
+        found += [("serve", f"~/{name}", TRIGGER, Qos()) for name in TRIGGERS]
+        found += [("serve", f"~/{name}/{ZERO}", TRIGGER, Qos()) for name in robot.motors]
         found += [("serve", f"~/{name}", type_, Qos()) for name, type_ in PARAMETERS.items()]
     names = [name for _, name, _, _ in found]
     for key in robot.ros.remap:

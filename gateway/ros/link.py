@@ -1,12 +1,15 @@
 """The pipe between the loop and the process that speaks with the graph: messages, and no end that waits.
 
-Rules. Both ends use `Link`. A message is a list, packed by msgpack. What the other end does not read waits,
-up to a bound; then new samples are dropped and counted, answers are kept.
+Rules. Both ends use `Link`. A message is a list, packed by msgpack; the first says what there is (`Setup`).
+What the other end does not read waits, up to a bound; then new samples are dropped and counted, answers are
+kept.
 """
 
 from __future__ import annotations
 
 import socket
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import msgpack
@@ -15,6 +18,24 @@ MOST_WAITING = 4 << 20
 """Bytes"""
 MOST_MESSAGE = 8 << 20
 CHUNK = 1 << 18
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """What there is."""
+
+    address: str
+    domain: int
+    node: str
+    namespace: str
+    rows: Sequence[Sequence[Any]]
+    """Kind, name, type, hash; whether reliable, whether kept; depth"""
+
+
+def dds_type(type_: str) -> str:
+    """Return the name of a type in DDS."""
+    package, folder, name = type_.split("/")
+    return f"{package}::{folder}::dds_::{name}_"
 
 
 class Link:

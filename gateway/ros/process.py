@@ -4,9 +4,6 @@ Its standard input is the pipe. The first message says what there is (`Setup`); 
 and answers, and gets samples, requests, and how many match each row. It ends with the pipe, whatever happens:
 it has nothing that a motor depends on.
 
-Rules. A stream (a row that is not reliable) is thinned: its newest sample from each writer goes on, at most
-every `THINNED`; what others send faster is counted. Everything else goes on in order, so many at once.
-
 | to the loop | |
 |---|---|
 | "opened", where | |
@@ -25,40 +22,30 @@ import struct
 import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gateway.core.clock import WallClock
-from gateway.ros.link import Link
-from gateway.ros.network import LOOPBACK
+from gateway.errors import UserError
+from gateway.ros.intake import Intake
+from gateway.ros.link import Link, Setup, dds_type
+from gateway.ros.network import LOOPBACK, is_zenoh
 from gateway.ros.rtps import MULTICAST, Endpoint, Participant, Qos, Sample, ports
 from gateway.ros.rtps_wire import Identity, Locator
-from protocols.messages import MILLISECOND, Nanos
+from protocols.messages import Nanos
+
+if TYPE_CHECKING:
+    from gateway.ros.zenoh_carrier import ZenohCarrier
 
 MOST_PARTICIPANTS = 120
 """Of this machine, in one domain: their ports are tried one after the other."""
 ANNOUNCED = 20
 """Of these, how many are told of us unasked; the others announce themselves to us."""
-THINNED: Nanos = 4 * MILLISECOND
 AT_ONCE = 256
-"""Datagrams that are read before something else is done,"""
-REQUESTS = 50
-"""and of each row's samples and requests, if they are not thinned, that go on in that time."""
+"""Datagrams that are read before something else is done"""
 IDLE, BUSY = 0.005, 0.0005
 BUFFER = 1 << 20
 ENCAPSULATION = b"\x00\x01\x00\x00"
 DISCOVERY = "ros_discovery_info"
-
-
-@dataclass(frozen=True, slots=True)
-class Setup:
-    """What there is."""
-
-    address: str
-    domain: int
-    node: str
-    namespace: str
-    rows: Sequence[Sequence[Any]]
-    """Kind, name, type, hash; whether reliable, whether kept; depth"""
 
 
 def endpoints(setup: Setup) -> tuple[list[Endpoint], list[tuple[int, ...]]]:
@@ -77,12 +64,6 @@ def endpoints(setup: Setup) -> tuple[list[Endpoint], list[tuple[int, ...]]]:
     type_ = dds_type("rmw_dds_common/msg/ParticipantEntitiesInfo")
     found.append(Endpoint(DISCOVERY, type_, True, Qos(transient=True, depth=1)))
     return found, of_rows
-
-
-def dds_type(type_: str) -> str:
-    """Return the name of a type in DDS."""
-    package, folder, name = type_.split("/")
-    return f"{package}::{folder}::dds_::{name}_"
 
 
 def discovery_info(participant: Participant, setup: Setup) -> bytes:
@@ -152,14 +133,6 @@ def join(address: str, domain: int) -> socket.socket:
 
 
 @dataclass(slots=True)
-class _Stream:
-    """The newest of a writer's samples."""
-
-    payload: bytes
-    count: int = 1
-
-
-@dataclass(slots=True)
 class Carrier:
     """A participant between the pipe and the sockets."""
 
@@ -171,12 +144,11 @@ class Carrier:
     _rows: list[tuple[int, ...]] = field(init=False)
     _of: dict[int, int] = field(init=False)
     """Rows by endpoint."""
-    _streams: dict[tuple[int, bytes], _Stream] = field(default_factory=dict)
-    _passed: Nanos = 0
+    _intake: Intake = field(init=False)
     _unsendable: int = 0
 
     def __post_init__(self) -> None:
-        setup = self.setup
+        setup, self._intake = self.setup, Intake(self.link)
         discovery, data = open_sockets(setup.address, setup.domain)
         self.sockets = [discovery, data]
         targets = [Locator(LOOPBACK, ports(setup.domain, number)[1]) for number in range(ANNOUNCED)]
@@ -190,6 +162,11 @@ class Carrier:
         where = Locator(*discovery.getsockname()), Locator(*data.getsockname())
         self.participant = Participant(os.urandom(12), setup.domain, *where, made, targets)
         self.participant.publish(0, len(made) - 1, discovery_info(self.participant, setup))
+
+    @property
+    def where(self) -> str:
+        """Where it listens."""
+        return ", ".join(f"{host}:{port}" for host, port in (one.getsockname() for one in self.sockets))
 
     def run(self) -> None:
         """Carry, until the pipe is closed."""
@@ -219,15 +196,10 @@ class Carrier:
             if row is not None and self._rows[row][0] == found.endpoint:
                 self.link.send("match", row, found.others)
         self._send()
-        if now - self._passed >= THINNED:
-            self._passed = now
-            for (row, writer), stream in self._streams.items():
-                self.link.send("sample", row, stream.payload, writer, stream.count, may_drop=True)
-            self._streams.clear()
+        self._intake.turn(now)
         self.link.flush()
 
     def _listen(self, now: Nanos) -> None:
-        passed: dict[int, int] = {}
         for one in self.sockets:
             for _ in range(AT_ONCE):
                 try:
@@ -235,32 +207,19 @@ class Carrier:
                 except OSError:  # nothing more, or what a port that is closed by now answered
                     break
                 for found in self.participant.receive(now, data, host):
-                    if not self.participant.endpoints[found.endpoint].qos.reliable:
-                        self._stream(found)
-                    elif passed.get(found.endpoint, 0) < REQUESTS:
-                        passed[found.endpoint] = passed.get(found.endpoint, 0) + 1
-                        self._pass_on(found)
+                    self._pass_on(self._of[found.endpoint], found)
 
-    def _stream(self, found: Sample) -> None:
-        key = self._of[found.endpoint], found.identity.guid
-        known = self._streams.get(key)
-        if known is not None:
-            known.payload, known.count = found.payload, known.count + 1
-        elif len(self._streams) < REQUESTS:
-            self._streams[key] = _Stream(found.payload)
-
-    def _pass_on(self, found: Sample) -> None:
-        row = self._of[found.endpoint]
+    def _pass_on(self, row: int, found: Sample) -> None:
         if len(self._rows[row]) == 1:
-            self.link.send("sample", row, found.payload, found.identity.guid, 1, may_drop=True)
-            return
-        if found.related is not None:  # Fast DDS: the request's number, and the reader of its client
+            reliable = self.participant.endpoints[found.endpoint].qos.reliable
+            take = self._intake.sample if reliable else self._intake.stream
+            take(row, found.payload, found.identity.guid)
+        elif found.related is not None:  # Fast DDS: the request's number, and the reader of its client
             token = [found.related.guid, found.identity.number, found.related.guid, b""]
-            payload = found.payload
+            self._intake.request(row, found.payload, token)
         else:  # Cyclone DDS: client and number before the content
             token = [b"", 0, found.identity.guid, found.payload[4:20]]
-            payload = found.payload[:4] + found.payload[20:]
-        self.link.send("request", row, payload, token, may_drop=True)
+            self._intake.request(row, found.payload[:4] + found.payload[20:], token)
 
     def _answer(self, now: Nanos, row: int, payload: bytes, token: Sequence[Any]) -> None:
         guid, number, client, head = token
@@ -276,6 +235,23 @@ class Carrier:
                 self._unsendable += 1
 
 
+def open_carrier(setup: Setup, link: Link) -> Carrier | ZenohCarrier:
+    """Return what carries, on the network that is asked for. Raises UserError if it cannot be opened."""
+    if not is_zenoh(setup.address):
+        try:
+            return Carrier(setup, link)
+        except OSError as error:
+            raise UserError(f"the network of {setup.address} cannot be opened: {error}") from error
+    try:
+        from gateway.ros.zenoh_carrier import ZenohCarrier, ZError
+    except ImportError as error:
+        raise UserError(f"it needs zenoh ({error}): pip install 'motor-gateway[ros]'") from error
+    try:
+        return ZenohCarrier(setup, link)
+    except ZError as error:
+        raise UserError(f"{setup.address} cannot be opened: {error}") from error
+
+
 def main(standard_input: int = 0) -> int:
     """Carry for the loop at the other end of the standard input; return 1 if the network cannot be opened."""
     end = socket.socket(fileno=standard_input)
@@ -288,12 +264,11 @@ def main(standard_input: int = 0) -> int:
         return 1
     setup = Setup(*first[0])
     try:
-        carrier = Carrier(setup, link)
-    except OSError as error:
-        link.send("trouble", f"the network of {setup.address} cannot be opened: {error}")
+        carrier = open_carrier(setup, link)
+    except UserError as error:
+        link.send("trouble", str(error))
         return 1
-    where = ", ".join(f"{host}:{port}" for host, port in (one.getsockname() for one in carrier.sockets))
-    link.send("opened", where)
+    link.send("opened", carrier.where)
     carrier.take(carrier.clock.now(), first[1:])
     carrier.run()
     return 0

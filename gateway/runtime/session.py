@@ -321,7 +321,8 @@ class Session:
 
         Args:
             network: "": this machine alone. Else our interface to a network, by its name or IPv4 address:
-                then whoever is there can drive the robot.
+                then whoever is there can drive the robot. "zenoh", or "zenoh:ENDPOINT" of its router, for who
+                uses rmw_zenoh: needs the extra `ros`.
             domain: of DDS; None: the robot file's.
 
         Returns:

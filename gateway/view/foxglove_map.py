@@ -60,6 +60,21 @@ class MapLayout(NamedTuple):
         return x + self.column * width * self.cell, y + self.row * height * self.cell
 
 
+class Rectangle(NamedTuple):
+    """Cells of what is drawn: the lower left one, and how many."""
+
+    x: int
+    y: int
+    width: int
+    height: int
+
+    def bands(self, most: int) -> list[Rectangle]:
+        """Return it in parts, one above the other, of so many cells at most, or of one row."""
+        rows = max(1, most // max(1, self.width))
+        ends = range(self.y, self.y + self.height, rows)
+        return [self._replace(y=y, height=min(rows, self.y + self.height - y)) for y in ends if self.width]
+
+
 NOTHING = MapLayout((0.0, 0.0), 1.0, (1, 1), 1, 0, 0, 0, 0)
 
 
@@ -78,6 +93,8 @@ class Drawing:
         self._drawn: dict[tuple[int, int], Tile] = {}
         self._left: list[tuple[tuple[int, int], Tile | None]] = []
         """What is still to be drawn of it; None where it has no tile any more."""
+        self._changed: set[tuple[int, int]] = set()
+        """Tiles that were drawn since the changes were taken."""
 
     def anew(self) -> None:
         """Take the newest version next, without delay."""
@@ -103,6 +120,21 @@ class Drawing:
         del self._left[-TILES:]
         return not self._left
 
+    def take_changes(self) -> Rectangle:
+        """Return the cells about all that was drawn since the last call."""
+        rows, columns = ([tile[i] for tile in self._changed] for i in (0, 1))
+        self._changed.clear()
+        if not rows:
+            return Rectangle(0, 0, 0, 0)
+        layout = self.layout
+        height, width = (size // layout.factor for size in layout.tile)
+        return Rectangle(
+            (min(columns) - layout.column) * width,
+            (min(rows) - layout.row) * height,
+            (max(columns) - min(columns) + 1) * width,
+            (max(rows) - min(rows) + 1) * height,
+        )
+
     def _begin(self, view: MapView) -> None:
         layout, drawn = _layout(view), self._drawn
         if layout != self.layout:
@@ -111,6 +143,7 @@ class Drawing:
             shape = layout.rows * height // factor, layout.columns * width // factor
             self.cells = np.full(shape, UNKNOWN, np.int8)
             drawn.clear()
+            self._changed.clear()
         shown = {key: view.tiles[key] for key in view.tiles if layout.holds(key)}
         self._left += [(key, tile) for key, tile in shown.items() if drawn.get(key) is not tile]
         self._left += [(key, None) for key in drawn if key not in shown]
@@ -121,6 +154,7 @@ class Drawing:
         new = [tile for _, tile in tiles if tile is not None]
         drawn = iter(percent(coarser(np.stack(new), factor) * unit) if new else ())
         for (row, column), tile in tiles:
+            self._changed.add((row, column))
             y, x = (row - first_row) * height, (column - first_column) * width
             self.cells[y : y + height, x : x + width] = UNKNOWN if tile is None else next(drawn)
             if tile is None:

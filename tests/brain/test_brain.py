@@ -75,6 +75,23 @@ def test_goals_through_a_doorway_are_reached_and_no_wall_is_touched() -> None:
     assert all_idle(trip.commands)
 
 
+def test_a_goal_is_reached_though_a_person_says_on_the_way_that_it_is_elsewhere() -> None:
+    """40 cm and 15° beside where it is: what scans show is believed again, and no wall is touched."""
+    trip, wrong = driving(), []
+    for bad in (msg.Locate(nan, 0.0, 0.0), msg.Locate(2e4, 0.0, 0.0), msg.Locate(0.0, 0.0, 0.0, 9.0)):
+        trip.tick([bad])
+        wrong.append(trip.notes[-1][1])
+    assert [text.partition(":")[0] for text in wrong] == ["Locate refused"] * 3
+    assert "its x must be" in wrong[0]
+    assert "is beyond 10000 m" in wrong[1]
+    assert "a standard deviation of 9 m" in wrong[2]
+    at = trip.office.pose
+    trip.tick([msg.Locate(at.x + 0.3, at.y - 0.26, at.yaw + 0.26, 0.3, 0.26)])
+    trip.run(20.0, lambda belief: belief.reached == 1)
+    assert from_goal(trip, ACROSS) < 0.2
+    assert trip.office.touched == 0
+
+
 def test_equal_runs_are_equal_and_a_deep_copy_continues_alike() -> None:
     runs = [Trip(Office(seed=3)) for _ in range(2)]
     for trip in runs:

@@ -98,6 +98,8 @@ def test_a_lost_source_and_a_hand_pause_it_and_others_must_wait() -> None:
     assert trip.brain.belief().mission is not None
     assert "paused at step 1 of 1: manual driving" in texts(trip)
     trip.run(1.0)
+    trip.tick([msg.Resume(), msg.Locate(0.0, 0.0, 0.0)])  # where its map has begun
+    assert "paused at step 1 of 1: the robot was told where it is" in texts(trip)
     trip.tick([msg.Resume()])
     trip.office.silent = {"lidar"}
     trip.run(15.0, lambda b: phase(trip) == "paused")

@@ -416,6 +416,36 @@ def test_a_robot_carried_elsewhere_is_lost_draws_nothing_and_is_found() -> None:
     assert apart(belief, rover.truth) < 0.03
 
 
+def test_a_robot_that_is_carried_and_told_where_it_is_searches_for_nothing() -> None:
+    """As exactly as a hand points on a map."""
+    rover, belief = Rover(12), new()
+    for angular in (0.8, 0.0):
+        run(rover, belief, 1200, 0.0, angular)
+    rover.truth = Pose(1.0, 1.2, 1.0)
+    odom = belief.estimate.odom if belief.estimate else None
+    assert belief.locate(Pose(1.2, 1.1, 1.15), 0.5, 0.26)
+    assert belief.estimate is not None
+    assert belief.estimate.odom == odom  # the pose in odom does not leap
+    assert belief.take_notes()[-1].startswith("told that it is at (1.20, 1.10), 66°: ")
+    for _ in range(300):
+        run(rover, belief, 1)
+        assert belief.verdict.trust is not Trust.LOST
+    assert apart(belief, rover.truth) < 0.05
+    assert belief.anomalies[""] == {"told where it is": 1}
+    assert clearance(belief.map, 0.5, 0.5) > 0.3  # nothing new where it was free
+
+
+def test_a_robot_told_that_it_is_elsewhere_finds_out() -> None:
+    rover, belief = Rover(12), new()
+    assert not belief.locate(Pose(0.0, 0.0, 0.0), 0.5, 0.26)  # before its first estimate
+    for angular in (0.8, 0.0):
+        run(rover, belief, 1200, 0.0, angular)
+    assert belief.locate(Pose(1.5, 1.5, 2.0), 0.1, 0.1)
+    run(rover, belief, 1200, 0.0, 0.5)
+    assert belief.verdict.trust is Trust.CONSISTENT
+    assert apart(belief, rover.truth) < 0.03
+
+
 def test_a_full_map_forgets_what_is_farthest_and_says_so() -> None:
     walls = np.array(box(-2.0, -2.0, 28.0, 2.0) + [(x, 2.0, x, 1.2) for x in range(0, 28, 2)])
     few = replace(SETTINGS, map=MapSettings(resolution=0.02, farthest=2.5, tiles=64))

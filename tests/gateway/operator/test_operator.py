@@ -65,6 +65,7 @@ LINES: list[tuple[Robot, str, msg.Instruction | Query | None]] = [
     (DIFFBOT, "pause", msg.Pause()),
     (DIFFBOT, "resume", msg.Resume()),
     (DIFFBOT, "drop", msg.Drop()),
+    (DIFFBOT, "locate 1 2 90", msg.Locate(1.0, 2.0, math.pi / 2)),
     (DIFFBOT, "stop", msg.Stop()),
     (DIFFBOT, "stop a cat is in the way", msg.Stop("a cat is in the way")),
     (DIFFBOT, "  release  ", msg.Release()),

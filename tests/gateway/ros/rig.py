@@ -14,12 +14,13 @@ from gateway.config import load_robot, parse_robot
 from gateway.core.tick import Tick
 from gateway.ros import graph, types
 from gateway.ros.bridge import Bridge, open_bridge
-from gateway.ros.process import dds_type, open_sockets
+from gateway.ros.link import dds_type
+from gateway.ros.process import open_sockets
 from gateway.ros.rtps import Endpoint, Participant, Qos, Sample, ports
 from gateway.ros.rtps_wire import Identity, Locator
 from gateway.runtime.session import Session
 from gateway.view.scene import Scene
-from protocols.messages import Instruction
+from protocols.messages import Instruction, Nanos
 from tests.gateway.processes import PATIENCE
 from tests.gateway.ros.judged import domain
 
@@ -28,8 +29,16 @@ class Peer:
     """Another participant: a publisher, subscriber or client of each of these names, with its type."""
 
     def __init__(
-        self, number: int, *, publishes: dict[str, str], subscribes: dict[str, str], calls: dict[str, str]
+        self,
+        number: int,
+        *,
+        publishes: dict[str, str],
+        subscribes: dict[str, str],
+        calls: dict[str, str],
+        clock: Callable[[], Nanos] = time.monotonic_ns,
+        sockets: Callable[[str, int], Sequence[Any]] = open_sockets,
     ) -> None:
+        self._clock = clock
         endpoints = [Endpoint(f"rt{name}", dds_type(kind), True, Qos()) for name, kind in publishes.items()]
         endpoints += [
             Endpoint(f"rt{name}", dds_type(kind), False, Qos()) for name, kind in subscribes.items()
@@ -37,7 +46,7 @@ class Peer:
         for name, kind in calls.items():
             endpoints.append(Endpoint(f"rq{name}Request", dds_type(f"{kind}_Request"), True, Qos()))
             endpoints.append(Endpoint(f"rr{name}Reply", dds_type(f"{kind}_Response"), False, Qos()))
-        self._sockets = open_sockets("127.0.0.1", number)
+        self._sockets = sockets("127.0.0.1", number)
         where = [Locator(*one.getsockname()) for one in self._sockets]
         targets = [Locator("127.0.0.1", ports(number, i)[1]) for i in range(8)]
         self.participant = Participant(os.urandom(12), number, where[0], where[1], endpoints, targets)
@@ -53,18 +62,18 @@ class Peer:
         self.publish_bytes(name, types.encode(message))
 
     def publish_bytes(self, name: str, data: bytes) -> None:
-        self.participant.publish(time.monotonic_ns(), self._index[f"rt{name}"], data)
+        self.participant.publish(self._clock(), self._index[f"rt{name}"], data)
 
     def call(self, name: str, request: Any) -> None:
         """Call a service as Fast DDS does: the identity names the reader of the answer."""
         reader = self.participant.guid(self._index[f"rr{name}Reply"])
         writer = self._index[f"rq{name}Request"]
-        now = time.monotonic_ns()
+        now = self._clock()
         made = self.participant._mine[writer]
         self.participant._publish(now, made, types.encode(request), Identity(reader, 0))  # type: ignore[arg-type]
 
     def turn(self) -> None:
-        now = time.monotonic_ns()
+        now = self._clock()
         self.participant.step(now)
         for to, data in self.participant.outgoing():
             self._sockets[1].sendto(data, to)
@@ -104,8 +113,15 @@ class Rig:
         self._ticks = session.run(poll=self._poll)
         session.watch(self._watch)
 
-    def join(self, each: Callable[[], None] | None = None, **what: dict[str, str]) -> Peer:
-        peer = Peer(self.number, **{"publishes": {}, "subscribes": {}, "calls": {}} | what)
+    def join(
+        self,
+        each: Callable[[], None] | None = None,
+        *,
+        publishes: dict[str, str] | None = None,
+        subscribes: dict[str, str] | None = None,
+        calls: dict[str, str] | None = None,
+    ) -> Peer:
+        peer = Peer(self.number, publishes=publishes or {}, subscribes=subscribes or {}, calls=calls or {})
         self.peers.append(peer)
         matched = lambda: len(peer.matched) == len(peer.participant.endpoints)  # noqa: E731
         self.until(matched, "a match of everything", each)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gateway.config import load_robot
-from gateway.ros import asked
+from gateway.ros import asked, graph
 from gateway.ros.asked import PERSON, Held
 from gateway.ros.types import make
 from protocols import messages as msg
@@ -68,6 +68,49 @@ def test_goals() -> None:
             asked.goal(DIFFBOT, wrong)
     with pytest.raises(asked.Refused, match="no base"):
         asked.goal(BENCH, pose(1.0, 1.0))
+
+
+def located(covariance: dict[int, float], x: float = 1.0, frame: str = "map") -> Any:
+    """`covariance`: by index in its 36 numbers."""
+    one, cells = pose(x, 2.0, (0.0, 0.0, math.sin(0.5), math.cos(0.5)), frame), np.zeros(36)
+    cells[list(covariance)] = list(covariance.values())
+    kind = "geometry_msgs/msg/PoseWithCovariance"
+    return make(graph.POSE_KNOWN, header=one.header, pose=make(kind, pose=one.pose, covariance=cells))
+
+
+@pytest.mark.parametrize(
+    ("covariance", "sigma", "sigma_yaw"),
+    [
+        ({0: 0.25, 7: 0.25, 35: 0.0685}, 0.5, 0.2617),  # as RViz sends it
+        ({}, 0.5, 0.26),  # not stated
+        ({0: 0.04, 7: 0.01, 35: 1e-9}, 0.2, 0.001),  # the larger axis; no surer than 1 mm, or 1 mrad
+        ({0: 0.05, 1: 0.04, 6: 0.04, 7: 0.05, 35: 0.01}, 0.3, 0.1),  # along a diagonal
+        ({0: 0.25, 7: 0.25, 14: -1.0, 21: NAN, 35: 0.01}, 0.5, 0.1),  # what is not of the plane is not read
+    ],
+)
+def test_where_it_is(covariance: dict[int, float], sigma: float, sigma_yaw: float) -> None:
+    found = asked.located(DIFFBOT, located(covariance))
+    assert (found.x, found.y, found.yaw) == pytest.approx((1.0, 2.0, 1.0))
+    assert (found.sigma, found.sigma_yaw) == pytest.approx((sigma, sigma_yaw), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "why"),
+    [
+        (located({}, frame="odom"), "the robot is in the frame 'map', not in 'odom'"),
+        (located({}, x=INF), "not finite"),
+        (located({0: NAN}), "not finite"),
+        (located({7: -0.1}), "its covariance is none: x 0, y -0.1"),
+        (located({35: -0.1}), "its covariance is none"),
+        (located({0: 0.1, 7: 0.1, 1: 0.05}), "its covariance is none"),
+        (located({0: 0.1, 7: 0.1, 1: 0.2, 6: 0.2}), "its covariance is none"),
+    ],
+)
+def test_where_it_is_not(wrong: Any, why: str) -> None:
+    with pytest.raises(asked.Refused, match=why):
+        asked.located(DIFFBOT, wrong)
+    with pytest.raises(asked.Refused, match="no base"):
+        asked.located(BENCH, located({}))
 
 
 def test_targets_of_joints() -> None:

@@ -13,15 +13,16 @@ import pytest
 import gateway
 from brain.belief import BrainState, MapView
 from gateway.errors import UserError
-from gateway.ros import actions, asked, graph, types
+from gateway.ros import actions, asked, bridge, graph, types
 from gateway.ros.types import make
 from protocols import messages as msg
 from protocols.messages import SECOND, Drive, Goal, Position, Stop, Velocity
 from tests.gateway.ros.judged import domain
 from tests.gateway.ros.rig import ARRAY, LOG, TWIST, Rig, rig, twist
+from tests.gateway.ros.test_asked import located
 from tests.gateway.ros.test_trajectory import message, point
 
-STOP = {f"/diffbot/{name}": graph.TRIGGER for name in graph.SERVICES}
+STOP = {f"/diffbot/{name}": graph.TRIGGER for name in graph.TRIGGERS}
 TRIGGER = make(f"{graph.TRIGGER}_Request")
 
 
@@ -115,6 +116,30 @@ def test_who_drives_and_what_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
         header = make("std_msgs/msg/Header", stamp=make("builtin_interfaces/msg/Time", sec=2**31 - 1))
         third.publish("/cmd_vel", make(graph.TWIST_STAMPED, header=header, twist=twist(0.12)))
         one.until(lambda: Drive(0.12, 0.0) in drives(one), "driving by it")
+
+
+def test_a_shaft_is_zeroed_by_a_service_that_answers_when_it_is() -> None:
+    calls = {f"/bench/{name}/zero": graph.TRIGGER for name in ("left", "right")}
+    with rig("bench") as one:
+        peer = one.join(calls=calls, publishes={"/velocity_controller/commands": ARRAY})
+        one.ready()
+        joint = one.session.joints["left"]
+        drive = lambda: peer.publish("/velocity_controller/commands", make(ARRAY, data=np.array([3.0, 0.0])))  # noqa: E731
+        one.until(lambda: (joint.feedback.position or 0.0) > 0.5, "a turn", drive)
+        peer.call("/bench/left/zero", TRIGGER)
+        answers = one.until(lambda: peer.got["/bench/left/zero"], "an answer", drive)
+        assert not answers[0].success, "a shaft that is driven is not zeroed"
+        assert answers[0].message
+        one.until(lambda: one.asked[-1] == Velocity("right", 0.0), "rest")
+        one.persons.extend(msg.Idle(name) for name in one.session.joints)
+        one.run(100)
+        assert abs(joint.feedback.position or 0.0) > 0.4
+        peer.call("/bench/left/zero", TRIGGER)
+        peer.call("/bench/right/zero", TRIGGER)
+        one.until(lambda: len(answers) == 2 and peer.got["/bench/right/zero"], "answers")
+        assert answers[1].success, answers[1].message
+        assert joint.feedback.position == pytest.approx(0.0, abs=0.02)
+        assert {msg.Zero("left"), msg.Zero("right")} <= set(one.asked)
 
 
 def test_joints_by_arrays_and_trajectories() -> None:
@@ -316,6 +341,55 @@ def test_a_large_map_and_what_is_latched() -> None:
             assert frames == set(one.session.robot.sensors)
 
 
+def test_who_says_where_the_robot_is() -> None:
+    """Believed at once, also while it is stopped; what is absurd is refused in words."""
+    kinds = {"/initialpose": graph.POSE_KNOWN, "/goal_pose": graph.POSE_STAMPED}
+    with rig("diffbot") as one:
+        peer = one.join(publishes=kinds, subscribes={"/rosout": LOG})
+        one.ready()
+        peer.publish("/goal_pose", stamped(2.0, 0.0))
+        one.until(lambda: one.session.belief.path, "a path")
+        here = one.session.pose
+        assert here is not None
+        peer.publish("/initialpose", located({0: -0.25, 35: 0.07}, here.x))
+        one.until(lambda: any("its covariance is none" in text for text in said(peer)), "a refusal")
+        peer.publish("/initialpose", located({0: 1e12, 7: 0.25, 35: 0.07}, here.x))
+        one.until(lambda: any("1e+06 m: 0.001 to 5 m" in text for text in said(peer)), "the brain's refusal")
+        assert not any("told that" in text for text in said(peer))
+        version = one.session.belief.path_version
+        peer.publish("/initialpose", located({0: 0.04, 7: 0.04, 35: 0.01}, here.x))
+        one.until(lambda: any("told that it is at" in text for text in said(peer)), "a note")
+        told = next(each for each in one.asked if isinstance(each, msg.Locate) and each.sigma < 1.0)
+        assert (told.x, told.y, told.yaw) == pytest.approx((here.x, 2.0, 1.0))
+        one.until(lambda: one.session.belief.path_version > version, "another path")
+        one.persons.append(Stop("a button"))
+        one.until(lambda: one.session.belief.state is BrainState.STOPPED, "a stop")
+        before = len(one.asked)
+        peer.publish("/initialpose", located({}, 0.5))
+        one.until(lambda: any(isinstance(each, msg.Locate) for each in one.asked[before:]), "another place")
+
+
+def test_a_flood_of_reasons_is_said_and_not_for_ever() -> None:
+    with rig("diffbot") as one:
+        peer = one.join(publishes={"/cmd_vel": TWIST}, subscribes={"/rosout": LOG})
+        one.ready()
+
+        def wrong(count: int) -> None:
+            for number in range(count):
+                before = len(said(peer))
+                peer.publish_bytes("/cmd_vel", bytes((0, 64 + number)) + bytes(50))
+                one.until(lambda: len(said(peer)) > before, "another reason")  # noqa: B023 -- at once
+
+        wrong(bridge.MOST_REASONS)
+        peer.publish_bytes("/cmd_vel", bytes((0, 32)) + bytes(50))
+        peer.publish_bytes("/cmd_vel", bytes((0, 64)) + bytes(50))
+        one.run(100)
+        assert len([text for text in said(peer) if "encapsulation" in text]) == bridge.MOST_REASONS
+        peer.publish("/cmd_vel", twist(0.1))
+        one.until(lambda: drives(one), "driving")
+        wrong(1)
+
+
 def test_its_process_dies_and_the_robot_runs_on() -> None:
     with gateway.open_session("bench", simulated=True) as session:
         session.ros(domain=domain())
@@ -325,8 +399,10 @@ def test_its_process_dies_and_the_robot_runs_on() -> None:
         session._ros._bridge._held["/cmd_vel"].moves = True
         done: list[object] = []
         session.watch(lambda tick, _: done.extend(tick.inputs.instructions))
-        session._ros._bridge._process.kill()
-        session._ros._bridge._process.wait()
+        process = session._ros._bridge._process
+        assert process is not None
+        process.kill()
+        process.wait()
         assert sum(1 for _ in ticks) > 150
         assert getattr(session, "_ros", 0) is None
         assert Drive(0.0, 0.0) in done, "what was held has ended"

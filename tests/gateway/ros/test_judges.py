@@ -19,6 +19,7 @@ import pytest
 
 import gateway
 from brain.belief import Belief
+from gateway.config import load_robot, parse_robot
 from gateway.core.tick import Tick
 from gateway.recording import read_recording
 from gateway.replay import replay_recording
@@ -67,9 +68,13 @@ def test_two_implementations_of_dds_drive_a_robot(tmp_path: Path) -> None:
     with gateway.open_session("diffbot", seed=1, record=recording) as session:
         session.watch(seen.take)
         assert session.ros(domain=number).startswith(f"/diffbot in domain {number}, at 127.0.0.1:")
+        rows = graph.rows(session.robot, steers=True)
+        offered = [
+            len({r.name for r in rows if r.kind == kind}) for kind in ("publish", "subscribe", "serve")
+        ]
         scripts = [
             ("cyclone_client", (str(number), *map(str, NEAR))),
-            ("rclpy_robot", tuple(map(str, FAR))),
+            ("rclpy_robot", (*map(str, FAR), *map(str, offered))),
         ]
         judge = None
         for _ in session.run(seconds=PATIENCE):
@@ -103,6 +108,15 @@ def test_two_implementations_of_dds_drive_a_robot(tmp_path: Path) -> None:
         assert node == "diffbot", name
         assert hash_ == types.type_hash(type_), name
     assert {"/diffbot/stop", "/diffbot/get_parameters"} <= set(ros["services"]["names"])
+    for kind, found in (("publish", ros["graph"]["published"]), ("subscribe", ros["graph"]["taken"])):
+        of: dict[str, list[str]] = {}
+        for row in rows:
+            if row.kind == kind:
+                of.setdefault(row.shown, []).append(row.type)
+        assert {name: sorted(kinds) for name, kinds in found.items()} == of
+    assert ros["actions"]["names"] == ["/navigate_to_pose"]
+    kept = ["RELIABLE", "TRANSIENT_LOCAL"]
+    assert ros["qos"]["of"] == {"/map": kept, "/odom": ["RELIABLE", "VOLATILE"]}
 
     # what it reads is what the robot has
     ranges = ros["scan"]["ranges"]
@@ -125,7 +139,8 @@ def test_two_implementations_of_dds_drive_a_robot(tmp_path: Path) -> None:
     assert ros["stopped"]["moved"] < 0.02
     assert ros["stopped"]["refused"]
     kinds = {type(one) for one in seen.asked}
-    assert {msg.Drive, msg.Goal, msg.Mission, msg.Set, msg.Stop, msg.ClearFault} <= kinds
+    assert {msg.Drive, msg.Goal, msg.Locate, msg.Mission, msg.Set, msg.Stop, msg.ClearFault} <= kinds
+    assert ros["told"]["text"].endswith("from where it took itself to be")
     assert any(isinstance(one, msg.Goal) and (one.x, one.y) == FAR for one in seen.asked)
 
     # and all of it is replayed to the same bytes
@@ -133,10 +148,40 @@ def test_two_implementations_of_dds_drive_a_robot(tmp_path: Path) -> None:
     assert comparison.ok, comparison.text()
 
 
+NAMED = """
+[ros]
+namespace = "/left"
+node = "rover"
+remap = { "/joint_states" = "/arm/states", "~/release" = "/go_on" }
+"""
+
+
+def test_joints_in_a_namespace_by_names_of_the_robot_file(tmp_path: Path) -> None:
+    python()
+    number, asked = domain(), list[Any]()
+    robot = parse_robot(load_robot("bench").text + NAMED)
+    with gateway.open_session(robot, seed=1) as session:
+        session.watch(lambda tick, _: asked.extend(tick.inputs.instructions))
+        assert session.ros(domain=number).startswith(f"/left/rover in domain {number}, ")
+        judge = Judge(tmp_path, "rclpy_joints", number)
+        for _ in session.run(seconds=PATIENCE):
+            if judge.done():
+                break
+        found = judge.end()
+    assert found["topics"]["of"] == {"/arm/states": ["rover"], "/left/joint_states": []}
+    assert "left.limits.velocity" in found["parameters"]["listed"]
+    assert found["states"]["names"] == ["left", "right"]
+    assert found["velocity"]["values"] == pytest.approx([2.0, -1.0], abs=0.2)
+    assert found["trajectory"]["values"] == pytest.approx(found["trajectory"]["goal"], abs=0.05)
+    assert found["zero"]["success"], found["zero"]["message"]
+    assert (found["stop"]["success"], found["go_on"]["success"]) == (True, True)
+    assert {msg.Velocity("left", 2.0), msg.Zero("left"), msg.Release()} <= set(asked)
+
+
 class Server:
     """A server of an action of which ROS installs the types: one step of the sequence in each turn."""
 
-    def __init__(self, number: int) -> None:
+    def __init__(self, number: int, network: str = "127.0.0.1") -> None:
         name, type_ = "/fibonacci", "test_msgs/action/Fibonacci"
         rows = [
             (kind, one, type_, types.type_hash(type_), qos)
@@ -148,7 +193,7 @@ class Server:
             self.process = subprocess.Popen(command, stdin=theirs.fileno())
         self._link, self._names = Link(ours), [one[1] for one in rows]
         described = [(*row[:4], row[4].reliable, row[4].transient, row[4].depth) for row in rows]
-        self._link.send("127.0.0.1", number, "server", "", described)
+        self._link.send(network, number, "server", "", described)
         self._action = actions.Action(name, type_, self._publish, self._answer)
         self._sequence = [0, 1]
 

@@ -13,8 +13,8 @@ from gateway.ros import definitions, graph, types
 
 REAL = json.loads((Path(__file__).parent / "kilted.json").read_text())
 HASHES: dict[str, str] = REAL["hashes"]
-"""RIHS01 of ROS 2 Kilted (rosidl 4.9.5), of the files that its packages install; of the tf2, nav2 and control
-packages there are none to be installed without a build."""
+"""RIHS01 of ROS 2 Kilted (rosidl 4.9.5), of the files that its packages install; of the map, tf2, nav2 and
+control packages there are none to be installed without a build."""
 CDR: list[tuple[str, str]] = REAL["cdr"]
 """What rclpy 9.1.2 wrote: between a message's fields, and (cut off) after it, is what was in its memory."""
 
@@ -27,7 +27,7 @@ def test_hashes_are_those_of_ros(type_: str) -> None:
 def test_every_type_of_the_graph_has_a_hash_of_ros() -> None:
     rows = [row for name in ("diffbot", "bench", "arm") for row in graph.rows(load_robot(name), steers=True)]
     without = {row.type.split("/")[0] for row in rows if row.type not in HASHES}
-    assert without == {"tf2_msgs", "nav2_msgs", "control_msgs"}
+    assert without == {"map_msgs", "tf2_msgs", "nav2_msgs", "control_msgs"}
 
 
 def test_requests_of_actions_are_made_as_rosidl_makes_them(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,6 +1,7 @@
 """A node of real ROS 2 (rclpy): it subscribes to everything, drives a square, sends a goal, stops the robot.
 
-Prints what it found as lines of JSON. Arguments: x, y of the goal.
+Prints what it found as lines of JSON. Arguments: x, y of the goal; how many topics the robot publishes and
+takes, and how many services it has.
 """
 
 import json
@@ -14,6 +15,7 @@ from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Twist
 from nav_msgs.msg import OccupancyGrid, Odometry, Path
 from rcl_interfaces.msg import Log, ParameterType
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
+from rclpy.action import get_action_server_names_and_types_by_node
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
@@ -125,10 +127,22 @@ def main():
     say("begin")
     first = [name for name in TOPICS if name not in ("/plan",)]
     judge.until(lambda: all(judge.got[name] for name in first), "a message of every topic")
+    known = lambda: ("diffbot", "/") in judge.get_node_names_and_namespaces()  # noqa: E731
+    judge.until(known, "the node of the robot")
+    of_node = partial(judge.get_publisher_names_and_types_by_node, "diffbot", "/")
+    judge.until(lambda: len(of_node()) >= int(sys.argv[3]), "all that the robot publishes")
+    to_node = partial(judge.get_subscriber_names_and_types_by_node, "diffbot", "/")
+    judge.until(lambda: len(to_node()) >= int(sys.argv[4]), "all that it takes")
+    services = partial(judge.get_service_names_and_types_by_node, "diffbot", "/")
+    judge.until(lambda: len(services()) >= int(sys.argv[5]), "all its services")
     say("nodes", names=[list(one) for one in judge.get_node_names_and_namespaces()])
     infos = {name: judge.get_publishers_info_by_topic(name)[0] for name in TOPICS if name not in ("/rosout",)}
     say("infos", of={n: [i.node_name, i.topic_type, str(i.topic_type_hash)] for n, i in infos.items()})
-    say("services", names=[n for n, _ in judge.get_service_names_and_types_by_node("diffbot", "/")])
+    say("graph", published=dict(of_node()), taken=dict(to_node()))
+    say("actions", names=[n for n, _ in get_action_server_names_and_types_by_node(judge, "diffbot", "/")])
+    qos = {n: judge.get_publishers_info_by_topic(n)[0].qos_profile for n in ("/map", "/odom")}
+    say("qos", of={n: [one.reliability.name, one.durability.name] for n, one in qos.items()})
+    say("services", names=[name for name, _ in services()])
     scan, grid, joints = (judge.got[n][-1] for n in ("/scan", "/map", "/joint_states"))
     say(
         "scan", frame=scan.header.frame_id, ranges=list(map(float, scan.ranges)), t=seconds(scan.header.stamp)
@@ -140,7 +154,7 @@ def main():
         cells=len(grid.data),
         frame=grid.header.frame_id,
     )
-    say("joints", names=list(joints.name))
+    say("joints", names=sorted(joints.name))
     say("battery", volts=judge.got["/battery_state"][-1].voltage)
 
     listed = judge.call(ListParameters, "/diffbot/list_parameters", ListParameters.Request()).result.names
@@ -191,6 +205,18 @@ def main():
         "goal", off=off(), plans=len(judge.got["/plan"]), points=max(len(p.poses) for p in judge.got["/plan"])
     )
 
+    told = PoseWithCovarianceStamped()
+    told.header.frame_id, told.pose = "map", judge.got["/estimate"][-1].pose
+    told.pose.covariance[0] = told.pose.covariance[7] = 0.01
+    told.pose.covariance[35] = 0.01
+    places = judge.create_publisher(PoseWithCovarianceStamped, "/initialpose", 10)
+    judge.until(lambda: places.get_subscription_count() > 0, "a match of /initialpose")
+    places.publish(told)
+
+    def heard():
+        return [m.msg for m in judge.got["/rosout"] if m.msg.startswith("told that it is at")]
+
+    say("told", text=judge.until(heard, "a note about the place")[0])
     poses = {seconds(m.header.stamp): m.pose.pose for m in judge.got["/odom"]}
     say("odom", poses=[[t, p.position.x, p.position.y, yaw(p.orientation)] for t, p in poses.items()])
     maps = {seconds(m.header.stamp): m.pose.pose for m in judge.got["/estimate"]}
