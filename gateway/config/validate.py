@@ -350,6 +350,15 @@ def _out_of_range(motor: Motor) -> list[str]:
                 f"{motor.name}: its limit of {quantity} is {limit:g} {unit} at the device's shaft, but the "
                 f"device can be commanded at most {able.high:g}; commands beyond that are refused"
             )
+    able = motor.spec.ranges.get("Position.position")
+    if able and limits.position is not None:
+        ends = sorted(each * gear * motor.joint.sign for each in limits.position)
+        if ends[0] < able.low - able.resolution or ends[1] > able.high + able.resolution:
+            notes.append(
+                f"{motor.name}: its limits of position are [{ends[0]:.4g}, {ends[1]:.4g}] rad at the device's"
+                f" shaft, but the device can be commanded from {able.low:.4g} to {able.high:.4g} only; "
+                "commands beyond that are refused"
+            )
     return notes
 
 

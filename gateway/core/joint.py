@@ -117,6 +117,7 @@ class Joint:
         self._stop_limits = replace(limits, jerk=None)
         """The limits of a stop: as hard as the acceleration allows."""
         self._replies_only = spec.feedback is FeedbackKind.REPLY
+        self._silence = spec.offline_after
         self._faults = LatchedFaults(name)
         self._identity = DeviceIdentity(settings.serial)
         self._acceptance = Acceptance(name, settings.commands(spec))
@@ -125,7 +126,11 @@ class Joint:
         )
         ratio = self._gearing.ratio
         self._measured = Measured(
-            name, settings.feedback_timeout, limits.velocity, open_loop=spec.feedback is FeedbackKind.NONE
+            name,
+            settings.feedback_timeout,
+            limits.velocity,
+            open_loop=spec.feedback is FeedbackKind.NONE,
+            start=limits.inside(0.0),
         )
         self._place = Whereabouts(limits, Reference(limits, spec, gear))
         self._following = Following(limits, spec, gear, settings.following_time, settings.following_share)
@@ -221,6 +226,8 @@ class Joint:
         the device of another joint reports its motion."""
         if not self._measured.open_loop:
             return None
+        if self.armed and isinstance(self._out, msg.Position):
+            return msg.Feedback(self.name, now, self._out.position, self._out.velocity)
         commanded = self._out.velocity if self.armed and isinstance(self._out, msg.Velocity) else 0.0
         span = min(now - self._out_at, self.settings.command_timeout) / SECOND if commanded else 0.0
         return self._measured.presumed(now, commanded, span)
@@ -341,6 +348,8 @@ class Joint:
         if self.owned and self.armed and self._measured.lost(now):
             limit = f"{self.settings.feedback_timeout / MILLISECOND:g} ms"
             self._faults.find(now, FEEDBACK_LOST, limit)
+        if self.owned and self.armed and self.open_loop and self.mode is Mode.OFFLINE:
+            self._faults.find(now, FEEDBACK_LOST, f"{self._silence / MILLISECOND:g} ms")
         if wrong := self._identity.wrong():
             self._faults.find(now, ANOTHER_DEVICE, wrong)
         for code, detail in self._place.check(
@@ -407,10 +416,13 @@ class Joint:
         shown, self._shown = self._shown, self._arming.shows_arming(measured)
         dt = max(0, min(now - self._out_at, self.settings.command_timeout)) / SECOND
         limits = self._stop_limits if stopped or self.faults else self.settings.limits
+        here = measured.feedback
+        if not isinstance(wanted, msg.Velocity):
+            here = self.presumed(now) or here
         begins = not self._arming.obeys(measured)
         if begins or (not shown and self._profile.departs(measured.feedback, limits)):
             self._profile.forget()  # it starts with the motion that the shaft has then
-        out = self._profile.limited(wanted, dt, measured.feedback, limits)
+        out = self._profile.limited(wanted, dt, here, limits)
         if isinstance(out, msg.Torque):
             out = msg.Torque(self.name, self._swing.within(out.torque, dt, limits.velocity))
         return out

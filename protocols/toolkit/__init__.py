@@ -23,6 +23,7 @@ does, not how it is made.
     servo_device    and what one keeps and obeys, in decoder and twin
     duplicates      how two devices with one address are noticed
     firmware        the device's side: arming, watchdog, reports, replies
+    pulses          hobby servos: what a pulse means, and the servo behind its wire
     servo           encoder, control loops, power stage with supply and heat
     mit             five numbers in every command, as MIT-type actuators have them
     turns           positions beyond the range, or the turn, in which they are reported

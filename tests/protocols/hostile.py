@@ -56,6 +56,7 @@ ROBOTS = {
     "ddsm": "diffbot_ddsm",
     "roboclaw": "diffbot_roboclaw",
     "sabertooth": "diffbot_sabertooth",
+    "maestro": "car",
     "hoverboard": "diffbot_hoverboard",
     "ld06": "diffbot_sensors",
     "witmotion": "diffbot_sensors",
