@@ -37,7 +37,12 @@ ONLY: dict[str, tuple[str, ...]] = {
     "socket": ("gateway.buses", "gateway.operator", "gateway.ros", "gateway.view"),
     "websockets": ("gateway.view",),
     "zstandard": ("gateway.recording",),
-    "threading": ("gateway.buses.threaded", "gateway.recording.writer", "gateway.cli.terminal.output"),
+    "threading": (
+        "gateway.buses.i2c",
+        "gateway.buses.threaded",
+        "gateway.recording.writer",
+        "gateway.cli.terminal.output",
+    ),
     "time": ("gateway.core.clock",),
     "uuid": (),
 }

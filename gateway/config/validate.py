@@ -36,7 +36,7 @@ STALLED_PERIODS = 4
 """Of the robot: a loop that stands for less is late."""
 NUMBERED = re.compile(r"socketcan:can[0-9]+|[a-z-]+:/dev/tty(USB|ACM)[0-9]+(@.*)?")
 """Interfaces that the machine numbers in the order in which it finds them."""
-_CARRIES = {"can": ("can", "canfd"), "canfd": ("canfd",), "serial": ("serial",)}
+_CARRIES = {"can": ("can", "canfd"), "canfd": ("canfd",), "serial": ("serial",), "i2c": ("i2c",)}
 """Kinds of bus that carry a device's frames: a classic CAN device also works on a CAN FD bus."""
 
 
@@ -229,7 +229,7 @@ def cautions(robot: Robot) -> list[str]:
     notes += [text for motor in robot.motors.values() for text in _out_of_range(motor)]
     notes += [text for motor in robot.motors.values() for text in _past_feedback(motor)]
     for bus in robot.buses.values():
-        if bus.kind != "serial" and not bus.acknowledged:
+        if not bus.carries_bytes and not bus.acknowledged:
             here = robot.devices_on(bus.name)
             notes += [*_fd_beside_classic(bus.name, here), *_mistakable_reports(here)]
     return [

@@ -81,7 +81,7 @@ class _Receivers:
         listeners = [
             (plugin, some)
             for plugin, group in robot.by_protocol(bus)
-            for some in ([group] if robot.buses[bus].kind == "serial" else [[one] for one in group])
+            for some in ([group] if robot.buses[bus].carries_bytes else [[one] for one in group])
         ]
         self._decoders = [plugin.decoder(some) for plugin, some in listeners]
         self._before = copy.deepcopy(self._decoders)

@@ -57,6 +57,7 @@ ROBOTS = {
     "roboclaw": "diffbot_roboclaw",
     "sabertooth": "diffbot_sabertooth",
     "maestro": "car",
+    "pca9685": "pan_tilt",
     "hoverboard": "diffbot_hoverboard",
     "ld06": "diffbot_sensors",
     "witmotion": "diffbot_sensors",
