@@ -253,6 +253,8 @@ class Spec:
     when they like. "asked": the device sends only answers, and one question is under way at a time: `send`
     gives an `Exchange` for each frame that is answered, and `answer` takes what came. "half-duplex": the
     same, on one wire for both directions."""
+    holds_idle: bool = False
+    """True if it holds its load when it is disarmed: closed ports, a brake."""
     caution: str = ""
     """What else a person must know of its options, printed at every start."""
 

@@ -283,7 +283,7 @@ def _assumed_scales(device: BusDevice) -> list[str]:
 def _falling_load(motor: Motor) -> list[str]:
     """A joint with an end of travel, whose load falls at a stop or after the run; a wheel has no such end."""
     joint = motor.joint
-    if joint.limits.position is None:
+    if joint.limits.position is None or motor.spec.holds_idle:
         return []
     if joint.stop_action != "hold" and joint.unattended == "held":
         when = f'by stop_action = "{joint.stop_action}" nothing holds its load at a stop and after the run'
@@ -367,6 +367,10 @@ def _past_feedback(motor: Motor) -> list[str]:
     joint, able = motor.joint, motor.spec.ranges.get("Feedback.position")
     most = min(-able.low, able.high) if able else inf
     limits, speed = joint.limits.position, joint.limits.velocity * joint.gear
+    if limits is not None and able is not None:
+        ends = [each * joint.gear * joint.sign for each in limits]
+        if able.low <= min(ends) and max(ends) <= able.high:
+            return []
     if limits is not None:
         farthest = max(map(abs, limits)) * joint.gear
         where, passes = f"its limits of position reach {farthest:g} rad", farthest > most

@@ -6,8 +6,8 @@ Faults latch here until an operator clears them. Nothing can be switched off: ev
 bounds on both sides, and a limit that is set at run time stays within the robot file's. Inside, everything
 is at the output shaft; what goes to the driver, and what comes from it, is at the device's shaft (one turn of
 the joint is `gear` turns of the device, reversed if `sign` is -1). Each concern has its file and its state:
-`measured`, `whereabouts`, `arming`, `identity`, `faults`, `acceptance`, `load`, `torque_loop`, `stopping`,
-`following`, `limits`; here they are asked in the order of a step.
+`measured`, `whereabouts`, `arming`, `identity`, `faults`, `acceptance`, `load`, `torque_loop`,
+`velocity_loop`, `stopping`, `following`, `limits`; here they are asked in the order of a step.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ from gateway.core.measured import Measured
 from gateway.core.reference import Reference
 from gateway.core.stopping import LOWERING, Stopping
 from gateway.core.torque_loop import TorqueLoop
+from gateway.core.velocity_loop import VelocityLoop
 from gateway.core.whereabouts import Whereabouts
 from protocols import messages as msg
 from protocols.bounds import Bounds, Duration, Invalid
@@ -86,6 +87,9 @@ class JointSettings:
     without it nothing arms the device. "": any."""
     loop: LoopSettings | None = None
     """Positions and velocities are reached by torque, at every step; None: by the device's own loops."""
+    position_gain: Annotated[float, Bounds(0.0, 1e3, "1/s")] = 0.0
+    """1/s: of a device that takes velocities and no positions, these are made of them: so much velocity per
+    difference. 0: it takes none"""
 
     def __post_init__(self) -> None:
         if self.serial and not re.fullmatch("[0-9A-Fa-f]{1,32}", self.serial):
@@ -102,7 +106,14 @@ class JointSettings:
     def commands(self, spec: Spec) -> frozenset[type[Command]]:
         """Return the commands that the joint takes of the brain: more than its device, with a loop."""
         by_torque = self.loop is not None and msg.Torque in spec.commands
-        return spec.commands | {*BY_TORQUE} if by_torque else spec.commands
+        by_velocity = {msg.Position, msg.Hold} if self.moves_by_velocity(spec) else set()
+        return spec.commands | {*BY_TORQUE} if by_torque else spec.commands | by_velocity
+
+    def moves_by_velocity(self, spec: Spec) -> bool:
+        """True if positions are made of velocities."""
+        measured = "Feedback.position" in spec.ranges
+        able = msg.Velocity in spec.commands and msg.Position not in spec.commands
+        return self.position_gain > 0.0 and measured and able
 
 
 class Joint:
@@ -141,6 +152,10 @@ class Joint:
         """In place of the device's own."""
         if settings.loop is not None and msg.Torque in spec.commands:
             self._loop = TorqueLoop(settings.loop, spec, gear, settings.command_timeout)
+        self._by_velocity = None
+        """Makes positions of velocities."""
+        if settings.moves_by_velocity(spec):
+            self._by_velocity = VelocityLoop(settings.position_gain, settings.command_timeout)
         self._load = Load(spec, ratio, by_torque=self._loop is not None)
         self._profile = SetpointProfile(period / SECOND)
         self._swing = Swing(period / SECOND)
@@ -338,6 +353,8 @@ class Joint:
         self._arming.on_sent(now, out, abs(measured.velocity or 0.0))
         dt, self._out, self._out_at = (now - self._out_at) / SECOND, out, now
         given = out if self._loop is None else self._loop.torque(out, dt, measured, limits, armed=armed)
+        if self._by_velocity is not None:
+            given = self._by_velocity.velocity(out, dt, measured, limits, armed=armed)
         return self._gearing.at_device(given)
 
     def _check(self, now: Nanos, stopped: bool) -> None:

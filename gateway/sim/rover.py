@@ -121,8 +121,7 @@ class Rover(SimulatedScene):
     def step(self, torques: Mapping[str, float]) -> None:
         """Advance by one time step under torques [N·m] at the shafts."""
         data = self.data
-        for motor, (index, _, _) in self._shafts.items():
-            data.ctrl[index] = torques.get(motor, 0.0)
+        self.drive(torques)
         for index, (position, tyre) in enumerate(self._tyres):
             tyre.turn(data.qpos[position])
             self.model.eq_data[index, 0] = -tyre.crept

@@ -58,6 +58,7 @@ ROBOTS = {
     "sabertooth": "diffbot_sabertooth",
     "maestro": "car",
     "pca9685": "pan_tilt",
+    "j1939_valve": "boom",
     "hoverboard": "diffbot_hoverboard",
     "ld06": "diffbot_sensors",
     "witmotion": "diffbot_sensors",
