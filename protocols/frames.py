@@ -86,15 +86,20 @@ Frame: TypeAlias = CanFrame | bytes
 """One CAN frame, or any run of serial bytes (a piece of a stream, cut anywhere)."""
 
 
+OF_BYTES = "serial", "i2c"
+"""Kinds of bus that carry bytes: a serial line, and I²C, whose frames are transfers
+(`protocols.toolkit.i2c`)."""
+
 FD_LENGTHS = frozenset({*range(9), 12, 16, 20, 24, 32, 48, 64})
 """Data bytes that a frame of CAN FD can have."""
 
 
 def malformed(frame: Frame, kind: str) -> str:
-    """Return why a frame cannot be sent on a bus of this kind ("can", "canfd" or "serial"); "" if it can."""
+    """Return why a frame cannot be sent on a bus of this kind ("can", "canfd", "serial" or "i2c"); "" if it
+    can."""
     if not isinstance(frame, CanFrame):
-        return "" if kind == "serial" else "bytes on a CAN bus"
-    if kind == "serial":
+        return "" if kind in OF_BYTES else "bytes on a CAN bus"
+    if kind in OF_BYTES:
         return "a CAN frame on a serial line"
     if not 0 <= frame.id <= (0x1FFF_FFFF if frame.extended else 0x7FF):
         return f"an id of more than {29 if frame.extended else 11} bits"

@@ -169,7 +169,7 @@ def unchanged(command: Command) -> Command:
 class Spec:
     """The properties of one device: the one source for joint, guard, doctor and conformance tests."""
 
-    bus: Literal["can", "canfd", "serial"]
+    bus: Literal["can", "canfd", "serial", "i2c"]
     kind: Literal["motor", "sensor"]
     sends: tuple[IdMask, ...]
     """CAN ids that the driver may send for this device (empty on serial). Where the mask leaves bits open,
@@ -249,9 +249,12 @@ class Spec:
     tells_serial: bool = False
     """Whether the device's answer to a scan has its serial number."""
     line: Literal["free", "asked", "half-duplex"] = "free"
-    """On a serial line. "free": both ends send when they like. "asked": the device sends only answers, and
-    one question is under way at a time: `send` gives an `Exchange` for each frame that is answered, and
-    `answer` takes what came. "half-duplex": the same, on one wire for both directions."""
+    """On a serial line, and on I²C, which is always "asked" (`protocols.toolkit.i2c`). "free": both ends send
+    when they like. "asked": the device sends only answers, and one question is under way at a time: `send`
+    gives an `Exchange` for each frame that is answered, and `answer` takes what came. "half-duplex": the
+    same, on one wire for both directions."""
+    holds_idle: bool = False
+    """True if it holds its load when it is disarmed: closed ports, a brake."""
     caution: str = ""
     """What else a person must know of its options, printed at every start."""
 

@@ -1,8 +1,8 @@
 """Reference vectors: bytes of messages from independent software, firmware or manuals.
 
 Rules. A file is a JSON list; an entry has `name`, `direction` (`to_device`, `from_device`), `bus` (`can`,
-`canfd`, `serial`), `data` (hex), `meaning` (an object) and `source` (package and version, repository and
-commit, or manual and paragraph); of a frame also `id`, `extended`, and where they are so `rtr`, `brs`; of
+`canfd`, `serial`, `i2c`), `data` (hex), `meaning` (an object) and `source` (package and version, repository
+and commit, or manual and paragraph); of a frame also `id`, `extended`, and where they are so `rtr`, `brs`; of
 an answer on a serial line that does not say what it answers also `asked` (hex); of several messages at once
 `messages`, how many. Other keys are the
 protocol's own. An entry with KNOWN_SDK_BUG in its name, or BUG in its meaning's `note`, records a mistake
@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any, Literal
 
-from protocols.frames import CanFrame, Frame
+from protocols.frames import OF_BYTES, CanFrame, Frame
 from protocols.plugin import Plugin
 
 
@@ -64,7 +64,7 @@ def _vector(entry: Mapping[str, Any]) -> Vector:
 
 def _frame(entry: Mapping[str, Any]) -> Frame:
     data = bytes.fromhex(entry["data"])
-    if entry["bus"] == "serial":
+    if entry["bus"] in OF_BYTES:
         return data
     fd = entry["bus"] == "canfd"
     remote, brs = bool(entry.get("rtr", False)), bool(entry.get("brs", False))

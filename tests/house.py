@@ -38,7 +38,12 @@ ONLY: dict[str, tuple[str, ...]] = {
     "websockets": ("gateway.view",),
     "zenoh": ("gateway.ros.zenoh_carrier",),
     "zstandard": ("gateway.recording",),
-    "threading": ("gateway.buses.threaded", "gateway.recording.writer", "gateway.cli.terminal.output"),
+    "threading": (
+        "gateway.buses.i2c",
+        "gateway.buses.threaded",
+        "gateway.recording.writer",
+        "gateway.cli.terminal.output",
+    ),
     "time": ("gateway.core.clock",),
     "uuid": (),
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
 from brain import reading
 from brain.bodies.limbs import Abilities
@@ -16,6 +16,8 @@ POSITION_TOLERANCE, STANDING = 0.03, 0.03
 """rad and rad/s: a joint that is so near its target, and so slow, has reached it"""
 HELD_UP: Nanos = 300_000_000
 """A joint that stands for this long, and has not reached its target, is in contact."""
+LOOKED: Nanos = 100_000_000
+"""Where no velocity is reported, it is that of the position over this time."""
 UNTIL_REACHED: Nanos = 5 * SECOND
 """How long a joint may take beyond the time given"""
 
@@ -26,6 +28,8 @@ class _Reaching:
     since: Nanos | None = None
     standing: dict[str, Nanos] | None = None
     """Since when each joint stands"""
+    places: dict[str, tuple[Nanos, float]] = field(default_factory=dict)
+    """Where each joint was a moment ago, of those that report no velocity"""
 
     def advance(self, seen: Observed) -> Result:
         reach, joints = self.reach, seen.joints or {}
@@ -35,8 +39,7 @@ class _Reaching:
         assert self.standing is not None
         spent = seen.now - self.since
         for target in reach.targets:
-            speed = joints[target.motor].velocity if target.motor in joints else None
-            if speed is not None and abs(speed) < STANDING:
+            if self._stands(seen.now, joints.get(target.motor), stood=target.motor in self.standing):
                 self.standing.setdefault(target.motor, seen.now)
             else:
                 self.standing.pop(target.motor, None)
@@ -50,6 +53,18 @@ class _Reaching:
             return Failed(f"{open_[0].motor} met nothing: it is at {_position(joints, open_[0].motor)}")
         where = _position(joints, open_[0].motor)
         return Failed(f"{open_[0].motor} stands at {where}, not at its target")
+
+    def _stands(self, now: Nanos, joint: Feedback | None, *, stood: bool) -> bool:
+        """Return whether a joint stands; `stood`: whether it did before."""
+        if joint is None or joint.velocity is not None:
+            return joint is not None and joint.velocity is not None and abs(joint.velocity) < STANDING
+        if joint.position is None:
+            return False
+        at, place = self.places.setdefault(joint.motor, (now, joint.position))
+        if now - at < LOOKED:
+            return stood
+        self.places[joint.motor] = now, joint.position
+        return abs(joint.position - place) < STANDING * (now - at) / SECOND
 
     def _is_open(self, target: Command, seen: Observed, joints: Mapping[str, Feedback]) -> bool:
         """Return whether a joint is still to do what it should."""

@@ -246,7 +246,7 @@ def _watch_log(path: Path, options: Namespace, dbc: DbcSignals | None) -> None:
 
 def _places(robot: Robot, log: LogSummary, path: Path) -> dict[str, str]:
     """Return the robot's bus of each bus of a log: of the same name, or the only one. Raises UserError."""
-    ours = [name for name, bus in robot.buses.items() if bus.kind != "serial"]
+    ours = [name for name, bus in robot.buses.items() if not bus.carries_bytes]
     same = {name: name for name in log.fd if name in ours}
     if same or (len(ours) == 1 and len(log.fd) == 1):
         return same or {next(iter(log.fd)): ours[0]}

@@ -108,7 +108,7 @@ def _bus(robot: Robot, bus: BusSettings) -> list[str]:
 
 def _load(robot: Robot, bus: BusSettings) -> str:
     """Return the least load of a CAN bus: a command per step and a report per period, per motor."""
-    if bus.kind == "serial":
+    if bus.carries_bytes:
         return "-"
     slow, fast = FD_BITS
     seconds = {

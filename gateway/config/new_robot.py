@@ -56,7 +56,7 @@ class Part:
     protocol: str
     address: int
     rate: int = 0
-    kind: Literal["can", "canfd", "serial"] = "can"
+    kind: Literal["can", "canfd", "serial", "i2c"] = "can"
     data_rate: int = 0
     serial: int | None = None
     detail: str = ""
@@ -217,7 +217,8 @@ class Plan:
                 continue
             line, many = one.kind == "serial", len(found)
             channel = one.interface.partition(":")[2]
-            name = channel if re.fullmatch("can[0-9]+", channel) else f"{'line' if line else 'can'}{many}"
+            kind = "line" if line else one.kind.removesuffix("fd")
+            name = channel if re.fullmatch("can[0-9]+", channel) else f"{kind}{many}"
             rate = one.rate or self.answers.get(Question(f"{name}.rate", f"bit/s of {one.interface}"), int)
             rates = {"baudrate": rate} if line else {"bitrate": rate}
             rates |= {"data_bitrate": one.data_rate} if one.kind == "canfd" else {}

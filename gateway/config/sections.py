@@ -27,7 +27,7 @@ from gateway.core.robot import (
     Sensor,
 )
 from protocols.bounds import Bounds, Duration, keys
-from protocols.frames import IdMask
+from protocols.frames import OF_BYTES, IdMask
 from protocols.messages import MILLISECOND, SECOND
 from protocols.plugin import Device, Plugin, Spec, UnknownProtocol
 
@@ -40,12 +40,12 @@ Table: TypeAlias = dict[str, Any]
 class BusKeys:
     """The keys of a bus."""
 
-    kind: Literal["can", "canfd", "serial"]
+    kind: Literal["can", "canfd", "serial", "i2c"]
     """What kind of wire"""
     interface: str
     """INTERFACE:CHANNEL, such as "socketcan:can0" or "serial:/dev/ttyUSB0"; "twin": the world as a bus"""
     bitrate: Annotated[int, Bounds(5_000, 1_000_000)] = 0
-    """bit/s of a CAN bus; of CAN FD, of its arbitration"""
+    """bit/s of a CAN bus; of CAN FD, of its arbitration; of I²C"""
     data_bitrate: Annotated[int, Bounds(5_000, 20_000_000)] = 0
     """bit/s of the data of CAN FD"""
     baudrate: Annotated[int, Bounds(300, 50_000_000)] = 0
@@ -98,7 +98,12 @@ _STAND_IN = JointSettings(
     Limits(1.0, 1.0, 1.0), command_timeout=3600 * SECOND, feedback_timeout=3600 * SECOND
 )
 """Instead of invalid settings of a joint, so that its device is still checked against the others."""
-_RATES = {"can": ("bitrate",), "canfd": ("bitrate", "data_bitrate"), "serial": ("baudrate",)}
+_RATES = {
+    "can": ("bitrate",),
+    "canfd": ("bitrate", "data_bitrate"),
+    "serial": ("baudrate",),
+    "i2c": ("bitrate",),
+}
 
 
 def read_bus(name: str, table: Table, mistakes: Mistakes) -> BusSettings | None:
@@ -121,16 +126,16 @@ def read_bus(name: str, table: Table, mistakes: Mistakes) -> BusSettings | None:
     if made.kind == "canfd" and 0 < made.data_bitrate < made.bitrate:
         text = f"found {made.data_bitrate}, expected at least the bitrate of {made.bitrate}"
         mistakes.add((*at, "data_bitrate"), text)
-    if made.receive_filter == "own" and kind == "serial":
-        text = "a serial bus has no ids to filter; expected no key 'receive_filter'"
+    if made.receive_filter == "own" and kind in OF_BYTES:
+        text = f"a bus of kind {kind!r} has no ids to filter; expected no key 'receive_filter'"
         mistakes.add((*at, "receive_filter"), text)
-    if "transmit_queue" in table and kind == "serial":
-        text = "a serial bus has no queue of CAN frames; expected no key 'transmit_queue'"
+    if "transmit_queue" in table and kind in OF_BYTES:
+        text = f"a bus of kind {kind!r} has no queue of CAN frames; expected no key 'transmit_queue'"
         mistakes.add((*at, "transmit_queue"), text)
     for key in ("echo", "rs485", "dtr", "latency_ms", "turnaround_ms") if kind != "serial" else ():
         if key in table:
             mistakes.add((*at, key), f"a bus of kind {kind!r} is no serial line; expected no key {key!r}")
-    rates = made.bitrate, made.data_bitrate, made.baudrate
+    rates = made.bitrate, made.data_bitrate, made.bitrate if kind == "i2c" else made.baudrate
     acknowledged = made.shared_bus == "acknowledged"
     return BusSettings(
         name,
@@ -161,7 +166,7 @@ def check_interface(interface: str, kind: str, at: Key, mistakes: Mistakes) -> N
     if interface == TWIN:
         return
     driver, colon, channel = interface.partition(":")
-    example = "serial:/dev/ttyUSB0" if kind == "serial" else "socketcan:can0"
+    example = {"serial": "serial:/dev/ttyUSB0", "i2c": "i2c:/dev/i2c-1"}.get(kind, "socketcan:can0")
     if not (driver and colon and channel):
         wanted = f'expected "{TWIN}" or INTERFACE:CHANNEL, such as "{example}"'
         mistakes.add((*at, "interface"), f"found {shown(interface)}, {wanted}")
@@ -169,6 +174,9 @@ def check_interface(interface: str, kind: str, at: Key, mistakes: Mistakes) -> N
         mistakes.add((*at, "interface"), f"found {shown(interface)}, expected {ADAPTERS[driver]}")
     elif kind == "serial" and driver != "serial":
         mistakes.add((*at, "interface"), f'found {shown(interface)}, expected "serial:PORT" on a serial bus')
+    elif kind == "i2c" and driver != "i2c":
+        text = f'found {shown(interface)}, expected "i2c:/dev/i2c-NUMBER" on an I²C bus'
+        mistakes.add((*at, "interface"), text)
     elif channel.startswith("usb-") and not USB_NAME.fullmatch(channel.partition("@")[0]):
         wanted = "usb-VENDOR:PRODUCT:SERIAL, such as usb-0483:5740:3A5F, and of several channels /0, /1 …"
         mistakes.add((*at, "interface"), f"found {shown(interface)}, expected {wanted}")

@@ -36,7 +36,7 @@ STALLED_PERIODS = 4
 """Of the robot: a loop that stands for less is late."""
 NUMBERED = re.compile(r"socketcan:can[0-9]+|[a-z-]+:/dev/tty(USB|ACM)[0-9]+(@.*)?")
 """Interfaces that the machine numbers in the order in which it finds them."""
-_CARRIES = {"can": ("can", "canfd"), "canfd": ("canfd",), "serial": ("serial",)}
+_CARRIES = {"can": ("can", "canfd"), "canfd": ("canfd",), "serial": ("serial",), "i2c": ("i2c",)}
 """Kinds of bus that carry a device's frames: a classic CAN device also works on a CAN FD bus."""
 
 
@@ -229,7 +229,7 @@ def cautions(robot: Robot) -> list[str]:
     notes += [text for motor in robot.motors.values() for text in _out_of_range(motor)]
     notes += [text for motor in robot.motors.values() for text in _past_feedback(motor)]
     for bus in robot.buses.values():
-        if bus.kind != "serial" and not bus.acknowledged:
+        if not bus.carries_bytes and not bus.acknowledged:
             here = robot.devices_on(bus.name)
             notes += [*_fd_beside_classic(bus.name, here), *_mistakable_reports(here)]
     return [
@@ -283,7 +283,7 @@ def _assumed_scales(device: BusDevice) -> list[str]:
 def _falling_load(motor: Motor) -> list[str]:
     """A joint with an end of travel, whose load falls at a stop or after the run; a wheel has no such end."""
     joint = motor.joint
-    if joint.limits.position is None:
+    if joint.limits.position is None or motor.spec.holds_idle:
         return []
     if joint.stop_action != "hold" and joint.unattended == "held":
         when = f'by stop_action = "{joint.stop_action}" nothing holds its load at a stop and after the run'
@@ -350,6 +350,15 @@ def _out_of_range(motor: Motor) -> list[str]:
                 f"{motor.name}: its limit of {quantity} is {limit:g} {unit} at the device's shaft, but the "
                 f"device can be commanded at most {able.high:g}; commands beyond that are refused"
             )
+    able = motor.spec.ranges.get("Position.position")
+    if able and limits.position is not None:
+        ends = sorted(each * gear * motor.joint.sign for each in limits.position)
+        if ends[0] < able.low - able.resolution or ends[1] > able.high + able.resolution:
+            notes.append(
+                f"{motor.name}: its limits of position are [{ends[0]:.4g}, {ends[1]:.4g}] rad at the device's"
+                f" shaft, but the device can be commanded from {able.low:.4g} to {able.high:.4g} only; "
+                "commands beyond that are refused"
+            )
     return notes
 
 
@@ -358,6 +367,10 @@ def _past_feedback(motor: Motor) -> list[str]:
     joint, able = motor.joint, motor.spec.ranges.get("Feedback.position")
     most = min(-able.low, able.high) if able else inf
     limits, speed = joint.limits.position, joint.limits.velocity * joint.gear
+    if limits is not None and able is not None:
+        ends = [each * joint.gear * joint.sign for each in limits]
+        if able.low <= min(ends) and max(ends) <= able.high:
+            return []
     if limits is not None:
         farthest = max(map(abs, limits)) * joint.gear
         where, passes = f"its limits of position reach {farthest:g} rad", farthest > most

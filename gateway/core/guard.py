@@ -81,7 +81,7 @@ class _Receivers:
         listeners = [
             (plugin, some)
             for plugin, group in robot.by_protocol(bus)
-            for some in ([group] if robot.buses[bus].kind == "serial" else [[one] for one in group])
+            for some in ([group] if robot.buses[bus].carries_bytes else [[one] for one in group])
         ]
         self._decoders = [plugin.decoder(some) for plugin, some in listeners]
         self._before = copy.deepcopy(self._decoders)
@@ -411,10 +411,13 @@ class Guard:
         position, slack = bounds.at_joint(one, "position")
         if not self._leads_in(now, one, position, slack, measured.position):  # NaN and infinities do not
             return "position beyond the limit", f"{position:g}, limits {limits.position}"
-        if isinstance(one, msg.Position) and (there := measured.position) is not None:
-            starts = self._before(now, one, "position", there, limits.inside(there))
-            if not any(abs(position - each) <= limits.velocity * dt + slack for each, dt in starts):
-                return "a jump of the position", f"{position:g} after {there:g}"
+        if isinstance(one, msg.Position) and (measured.position is not None or joint.open_loop):
+            there = () if measured.position is None else (measured.position, limits.inside(measured.position))
+            starts = [*self._before(now, one, "position", *there)]  # none: an open-loop joint that begins
+            if starts and not any(
+                abs(position - each) <= limits.velocity * dt + slack for each, dt in starts
+            ):
+                return "a jump of the position", f"{position:g} after {starts[0][0]:g}"
         return bounds.too_strong(one, measured)
 
     def _leads_in(

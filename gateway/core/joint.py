@@ -6,8 +6,8 @@ Faults latch here until an operator clears them. Nothing can be switched off: ev
 bounds on both sides, and a limit that is set at run time stays within the robot file's. Inside, everything
 is at the output shaft; what goes to the driver, and what comes from it, is at the device's shaft (one turn of
 the joint is `gear` turns of the device, reversed if `sign` is -1). Each concern has its file and its state:
-`measured`, `whereabouts`, `arming`, `identity`, `faults`, `acceptance`, `load`, `torque_loop`, `stopping`,
-`following`, `limits`; here they are asked in the order of a step.
+`measured`, `whereabouts`, `arming`, `identity`, `faults`, `acceptance`, `load`, `torque_loop`,
+`velocity_loop`, `stopping`, `following`, `limits`; here they are asked in the order of a step.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ from gateway.core.measured import Measured
 from gateway.core.reference import Reference
 from gateway.core.stopping import LOWERING, Stopping
 from gateway.core.torque_loop import TorqueLoop
+from gateway.core.velocity_loop import VelocityLoop
 from gateway.core.whereabouts import Whereabouts
 from protocols import messages as msg
 from protocols.bounds import Bounds, Duration, Invalid
@@ -86,6 +87,9 @@ class JointSettings:
     without it nothing arms the device. "": any."""
     loop: LoopSettings | None = None
     """Positions and velocities are reached by torque, at every step; None: by the device's own loops."""
+    position_gain: Annotated[float, Bounds(0.0, 1e3, "1/s")] = 0.0
+    """1/s: of a device that takes velocities and no positions, these are made of them: so much velocity per
+    difference. 0: it takes none"""
 
     def __post_init__(self) -> None:
         if self.serial and not re.fullmatch("[0-9A-Fa-f]{1,32}", self.serial):
@@ -102,7 +106,14 @@ class JointSettings:
     def commands(self, spec: Spec) -> frozenset[type[Command]]:
         """Return the commands that the joint takes of the brain: more than its device, with a loop."""
         by_torque = self.loop is not None and msg.Torque in spec.commands
-        return spec.commands | {*BY_TORQUE} if by_torque else spec.commands
+        by_velocity = {msg.Position, msg.Hold} if self.moves_by_velocity(spec) else set()
+        return spec.commands | {*BY_TORQUE} if by_torque else spec.commands | by_velocity
+
+    def moves_by_velocity(self, spec: Spec) -> bool:
+        """True if positions are made of velocities."""
+        measured = "Feedback.position" in spec.ranges
+        able = msg.Velocity in spec.commands and msg.Position not in spec.commands
+        return self.position_gain > 0.0 and measured and able
 
 
 class Joint:
@@ -117,6 +128,7 @@ class Joint:
         self._stop_limits = replace(limits, jerk=None)
         """The limits of a stop: as hard as the acceleration allows."""
         self._replies_only = spec.feedback is FeedbackKind.REPLY
+        self._silence = spec.offline_after
         self._faults = LatchedFaults(name)
         self._identity = DeviceIdentity(settings.serial)
         self._acceptance = Acceptance(name, settings.commands(spec))
@@ -125,7 +137,11 @@ class Joint:
         )
         ratio = self._gearing.ratio
         self._measured = Measured(
-            name, settings.feedback_timeout, limits.velocity, open_loop=spec.feedback is FeedbackKind.NONE
+            name,
+            settings.feedback_timeout,
+            limits.velocity,
+            open_loop=spec.feedback is FeedbackKind.NONE,
+            start=limits.inside(0.0),
         )
         self._place = Whereabouts(limits, Reference(limits, spec, gear))
         self._following = Following(limits, spec, gear, settings.following_time, settings.following_share)
@@ -136,6 +152,10 @@ class Joint:
         """In place of the device's own."""
         if settings.loop is not None and msg.Torque in spec.commands:
             self._loop = TorqueLoop(settings.loop, spec, gear, settings.command_timeout)
+        self._by_velocity = None
+        """Makes positions of velocities."""
+        if settings.moves_by_velocity(spec):
+            self._by_velocity = VelocityLoop(settings.position_gain, settings.command_timeout)
         self._load = Load(spec, ratio, by_torque=self._loop is not None)
         self._profile = SetpointProfile(period / SECOND)
         self._swing = Swing(period / SECOND)
@@ -221,6 +241,8 @@ class Joint:
         the device of another joint reports its motion."""
         if not self._measured.open_loop:
             return None
+        if self.armed and isinstance(self._out, msg.Position):
+            return msg.Feedback(self.name, now, self._out.position, self._out.velocity)
         commanded = self._out.velocity if self.armed and isinstance(self._out, msg.Velocity) else 0.0
         span = min(now - self._out_at, self.settings.command_timeout) / SECOND if commanded else 0.0
         return self._measured.presumed(now, commanded, span)
@@ -331,6 +353,8 @@ class Joint:
         self._arming.on_sent(now, out, abs(measured.velocity or 0.0))
         dt, self._out, self._out_at = (now - self._out_at) / SECOND, out, now
         given = out if self._loop is None else self._loop.torque(out, dt, measured, limits, armed=armed)
+        if self._by_velocity is not None:
+            given = self._by_velocity.velocity(out, dt, measured, limits, armed=armed)
         return self._gearing.at_device(given)
 
     def _check(self, now: Nanos, stopped: bool) -> None:
@@ -341,6 +365,8 @@ class Joint:
         if self.owned and self.armed and self._measured.lost(now):
             limit = f"{self.settings.feedback_timeout / MILLISECOND:g} ms"
             self._faults.find(now, FEEDBACK_LOST, limit)
+        if self.owned and self.armed and self.open_loop and self.mode is Mode.OFFLINE:
+            self._faults.find(now, FEEDBACK_LOST, f"{self._silence / MILLISECOND:g} ms")
         if wrong := self._identity.wrong():
             self._faults.find(now, ANOTHER_DEVICE, wrong)
         for code, detail in self._place.check(
@@ -407,10 +433,13 @@ class Joint:
         shown, self._shown = self._shown, self._arming.shows_arming(measured)
         dt = max(0, min(now - self._out_at, self.settings.command_timeout)) / SECOND
         limits = self._stop_limits if stopped or self.faults else self.settings.limits
+        here = measured.feedback
+        if not isinstance(wanted, msg.Velocity):
+            here = self.presumed(now) or here
         begins = not self._arming.obeys(measured)
         if begins or (not shown and self._profile.departs(measured.feedback, limits)):
             self._profile.forget()  # it starts with the motion that the shaft has then
-        out = self._profile.limited(wanted, dt, measured.feedback, limits)
+        out = self._profile.limited(wanted, dt, here, limits)
         if isinstance(out, msg.Torque):
             out = msg.Torque(self.name, self._swing.within(out.torque, dt, limits.velocity))
         return out

@@ -18,13 +18,15 @@ IN_FORCE: Nanos = 5 * MILLISECOND
 class Measured:
     """The measurements of one joint. State is plain data."""
 
-    def __init__(self, motor: str, timeout: Nanos, fastest: float, *, open_loop: bool) -> None:
+    def __init__(
+        self, motor: str, timeout: Nanos, fastest: float, *, open_loop: bool, start: float = 0.0
+    ) -> None:
         self.feedback = Feedback(motor, 0)
         """The newest value of each quantity; t is the newest motion's."""
         self.open_loop = open_loop
         """Whether its device reports nothing: what it does is presumed to be what it is commanded."""
-        self._presumed = 0.0
-        """rad that such a joint has turned, if it did as commanded, up to the last command."""
+        self._presumed = start
+        """rad where such a joint is, if it did as commanded, up to the last command."""
         self._timeout, self._fastest = timeout, fastest
         """At which age it counts as lost; the robot file's limit of velocity [rad/s]."""
         self.received_at: Nanos | None = None

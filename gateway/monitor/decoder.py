@@ -121,7 +121,7 @@ class BusMonitor:
         """Return the number of frames of unknown ids and of malformed messages from or to devices."""
         in_use = [self._best[place].variant for place in self.found]
         counters = [v.driver.counters for v in self._variants[bus] if self.known or v in in_use]
-        if self.buses[bus].settings.kind == "serial":
+        if self.buses[bus].settings.carries_bytes:
             return min((count.malformed + count.ignored for count in counters), default=0)
         ids = (
             record.rate.total for key, record in self.ids.items() if key[0] == bus and not self._owners(key)

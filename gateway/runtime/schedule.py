@@ -389,7 +389,7 @@ def commands(robot: Robot) -> Sequence[Instruction]:
     """Return what keeps every motor commanded, at rest."""
     able = robot.brain.abilities(robot.motors)
     joints = [
-        Hold(name) if Hold in motor.spec.commands else Velocity(name, 0.0)
+        Hold(name) if Hold in motor.joint.commands(motor.spec) else Velocity(name, 0.0)
         for name, motor in robot.motors.items()
         if name in able.joints
     ]

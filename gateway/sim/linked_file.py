@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
+from brain.bodies.cylinder import Cylinder
 from gateway.sim.files import Angle, Inertia, Resistance
 from gateway.sim.plant_files import PlantFile
 from protocols.bounds import Bounds, Invalid
@@ -36,6 +37,8 @@ class LinkedJoint:
     """N·m"""
     armature: Inertia | None = None
     """Of this one, in place of `joint`'s; kg and N·s/m of a prismatic joint."""
+    cylinder: Cylinder | None = None
+    """What moves it in place of a motor on its axis: then the motor's shaft is the cylinder's length [m]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

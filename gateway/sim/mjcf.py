@@ -20,10 +20,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
+import numpy as np
+
 from brain.perception.mount import Mount
 from gateway.sim.files import STEP, Box, SceneFile, Start, Wall
 from gateway.sim.marks import ball_xml, tag_xml
-from gateway.sim.plant_files import Caster, Wheel, WheeledBody
+from gateway.sim.plant_files import Caster, Steer, Wheel, WheeledBody
 from protocols.messages import seconds
 
 Polygon: TypeAlias = tuple[tuple[float, float], ...]
@@ -167,7 +169,8 @@ def stand(start: Start, imus: dict[str, Mount]) -> MjcfRobot:
 
 def wheeled(body: WheeledBody, imus: dict[str, Mount], friction: float) -> MjcfRobot:
     """Return the base: for each wheel NAME the joint `NAME`, and `NAME_creep`, `NAME_roller`, `NAME_steer`
-    where it has one. Actuators: of the wheel `first` for each motor, then of each steered wheel."""
+    where it has one; for each motor that steers several the joint `MOTOR_linkage`. Actuators: of the wheel
+    `first` for each motor, then of each that steers."""
     size = 'size="{} {} {}"'.format(*(side / 2.0 for side in body.size))
     chassis = body.mass - len(body.wheels) * body.wheel.mass
     bodies = f"""<body name="base">
@@ -176,17 +179,22 @@ def wheeled(body: WheeledBody, imus: dict[str, Mount], friction: float) -> MjcfR
    <geom type="box" {size} pos="{body.x} 0 {body.height}" mass="{chassis}" {OF_ROBOT}/>
    {"".join(_caster(caster) for caster in body.casters.values())}
    {"".join(_wheel(body, name, wheel) for name, wheel in body.wheels.items())}
+   {"".join(_rack(body, motor, names) for motor, names in linkages(body).items())}
   </body>"""
     leaders = first(body)
-    steered = [f"{name}_steer" for name, wheel in body.wheels.items() if wheel.steer]
     held = [f'joint1="{name}_creep"' for name in body.wheels if has_creep(body, name)]
     held += [
         f'joint1="{name}" joint2="{leaders[wheel.motor]}"'
         for name, wheel in body.wheels.items()
         if wheel.motor and name != leaders[wheel.motor]
     ]
+    held += [
+        f'joint1="{name}_steer" joint2="{motor}_linkage" polycoef="{_linked(body.wheels[name])}"'
+        for motor, names in linkages(body).items()
+        for name in names
+    ]
     constraints = "".join(f'<joint {one} solref="{CREEP_SOLREF}"/>' for one in held)
-    actuators = "".join(f'<motor joint="{joint}"/>' for joint in [*leaders.values(), *steered])
+    actuators = "".join(f'<motor joint="{joint}"/>' for joint in [*leaders.values(), *steered(body).values()])
     grip = f'condim="3" friction="{friction} {friction} 0 0 0"'
     pairs = [(name, 'condim="1"') for name in dragged(body)]
     pairs += [(name, grip) for name, wheel in body.wheels.items() if wheel.roller is not None]
@@ -201,6 +209,21 @@ def first(body: WheeledBody) -> dict[str, str]:
         if wheel.motor:
             found.setdefault(wheel.motor, name)
     return found
+
+
+def steered(body: WheeledBody) -> dict[str, str]:
+    """Return the joint that each motor turns which steers."""
+    found = {one.steer.motor: f"{name}_steer" for name, one in body.wheels.items() if one.steer}
+    return found | {motor: f"{motor}_linkage" for motor in linkages(body)}
+
+
+def linkages(body: WheeledBody) -> dict[str, list[str]]:
+    """Return the wheels of each motor that steers several."""
+    found: dict[str, list[str]] = {}
+    for name, wheel in body.wheels.items():
+        if wheel.steer:
+            found.setdefault(wheel.steer.motor, []).append(name)
+    return {motor: names for motor, names in found.items() if len(names) > 1}
 
 
 def has_creep(body: WheeledBody, name: str) -> bool:
@@ -225,6 +248,26 @@ def _caster(caster: Caster) -> str:
     )
 
 
+def _rack(body: WheeledBody, motor: str, names: Sequence[str]) -> str:
+    """Return the arm of a linkage: an imagined wheel midway, whose angle is the motor's."""
+    wheel = body.wheels[names[0]]
+    assert wheel.steer is not None
+    joint = f'<joint name="{motor}_linkage" axis="0 0 1" {_bearing(wheel.steer)}/>'
+    inertia = '<inertial pos="0 0 0" mass="0.02" diaginertia="1e-5 1e-5 1e-5"/>'
+    return f'<body pos="{wheel.x} 0 {body.wheel.radius}">{inertia}{joint}</body>'
+
+
+def _linked(wheel: Wheel) -> str:
+    """Return the angle of a wheel by that of its linkage, as a polynomial: the axis of the wheel meets that
+    of the imagined one midway on the line x = 0."""
+    assert wheel.steer is not None
+    low, high = wheel.steer.range or (-0.7, 0.7)
+    angles = np.linspace(low, high, 41)
+    tangents = np.tan(angles)
+    wanted = np.arctan2(wheel.x * tangents, wheel.x - wheel.y * tangents)
+    return " ".join(f"{each:.9g}" for each in np.polynomial.polynomial.polyfit(angles, wanted, 4))
+
+
 def _wheel(body: WheeledBody, name: str, wheel: Wheel) -> str:
     """Return a wheel; within a body that steers it, if one does."""
     figures, place = body.wheel, f'pos="{wheel.x} {wheel.y} {body.wheel.radius}" quat="{_about_z(wheel.yaw)}"'
@@ -242,11 +285,15 @@ def _wheel(body: WheeledBody, name: str, wheel: Wheel) -> str:
     geom = f'<geom name="{name}" type="ellipsoid" {size} mass="{figures.mass}" {OF_ROBOT}/>'
     if wheel.steer is None:
         return f"<body {place}>{shaft}{creep}{geom}</body>"
-    steer = wheel.steer
-    bearing = f'damping="{steer.damping}" armature="{steer.armature}"'
-    limits = f'range="{steer.range[0]} {steer.range[1]}" limited="true"' if steer.range else ""
+    linked = any(name in names for names in linkages(body).values())
+    bearing = 'armature="1e-4"' if linked else _bearing(wheel.steer)
     return (
         f'<body {place}><inertial pos="0 0 0" mass="0.05" diaginertia="1e-4 1e-4 1e-4"/>'
-        f'<joint name="{name}_steer" axis="0 0 1" {bearing} {limits}/>'
+        f'<joint name="{name}_steer" axis="0 0 1" {bearing}/>'
         f"<body>{shaft}{creep}{geom}</body></body>"
     )
+
+
+def _bearing(steer: Steer) -> str:
+    limits = f' range="{steer.range[0]} {steer.range[1]}" limited="true"' if steer.range else ""
+    return f'damping="{steer.damping}" armature="{steer.armature}"{limits}'

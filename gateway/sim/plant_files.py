@@ -183,7 +183,9 @@ class PlantFile:
 
 @dataclass(frozen=True, slots=True)
 class Steer:
-    """What turns a wheel about the vertical through its centre; angle 0 is the wheel's `yaw`."""
+    """What turns a wheel about the vertical through its centre; angle 0 is the wheel's `yaw`. Wheels with one
+    motor are joined by a linkage, by which their axes meet on the axle at x = 0, as far as a real one
+    does."""
 
     motor: str
     """The NAME of a table [motors.NAME] of the robot file"""
@@ -287,8 +289,13 @@ class WheeledBody:
             raise Invalid(("mass", "mass must be more than that of the wheels, which it includes"))
         steering = [wheel.steer.motor for wheel in self.wheels.values() if wheel.steer]
         drives = {wheel.motor for wheel in self.wheels.values() if wheel.motor}
-        if len(set(steering)) < len(steering) or drives & set(steering):
+        if drives & set(steering):
             raise Invalid(("wheels", "wheels: a motor that steers one must do nothing else"))
+        for motor in set(steering):
+            axles = {one.x for one in self.wheels.values() if one.steer and one.steer.motor == motor}
+            if len(axles) > 1 or (steering.count(motor) > 1 and axles == {0.0}):
+                text = f"wheels: those that {motor} steers by a linkage must be on one axle, not at x = 0"
+                raise Invalid(("wheels", text))
         for name, wheel in self.wheels.items():
             if not name.isidentifier():
                 raise Invalid(("wheels", f"wheels: {name!r} must be a name of letters, digits and _"))

@@ -96,8 +96,7 @@ class Rover(SimulatedScene):
         super().__init__(file, model, imus)
         joints = {name: model.joint(name) for name in _joints(body)}
         at = {name: (int(one.qposadr[0]), int(one.dofadr[0])) for name, one in joints.items()}
-        steered = {one.steer.motor: f"{name}_steer" for name, one in body.wheels.items() if one.steer}
-        moved = (mjcf.first(body) | steered).items()
+        moved = (mjcf.first(body) | mjcf.steered(body)).items()
         self._shafts = {motor: (index, *at[joint]) for index, (motor, joint) in enumerate(moved)}
         self._rollers = [place for name, (place, _) in at.items() if name.endswith("_roller")]
         radius = body.wheel.radius
@@ -122,8 +121,7 @@ class Rover(SimulatedScene):
     def step(self, torques: Mapping[str, float]) -> None:
         """Advance by one time step under torques [N·m] at the shafts."""
         data = self.data
-        for motor, (index, _, _) in self._shafts.items():
-            data.ctrl[index] = torques.get(motor, 0.0)
+        self.drive(torques)
         for index, (position, tyre) in enumerate(self._tyres):
             tyre.turn(data.qpos[position])
             self.model.eq_data[index, 0] = -tyre.crept
@@ -164,4 +162,4 @@ def _joints(body: WheeledBody) -> list[str]:
         names += [f"{name}_creep"] if mjcf.has_creep(body, name) else []
         names += [f"{name}_roller"] if wheel.roller is not None else []
         names += [f"{name}_steer"] if wheel.steer else []
-    return names
+    return [*names, *(f"{motor}_linkage" for motor in mjcf.linkages(body))]

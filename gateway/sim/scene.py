@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from brain.belief import Pose
+from brain.bodies.cylinder import Cylinder
 from brain.perception.mount import Mount
 from gateway.sim.assembly_file import AssemblyPart
 from gateway.sim.files import SceneFile
@@ -79,6 +80,8 @@ class SimulatedScene:
         """How often a person was newly touched while the robot moved."""
         self._shafts: dict[str, tuple[int, int, int]] = {}
         """Index of each motor in ctrl, and of its shaft in qpos and qvel. Filled by the robot's kind,"""
+        self._cylinders: dict[str, Cylinder] = {}
+        """Those of motors that move no axis themselves,"""
         self._starts: list[tuple[int, int, float]] = []
         """and of what falls without its motors: indices of its joint, and where that is at time 0."""
         self._height = 0.0
@@ -89,8 +92,7 @@ class SimulatedScene:
 
     def step(self, torques: Mapping[str, float]) -> None:
         """Advance by one time step under torques [N·m] at its motors' output shafts."""
-        for motor, (index, _, _) in self._shafts.items():
-            self.data.ctrl[index] = torques.get(motor, 0.0)
+        self.drive(torques)
         self.advance()
 
     # -- what is the same for all ----------------------------------------------------------------
@@ -100,10 +102,22 @@ class SimulatedScene:
         """The motors that move it."""
         return tuple(self._shafts)
 
+    def drive(self, torques: Mapping[str, float]) -> None:
+        """Apply torques [N·m] at the output shafts; of a cylinder a force [N], by its lever now."""
+        for motor, (index, place, _) in self._shafts.items():
+            torque = torques.get(motor, 0.0)
+            if motor in self._cylinders:
+                torque *= self._cylinders[motor].lever(float(self.data.qpos[place]))
+            self.data.ctrl[index] = torque
+
     def shaft(self, motor: str) -> tuple[float, float]:
-        """Return position [rad] and velocity [rad/s] of a motor's output shaft."""
-        _, position, velocity = self._shafts[motor]
-        return float(self.data.qpos[position]), float(self.data.qvel[velocity])
+        """Return position [rad] and velocity [rad/s] of a motor's output shaft; length [m] and its change of
+        a cylinder."""
+        _, place, speed = self._shafts[motor]
+        position, velocity = float(self.data.qpos[place]), float(self.data.qvel[speed])
+        if (cylinder := self._cylinders.get(motor)) is None:
+            return position, velocity
+        return cylinder.length(position), velocity * cylinder.lever(position)
 
     def settle(self) -> None:
         """Settle into the contacts at the start pose, then begin time with the base at rest there."""
@@ -132,6 +146,8 @@ class SimulatedScene:
             position, velocity = int(at.qposadr[0]), int(at.dofadr[0])
             self._shafts[motor] = len(self._shafts), position, velocity
             self._starts.append((position, velocity, joint.start))
+            if joint.cylinder is not None:
+                self._cylinders[motor] = joint.cylinder
 
     def advance(self) -> None:
         """Advance by one time step under `data.ctrl`."""

@@ -106,7 +106,7 @@ class Foxglove:
         every = topics(self._store).items()
         types = {topic: type_ for topic, type_ in every if scene.kind != "twin" or topic in TRUE}
         for bus in scene.robot.buses.values():
-            if bus.kind != "serial" and scene.kind != "twin":
+            if not bus.carries_bytes and scene.kind != "twin":
                 types |= frame_topics(bus.name, fd=bus.kind == "canfd")
         self._topics = dict(enumerate(types, 1))
         self._advertised = self._advertise(types)

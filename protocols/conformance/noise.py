@@ -8,7 +8,7 @@ from dataclasses import replace
 from protocols.conformance import bench as tools
 from protocols.conformance.case import Case
 from protocols.conformance.random import Random
-from protocols.frames import EXTENDED_BIT, CanFrame, Frame, IdMask, any_matches
+from protocols.frames import EXTENDED_BIT, OF_BYTES, CanFrame, Frame, IdMask, any_matches
 from protocols.plugin import Spec
 
 STRANGE = tuple(
@@ -74,7 +74,7 @@ def other_ids(case: Case) -> list[Frame]:
 def shapes(case: Case, ids: Sequence[IdMask]) -> list[Frame]:
     """Return data of every length, none or one of its bits set, under each of these ids. (On a stream: valid
     messages, since others fail their checksum.)"""
-    if case.spec.bus == "serial":
+    if case.spec.bus in OF_BYTES:
         return valid_frames(case)
     fd, random = case.spec.bus == "canfd", case.random()
     frames: list[Frame] = []
@@ -102,7 +102,7 @@ def _frame(spec: Spec, valid: list[Frame], ids: list[IdMask], random: Random) ->
         frame = random.choice(valid)
         return tools.with_data(frame, damaged(tools.data_of(frame), random))
     data = random.bytes(random.choice((0, 1, 2, 3, 4, 5, 6, 7, 8, 8, 12, 64, 300)))
-    if (spec.bus == "serial") == (kind < 0.9):
+    if (spec.bus in OF_BYTES) == (kind < 0.9):
         return data
     return _can_frame(spec, ids, data, random)
 

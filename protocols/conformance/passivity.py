@@ -11,7 +11,7 @@ from protocols.conformance import bench as tools
 from protocols.conformance import noise
 from protocols.conformance.bench import NAMES, STRANGER, Bench, Messages
 from protocols.conformance.case import Case, Failure, Inapplicable, among, counts, difference
-from protocols.frames import CanFrame, Frame, IdMask, any_matches
+from protocols.frames import OF_BYTES, CanFrame, Frame, IdMask, any_matches
 from protocols.messages import Command, Estop, Idle, Obeyed, Request, Scan
 from protocols.plugin import Spec
 
@@ -31,7 +31,7 @@ def foreign_traffic_changes_nothing(case: Case) -> None:
     try:
         stranger = case.stranger()
     except ValueError as error:
-        if spec.bus != "serial":
+        if spec.bus not in OF_BYTES:
             raise
         raise Inapplicable(f"no other device can be on its line: {error}") from error
     alone, crowded = case.start(), case.start()
@@ -42,7 +42,7 @@ def foreign_traffic_changes_nothing(case: Case) -> None:
         if spec.line != "free":  # a stranger's answer while its address is asked would be one to that
             messages = tuple(each for each in messages if not isinstance(each, Scan))
         theirs = stranger.step(_theirs(messages))
-        can = [*_without(theirs.down, spec.receives_also), *theirs.up] if spec.bus != "serial" else []
+        can = [*_without(theirs.down, spec.receives_also), *theirs.up] if spec.bus not in OF_BYTES else []
         extra = [foreign[at % len(foreign)]] if at % 5 == 0 else []
         up, down = _without(can or theirs.up, expects), _without(can or theirs.down, sends)
         if isinstance(crowded.driver, tools.OnLine):
@@ -56,10 +56,10 @@ def foreign_traffic_changes_nothing(case: Case) -> None:
             raise difference(one, other, "alone", "among strangers", (*up, *extra, *down)[:4])
         for frame in up:
             counter.receive(crowded.now, frame)
-        count += len(extra) + (len(up) if spec.bus != "serial" else 0)
+        count += len(extra) + (len(up) if spec.bus not in OF_BYTES else 0)
     for bench in (alone, crowded):
         bench.steps(ENDED)  # what a line holds may be part of an answer: its driver has not been given it
-    count += sum(counts(counter.counters)) if spec.bus == "serial" else 0
+    count += sum(counts(counter.counters)) if spec.bus in OF_BYTES else 0
     counters, base = counts(crowded.driver.counters), counts(alone.driver.counters)
     accepted = counters[0] - base[0]
     # A driver may accept a stranger's answer to a scan, as long as it reports nothing.
@@ -82,7 +82,7 @@ def _theirs(messages: Messages) -> list[Command | Request]:
 def _foreign(case: Case) -> list[Frame]:
     """Return frames of no device: of another kind, of unknown ids, and of known ids in the other format or
     of 29 bits with another bit."""
-    if case.spec.bus == "serial":
+    if case.spec.bus in OF_BYTES:
         return [CanFrame(1, b"\1\2"), CanFrame(0x12345678, b"", extended=True)]
     random, known = case.random(), (*case.sends, *case.expects)
     free = [i for i in (random.bits(11) for _ in range(200)) if not any_matches(known, i)][:8]
@@ -148,7 +148,7 @@ def only_declared_frames(case: Case) -> None:
 
 def _undeclared(spec: Spec, frame: Frame, ids: Sequence[IdMask]) -> str:
     """Return what is wrong with a frame that was sent, "" if nothing."""
-    if spec.bus == "serial":
+    if spec.bus in OF_BYTES:
         return "" if isinstance(frame, bytes) and frame else "something other than bytes"
     if not isinstance(frame, CanFrame):
         return "something other than a CAN frame"

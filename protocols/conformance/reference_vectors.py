@@ -14,7 +14,7 @@ from typing import Any
 from protocols.conformance import bench as tools
 from protocols.conformance.bench import Bench, OnLine
 from protocols.conformance.case import Case, Failure, Inapplicable, all_devices, variants
-from protocols.frames import CanFrame, Frame, any_matches
+from protocols.frames import OF_BYTES, CanFrame, Frame, any_matches
 from protocols.line import Exchange
 from protocols.messages import Command, Request
 from protocols.plugin import Device, Plugin, Spec
@@ -112,7 +112,7 @@ def _vectors_to_devices_are_valid(case: Case, vectors: Sequence[Vector]) -> None
             wrong = (
                 f"the source of vector {vector.name} names no version, commit or paragraph: {vector.source}"
             )
-        elif (case.spec.bus == "serial") != isinstance(vector.frame, bytes):
+        elif (case.spec.bus in OF_BYTES) != isinstance(vector.frame, bytes):
             wrong = f"vector {vector.name} is of another kind of bus than the spec"
         elif vector.direction == "to_device":
             decoder.decode(tools.START, vector.frame)

@@ -28,6 +28,7 @@ from protocols.conformance.fault_injection import (
     torque_of,
 )
 from protocols.conformance.requests import ill_formed
+from protocols.frames import OF_BYTES
 from protocols.messages import MILLISECOND, SECOND, Arm, ClearFault, Command, Feedback, Idle, Mode, Nanos
 from protocols.plugin import Device, FeedbackKind, Watchdog
 
@@ -230,7 +231,7 @@ def _falls_silent(kind: type[Command] | None, case: Case) -> None:
         raise rig.failure(f"{next(iter(rig.offline))} sends, and is reported offline")
     cable = rig.cables[ALPHA]
     cable.up, cable.down = False, kind is None
-    rig.host.lazy, rig.host.echo = kind is None, case.spec.bus != "serial"
+    rig.host.lazy, rig.host.echo = kind is None, case.spec.bus not in OF_BYTES
     driver = rig.host.driver
     for _ in range(IN_FLIGHT):  # what was in flight arrives; of a chain of answers it is read at the end
         rig.step(messages)

@@ -11,7 +11,7 @@ from protocols.conformance.bench import NAMES, START, STEP, Bench, Messages
 from protocols.conformance.case import Case, Failure, Inapplicable, counts, difference
 from protocols.conformance.random import Random
 from protocols.conformance.states import Situation, situations
-from protocols.frames import CanFrame, Frame
+from protocols.frames import OF_BYTES, CanFrame, Frame
 from protocols.messages import Event, Feedback, Obeyed
 from protocols.plugin import FeedbackKind
 
@@ -120,7 +120,7 @@ def frames_are_counted(case: Case) -> None:
     counters = bench.driver.counters
     if counters.malformed or (first and not counters.accepted):
         raise Failure(f"with nothing wrong on the bus: {counters}", first)
-    if case.spec.bus == "serial":
+    if case.spec.bus in OF_BYTES:
         _messages_are_counted(case)
     else:
         _can_frames_are_counted(case)
@@ -292,7 +292,12 @@ def wrong_bits_change_nothing(case: Case) -> None:
     One message of each kind, every bit of it, at both ends, but for those that the spec calls unprotected.
     What a reader keeps of a message that never ends may cost the next one, never more."""
     if case.spec.bus != "serial":
-        raise Inapplicable(f"the spec's bus is {case.spec.bus}: its controller drops damaged frames")
+        why = (
+            "its transfers have no checksum"
+            if case.spec.bus == "i2c"
+            else "its controller drops damaged frames"
+        )
+        raise Inapplicable(f"the spec's bus is {case.spec.bus}: {why}")
     one, other = _running(case), _running(case)
     for downward in (True, False):
         for frame in _one_of_each_kind(case, downward):

@@ -7,6 +7,7 @@ does, not how it is made.
     masked          messages whose fields are chosen by the bits of a mask
     host            the host's record of a device: phases and what changes them
     motor_driver    the driver of all devices on one bus; a protocol gives it an `Adapter`
+    i2c             transfers on an I²C bus, and what comes of them, as bytes
     lines           the adapter of devices on a serial line
     sensors         spec and adapter of sensors that stream on a line of their own
     device_clock    the time that a device stamps its messages with, in ours
@@ -23,6 +24,7 @@ does, not how it is made.
     servo_device    and what one keeps and obeys, in decoder and twin
     duplicates      how two devices with one address are noticed
     firmware        the device's side: arming, watchdog, reports, replies
+    pulses          hobby servos: what a pulse means, and the servo behind its wire
     servo           encoder, control loops, power stage with supply and heat
     mit             five numbers in every command, as MIT-type actuators have them
     turns           positions beyond the range, or the turn, in which they are reported

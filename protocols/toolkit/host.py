@@ -343,8 +343,8 @@ class Host(Generic[Own]):
         self.resend(t)
         self._fire(t, Trigger.LOST)
 
-    def check_silence(self, now: Nanos) -> list[Event]:
-        """Report once that it is offline."""
+    def check_silence(self, now: Nanos, why: str = "") -> list[Event]:
+        """Report once that it is offline; `why`, if that is known."""
         timing = self.timing
         if timing.only_replies and self._unasked():
             return []
@@ -355,9 +355,8 @@ class Host(Generic[Own]):
         self.forget(now)
         self.offline = True
         self._fire(now, Trigger.SILENT)
-        return [
-            State(self.name, now, Mode.OFFLINE, f"no message for {self.timing.offline // MILLISECOND} ms")
-        ]
+        silence = f"no message for {self.timing.offline // MILLISECOND} ms"
+        return [State(self.name, now, Mode.OFFLINE, f"{silence}: {why}" if why else silence)]
 
     def _unasked(self) -> bool:
         """True if nothing can be expected of it yet."""

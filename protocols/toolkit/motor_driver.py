@@ -152,6 +152,10 @@ class Adapter(Generic[Own]):
         """Return when `poll_bus` next has something to send."""
         return NEVER
 
+    def why_silent(self, host: Host[Own]) -> str:
+        """Return why a device is silent, if more is known of that."""
+        return ""
+
     def forget(self, now: Nanos, host: Host[Own]) -> None:
         """Forget what is in `host.own` of a device that may have restarted: by its own `forget`, if any."""
         own: Any = host.own
@@ -442,7 +446,7 @@ class MotorDriver(Generic[Own]):
         for command in commands:
             frames += self._command(now, command, events)
         for host in self.hosts.values():
-            silent = host.check_silence(now)
+            silent = host.check_silence(now, self.adapter.why_silent(host))
             if silent:
                 self.adapter.forget(now, host)
                 events += silent

@@ -128,8 +128,9 @@ def _link(path: Path) -> str:
     return ""
 
 
-def forbidden(path: str) -> str:
-    """Return what permission is missing: which group, or which rule."""
+def forbidden(path: str, subsystem: str = "tty", usual: str = "dialout") -> str:
+    """Return what permission is missing: which group, or which rule, of a kind of device and its usual
+    group."""
     try:
         found = Path(path).stat()
     except OSError as error:
@@ -138,8 +139,8 @@ def forbidden(path: str) -> str:
     text = f"no permission: {path} is {owner}'s and of the group {group}, {stat.filemode(found.st_mode)[1:]}"
     both = stat.S_IRGRP | stat.S_IWGRP
     if found.st_mode & both != both or found.st_gid == 0:
-        rule = 'SUBSYSTEM=="tty", KERNEL=="' + Path(path).resolve().name + '", MODE="0660"'
-        return f'{text}: a udev rule gives it to a group: {rule}, GROUP="dialout"'
+        rule = f'SUBSYSTEM=="{subsystem}", KERNEL=="{Path(path).resolve().name}", MODE="0660"'
+        return f'{text}: a udev rule gives it to a group: {rule}, GROUP="{usual}"'
     if found.st_gid in (os.getegid(), *os.getgroups()):
         return f"{text}: we are in it, so a rule of the system forbids it (a container, AppArmor)"
     user = _name(pwd.getpwuid, os.getuid())

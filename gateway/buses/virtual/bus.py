@@ -87,7 +87,7 @@ class TwinBus:
     def __init__(self, settings: BusSettings, world: TwinWorld) -> None:
         self.name = settings.name
         self.devices: list[SimulatedDevice] = []
-        self.is_serial = serial = settings.kind == "serial"
+        self.is_serial = serial = settings.carries_bytes
         self._from_host = Medium(settings.baudrate if serial else settings.bitrate, settings.data_bitrate)
         # Both directions of a serial line work at once; a CAN bus is one medium for all.
         self.from_devices = Medium(settings.baudrate) if serial else self._from_host

@@ -257,8 +257,9 @@ def test_what_is_stated_wrongly_is_said(stated: dict[str, str], why: str) -> Non
         made(STATED | stated)
 
 
-LEFT_OUT = ("diffbot_mixed", "diffbot_mixed_can", "husky", "jackal", "mobile_arm", "two_arms")
-"""Robots of several limbs, with a motor beside their base, or of recordings, which have no buses"""
+LEFT_OUT = ("boom", "diffbot_mixed", "diffbot_mixed_can", "husky", "jackal", "mobile_arm", "two_arms")
+"""Robots of several limbs, with a motor beside their base, whose reports are rare (their timeouts have to be
+written), or of recordings, which have no buses"""
 SHIPPED = [path.stem for path in sorted(Path("fixtures/robots").glob("*.toml")) if path.stem not in LEFT_OUT]
 
 
@@ -287,7 +288,7 @@ def answers_of(robot: Robot, table: dict[str, Any]) -> dict[str, str]:
 
 
 def interface(bus: BusSettings) -> str:
-    return f"{'serial' if bus.kind == 'serial' else 'socketcan'}:{bus.name}"
+    return f"{bus.kind if bus.carries_bytes else 'socketcan'}:{bus.name}"
 
 
 @pytest.mark.parametrize("name", sampled(SHIPPED, 5))

@@ -37,6 +37,7 @@ ROBOTS = {
     "diffbot_encoder": {"odrive_can"},
     "diffbot_vesc_uart": {"vesc_uart"},
     "diffbot_odrive_ascii": {"odrive_ascii"},
+    "car": {"vesc", "maestro"},
     "diffbot_mixed": {"cia402", "moteus", "odrive_can"},
     "diffbot_mixed_can": {"vesc", "robstride", "cubemars"},
 }

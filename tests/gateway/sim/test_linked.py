@@ -10,6 +10,7 @@ import pytest
 
 from brain.belief import Pose
 from brain.bodies.body import Base
+from brain.bodies.boom import Boom
 from brain.bodies.plane import REST, Twist, arc, motion
 from brain.perception.mount import Mount
 from gateway.config import load_robot
@@ -179,3 +180,28 @@ def test_the_quadruped_rises_walks_turns_and_stands() -> None:
     assert walker.heights[-1] == pytest.approx(0.299, abs=0.003)
     assert walker.plant.touches == 0
     assert walker.plant.inertial("imu")[1] == pytest.approx((0.0, 0.0, 9.81), abs=0.1)
+
+
+def test_a_cylinder_moves_a_joint_by_its_lever() -> None:
+    """The shaft of its motor is its length; the force that gravity takes by hand holds it."""
+    plant, file = load_plant("boom"), parse_world(PLACE)
+    assert isinstance(plant, LinkedFile)
+    assert isinstance(file, SceneFile)
+    body = load_robot("boom").brain.body
+    assert isinstance(body, Boom)
+    scene = Linked(file, plant, {})
+    names = ("lift", "fold")
+    lengths = [scene.shaft(name)[0] for name in names]
+    assert lengths == pytest.approx(body.lengths((0.0, -1.6)))
+    held = dict(zip(names, body.gravity(lengths), strict=True))
+    for _ in range(300):
+        scene.step(held)
+    assert [scene.shaft(name)[0] for name in names] == pytest.approx(lengths, abs=2e-3)
+    before, _ = scene.shaft("lift")
+    for _ in range(100):
+        scene.step(held | {"lift": held["lift"] + 2000.0})
+    after, speed = scene.shaft("lift")
+    assert after > before
+    assert speed > 0.0
+    scene.step(held | {"lift": held["lift"] + 2000.0})
+    assert scene.shaft("lift")[0] - after == pytest.approx(speed * 1e-3, rel=0.05)

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from gateway.sim import WheeledFile, load_plant, parse_plant, parse_world
+from gateway.config import resources
+from gateway.sim import WheeledFile, WorldError, load_plant, parse_plant, parse_world
 from gateway.sim.plant_files import Slip
 from gateway.sim.rover import Rover
 from tests.gateway.world_helpers import PLANT
@@ -190,3 +191,34 @@ def test_a_box_with_a_mass_is_pushed_and_no_wall() -> None:
     driven(base, {"left": 6.0, "right": 6.0}, {})
     assert base.box("crate")[0] > 0.6
     assert base.touches == 0
+
+
+def test_one_motor_steers_two_wheels_by_a_linkage() -> None:
+    """Their axes meet on the rear axle: the inner wheel turns further, both as of a wheel midway."""
+    base = rover(ideal("car"))
+    names = "front_left_steer", "front_right_steer"
+    places = [int(base.model.joint(name).qposadr[0]) for name in names]
+    for _ in range(600):
+        angle, velocity = base.shaft("steering")
+        base.step({"steering": 2.0 * (0.4 - angle) - 0.1 * velocity})
+    angle = base.shaft("steering")[0]
+    assert angle == pytest.approx(0.4, abs=0.02)
+    left, right = (float(base.data.qpos[place]) for place in places)
+    radius = 0.26 / math.tan(angle)
+    assert left == pytest.approx(math.atan2(0.26, radius - 0.1), abs=0.01)
+    assert right == pytest.approx(math.atan2(0.26, radius + 0.1), abs=0.01)
+    assert left > angle > right
+
+
+@pytest.mark.parametrize(
+    ("part", "instead", "wrong"),
+    [
+        ("x = 0.26\ny = -0.1", "x = 0.2\ny = -0.1", "those that steering steers by a linkage must be on one"),
+        ('motor = "drive"', 'motor = "steering"', "a motor that steers one must do nothing else"),
+    ],
+)
+def test_a_linkage_that_cannot_be(part: str, instead: str, wrong: str) -> None:
+    text = resources.find("plants", "car").read_text("utf-8")
+    assert part in text
+    with pytest.raises(WorldError, match=wrong):
+        parse_plant(text.replace(part, instead))

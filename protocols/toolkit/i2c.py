@@ -1,0 +1,58 @@
+"""A transfer on an I²C bus, and what comes of it, as bytes: what a driver sends, and a bus answers.
+
+Rules. A transfer is the address of the chip (7 bits), how many bytes are read, and the bytes that are written
+before that, in one transaction with a repeated start. Each is answered: the address, the outcome, and the
+bytes that were read. So a bus is a line on which devices speak only when asked (`protocols.line`).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from protocols.frames import Frame
+from protocols.line import Answer
+
+DONE, NO_CHIP, FAILED = range(3)
+"""Outcomes: acknowledged; nobody acknowledges this address; the transfer was not carried out."""
+ADDRESSES = range(0x08, 0x78)
+"""Those that a chip can have; the others are reserved (UM10204, 3.1.12)."""
+GENERAL_CALL = 0x00
+
+
+class Transfer(NamedTuple):
+    """What is written to a chip, and how many bytes are then read from it."""
+
+    address: int
+    reads: int
+    written: bytes
+
+
+def transfer(address: int, written: bytes, reads: int = 0) -> bytes:
+    """Return a transfer as a frame."""
+    return bytes((address, reads)) + written
+
+
+def parse(frame: Frame) -> Transfer | None:
+    """Return the transfer in a frame; None if it is none."""
+    if not isinstance(frame, bytes) or len(frame) < 3 or frame[0] > 0x7F:
+        return None
+    return Transfer(frame[0], frame[1], frame[2:])
+
+
+def outcome(address: int, result: int, read: bytes = b"") -> bytes:
+    """Return what comes of a transfer as a frame."""
+    return bytes((address, result)) + read
+
+
+def find(asked: bytes, held: bytes) -> tuple[int, int] | None:
+    """Return where the answer to a transfer is: it begins with its address."""
+    for at in range(len(held) - 1):
+        if held[at] == asked[0] and held[at + 1] in (DONE, NO_CHIP, FAILED):
+            end = at + 2 + (asked[1] if held[at + 1] == DONE else 0)
+            return (at, end) if end <= len(held) else None
+    return None
+
+
+def answer(frame: bytes, delay: int = 0) -> Answer:
+    """Return what is expected to come of a transfer."""
+    return Answer(2 + frame[1], find, delay, usual=2)
