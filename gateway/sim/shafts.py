@@ -26,6 +26,8 @@ class Shaft:
         """rad/s"""
         self.touches = 0
         """How often it reached a hard stop."""
+        self.given: tuple[float, float] | None = None
+        """Its angle [rad] and velocity [rad/s], where these are given and no torque moves it"""
         self._at_stop = False
         self._load = 0.0, 0.0
         """Position and velocity of what is beyond the backlash"""
@@ -33,6 +35,10 @@ class Shaft:
     def step(self, torque: float) -> None:
         """Advance by one time step under a torque [N·m]."""
         file = self.file
+        if self.given is not None:
+            self.position, self.velocity = self.given
+            self.given = self.position + self.velocity * DT, self.velocity
+            return
         if file.backlash:
             self._step_apart(torque)
             return
@@ -100,6 +106,10 @@ class Shafts:
         """Return position [rad] and velocity [rad/s]."""
         shaft = self._shafts[motor]
         return shaft.position, shaft.velocity
+
+    def give(self, motor: str, motion: tuple[float, float] | None) -> None:
+        """Give a shaft its angle and velocity from now on; None: torques move it again."""
+        self._shafts[motor].given = motion
 
     @property
     def touches(self) -> int:

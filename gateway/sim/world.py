@@ -83,6 +83,30 @@ class World:
             return self._shafts.shaft(motor)
         return self.scene.shaft(motor)
 
+    def follow(self, motor: str, position: float, velocity: float) -> None:
+        """Give an output shaft its motion from now on: at this angle [rad], turning at this velocity [rad/s],
+        whatever torques act on it, until `let_go`."""
+        if self.scene is None or motor in self._shafts:
+            self._shafts.give(motor, (position, velocity))
+        else:
+            self.scene.follow(motor, position, velocity)
+
+    def hold(self, motor: str) -> None:
+        """Hold an output shaft where it is."""
+        self.follow(motor, self.shaft(motor)[0], 0.0)
+
+    def let_go(self, motor: str) -> None:
+        """Let torques move an output shaft again."""
+        if self.scene is None or motor in self._shafts:
+            self._shafts.give(motor, None)
+        else:
+            self.scene.let_go(motor)
+
+    def clearance(self, most: float = 1.0) -> float:
+        """Return the distance [m] to the nearest wall, fixed box or person, `most` at most; that on a
+        bench."""
+        return most if self.scene is None else self.scene.clearance(most)
+
     def readings(self) -> Sequence[Measurement]:
         """Return the sensor readings since the last call, in the order of completion, with their noise."""
         if not self._readings:
