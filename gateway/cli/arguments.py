@@ -27,6 +27,12 @@ def add_bus(parser: ArgumentParser, text: str) -> None:
     )
 
 
+def add_real(parser: ArgumentParser) -> None:
+    """Add --real, which names the devices that are there."""
+    text = "these motors and sensors are there, and all others simulated, in a world that follows real motors"
+    parser.add_argument("--real", type=names, default=(), metavar="NAME,NAME", help=text)
+
+
 def add_seconds(parser: ArgumentParser, default: str = "Ctrl-C") -> None:
     """Add --seconds."""
     text = f"stop after this time (default: {default})"
@@ -60,6 +66,14 @@ def add_realtime(parser: ArgumentParser) -> None:
 
 
 # -- types ------------------------------------------------------------------------------------------
+
+
+def names(text: str) -> tuple[str, ...]:
+    """Return the names of NAME,NAME."""
+    found = tuple(name.strip() for name in text.split(","))
+    if not all(found):
+        raise ArgumentTypeError(f"{text!r} is not NAME,NAME (as in left,right)")
+    return found
 
 
 def goal(text: str) -> tuple[float, float, float | None]:

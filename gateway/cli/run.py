@@ -35,6 +35,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     arguments.add_bus(
         parser, "put a bus on another interface: can0=socketcan:vcan0, sensors=serial:/dev/ttyUSB0, can0=twin"
     )
+    arguments.add_real(parser)
     arguments.add_goal(parser, "where to drive")
     parser.add_argument("--mission", metavar="FILE", help="a mission file, or the name of one that ships")
     parser.add_argument(
@@ -56,7 +57,7 @@ def run(options: Namespace) -> int:
     """Return 1 if a motor was left in fault or armed, something asked for was not done, or the loop hung."""
     check_view(options)
     wanted = wanted_of(options.realtime)
-    robot = with_interfaces(load_robot(options.robot), dict(options.bus))
+    robot = with_interfaces(load_robot(options.robot, real=options.real), dict(options.bus))
     if options.mission and options.goal:
         raise UserError("--mission and --goal exclude each other: put the goals into the mission")
     goals = goals_of(options, robot)
@@ -139,6 +140,8 @@ def _drive(session: Session, operator: Operator, options: Namespace, mission: Mi
         f"{stats.ticks} ticks, {stats.received} packets in, {stats.sent} out, {stats.missed} ticks missed, "
         f"longest step {stats.longest_step / MILLISECOND:.1f} ms"
     )
+    for line in session.latencies.lines():
+        print(line)
     if faults:
         print(f"left in fault: {faults}", file=sys.stderr)
     view = session.belief.mission

@@ -33,6 +33,7 @@ from gateway.monitor.silence import Silence
 from gateway.runtime import loop
 from gateway.runtime.drive_doctor import DriveDoctor
 from gateway.runtime.process import fine_timers, quiet_collector, signals
+from gateway.runtime.real_devices import FollowingWorld, Latencies, real_names
 from gateway.runtime.timing import LoopStats
 from gateway.runtime.watchdog import WatchdogProcess, covered
 from protocols.messages import SECOND, Goal, Instruction, Release
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
     from gateway.replay import SignalLog
     from gateway.runtime.live_view import SessionView
     from gateway.runtime.ros_bridge import SessionBridge
+    from gateway.sim.files import WorldFile
 
 log = logging.getLogger("gateway")
 _Result = TypeVar("_Result")
@@ -74,6 +76,8 @@ class Session:
     """what does not go as it should on a serial line,"""
     driving: DriveDoctor | None = field(init=False)
     """and why it does not drive as it should; None once that has failed."""
+    latencies: Latencies = field(init=False)
+    """How long the devices take that are real."""
     _watchers: list[loop.Record] = field(default_factory=list)
     _view: SessionView | None = None
     _ros: SessionBridge | None = None
@@ -91,6 +95,10 @@ class Session:
         self.silence = Silence(self.gateway, self.buses)
         self.troubles = LineTroubles(self.gateway, self.buses)
         self.driving = DriveDoctor(self.robot)
+        self.latencies = Latencies(self.robot, real_names(self.robot))
+        self.watch(self.latencies.take)
+        if self.twins is not None and self.twins.followed:
+            self.watch(FollowingWorld(self.twins, self.joints).take)
 
     def submit(self, *instructions: Instruction) -> None:
         """Ask for something at the next step.
@@ -436,6 +444,7 @@ def open_session(
     simulated: bool = False,
     record: Path | str | None = None,
     seed: int | None = None,
+    world: WorldFile | None = None,
 ) -> Session:
     """Open a robot's buses, or the simulated world in their place, and its recorder.
 
@@ -445,6 +454,7 @@ def open_session(
             real time; where every bus is a twin, in slow motion if the machine cannot keep up.
         record: the recording to write (an MCAP file that must not exist yet).
         seed: of the simulated world's noise; None: the robot file's.
+        world: the simulated world, as `gateway.sim.load.load_world` returns it; None: the robot file's.
 
     Returns:
         Session: ready to `run`. Nothing is armed yet. `with` closes it at the end, or `close`.
@@ -464,6 +474,11 @@ def open_session(
     real = [bus.name for bus in robot.buses.values() if bus.interface != TWIN]
     if simulated and real:
         raise UserError(f"simulated time needs a simulated world: {', '.join(real)} is on a real interface")
+    if absent := [one.name for one in robot.devices() if one.name in robot.real and one.bus not in real]:
+        wired = dict.fromkeys(one.bus for one in robot.devices() if one.name in absent)
+        text = f"to be real: {', '.join(absent)}; but the interface of {', '.join(wired)} is {TWIN!r}"
+        how = " ".join(f"--bus {bus}=INTERFACE:CHANNEL" for bus in wired)
+        raise UserError(f"{text}; say where that is connected: {how}")
     if record is not None:
         _check_new(record)
     clock: Clock = SimulatedClock() if simulated else WallClock() if real else PacedClock()
@@ -471,7 +486,7 @@ def open_session(
     with ExitStack() as stack:
         stack.enter_context(signals(reasons.append, suspend=False))
         watchdog = _start_watchdog(robot, clock, stack)
-        buses, twins = _open_buses(robot, clock, seed, stack)
+        buses, twins = _open_buses(robot, clock, seed, world, stack)
         if watchdog is not None and (why := watchdog.ready()):
             log.warning(NO_WATCHDOG, why)
             watchdog = None
@@ -520,13 +535,13 @@ def _discard_stale(robot: Robot, buses: Mapping[str, Bus], clock: Clock) -> None
 
 
 def _open_buses(
-    robot: Robot, clock: Clock, seed: int | None, stack: ExitStack
+    robot: Robot, clock: Clock, seed: int | None, world: WorldFile | None, stack: ExitStack
 ) -> tuple[dict[str, Bus], TwinWorld | None]:
     twins, simulated = None, dict[str, Bus]()
     if any(bus.interface == TWIN for bus in robot.buses.values()):
         from gateway.buses.virtual import beside_real, open_world
 
-        twins = open_world(robot, robot.seed if seed is None else seed)
+        twins = open_world(robot, robot.seed if seed is None else seed, world)
         simulated = beside_real.buses(twins) if isinstance(clock, WallClock) else {**twins.buses}
     buses: dict[str, Bus] = {}
     for name, settings in robot.buses.items():
