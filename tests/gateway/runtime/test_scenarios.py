@@ -89,14 +89,14 @@ PUT_BACK: dict[str, tuple[Change, Broken, str]] = {
 # fmt: on
 
 
-@pytest.mark.sample(4)
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("path", SHIPPED, ids=[path.stem for path in SHIPPED])
 def test_a_scenario_that_ships_goes_as_it_must(path: Path) -> None:
     result = run_scenario(load_scenario(path))
     assert result.passed, result.details
 
 
-@pytest.mark.sample(4)
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("name", PUT_BACK)
 def test_it_fails_when_the_defect_is_put_back(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     change, broken, fails = PUT_BACK[name]
