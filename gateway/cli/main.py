@@ -59,9 +59,9 @@ COMMANDS = {
     "protocols": "list the installed protocols, check one, or start a new one",
     "ask": "send a line to a running robot, as on its terminal",
 }
-LIVE = ("demo", "run", "twin", "jog", "motor", "new", "calibrate", "tune")
+LIVE = ("demo", "run", "scenario", "twin", "jog", "motor", "new", "calibrate", "tune")
 """Those that must not wait for who reads their output: a robot would wait with them."""
-LINUX = (*LIVE, "view", "ask", "scan", "doctor", "scenario")
+LINUX = (*LIVE, "view", "ask", "scan", "doctor")
 """Those that need what Linux alone has: SocketCAN, termios, real-time signals, /proc."""
 
 

@@ -96,12 +96,17 @@ def run_scenario(scenario: Scenario, record: Path | None = None) -> ScenarioResu
     with open_session(
         scenario.robot, simulated=simulated, record=record, seed=seed, world=scenario.world
     ) as session:
-        judge, accidents = Judge(scenario, session), Accidents(scenario, session)
-        session.watch(judge.take)
-        with closing(session.run(scenario.file.seconds, poll=accidents.poll)) as ticks:
-            for _ in ticks:
-                pass
-        return ScenarioResult(scenario, judge.verdicts(), record)
+        return ScenarioResult(scenario, verdicts(scenario, session), record)
+
+
+def verdicts(scenario: Scenario, session: Session) -> tuple[Verdict, ...]:
+    """Run a scenario in a session of its robot that has not run yet; return what held."""
+    judge, accidents = Judge(scenario, session), Accidents(scenario, session)
+    session.watch(judge.take)
+    with closing(session.run(scenario.file.seconds, poll=accidents.poll)) as ticks:
+        for _ in ticks:
+            pass
+    return judge.verdicts()
 
 
 class Accidents:

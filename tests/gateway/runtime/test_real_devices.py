@@ -25,6 +25,8 @@ from gateway.core.robot import TWIN, Robot
 from gateway.core.step import Gateway
 from gateway.core.tick import Tick
 from gateway.errors import ConfigError, UserError
+from gateway.runtime.scenario import verdicts
+from gateway.runtime.scenario_file import parse_scenario
 from gateway.runtime.session import Session
 from protocols.frames import BusState, Frame, Packet
 from protocols.messages import MILLISECOND, SECOND, Goal, Instruction, Nanos, Velocity
@@ -234,6 +236,27 @@ def test_a_wheel_that_begins_again_at_zero_does_not_leap_in_the_world() -> None:
             last, fastest = now, max(fastest, abs(now - last))
         assert last > 6.0
         assert fastest < 0.3
+
+
+SCENARIO = """name = "a real motor and a simulated one"
+robot = "bench"
+seconds = 2.5
+asks.left = { at = 0.8, line = "velocity left 4" }
+asks.right = { at = 0.8, line = "velocity right 4" }
+loads.heavy = { at = 1.6, on = "right", torque = -0.5 }
+must.turn.real = { after = "left", within = 0.6, on = "left", velocity = 4.0, tolerance = 0.5 }
+must.turn.twin = { after = "heavy", within = 0.5, on = "right", velocity = 4.0, tolerance = 0.5 }
+"""
+
+
+def test_a_scenario_runs_with_real_devices_which_it_cannot_break() -> None:
+    with RealBench("bench", ["left"]) as bench:
+        scenario = parse_scenario(SCENARIO, Path("x.toml"), lambda _: bench.robot)
+        found = verdicts(scenario, bench.session)
+        assert [one.name for one in found if one.holds] == ["must.turn.real", "must.turn.twin"], found
+        wrong = SCENARIO.replace('on = "right", torque', 'on = "left", torque')
+        with pytest.raises(ConfigError, match=r"loads\.heavy\.on: 'left' is real: .* expected a simulated"):
+            parse_scenario(wrong, Path("x.toml"), lambda _: bench.robot)
 
 
 # -- latencies -------------------------------------------------------------------------------------------
