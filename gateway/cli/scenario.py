@@ -42,7 +42,7 @@ def run(options: Namespace) -> int:
             results.append(run_scenario(one, _recording(one, options.record)))
             shown.update(len(results))
     for result in results:
-        print("\n  ".join([result.line, *result.details]))
+        print("\n  ".join([result.line, *result.details, *result.latencies]))
     good = sum(one.passed for one in results)
     print(f"{good} of {len(results)} scenarios went as they must")
     if options.junit is not None:

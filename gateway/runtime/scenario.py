@@ -25,12 +25,12 @@ from gateway.runtime.scenario_file import (
     Ask,
     FaultEvent,
     LoadStep,
-    Reach,
+    MustReach,
+    MustStand,
+    MustTell,
+    MustTurn,
     Requirement,
     Scenario,
-    Stand,
-    Tell,
-    Turn,
 )
 from gateway.runtime.session import Session, open_session
 from protocols.conformance.random import Random
@@ -45,7 +45,7 @@ KEPT = 10_000
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class JudgedRequirement:
     """One thing that had to hold."""
 
     name: str
@@ -60,8 +60,9 @@ class ScenarioResult:
     """What came of a scenario."""
 
     scenario: Scenario
-    verdicts: tuple[Verdict, ...]
-    recording: Path | None = None
+    verdicts: tuple[JudgedRequirement, ...]
+    latencies: tuple[str, ...] = ()
+    """Of its real devices, a table in lines"""
 
     @property
     def passed(self) -> bool:
@@ -96,12 +97,12 @@ def run_scenario(scenario: Scenario, record: Path | None = None) -> ScenarioResu
     with open_session(
         scenario.robot, simulated=simulated, record=record, seed=seed, world=scenario.world
     ) as session:
-        return ScenarioResult(scenario, verdicts(scenario, session), record)
+        return ScenarioResult(scenario, verdicts(scenario, session), tuple(session.latencies.lines()))
 
 
-def verdicts(scenario: Scenario, session: Session) -> tuple[Verdict, ...]:
+def verdicts(scenario: Scenario, session: Session) -> tuple[JudgedRequirement, ...]:
     """Run a scenario in a session of its robot that has not run yet; return what held."""
-    judge, accidents = Judge(scenario, session), Accidents(scenario, session)
+    judge, accidents = ScenarioJudge(scenario, session), Accidents(scenario, session)
     session.watch(judge.take)
     with closing(session.run(scenario.file.seconds, poll=accidents.poll)) as ticks:
         for _ in ticks:
@@ -122,7 +123,7 @@ class Accidents:
             key=lambda each: each[0],
         )
         """Walls come by themselves: they are the world's."""
-        self._going: list[Going] = []
+        self._going: list[PresentFault] = []
 
     def poll(self) -> Sequence[Instruction]:
         """Do what is to happen now; return what a person asks."""
@@ -144,7 +145,7 @@ class Accidents:
 
     def _begin(self, now: Nanos, world: TwinWorld, event: FaultEvent | LoadStep) -> None:
         lasts = math.inf if event.seconds is None else event.seconds
-        going = Going(Tamper(), now + lasts * SECOND)
+        going = PresentFault(Tamper(), now + lasts * SECOND)
         if isinstance(event, FaultEvent):
             going.site = Site(self._scenario.robot, world, event.on, self._random, now, lasts)
             going.end = CAUSES[event.cause].end
@@ -156,7 +157,7 @@ class Accidents:
         self._going.append(going)
         world.tamper = composed([one.tamper for one in self._going])
 
-    def _end(self, going: Going) -> None:
+    def _end(self, going: PresentFault) -> None:
         self._going.remove(going)
         world = self._session.twins
         if world is not None:
@@ -166,7 +167,7 @@ class Accidents:
 
 
 @dataclass(slots=True, eq=False)
-class Going:
+class PresentFault:
     """A fault or load that is there."""
 
     tamper: Tamper
@@ -177,7 +178,7 @@ class Going:
 
 
 @dataclass(slots=True)
-class Judge:
+class ScenarioJudge:
     """Sees each tick, and says at the end what held."""
 
     scenario: Scenario
@@ -214,7 +215,7 @@ class Judge:
             self._looked = tick.now
             self.nearest = min(self.nearest, twins.world.clearance())
         for name, one in self.scenario.file.must.all().items():
-            if isinstance(one, Stand | Turn) and (seen := self._moves(one, belief)):
+            if isinstance(one, MustStand | MustTurn) and (seen := self._moves(one, belief)):
                 self._wrong[name], self._seen[name] = self.now, seen
 
     def _listen(self, tick: Tick, belief: Belief) -> None:
@@ -238,12 +239,9 @@ class Judge:
         if twins is not None and twins.world.scene is not None:
             forward, left, turning = twins.world.twist()
             return math.hypot(forward, left), turning
-        estimate = belief.estimate
-        return (
-            (0.0, 0.0)
-            if estimate is None
-            else (math.hypot(estimate.linear, estimate.lateral), estimate.angular)
-        )
+        if (estimate := belief.estimate) is None:
+            return 0.0, 0.0
+        return math.hypot(estimate.linear, estimate.lateral), estimate.angular
 
     def _velocity(self, motor: str) -> float:
         """Return the velocity [rad/s] of an output shaft; NaN if nothing tells it."""
@@ -253,9 +251,9 @@ class Judge:
         feedback = self.session.joints[motor].feedback
         return math.nan if feedback is None or feedback.velocity is None else feedback.velocity
 
-    def _moves(self, one: Stand | Turn, belief: Belief) -> str:
+    def _moves(self, one: MustStand | MustTurn, belief: Belief) -> str:
         """Return how something is not as it is to stay; "" if it is."""
-        if isinstance(one, Turn):
+        if isinstance(one, MustTurn):
             velocity = self._velocity(one.on)
             return "" if abs(velocity - one.velocity) <= one.tolerance else f"{velocity:.2f} rad/s"
         if one.on != ROBOT:
@@ -266,58 +264,58 @@ class Judge:
             stands = speed <= STANDS_BASE and abs(turning) <= STANDS_TURNING
             return "" if stands else f"{speed:.2f} m/s, {turning:.2f} rad/s"
         moving = {name: self._velocity(name) for name in self.session.joints}
-        shown = [
-            f"{name} {velocity:.2f} rad/s" for name, velocity in moving.items() if not abs(velocity) <= STANDS
-        ]
+        shown = [f"{name} {one:.2f} rad/s" for name, one in moving.items() if not abs(one) <= STANDS]
         return ", ".join(shown)
 
     # -- at the end -----------------------------------------------------------------------------------
 
-    def verdicts(self) -> tuple[Verdict, ...]:
+    def verdicts(self) -> tuple[JudgedRequirement, ...]:
         """Return what held, and what did not."""
-        must = [self._judged(name, one) for name, one in self.scenario.file.must.all().items()]
-        return (*must, *self._never())
+        file = self.scenario.file
+        judged = [self._judged(name, one) for name, one in file.must.all().items()]
+        if self.session.reasons:
+            text = f"it ended after {self.now:.2f} of {file.seconds:g} s: {self.session.reasons[0]}"
+            judged.append(JudgedRequirement("seconds", holds=False, text=text))
+        return (*judged, *self._never())
 
-    def _judged(self, name: str, one: Requirement) -> Verdict:
+    def _judged(self, name: str, one: Requirement) -> JudgedRequirement:
         since = self.scenario.moment(one.after)
         until = since + one.within
         about = f"within {one.within:g} s" + (f" after {one.after!r}" if one.after else "")
         holds, found = False, ""
-        if isinstance(one, Reach):
+        if isinstance(one, MustReach):
             done = sum(t <= until for t in self._reached)
             holds, found = done >= one.goals, f"{done} of {one.goals} goals reached {about}"
-        elif isinstance(one, Tell):
+        elif isinstance(one, MustTell):
             times = [t for t, on, text in self._reports if t >= since and self._is_about(one, on, text)]
             when = f"told after {times[0] - since:.2f} s" if times else "not told"
             heard = [f"{on}: {text}" for t, on, text in self._reports if t >= since][:3]
             other = f"; what was told: {' | '.join(heard) or 'nothing'}" if not times else ""
-            holds, found = (
-                bool(times) and times[0] <= until,
-                f"{one.text!r} of {one.on}: {when}, expected {about}{other}",
-            )
+            holds = bool(times) and times[0] <= until
+            found = f"{one.text!r} of {one.on}: {when}, expected {about}{other}"
         else:
             last = self._wrong.get(name, -math.inf)
             holds = last <= until
             seen = self._seen.get(name, "as asked")
             found = f"{seen} at {max(last, 0.0):.2f} s, expected to be as asked {about}"
-        return Verdict(f"must.{name}", holds, found)
+        return JudgedRequirement(f"must.{name}", holds, found)
 
     @staticmethod
-    def _is_about(one: Tell, on: str, text: str) -> bool:
+    def _is_about(one: MustTell, on: str, text: str) -> bool:
         named = on == one.on or (on == "brain" and one.on in text.replace(":", " ").replace(",", " ").split())
         return named and one.text.lower() in text.lower()
 
-    def _never(self) -> list[Verdict]:
+    def _never(self) -> list[JudgedRequirement]:
         never, twins = self.scenario.file.never, self.session.twins
-        found: list[Verdict] = []
+        found: list[JudgedRequirement] = []
         if never.faster is not None:
             text = f"{self.fastest:.3f} m/s, expected at most {never.faster:g}"
-            found.append(Verdict("never.faster", self.fastest <= never.faster, text))
+            found.append(JudgedRequirement("never.faster", self.fastest <= never.faster, text))
         if never.nearer is not None:
             text = f"{self.nearest:.3f} m, expected at least {never.nearer:g}"
-            found.append(Verdict("never.nearer", self.nearest >= never.nearer, text))
+            found.append(JudgedRequirement("never.nearer", self.nearest >= never.nearer, text))
         if never.touches is not None:
             touches = math.inf if twins is None else twins.world.contacts()
             text = f"{touches:g} touches, expected at most {never.touches}"
-            found.append(Verdict("never.touches", touches <= never.touches, text))
+            found.append(JudgedRequirement("never.touches", touches <= never.touches, text))
         return found

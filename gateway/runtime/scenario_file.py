@@ -31,7 +31,7 @@ from pathlib import Path
 from typing import Annotated, TypeAlias
 
 from gateway import config
-from gateway.buses.virtual.faults import CAUSES, Cause
+from gateway.buses.virtual.faults import CAUSES, FaultCause
 from gateway.config import resources
 from gateway.config.errors import Mistakes, unknown
 from gateway.config.json_schema import Schema, Writer
@@ -122,7 +122,7 @@ class WallEvent:
 
 
 @dataclass(frozen=True, slots=True)
-class Reach:
+class MustReach:
     """Goals are reached."""
 
     within: Moment
@@ -134,7 +134,7 @@ class Reach:
 
 
 @dataclass(frozen=True, slots=True)
-class Tell:
+class MustTell:
     """Something is told, as a fault, a note or the reason of the brain's state."""
 
     within: Moment
@@ -148,7 +148,7 @@ class Tell:
 
 
 @dataclass(frozen=True, slots=True)
-class Stand:
+class MustStand:
     """A joint, or the robot, stands, from then on to the end."""
 
     within: Moment
@@ -160,7 +160,7 @@ class Stand:
 
 
 @dataclass(frozen=True, slots=True)
-class Turn:
+class MustTurn:
     """A joint turns as asked, from then on to the end."""
 
     within: Moment
@@ -175,18 +175,18 @@ class Turn:
     """What happens before, by its name; "": the beginning"""
 
 
-Requirement: TypeAlias = Reach | Tell | Stand | Turn
-Event: TypeAlias = Ask | FaultEvent | LoadStep | WallEvent
+Requirement: TypeAlias = MustReach | MustTell | MustStand | MustTurn
+Happening: TypeAlias = Ask | FaultEvent | LoadStep | WallEvent
 
 
 @dataclass(frozen=True, slots=True)
-class Must:
+class Requirements:
     """What must come after something, within a time."""
 
-    reach: dict[str, Reach] = field(default_factory=dict)
-    tell: dict[str, Tell] = field(default_factory=dict)
-    stand: dict[str, Stand] = field(default_factory=dict)
-    turn: dict[str, Turn] = field(default_factory=dict)
+    reach: dict[str, MustReach] = field(default_factory=dict)
+    tell: dict[str, MustTell] = field(default_factory=dict)
+    stand: dict[str, MustStand] = field(default_factory=dict)
+    turn: dict[str, MustTurn] = field(default_factory=dict)
 
     def all(self) -> dict[str, Requirement]:
         """Return all by their names in the file: "tell.silence"."""
@@ -229,12 +229,12 @@ class ScenarioFile:
     faults: dict[str, FaultEvent] = field(default_factory=dict)
     loads: dict[str, LoadStep] = field(default_factory=dict)
     walls: dict[str, WallEvent] = field(default_factory=dict)
-    must: Must = field(default_factory=Must)
+    must: Requirements = field(default_factory=Requirements)
     never: Never = field(default_factory=Never)
 
-    def events(self) -> Iterator[tuple[str, str, Event]]:
+    def events(self) -> Iterator[tuple[str, str, Happening]]:
         """Yield table, name and event of all that happens."""
-        tables: dict[str, Mapping[str, Event]] = {
+        tables: dict[str, Mapping[str, Happening]] = {
             "asks": self.asks,
             "faults": self.faults,
             "loads": self.loads,
@@ -347,7 +347,7 @@ def _check_events(file: ScenarioFile, robot: Robot, mistakes: Mistakes) -> dict[
     return asks
 
 
-def _cannot_have(cause: Cause, device: str, robot: Robot) -> str:
+def _cannot_have(cause: FaultCause, device: str, robot: Robot) -> str:
     """Return why a device cannot have a fault; "" if it can."""
     able = [one.name for one in robot.devices() if fits(cause, one.name, robot)]
     if device not in able:
@@ -358,7 +358,7 @@ def _cannot_have(cause: Cause, device: str, robot: Robot) -> str:
     return ""
 
 
-def fits(cause: Cause, device: str, robot: Robot) -> bool:
+def fits(cause: FaultCause, device: str, robot: Robot) -> bool:
     """Return whether a device is of the kind that can have a fault."""
     if cause.on == "device":
         return device in robot.motors or device in robot.sensors
@@ -371,7 +371,7 @@ def fits(cause: Cause, device: str, robot: Robot) -> bool:
     return sensor is not None and any(name.startswith(f"{measured}.") for name in sensor.spec.ranges)
 
 
-LOADED = Cause(lambda _site: None, "motor")
+LOADED = FaultCause(lambda _site: None, "motor")
 """What can be loaded: a motor"""
 
 
@@ -386,13 +386,17 @@ def _check_requirements(file: ScenarioFile, robot: Robot, mistakes: Mistakes) ->
             mistakes.add((*at, "after"), unknown("event", one.after, events))
         elif events.get(one.after, 0.0) + one.within > file.seconds:
             mistakes.add((*at, "within"), f"this is after the end, at {file.seconds:g} s")
-        if isinstance(one, Tell) and one.on not in told_of:
+        if isinstance(one, MustTell) and one.on not in told_of:
             mistakes.add((*at, "on"), unknown("device", one.on, told_of))
-        whole = isinstance(one, Stand) and one.on == ROBOT
-        if isinstance(one, Stand | Turn) and not whole and one.on not in robot.motors:
+        whole = isinstance(one, MustStand) and one.on == ROBOT
+        if isinstance(one, MustStand | MustTurn) and not whole and one.on not in robot.motors:
             mistakes.add((*at, "on"), unknown("motor", one.on, robot.motors))
-        if isinstance(one, Reach) and base is None:
+        if isinstance(one, MustReach) and base is None:
             mistakes.add(at, f"{robot.name!r} has no base to drive to a goal")
+    if all(bus.interface != TWIN for bus in robot.buses.values()):
+        wrong = [("never", name) for name in ("nearer", "touches") if getattr(file.never, name) is not None]
+        for key in [*wrong, *[("walls",)] * bool(file.walls)]:
+            mistakes.add(key, "every device is real: there is no simulated world")
     for name in ("faster", "nearer"):
         if getattr(file.never, name) is not None and base is None:
             mistakes.add(("never", name), f"{robot.name!r} has no base that drives")

@@ -77,7 +77,7 @@ class Site:
 
 
 @dataclass(frozen=True, slots=True)
-class Cause:
+class FaultCause:
     """How one fault comes about."""
 
     inject: Inject
@@ -322,33 +322,37 @@ def blocked(run: FaultSite) -> None:
     run.world.world.hold(run.target)
 
 
-CAUSES: dict[str, Cause] = {
+CAUSES: dict[str, FaultCause] = {
     # frames
-    "frames lost, 30 %": Cause(frames(lambda run, one: (one,) if run.random.below(10) > 2 else ()), "device"),
-    "frames doubled": Cause(frames(lambda _run, one: (one, one)), "device"),
-    "frames 15 ms late": Cause(frames(lambda _run, one: later(one, 15 * MILLISECOND)), "device"),
-    "frames reordered": Cause(
+    "frames lost, 30 %": FaultCause(
+        frames(lambda run, one: (one,) if run.random.below(10) > 2 else ()), "device"
+    ),
+    "frames doubled": FaultCause(frames(lambda _run, one: (one, one)), "device"),
+    "frames 15 ms late": FaultCause(frames(lambda _run, one: later(one, 15 * MILLISECOND)), "device"),
+    "frames reordered": FaultCause(
         frames(lambda run, one: later(one, run.random.below(12) * MILLISECOND)), "device"
     ),
-    "feedback damaged": Cause(
+    "feedback damaged": FaultCause(
         frames(lambda run, one: (one,) if one.sender == HOST else damaged(run, one)), "device"
     ),
-    "commands damaged": Cause(
+    "commands damaged": FaultCause(
         frames(lambda run, one: damaged(run, one) if one.sender == HOST else (one,)), "device"
     ),
-    "scans damaged": Cause(frames(damaged), "lidar"),
-    "host not received": Cause(frames(lambda _run, one: () if one.sender == HOST else (one,)), "device"),
-    "devices not received": Cause(frames(lambda _run, one: (one,) if one.sender == HOST else ()), "device"),
-    "commands 300 ms late": Cause(
+    "scans damaged": FaultCause(frames(damaged), "lidar"),
+    "host not received": FaultCause(frames(lambda _run, one: () if one.sender == HOST else (one,)), "device"),
+    "devices not received": FaultCause(
+        frames(lambda _run, one: (one,) if one.sender == HOST else ()), "device"
+    ),
+    "commands 300 ms late": FaultCause(
         frames(lambda _run, one: later(one, 300 * MILLISECOND) if one.sender == HOST else (one,)), "device"
     ),
     # motors
-    "device resets": Cause(restarted, "motor"),
-    "device silent": Cause(
+    "device resets": FaultCause(restarted, "motor", lambda run: run.world.reconnect(run.target)),
+    "device silent": FaultCause(
         lambda run: run.world.disconnect(run.target), "device", lambda run: run.world.reconnect(run.target)
     ),
-    "device in fault": Cause(provoked, "motor"),
-    "encoder stuck": Cause(
+    "device in fault": FaultCause(provoked, "motor"),
+    "encoder stuck": FaultCause(
         encoder(
             lambda _run, true, memory: replace(
                 true, position=memory.setdefault("at", true.position), velocity=0.0
@@ -356,43 +360,43 @@ CAUSES: dict[str, Cause] = {
         ),
         "motor",
     ),
-    "feedback frozen": Cause(encoder(same_again), "motor"),
-    "encoder jumps": Cause(encoder(jumped), "motor"),
-    "encoder at half scale": Cause(scaled(0.5), "motor"),
-    "encoder reversed": Cause(scaled(-1.0), "motor"),
-    "encoders swapped": Cause(swapped, "wheel"),
-    "motor blocked": Cause(blocked, "motor", lambda run: run.world.world.let_go(run.target)),
-    "no torque": Cause(torque(lambda _given: 0.0), "motor"),
-    "weak motor, 30 %": Cause(torque(lambda given: 0.3 * given), "motor"),
-    "half torque": Cause(torque(lambda given: 0.5 * given), "motor"),
-    "runaway": Cause(runaway, "motor"),
+    "feedback frozen": FaultCause(encoder(same_again), "motor"),
+    "encoder jumps": FaultCause(encoder(jumped), "motor"),
+    "encoder at half scale": FaultCause(scaled(0.5), "motor"),
+    "encoder reversed": FaultCause(scaled(-1.0), "motor"),
+    "encoders swapped": FaultCause(swapped, "wheel"),
+    "motor blocked": FaultCause(blocked, "motor", lambda run: run.world.world.let_go(run.target)),
+    "no torque": FaultCause(torque(lambda _given: 0.0), "motor"),
+    "weak motor, 30 %": FaultCause(torque(lambda given: 0.3 * given), "motor"),
+    "half torque": FaultCause(torque(lambda given: 0.5 * given), "motor"),
+    "runaway": FaultCause(runaway, "motor"),
     # buses
-    "bus-off": Cause(lost(BusState.OFF), "device"),
-    "bus gone": Cause(lost(BusState.GONE), "device"),
-    "bus saturated": Cause(saturated, "motor"),
+    "bus-off": FaultCause(lost(BusState.OFF), "device"),
+    "bus gone": FaultCause(lost(BusState.GONE), "device"),
+    "bus saturated": FaultCause(saturated, "motor"),
     # sensors
-    "lidar: all zeros": Cause(ranges(lambda _run, scan: [0.0] * len(scan.ranges)), "lidar"),
-    "lidar: all maxima": Cause(ranges(lambda _run, scan: [math.inf] * len(scan.ranges)), "lidar"),
-    "lidar: 0.5 m too far": Cause(
+    "lidar: all zeros": FaultCause(ranges(lambda _run, scan: [0.0] * len(scan.ranges)), "lidar"),
+    "lidar: all maxima": FaultCause(ranges(lambda _run, scan: [math.inf] * len(scan.ranges)), "lidar"),
+    "lidar: 0.5 m too far": FaultCause(
         ranges(lambda _run, scan: [each and each + 0.5 for each in scan.ranges]), "lidar"
     ),
-    "lidar: turned by 180°": Cause(turned(180.0), "lidar"),
-    "lidar: turned by 5°": Cause(turned(5.0), "lidar"),
-    "lidar: 90 % without a reading": Cause(
+    "lidar: turned by 180°": FaultCause(turned(180.0), "lidar"),
+    "lidar: turned by 5°": FaultCause(turned(5.0), "lidar"),
+    "lidar: 90 % without a reading": FaultCause(
         ranges(lambda run, scan: [0.0 if run.random.below(10) else each for each in scan.ranges]), "lidar"
     ),
-    "lidar frozen": Cause(reading(same_again), "lidar"),
-    "lidar: front quarter frozen": Cause(
+    "lidar frozen": FaultCause(reading(same_again), "lidar"),
+    "lidar: front quarter frozen": FaultCause(
         quarter(lambda memory, beam, true: memory.setdefault(str(beam), true)), "lidar"
     ),
-    "lidar: front quarter blind": Cause(quarter(lambda *_: 0.0), "lidar"),
-    "lidar: front quarter at maximum": Cause(quarter(lambda *_: math.inf), "lidar"),
-    "lidar: a phantom at 0.25 m": Cause(phantom, "lidar"),
-    "lidar silent": Cause(reading(silent), "lidar"),
-    "IMU: bias of 0.3 rad/s": Cause(gyro(lambda rate: rate + 0.3), "imu"),
-    "IMU saturated at 0.2 rad/s": Cause(gyro(lambda rate: max(-0.2, min(0.2, rate))), "imu"),
-    "IMU constant": Cause(reading(same_again), "imu"),
-    "IMU reversed": Cause(gyro(lambda rate: -rate), "imu"),
-    "IMU silent": Cause(reading(silent), "imu"),
+    "lidar: front quarter blind": FaultCause(quarter(lambda *_: 0.0), "lidar"),
+    "lidar: front quarter at maximum": FaultCause(quarter(lambda *_: math.inf), "lidar"),
+    "lidar: a phantom at 0.25 m": FaultCause(phantom, "lidar"),
+    "lidar silent": FaultCause(reading(silent), "lidar"),
+    "IMU: bias of 0.3 rad/s": FaultCause(gyro(lambda rate: rate + 0.3), "imu"),
+    "IMU saturated at 0.2 rad/s": FaultCause(gyro(lambda rate: max(-0.2, min(0.2, rate))), "imu"),
+    "IMU constant": FaultCause(reading(same_again), "imu"),
+    "IMU reversed": FaultCause(gyro(lambda rate: -rate), "imu"),
+    "IMU silent": FaultCause(reading(silent), "imu"),
 }
 """By name."""

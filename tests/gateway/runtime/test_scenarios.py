@@ -23,8 +23,9 @@ from gateway.core.arming import Arming
 from gateway.core.following import Following
 from gateway.core.robot import Motor, Robot
 from gateway.errors import ConfigError
-from gateway.runtime.scenario import run_scenario
+from gateway.runtime.scenario import run_scenario, verdicts
 from gateway.runtime.scenario_file import load_scenario, parse_scenario
+from gateway.runtime.session import open_session
 from protocols.messages import MILLISECOND, SECOND
 
 SHIPPED = sorted(resources.shipped("scenarios").glob("*.toml"))
@@ -127,6 +128,7 @@ asks.go = { at = 0.5, line = "goal 1 0" }
 walls.late = { at = 1.0, start = [1, -1], end = [1, 1] }
 never.touches = 0
 """
+TOLD = ', on = "left", text = "silent"'
 TURN = 'must.turn.t = { within = 1.0, on = "", velocity = 1, tolerance = 1 }\n# '
 WALL = "walls.w = { at = 1, start = [0, 0], end = [1, 0] }\nasks.go"
 # fmt: off
@@ -175,6 +177,18 @@ def test_all_mistakes_are_told_at_once() -> None:
         (3, "seconds"),
         (5, "faults.cable.cause"),
     ]
+
+
+def test_a_run_that_ends_before_its_time_has_failed() -> None:
+    scenario = parse_scenario(
+        BENCH.replace("must.tell.it", "must.stand.it").replace(TOLD, ""), Path("x.toml")
+    )
+    with open_session(scenario.robot, simulated=True) as session:
+        session.watch(lambda tick, _: session.leave("a signal") if tick.number == 200 else None)
+        found = verdicts(scenario, session)
+    assert [one.name for one in found] == ["must.stand.it", "seconds"]
+    assert not found[1].holds
+    assert re.search(r"it ended after \d\.\d\d of 2 s: a signal", found[1].text)
 
 
 # -- the command, and pytest --------------------------------------------------------------------------------
