@@ -469,6 +469,10 @@ def open_session(
     expect("robot", robot, Robot | str | Path, "a Robot, its name or the path of its file")
     expect("record", record, Path | str | None, "the path of a file")
     expect("seed", seed, int | None, "an integer")
+    if world is not None:
+        from gateway.sim.files import BenchFile, SceneFile
+
+        expect("world", world, SceneFile | BenchFile, "a world, as load_world returns it")
     if not isinstance(robot, Robot):
         robot = config.load_robot(robot)
     real = [bus.name for bus in robot.buses.values() if bus.interface != TWIN]

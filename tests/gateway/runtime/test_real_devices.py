@@ -33,6 +33,8 @@ from protocols.messages import MILLISECOND, SECOND, Goal, Instruction, Nanos, Ve
 from tests.gateway.processes import Process
 from tests.gateway.runtime.real_bench import PATIENCE, amount
 
+ROOT = Path(__file__).parents[3]
+
 
 class RealBench:
     """A session with real devices in another process, in simulated time."""
@@ -68,7 +70,7 @@ class RealBench:
     def _start(self, name: str, wired: Sequence[str]) -> None:
         command = [sys.executable, "-m", "tests.gateway.runtime.real_bench", name, ",".join(wired)]
         self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1, cwd=ROOT
         )
         self._opened.callback(self._process.communicate)
         self._opened.callback(self._process.kill)
