@@ -87,6 +87,14 @@ def goal(text: str) -> tuple[float, float, float | None]:
     return numbers[0], numbers[1], radians(numbers[2]) if len(numbers) == 3 else None
 
 
+def pair(text: str) -> tuple[str, str]:
+    """Return the names of MOTOR=BRAKE."""
+    motor, equals, brake = text.partition("=")
+    if not (motor and equals and brake):
+        raise ArgumentTypeError(f"{text!r} is not MOTOR=BRAKE (as in left=brake)")
+    return motor, brake
+
+
 def interface(text: str) -> tuple[str, str]:
     """Return the bus and the interface of NAME=INTERFACE:CHANNEL."""
     name, equals, channel = text.partition("=")

@@ -36,6 +36,10 @@ def add_arguments(parser: ArgumentParser) -> None:
         parser, "put a bus on another interface: can0=socketcan:vcan0, sensors=serial:/dev/ttyUSB0, can0=twin"
     )
     arguments.add_real(parser)
+    text = "put the world's torques on a real motor by another one on its shaft: left=brake"
+    parser.add_argument(
+        "--load", type=arguments.pair, action="append", default=[], metavar="MOTOR=BRAKE", help=text
+    )
     arguments.add_goal(parser, "where to drive")
     parser.add_argument("--mission", metavar="FILE", help="a mission file, or the name of one that ships")
     parser.add_argument(
@@ -69,6 +73,8 @@ def run(options: Namespace) -> int:
         Operator(robot) as operator,
         reported(session, options.report, "run") as ending,
     ):
+        for motor, brake in options.load:
+            session.load(motor, brake)
         open_view(session, options)
         open_ros(session, options)
         session.submit(*goals, *([mission] if mission else []))

@@ -1,7 +1,7 @@
 """The real devices of a run: the simulated world follows their shafts, and their latencies are measured.
 
 Rules. Only what is part of a tick is looked at, so that a recording gives the same figures. Nothing here
-reaches the robot but by the world.
+reaches the robot but by the world, and by what an operator could ask.
 """
 
 from __future__ import annotations
@@ -12,13 +12,16 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from brain.belief import Belief
+from gateway.config.errors import unknown
 from gateway.core.joint import Joint
 from gateway.core.robot import TWIN, Robot
 from gateway.core.tick import Tick
+from protocols import messages as msg
 from protocols.messages import MILLISECOND, Feedback, LaserScan, Measurement, Nanos
 
 if TYPE_CHECKING:
     from gateway.buses.virtual.bus import TwinWorld
+    from gateway.runtime.session import Session
 
 KEPT = 20_000
 """Latencies of a device: the newest"""
@@ -115,3 +118,36 @@ class FollowingWorld:
             if moved is not None and moved.t > self._last.get(name, 0):
                 self._last[name] = moved.t
                 self._world.follow(moved, tick.now - moved.t)
+
+
+def cannot_load(robot: Robot, twins: TwinWorld | None, motor: str, brake: str) -> str:
+    """Return why a motor cannot be loaded by another one; "" if it can."""
+    if twins is None:
+        return "every device is real: there is no simulated world, whose torque could load a motor"
+    followed = [*twins.followed]
+    able = robot.brain.abilities(robot.motors).joints
+    brakes = [one for one in followed if one in able and msg.Torque in robot.motors[one].spec.commands]
+    if motor not in followed:
+        return f"{unknown('real motor', motor, followed)} in a simulated world: nothing loads {motor!r}"
+    if brake not in brakes or brake == motor:
+        others = [one for one in brakes if one != motor]
+        what = "expected another real motor, a joint of its own that takes a torque"
+        return f"{brake!r} cannot load {motor!r}; {what}: there is {', '.join(others) or 'none'}"
+    return ""
+
+
+class Dynamometer:
+    """Commands a real motor the torque that the simulated world puts on the shaft of another one."""
+
+    def __init__(self, session: Session, motor: str, brake: str) -> None:
+        self._session, self._motor, self._brake = session, motor, brake
+
+    def take(self, tick: Tick, _belief: Belief) -> None:
+        """Ask for the torque of this moment, as an operator would; the joint limits it."""
+        session, joint = self._session, self._session.joints[self._brake]
+        ready = joint.is_heard(tick.now) and not joint.faults and not session.gateway.why_stopped()
+        if session.twins is None or not ready:
+            return
+        most = session.robot.motors[self._brake].joint.limits.torque
+        torque = session.twins.followed[self._motor].resistance
+        session.submit(msg.Torque(self._brake, max(-most, min(most, torque))))

@@ -33,7 +33,13 @@ from gateway.monitor.silence import Silence
 from gateway.runtime import loop
 from gateway.runtime.drive_doctor import DriveDoctor
 from gateway.runtime.process import fine_timers, quiet_collector, signals
-from gateway.runtime.real_devices import FollowingWorld, Latencies, real_names
+from gateway.runtime.real_devices import (
+    Dynamometer,
+    FollowingWorld,
+    Latencies,
+    cannot_load,
+    real_names,
+)
 from gateway.runtime.timing import LoopStats
 from gateway.runtime.watchdog import WatchdogProcess, covered
 from protocols.messages import SECOND, Goal, Instruction, Release
@@ -221,6 +227,22 @@ class Session:
 
         async for tick in in_a_thread(self.run(seconds, poll=poll, dry_run=dry_run)):
             yield tick
+
+    def load(self, motor: str, brake: str) -> None:
+        """Put the simulated world's torques on a real motor's shaft, by another real motor on that shaft: a
+        dynamometer. It begins with the next step, and pauses while the robot is stopped.
+
+        Args:
+            motor: the real motor that the world follows.
+            brake: the real motor that is coupled to its output shaft: a joint of its own, which takes a
+                torque. What `gear` and `sign` say of both makes them turn alike.
+
+        Raises:
+            UserError: one of them cannot be this.
+        """
+        if wrong := cannot_load(self.robot, self.twins, motor, brake):
+            raise UserError(wrong)
+        self.watch(Dynamometer(self, motor, brake).take)
 
     def log(self, rows: int = 0) -> SignalLog:
         """Return the signals of the robot from its next step on, as numbers; it grows while the session runs.

@@ -164,6 +164,12 @@ class SimulatedScene:
         if self._given.pop(motor, None) is not None:
             self.model.dof_armature[self._shafts[motor][2]] -= HEAVY
 
+    def resistance(self, motor: str) -> float:
+        """Return the torque [N·m] that contacts, friction and gravity put on a shaft, in the last step."""
+        data, at = self.data, self._shafts[motor][2]
+        torque = data.qfrc_constraint[at] + data.qfrc_passive[at] + data.qfrc_applied[at] - data.qfrc_bias[at]
+        return float(torque)
+
     def _turn_given(self) -> None:
         """Let the shafts whose motion is given have it."""
         for motor, (wanted, velocity) in self._given.items():

@@ -48,6 +48,12 @@ class Shaft:
         if file.stops:
             self._hold_within(*file.stops)
 
+    @property
+    def resistance(self) -> float:
+        """The torque [N·m] of load, damping and friction as it turns; at rest friction is none."""
+        file, moves = self.file, (self.velocity > 0.0) - (self.velocity < 0.0)
+        return file.load - file.damping * self.velocity - file.friction * moves
+
     def _faster(self, velocity: float, torque: float, share: float) -> float:
         """Return the velocity after a time step of a share of the shaft."""
         file, inertia = self.file, share * self.file.inertia
@@ -110,6 +116,10 @@ class Shafts:
     def give(self, motor: str, motion: tuple[float, float] | None) -> None:
         """Give a shaft its angle and velocity from now on; None: torques move it again."""
         self._shafts[motor].given = motion
+
+    def resistance(self, motor: str) -> float:
+        """Return the torque [N·m] that the world puts on a shaft."""
+        return self._shafts[motor].resistance
 
     @property
     def touches(self) -> int:

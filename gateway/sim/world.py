@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from brain.belief import Pose
+from brain.bodies.limbs import limbs
 from brain.perception.mount import Mount
 from gateway.config.errors import unknown
 from gateway.sim.assembly_file import Assembly
@@ -101,6 +102,13 @@ class World:
             self._shafts.give(motor, None)
         else:
             self.scene.let_go(motor)
+
+    def resistance(self, motor: str) -> float:
+        """Return the torque [N·m] that the world puts on an output shaft: negative brakes what turns
+        forward."""
+        if self.scene is None or motor in self._shafts:
+            return self._shafts.resistance(motor)
+        return self.scene.resistance(motor)
 
     def clearance(self, most: float = 1.0) -> float:
         """Return the distance [m] to the nearest wall, fixed box or person, `most` at most; that on a
@@ -197,8 +205,9 @@ def _check(file: WorldFile, plant: PlantFile | None, robot: Robot) -> None:
             for name in (*moved, *shafts)
             if name not in robot.motors
         ]
-        if moved and not robot.brain.body.bare:
-            parts = [name for name in robot.brain.body.joints if name not in moved]
+        if moved:
+            bodies = [one.body for one in limbs(robot.brain.body).values() if not one.body.bare]
+            parts = [name for body in bodies for name in body.joints if name not in moved]
             wrong += [unknown("motor", name, moved) + " in the plant" for name in parts]
         wrong += [unknown("sensor", name, have) + " in it" for name in robot.sensors if name not in have]
     if wrong:

@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from gateway.core.robot import Motor
+from gateway.sim.files import STEP
 from gateway.sim.world import World
 from protocols.messages import MILLISECOND, SECOND, Feedback, Nanos
 
@@ -18,6 +19,10 @@ SILENT: Nanos = 100 * MILLISECOND
 """After this time without a measurement a shaft is taken to stand."""
 LEAP, LEAPING = 0.5, 2.0
 """rad, and a factor of the limit of velocity: what a wheel turns more between two measurements is a leap."""
+
+
+AVERAGED: Nanos = 30 * MILLISECOND
+"""Time constant with which the world's torque on a shaft is averaged: a contact is stiff."""
 
 
 @dataclass(slots=True)
@@ -28,6 +33,8 @@ class Followed:
     world: World
     measured_at: Nanos | None = None
     """In the world's time"""
+    resistance: float = 0.0
+    """N·m, that the world puts on it, averaged; none while nothing is measured"""
     _measured: float = 0.0
     """rad, the last position"""
     _offset: float = 0.0
@@ -56,8 +63,10 @@ class Followed:
             self._offset = shaft - position
 
     def look(self) -> None:
-        """Let it stand if it is not measured any more."""
+        """Let it stand if it is not measured any more; feel the world's torque."""
         silent = self.measured_at is None or self.world.now - self.measured_at > SILENT
         if silent and not self._stands:
             self._stands = True
             self.world.hold(self.motor.name)
+        felt = 0.0 if silent else self.world.resistance(self.motor.name)
+        self.resistance += (felt - self.resistance) * STEP / AVERAGED

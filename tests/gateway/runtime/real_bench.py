@@ -17,7 +17,7 @@ from typing import Any
 
 from gateway.buses.adapters.adapter_pty import AdapterPty
 from gateway.buses.adapters.pty import SerialPty
-from gateway.buses.virtual.bus import TwinBus, open_world
+from gateway.buses.virtual.bus import TwinBus, TwinWorld, open_world
 from gateway.config import load_robot
 from protocols.frames import Frame, Packet
 from protocols.messages import Nanos
@@ -61,9 +61,24 @@ class Port:
         self.sent += amount(out)
 
 
+class Coupled(TwinWorld):
+    """A world in which one motor's shaft is coupled to another one's."""
+
+    def couple(self, pair: str) -> None:
+        """Let the shaft of BRAKE in MOTOR=BRAKE turn as that of MOTOR, which feels both torques."""
+        motor, brake = pair.split("=")
+
+        def torques(given: dict[str, float]) -> dict[str, float]:
+            self.world.follow(brake, *self.world.shaft(motor))
+            return given | {motor: given[motor] + given[brake]}
+
+        self.tamper.torques = torques
+
+
 def main(name: str, buses: str) -> None:
     robot = load_robot(name)
     world = open_world(robot, 1)
+    world.__class__ = Coupled
     ports: dict[str, Port] = {}
     for bus in buses.split(","):
         settings = robot.buses[bus]

@@ -28,8 +28,9 @@ from gateway.errors import ConfigError, UserError
 from gateway.runtime.scenario import verdicts
 from gateway.runtime.scenario_file import parse_scenario
 from gateway.runtime.session import Session
+from gateway.sim import WorldFile, parse_world
 from protocols.frames import BusState, Frame, Packet
-from protocols.messages import MILLISECOND, SECOND, Goal, Instruction, Nanos, Velocity
+from protocols.messages import MILLISECOND, SECOND, Goal, Instruction, Nanos, Stop, Velocity
 from tests.gateway.processes import Process
 from tests.gateway.runtime.real_bench import PATIENCE, amount
 
@@ -39,7 +40,9 @@ ROOT = Path(__file__).parents[3]
 class RealBench:
     """A session with real devices in another process, in simulated time."""
 
-    def __init__(self, name: str, real: Sequence[str], record: Path | None = None) -> None:
+    def __init__(
+        self, name: str, real: Sequence[str], record: Path | None = None, world: WorldFile | None = None
+    ) -> None:
         plain = config.load_robot(name)
         wired = list(dict.fromkeys(one.bus for one in plain.devices() if one.name in real))
         self.clock = SimulatedClock()
@@ -55,7 +58,7 @@ class RealBench:
             self._start(name, wired)
             robot = config.with_interfaces(robot, json.loads(self._answer()))
         self.robot = robot
-        self.world: TwinWorld = open_world(robot, 1)
+        self.world: TwinWorld = open_world(robot, 1, world)
         buses: dict[str, Bus] = {
             n: self.world.buses[n] if one.interface == TWIN else Counted(open_bus(one, self.clock), self)
             for n, one in robot.buses.items()
@@ -259,6 +262,56 @@ def test_a_scenario_runs_with_real_devices_which_it_cannot_break() -> None:
         wrong = SCENARIO.replace('on = "right", torque', 'on = "left", torque')
         with pytest.raises(ConfigError, match=r"loads\.heavy\.on: 'left' is real: .* expected a simulated"):
             parse_scenario(wrong, Path("x.toml"), lambda _: bench.robot)
+
+
+# -- a dynamometer -------------------------------------------------------------------------------------------
+
+HEAVY = """kind = "bench"
+[shafts.left]
+load = -0.6
+friction = 0.0
+damping = 0.0
+"""
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> str:
+    """The file of a bench with a third motor."""
+    text = config.load_robot("bench").text.replace('motors = ["left", ', 'motors = ["other", "left", ')
+    file = tmp_path / "rig.toml"
+    file.write_text(f"{text}\n[motors.other]\naddress = 3\n")
+    return str(file)
+
+
+def test_the_worlds_torque_is_put_on_a_real_shaft_by_a_second_real_motor(rig: str) -> None:
+    with RealBench(rig, ["left", "right"], world=parse_world(HEAVY)) as bench:
+        bench.happens = [("couple", "left=right")]
+        bench.run(0.8)
+        bench.run(1.0, Velocity("left", 4.0))
+        alone = bench.session.joints["left"].feedback.torque
+        assert alone == pytest.approx(0.04, abs=0.06)  # the friction of two shafts
+        bench.session.load("left", "right")
+        bench.run(1.5)
+        joint, brake = bench.session.joints["left"], bench.session.joints["right"]
+        assert joint.feedback.torque == pytest.approx(0.64, abs=0.08)
+        assert brake.feedback.torque == pytest.approx(-0.6, abs=0.06)
+        assert joint.feedback.velocity == pytest.approx(4.0, abs=0.4)
+        bench.run(1.0, Stop("a person"))
+        assert not brake.armed
+        assert bench.session.gateway.in_fault() == ""
+
+
+def test_what_cannot_be_loaded_is_told() -> None:
+    with RealBench("bench", ["left"]) as bench:
+        for motor, brake, told in (
+            ("right", "left", "no real motor 'right': there is left"),
+            ("left", "right", "'right' cannot load 'left'; .* there is none"),
+            ("left", "left", "'left' cannot load 'left'"),
+        ):
+            with pytest.raises(UserError, match=told):
+                bench.session.load(motor, brake)
+    with open_session("bench", simulated=True) as session, pytest.raises(UserError, match="no real motor"):
+        session.load("left", "right")
 
 
 # -- latencies -------------------------------------------------------------------------------------------
