@@ -7,7 +7,7 @@ reaches the robot but by the world, and by what an operator could ask.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -15,13 +15,13 @@ from brain.belief import Belief
 from gateway.config.errors import unknown
 from gateway.core.joint import Joint
 from gateway.core.robot import TWIN, Robot
+from gateway.core.step import Gateway
 from gateway.core.tick import Tick
 from protocols import messages as msg
-from protocols.messages import MILLISECOND, Feedback, LaserScan, Measurement, Nanos
+from protocols.messages import MILLISECOND, Command, Feedback, LaserScan, Measurement, Nanos
 
 if TYPE_CHECKING:
     from gateway.buses.virtual.bus import TwinWorld
-    from gateway.runtime.session import Session
 
 KEPT = 20_000
 """Latencies of a device: the newest"""
@@ -139,15 +139,14 @@ def cannot_load(robot: Robot, twins: TwinWorld | None, motor: str, brake: str) -
 class Dynamometer:
     """Commands a real motor the torque that the simulated world puts on the shaft of another one."""
 
-    def __init__(self, session: Session, motor: str, brake: str) -> None:
-        self._session, self._motor, self._brake = session, motor, brake
+    def __init__(
+        self, gateway: Gateway, world: TwinWorld, motor: str, brake: str, ask: Callable[[Command], None]
+    ) -> None:
+        self._gateway, self._followed, self._brake, self._ask = gateway, world.followed[motor], brake, ask
 
     def take(self, tick: Tick, _belief: Belief) -> None:
         """Ask for the torque of this moment, as an operator would; the joint limits it."""
-        session, joint = self._session, self._session.joints[self._brake]
-        ready = joint.is_heard(tick.now) and not joint.faults and not session.gateway.why_stopped()
-        if session.twins is None or not ready:
-            return
-        most = session.robot.motors[self._brake].joint.limits.torque
-        torque = session.twins.followed[self._motor].resistance
-        session.submit(msg.Torque(self._brake, max(-most, min(most, torque))))
+        joint = self._gateway.joints[self._brake]
+        if joint.is_heard(tick.now) and not joint.faults and not self._gateway.why_stopped():
+            most = joint.settings.limits.torque
+            self._ask(msg.Torque(self._brake, max(-most, min(most, self._followed.resistance))))

@@ -240,9 +240,9 @@ class Session:
         Raises:
             UserError: one of them cannot be this.
         """
-        if wrong := cannot_load(self.robot, self.twins, motor, brake):
+        if (wrong := cannot_load(self.robot, self.twins, motor, brake)) or self.twins is None:
             raise UserError(wrong)
-        self.watch(Dynamometer(self, motor, brake).take)
+        self.watch(Dynamometer(self.gateway, self.twins, motor, brake, self.submit).take)
 
     def log(self, rows: int = 0) -> SignalLog:
         """Return the signals of the robot from its next step on, as numbers; it grows while the session runs.
