@@ -27,6 +27,12 @@ def add_bus(parser: ArgumentParser, text: str) -> None:
     )
 
 
+def add_real(parser: ArgumentParser) -> None:
+    """Add --real, which names the devices that are there."""
+    text = "these motors and sensors are there, and all others simulated, in a world that follows real motors"
+    parser.add_argument("--real", type=names, default=(), metavar="NAME,NAME", help=text)
+
+
 def add_seconds(parser: ArgumentParser, default: str = "Ctrl-C") -> None:
     """Add --seconds."""
     text = f"stop after this time (default: {default})"
@@ -62,6 +68,14 @@ def add_realtime(parser: ArgumentParser) -> None:
 # -- types ------------------------------------------------------------------------------------------
 
 
+def names(text: str) -> tuple[str, ...]:
+    """Return the names of NAME,NAME."""
+    found = tuple(name.strip() for name in text.split(","))
+    if not all(found):
+        raise ArgumentTypeError(f"{text!r} is not NAME,NAME (as in left,right)")
+    return found
+
+
 def goal(text: str) -> tuple[float, float, float | None]:
     """Return X,Y or X,Y,YAW [m, m, degrees] as m, m, rad."""
     try:
@@ -71,6 +85,14 @@ def goal(text: str) -> tuple[float, float, float | None]:
     if len(numbers) not in (2, 3) or not all(isfinite(n) for n in numbers):
         raise ArgumentTypeError(f"{text!r} is not X,Y or X,Y,YAW in m, m, degrees (as in 2.5,1 or 2.5,1,90)")
     return numbers[0], numbers[1], radians(numbers[2]) if len(numbers) == 3 else None
+
+
+def pair(text: str) -> tuple[str, str]:
+    """Return the names of MOTOR=BRAKE."""
+    motor, equals, brake = text.partition("=")
+    if not (motor and equals and brake):
+        raise ArgumentTypeError(f"{text!r} is not MOTOR=BRAKE (as in left=brake)")
+    return motor, brake
 
 
 def interface(text: str) -> tuple[str, str]:

@@ -39,6 +39,7 @@ COMMANDS = {
     "twin": "simulate the devices of a robot, for another program to drive",
     "replay": "run a recording through the same code and compare every byte; or evaluate another's",
     "judge": "run a folder of recordings as a test suite, each against what is expected of it",
+    "scenario": "run scenarios: what happens to a robot when, and what must hold",
     "diff": "compare two recordings: settings, the first difference, and the signals that part",
     "inspect": "tell what is in another program's recording, and write the robot file to start with",
     "map": "make a map and a path of another program's recording, as files",
@@ -53,12 +54,12 @@ COMMANDS = {
     "calibrate": "measure wheels, lidars and gyros of a base, from a short drive or a recording",
     "tune": "identify one joint by steps within a travel, or from a recording, and propose its gains",
     "check": "read a robot file and print its meaning, or every mistake in it",
-    "schema": "print every key of a robot, world, plant or mission file, for an editor or to read",
+    "schema": "print every key of a robot, world, plant, mission or scenario file, for an editor or to read",
     "schedule": "count how much of its buses a robot takes, and the highest rate that fits",
     "protocols": "list the installed protocols, check one, or start a new one",
     "ask": "send a line to a running robot, as on its terminal",
 }
-LIVE = ("demo", "run", "twin", "jog", "motor", "new", "calibrate", "tune")
+LIVE = ("demo", "run", "scenario", "twin", "jog", "motor", "new", "calibrate", "tune")
 """Those that must not wait for who reads their output: a robot would wait with them."""
 LINUX = (*LIVE, "view", "ask", "scan", "doctor")
 """Those that need what Linux alone has: SocketCAN, termios, real-time signals, /proc."""

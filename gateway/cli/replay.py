@@ -7,6 +7,7 @@ from argparse import ArgumentParser, Namespace
 from itertools import count
 from pathlib import Path
 
+from brain.belief import Belief
 from gateway.cli import arguments
 from gateway.cli.live import add_ros, add_view, check_view
 from gateway.cli.reports import add_report, check_report
@@ -16,6 +17,7 @@ from gateway.config import load_robot
 from gateway.core.clock import stopwatch
 from gateway.core.robot import Robot
 from gateway.core.step import Gateway
+from gateway.core.tick import Tick
 from gateway.errors import RecordingError, UserError
 from gateway.recording import read_recording
 from gateway.recording.layout import MAGIC
@@ -26,6 +28,7 @@ from gateway.rosbag.evaluate import evaluate_file
 from gateway.rosbag.file import first_bytes
 from gateway.rosbag.survey import EXPECTED, proposed_robot, survey
 from gateway.rosbag.truth import Positions, Relations, read_truth
+from gateway.runtime.real_devices import Latencies, real_names
 from protocols.messages import SECOND
 
 
@@ -86,18 +89,26 @@ def run(options: Namespace) -> int:
         raise
     robot = None if options.robot is None else load_robot(options.robot)
     gc.set_threshold(10_000)  # a replay leaves few cycles: to look for them ten times less saves a tenth
-    began = stopwatch()
+    began, latencies = stopwatch(), list[Latencies]()
     with progress("replay, ticks", recording.indexed) as shown:
 
-        def watch(_: Gateway) -> Observe:
+        def watch(gateway: Gateway) -> Observe:
             ticks = count(1)
-            return lambda *_: shown.update(next(ticks))
+            latencies.append(Latencies(gateway.robot, real_names(gateway.robot)))
+
+            def observe(tick: Tick, belief: Belief) -> None:
+                latencies[-1].take(tick, belief)
+                shown.update(next(ticks))
+
+            return observe
 
         if options.report is None:
             comparison = replay_recording(recording, robot, watch)
         else:
             comparison = write_report(recording, options.report, robot, watch)
     print(comparison.text())
+    for line in [line for one in latencies[-1:] for line in one.lines()]:
+        print(line)
     print(f"replayed in {(stopwatch() - began) / SECOND:.1f} s")
     if options.report is not None:
         print(f"report: {options.report}")

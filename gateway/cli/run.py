@@ -38,6 +38,11 @@ def add_arguments(parser: ArgumentParser) -> None:
     arguments.add_bus(
         parser, "put a bus on another interface: can0=socketcan:vcan0, sensors=serial:/dev/ttyUSB0, can0=twin"
     )
+    arguments.add_real(parser)
+    text = "put the world's torques on a real motor by another one on its shaft: left=brake"
+    parser.add_argument(
+        "--load", type=arguments.pair, action="append", default=[], metavar="MOTOR=BRAKE", help=text
+    )
     arguments.add_goal(parser, "where to drive")
     parser.add_argument("--mission", metavar="FILE", help="a mission file, or the name of one that ships")
     parser.add_argument(
@@ -73,7 +78,7 @@ def run(options: Namespace) -> int:
     """Return 1 if a motor was left in fault or armed, something asked for was not done, or the loop hung."""
     check_view(options)
     wanted = wanted_of(options.realtime)
-    robot = with_interfaces(load_robot(options.robot), dict(options.bus))
+    robot = with_interfaces(load_robot(options.robot, real=options.real), dict(options.bus))
     rotation = replace(options.rotate, keep=60.0 * options.keep)
     if rotation != Rotation() and options.record is None:
         raise UserError("--rotate and --keep are of a recording: name its file by --record")
@@ -90,6 +95,8 @@ def run(options: Namespace) -> int:
     ):
         if rotation != Rotation():
             session.rotate_recording(rotation)
+        for motor, brake in options.load:
+            session.load(motor, brake)
         open_view(session, options)
         open_ros(session, options)
         session.submit(*goals, *([mission] if mission else []))
@@ -177,6 +184,8 @@ def _drive(session: Session, operator: Operator, options: Namespace, mission: Mi
         f"{stats.ticks} ticks, {stats.received} packets in, {stats.sent} out, {stats.missed} ticks missed, "
         f"longest step {stats.longest_step / MILLISECOND:.1f} ms"
     )
+    for line in session.latencies.lines():
+        print(line)
     if faults:
         print(f"left in fault: {faults}", file=sys.stderr)
     view = session.belief.mission

@@ -11,6 +11,7 @@ from pathlib import Path
 from gateway.config import json_schema
 from gateway.config.json_schema import Schema, of_kinds
 from gateway.errors import UserError
+from gateway.runtime import scenario_file
 from gateway.sim.load import PLANTS, WORLDS
 
 FILES: dict[str, Callable[[], Schema]] = {
@@ -18,6 +19,7 @@ FILES: dict[str, Callable[[], Schema]] = {
     "world": partial(of_kinds, "A world file of Motor Gateway", WORLDS),
     "plant": partial(of_kinds, "A plant file of Motor Gateway", PLANTS),
     "mission": json_schema.mission,
+    "scenario": scenario_file.schema,
 }
 """By kind of file"""
 

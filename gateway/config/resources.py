@@ -10,7 +10,7 @@ from gateway.errors import UserError
 from protocols.suggest import did_you_mean
 
 
-def find(kind: Literal["robots", "worlds", "plants", "missions"], name: str) -> Path:
+def find(kind: Literal["robots", "worlds", "plants", "missions", "scenarios"], name: str) -> Path:
     """Return the file of that path, or the shipped one of that name. Raises UserError with what there is."""
     if is_path(name):
         path = Path(name)

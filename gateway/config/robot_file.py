@@ -7,6 +7,7 @@ dataclasses, so this file knows none of them by name. Files are TOML (toml.io, v
 
     name, rate_hz, world, plant, seed   the robot; `world` is the simulated world behind the twins, `plant`
                                         what the robot truly is in it
+    real                                the devices that are there, while all others are simulated
     [buses.NAME]                        kind, interface, bitrate and data_bitrate, or baudrate,
                                         receive_filter, transmit_queue, shared_bus
     [motors.NAME]                       protocol, bus, address, and a joint's settings (gateway.core.joint)
@@ -26,8 +27,9 @@ dataclasses, so this file knows none of them by name. Files are TOML (toml.io, v
 
 from __future__ import annotations
 
+import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cache, partial
 from pathlib import Path
@@ -46,7 +48,17 @@ from gateway.config.schema import build
 from gateway.config.sections import Find, Table, check_interface, own_ids, read_bus, read_motor, read_sensor
 from gateway.config.text import read_text, read_toml
 from gateway.config.urdf import Description, with_files
-from gateway.core.robot import STALL_TIMEOUT, BagTopics, BusDevice, Robot, RosSettings
+from gateway.core.robot import (
+    STALL_TIMEOUT,
+    TWIN,
+    BagTopics,
+    BusDevice,
+    BusSettings,
+    Motor,
+    Robot,
+    RosSettings,
+    Sensor,
+)
 from gateway.errors import UserError
 from protocols import plugin
 from protocols.bounds import Bounds, Duration, keys
@@ -60,6 +72,8 @@ LOWEST_RATE, HIGHEST_RATE = 10.0, 1000.0
 """Steps per second."""
 MAX_NAMED = 256
 """Buses, motors or sensors of a robot."""
+BESIDE = "_twins"
+"""Ends the name of the simulated bus of the devices that are not real, where others of their bus are."""
 _FILES: tuple[tuple[str, Literal["worlds", "plants"]], ...] = (("world", "worlds"), ("plant", "plants"))
 """Keys that name another file, and its kind."""
 RESERVED = ("all", "brain", "operator", "scan")
@@ -84,15 +98,20 @@ class TopKeys:
     """Of all noise of twins and world"""
     stall_timeout: Annotated[Duration, Bounds(100, 2000)] = STALL_TIMEOUT
     """How long the loop may stand before the watchdog process sends the stop action."""
+    real: tuple[str, ...] = ()
+    """Motors and sensors that are there, while all others are simulated; as `real = true` of each"""
 
 
-def load_robot(robot: str | Path, find: Find = plugin.load, *, recorded: bool = False) -> Robot:
+def load_robot(
+    robot: str | Path, find: Find = plugin.load, *, recorded: bool = False, real: Sequence[str] = ()
+) -> Robot:
     """Read a robot file.
 
     Args:
         robot: its path, or the name of one that ships with the gateway ("diffbot").
         find: returns a protocol plugin by its name; by default those that are installed.
         recorded: whether it may be the file of a recording, which has no bus and cannot be run.
+        real: as the file's key of this name, in its place; (): the file's.
 
     Returns:
         Robot: everything that the file describes; nothing is opened yet.
@@ -105,7 +124,7 @@ def load_robot(robot: str | Path, find: Find = plugin.load, *, recorded: bool = 
     mistakes = Mistakes(str(path), "")
     text = with_files(read_text(path), path, mistakes)
     mistakes.check()
-    return parse_robot(text, str(path), find, file=path, recorded=recorded)
+    return parse_robot(text, str(path), find, file=path, recorded=recorded, real=real)
 
 
 def parse_robot(
@@ -115,6 +134,7 @@ def parse_robot(
     *,
     file: Path | None = None,
     recorded: bool = False,
+    real: Sequence[str] = (),
 ) -> Robot:
     """Make a robot from the text of its file.
 
@@ -125,6 +145,7 @@ def parse_robot(
         file: where it is: its world and plant must exist, and their paths count from its folder. None: a
             replay, which needs none.
         recorded: as of `load_robot`.
+        real: likewise.
 
     Returns:
         Robot: everything that the text describes.
@@ -139,6 +160,11 @@ def parse_robot(
         if not recorded:
             raise mistakes.fatal(FOR_RECORDINGS)
         return _recorded(table, text, mistakes)
+    if real:
+        if "real" in table:
+            raise mistakes.fatal(f"--real {','.join(real)}: the file has a key 'real'; expected one of both")
+        table["real"] = [*real]
+        text = f"real = {json.dumps([*real])}\n{text}"  # a replay needs it
     defaults = _section(table, "defaults", mistakes, GROUPS)
     groups = {group: _group(table, group, defaults.get(group, {}), mistakes) for group in GROUPS}
     described = Description(table, mistakes)
@@ -162,10 +188,13 @@ def parse_robot(
     buses = {n: bus for n, bus in known.items() if bus}
     motors = {n: m for n, t in groups["motors"].items() if (m := read_motor(n, t, known, find, mistakes))}
     sensors = {n: s for n, t in groups["sensors"].items() if (s := read_sensor(n, t, known, find, mistakes))}
+    flagged = [name for group in GROUPS[1:] for name, t in groups[group].items() if t.get("real") is True]
+    if there := [*(top.real if top else ()), *flagged]:
+        _simulate_others(there, buses, motors, sensors, mistakes)
     devices: list[BusDevice] = [*motors.values(), *sensors.values()]
     for n, bus in buses.items():
         specs = tuple(one.spec for one in devices if one.bus == n)
-        own = own_ids(specs) if groups["buses"][n].get("receive_filter") == "own" else ()
+        own = own_ids(specs) if groups["buses"].get(n, {}).get("receive_filter") == "own" else ()
         buses[n] = replace(bus, receive_filter=own, devices=specs)
     limb_tables = _section(table, "limbs", mistakes) if "limbs" in table else None
     if "brain" not in table and limb_tables is None:
@@ -188,7 +217,37 @@ def parse_robot(
         raise AssertionError("a section is missing, and no mistake was added")
     named = top.name, text, period, top.world, top.seed
     rest = bag, top.plant, top.stall_timeout, ros or RosSettings(), described.text
-    return Robot(*named, buses, motors, sensors, brain, *rest)
+    return Robot(*named, buses, motors, sensors, brain, *rest, real=tuple(dict.fromkeys(there)))
+
+
+def _simulate_others(
+    real: Sequence[str],
+    buses: dict[str, BusSettings],
+    motors: dict[str, Motor],
+    sensors: dict[str, Sensor],
+    mistakes: Mistakes,
+) -> None:
+    """Put every device that is not real on a simulated bus: on its own, or beside it where others are real.
+
+    So what is sent to a simulated device is on no wire, and no wire carries what two worlds say."""
+    devices: dict[str, BusDevice] = {**motors, **sensors}
+    for name in real:
+        if name not in devices:
+            mistakes.add(("real",), unknown("device", name, devices))
+    wired = {one.bus for name, one in devices.items() if name in real}
+    for name, bus in list(buses.items()):
+        if name not in wired:
+            buses[name] = replace(bus, interface=TWIN)
+    for name, one in devices.items():
+        if name in real or one.bus not in wired:
+            continue
+        beside = f"{one.bus}{BESIDE}"
+        if one.bus in buses:
+            buses.setdefault(beside, replace(buses[one.bus], name=beside, interface=TWIN))
+        if isinstance(one, Motor):
+            motors[name] = replace(one, bus=beside)
+        else:
+            sensors[name] = replace(one, bus=beside)
 
 
 def _recorded(table: Table, text: str, mistakes: Mistakes) -> Robot:

@@ -82,6 +82,8 @@ class ConnectionKeys:
     """What the driver should do: the protocol's own"""
     settings: dict[str, Any] = field(default_factory=dict)
     """What is configured on the device: the protocol's own, for its twin and `gateway motor diff`"""
+    real: bool = False
+    """It is there, while every device that is not real is simulated"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -290,6 +290,8 @@ class Robot:
     """How it is called in ROS 2's graph."""
     description: str = ""
     """The text of its URDF; "" if it has none."""
+    real: tuple[str, ...] = ()
+    """The devices that are named as real, while all others are simulated; (): as the interfaces say."""
 
     @property
     def recorded(self) -> bool:

@@ -15,7 +15,6 @@ from dataclasses import asdict, dataclass, field
 from math import isfinite
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
-from xml.sax.saxutils import escape, quoteattr
 
 from brain.belief import Belief
 from gateway.config.errors import Mistakes
@@ -29,6 +28,7 @@ from gateway.recording.new_file import replace_with
 from gateway.recording.reader import is_recording
 from gateway.replay import Observe, replay_recording
 from gateway.report.collect import Collector
+from gateway.report.junit import junit_xml
 from gateway.rosbag import is_bag
 from gateway.rosbag.evaluate import evaluate_file
 from gateway.rosbag.survey import proposed_robot, survey
@@ -396,14 +396,5 @@ def markdown(verdicts: Sequence[Verdict]) -> str:
 
 def junit(verdicts: Sequence[Verdict], passes: Callable[[Verdict], bool]) -> str:
     """Return the verdicts as JUnit's XML, as servers of continuous integration read it."""
-    bad = sum(not passes(one) for one in verdicts)
-    lines = ['<?xml version="1.0" encoding="utf-8"?>']
-    lines.append(f'<testsuite name="gateway judge" tests="{len(verdicts)}" failures="{bad}">')
-    for one in verdicts:
-        head = f'  <testcase classname="recordings" name={quoteattr(one.judged.name)}'
-        if passes(one):
-            lines.append(f"{head}/>")
-        else:
-            text = escape("\n".join(one.changes))
-            lines.append(f"{head}><failure message={quoteattr(one.line)}>{text}</failure></testcase>")
-    return "\n".join([*lines, "</testsuite>"]) + "\n"
+    cases = [(one.judged.name, "" if passes(one) else one.line, one.changes) for one in verdicts]
+    return junit_xml("gateway judge", "recordings", cases)

@@ -33,6 +33,13 @@ from gateway.monitor.silence import Silence
 from gateway.runtime import loop
 from gateway.runtime.drive_doctor import DriveDoctor
 from gateway.runtime.process import fine_timers, quiet_collector, signals
+from gateway.runtime.real_devices import (
+    Dynamometer,
+    FollowingWorld,
+    Latencies,
+    cannot_load,
+    real_names,
+)
 from gateway.runtime.timing import LoopStats
 from gateway.runtime.watchdog import WatchdogProcess, covered
 from protocols.messages import SECOND, Goal, Instruction, Release
@@ -44,6 +51,7 @@ if TYPE_CHECKING:
     from gateway.runtime.live_view import SessionView
     from gateway.runtime.ros_bridge import SessionBridge
     from gateway.runtime.rotation import Rotation
+    from gateway.sim.files import WorldFile
 
 log = logging.getLogger("gateway")
 _Result = TypeVar("_Result")
@@ -72,6 +80,8 @@ class Session:
     """The process that sends the stop action if this one dies; None if there is none."""
     driving: DriveDoctor | None = field(init=False)
     """Says why it does not drive as it should; None once that has failed."""
+    latencies: Latencies = field(init=False)
+    """How long the devices take that are real."""
     _observers: dict[str, loop.Record] = field(init=False)
     """Who looks at each tick, by what for; who fails is left out from then on."""
     _watchers: list[loop.Record] = field(default_factory=list)
@@ -95,6 +105,10 @@ class Session:
             "what does not go as it should on a serial line": lambda tick, _: troubles.take(tick),
             _DRIVING: driving.take,
         }
+        self.latencies = Latencies(self.robot, real_names(self.robot))
+        self.watch(self.latencies.take)
+        if self.twins is not None and self.twins.followed:
+            self.watch(FollowingWorld(self.twins, self.joints).take)
 
     def submit(self, *instructions: Instruction) -> None:
         """Ask for something at the next step.
@@ -217,6 +231,22 @@ class Session:
 
         async for tick in in_a_thread(self.run(seconds, poll=poll, dry_run=dry_run)):
             yield tick
+
+    def load(self, motor: str, brake: str) -> None:
+        """Put the simulated world's torques on a real motor's shaft, by another real motor on that shaft: a
+        dynamometer. It begins with the next step, and pauses while the robot is stopped.
+
+        Args:
+            motor: the real motor that the world follows.
+            brake: the real motor that is coupled to its output shaft: a joint of its own, which takes a
+                torque. What `gear` and `sign` say of both makes them turn alike.
+
+        Raises:
+            UserError: one of them cannot be this.
+        """
+        if (wrong := cannot_load(self.robot, self.twins, motor, brake)) or self.twins is None:
+            raise UserError(wrong)
+        self.watch(Dynamometer(self.gateway, self.twins, motor, brake, self.submit).take)
 
     def log(self, rows: int = 0) -> SignalLog:
         """Return the signals of the robot from its next step on, as numbers; it grows while the session runs.
@@ -453,6 +483,7 @@ def open_session(
     simulated: bool = False,
     record: Path | str | None = None,
     seed: int | None = None,
+    world: WorldFile | None = None,
 ) -> Session:
     """Open a robot's buses, or the simulated world in their place, and its recorder.
 
@@ -462,6 +493,7 @@ def open_session(
             real time; where every bus is a twin, in slow motion if the machine cannot keep up.
         record: the recording to write (an MCAP file that must not exist yet).
         seed: of the simulated world's noise; None: the robot file's.
+        world: the simulated world, as `gateway.sim.load.load_world` returns it; None: the robot file's.
 
     Returns:
         Session: ready to `run`. Nothing is armed yet. `with` closes it at the end, or `close`.
@@ -476,11 +508,20 @@ def open_session(
     expect("robot", robot, Robot | str | Path, "a Robot, its name or the path of its file")
     expect("record", record, Path | str | None, "the path of a file")
     expect("seed", seed, int | None, "an integer")
+    if world is not None:
+        from gateway.sim.files import BenchFile, SceneFile
+
+        expect("world", world, SceneFile | BenchFile, "a world, as load_world returns it")
     if not isinstance(robot, Robot):
         robot = config.load_robot(robot)
     real = [bus.name for bus in robot.buses.values() if bus.interface != TWIN]
     if simulated and real:
         raise UserError(f"simulated time needs a simulated world: {', '.join(real)} is on a real interface")
+    if absent := [one.name for one in robot.devices() if one.name in robot.real and one.bus not in real]:
+        wired = dict.fromkeys(one.bus for one in robot.devices() if one.name in absent)
+        text = f"to be real: {', '.join(absent)}; but the interface of {', '.join(wired)} is {TWIN!r}"
+        how = " ".join(f"--bus {bus}=INTERFACE:CHANNEL" for bus in wired)
+        raise UserError(f"{text}; say where that is connected: {how}")
     if record is not None:
         _check_new(record)
     clock: Clock = SimulatedClock() if simulated else WallClock() if real else PacedClock()
@@ -488,7 +529,7 @@ def open_session(
     with ExitStack() as stack:
         stack.enter_context(signals(reasons.append, suspend=False))
         watchdog = _start_watchdog(robot, clock, stack)
-        buses, twins = _open_buses(robot, clock, seed, stack)
+        buses, twins = _open_buses(robot, clock, seed, world, stack)
         if watchdog is not None and (why := watchdog.ready()):
             log.warning(NO_WATCHDOG, why)
             watchdog = None
@@ -537,13 +578,13 @@ def _discard_stale(robot: Robot, buses: Mapping[str, Bus], clock: Clock) -> None
 
 
 def _open_buses(
-    robot: Robot, clock: Clock, seed: int | None, stack: ExitStack
+    robot: Robot, clock: Clock, seed: int | None, world: WorldFile | None, stack: ExitStack
 ) -> tuple[dict[str, Bus], TwinWorld | None]:
     twins, simulated = None, dict[str, Bus]()
     if any(bus.interface == TWIN for bus in robot.buses.values()):
         from gateway.buses.virtual import beside_real, open_world
 
-        twins = open_world(robot, robot.seed if seed is None else seed)
+        twins = open_world(robot, robot.seed if seed is None else seed, world)
         simulated = beside_real.buses(twins) if isinstance(clock, WallClock) else {**twins.buses}
     buses: dict[str, Bus] = {}
     for name, settings in robot.buses.items():

@@ -120,6 +120,8 @@ class Wall:
     """m"""
     height: Length = 0.5
     """m"""
+    appears: Seconds = 0.0
+    """s after the world began, when it is suddenly there"""
 
     def __post_init__(self) -> None:
         if math.dist(self.start, self.end) < self.thickness:

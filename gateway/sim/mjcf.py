@@ -82,8 +82,17 @@ def scene_xml(file: SceneFile, robot: MjcfRobot, imus: dict[str, Mount]) -> str:
 
 def _solids(file: SceneFile) -> list[str]:
     """Return walls and fixed boxes, in the order of `outlines`."""
-    walls = [_solid(*_middle(wall), wall.thickness, wall.height) for wall in file.walls.values()]
+    walls = [_wall(name, wall) for name, wall in file.walls.items()]
     return walls + [_solid(box.x, box.y, box.yaw, *box.size, box.z) for box in _fixed(file)]
+
+
+def _wall(name: str, wall: Wall) -> str:
+    """Return a wall; one that appears later is moved from outside."""
+    solid = _solid(*_middle(wall), wall.thickness, wall.height)
+    if not wall.appears:
+        return solid
+    named = solid.replace("<geom", f'<geom name="wall_{name}"')
+    return f'<body name="wall_{name}" mocap="true">{named}</body>'
 
 
 def _fixed(file: SceneFile) -> list[Box]:

@@ -19,14 +19,16 @@ from brain.belief import Pose
 from brain.bodies.cylinder import Cylinder
 from brain.perception.mount import Mount
 from gateway.sim.assembly_file import AssemblyPart
-from gateway.sim.files import SceneFile
+from gateway.sim.files import STEP, SceneFile
 from gateway.sim.load import WorldError
 
 if TYPE_CHECKING:
     from types import ModuleType
+from protocols.messages import seconds
 
 Floats = npt.NDArray[np.float64]
 
+DT = seconds(STEP)
 FLOOR = 0
 """MuJoCo's id of the floor's geom: the first one of the model."""
 SOLIDS = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
@@ -35,6 +37,14 @@ SETTLING = 300
 """Steps in which a robot settles into its contacts before time begins."""
 STANDING = 0.05
 """m/s: a robot that moves no faster touches no person; people touch it."""
+ELSEWHERE = (0.0, 0.0, -100.0)
+"""m: where a wall is before it appears."""
+HEAVY = 1e4
+"""kg·m², added to a shaft whose motion is given: no torque of the world's changes it."""
+CATCH_UP = 0.02
+"""s, in which such a shaft makes up for what it is behind its given angle."""
+FASTEST = 100.0
+"""rad/s, at which it does so at most."""
 
 
 def import_mujoco(world: str) -> ModuleType:
@@ -57,6 +67,7 @@ class SimulatedScene:
         self.model: Any = model
         self.data: Any = mujoco.MjData(model)
         self._mj_step, self._mj_multi_ray = mujoco.mj_step, mujoco.mj_multiRay
+        self._mj_distance = mujoco.mj_geomDistance
         self._base = int(model.body("base").id)
         joint = int(model.body_jntadr[self._base])
         free = joint >= 0 and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
@@ -67,9 +78,16 @@ class SimulatedScene:
             (one, int(model.body(f"person_{name}").mocapid[0])) for name, one in file.people.items()
         ]
         self._people_geoms = frozenset(int(model.geom(f"person_{name}").id) for name in file.people)
+        self._walls = [
+            (wall.appears, int(model.body(f"wall_{name}").mocapid[0]))
+            for name, wall in file.walls.items()
+            if wall.appears
+        ]
+        """Those that are not there from the beginning"""
+        later = {int(model.geom(f"wall_{name}").id) for name, wall in file.walls.items() if wall.appears}
         own = (model.geom_group == 1).tolist()
         fixed = [geom for geom in range(model.ngeom) if not own[geom] and model.geom_bodyid[geom] == 0]
-        self._hard = frozenset(fixed) - {FLOOR} | self._people_geoms
+        self._hard = frozenset(fixed) - {FLOOR} | self._people_geoms | later
         """Geoms that a robot should not touch,"""
         self._own = frozenset(geom for geom in range(model.ngeom) if own[geom])
         """and the robot's."""
@@ -86,6 +104,8 @@ class SimulatedScene:
         """and of what falls without its motors: indices of its joint, and where that is at time 0."""
         self._height = 0.0
         """m, of a base that is free, at time 0"""
+        self._given: dict[str, tuple[float, float]] = {}
+        """The angle [rad] and the velocity [rad/s] of the shafts whose motion is given."""
         self._move_people()
 
     # -- what a kind of robot may do otherwise -----------------------------------------------------------
@@ -149,11 +169,45 @@ class SimulatedScene:
             if joint.cylinder is not None:
                 self._cylinders[motor] = joint.cylinder
 
+    def follow(self, motor: str, position: float, velocity: float) -> None:
+        """Give a shaft its motion from now on: at this angle [rad], turning at this velocity [rad/s]."""
+        if motor not in self._given:
+            self.model.dof_armature[self._shafts[motor][2]] += HEAVY
+        self._given[motor] = position, velocity
+
+    def let_go(self, motor: str) -> None:
+        """Let torques move it again."""
+        if self._given.pop(motor, None) is not None:
+            self.model.dof_armature[self._shafts[motor][2]] -= HEAVY
+
+    def resistance(self, motor: str) -> float:
+        """Return the torque [N·m] that contacts, friction and gravity put on a shaft, in the last step."""
+        data, at = self.data, self._shafts[motor][2]
+        torque = data.qfrc_constraint[at] + data.qfrc_passive[at] + data.qfrc_applied[at] - data.qfrc_bias[at]
+        return float(torque)
+
+    def _turn_given(self) -> None:
+        """Let the shafts whose motion is given have it."""
+        for motor, (wanted, velocity) in self._given.items():
+            _, position, speed = self._shafts[motor]
+            behind = (wanted - float(self.data.qpos[position])) / CATCH_UP
+            self.data.qvel[speed] = velocity + max(-FASTEST, min(FASTEST, behind))
+            self._given[motor] = wanted + velocity * DT, velocity
+
+    def clearance(self, most: float) -> float:
+        """Return the distance [m] from the robot to the nearest wall, fixed box or person, `most` at most."""
+        return min((self._distance(a, b, most) for a in self._own for b in self._hard), default=most)
+
+    def _distance(self, one: int, other: int, most: float) -> float:
+        return float(self._mj_distance(self.model, self.data, one, other, most, None))
+
     def advance(self) -> None:
         """Advance by one time step under `data.ctrl`."""
         data = self.data
-        if self._people:
+        if self._people or self._walls:
             self._move_people()
+        if self._given:
+            self._turn_given()
         self._mj_step(self.model, data)
         if data.ncon:
             self._count_touches(data.contact.geom.tolist())
@@ -161,6 +215,8 @@ class SimulatedScene:
     def _move_people(self) -> None:
         for one, index in self._people:
             self.data.mocap_pos[index] = (*one.place(self.data.time), 0.0)
+        for appears, index in self._walls:
+            self.data.mocap_pos[index] = ELSEWHERE if self.data.time < appears else (0.0, 0.0, 0.0)
 
     def _count_touches(self, pairs: list[list[int]]) -> None:
         """Count what is touched now and was not touched before the step; `pairs` of geoms are in contact."""

@@ -26,6 +26,8 @@ class Shaft:
         """rad/s"""
         self.touches = 0
         """How often it reached a hard stop."""
+        self.given: tuple[float, float] | None = None
+        """Its angle [rad] and velocity [rad/s], where these are given and no torque moves it"""
         self._at_stop = False
         self._load = 0.0, 0.0
         """Position and velocity of what is beyond the backlash"""
@@ -33,6 +35,10 @@ class Shaft:
     def step(self, torque: float) -> None:
         """Advance by one time step under a torque [N·m]."""
         file = self.file
+        if self.given is not None:
+            self.position, self.velocity = self.given
+            self.given = self.position + self.velocity * DT, self.velocity
+            return
         if file.backlash:
             self._step_apart(torque)
             return
@@ -41,6 +47,12 @@ class Shaft:
         self.velocity = velocity
         if file.stops:
             self._hold_within(*file.stops)
+
+    @property
+    def resistance(self) -> float:
+        """The torque [N·m] of load, damping and friction as it turns; at rest friction is none."""
+        file, moves = self.file, (self.velocity > 0.0) - (self.velocity < 0.0)
+        return file.load - file.damping * self.velocity - file.friction * moves
 
     def _faster(self, velocity: float, torque: float, share: float) -> float:
         """Return the velocity after a time step of a share of the shaft."""
@@ -100,6 +112,14 @@ class Shafts:
         """Return position [rad] and velocity [rad/s]."""
         shaft = self._shafts[motor]
         return shaft.position, shaft.velocity
+
+    def give(self, motor: str, motion: tuple[float, float] | None) -> None:
+        """Give a shaft its angle and velocity from now on; None: torques move it again."""
+        self._shafts[motor].given = motion
+
+    def resistance(self, motor: str) -> float:
+        """Return the torque [N·m] that the world puts on a shaft."""
+        return self._shafts[motor].resistance
 
     @property
     def touches(self) -> int:

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from brain.belief import Pose
+from brain.bodies.limbs import limbs
 from brain.perception.mount import Mount
 from gateway.config.errors import unknown
 from gateway.sim.assembly_file import Assembly
@@ -82,6 +83,37 @@ class World:
         if self.scene is None or motor in self._shafts:
             return self._shafts.shaft(motor)
         return self.scene.shaft(motor)
+
+    def follow(self, motor: str, position: float, velocity: float) -> None:
+        """Give an output shaft its motion from now on: at this angle [rad], turning at this velocity [rad/s],
+        whatever torques act on it, until `let_go`."""
+        if self.scene is None or motor in self._shafts:
+            self._shafts.give(motor, (position, velocity))
+        else:
+            self.scene.follow(motor, position, velocity)
+
+    def hold(self, motor: str) -> None:
+        """Hold an output shaft where it is."""
+        self.follow(motor, self.shaft(motor)[0], 0.0)
+
+    def let_go(self, motor: str) -> None:
+        """Let torques move an output shaft again."""
+        if self.scene is None or motor in self._shafts:
+            self._shafts.give(motor, None)
+        else:
+            self.scene.let_go(motor)
+
+    def resistance(self, motor: str) -> float:
+        """Return the torque [N·m] that the world puts on an output shaft: negative brakes what turns
+        forward."""
+        if self.scene is None or motor in self._shafts:
+            return self._shafts.resistance(motor)
+        return self.scene.resistance(motor)
+
+    def clearance(self, most: float = 1.0) -> float:
+        """Return the distance [m] to the nearest wall, fixed box or person, `most` at most; that on a
+        bench."""
+        return most if self.scene is None else self.scene.clearance(most)
 
     def readings(self) -> Sequence[Measurement]:
         """Return the sensor readings since the last call, in the order of completion, with their noise."""
@@ -173,8 +205,9 @@ def _check(file: WorldFile, plant: PlantFile | None, robot: Robot) -> None:
             for name in (*moved, *shafts)
             if name not in robot.motors
         ]
-        if moved and not robot.brain.body.bare:
-            parts = [name for name in robot.brain.body.joints if name not in moved]
+        if moved:
+            bodies = [one.body for one in limbs(robot.brain.body).values() if not one.body.bare]
+            parts = [name for body in bodies for name in body.joints if name not in moved]
             wrong += [unknown("motor", name, moved) + " in the plant" for name in parts]
         wrong += [unknown("sensor", name, have) + " in it" for name in robot.sensors if name not in have]
     if wrong:

@@ -86,7 +86,9 @@ class Run:
         self.took: Nanos = 0
         """How long each step takes."""
         self.since: Nanos = 0
-        """When the fault was injected."""
+        """When the fault was injected,"""
+        self.ends = fault.ends
+        """and after how many seconds it ends, where it ends by itself."""
         self.result = Result(fault.name, name, phase, self.target)
         self.torques: dict[str, float] = {}
         self._turning = random.choice((-1.2, 1.2))

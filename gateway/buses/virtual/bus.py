@@ -6,9 +6,10 @@ encoder or sensor measures; then the world moves under the torques. Frames take 
 contend by priority, and are timestamped when they end. What the host's transmit queue of a CAN bus has no
 room for waits as on a real one, and is handed over at the next read or write. A packet holds nothing but what
 a twin has sent, and a twin is given nothing but its own shaft or readings: the true pose does not come this
-way. Faults that a test or a campaign wants (disconnected, power-cycled and duplicate devices, another host, a
-lost interface) are methods of TwinWorld and TwinBus, false measurements, torques and transmissions the
-functions of `tamper`; nothing else makes them happen.
+way. The shafts of motors that are not simulated turn as they are measured. Faults that a test or a campaign
+wants (disconnected, power-cycled and duplicate devices, another host, a lost interface) are methods of
+TwinWorld and TwinBus, false measurements, torques and transmissions the functions of `tamper`; nothing else
+makes them happen.
 """
 
 from __future__ import annotations
@@ -22,11 +23,12 @@ import numpy as np
 
 from gateway.buses.queues import FrameQueue, Patience
 from gateway.buses.states import StateTracker
+from gateway.buses.virtual.follow import Followed
 from gateway.buses.virtual.halfduplex import HalfDuplex
 from gateway.buses.virtual.medium import BUS_OFF, ERROR_PASSIVE, Medium, Transmission
 from gateway.buses.virtual.tamper import Tamper
 from gateway.core.robot import TWIN, BusSettings, Motor, Robot, Sensor
-from gateway.sim.files import STEP, BenchFile, SceneFile, ShaftFile
+from gateway.sim.files import STEP, BenchFile, SceneFile, ShaftFile, WorldFile
 from gateway.sim.load import load_plant, load_world
 from gateway.sim.shafts import Shaft
 from gateway.sim.world import World
@@ -39,11 +41,11 @@ HOST = ""
 """The host's name as a sender; devices have their names in the robot file."""
 
 
-def open_world(robot: Robot, seed: int) -> TwinWorld:
-    """Open the robot's world with its twins; bare shafts on a bench where the robot file names no world.
+def open_world(robot: Robot, seed: int, file: WorldFile | None = None) -> TwinWorld:
+    """Open the robot's world, or this one, with its twins; bare shafts on a bench where there is none.
 
     Raises WorldError with every mistake at once."""
-    file = BenchFile() if robot.world is None else load_world(robot.world)
+    file = file or (BenchFile() if robot.world is None else load_world(robot.world))
     plant = load_plant(robot.plant) if robot.plant and isinstance(file, SceneFile) else None
     return TwinWorld(robot, World(file, plant, robot, seed), seed)
 
@@ -318,6 +320,12 @@ class TwinWorld:
         for settings in robot.devices():
             if bus := self.buses.get(settings.bus):
                 self._add(settings.name, settings, bus)
+        self.followed = {
+            name: Followed(motor, world)
+            for name, motor in robot.motors.items()
+            if motor.bus not in self.buses
+        }
+        """The real motors, whose shafts in the world turn as they are measured"""
 
     def _add(self, name: str, settings: Motor | Sensor, bus: TwinBus) -> SimulatedDevice:
         """Add a device to its bus, powered up, with a seed of its own."""
@@ -346,6 +354,8 @@ class TwinWorld:
 
     def _step(self, t: Nanos) -> None:
         """Run one step of the world, which is at time t."""
+        for followed in self.followed.values():
+            followed.look()
         for bus in self.buses.values():
             bus.deliver(t)
         torques: dict[str, float] = {}
@@ -384,6 +394,11 @@ class TwinWorld:
             device.look(t)
         return sum(torque.torque for torque in torques if torque.motor == motor) * ratio
 
+    def follow(self, feedback: Feedback, age: Nanos) -> None:
+        """Let the shaft of a real motor turn in the world as it was measured so long ago, at its output
+        shaft."""
+        self.followed[feedback.motor].measure(feedback, age)
+
     # -- faults ----------------------------------------------------------------------------------------
 
     def _devices(self, name: str) -> list[SimulatedDevice]:
@@ -394,6 +409,10 @@ class TwinWorld:
         if not found:
             raise KeyError(f"no twin {name!r}")
         return found
+
+    def simulates(self, name: str) -> bool:
+        """Return whether a device is simulated here."""
+        return any(device.settings.name == name for bus in self.buses.values() for device in bus.devices)
 
     def twin(self, name: str) -> Twin:
         """Return a device's firmware, of which a fault may be provoked."""

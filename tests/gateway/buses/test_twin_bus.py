@@ -11,12 +11,14 @@ from itertools import pairwise
 import pytest
 
 from gateway.buses.virtual.bus import TwinWorld, open_world
+from gateway.buses.virtual.medium import Transmission
+from gateway.buses.virtual.tamper import Tamper, composed
 from gateway.core.robot import Motor, Robot, Sensor
 from gateway.sim import World, WorldError, WorldFile, load_plant, load_world, parse_world
 from protocols import messages as msg
 from protocols.conformance.bench import TwinWrapper
-from protocols.frames import BusState, Frame, Packet
-from protocols.messages import MILLISECOND, Command, Event, Mode, Nanos
+from protocols.frames import BusState, CanFrame, Frame, Packet
+from protocols.messages import MILLISECOND, Command, Event, Imu, Mode, Nanos
 from protocols.plugin import Device, Driver, Plugin, Twin
 from tests.gateway.world_helpers import ROOM, WALLS, plant, robot, scene
 
@@ -397,3 +399,21 @@ def test_a_bus_that_is_not_a_twin_is_left_alone() -> None:
     twins.buses["motors"].read(0)
     twins.buses["motors"].read(50 * MILLISECOND)
     assert twins.world.now == 50 * MILLISECOND
+
+
+def test_several_falsifications_are_done_one_after_the_other() -> None:
+    def lose(sender: str) -> Tamper:
+        return Tamper(transmission=lambda _bus, one: () if one.sender == sender else (one, one))
+
+    doubled = Tamper(torques=lambda given: {name: 2.0 * one for name, one in given.items()})
+    added = Tamper(torques=lambda given: {name: one + 1.0 for name, one in given.items()})
+    blind = Tamper(reading=lambda _true: None)
+    made = composed([doubled, Tamper(), added, blind, lose("left"), lose("right")])
+    assert made.torques is not None
+    assert made.transmission is not None
+    assert made.reading is not None
+    assert made.torques({"left": 3.0}) == {"left": 7.0}
+    frames = [Transmission(0, name, CanFrame(1)) for name in ("left", "right", "other")]
+    assert [len([*made.transmission("can0", one)]) for one in frames] == [0, 0, 4]
+    assert made.reading(Imu("imu", 0, (0.0, 0.0, 0.0), (0.0, 0.0, 9.8))) is None
+    assert composed([]) == Tamper()

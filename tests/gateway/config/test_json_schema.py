@@ -100,7 +100,7 @@ def test_every_key_says_what_it_means(schemas: dict[str, Schema]) -> None:
     """A key is explained below its field; that of a table by the table's own keys."""
     silent = [
         f"{heading} {row.key}"
-        for kind in ("robot", "world", "plant")
+        for kind in ("robot", "world", "plant", "scenario")
         for heading, rows in rows_of(schemas[kind]).items()
         if DEVICE_SETTINGS not in heading
         for row in rows

@@ -9,8 +9,8 @@ import pytest
 
 from brain.belief import Pose
 from gateway.sim import World, WorldError, parse_world
-from gateway.sim.files import ShaftFile
-from gateway.sim.shafts import Shaft
+from gateway.sim.files import BenchFile, ShaftFile
+from gateway.sim.shafts import Shaft, Shafts
 from tests.gateway.world_helpers import robot
 
 
@@ -80,3 +80,14 @@ def test_a_bench_reports_what_it_lacks() -> None:
     assert len(caught.value.mistakes) == 3
     assert "no motor 'middle'" in str(caught.value)
     assert "no sensor 'lidar': there is none" in str(caught.value)
+
+
+def test_a_shaft_with_a_given_motion_has_it_whatever_its_torque() -> None:
+    shafts = Shafts(BenchFile(), ["left"])
+    shafts.give("left", (2.0, 3.0))
+    for _ in range(1000):
+        shafts.step({"left": -1.0})
+    assert shafts.shaft("left") == pytest.approx((5.0, 3.0), abs=0.01)
+    shafts.give("left", None)
+    shafts.step({"left": -1.0})
+    assert shafts.shaft("left")[1] < 3.0

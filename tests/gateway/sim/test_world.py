@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 from brain.perception.mount import Mount
-from gateway.config import parse_robot
+from gateway.config import load_robot, parse_robot
 from gateway.sim import SceneFile, World, WorldError, load_plant, load_world
-from protocols.messages import MILLISECOND
+from gateway.sim.files import Wall
+from protocols.messages import MILLISECOND, LaserScan
 from tests.gateway.world_helpers import BASE, PLANT, ROOM, WALLS, Driver, plant, robot, scene, turned, world
 
 OFFICE, DIFFBOT = load_world("office"), load_plant("diffbot")
@@ -349,3 +350,52 @@ def test_all_reasons_why_a_robot_does_not_fit_are_reported_at_once() -> None:
     assert len(caught.value.mistakes) == 3
     for part in ("no motor 'port'", "no motor 'left'", "no sensor 'imu'", "did you mean 'imo'?"):
         assert part in reported
+
+
+# -- given motions, walls that appear, distances ---------------------------------------------------------
+
+
+def test_shafts_with_a_given_motion_drive_the_base_whatever_their_torques() -> None:
+    made = world()
+    for name in ("left", "right"):
+        made.follow(name, 0.0, 5.0)
+    for _ in range(1000):
+        made.step({"left": -2.0, "right": -2.0})
+    assert made.shaft("left") == pytest.approx((5.0, 5.0), abs=0.01)
+    assert made.truth().x == pytest.approx(0.05 * 5.0, abs=0.03)
+    for name in ("left", "right"):
+        made.hold(name)
+    for _ in range(300):
+        made.step({"left": 2.0, "right": 2.0})
+    assert made.shaft("left") == pytest.approx((5.0, 0.0), abs=0.01)
+    assert math.hypot(*made.twist()) < 0.01
+    for name in ("left", "right"):
+        made.let_go(name)
+    for _ in range(100):
+        made.step({"left": 1.0, "right": 1.0})
+    assert made.shaft("left")[1] > 1.0
+
+
+def test_a_wall_that_appears_is_neither_seen_nor_touched_before_and_both_from_then_on() -> None:
+    file = OFFICE
+    assert isinstance(file, SceneFile)
+    late = Wall((0.5, -0.5), (0.5, 0.5), appears=0.7)
+    made = World(replace(file, walls=file.walls | {"late": late}), DIFFBOT, load_robot("diffbot"), 1)
+    ahead = []
+    for name in ("left", "right"):
+        made.follow(name, 0.0, 4.0)
+    for _ in range(1600):
+        made.step({})
+        ahead += [(one.t, min(one.ranges[170:190])) for one in made.readings() if isinstance(one, LaserScan)]
+    before = [near for t, near in ahead if t < 600 * MILLISECOND]
+    after = [near for t, near in ahead if t > 800 * MILLISECOND]
+    assert min(before) > 1.5
+    assert max(after) < 0.4
+    assert made.contacts() >= 1
+    assert made.clearance() == pytest.approx(0.0, abs=0.02)
+
+
+def test_the_clearance_is_the_distance_from_the_outline_to_the_nearest_wall() -> None:
+    made = World(OFFICE, DIFFBOT, load_robot("diffbot"), 1)
+    assert made.clearance() == pytest.approx(0.9, abs=0.15)  # the desk's side, at y = -1
+    assert made.clearance(0.5) == 0.5
