@@ -1,5 +1,5 @@
 // The cockpit: what comes over the wire is handed to its panels, what a person does becomes lines of the operator's
-// language. The page knows nothing that the robot did not setText, and sends nothing that nobody did.
+// language. The page knows nothing that the robot did not setText, and sends nothing that nobody did, but which signals it plots.
 
 import { Drive } from "./drive.js";
 import { $, number, setText, twice } from "./elements.js";

@@ -62,7 +62,7 @@ export class Plots {
   }
 
   choose() {
-    this.wire.send({ plot: { id: ++this.id, signals: this.signals.map(({ joint, quantity }) => [joint, quantity]) } });
+    if (this.signals.length || this.id) this.wire.send({ plot: { id: ++this.id, signals: this.signals.map(({ joint, quantity }) => [joint, quantity]) } });
     this.build();
     this.changed();
   }

@@ -23,7 +23,7 @@ import gateway
 from gateway.core.tick import Tick
 from gateway.operator import commands
 from gateway.operator.commands import parse
-from protocols.messages import SECOND, Drive, Instruction, Nanos, Stop, Velocity
+from protocols.messages import SECOND, Drive, Instruction, Nanos, Stop, Torque, Velocity
 
 
 class Robot:
@@ -46,7 +46,7 @@ class Robot:
         """See a tick."""
         self.number, self.now = tick.number, tick.now
         for one in tick.inputs.instructions:
-            if isinstance(one, Drive | Velocity):
+            if isinstance(one, Drive | Torque | Velocity):
                 self.held = tick.number, repr(one)
             else:
                 self.asked.append((tick.number, repr(one)))
