@@ -17,14 +17,18 @@ from pathlib import Path
 from typing import Any
 
 from brain.bodies.urdf import MOST_CHARACTERS
+from gateway.cli.schema import text_of
 from gateway.cli.terminal.output import typed
-from gateway.config import load_robot
+from gateway.config import json_schema, load_robot
 from gateway.config.answers import Answers, Question
 from gateway.config.new_robot import Part, Plan
 from gateway.config.text import read_text
 from gateway.errors import BusError, UserError
 from gateway.recording.new_file import EXISTS, create_with
 from gateway.runtime import which_motor
+
+SCHEMA = "robot.schema.json"
+"""Beside the robot file, whose first line names it: by it an editor completes and checks keys."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -84,7 +88,10 @@ def run(options: Namespace) -> int:
     plan = _plan(options, person)
     robot = make(plan, _shown(plan, options.which) if person else None, read=options.read or bool(person))
     try:
-        create_with(options.robot, robot.encode())
+        create_with(options.robot, f"#:schema ./{SCHEMA}\n{robot}".encode())
+        schema = options.robot.with_name(SCHEMA)
+        if not os.path.lexists(schema):  # which may be of other protocols that are installed: it stays
+            create_with(schema, text_of(json_schema.robot()).encode())
     except OSError as error:
         raise UserError(f"{options.robot}: cannot be written: {error.strerror or error}") from error
     made = load_robot(options.robot)

@@ -35,7 +35,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 def run(options: Namespace) -> int:
     """Print a JSON schema of draft 7, or its keys."""
     schema = FILES[options.file]()
-    text = markdown(schema) if options.keys else json.dumps(schema, indent=1, ensure_ascii=False) + "\n"
+    text = markdown(schema) if options.keys else text_of(schema)
     if options.out is None:
         print(text, end="")
         return 0
@@ -45,6 +45,11 @@ def run(options: Namespace) -> int:
     except OSError as error:
         raise UserError(f"{options.out} cannot be written: {error.strerror}") from error
     return 0
+
+
+def text_of(schema: Schema) -> str:
+    """Return a schema as the text of a file."""
+    return json.dumps(schema, indent=1, ensure_ascii=False) + "\n"
 
 
 def markdown(schema: Schema, level: int = 2) -> str:

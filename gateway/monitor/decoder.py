@@ -29,13 +29,17 @@ from gateway.monitor.state import (
     Rate,
 )
 from protocols import messages as msg
-from protocols.frames import EXTENDED_BIT, BusState, CanFrame, Packet, any_matches
+from protocols.frames import EXTENDED_BIT, BusState, CanFrame, IdSet, Packet, any_matches
 from protocols.messages import SECOND, Command, Event, Mode, Nanos, Obeyed
 
 WINDOW: Nanos = 2 * SECOND
 MIN_EVENTS = 3
 SETTLED_EVENTS = 50
 """After this many events of a device, no other protocol or option is tried on its ids."""
+MOST_IN_VAIN = 100
+"""After so many frames of an id that meant nothing to any protocol,"""
+AGAIN = 50
+"""only one of so many is decoded, until one means something."""
 MAX_IDS = 4096
 """Number of CAN ids of which anything is kept; packets with other ids are counted by their bus only."""
 MAX_NOTES = 8
@@ -65,6 +69,11 @@ class BusMonitor:
         """What a plugin raised last, by protocol and bus."""
         self.found: dict[Place, DeviceRecord] = {}
         self._variants = {bus: [variant for variant in variants if variant.bus == bus] for bus in buses}
+        self._ids_of = {id(variant): _ids_of(variant) for variant in variants}
+        self._interested: dict[CanId, list[ProtocolVariant]] = {}
+        """By CAN id, the variants that it may mean something to, as far as they have been looked for."""
+        self._in_vain: dict[CanId, int] = {}
+        """By CAN id, how many of its newest frames meant nothing to any of these."""
         self._best: dict[Place, DeviceRecord] = {}
         """By the variant that has decoded most of a device."""
         self._owners_by_id: dict[CanId, list[DeviceRecord]] = {}
@@ -87,7 +96,7 @@ class BusMonitor:
         self._count(packet)
         decoded = DecodedPacket(packet)
         accepted = False
-        for variant in self._listening(packet.bus, self._owners_of(packet)):
+        for variant in self._listening(packet, self._owners_of(packet)):
             if not sent:
                 before = variant.driver.counters.accepted
                 events: Sequence[Event] = ()
@@ -100,6 +109,11 @@ class BusMonitor:
                 with self._asking(variant, decoded):
                     obeyed = tuple(variant.decoder.decode(packet.t, packet.frame))
                 self._on_commands(variant, obeyed, decoded)
+        if isinstance(packet.frame, CanFrame) and not self.known:
+            key = _can_id(packet.bus, packet.frame)
+            meant = accepted or decoded.events or decoded.guesses or decoded.commands
+            if key in self._in_vain or len(self._in_vain) < MAX_IDS:
+                self._in_vain[key] = 0 if meant else self._in_vain.get(key, 0) + 1
         owners = self._owners_of(packet)  # one may have been found just now
         if accepted and len(owners) == 1:
             owners[0].received_at = packet.t
@@ -239,10 +253,20 @@ class BusMonitor:
 
     # -- which devices are there --------------------------------------------------------------
 
-    def _listening(self, bus: str, owners: Sequence[DeviceRecord]) -> list[ProtocolVariant]:
-        """Return the variants that decode a packet: all, or the one that has settled for the id's owner."""
+    def _listening(self, packet: Packet, owners: Sequence[DeviceRecord]) -> list[ProtocolVariant]:
+        """Return the variants that decode a packet: all with such ids, or the one settled for its owner."""
         if self.known or len(owners) != 1 or owners[0].weight < SETTLED_EVENTS:
-            return self._variants[bus]
+            if not isinstance(packet.frame, CanFrame):
+                return self._variants[packet.bus]
+            key = _can_id(packet.bus, packet.frame)
+            found = self._interested.get(key)
+            if found is None:
+                number = packet.frame.id | EXTENDED_BIT * packet.frame.extended
+                found = [one for one in self._variants[packet.bus] if number in self._ids_of[id(one)]]
+                if len(self._interested) < MAX_IDS:
+                    self._interested[key] = found
+            in_vain = self._in_vain.get(key, 0)
+            return found if in_vain < MOST_IN_VAIN or in_vain % AGAIN == 0 else []
         return [self._best[owners[0].place].variant]
 
     def _is_best(self, record: DeviceRecord) -> bool:
@@ -284,6 +308,14 @@ class BusMonitor:
     def _is_first(self, variant: ProtocolVariant) -> bool:
         """True for one variant of each protocol on a bus."""
         return variant is next(v for v in self._variants[variant.bus] if v.protocol == variant.protocol)
+
+
+def _ids_of(variant: ProtocolVariant) -> IdSet:
+    """Return every id that a protocol's driver or decoder may take: the contract holds it to them."""
+    specs = [device.spec for device in variant.devices.values()]
+    return IdSet(
+        ids for spec in specs for ids in (*spec.expects, *spec.sends, *spec.receives_also, *spec.obeys_also)
+    )
 
 
 def at_joint(command: Obeyed, ratio: float) -> Obeyed:

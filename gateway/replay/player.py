@@ -26,7 +26,7 @@ from gateway.recording.reader import FilePlace
 from gateway.recording.ros_views import Views, typestore
 from gateway.replay.compare import Comparer, Comparison, Difference, on_known_buses
 from gateway.replay.keyframes import Frame, Keyframes, StateCodec, folder_name
-from protocols.messages import Nanos
+from protocols.messages import Idle, Nanos
 
 log = logging.getLogger("gateway")
 
@@ -39,6 +39,8 @@ class _Saved(NamedTuple):
     """Of the tick that was played last; None: none was."""
     gateway: Gateway
     comparer: Comparer
+    begun: Nanos | None
+    """`Player.begun`."""
 
 
 class _Target(NamedTuple):
@@ -120,7 +122,7 @@ class Player:
         store = typestore()
         mounts = {name: sensor.mount for name, sensor in self.robot.sensors.items()}
         comparer = self._comparer_of(self.gateway, Views(mounts, store))
-        saved = _Saved(0, None, self.gateway, comparer)
+        saved = _Saved(0, None, self.gateway, comparer, None)
         self._codec = StateCodec(saved, [recording, self.robot, store, store.types])
         name = folder_name(recording, self.robot.text, self._facts, self._codec)
         self._frames = Keyframes(name, cache)
@@ -244,6 +246,8 @@ class Player:
         )
 
     def _compare_from(self, saved: _Saved) -> None:
+        self.begun = saved.begun
+        """When a motor was commanded first, in what is compared; None: none was yet."""
         self._ahead = _Reading(self.recording, saved.played, saved.place)
         self._compared, self._comparer = saved.gateway, saved.comparer
         if self._ahead.following is None:
@@ -261,6 +265,10 @@ class Player:
             self._ahead.stop()
             return False
         self._ahead.take()
+        if self.begun is None and any(
+            not isinstance(one.sent, Idle) for one in self._compared.joints.values()
+        ):
+            self.begun = following.tick.now
         if self._ahead.following is None:
             self._comparer.end(self._ahead.error)
         if self._ahead.following is None or self._ahead.played % self._frames.spacing == 0:
@@ -268,7 +276,7 @@ class Player:
         return True
 
     def _keep(self, step: Step) -> None:
-        saved = _Saved(self._ahead.played, step.place, self._compared, self._comparer)
+        saved = _Saved(self._ahead.played, step.place, self._compared, self._comparer, self.begun)
         try:
             data = self._codec.dump(saved)
         except Exception as error:  # noqa: BLE001 -- the state of a third party's plugin may hold anything

@@ -35,6 +35,8 @@ SHOWN = 20
 """Differences that are listed."""
 PASSED = 100
 """Ticks before the one that was sought that are taken note of: with the newest scans."""
+INTO: Nanos = SECOND
+"""How long after the first command a recording is opened."""
 
 
 @dataclass(slots=True)
@@ -94,6 +96,8 @@ class ReplayView:
         self._compared = False
         """Whether the two are compared with each other."""
         self._now: Nanos = 0
+        self._unopened = graph is None
+        """Whether it is still to be shown where something happens: nobody has asked for another place."""
         self._graph = graph(Scene(players[0].gateway, "replay", dict)) if graph is not None else None
         self._playback = self._playback.changed(0, playing=self._graph is not None)
         self._view = View([one.scene for one in self._shown], address, access, acts={"play": self._play})
@@ -129,6 +133,7 @@ class ReplayView:
         if self._under_way:
             self._playback = self._playback.changed(now, position=self._playback.position)
         self._view.poll(now)  # a recording takes no instructions
+        self._open()
         busy = self._arrive()
         if not busy:
             if self.position >= self._longest and self._playback.playing:
@@ -144,6 +149,13 @@ class ReplayView:
                 busy = True
         self._view.show(now)
         return now if busy else now + IDLE
+
+    def _open(self) -> None:
+        """Show where a motor is commanded first, once that is known; a recording without is shown from 0."""
+        players = [one.player for one in self._shown]
+        begun = [one.begun - one.start for one in players if one.begun is not None]
+        if self._unopened and (begun or all(one.prepared == 1.0 for one in players)):
+            self._seek(min((min(begun) + INTO) / SECOND, self._longest / SECOND) if begun else 0.0)
 
     def _arrive(self) -> bool:
         """Go on to where a page sought, or stepped; return whether any recording is still under way."""
@@ -243,6 +255,7 @@ class ReplayView:
         return ViewAnswer(ok=True, text="")
 
     def _set_playing(self, value: float) -> None:
+        self._unopened = False
         self._playback = self._playback.changed(self._now, playing=bool(value))
 
     def _set_rate(self, value: float) -> None:
@@ -250,6 +263,7 @@ class ReplayView:
         self._playback = self._playback.changed(self._now, rate=rate)
 
     def _seek(self, value: float) -> None:
+        self._unopened = False
         position = round(min(max(0.0, value), self._longest / SECOND) * SECOND)
         self._playback = self._playback.changed(self._now, position=position)
         self._steps, self._stepping = 0, False

@@ -7,18 +7,23 @@ to four bytes, then arrays one after the other. Each has a "kind":
 |---|---|---|---|
 | hello | text | on opening | what does not change (`Scene.hello`), `steer` |
 | settings | text | with it, and after a change | what can be changed (`Scene.settings`) |
-| joints | text | every 20 ms | a row for each joint (`Scene.joints`); `clock`: when it was made [ms] |
+| signals | binary | every 20 ms | `clock`: when it was made [ms]; what is plotted, as below |
+| joints | text | every 100 ms | a row for each joint (`Scene.joints`) |
 | state | text | every 100 ms | pose, states, goal, faults, buses … (`Scene.state`) |
 | note | text | at once | what happened, for a person |
 | answer | text | at once | to what was asked, with its `id`, or `held`: `ok`, `text` |
 | path | binary | when it changes | `version`; float32 x, y [m] for each point |
 | scan | binary | every 100 ms | `lidars`: `t`, mount, `poses`, `min`, `step`, `count`, `near`, `far`: f32 |
-| tiles | binary | every 100 ms, if new | map: `resolution`, `corner`, `size`, `keys` (row, column); int8 |
+| tiles | binary | every 20 ms, if new | map: `resolution`, `corner`, `size`, `keys` (row, column); int8 |
 
 From the page, JSON as text: `{"ask": LINE, "id": N, "heard": N}`, a line of the operator's language, with the
 newest `clock`; `{"held": LINE, "heard": N}`, the same for as long as it is repeated;
-`{"record": true}`; `{"play": {…}}` in a replay; `{}`: still there. An `id` is an integer.
-Notes and answers are never dropped; of everything else, a slow page gets the newest.
+`{"plot": {"id": N, "signals": [[JOINT, QUANTITY], …]}}`; `{"record": true}`; `{"play": {…}}` in a replay;
+`{}`: still there. An `id` is an integer.
+Notes and answers are never dropped; of everything else, a slow page gets the newest, but of what it plots
+every tick: signals have the `id` of the choice, `t` of the first tick [s], `rows`, how many rows were `lost`
+because the page left more unread than are kept, and in each row, as float32, the time since `t` [s] and the
+signals in their order (NaN: none).
 """
 
 from __future__ import annotations
@@ -38,14 +43,18 @@ from brain.belief import MapView
 from gateway.config.text import read_json
 from gateway.core.tick import Tick
 from gateway.view.requests import SILENT, Asking, Requests, ViewAnswer
-from gateway.view.scene import Json, Scene, lidar_mounts, note
+from gateway.view.scene import QUANTITIES, Json, Scene, lidar_mounts, note
 from gateway.view.server import Client, Message
 from protocols.messages import MILLISECOND, SECOND, Instruction, LaserScan, Nanos, Set
 
-JOINTS_PERIOD: Nanos = 20 * MILLISECOND
+SIGNALS_PERIOD: Nanos = 20 * MILLISECOND
 STATE_PERIOD: Nanos = 100 * MILLISECOND
-MAX_TILES = 32
-"""Tiles of the map in one message: 128 kB."""
+MAX_SIGNALS = 24
+"""That a page may plot."""
+KEPT_ROWS = 4000
+"""Rows of signals that a page has not read yet: 20 s of 200 ticks a second."""
+MAX_TILES = 2
+"""Tiles of the map in one message, 4 kB each: a slow link is not kept from the rest by the map."""
 KEPT_NOTES = 200
 """Notes that a page gets on opening."""
 
@@ -63,6 +72,56 @@ class _Page:
     """Version of the path it has."""
     tiles: dict[tuple[int, int], object] = field(default_factory=dict)
     corner: tuple[float, float] | None = None
+    plot: int = 0
+    """The number that the page gave to its choice of signals."""
+    signals: tuple[tuple[str, str], ...] = ()
+    """What it plots: joints and quantities."""
+    rows: deque[list[float]] = field(default_factory=lambda: deque(maxlen=KEPT_ROWS))
+    """Of it, what is not sent yet: times [s], and values."""
+    lost: int = 0
+    """Rows that were not read in time."""
+
+    def choose(self, asked: object, scene: Scene) -> ViewAnswer:
+        """Plot other signals from now on."""
+        chosen = asked if isinstance(asked, dict) else {}
+        number, listed = chosen.get("id"), chosen.get("signals")
+        if not isinstance(number, int) or abs(number) >= 1 << 53 or not isinstance(listed, list):
+            return ViewAnswer(ok=False, text="plot: an id and a list of signals are expected")
+        if len(listed) > MAX_SIGNALS:
+            return ViewAnswer(ok=False, text=f"plot: at most {MAX_SIGNALS} signals are plotted at once")
+        joints = scene.gateway.joints
+        for one in listed:
+            if not (
+                isinstance(one, list)
+                and len(one) == 2
+                and all(isinstance(word, str) for word in one)
+                and one[0] in joints
+                and one[1] in QUANTITIES
+            ):
+                known = f"one of {', '.join(joints)}, and one of {', '.join(QUANTITIES)}"
+                return ViewAnswer(
+                    ok=False, text=f"plot: {one!r:.80} is no signal: a pair is expected, {known}"
+                )
+        self.plot, self.signals, self.lost = number, tuple((one[0], one[1]) for one in listed), 0
+        self.rows.clear()
+        return SILENT
+
+    def take(self, scene: Scene) -> None:
+        """Take a row of what it plots."""
+        if self.signals:
+            self.lost += len(self.rows) == KEPT_ROWS
+            self.rows.append([scene.now / SECOND, *scene.values(self.signals)])
+
+    def read(self, now: Nanos) -> bytes:
+        """Return what there is of its signals, and forget it."""
+        header: Json = {"clock": now // MILLISECOND, "id": self.plot, "rows": len(self.rows)}
+        rows = np.array(self.rows, dtype=np.float64)
+        if self.rows:
+            header |= {"t": self.rows[0][0]} | ({"lost": self.lost} if self.lost else {})
+            rows[:, 0] -= self.rows[0][0]
+        self.rows.clear()
+        self.lost = 0
+        return _binary("signals", header, rows.astype("<f4"))
 
 
 class Cockpit:
@@ -78,7 +137,7 @@ class Cockpit:
         self.scene, self._requests, self._acts = scene, requests, acts
         self._pages: dict[Client, _Page] = {}
         self._notes: deque[str] = deque(maxlen=KEPT_NOTES)
-        self._joints_due: Nanos = 0
+        self._signals_due: Nanos = 0
         self._state_due: Nanos = 0
         self._settings_of: object = scene.gateway
         """The gateway whose settings pages have been sent; None: they have changed since."""
@@ -99,6 +158,9 @@ class Cockpit:
                 instructions += [] if instruction is None else [instruction]
             elif isinstance(asked.get("held"), str):
                 held.append(asked)
+            elif "plot" in asked:
+                why = self._requests.refused(now, page.asking, reads=True)
+                answer = ViewAnswer(ok=False, text=why) if why else page.choose(asked["plot"], self.scene)
             else:
                 for key in self._acts.keys() & asked.keys():
                     why = self._requests.refused(now, page.asking, reads=True)
@@ -117,7 +179,9 @@ class Cockpit:
         return [end for page in gone for end in self._requests.leave(self._pages.pop(page.client).asking)]
 
     def take(self, tick: Tick) -> None:
-        """Send the notes of a tick."""
+        """Take what is plotted of a tick, and send its notes."""
+        for page in self._pages.values():
+            page.take(self.scene)
         if any(isinstance(one, Set) for one in tick.inputs.instructions):
             self._settings_of = None
         for one in tick.outputs.notes:
@@ -132,10 +196,13 @@ class Cockpit:
             if client not in self._pages:
                 self._enter(client)
         # Due at multiples of the period: a tick that is late must not make the next ones late.
-        if now >= self._joints_due:
-            self._joints_due = now - now % JOINTS_PERIOD + JOINTS_PERIOD
-            clock = {"clock": now // MILLISECOND}
-            self._sample("joints", _once(lambda: _text("joints", clock | self.scene.joints())))
+        if now >= self._signals_due:
+            self._signals_due = now - now % SIGNALS_PERIOD + SIGNALS_PERIOD
+            for page in self._pages.values():
+                page.client.sample("signals", partial(page.read, now))
+                view = self.scene.belief.map
+                if view is not None and page.client.idle(now):
+                    self._send_tiles(page, view)
         if now >= self._state_due:
             self._state_due = now - now % STATE_PERIOD + STATE_PERIOD
             self._slow()
@@ -143,17 +210,16 @@ class Cockpit:
     def _slow(self) -> None:
         """Send what is sent ten times a second."""
         scene = self.scene
+        self._sample("joints", _once(lambda: _text("joints", scene.joints())))
         self._sample("state", _once(lambda: _text("state", scene.state())))
         if scene.scans:
             self._sample("scan", _once(partial(_scan, scene)))
-        version, points, view = scene.belief.path_version, scene.belief.path, scene.belief.map
+        version, points = scene.belief.path_version, scene.belief.path
         path = _once(lambda: _binary("path", {"version": version}, np.asarray(points, dtype="<f4")))
         for page in self._pages.values():
             if page.path != version:
                 page.path = version
                 page.client.sample("path", path)
-            if view is not None and page.client.idle:
-                self._send_tiles(page, view)
         if self._settings_of is not scene.gateway:
             self._settings_of = scene.gateway
             self._sample("settings", _once(lambda: _text("settings", {"rows": scene.settings()})))

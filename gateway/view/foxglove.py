@@ -180,7 +180,7 @@ class Foxglove:
             return
         if self._publish and now - self._ping_at >= PING_PERIOD:
             self._ping_at = now
-            for client in filter(lambda one: one.idle, clients):
+            for client in filter(lambda one: one.idle(now), clients):
                 client.ping(now)
         self._send_parameters()
         jumped = self.scene.gateway is not self._gateway

@@ -153,7 +153,8 @@ class Requests:
     def hold(
         self, now: Nanos, one: Asking, line: str, heard: Nanos | None, count: int = 1
     ) -> tuple[list[Instruction], ViewAnswer]:
-        """Do what a line asks for as long as it is held; "" ends it. Only Drive and Velocity can be held.
+        """Do what a line asks for as long as it is held; "" ends it. Only Drive, Velocity and Torque
+        can be held.
 
         Args:
             now: the time of the poll.
@@ -181,7 +182,7 @@ class Requests:
         asked = self._parsed(line)
         if isinstance(asked, ViewAnswer):
             return _end_of(one), asked
-        if not isinstance(asked, msg.Drive | msg.Velocity):
+        if not isinstance(asked, msg.Drive | msg.Velocity | msg.Torque):
             return _end_of(one), ViewAnswer(ok=False, text=f"{line!r} is nothing that can be held")
         ended = [] if _motor(one.held) == _motor(asked) else _end_of(one)
         one.held, one.held_until = asked, now + HELD
@@ -260,7 +261,7 @@ def _slow(now: Nanos, one: Asking, heard: Nanos | None) -> str:
 
 def _motor(held: Instruction | None) -> str | None:
     """Return what is held: the name of a motor, "" for the base; None: nothing."""
-    return held.motor if isinstance(held, msg.Velocity) else None if held is None else ""
+    return held.motor if isinstance(held, msg.Velocity | msg.Torque) else None if held is None else ""
 
 
 def _end_of(one: Asking) -> list[Instruction]:
@@ -268,4 +269,6 @@ def _end_of(one: Asking) -> list[Instruction]:
     held, one.held = one.held, None
     if isinstance(held, msg.Velocity):
         return [replace(held, velocity=0.0)]
+    if isinstance(held, msg.Torque):
+        return [replace(held, torque=0.0)]
     return [] if held is None else [msg.Drive(0.0, 0.0)]

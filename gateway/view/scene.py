@@ -7,9 +7,9 @@ output shaft; times in s.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import isfinite
+from math import isfinite, nan
 from typing import Any, Literal, TypeAlias
 
 from brain.belief import Belief, Pose
@@ -33,6 +33,46 @@ TRACK = 256
 """Poses that are kept, one per tick: a scan is older than the tick that brings it."""
 VALUE = {"Velocity": "velocity", "Position": "position", "Impedance": "position", "Torque": "torque"}
 """The number of a command that is plotted beside the feedback of the same name."""
+
+Quantity: TypeAlias = Callable[[Joint, Nanos], float | None]
+"""A number of a joint at a time; None: it is not known, or there is none."""
+
+
+def _measured(name: str) -> Quantity:
+    return lambda joint, _: getattr(joint.feedback, name)
+
+
+def _commanded(name: str) -> Quantity:
+    def number(joint: Joint, _: Nanos) -> float | None:
+        kind = type(joint.sent).__name__
+        return _value(kind, joint.sent) if VALUE.get(kind) == name else None
+
+    return number
+
+
+def _error(name: str) -> Quantity:
+    def number(joint: Joint, now: Nanos) -> float | None:
+        wanted, measured = _commanded(name)(joint, now), _measured(name)(joint, now)
+        return None if wanted is None or measured is None else wanted - measured
+
+    return number
+
+
+def _age(joint: Joint, now: Nanos) -> float | None:
+    age = joint.feedback_age(now)
+    return None if age is None else age / MILLISECOND
+
+
+_CONTROLLED = {"position": "rad", "velocity": "rad/s", "torque": "N·m"}
+_ONLY_MEASURED = {"current": "A", "voltage": "V", "temperature": "°C"}
+QUANTITIES: Mapping[str, tuple[str, Quantity]] = {
+    **{name: (unit, _measured(name)) for name, unit in (_CONTROLLED | _ONLY_MEASURED).items()},
+    "age": ("ms", _age),
+    **{f"{name} command": (unit, _commanded(name)) for name, unit in _CONTROLLED.items()},
+    **{f"{name} error": (unit, _error(name)) for name, unit in _CONTROLLED.items()},
+}
+"""What a page can plot of each joint: unit, number. An error is the command less the measurement, while the
+joint is commanded so."""
 
 
 @dataclass(slots=True)
@@ -106,10 +146,12 @@ class Scene:
                     "commands": sorted(kind.__name__ for kind in motor.joint.commands(motor.spec)),
                     "requests": sorted(kind.__name__ for kind in motor.spec.requests),
                     "limits": {limit: getattr(motor.joint.limits, limit) for limit in LIMITS},
+                    "parameters": sorted(motor.spec.parameters),
                     "moves": "base" if name in wheels else "joint",
                 }
                 for name, motor in robot.motors.items()
             ],
+            "quantities": {name: unit for name, (unit, _) in QUANTITIES.items()},
             "buses": [
                 {"name": bus.name, "kind": bus.kind, "interface": bus.interface, "bitrate": bus.bitrate}
                 for bus in robot.buses.values()
@@ -147,21 +189,23 @@ class Scene:
             "rows": [self._joint(joint) for joint in self.gateway.joints.values()],
         }
 
+    def values(self, signals: Sequence[tuple[str, str]]) -> list[float]:
+        """Return the newest values of signals, each a joint and a quantity of it; NaN: none."""
+        joints, now = self.gateway.joints, self.now
+        found = [QUANTITIES[quantity][1](joints[joint], now) for joint, quantity in signals]
+        return [nan if value is None else value for value in found]
+
     def _joint(self, joint: Joint) -> list[Any]:
         """Return mode, armed, kind of command, its value, then the feedback, its age [ms] and faults."""
         feedback, sent, age = joint.feedback, joint.sent, joint.feedback_age(self.now)
         kind = type(sent).__name__
+        measured = [*(_CONTROLLED | _ONLY_MEASURED)]
         return [
             joint.mode.value,
             joint.armed,
             kind,
-            _number(_value(kind, sent)),
-            _number(feedback.position),
-            _number(feedback.velocity),
-            _number(feedback.torque),
-            _number(feedback.current),
-            _number(feedback.voltage),
-            _number(feedback.temperature),
+            _number(_value(kind, sent), 3),
+            *(_number(getattr(feedback, name), 3) for name in measured),
             None if age is None else age // MILLISECOND,
             len(joint.faults),
         ]
@@ -235,9 +279,9 @@ def _value(kind: str, command: Command) -> float | None:
     return getattr(command, VALUE[kind]) if kind in VALUE else None
 
 
-def _number(value: float | None) -> float | None:
+def _number(value: float | None, digits: int = 5) -> float | None:
     """Return a number that JSON has, with as many digits as a screen shows."""
-    return None if value is None or not isfinite(value) else round(value, 5)
+    return None if value is None or not isfinite(value) else round(value, digits)
 
 
 def lidar_mounts(robot: Robot) -> Mapping[str, tuple[float, float, float]]:

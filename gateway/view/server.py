@@ -2,16 +2,18 @@
 
 Rules. Each poll has a bounded share: connections accepted, and bytes read, hence messages. What is sent is
 either an event, which is never dropped, or a sample, of which only the newest waits while a client does not
-read. A client that stays slow, or leaves too much unread, is closed with the reason. Connections that do not
-get on with their handshake, or to which a page was sent, are closed after a while; if there are too many the
-oldest goes. If there are too many clients, a new one takes the place of one that has been silent for long, or
-is refused.
+read, or what was sent before is not known to have arrived: nothing is queued on a slow link. A client that
+stays slow, or leaves too much unread, is closed with the reason. Connections that do not get on with their
+handshake, or to which a page was sent, are closed after a while; if there are too many the oldest goes. If
+there are too many clients, a new one takes the place of one that has been silent for long, or is refused.
 """
 
 from __future__ import annotations
 
+import gzip
 import logging
 import socket
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -27,7 +29,7 @@ from websockets.typing import Subprotocol
 
 from gateway.errors import UserError
 from gateway.view.access import Access, Address, parse_address
-from protocols.messages import SECOND, Nanos
+from protocols.messages import MILLISECOND, SECOND, Nanos
 
 Message: TypeAlias = str | bytes
 
@@ -51,6 +53,13 @@ MAX_UNSENT = 4 << 20
 """Bytes of events that a client may leave unread."""
 SEND_BUFFER = 1 << 18
 """Bytes in the kernel's send buffer: little, so that what arrives is new."""
+UNDER_WAY = 3 << 10
+"""Bytes that may be on their way to a client when samples are made for it, if they have been for some time.
+What is queued on a slow link would be old when it arrives: 20 kB/s take 0.15 s for so many."""
+QUICK: Nanos = 50 * MILLISECOND
+"""For which more than that may be on their way."""
+PROBE_SPACING = 1 << 10
+"""Bytes after which a client is asked for an answer, by which what was sent is known to have arrived."""
 HANDSHAKE_TIMEOUT: Nanos = 5 * SECOND
 """How long a connection may be no client."""
 PATIENCE: Nanos = 10 * SECOND
@@ -69,6 +78,11 @@ class Page:
     kind: str
     """Its media type."""
     body: bytes
+    packed: bytes = field(init=False)
+    """The same by gzip."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "packed", gzip.compress(self.body, mtime=0))
 
 
 @dataclass(slots=True, eq=False)
@@ -100,6 +114,12 @@ class Client:
     samples: dict[str, Callable[[], Message]] = field(default_factory=dict)
     sampled: int = 0
     """Bytes of samples that are not sent yet, at most: they may be as large as they are."""
+    sent: int = 0
+    """Bytes sent so far,"""
+    arrived: int = 0
+    """and those of them that are known to have arrived."""
+    pings: deque[tuple[Nanos, int]] = field(default_factory=deque)
+    """Those that were not answered: when, and how much was sent with them."""
     stuck_since: Nanos | None = None
     ending: Nanos | None = None
     """When it is closed at the latest."""
@@ -120,6 +140,13 @@ class Client:
         if self.open and self.protocol.state is State.OPEN:
             self.protocol.send_ping(now.to_bytes(8))
             self.collect()
+            self.pings.append((now, self.sent + len(self.unsent)))
+
+    def on_answer(self, pinged: Nanos) -> None:
+        """Take the answer to a ping, which is one to all before it."""
+        self.answered = pinged
+        while self.pings and self.pings[0][0] <= pinged:
+            self.arrived = self.pings.popleft()[1]
 
     def sample(self, key: str, message: Callable[[], Message]) -> None:
         """Send a sample when there is room: until then a newer one of this key takes its place."""
@@ -132,10 +159,16 @@ class Client:
         self.samples.clear()
         self.collect()
 
-    @property
-    def idle(self) -> bool:
-        """Whether everything that was sent has left."""
-        return not self.unsent
+    def idle(self, now: Nanos) -> bool:
+        """Return whether everything that was sent has left, and little of it may still be on a slow link."""
+        quick = not self.pings or now - self.pings[0][0] < QUICK
+        return not self.unsent and (quick or self.sent - self.arrived < UNDER_WAY)
+
+    def probe(self, now: Nanos) -> None:
+        """Ask whether what was sent has arrived, if that is not asked already."""
+        asked = self.pings[-1][1] if self.pings else self.arrived
+        if self.sent + len(self.unsent) - asked >= PROBE_SPACING:
+            self.ping(now)
 
     def collect(self) -> None:
         """Take over what the protocol has to send."""
@@ -207,12 +240,14 @@ class Server:
     def flush(self, now: Nanos) -> None:
         """Send what there is room for. Never waits."""
         for client in list(self._connections):
+            client.probe(now)
             if client.unsent:
                 self._send(now, client)
-            if client.samples and client.idle:
+            if client.samples and client.idle(now):
                 samples, client.samples = client.samples, {}
                 for message in samples.values():
                     client.send(message())
+                client.probe(now)
                 client.sampled = len(client.unsent)
                 self._send(now, client)
 
@@ -272,7 +307,10 @@ class Server:
         if len(hosts) != 1 or len(origins) > 1:
             response = client.protocol.reject(400, "one header Host and one Origin at most are expected\n")
         elif "Upgrade" not in headers:
-            response = _page(page) if page else client.protocol.reject(404, "there is no such page\n")
+            packed = any("gzip" in one for one in headers.get_all("Accept-Encoding"))
+            response = (
+                _page(page, packed=packed) if page else client.protocol.reject(404, "there is no such page\n")
+            )
         else:
             response = self._upgrade(now, client, request, path, hosts[0], origins[0] if origins else None)
         client.protocol.send_response(response)
@@ -315,6 +353,7 @@ class Server:
         try:
             sent = client.socket.send(client.unsent)
             del client.unsent[:sent]
+            client.sent += sent
         except BlockingIOError:
             sent = 0
         except OSError:
@@ -329,7 +368,9 @@ class Server:
         """Close a connection that is too slow, or has ended."""
         late = now - client.since > HANDSHAKE_TIMEOUT and not client.open
         if client.ending is not None:
-            if client.idle and not client.shut:  # what it still sends is read and discarded: a close with
+            if (
+                not client.unsent and not client.shut
+            ):  # what it still sends is read and discarded: a close with
                 client.shut = True  # something unread would reset the connection, and the reason be lost
                 with suppress(OSError):
                     client.socket.shutdown(socket.SHUT_WR)
@@ -355,7 +396,7 @@ class Server:
 def _on_frame(now: Nanos, client: Client, frame: Frame) -> None:
     """Put messages together, and take answers to pings; pings were answered by the protocol."""
     if frame.opcode is Opcode.PONG:
-        client.answered = int.from_bytes(frame.data)
+        client.on_answer(int.from_bytes(frame.data))
         return
     if frame.opcode in (Opcode.TEXT, Opcode.BINARY):
         client.text = frame.opcode is Opcode.TEXT
@@ -371,11 +412,13 @@ def _on_frame(now: Nanos, client: Client, frame: Frame) -> None:
         client.inbox.append(data.decode("utf-8", "replace") if client.text else data)
 
 
-def _page(page: Page) -> Response:
+def _page(page: Page, *, packed: bool) -> Response:
+    body = page.packed if packed else page.body
     headers = Headers(
         [
             ("Content-Type", page.kind),
-            ("Content-Length", str(len(page.body))),
+            *([("Content-Encoding", "gzip")] if packed else []),
+            ("Content-Length", str(len(body))),
             ("Connection", "close"),
             ("Cache-Control", "no-store"),
             ("Content-Security-Policy", "default-src 'self'; img-src 'self' data:; frame-ancestors 'self'"),
@@ -383,7 +426,7 @@ def _page(page: Page) -> Response:
             ("Referrer-Policy", "no-referrer"),
         ]
     )
-    return Response(200, "OK", headers, page.body)
+    return Response(200, "OK", headers, body)
 
 
 def _listen(address: Address) -> socket.socket:

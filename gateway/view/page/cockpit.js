@@ -1,23 +1,25 @@
 // The cockpit: what comes over the wire is handed to its panels, what a person does becomes lines of the operator's
-// language. The page knows nothing that the robot did not setText, and sends nothing that nobody did.
+// language. The page knows nothing that the robot did not setText, and sends nothing that nobody did, but which signals it plots.
 
 import { Drive } from "./drive.js";
 import { $, number, setText, twice } from "./elements.js";
 import { Joints } from "./joints.js";
 import { Field } from "./map.js";
 import { log, rewind, Settings, showBuses, showFaults, showMission, showSystems } from "./panels.js";
+import { Plots } from "./plots.js";
 import { Replay } from "./replay.js";
 import { Held, Wire } from "./wire.js";
 
 const query = new URLSearchParams(location.search);
-const on = { hello, settings, note, state, answer, joints: m => joints.take(m), path: (m, b) => field.takePath(m, b),
+const on = { hello, settings, note, state, answer, joints: rows, signals: (m, b) => plots.takeSignals(m, b), path: (m, b) => field.takePath(m, b),
   scan: (m, b) => field.takeScan(m, b), tiles: (m, b) => field.takeTiles(m, b) };
 const wire = new Wire(query.get("scene") === "2" ? "/cockpit/2" : "/cockpit", on, lost);
 const held = new Held(wire, refused);
 const drive = new Drive(held);
 const field = new Field((x, y, yaw) =>
   ask(`goal ${x.toFixed(3)} ${y.toFixed(3)}` + (yaw === null ? "" : ` ${((yaw * 180) / Math.PI).toFixed(1)}`)));
-const joints = new Joints(wire, held);
+const plots = new Plots(wire);
+const joints = new Joints(wire, held, plots);
 $("both").search = location.search;
 const table = new Settings(wire);
 const replay = new Replay(wire);
@@ -46,7 +48,8 @@ function hello(message) {
   $("aim").hidden = !steer;
   field.steer = steer;
   field.reset(base?.outline ?? [], message.walls ?? []);
-  joints.reset(message.joints, steer);
+  joints.reset(message, steer);
+  plots.reset(message);
   drive.enable(steer ? base : null);
   table.reset(steer);
   $("log").replaceChildren();
@@ -54,6 +57,11 @@ function hello(message) {
 
 function settings(message) {
   table.take(message);
+}
+
+function rows(message) {
+  joints.take(message);
+  plots.takeRows(message);
 }
 
 function note(message) {

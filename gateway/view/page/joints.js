@@ -1,82 +1,93 @@
-// The joints: values, the last 20 s of command and feedback, and how bare joints are moved by hand.
+// The joints: a row each, whose values are plotted by a click; below it what more there is of a joint, and what moves it.
 
 import { $, button, holdable, make, number, setText, twice } from "./elements.js";
 
-const SPAN = 20; // s
-const GAP = 1; // s without a value that are drawn as such
-const PERIOD = 90; // ms between two drawings
-const QUANTITIES = { position: 4, velocity: 5, torque: 6 }; // where they are in a row
-const UNITS = { position: "rad", velocity: "rad/s", torque: "N·m" };
 const PLOTTED = { Velocity: "velocity", Position: "position", Impedance: "position", Torque: "torque" };
-const VALUES = [["velocity", 5, 2, "rad/s"], ["position", 4, 3, "rad"], ["torque", 6, 3, "N·m"], ["current", 7, 2, "A"],
-  ["voltage", 8, 1, "V"], ["temperature", 9, 1, "°C"]];
+const CONTROLLED = [["position", 4, 3], ["velocity", 5, 2], ["torque", 6, 3]];
+const COLUMNS = [...CONTROLLED, ["temperature", 9, 0], ["age", 10, 0]]; // quantity, where it is in a row, digits
+const MORE = [["current", 7, 2], ["voltage", 8, 1]];
+const FAULTS = 11;
+const SHARE = 0.1; // of a limit, with which a joint is moved unless another value is typed
+const LONG = 9999; // ms, from which an age is only said to be long
 
 export class Joints {
-  constructor(wire, held) {
-    Object.assign(this, { wire, held, cards: [], times: [], drawn: 0 });
-    $("quantity").addEventListener("change", () => this.draw());
-    $("jog").addEventListener("input", () => setText($("jog-share"), `${$("jog").value} %`));
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
-    this.seen = new IntersectionObserver(entries => {
-      for (const entry of entries) this.cards[entry.target.dataset.row].visible = entry.isIntersecting;
-    });
+  // `plots`: what a click on a value plots.
+  constructor(wire, held, plots) {
+    Object.assign(this, { wire, held, plots, rows: [], steer: false });
+    plots.changed = () => this.press();
   }
 
   // Show the joints of a robot; `steer`: whether those that are bare can be moved.
-  reset(joints, steer) {
-    this.seen.disconnect();
-    for (const card of this.cards) card.plot.destroy();
-    Object.assign(this, { times: [], steer });
-    const bare = joints.some(joint => joint.moves === "joint");
-    $("jogging").hidden = !(steer && bare);
-    this.cards = joints.map((joint, row) => this.card(joint, row, steer && joint.moves === "joint"));
-    $("joints").replaceChildren(...this.cards.map(card => card.element));
-    for (const card of this.cards) this.seen.observe(card.element);
+  reset({ joints, quantities }, steer) {
+    Object.assign(this, { steer, units: quantities ?? {} });
+    this.rows = joints.map(joint => this.row(joint, steer && joint.moves === "joint"));
+    for (const [id, quantity] of COLUMNS.map(([name]) => [`u-${name}`, name])) setText($(id), this.units[quantity] ?? "");
+    $("joints").replaceChildren(...this.rows.flatMap(row => [row.element, row.more]));
   }
 
-  card(joint, row, move) {
+  row(joint, move) {
+    const { name } = joint;
+    const values = new Map();
+    const value = (quantity, label = "") => {
+      const shown = make("span", { className: "num", textContent: "–" });
+      const one = button("", () => this.plots.toggle(name, quantity), { className: "value", title: `plot ${quantity} of ${name}` });
+      one.append(label, shown);
+      values.set(quantity, { button: one, shown });
+      return one;
+    };
+    const open = button(name, () => {
+      more.hidden = !more.hidden;
+      open.setAttribute("aria-expanded", !more.hidden);
+    }, { className: "open", title: `more of ${name}` });
+    open.setAttribute("aria-expanded", false);
     const mode = make("span", { className: "chip" });
-    const clear = button("Clear faults", () => this.wire.ask(`clear ${joint.name}`), { hidden: true });
-    const values = {};
-    const list = make("dl", { className: "facts" });
-    for (const name of ["command", ...VALUES.map(([name]) => name), "feedback"]) {
-      values[name] = make("dd", { className: "num", textContent: "–" });
-      list.append(make("div", {}, make("dt", { textContent: name }), values[name]));
-    }
-    const box = make("div", { className: "plot" });
-    const element = make("article", { className: "joint" },
-      make("div", { className: "row" }, make("h3", { textContent: joint.name }), mode,
-        make("span", { className: "dim", textContent: `${joint.protocol}, ${joint.bus} ${joint.address}` }), clear),
-      list, box);
-    element.dataset.row = row;
-    if (move) element.append(this.controls(joint));
-    const card = { element, mode, clear, values, box, rows: [], visible: true, plot: null };
-    card.plot = this.plot(box);
-    new ResizeObserver(() => card.plot.setSize({ width: box.clientWidth, height: 110 })).observe(box);
-    return card;
+    const command = button("", () => this.plots.toggle(name, `${command.quantity} command`), { className: "value", quantity: "velocity", title: `plot the command of ${name}` });
+    command.append(make("span", { className: "num", textContent: "–" }), make("small"));
+    const fault = make("td");
+    const element = make("tr", { className: "joint" }, make("td", {}, make("div", {}, open, mode)), make("td", {}, command),
+      ...COLUMNS.map(([quantity]) => make("td", {}, value(quantity))), fault);
+    const others = Object.keys(this.units).filter(one => !COLUMNS.some(([quantity]) => quantity === one));
+    const cell = make("td", { colSpan: element.children.length }, make("p", { className: "dim", textContent: `${joint.protocol}, ${joint.bus} ${joint.address}` }),
+      make("div", { className: "row" }, ...others.map(quantity => value(quantity, `${quantity} `))));
+    if (move) cell.append(this.controls(joint));
+    if (this.steer) cell.append(this.parameters(joint));
+    const more = make("tr", { className: "more", hidden: true }, cell);
+    return { name, element, more, mode, command, fault, values, clear: null };
   }
 
+  // What moves a bare joint: as long as a button is held, to a position, and where it is.
   controls({ name, commands, requests, limits }) {
     const box = make("div", { className: "row controls" });
     const ask = line => this.wire.ask(`${line} ${name}`);
-    if (commands.includes("Velocity"))
-      for (const [text, sign] of [["− jog", -1], ["jog +", 1]]) {
+    const turned = ["Velocity", "Torque"].filter(kind => commands.includes(kind));
+    if (turned.length) {
+      const kind = make("select", { ariaLabel: `what is commanded of ${name}` }, ...turned.map(one => make("option", { value: one.toLowerCase(), textContent: `${one.toLowerCase()} [${this.units[one.toLowerCase()] ?? ""}]` })));
+      const size = make("input", { type: "number", min: 0, step: "any", required: true, ariaLabel: `with how much ${name} is moved` });
+      const rest = () => {
+        const most = limits[kind.value];
+        Object.assign(size, { value: Number((SHARE * most).toPrecision(3)), max: most });
+      };
+      kind.addEventListener("change", rest);
+      rest();
+      const hold = (text, sign) => {
         const one = button(text, null, { className: "hold", title: "as long as it is held" });
-        const line = () => `velocity ${name} ${((sign * limits.velocity * $("jog").value) / 100).toFixed(4)}`;
         let holding = false;
         holdable(one, () => {
-          if (holding) return; // by a second finger, or by Enter
+          if (holding || !size.reportValidity()) return; // by a second finger, or by Enter
           holding = true;
           one.classList.add("held");
-          this.held.begin(line, () => {
+          const line = `${kind.value} ${name} ${sign * size.value}`;
+          this.held.begin(() => line, () => {
             holding = false;
             one.classList.remove("held");
           });
         }, () => holding && this.held.end());
-        box.append(one);
-      }
+        return one;
+      };
+      box.append(make("span", { className: "inline" }, kind, size), hold("− hold", -1), hold("hold +", 1));
+    }
     if (commands.includes("Position")) {
-      const input = make("input", { type: "number", step: "any", required: true, ariaLabel: `position of ${name} [rad]`, placeholder: "rad" });
+      const input = make("input", { type: "number", step: "any", required: true, ariaLabel: `position of ${name} [rad]`, placeholder: "rad", className: "to" });
       const form = make("form", { className: "inline" }, input, make("button", { textContent: "Go to" }));
       form.addEventListener("submit", event => {
         event.preventDefault();
@@ -91,71 +102,64 @@ export class Joints {
     return box;
   }
 
-  plot(box) {
-    const colour = name => () => getComputedStyle(document.documentElement).getPropertyValue(name);
-    const axis = { stroke: colour("--dim"), grid: { stroke: colour("--line"), width: 1 }, ticks: { show: false }, font: "11px system-ui" };
-    const range = (_, low, high) => {
-      if (low === null) return [-1, 1];
-      const pad = Math.max(0.1, (high - low) * 0.1);
-      return [low - pad, high + pad];
-    };
-    return new uPlot({
-      width: box.clientWidth || 300, height: 110, legend: { show: false }, cursor: { show: false }, padding: [6, 14, 0, 0],
-      scales: { x: { time: false, range: () => [-SPAN, 0] }, y: { range } },
-      axes: [{ ...axis, size: 22, values: (_, ticks) => ticks.map(v => `${v} s`) }, { ...axis, size: 46 }],
-      series: [{}, { stroke: colour("--command"), width: 2, paths: uPlot.paths.stepped({ align: 1 }), points: { show: false } },
-        { stroke: colour("--feedback"), width: 1.5, points: { show: false } }],
-    }, [[], [], []], box);
-  }
-
-  take({ t, rows }) {
-    const { times } = this;
-    let kept = times.length; // what is later is not true any more after a jump back in a recording
-    while (kept && times[kept - 1] >= t) kept--;
-    const old = times[0] < t - SPAN - 2 ? times.filter(each => each < t - SPAN).length : 0;
-    for (const list of [times, ...this.cards.map(card => card.rows)]) {
-      list.length = kept;
-      list.splice(0, old);
-    }
-    const before = times.at(-1);
-    if (t - before > GAP) { // a jump, or silence: no line over it
-      times.push((before + t) / 2);
-      for (const { rows } of this.cards) rows.push([]);
-    }
-    times.push(t);
-    this.cards.forEach((card, i) => card.rows.push(rows[i]));
-    const now = performance.now();
-    if (now - this.drawn < PERIOD) return;
-    this.drawn = now;
-    this.frame ??= requestAnimationFrame(() => {
-      this.frame = null;
-      this.draw();
+  // The device's own parameters, its gains among them, by its own names: read, and written when pressed twice.
+  parameters({ name, requests, parameters }) {
+    const box = make("form", { className: "row parameters" });
+    if (!requests.includes("ReadParameter")) return box;
+    const list = make("datalist", { id: `parameters of ${name}` }, ...(parameters ?? []).map(value => make("option", { value })));
+    const which = make("input", { required: true, maxLength: 200, placeholder: "parameter", spellcheck: false, ariaLabel: `a parameter of ${name}` });
+    which.setAttribute("list", list.id);
+    box.append(list, which, make("button", { textContent: "Read" }));
+    box.addEventListener("submit", event => {
+      event.preventDefault();
+      this.wire.ask(`read ${name} ${which.value.trim()}`);
     });
+    if (!requests.includes("WriteParameter")) return box;
+    const value = make("input", { type: "number", step: "any", placeholder: "value", ariaLabel: `its value for ${name}` });
+    box.append(value, twice(button("Write …"), () =>
+      which.reportValidity() && value.value && this.wire.ask(`write ${name} ${which.value.trim()} ${value.value}`)));
+    return box;
   }
 
-  draw() {
-    const { times } = this;
-    if (!times.length) return;
-    const name = $("quantity").value;
-    const x = times.map(t => t - times[times.length - 1]);
-    for (const card of this.cards) {
-      if (!card.rows.length) continue;
-      this.show(card, card.rows[card.rows.length - 1]);
-      if (!card.visible) continue;
-      const command = card.rows.map(row => (PLOTTED[row[2]] === name ? row[3] : null));
-      card.plot.setData([x, command, card.rows.map(row => row[QUANTITIES[name]] ?? null)]);
-    }
+  take({ rows }) {
+    this.rows.forEach((row, i) => rows[i] && this.show(row, rows[i]));
   }
 
-  show({ mode, clear, values }, row) {
-    const [state, armed, kind, value] = row;
+  show({ name, mode, command, fault, values }, row) {
+    const [state, armed, kind, wanted] = row;
     setText(mode, armed && state !== "armed" ? `${state}, armed` : state);
     mode.dataset.state = state;
     const quantity = PLOTTED[kind];
-    setText(values.command.previousSibling, quantity ? `→ ${kind}` : "command");
-    setText(values.command, quantity ? number(value, 2, UNITS[quantity]) : kind || "–");
-    for (const [name, at, digits, unit] of VALUES) setText(values[name], number(row[at], digits, unit));
-    setText(values.feedback, row[10] === null ? "none yet" : row[10] > 9999 ? "long ago" : `${row[10]} ms ago`);
-    clear.hidden = !(row[11] && this.steer);
+    if (quantity && quantity !== command.quantity) {
+      command.quantity = quantity;
+      this.press();
+    }
+    setText(command.firstChild, quantity ? number(wanted, 2) : kind || "–");
+    setText(command.lastChild, quantity ? ` ${this.units[quantity] ?? ""}` : "");
+    const put = (quantity, text) => values.has(quantity) && setText(values.get(quantity).shown, text);
+    for (const [quantity, at, digits] of [...COLUMNS, ...MORE])
+      put(quantity, quantity === "age" && row[at] > LONG ? "long" : number(row[at], digits));
+    for (const [of, at, digits] of CONTROLLED) {
+      const known = of === quantity && wanted !== null;
+      put(`${of} command`, number(known ? wanted : null, digits));
+      put(`${of} error`, number(known && row[at] !== null ? wanted - row[at] : null, digits));
+    }
+    const faults = row[FAULTS];
+    if (fault.faults === faults && fault.steer === this.steer) return;
+    Object.assign(fault, { faults, steer: this.steer });
+    fault.replaceChildren(...(!faults ? [] : this.steer ? [button("Clear", () => this.wire.ask(`clear ${name}`), { ariaLabel: `clear the faults of ${name}` })]
+      : [make("b", { className: "bad", textContent: `${faults}` })]));
+  }
+
+  // Show which values are plotted, with their colours.
+  press() {
+    for (const { name, command, values } of this.rows) {
+      const shown = [[command, `${command.quantity} command`], ...[...values].map(([quantity, { button }]) => [button, quantity])];
+      for (const [one, quantity] of shown) {
+        const colour = this.plots.colour(name, quantity);
+        one.setAttribute("aria-pressed", Boolean(colour));
+        one.style.setProperty("--of", colour ?? "");
+      }
+    }
   }
 }

@@ -1,6 +1,6 @@
 // What the robot reports of itself: the three systems, the mission, faults, buses, settings and the log.
 
-import { $, button, make, number, setText } from "./elements.js";
+import { $, button, clock, make, number, setText } from "./elements.js";
 
 const KEPT = 300; // lines of the log
 const MARKS = { info: "i", warning: "! warning", error: "✖ error", asked: "›", answer: "=", refused: "✖ refused" };
@@ -109,8 +109,6 @@ export function log(level, text, source = "", t = null) {
 export function rewind(t) {
   while ($("log").firstChild?.t > t) $("log").firstChild.remove();
 }
-
-const clock = t => `${Math.floor(t / 60)}:${(t % 60).toFixed(2).padStart(5, "0")}`;
 
 // -- settings -------------------------------------------------------------------------------------
 

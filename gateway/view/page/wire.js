@@ -1,5 +1,5 @@
 // The page's end of the wire: gateway/view/cockpit.py describes what goes over it. Nothing is sent by itself, but that the
-// page is still there.
+// page is still there, and which signals it plots.
 
 const RETRY = 1000; // ms between attempts to connect
 const SILENT = 1500; // ms without a message after which a person is warned,

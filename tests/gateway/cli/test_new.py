@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from jsonschema import Draft7Validator
 
 from gateway.cli import new
 from gateway.cli.main import main
@@ -411,6 +412,10 @@ def test_on_a_terminal_it_is_asked_for_and_an_end_of_the_input_writes_nothing(
     assert main([*words, "--which", "ask"]) == 0
     assert "the devices' own limits are not read: " in capsys.readouterr().out
     assert load_robot(robot).motors["right"].joint.sign == -1
+    first, _, table = robot.read_text("utf-8").partition("\n")
+    assert first == "#:schema ./robot.schema.json"  # as taplo and Even Better TOML look for it
+    schema = json.loads(robot.with_name("robot.schema.json").read_text("utf-8"))
+    Draft7Validator(schema).validate(tomllib.loads(table))
 
 
 TWINS = tuple(part(at, interface="twin") for at in (11, 12, 13))

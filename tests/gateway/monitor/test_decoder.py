@@ -14,7 +14,15 @@ from gateway import config
 from gateway.core.robot import BusSettings
 from gateway.monitor import render
 from gateway.monitor.candidates import choices, of_plugins, of_robot
-from gateway.monitor.decoder import MAX_IDS, MIN_EVENTS, WINDOW, BusMonitor, at_joint
+from gateway.monitor.decoder import (
+    AGAIN,
+    MAX_IDS,
+    MIN_EVENTS,
+    MOST_IN_VAIN,
+    WINDOW,
+    BusMonitor,
+    at_joint,
+)
 from gateway.monitor.state import DecodedPacket, DeviceRecord, ProtocolVariant, Rate
 from protocols import messages as msg
 from protocols.conformance.bench import DriverWrapper, Messages
@@ -250,6 +258,35 @@ def test_unknown_ids_are_listed_with_their_rates_the_busiest_first() -> None:
     assert "12345678" in text
     assert "#010203" in text
     assert monitor.not_understood("can0") == 220
+
+
+class Counts(ReceiveOnly):
+    """A driver that counts what it is asked to decode."""
+
+    asked = 0
+
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        type(self).asked += 1
+        return super().receive(t, frame)
+
+
+def test_an_id_that_means_nothing_to_any_protocol_is_soon_only_counted() -> None:
+    """Of no device's ids: no driver is asked. Of some, in vain: once in a while, until it means something."""
+    variants = list(of_plugins(CAN, PLUGINS))
+    for variant in variants:
+        variant.driver = Counts(variant.driver)
+    monitor = BusMonitor({"can0": CAN}, variants, 0, known=False)
+    Counts.asked = 0
+    decode(monitor, *((i, CanFrame(0x1ABCDE00, bytes(8), extended=True)) for i in range(1000)))
+    assert Counts.asked == 0
+    short = CanFrame(odrive("Heartbeat", 5, 0, 1, 0, 0).id, b"")  # no message of any device
+    decode(monitor, *((i, short) for i in range(1000, 2000)))
+    each = sum(1 for one in variants if short.id in monitor._ids_of[id(one)])
+    assert each > 0
+    assert Counts.asked <= each * (MOST_IN_VAIN + 900 // AGAIN + 1)
+    decode(monitor, *((i, odrive("Heartbeat", 5, 0, 1, 0, 0)) for i in range(2000, 2000 + 4 * AGAIN)))
+    assert "odrive_can" in {record.variant.protocol for record in monitor.found.values()}
+    assert monitor.ids["can0", False, False, short.id].rate.total == 1000 + 4 * AGAIN
 
 
 def test_devices_on_a_serial_bus_are_found_whatever_their_options() -> None:

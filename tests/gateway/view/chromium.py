@@ -105,8 +105,15 @@ class Tab:
         self.call("Input.dispatchTouchEvent", type=kind, touchPoints=points)
 
     def click(self, selector: str) -> None:
-        """Click on the middle of an element."""
-        at = self.middle(selector)
+        """Click on the middle of an element, once it has stood for two frames where it is."""
+        frames = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
+
+        def stands() -> tuple[float, float] | None:
+            before = self.middle(selector)
+            self.run(frames)
+            return before if self.middle(selector) == before else None
+
+        at = wait(stands, f"{selector} that stands")
         self.mouse("mousePressed", at)
         self.mouse("mouseReleased", at)
 

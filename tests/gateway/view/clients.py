@@ -55,8 +55,8 @@ class Browser:
     def send(self, message: object) -> None:
         """Send text as it is, bytes as they are, anything else as JSON; a line with the newest time of the
         gateway's, as the page does."""
-        if isinstance(message, dict) and "ask" in message and (joints := self.of("joints")):
-            message |= {"heard": joints[-1].get("clock")}
+        if isinstance(message, dict) and "ask" in message and (timed := self.of("signals")):
+            message |= {"heard": timed[-1].get("clock")}
         if isinstance(message, bytes):
             self.protocol.send_binary(message)
         else:
@@ -64,7 +64,7 @@ class Browser:
 
     def hold(self, line: str) -> None:
         """Hold what a line asks, as the page does."""
-        self.send({"held": line, "heard": self.of("joints")[-1]["clock"]})
+        self.send({"held": line, "heard": self.of("signals")[-1]["clock"]})
 
     def write(self, data: bytes) -> None:
         """Send bytes that are no message."""

@@ -24,7 +24,7 @@ import gateway
 from gateway.core.tick import Tick
 from gateway.operator import commands
 from gateway.operator.commands import parse
-from protocols.messages import SECOND, Drive, Goal, Instruction, Nanos, Stop, Velocity
+from protocols.messages import SECOND, Drive, Goal, Instruction, Nanos, Stop, Torque, Velocity
 
 FAR, HOME = 0.7, Goal(0.0, 0.0)
 """m from where it began, from where it drives back: what is held drives as long as a busy machine takes."""
@@ -50,7 +50,7 @@ class Robot:
         """See a tick."""
         self.number, self.now = tick.number, tick.now
         for one in tick.inputs.instructions:
-            if isinstance(one, Drive | Velocity):
+            if isinstance(one, Drive | Torque | Velocity):
                 self.held = tick.number, repr(one)
             else:
                 self.asked.append((tick.number, repr(one)))

@@ -6,6 +6,7 @@ What a robot cannot be made to say (hostile names, a recording that differs) is 
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 import re
@@ -16,6 +17,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from functools import partial
 from importlib import resources
+from math import sin
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +25,7 @@ import pytest
 
 from gateway import Goal, open_session
 from gateway.view.access import Access, Address
+from gateway.view.scene import QUANTITIES
 from gateway.view.server import Server
 from gateway.view.view import pages
 from protocols.messages import SECOND
@@ -271,7 +274,7 @@ def test_what_swallows_the_release_of_a_key_ends_what_is_held(
 
 KEY_HAS_A_USE = [
     ("#log", "ArrowUp"), ("#rows", "ArrowDown"), ("#speed", "ArrowRight"), ("#line", "KeyW"),
-    ("#quantity", "KeyS"),
+    ("#span", "KeyS"),
 ]  # fmt: skip
 
 
@@ -371,7 +374,7 @@ def test_what_is_held_brings_the_gateways_newest_time_and_ends_once_that_is_too_
     drive = "drive 0.500 0.000 0.000"
     tab.key("keyDown", "KeyW", "w")
     for clock in (1234, 1300):
-        fake.say("joints", clock=clock, t=clock / 1e3, rows=[])
+        fake.say_bytes({"kind": "signals", "clock": clock, "id": 0, "rows": 0}, b"")
         held = {"held": drive, "heard": clock}
         fake.until(partial(lambda held: fake.received[-1:] == [held], held), "its time")
     fake.say("answer", id=None, held=True, ok=False, text="the link is slow")
@@ -467,7 +470,9 @@ def test_samples_come_as_often_as_the_loop_allows(tab: Tab, diffbot: Robot) -> N
     came = [one for _, one in tab.run("seen.in")]
     ticks, span = last["tick"] - first["tick"], last["t"] - first["t"]
     print(f"of {ticks / span:.0f} ticks a second, to the page each second:", end=" ")
-    for kind, every in (("joints", 4), ("state", 20)):
+    signals = [one["rows"] for one in came if one["kind"] == "signals" and first["t"] < one.get("t", 0.0)]
+    assert sum(signals) >= ticks - 40  # every tick of what is plotted, but what is under way
+    for kind, every in (("joints", 20), ("state", 20)):
         times = [one["t"] for one in came if one["kind"] == kind and first["t"] < one["t"] <= last["t"]]
         print(f"{len(times) / span:.0f} {kind}", end=" ")
         assert times == sorted(times)
@@ -594,26 +599,179 @@ def test_nothing_is_wider_than_the_window(browser: Chromium, fake: Fake, width: 
     assert tab.run("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
     right = "getBoundingClientRect().right"
     assert tab.run(
-        f"[...document.querySelectorAll('.joint')].every(one => one.{right} < one.closest('.panel').{right})"
+        f"[...document.querySelectorAll('.joint')].every(one => one.{right} <= one.closest('.panel').{right})"
     )
 
 
 def test_bare_joints_are_moved_by_hand(browser: Chromium, bench: Robot) -> None:
     tab = opened(browser, bench.url)
     assert tab.run("document.querySelector('#map').hidden && document.querySelector('#drive').hidden")
-    at = tab.middle(".joint:nth-of-type(2) .hold:nth-of-type(2)")
+    tab.until("document.querySelectorAll('.joint').length === 2")
+    for row in (1, 2):
+        tab.click(f".joint:nth-of-type({2 * row - 1}) .open")
+    right = ".more:nth-of-type(4)"
+    tab.until(f"document.querySelector('{right} .hold').checkVisibility()")
+    at = tab.middle(f"{right} .hold:nth-of-type(2)")
     tab.mouse("mousePressed", at)
     bench.held("Velocity(motor='right', velocity=2.0")
     wait(lambda: bench.look()["speeds"]["right"] > 1.0, "turning")
     tab.mouse("mouseReleased", at)
     bench.held("Velocity(motor='right', velocity=0.0")
-    tab.type(".joint input", "0.5")
-    wait(lambda: "0.50" in tab.text(".joint dl"), "its position")
+    bench.stands()
+    tab.run(
+        f"(one => {{ one.value = 'torque'; one.dispatchEvent(new Event('change')); }})"
+        f"(document.querySelector('{right} select'))"
+    )
+    tab.type(f"{right} [type=number]", "0.05", enter=False)
+    at = tab.middle(f"{right} .hold")
+    tab.mouse("mousePressed", at)
+    bench.held("Torque(motor='right', torque=-0.05")
+    tab.mouse("mouseReleased", at)
+    bench.held("Torque(motor='right', torque=0.0")
+    tab.type(".more input.to", "0.5")
+    position = "document.querySelector('.joint [title=\"plot position of left\"]').textContent"
+    tab.until(f"{position}.startsWith('0.5')")
     patient(tab)
-    tab.run("document.querySelector('.joint .controls > button:last-child').click()")
-    tab.run("document.querySelector('.joint .controls > button:last-child').click()")
+    button = "[...document.querySelectorAll('.more .controls button')].find(one => one.textContent === '{}')"
+    tab.run(f"{button.format('Zero …')}.click()")
+    tab.run(f"{button.format('Press again')}.click()")
     wait(lambda: bench.asked("Zero"), "zero")
     assert bench.asked("Zero")[0] == "Zero(motor='left')"
+
+
+def test_a_parameter_of_a_device_is_read(browser: Chromium, bench: Robot) -> None:
+    tab = opened(browser, bench.url)
+    tab.until("document.querySelectorAll('.joint').length === 2")
+    tab.click(".joint .open")
+    tab.until("document.querySelector('.parameters').checkVisibility()")
+    tab.type(".parameters input", "Bus_Voltage")
+    tab.until("document.querySelector('#log').textContent.includes('Bus_Voltage')")
+    assert bench.asked("ReadParameter")[0].endswith("'Bus_Voltage')")
+
+
+# -- plots -------------------------------------------------------------------------------------------
+
+SHOWN = (
+    "[...document.querySelectorAll('.signal')].map(one => one.textContent.split(' ').slice(0, -3).join(' '))"
+)
+"""The signals of the plot, by their joints and quantities."""
+
+
+def plotting(browser: Chromium, fake: Fake, joints: int = 3) -> Tab:
+    """Return a page that plots the age and the velocity of a joint: 10 s of a sine, a tick each 5 ms."""
+    tab = fake.show(browser, hello(joints=[f"joint{number}" for number in range(joints)], base=False))
+    for joint in ("joint0", "joint1"):
+        assert tab.run(SHOWN)[:2] == [f"{joint} velocity command", f"{joint} velocity"]
+        for _ in range(2):
+            tab.run("document.querySelector('.signal').click()")
+    assert tab.run(SHOWN) == []
+    assert tab.run("document.querySelector('#no-signals').checkVisibility()")
+    for quantity in ("age", "velocity"):
+        tab.run(f"document.querySelector('[title=\"plot {quantity} of joint1\"]').click()")
+    asked = fake.until(lambda: chosen(fake, [["joint1", "age"], ["joint1", "velocity"]]), "the choice")
+    rows = [(number * 0.005, number % 5, sin(number * 0.005)) for number in range(2001)]
+    data = struct.pack(f"<{3 * len(rows)}f", *(value for row in rows for value in row))
+    fake.say_bytes({"kind": "signals", "clock": 0, "id": asked["id"], "t": 100.0, "rows": len(rows)}, data)
+    fake.until(lambda: tab.run("document.querySelector('#plot-time').textContent === '1:50.00'"))
+    return tab
+
+
+def chosen(fake: Fake, signals: list[list[str]]) -> Any:
+    """Return the newest choice of what is plotted, once it is this."""
+    asked = [one["plot"] for one in fake.received if "plot" in one]
+    return asked and asked[-1]["signals"] == signals and asked[-1]
+
+
+def saved(tab: Tab, folder: Path) -> list[list[str]]:
+    """Press CSV, and return the rows of the file."""
+    for old in folder.glob("*.csv"):
+        old.unlink()
+    tab.chromium.call("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(folder))
+    tab.click("#csv")
+    file = wait(lambda: next(folder.glob("*.csv"), None), "a file")
+    wait(lambda: file.read_bytes().endswith(b"\r\n"), "all of it")
+    return list(csv.reader(file.read_bytes().decode().splitlines()))
+
+
+def test_what_is_plotted_is_zoomed_read_at_a_cursor_and_saved(
+    browser: Chromium, fake: Fake, tmp_path: Path
+) -> None:
+    tab = plotting(browser, fake)
+    assert tab.run(SHOWN) == ["joint1 age", "joint1 velocity"]
+    pressed = "[...document.querySelectorAll('.joint [aria-pressed=true]')].map(one => one.title)"
+    assert tab.run(pressed) == ["plot velocity of joint1", "plot age of joint1"]
+    rows = saved(tab, tmp_path)
+    assert rows[0] == ["t [s]", "joint1 age [ms]", "joint1 velocity [rad/s]"]
+    assert len(rows) == 1 + 2001
+    assert [float(one) for one in rows[-1]] == pytest.approx([110.0, 0, sin(10.0)], abs=1e-4)
+
+    x, y = tab.middle("#plot .u-over")
+    tab.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)  # the middle of 20 s: 100.0
+    tab.until("document.querySelector('#plot-time').textContent.startsWith('1:40.0')")
+    newest = tab.run("[...document.querySelectorAll('.signal .num')].map(one => one.textContent)")
+    assert float(newest[1]) == pytest.approx(0.0, abs=0.1)
+    width = tab.run("document.querySelector('#plot .u-over').clientWidth")
+    tab.mouse("mousePressed", (x + width / 4, y))  # 105 s to
+    tab.mouse("mouseMoved", (x + width * 3 / 8, y))
+    tab.mouse("mouseReleased", (x + width * 3 / 8, y))  # 107.5 s
+    tab.until("document.querySelector('#pause').textContent === 'Follow'")
+    rows = saved(tab, tmp_path)
+    seen = [float(row[0]) for row in rows[1:]]
+    assert [seen[0], seen[-1]] == pytest.approx([105.0, 107.5], abs=0.2)
+    tab.run("document.querySelector('#pause').click()")
+    assert tab.text("#pause") == "Pause"
+    assert len(saved(tab, tmp_path)) == 1 + 2001
+    tab.run("document.querySelector('#span').value = 5")
+    tab.run("document.querySelector('#span').dispatchEvent(new Event('change'))")
+    assert len(saved(tab, tmp_path)) == 1 + 1001
+
+
+def test_a_signal_that_is_added_has_its_past_from_the_rows_of_the_last_minute(
+    browser: Chromium, fake: Fake, tmp_path: Path
+) -> None:
+    tab = plotting(browser, fake)
+    row = ["armed", True, "Velocity", 1.0, 0.5, 0.25, 0.125, 1.0, 24.0, 30.0, 3, 0]
+    for tenth in range(101):
+        fake.say("joints", t=100.0 + tenth / 10, rows=[row, [*row[:5], tenth, *row[6:]], row])
+    fake.until(lambda: tab.run("document.querySelector('.joint .chip').textContent === 'armed'"))
+    tab.run("document.querySelector('[title=\"plot torque of joint2\"]').click()")
+    rows = saved(tab, tmp_path)
+    assert rows[0][3] == "joint2 torque [N·m]"
+    assert {one[3] for one in rows[1:]} == {"0.125"}
+    first = tab.run("[...document.querySelectorAll('.more .value')].map(one => one.textContent)")
+    assert "velocity error 0.75" in first
+    assert "velocity command 1.00" in first
+
+
+def test_after_a_jump_back_what_was_later_is_not_plotted_any_more(
+    browser: Chromium, fake: Fake, tmp_path: Path
+) -> None:
+    tab = plotting(browser, fake)
+    asked = [one["plot"] for one in fake.received if "plot" in one][-1]
+    again = {"kind": "signals", "clock": 0, "id": asked["id"], "t": 104.0, "rows": 1}
+    fake.say_bytes(again, struct.pack("<3f", 0.0, 9.0, 9.0))
+    tab.until("document.querySelector('#plot-time').textContent === '1:44.00'")
+    stale = {"kind": "signals", "clock": 0, "id": asked["id"] - 1, "t": 105.0, "rows": 1}
+    fake.say_bytes(stale, struct.pack("<3f", 0.0, 9.0, 9.0))  # of another choice: no rows of this plot
+    rows = saved(tab, tmp_path)
+    assert len(rows) == 1 + 801
+    assert [float(one) for one in rows[-1]] == [104.0, 9.0, 9.0]
+
+
+@pytest.mark.parametrize(("width", "height"), [(1440, 900), (390, 844)])
+def test_twelve_joints_and_their_plot_fill_no_more_than_a_screen_and_a_half(
+    browser: Chromium, fake: Fake, width: int, height: int
+) -> None:
+    tab = fake.show(browser, hello(joints=[f"rear_{n}_knee" for n in range(12)], base=False), width=width)
+    row = ["initialising", True, "Velocity", -12.345, -12.345, -12.34, -12.345, 1.0, 24.0, 30.0, 3, 0]
+    fake.say("joints", t=1.0, rows=[row] * 12)
+    tab.until("document.querySelector('.joint .chip').textContent === 'initialising, armed'")
+    box = "document.querySelector('{}').getBoundingClientRect()"
+    tall = tab.run(f"{box.format('#plot')}.bottom - {box.format('#joints-panel')}.top")
+    assert tall < 1.5 * height
+    scrolled = "document.querySelector('#joints-panel .scroll')"
+    assert tab.run(f"{scrolled}.scrollWidth <= {scrolled}.clientWidth")
+    assert tab.run("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
 
 
 @pytest.mark.parametrize("second", ["finger", "Enter"])
@@ -621,6 +779,7 @@ def test_a_button_that_is_pressed_twice_ends_what_it_holds(
     browser: Chromium, fake: Fake, second: str
 ) -> None:
     tab = fake.show(browser, hello(joints=["arm"], base=False))
+    tab.run("document.querySelector('.open').click()")
     x, y = tab.middle(".hold:nth-of-type(2)")
     tab.touch((x, y))
     if second == "finger":
@@ -645,7 +804,7 @@ def test_without_steer_a_page_can_only_look_and_stop(browser: Chromium) -> None:
         tab.mouse("mouseReleased", at)
         tab.key("keyDown", "KeyW", "w")
         tab.key("keyUp", "KeyW", "w")
-        assert tab.run("seen.out.length") == 0
+        assert {key for one in tab.run("seen.out.map(one => one[1])") for key in one} == {"plot"}
         tab.type("#line", "goal 1 1")
         tab.until("document.querySelector('#log .refused')?.textContent.includes('read-only')")
         tab.click("#stop")
@@ -703,6 +862,10 @@ def test_two_recordings_are_played_beside_each_other(browser: Chromium, tmp_path
             tab.until(f"{FRAMES}[{page}].querySelector('#prepared').textContent.startsWith('100 %')")
             tab.until(f"!{FRAMES}[{page}].querySelector('#first').hidden")
         tab.until(f"{each % ('when', 'textContent')}.every(when => when.endsWith('s'))")  # not under way
+        opened = tab.run(each % ("seek", "value"))
+        assert all(
+            0.25 < float(when) <= 1.3 for when in opened
+        )  # not before it moves: the goal is at a quarter
         ends = [f"{when[8:-2]} of {when[8:]}" for when in tab.run(each % ("when", "textContent"))]
         click = f"{FRAMES}[0].querySelector('#%s').click()"
         tab.run(click % "play")  # what is pressed in one, both do
@@ -817,6 +980,7 @@ def hello(
         "commands": ["Velocity"],
         "requests": [],
         "limits": limits,
+        "parameters": ["gain"],
     }
     outline = [[0.2, 0.1], [-0.2, 0.1], [-0.2, -0.1], [0.2, -0.1]]
     body = {
@@ -830,6 +994,7 @@ def hello(
         "robot": name,
         "mode": mode,
         "joints": [{"name": one, "moves": "joint"} | about for one in joints or []],
+        "quantities": {name: unit for name, (unit, _) in QUANTITIES.items()},
         "buses": [{"name": name, "kind": "can", "interface": name, "bitrate": 0}],
         "base": body if base else None,
         "steer": mode == "live",
@@ -1139,11 +1304,14 @@ def test_colours_have_the_contrast_that_they_need() -> None:
             for back in ("free", "unknown"):
                 on_map = colours[f"map-{what}"], colours[f"map-{back}"]
                 assert contrast(*on_map) >= 3.0, (what, back)  # 1.4.11: graphics
+        for number in range(8):
+            assert contrast(colours[f"plot-{number}"], colours["panel"]) >= 3.0, number
 
 
 def test_the_page_is_light_and_needs_no_other_server() -> None:
     files = [one for one in PAGE.iterdir() if one.suffix != ".LICENSE"]
-    assert sum(one.stat().st_size for one in files) < 130_000
+    assert sum(one.stat().st_size for one in files) < 145_000
+    assert sum(len(one.packed) for path, one in pages().items() if path != "/") < 56_000  # by gzip, as sent
     for one in files:
         if one.name != "uplot.js":
             addresses = re.findall(r"https?://[^\s\"']+", one.read_text())
