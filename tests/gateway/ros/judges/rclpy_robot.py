@@ -8,6 +8,7 @@ import json
 import math
 import sys
 import time
+from functools import partial
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
