@@ -38,8 +38,8 @@ LOAD = 0.05
 """Share of the limit of torque: after such a change, the torque to hold with is another."""
 START = 20.0
 """s that the process may take to begin; a machine may have other things to do"""
-END = 2.0
-"""s that are waited for its end"""
+END = 10.0
+"""s that are waited for its end, however busy the machine is; after that it hangs, and is killed"""
 
 State: TypeAlias = tuple[object, ...]
 
@@ -126,8 +126,11 @@ class WatchdogProcess:
         for pipe in (self._process.stdin, self._process.stdout):
             with suppress(OSError):
                 pipe.close() if pipe is not None else None
-        with suppress(subprocess.TimeoutExpired):
+        try:
             self._process.wait(END)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
 
     def _made(self, now: Nanos, gateway: Gateway) -> dict[str, Sequence[object]]:
         """Return the frames of the first driver whose state has changed, by its name; {} if none has."""
