@@ -16,7 +16,7 @@ from functools import lru_cache
 from typing import Annotated, Any, ClassVar, Literal
 
 from brain.bodies import urdf
-from brain.bodies.body import Linkage, Placement
+from brain.bodies.body import Linkage, Placement, Search
 from brain.bodies.chain import Chain, rotation
 from brain.bodies.reach import ReachSearch
 from protocols import messages as msg
@@ -139,7 +139,7 @@ class SerialArm(Linkage):
             return msg.Torque(motor, torque)
         return msg.Impedance(motor, position, 0.0, torque, 0.0, self.axes[motor].damping)
 
-    def search(self, positions: Sequence[float], place: Placement) -> ReachSearch:
+    def search(self, positions: Sequence[float], place: Placement) -> Search:
         """Return a search that leaves joints alone on which the tip does not depend."""
         attitude = None if place.attitude is None else rotation(*place.attitude)
         return ReachSearch(self.chain, positions, place[:3], attitude, self.chain.aside)

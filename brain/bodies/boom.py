@@ -93,23 +93,14 @@ class LengthSearch:
 
     boom: Boom
     inner: Search
-
-    @property
-    def done(self) -> bool:
-        """Whether it has ended."""
-        return self.inner.done
-
-    @property
-    def why(self) -> str:
-        """Why nothing was found."""
-        return self.inner.why
-
-    @property
-    def found(self) -> tuple[float, ...] | None:
-        """The lengths [m], once it has found some."""
-        angles = self.inner.found
-        return None if angles is None else self.boom.lengths(angles)
+    done: bool = False
+    found: tuple[float, ...] | None = None
+    """The lengths [m], once it has found some."""
+    why: str = ""
 
     def advance(self, iterations: int) -> bool:
         """Do some of the work; return whether it is done."""
-        return self.inner.advance(iterations)
+        self.done, self.why = self.inner.advance(iterations), self.inner.why
+        if self.inner.found is not None:
+            self.found = self.boom.lengths(self.inner.found)
+        return self.done

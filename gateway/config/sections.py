@@ -108,6 +108,9 @@ _RATES = {
 }
 
 
+_NAMED = {"serial": "a serial bus", "i2c": "an I²C bus"}
+
+
 def read_bus(name: str, table: Table, mistakes: Mistakes) -> BusSettings | None:
     """Read one bus; its devices, and its receive filter (`own_ids`), are added later."""
     at = ("buses", name)
@@ -129,10 +132,10 @@ def read_bus(name: str, table: Table, mistakes: Mistakes) -> BusSettings | None:
         text = f"found {made.data_bitrate}, expected at least the bitrate of {made.bitrate}"
         mistakes.add((*at, "data_bitrate"), text)
     if made.receive_filter == "own" and kind in OF_BYTES:
-        text = f"a bus of kind {kind!r} has no ids to filter; expected no key 'receive_filter'"
+        text = f"{_NAMED[kind]} has no ids to filter; expected no key 'receive_filter'"
         mistakes.add((*at, "receive_filter"), text)
     if "transmit_queue" in table and kind in OF_BYTES:
-        text = f"a bus of kind {kind!r} has no queue of CAN frames; expected no key 'transmit_queue'"
+        text = f"{_NAMED[kind]} has no queue of CAN frames; expected no key 'transmit_queue'"
         mistakes.add((*at, "transmit_queue"), text)
     for key in ("echo", "rs485", "dtr", "latency_ms", "turnaround_ms") if kind != "serial" else ():
         if key in table:

@@ -14,8 +14,14 @@ from brain.bodies.cylinder import Cylinder
 from gateway.config import load_robot
 from protocols.bounds import Invalid
 
-BODY = load_robot("boom").brain.body
-assert isinstance(BODY, Boom)
+
+def shipped() -> Boom:
+    body = load_robot("boom").brain.body
+    assert isinstance(body, Boom)
+    return body
+
+
+BODY = shipped()
 LIFT, FOLD = (BODY.cylinders[name] for name in ("lift", "fold"))
 PLACES = [(-0.2, -2.1), (0.0, -1.6), (0.4, -0.9), (0.85, -0.4)]
 """Joint angles [rad]"""

@@ -6,6 +6,7 @@ from __future__ import annotations
 import ctypes
 import errno
 import os
+import re
 import select
 import stat
 import threading
@@ -15,9 +16,10 @@ import pytest
 
 from gateway.buses import open_bus
 from gateway.buses.i2c import I2C_RDWR, MOST_FAILURES, I2cBus, _reason
+from gateway.config import parse_robot
 from gateway.core.clock import SimulatedClock
 from gateway.core.robot import BusSettings
-from gateway.errors import BusError
+from gateway.errors import BusError, ConfigError
 from protocols.frames import BusState, Packet
 from protocols.messages import MILLISECOND, SECOND, Nanos
 from protocols.pca9685 import table as pt
@@ -178,3 +180,52 @@ def test_no_permission_names_the_group(tmp_path: Path) -> None:
     assert "group" in text
     there = _reason("/dev/i2c-9", FileNotFoundError(errno.ENOENT, "No such file"), tmp_path)
     assert f"I²C adapters of this machine: {path}." in there
+
+
+BUS = """
+name = "head"
+rate_hz = 100
+world = "bench"
+[buses.i2c1]
+kind = "i2c"
+bitrate = 400_000
+interface = "twin"
+[motors.pan]
+protocol = "pca9685"
+bus = "i2c1"
+address = 0
+gear = 1.0
+limits = { velocity = 4.0, acceleration = 40.0, torque = 1.0, position = [-0.7, 0.7] }
+[brain]
+body = "joints"
+[brain.joints]
+motors = ["pan"]
+"""
+
+
+def test_an_i2c_bus_in_a_robot_file() -> None:
+    bus = parse_robot(BUS).buses["i2c1"]
+    assert (bus.kind, bus.bitrate, bus.baudrate, bus.carries_bytes) == ("i2c", 400_000, 400_000, True)
+    assert bus.line == "asked"
+
+
+@pytest.mark.parametrize(
+    ("part", "instead", "wrong"),
+    [
+        ('interface = "twin"', 'interface = "serial:/dev/ttyUSB0"', 'expected "i2c:/dev/i2c-NUMBER"'),
+        ('interface = "twin"', 'interface = "i2c"', 'such as "i2c:/dev/i2c-1"'),
+        ("bitrate = 400_000", "baudrate = 400_000", "a bus of kind 'i2c' has no baudrate; expected bitrate"),
+        (
+            "bitrate = 400_000",
+            "bitrate = 400_000\ntransmit_queue = 5",
+            "an I²C bus has no queue of CAN frames",
+        ),
+        ("bitrate = 400_000", 'bitrate = 400_000\necho = "no"', "a bus of kind 'i2c' is no serial line"),
+        ('kind = "i2c"\nbitrate', 'kind = "serial"\nbaudrate', "pca9685"),
+        ('protocol = "pca9685"', 'protocol = "maestro"', "maestro"),
+    ],
+)
+def test_what_is_wrong_with_one_is_said(part: str, instead: str, wrong: str) -> None:
+    assert part in BUS
+    with pytest.raises(ConfigError, match=re.escape(wrong)):
+        parse_robot(BUS.replace(part, instead))

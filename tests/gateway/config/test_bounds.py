@@ -42,10 +42,11 @@ ROOTS = (
     *map(load_body, names()),
 )
 UNBOUNDED = {
+    "protocols.j1939_valve.options.Options.name",
     "protocols.plain.twin.Settings.serial",
     "protocols.vesc_uart.options.Settings.serial_number",
 }
-"""Identifiers, of 64 and of 96 bits: they may be huge."""
+"""Identifiers and names, of 64 and of 96 bits: they may be huge."""
 
 
 def _examples() -> dict[str, dict[str, Any]]:
