@@ -84,6 +84,7 @@ if TYPE_CHECKING:
     from protocols.messages import Hold as Hold
     from protocols.messages import Idle as Idle
     from protocols.messages import Impedance as Impedance
+    from protocols.messages import Locate as Locate
     from protocols.messages import Mission as Mission
     from protocols.messages import Mode as Mode
     from protocols.messages import Move as Move
@@ -146,6 +147,7 @@ _MODULES = {
         "Hold",
         "Idle",
         "Impedance",
+        "Locate",
         "Mission",
         "Mode",
         "Move",

@@ -379,7 +379,7 @@ FAULTS: tuple[Begin, ...] = (
 def test_a_short_run_under_everything(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run(everything, 1, 600, monkeypatch, capsys)
+    run(everything, 1, 480, monkeypatch, capsys)
 
 
 @pytest.mark.prove
@@ -434,7 +434,7 @@ def check(one: World, begins: int, stops: int, begin: Begin) -> None:
     assert asked, "it drove"
     stopped_at = next(i for i, each in enumerate(one.asked) if any(isinstance(x, msg.Stop) for x in each))
     assert stops <= stopped_at <= stops + STOPS_WITHIN + one.stall
-    assert max(one.speeds[stopped_at + 100 :]) < 0.01
+    assert max(one.speeds[stopped_at + 80 :]) < 0.01
     after = [x for each in one.asked[stopped_at + 2 :] for x in each]
     assert not any(isinstance(x, Drive) and (x.linear or x.angular) for x in after)
     drives = {x.linear for each in one.asked for x in each if isinstance(x, Drive)}

@@ -63,20 +63,24 @@ class Client:
                 self.tokens.pop(str(one.key_expr), None)
         return self.tokens.values()
 
-    def endpoint(self, kind, name):
-        """Return the token of an endpoint of the robot's, in parts, once there is one."""
+    def endpoint(self, kind, name, type_=""):
+        """Return the token of an endpoint of the robot's, in parts, once there is one; of two types, this."""
         flat = name.replace("/", "%")
-        fits = lambda: [p for p in self.look() if len(p) == 13 and (p[5], p[9]) == (kind, flat)]  # noqa: E731
+
+        def fits():
+            known = [one for one in self.look() if len(one) == 13]
+            return [one for one in known if (one[5], one[9]) == (kind, flat) and one[10].endswith(type_)]
+
         return until(fits, f"a token of {kind} {name}")[0]
 
-    def key(self, kind, name):
+    def key(self, kind, name, type_=""):
         """Return the key of data: with the type and hash that the robot's token names."""
-        parts = self.endpoint(kind, name)
+        parts = self.endpoint(kind, name, type_)
         return f"{DOMAIN}/{name.strip('/')}/{parts[10]}/{parts[11]}"
 
-    def token(self, kind, name, of):
+    def token(self, kind, name, of, type_=""):
         """Tell of an endpoint of ours; return its 16 bytes."""
-        parts = self.endpoint(of, name)
+        parts = self.endpoint(of, name, type_)
         mine = [f"@ros2_lv/{DOMAIN}", str(self.session.zid()), "0", str(len(self.held) + 1), kind, "%", "%"]
         text = "/".join([*mine, "judge", *parts[9:12], "::,10:,:,:,,"])
         self.held.append(self.session.liveliness().declare_token(text))
@@ -136,7 +140,7 @@ def robot(client):
     grids = client.subscribe("/map", kept=True)
     grid, _ = until(lambda: latest(grids, OccupancyGrid), "a map")
     say("map", cells=len(grid.data), size=grid.info.width * grid.info.height)
-    whose, key = client.token("MP", "/cmd_vel", "MS"), client.key("MS", "/cmd_vel")
+    whose, key = (client.token("MP", "/cmd_vel", "MS", "::Twist_"), client.key("MS", "/cmd_vel", "::Twist_"))
     twist = Twist()
     twist.linear.x = SPEED
 
