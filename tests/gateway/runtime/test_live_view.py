@@ -378,9 +378,11 @@ def test_what_is_no_playback_gets_a_sentence(shown: Shown, asked: object) -> Non
 def test_the_work_of_a_slice_is_counted(shown: Shown, monkeypatch: pytest.MonkeyPatch) -> None:
     [player] = shown.players
     shown.until(lambda: shown.playback.get("prepared") == 1.0)
+    shown.until(lambda: shown.playback["t"] > 0.0 and not shown.playback["under_way"])  # where it moves
+    assert player.tick is not None
+    last = player.tick.number
     shown.play(rate=100.0)
     shown.play(playing=True)
-    last = 0
     while shown.playback["t"] < shown.playback["length"] - 0.02:
         shown.page.poll()
         shown.view.slice(next(shown.times))
