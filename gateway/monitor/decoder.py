@@ -69,7 +69,7 @@ class BusMonitor:
         """What a plugin raised last, by protocol and bus."""
         self.found: dict[Place, DeviceRecord] = {}
         self._variants = {bus: [variant for variant in variants if variant.bus == bus] for bus in buses}
-        self._ids_of = {id(variant): _ids_of(variant) for variant in variants}
+        self._ids_of = {variant: _ids_of(variant) for variant in variants}
         self._interested: dict[CanId, list[ProtocolVariant]] = {}
         """By CAN id, the variants that it may mean something to, as far as they have been looked for."""
         self._in_vain: dict[CanId, int] = {}
@@ -262,7 +262,7 @@ class BusMonitor:
             found = self._interested.get(key)
             if found is None:
                 number = packet.frame.id | EXTENDED_BIT * packet.frame.extended
-                found = [one for one in self._variants[packet.bus] if number in self._ids_of[id(one)]]
+                found = [one for one in self._variants[packet.bus] if number in self._ids_of[one]]
                 if len(self._interested) < MAX_IDS:
                     self._interested[key] = found
             in_vain = self._in_vain.get(key, 0)

@@ -305,7 +305,13 @@ def test_a_recording_is_played_paused_stepped_and_sought(shown: Shown) -> None:
     page = shown.page
     shown.until(lambda: shown.playback.get("prepared") == 1.0)
     assert page.of("hello")[0]["mode"] == "replay"
-    assert shown.playback["t"] == 0.0  # it waits
+    player = shown.players[0]
+    ticks = read_recording(player.recording.path).ticks
+    moved = next(tick.now for tick in ticks if tick.inputs.instructions) - player.start
+    shown.until(lambda: shown.playback["t"] > 0.0)  # it is shown where it moves,
+    shown.until(lambda: not shown.playback["under_way"])
+    assert 1.0 <= shown.playback["t"] - moved / SECOND < 1.3
+    assert not shown.playback["playing"]  # and waits there
     assert 2.9 < shown.playback["length"] < 4.5
     shown.play(rate=4.0)
     shown.play(playing=True)
@@ -372,9 +378,11 @@ def test_what_is_no_playback_gets_a_sentence(shown: Shown, asked: object) -> Non
 def test_the_work_of_a_slice_is_counted(shown: Shown, monkeypatch: pytest.MonkeyPatch) -> None:
     [player] = shown.players
     shown.until(lambda: shown.playback.get("prepared") == 1.0)
+    shown.until(lambda: shown.playback["t"] > 0.0 and not shown.playback["under_way"])  # where it moves
+    assert player.tick is not None
+    last = player.tick.number
     shown.play(rate=100.0)
     shown.play(playing=True)
-    last = 0
     while shown.playback["t"] < shown.playback["length"] - 0.02:
         shown.page.poll()
         shown.view.slice(next(shown.times))
