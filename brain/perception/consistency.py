@@ -168,6 +168,10 @@ class Consistency:
         self._doubt.clear()
         self._too_sure.clear()
 
+    def tied(self) -> None:
+        """A loop ties where it is to the map of before."""
+        self.adrift = ""
+
     def verdict(self, nis: Mapping[str, Nis]) -> Verdict:
         """Return the verdict now; `nis`: of the references outside the robot, by name."""
         if self.lost:

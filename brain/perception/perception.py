@@ -167,6 +167,23 @@ class _NewGround:
     agreeing: int = 0
     """Scans in a row that agree with the keyframes since then"""
 
+    def on_scan(self, one: Agreement, driven: float) -> bool:
+        """Take what a scan agrees with, m driven while lost; return whether to begin with new keyframes."""
+        if self.first is None:
+            self.unknown = self.unknown + 1 if one.seen is not None and one.seen.known < LEAST_KNOWN else 0
+            return self.unknown >= LEAST_SCANS and driven > FAR
+        agrees = one.share is not None and one.share > POOR and not one.disagrees
+        self.agreeing = self.agreeing + 1 if agrees else 0
+        return one.share is not None and one.share < LITTLE
+
+    def begin(self, first: int, driven: float) -> None:
+        """Begin with this keyframe."""
+        self.first, self.began, self.agreeing = first, driven, 0
+
+    def goes_on(self, driven: float) -> bool:
+        """Whether scans agree with what was seen since it began."""
+        return self.agreeing >= RECOGNISED_SCANS and driven - self.began > FAR
+
 
 class Perception:
     """Estimate, map and verdict. Plain data: a deep copy continues exactly as the original."""
@@ -608,18 +625,11 @@ class Perception:
     def _go_on(self, agreement: Agreement, ground: _NewGround) -> None:
         """While it is lost: where it has driven on to ground that the map does not have, begin with new
         keyframes; once scans agree with those, it is not lost any more."""
-        seen, share, driven = agreement.seen, agreement.share, self._placing.driven
-        if ground.first is None:
-            ground.unknown = ground.unknown + 1 if seen is not None and seen.known < LEAST_KNOWN else 0
-            begins = ground.unknown >= LEAST_SCANS and driven > FAR
-        else:
-            agrees = share is not None and share > POOR and not agreement.disagrees
-            ground.agreeing = ground.agreeing + 1 if agrees else 0
-            begins = share is not None and share < LITTLE
-        if begins:
+        driven = self._placing.driven
+        if ground.on_scan(agreement, driven):
             self._placing.forget(carried=False)
-            ground.first, ground.began, ground.agreeing = self._placing.keyframes.count, driven, 0
-        elif ground.agreeing >= RECOGNISED_SCANS and driven - ground.began > FAR:
+            ground.begin(self._placing.keyframes.count, driven)
+        elif ground.goes_on(driven):
             self._consistency.found(f"{ADRIFT}: it drove {driven:.1f} m while it was lost")
             self._notes.append(f"{GOES_ON} it was lost: {driven:.1f} m")
 
@@ -710,7 +720,7 @@ class Perception:
             self._move(poses)
             ground = self._new_ground
             if self._consistency.adrift and ground is not None and loops.ties_to_before(ground.first or 0):
-                self._consistency.adrift = ""
+                self._consistency.tied()
 
     def _move(self, poses: Floats) -> None:
         """Give all keyframes better poses: the map moves, and the robot with the newest of them."""
