@@ -26,7 +26,15 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("protocols", "brain", "gateway")
 CARRIED = {".py", ".toml", ".json", ".md", ".eds", ".typed", ".js", ".css", ".html", ".svg", ".LICENSE"}
-KINDS = ("__init__.py", "robots/*.*", "worlds/*.toml", "plants/*.toml", "missions/*.toml", "vectors/*.json")
+KINDS = (
+    "__init__.py",
+    "robots/*.*",
+    "worlds/*.toml",
+    "plants/*.toml",
+    "missions/*.toml",
+    "scenarios/*.toml",
+    "vectors/*.json",
+)
 LEFT_OUT = shutil.ignore_patterns("__pycache__", "*.egg-info")
 PROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
