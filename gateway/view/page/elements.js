@@ -23,7 +23,10 @@ export const number = (value, digits, unit = "") =>
   value === null || value === undefined ? "–" : `${value.toFixed(digits).replace(/^-(0\.?0*)$/, "$1")}${unit && " " + unit}`;
 
 // A time in s as minutes and seconds.
-export const clock = (t, digits = 2) => `${Math.floor(t / 60)}:${(t - 60 * Math.floor(t / 60)).toFixed(digits).padStart(digits + (digits ? 3 : 2), "0")}`;
+export const clock = (t, digits = 2) => {
+  const size = Number(Math.abs(t).toFixed(digits)), minutes = Math.floor(size / 60);
+  return `${t < 0 ? "-" : ""}${minutes}:${(size - 60 * minutes).toFixed(digits).padStart(digits + (digits ? 3 : 2), "0")}`;
+};
 
 // Have a button act only if it is pressed twice within 3 s.
 export function twice(button, act) {

@@ -222,6 +222,12 @@ def test_a_click_on_the_map_is_a_goal_that_is_reached(tab: Tab, diffbot: Robot) 
     assert diffbot.look()["pose"] == pytest.approx(numbers, abs=0.15)
 
 
+def test_times_are_minutes_and_seconds_before_the_start_too(tab: Tab) -> None:
+    times = "[[-10, 0], [-65, 2], [0, 0], [75.5, 2], [119.999, 0]].map(each => page.clock(...each))"
+    shown = tab.run(f"import('./elements.js').then(page => {times})")
+    assert shown == ["-0:10", "-1:05.00", "0:00", "1:15.50", "2:00"]
+
+
 def test_a_drag_on_the_map_is_a_goal_with_a_heading(tab: Tab, diffbot: Robot) -> None:
     tab.mouse("mousePressed", on_map(tab, -0.3, 0.0))
     tab.mouse("mouseMoved", on_map(tab, -0.3, 0.5))
