@@ -206,7 +206,7 @@ def _joints(axes: Axes, tour: Tour) -> None:
     seconds = np.array(tour.times) / SECOND
     for name, angles in zip(tour.motors, np.array(tour.shafts).T, strict=True):
         axes.plot(seconds, angles, lw=1.2, label=name)
-    axes.set_ylabel("true position [rad]")
+    axes.set_ylabel("true position [rad; sliding: m]")
     axes.set_xlabel("time [s]")
     axes.set_xlim(0.0, seconds[-1])
     _legend_above(axes)
