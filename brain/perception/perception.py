@@ -518,7 +518,7 @@ class Perception:
                 self._do(*self._todo.popleft())
             while self._credit > 0:
                 self._close_loops()
-            self._credit = self.settings.loops.slices
+            self._credit = 0 if self._consistency.lost else self.settings.loops.slices  # else it searches
             self._free(self._scans.popleft())
             if not self._scans:
                 self._advance_search()

@@ -12,7 +12,7 @@ from brain.belief import Pose
 from brain.bodies.differential import Differential
 from tests.robustness.judge import Case, diffbot, run
 from tests.robustness.plant import HALF_LENGTH, HALF_WIDTH, Base, Figures, Person, cast, rectangle, scene
-from tests.robustness.variations import MORE, TABLE, office
+from tests.robustness.variations import MORE, TABLE, carried, office
 
 
 def base() -> Base:
@@ -67,3 +67,10 @@ def test_the_first_seconds_of_a_case_of_the_table_are_good(name: str) -> None:
     case: Case = next(each for each in (*TABLE, *MORE) if each.name == name)
     row = run(replace(case, limit=8.0), 1)
     assert row.good, row.line()
+
+
+def test_who_is_carried_away_is_found_while_its_goals_are_kept() -> None:
+    """The steps of a robot that is lost belong to the search, not to loops."""
+    row = run(carried(0), 0)
+    assert row.good, row.line()
+    assert row.found <= 5.0
