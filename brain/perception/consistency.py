@@ -59,6 +59,8 @@ class Agreement:
     """rad"""
     share: float | None = None
     """Of its surfaces on the keyframes; None without any"""
+    dropped: bool = False
+    """That is much less than at the scan before, which was taken nearby"""
 
     @property
     def disagrees(self) -> str:
@@ -68,7 +70,7 @@ class Agreement:
         seen = self.seen
         if self.share is not None and self.share < LITTLE and not (seen is not None and _agrees(seen)):
             return f"{100 * self.share:.0f} % of it lies on what the scans before saw"
-        if seen is None or (self.share is not None and self.share > POOR):
+        if seen is None or (self.share is not None and self.share > POOR and not self.dropped):
             return ""
         if seen.crossed > CROSSED or (seen.crossed > FEW_CROSSED and seen.fit < LITTLE_FIT):
             return f"{100 * seen.crossed:.0f} % of its rays pass through walls of the map"

@@ -50,6 +50,9 @@ TEARS = 20.0
 """By which its standard deviation grows with the share that a scan between them lacks: there it may tear"""
 LIKELY = 0.5
 """or as near as real odometry is since the last match, if this share of the scan is on the keyframes."""
+DROP, NEARBY = 0.3, 0.2
+"""By how much less of a scan is on the keyframes than of one before it, within m and rad, the map is asked:
+who was carried sees another place at once"""
 CLOSE, COVERED, CAME = 0.5, 0.4, 0.5
 """m: beams that end nearer; share of them that may; and of them the share that ends where the map is free,
 below which the place is narrow, or new"""
@@ -85,6 +88,8 @@ class Placing:
         """Where the robot was at the newest scan"""
         self._last: dict[str, tuple[Nanos, Pose]] = {}
         """Time of the newest scan, and where it was placed"""
+        self._usual: dict[str, float] = {}
+        """Share of the newest scan on the keyframes that did not disagree"""
         self.driven = self.turned = 0.0
         """m, rad: since a scan last corrected the pose"""
         self._way = 0.0
@@ -103,6 +108,7 @@ class Placing:
         self._way, self._torn = self._way + self.loops.settings.away, True
         self._at.clear()
         self._last.clear()
+        self._usual.clear()
         if carried:
             self.driven = self.turned = 0.0
 
@@ -174,7 +180,9 @@ class Placing:
         self._worst = min(self._worst, share or 0.0)
         offset = math.dist((found.pose.x, found.pose.y), (pose.x, pose.y))
         turn = abs(wrap(found.pose.yaw - pose.yaw))
-        known = share is not None and share > POOR and not doubtful
+        usual = self._usual.get(name, 0.0) if share is not None else 0.0
+        dropped = share is not None and share < usual - DROP and _is_nearby(motion)
+        known = share is not None and share > POOR and not doubtful and not dropped
         seen = None if known else examine(chart, scan, found.pose)
         slips = share is not None and share > CERTAIN and not stands
         far, wide = (SLIPPED, SPUN) if slips else (MOVED, TURNED)
@@ -183,9 +191,10 @@ class Placing:
             far, wide = max(far, 3.0 * math.sqrt(since[0, 0])), max(wide, 3.0 * math.sqrt(since[2, 2]))
         near = offset < max(3.0 * math.sqrt(max(covariance[0, 0], covariance[1, 1])), far)
         near = near and turn < max(3.0 * math.sqrt(covariance[2, 2]), wide)
-        agreement = Agreement(t, seen, True, near, offset, turn, share)
+        agreement = Agreement(t, seen, True, near, offset, turn, share, dropped)
         if agreement.disagrees:
             return Told(agreement, None, found.pose)
+        self._usual[name] = share or 0.0
         value = np.array([found.pose.x, found.pose.y, found.pose.yaw])
         loud, worse = self._noise(name, nis.get(name), stands=stands)
         drift = 0.0 * odometry if stands else worse * odometry
@@ -224,6 +233,10 @@ class Placing:
             return None
         offset = math.dist((placed.pose.x, placed.pose.y), (pose.x, pose.y))
         return placed if offset < MOVED and abs(wrap(placed.pose.yaw - pose.yaw)) < TURNED else None
+
+
+def _is_nearby(motion: Motion) -> bool:
+    return motion.distance < NEARBY and abs(motion.turn) < NEARBY
 
 
 def is_covered(chart: Map, scan: BodyScan, pose: Pose) -> bool:
