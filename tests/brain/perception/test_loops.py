@@ -18,7 +18,7 @@ from brain.perception.filter_inputs import Input, PoseFix
 from brain.perception.filter_settings import FilterSettings
 from brain.perception.filter_state import moved_fix
 from brain.perception.keyframes import KeyframeSettings
-from brain.perception.loops import LoopSettings
+from brain.perception.loops import MUCH, LoopSettings
 from brain.perception.map import MapSettings
 from brain.perception.perception import Anchor, Perception, PerceptionSettings
 from protocols.messages import SECOND, Imu
@@ -96,19 +96,27 @@ def test_lost_on_the_way_to_new_ground_the_map_goes_on_in_doubt_until_a_loop_tie
     """For 3.5 m its lidar shows another place, as in a crowd; what is seen after that is on no map."""
     rover = Rover(1, walls=RING, lidar_noise=0.03)
     perception = Perception(BODY, {"lidar": MOUNTS["lidar"]}, SHORT)
-    seen = [(perception.verdict.trust, "")]
+    seen, off = [(perception.verdict.trust, "")], [0.0]
     for speeds in _round(rover):
         rover.walls = OFFICE + [rover.truth.x, 0.5] * 2 if 5.0 < rover.length < 8.5 else RING
         perception.observe(rover.now, [one for one in rover.step(*speeds) if not isinstance(one, Imu)])
         if perception.verdict.trust is not seen[-1][0]:
             seen.append((perception.verdict.trust, perception.verdict.reason))
+            off.append(apart(perception, rover))
     trusts = [trust for trust, _ in seen]
     assert trusts == [Trust.CONSISTENT, Trust.DOUBTFUL, Trust.LOST, Trust.DOUBTFUL, Trust.CONSISTENT]
     assert seen[3][1].startswith("its place in the map is doubtful: it drove ")
     assert any("does not have this ground" in note for note in perception.take_notes())
+    assert max(off) > 0.5
+    assert off[-1] < 0.05  # as soon as it is tied
+    assert apart(perception, rover) < 2.0 * MUCH  # m, from which on loops are solved at once
+
+
+def apart(perception: Perception, rover: Rover) -> float:
+    """m, of the believed place from the true one."""
     estimate, truth = perception.estimate, rover.truth
     assert estimate is not None
-    assert math.dist((estimate.pose.x, estimate.pose.y), (truth.x, truth.y)) < 0.05
+    return math.dist((estimate.pose.x, estimate.pose.y), (truth.x, truth.y))
 
 
 def _round(rover: Rover) -> Iterator[tuple[float, float]]:
