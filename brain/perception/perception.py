@@ -630,7 +630,8 @@ class Perception:
             self._placing.forget(carried=False)
             ground.begin(self._placing.keyframes.count, driven)
         elif ground.goes_on(driven):
-            self._consistency.found(f"{ADRIFT}: it drove {driven:.1f} m while it was lost")
+            held = self._outside != self._last_scan.keys()  # in the map, by what else measures the pose
+            self._consistency.found("" if held else f"{ADRIFT}: it drove {driven:.1f} m while it was lost")
             self._notes.append(f"{GOES_ON} it was lost: {driven:.1f} m")
 
     def _motion(self, scan: LaserScan) -> Floats | None:

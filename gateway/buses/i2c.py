@@ -125,10 +125,13 @@ class I2cBus:
             self._waiting.popleft()
 
     def close(self) -> None:
-        """Carry out what waits, within a bound; then release the adapter."""
+        """Carry out what waits, within a bound; then release the adapter. One that hangs beyond that keeps
+        its files: their numbers would be those of the next ones that are opened."""
         self._ends = True
         self._wake.release()
         self._thread.join(0.5)
+        if self._thread.is_alive():
+            return
         for file in (self._readable, self._written, self._file):
             with suppress(OSError):
                 os.close(file)

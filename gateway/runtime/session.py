@@ -106,7 +106,7 @@ class Session:
             _DRIVING: driving.take,
         }
         self.latencies = Latencies(self.robot, real_names(self.robot))
-        self.watch(self.latencies.take)
+        self._observers["how long real devices take"] = self.latencies.take
         if self.twins is not None and self.twins.followed:
             self.watch(FollowingWorld(self.twins, self.joints).take)
 

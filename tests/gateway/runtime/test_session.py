@@ -11,6 +11,7 @@ import gateway as gw
 from gateway.monitor.lines import LineTroubles
 from gateway.monitor.silence import Silence
 from gateway.runtime.drive_doctor import DriveDoctor
+from gateway.runtime.real_devices import Latencies
 from gateway.runtime.session import Session
 
 
@@ -134,7 +135,7 @@ def test_what_a_robot_can_never_do_is_refused_when_it_is_submitted() -> None:
             assert not session._submitted
 
 
-@pytest.mark.parametrize("observer", [Silence, LineTroubles, DriveDoctor])
+@pytest.mark.parametrize("observer", [Silence, LineTroubles, DriveDoctor, Latencies])
 def test_an_observer_ends_no_run_by_failing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, observer: type
 ) -> None:
