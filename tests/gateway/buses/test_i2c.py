@@ -145,6 +145,21 @@ def test_closing_carries_out_what_waits() -> None:
     assert len(adapter.seen) == 3
 
 
+def test_a_transfer_that_hangs_beyond_the_close_ends_on_its_own_file_with_what_was_sent_last() -> None:
+    adapter = Adapter()
+    adapter.goes_on.clear()
+    file = os.open(os.devnull, os.O_RDWR)
+    bus = I2cBus(SETTINGS, file, adapter)
+    bus.write(SECOND, [i2c.transfer(0x40, b"\x00", 1), i2c.transfer(0x40, pt.led(0, 0, 0))])
+    assert adapter.begun.wait(PATIENCE)
+    bus.close()
+    os.fstat(file)  # it is nobody else's
+    adapter.goes_on.set()
+    bus._thread.join(PATIENCE)
+    assert adapter.seen[-1] == (0x40, pt.led(0, 0, 0), 0)
+    os.close(file)
+
+
 def test_what_is_queued_is_bounded() -> None:
     adapter = Adapter()
     adapter.goes_on.clear()
