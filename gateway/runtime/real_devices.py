@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from brain.belief import Belief
-from gateway.config.errors import unknown
 from gateway.core.joint import Joint
 from gateway.core.robot import TWIN, Robot
 from gateway.core.step import Gateway
@@ -128,7 +127,8 @@ def cannot_load(robot: Robot, twins: TwinWorld | None, motor: str, brake: str) -
     able = robot.brain.abilities(robot.motors).joints
     brakes = [one for one in followed if one in able and msg.Torque in robot.motors[one].spec.commands]
     if motor not in followed:
-        return f"{unknown('real motor', motor, followed)} in a simulated world: nothing loads {motor!r}"
+        there = ", ".join(followed) or "none"
+        return f"{motor!r} is not loaded by the simulated world: not a real motor; real (--real): {there}"
     if brake not in brakes or brake == motor:
         others = [one for one in brakes if one != motor]
         what = "expected another real motor, a joint of its own that takes a torque"
