@@ -70,6 +70,14 @@ class PackedScan:
         ranges = np.rint(np.minimum(scan.ranges, FARTHEST) / STEP).astype(np.uint16)
         return cls(scan.origin, scan.bearings.astype(np.float32), ranges, np.packbits(scan.hit & kept))
 
+    def reaches(self, points: Floats, behind: float) -> Bools:
+        """Return for each point, n × 2 in the robot's frame, whether a beam went on behind it for m."""
+        x, y = (points - self.origin).T
+        first = float(self.bearings[0])
+        beam = np.searchsorted(self.bearings - first, (np.arctan2(y, x) - first) % (2.0 * math.pi))
+        reached: Bools = np.append(self.ranges * STEP, 0.0)[beam] > np.hypot(x, y) + behind
+        return reached
+
     def unpacked(self) -> BodyScan:
         """Return the scan again."""
         bearings = self.bearings.astype(np.float64)

@@ -92,6 +92,9 @@ TINY = 1e-6 * np.eye(3)
 NEIGHBOURHOOD, BESIDE, NEIGHBOURS = 1.0, 0.3, 0.6
 """m about a surface in which others are to be compared; m to one that it lies on; share of a scan that must
 be so, to count fully"""
+WITNESSES, BEHIND = 4, 0.3
+"""Newest scans that are asked what was seen behind a point, and m by which that is farther: walls are seen
+along, and edges passed"""
 GROWTH = 256
 """Poses by which their memory grows, at first"""
 
@@ -313,6 +316,17 @@ class Keyframes:
             points.append(to_world(one.points.astype(np.float64), pose))
             normals.append(rotated(one.normals.astype(np.float64), pose.yaw))
         return np.concatenate(points), np.concatenate(normals)
+
+    def seen_through(self, points: Floats) -> Bools:
+        """Return for each point, n × 2 in the map, whether one of the newest few scans saw what is behind it:
+        nothing was there."""
+        through = np.zeros(len(points), dtype=np.bool_)
+        for number in self._newest()[-WITNESSES:]:
+            one = self.kept.get(number)
+            if one is not None:
+                x, y, yaw = self._poses[number].tolist()
+                through |= one.scan.reaches(rotated(points - (x, y), -yaw), BEHIND)
+        return through
 
     def _newest(self) -> range:
         return range(max(self._first, self.count - self.settings.count), self.count)

@@ -105,6 +105,8 @@ ADRIFT = "its place in the map is doubtful"
 GOES_ON = "the map does not have this ground, and goes on from where the wheels have taken the robot since"
 DRAWS = 1
 """Slices more that a keyframe drawn again counts for"""
+BEGINNING: Nanos = 5 * SECOND
+"""Who is lost so soon, and has hardly moved, began its map with somebody who has gone"""
 MOST_MOVING = 0.1
 """Share of the hits that may be of what moves; if there are more, it is the estimate that moves."""
 
@@ -219,6 +221,7 @@ class Perception:
         self._todo: deque[tuple[_Work, _Part]] = deque()
         """What is left to do for the scan before those."""
         self._map_began: Pose | None = None
+        self._map_began_at: Nanos = 0
         self._consistency = Consistency()
         self._placing = Placing(settings.match, settings.keyframes, settings.loops)
         self._sure: dict[str, float] = {}
@@ -562,7 +565,7 @@ class Perception:
         if believed is None:
             self._count(part.name, "no estimate for its time")
             return
-        if is_covered(self.map, part.scan, believed[0]):
+        if is_covered(self.map, self._placing.keyframes, part.scan, believed[0]):
             self._on_covered(part.name, believed[1])
             return
         if self.settings.matching:
@@ -610,7 +613,10 @@ class Perception:
         consistency.on_scan(name, agreement)
         if agreement.disagrees:
             self._count(name, "does not fit the map")
-        if consistency.lost:
+        if consistency.lost and self._placing.keyframes.count == 1 and t - self._map_began_at < BEGINNING:
+            self._forget_map()
+            self._count(name, "what the map began with has gone")
+        elif consistency.lost:
             self._new_ground = (self._new_ground if lost else None) or _NewGround()
             self._go_on(agreement, self._new_ground)
         keep = not agreement.disagrees and (self._begins_anew or not consistency.lost)
@@ -652,7 +658,8 @@ class Perception:
     def _draw(self, part: _Part) -> None:
         at = self._filter.at(part.t)
         if part.draw and at is not None and not self._consistency.lost:
-            self._map_began = self._map_began or at[0]
+            if self._map_began is None:
+                self._map_began, self._map_began_at = at[0], part.t
             scan, static = part.scan, part.static
             if 0 < np.count_nonzero(~static) <= MOST_MOVING * np.count_nonzero(scan.hit):
                 scan = replace(scan, hit=scan.hit & static, straight=scan.straight & static)
@@ -694,13 +701,17 @@ class Perception:
             unsure = (0.25 * math.dist((back.x, back.y), (pose.x, pose.y))) ** 2
             self._filter.reset(t, back, covariance + np.diag([unsure, unsure, 0.0]))
             self._apply([])
+        self._forget_map()
+        self._count(name, "mounting corrected")
+
+    def _forget_map(self) -> None:
+        """Begin the map anew at the estimate."""
         self.map.forget()
         self._redraw.forget()
         self._movers = Movers()
         self._placing.forget()
         self._map_began = self._search = self._found = self._new_ground = None
         self._consistency.found()
-        self._count(name, "mounting corrected")
 
     # -- loops ---------------------------------------------------------------------------------
 

@@ -43,7 +43,8 @@ MOVED, TURNED = 0.15, 0.09
 """m and rad: a match this near to the believed pose may correct it; a farther one if the pose is as
 uncertain,"""
 SLIPPED, SPUN = 0.5, 0.35
-"""or this near, if the base moves and the scan is certain: so far wheels may slip between two scans,"""
+"""or this near, if the base moves and the scan is certain: so far wheels may slip between two scans, and as
+far as they have turned,"""
 FLOOR = np.diag([0.004**2, 0.004**2, 0.0015**2])
 """Covariance of a keyframe's pose from the one before, at least"""
 TEARS = 20.0
@@ -53,9 +54,9 @@ LIKELY = 0.5
 DROP, NEARBY = 0.3, 0.2
 """By how much less of a scan is on the keyframes than of one before it, within m and rad, the map is asked:
 who was carried sees another place at once"""
-CLOSE, COVERED, CAME = 0.5, 0.4, 0.5
-"""m: beams that end nearer; share of them that may; and of them the share that ends where the map is free,
-below which the place is narrow, or new"""
+CLOSE, COVERED, CLOSED, CAME = 0.5, 0.4, 0.85, 0.5
+"""m: beams that end nearer; share of them that may, and that no map begins with; and of them the share that
+ends where nothing was, below which the place is narrow, or new"""
 
 
 class Told(NamedTuple):
@@ -185,7 +186,7 @@ class Placing:
         known = share is not None and share > POOR and not doubtful and not dropped
         seen = None if known else examine(chart, scan, found.pose)
         slips = share is not None and share > CERTAIN and not stands
-        far, wide = (SLIPPED, SPUN) if slips else (MOVED, TURNED)
+        far, wide = (min(max(MOVED, self.driven), SLIPPED), SPUN) if slips else (MOVED, TURNED)
         if share is not None and share > POOR:
             since = Motion(self.driven, self.turned).noise()
             far, wide = max(far, 3.0 * math.sqrt(since[0, 0])), max(wide, 3.0 * math.sqrt(since[2, 2]))
@@ -239,13 +240,20 @@ def _is_nearby(motion: Motion) -> bool:
     return motion.distance < NEARBY and abs(motion.turn) < NEARBY
 
 
-def is_covered(chart: Map, scan: BodyScan, pose: Pose) -> bool:
-    """Return whether somebody covers too much of a scan for it to show a place."""
+def is_covered(chart: Map, keyframes: Keyframes, scan: BodyScan, pose: Pose) -> bool:
+    """Return whether somebody covers too much of a scan for it to show a place: where most of its near ends
+    are, the newest keyframes saw farther. The map soon has who came; it is asked where there are none."""
     close = np.flatnonzero(scan.hit & (scan.ranges < CLOSE))
-    if len(close) <= COVERED * np.count_nonzero(scan.ranges > 0.0):
+    share = len(close) / max(np.count_nonzero(scan.ranges > 0.0), 1)
+    if share <= COVERED:
         return False
+    ends = to_world(scan.ends[close], pose)
+    if len(keyframes):
+        return float(keyframes.seen_through(ends).mean()) > CAME
+    if share > CLOSED:
+        return True
     chart.recenter(*scan.place(pose))
-    cells, beside = chart.cells(to_world(scan.ends[close], pose)), WINDOWS[1]
+    cells, beside = chart.cells(ends), WINDOWS[1]
     values = chart.values(cells[:, 0, None] + beside[0], cells[:, 1, None] + beside[1])
     came = (chart.values(cells[:, 0], cells[:, 1]) < 0) & ~(values > 0).any(axis=1)
     return float(came.mean()) > CAME

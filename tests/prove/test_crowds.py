@@ -15,9 +15,8 @@ import pytest
 from brain.belief import Floats
 from brain.bodies.plane import wrap
 from brain.perception.perception import Perception, PerceptionSettings
-from protocols.messages import MILLISECOND, SECOND, Event, seconds
-from tests.brain.perception.office import BODY, MOUNTS, SETTINGS, Rover, box
-from tests.brain.perception.test_crowd import person
+from protocols.messages import MILLISECOND, SECOND, Event, Nanos, seconds
+from tests.brain.perception.office import BODY, MOUNTS, SETTINGS, Rover, box, person
 from tests.prove.campaign import Campaign
 
 pytestmark = pytest.mark.prove
@@ -45,10 +44,12 @@ class Among(Rover):
         return super().sense()
 
 
-def ride(rover: Among, settings: PerceptionSettings = SETTINGS) -> tuple[float, list[float]]:
+def ride(
+    rover: Among, settings: PerceptionSettings = SETTINGS, until: Nanos = 18 * SECOND
+) -> tuple[float, list[float]]:
     """Return how far the pose was off at most [m], and its NEES per number once a second."""
     belief, worst, nees = Perception(BODY, MOUNTS, settings), 0.0, list[float]()
-    while rover.now < 18 * SECOND:
+    while rover.now < until:
         t = seconds(rover.now)
         driving = any(start < t < end for start, end in DRIVES)
         speeds = (0.45, 0.4 * math.sin(t)) if driving else (0.0, 0.0)

@@ -246,3 +246,10 @@ def clearance(chart: Map, x: float, y: float) -> float:
         return math.inf
     away = np.maximum(np.abs(middles - (x, y)) - chart.resolution / 2.0, 0.0)
     return float(np.sqrt(np.min(np.sum(away * away, axis=1))))
+
+
+def person(x: float, y: float) -> Floats:
+    """Return the walls of somebody who stands there."""
+    around = np.linspace(0.0, math.tau, 13)
+    corners = np.column_stack([x + 0.3 * np.cos(around), y + 0.3 * np.sin(around)])
+    return np.hstack([corners[:-1], corners[1:]])
