@@ -380,6 +380,7 @@ class Perception:
             at = f"at ({start.x:.2f}, {start.y:.2f}), {math.degrees(start.yaw):.0f}°"
         self._set_verdict()
         self._notes.append(f"began in a saved map of {saved.text}: {at}")
+        self._notes += filter(None, [saved.remark])
 
     def locate(self, pose: Pose, sigma: float, sigma_yaw: float) -> bool:
         """Believe that the robot is at a pose now, as sure as that [m, rad]; return False before the first

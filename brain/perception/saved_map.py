@@ -96,13 +96,20 @@ class SavedMap:
         low: and log-odds of its cells, at least,
         high: and at most.
         start: where the robot is in it; None: it looks for its place.
+        remark: what a person should look at, or "".
     """
 
     def __init__(
-        self, drawing: Drawing, resolution: float, low: float, high: float, start: Start | None = None
+        self,
+        drawing: Drawing,
+        resolution: float,
+        low: float,
+        high: float,
+        start: Start | None = None,
+        remark: str = "",
     ) -> None:
         """Raises Invalid if it has too many cells, or none that is known."""
-        self.resolution, self.start = resolution, start
+        self.resolution, self.start, self.remark = resolution, start, remark
         percents, corner = _laid(drawing, resolution)
         odds = np.clip(percents, 1, 99) / 100.0
         log_odds = np.where(percents == 100, high, np.where(percents == 0, low, np.log(odds / (1.0 - odds))))
@@ -139,13 +146,11 @@ class SavedMap:
     def near(self, x: float, y: float, far: float) -> tuple[Floats, Floats]:
         """Return points [m] and normals of its walls within a distance of a position, n × 2 each."""
         keys, points, normals = self._surfaces
-        low, high = (math.floor((y + side) / SQUARE) for side in (-far, far))
-        left, right = (math.floor((x + side) / SQUARE) for side in (-far, far))
-        starts, ends = (
-            np.searchsorted(keys, [_key(row, column) for row in range(low, high + 1)], side)
-            for side, column in (("left", left), ("right", right))
-        )
-        some = np.concatenate([np.arange(a, b) for a, b in zip(starts.tolist(), ends.tolist(), strict=True)])
+        low, high, left, right = (math.floor(edge / SQUARE) for edge in (y - far, y + far, x - far, x + far))
+        rows = np.arange(low, high + 1) << 24
+        starts = np.searchsorted(keys, rows + left, "left").tolist()
+        ends = np.searchsorted(keys, rows + right, "right").tolist()
+        some = np.concatenate([np.arange(a, b) for a, b in zip(starts, ends, strict=True)])
         some = some[np.hypot(*(points[some] - (x, y)).T) < far]
         return points[some], normals[some]
 
@@ -222,12 +227,8 @@ def _walls(values: Values, corner: tuple[int, int]) -> Walls:
     )
 
 
-def _key(row: int, column: int) -> int:
-    return (row << 24) + column
-
-
 def _squares(walls: Walls, resolution: float) -> tuple[npt.NDArray[np.int64], Floats, Floats]:
-    """Return half of the surfaces, sorted by squares: their keys, points and normals."""
+    """Return half of the surfaces, sorted by squares: their keys (row, column), points and normals."""
     some = (walls.rows + walls.columns) // 2 % 2 == 0  # of both sides of walls that have two
     middles = np.column_stack([walls.columns, walls.rows])[some] + 0.5
     points = (middles + walls.normals[some] * walls.offsets[some, None]) * resolution
