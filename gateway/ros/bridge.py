@@ -40,10 +40,11 @@ from gateway.core.tick import Note, Tick
 from gateway.errors import UserError
 from gateway.recording import ros_messages
 from gateway.recording.ros_views import OF_SENSORS, ViewMessage, Views
-from gateway.ros import actions, asked, graph, parameters, trajectory, types
+from gateway.ros import actions, asked, graph, images, parameters, trajectory, types
 from gateway.ros.actions import ABORTED, CANCELED, CANCELING, EXECUTING, SUCCEEDED, Action, Token
 from gateway.ros.asked import Held
 from gateway.ros.graph import FOLLOW, NAVIGATE, Row
+from gateway.ros.images import Camera, ImageTopics
 from gateway.ros.link import Link
 from gateway.ros.map_topics import MAP, UPDATES, MapTopics
 from gateway.ros.types import decode, encode, make
@@ -108,11 +109,14 @@ class _Motion:
     """Whether its last sample was given."""
 
 
-def open_bridge(scene: Scene, address: str, domain: int, epoch: Nanos) -> Bridge:
-    """Return the bridge once its process has opened the network.
+def open_bridge(
+    scene: Scene, address: str, domain: int, epoch: Nanos, cameras: Sequence[Camera] = ()
+) -> Bridge:
+    """Return the bridge once its process has opened the network. `cameras`: whose images are shown.
 
     Raises UserError if it cannot be opened, or the robot file remaps what there is not."""
-    rows = graph.rows(scene.robot, steers=scene.kind == "live")
+    names = [one.name for one in cameras]
+    rows = graph.rows(scene.robot, steers=scene.kind == "live", cameras=names)
     ours, theirs = socket.socketpair()
     with theirs:
         process = subprocess.Popen(
@@ -130,7 +134,7 @@ def open_bridge(scene: Scene, address: str, domain: int, epoch: Nanos) -> Bridge
         process.kill()
         process.wait()
         raise UserError(f"--ros: {first[0][1] if first else 'its process has not begun'}")
-    return Bridge(scene, rows, link, process, first[0][1], epoch, first[1:])
+    return Bridge(scene, rows, link, process, first[0][1], epoch, first[1:], cameras)
 
 
 def setup(robot: Robot, rows: Sequence[Row], address: str, domain: int) -> Sequence[Any]:
@@ -155,6 +159,7 @@ class Bridge:
         where: str,
         epoch: Nanos,
         first: Sequence[list[Any]] = (),
+        cameras: Sequence[Camera] = (),
     ) -> None:
         self.scene, self.where = scene, where
         self.rows = rows
@@ -166,13 +171,17 @@ class Bridge:
         self.wanted: set[str] = set()
         """Topics that somebody listens to,"""
         self._in_ticks: set[str] = set()
-        """and those that are made of each tick: all but the map, which is drawn in slices."""
+        """and those that are made of each tick: all but map and images, which are sent in slices."""
         self._store = types.store()
         self._gateway = scene.gateway
         self._mounts = {name: sensor.mount for name, sensor in scene.robot.sensors.items()}
+        self._mounts |= {images.frame(one.name): images.optical(one.mount) for one in cameras}
         self._views = Views(self._mounts, self._store, self._in_ticks, epoch=epoch)
         self._views.prepare()
-        self._map = MapTopics(partial(self._publish, may_drop=True), epoch)
+        may_drop = partial(self._publish, may_drop=True)
+        self._map = MapTopics(may_drop, epoch)
+        self._images = ImageTopics(cameras, self._index, link, may_drop, epoch)
+        self._sliced = MAP_TOPICS | self._images.names
         self._new: set[str] = set()
         """Topics that somebody has begun to listen to: who comes gets what there is now, but no old scan."""
         self._new_at: Nanos = 0
@@ -283,6 +292,7 @@ class Bridge:
         if view is not None:
             takers = {name: self._counts.get(self._index[name], 0) for name in MAP_TOPICS}
             self._map.show(now, self.scene.now, view, takers)
+        self._images.show(self.wanted)
         self._link.flush()
 
     def ends(self) -> list[Instruction]:
@@ -348,7 +358,7 @@ class Bridge:
         if row.kind != "publish":
             return
         (self.wanted.add if count else self.wanted.discard)(row.name)
-        if row.name not in MAP_TOPICS:
+        if row.name not in self._sliced:
             (self._in_ticks.add if count else self._in_ticks.discard)(row.name)
         if count > before and row.name not in OF_SENSORS:
             self._new.add(row.name)

@@ -16,13 +16,14 @@ its value is latched. A command is read without repetition: an old one is worth 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import Literal, NamedTuple, TypeAlias
 
 from gateway.config.errors import unknown
 from gateway.core.robot import Robot
 from gateway.errors import UserError
 from gateway.recording.ros_views import OF_SENSORS, topic_name, topics, typestore
-from gateway.ros import types
+from gateway.ros import images, types
 from gateway.ros.map_topics import UPDATE, UPDATES
 from gateway.ros.rtps import Qos
 
@@ -80,12 +81,13 @@ class Row(NamedTuple):
     hash: str
 
 
-def rows(robot: Robot, *, steers: bool) -> list[Row]:
-    """Return what a robot has. Raises UserError if its file remaps what there is not."""
+def rows(robot: Robot, *, steers: bool, cameras: Sequence[str] = ()) -> list[Row]:
+    """Return what a robot has, and these cameras. Raises UserError if its file remaps what there is not."""
     able = robot.brain.abilities(robot.motors)
     found: list[tuple[Kind, str, str, Qos]] = []
     published = topics(typestore()) | {"/clock": CLOCK, "/robot_description": STRING, UPDATES: UPDATE}
     published.pop("/goal_pose")
+    published |= images.topics(cameras)
     for name, type_ in published.items():
         latched = name in LATCHED or name == "/rosout"
         found.append(("publish", name, type_, Qos(transient=latched, depth=DEPTHS.get(name, 10))))

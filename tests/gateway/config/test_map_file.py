@@ -148,7 +148,7 @@ def test_a_grey_that_savers_write_for_unknown_is_told_where_it_is_free() -> None
 def test_more_tiles_than_the_robot_keeps() -> None:
     image = {"map.pgm": pgm(bytes((255,)) * 1100 * 1100, 1100)}
     few = MapSettings(tiles=256, farthest=5.0)
-    with pytest.raises(Invalid, match="it has 324 .* tiles is 256: expected at least as many"):
+    with pytest.raises(Invalid, match=r"it has 324 tiles .*tiles is 256: expected at least as many"):
         saved_map(YAML, image, few, None)
 
 

@@ -6,6 +6,7 @@ They are Python packages, in an environment of their own: `bash tests/gateway/ro
 
 from __future__ import annotations
 
+import base64
 import math
 import socket
 import subprocess
@@ -23,8 +24,9 @@ from gateway.config import load_robot, parse_robot
 from gateway.core.tick import Tick
 from gateway.recording import read_recording
 from gateway.replay import replay_recording
-from gateway.ros import actions, definitions, graph, types
+from gateway.ros import actions, definitions, graph, images, types
 from gateway.ros.link import Link
+from gateway.vision import camera as vision
 from protocols import messages as msg
 from tests.gateway.processes import PATIENCE
 from tests.gateway.ros.judged import Judge, domain, python
@@ -176,6 +178,39 @@ def test_joints_in_a_namespace_by_names_of_the_robot_file(tmp_path: Path) -> Non
     assert found["zero"]["success"], found["zero"]["message"]
     assert (found["stop"]["success"], found["go_on"]["success"]) == (True, True)
     assert {msg.Velocity("left", 2.0), msg.Zero("left"), msg.Release()} <= set(asked)
+
+
+def test_images_of_a_camera(tmp_path: Path) -> None:
+    """What ROS 2 unpacks is what the simulated camera drew, in its frame, with its description."""
+    python()
+    number = domain()
+    drawn: dict[int, vision.Image] = {}
+    with gateway.open_session("diffbot_camera", seed=1) as session:
+        assert session.twins is not None
+        (camera,) = session.twins.world.cameras()
+        session.ros(domain=number)
+        judge = Judge(tmp_path, "rclpy_camera", number)
+        for _ in session.run(seconds=PATIENCE):
+            if camera.newest is not None:
+                drawn.setdefault(*camera.newest)
+            if judge.done():
+                break
+        found = judge.end()
+    assert found["stamps"]["both"] >= 2
+    assert found["stamps"]["distinct"] == found["stamps"]["images"]
+    assert (found["images"]["frame"], found["images"]["format"]) == ("camera_optical", "jpeg")
+    for text in found["images"]["data"]:
+        image = vision.decoded(np.frombuffer(base64.b64decode(text), np.uint8))
+        assert image is not None
+        off = [float(np.abs(image.astype(float) - one).mean()) for one in drawn.values()]
+        assert min(off) < 3.0, "grey levels, of JPEG"
+    one, info = camera.intrinsics, found["info"]
+    assert info["size"] == [640, 480]
+    assert info["k"] == [one.fx, 0.0, one.cx, 0.0, one.fy, one.cy, 0.0, 0.0, 1.0]
+    assert info["p"] == [one.fx, 0.0, one.cx, 0.0, 0.0, one.fy, one.cy, 0.0, 0.0, 0.0, 1.0, 0.0]
+    assert (info["d"], info["model"], info["frame"]) == ([0.0] * 5, "plumb_bob", "camera_optical")
+    of = {"/camera/image_raw/compressed": images.IMAGE, "/camera/camera_info": images.INFO}
+    assert found["hashes"]["of"] == {name: types.type_hash(type_) for name, type_ in of.items()}
 
 
 class Server:
