@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 from gateway.core.clock import WallClock
 from gateway.errors import UserError
 from gateway.ros.images import BEGINS, GOES_ON, Pictures
-from gateway.ros.intake import Intake
+from gateway.ros.intake import Intake, readers
 from gateway.ros.link import Link, Setup, dds_type
 from gateway.ros.network import LOOPBACK, is_zenoh
 from gateway.ros.rtps import MULTICAST, Endpoint, Participant, Qos, Sample, ports
@@ -150,8 +150,8 @@ class Carrier:
     _unsendable: int = 0
 
     def __post_init__(self) -> None:
-        setup, self._intake = self.setup, Intake(self.link)
-        self._pictures = Pictures([row[2] for row in setup.rows])
+        setup, kinds = self.setup, [row[2] for row in self.setup.rows]
+        self._intake, self._pictures = Intake(self.link, readers(kinds)), Pictures(kinds)
         discovery, data = open_sockets(setup.address, setup.domain)
         self.sockets = [discovery, data]
         targets = [Locator(LOOPBACK, ports(setup.domain, number)[1]) for number in range(ANNOUNCED)]

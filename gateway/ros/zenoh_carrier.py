@@ -21,7 +21,7 @@ from zenoh.handlers import RingChannel
 from gateway.core.clock import WallClock
 from gateway.ros import zenoh_keys as keys
 from gateway.ros.images import BEGINS, GOES_ON, Pictures
-from gateway.ros.intake import Intake
+from gateway.ros.intake import Intake, readers
 from gateway.ros.link import Link, Setup, dds_type
 from gateway.ros.network import zenoh_endpoint
 from protocols.messages import Nanos
@@ -90,8 +90,8 @@ class ZenohCarrier:
 
     def __init__(self, setup: Setup, link: Link) -> None:
         self.link, self.clock = link, WallClock()
-        self._intake = Intake(link)
-        self._pictures = Pictures([row[2] for row in setup.rows])
+        kinds = [row[2] for row in setup.rows]
+        self._intake, self._pictures = Intake(link, readers(kinds)), Pictures(kinds)
         self.session, self.where = open_session(setup.address)
         node = keys.Node(setup.domain, str(self.session.zid()), setup.namespace, setup.node)
         self._publishers: dict[int, _Publisher] = {}

@@ -266,7 +266,7 @@ class Server:
         else:
             stamp = types.make("builtin_interfaces/msg/Time")
             refuse = lambda goal: "negative" if goal.order < 0 else ""  # noqa: E731
-            made = self._action.send_goal(request, stamp, token, refuse)
+            made = self._action.send_goal(bytes(request.goal_id.uuid), request.goal, stamp, token, refuse)
             if made is not None:
                 self._sequence = [0, 1]
                 self._action.set(made, actions.EXECUTING)
