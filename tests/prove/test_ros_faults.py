@@ -435,12 +435,12 @@ def test_what_a_step_of_twelve_joints_costs(
     ended = time.thread_time_ns()
     assert len(read.times) == 331
     with capsys.disabled():
-        middle = [each[len(each) // 2] for each in (alone, sorted(steps), took)]
+        alone_, beside, own = (each[len(each) // 2] for each in (alone, sorted(steps), took))
         print(
-            f"\na step alone {middle[0]:.0f} us, with all topics taken {middle[1]:.0f} us; then in the bridge "
-            f"{middle[2]:.0f} us, mean {sum(took) / len(took):.0f}, 99 % {took[len(took) * 99 // 100]:.0f}, at "
-            f"most {took[-1]:.0f}; a trajectory of {len(data)} bytes {(ready - began) / 1e3:.0f} us where the "
-            f"sockets are, {(ended - ready) / 1e3:.0f} us in a step"
+            f"\na step alone {alone_:.0f} us, with all topics taken {beside:.0f} us; then in the bridge {own:.0f} "
+            f"us, mean {sum(took) / len(took):.0f}, 99 % {took[len(took) * 99 // 100]:.0f}, at most "
+            f"{took[-1]:.0f}; a trajectory of {len(data)} bytes {(ready - began) / 1e3:.0f} us where the sockets "
+            f"are, {(ended - ready) / 1e3:.0f} us in a step"
         )
 
 
