@@ -397,7 +397,7 @@ class Bridge:
         if row.qos.reliable:
             self._allow(now)
         self._checked(row, payload)
-        message = None if row.type == graph.TRAJECTORY else decode(row.type, payload)
+        message: Any = None if row.type == graph.TRAJECTORY else decode(row.type, payload)
         match row.name:
             case "/cmd_vel":
                 twist = message.twist if row.type == graph.TWIST_STAMPED else message

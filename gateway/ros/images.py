@@ -125,7 +125,7 @@ class ImageTopics:
         header = ros_messages.header(store().types, t, frame(camera))
         height, width, _ = pixels.shape
         self._link.send(BEGINS, row, encode(make(IMAGE, header=header, format="jpeg"))[:-4], height, width)
-        self._pixels, self._at = (row, memoryview(np.ascontiguousarray(pixels)).cast("B")), 0
+        self._pixels, self._at = (row, np.ascontiguousarray(pixels).data.cast("B")), 0
 
     def _go_on(self, row: int, pixels: memoryview) -> None:
         self._link.send(GOES_ON, row, self._at, bytes(pixels[self._at : self._at + BAND]))

@@ -109,12 +109,11 @@ def unpacked(data: bytes) -> tuple[Points | str, bytes, Goal | None]:
     return points, id_, Goal(points, [(n, p) for n, p in at_goal], [(n, p) for n, p in on_path], time)
 
 
-def _points(
-    joints: Sequence[str], times: bytes, positions: bytes, velocities: bytes, moving: bytes
-) -> Points:
+def _points(joints: Sequence[str], times: bytes, rows: bytes, speeds: bytes, moving: bytes) -> Points:
     shape = len(moving), len(joints)
-    rows = (np.frombuffer(each).reshape(shape) for each in (positions, velocities))
-    return Points(tuple(joints), np.frombuffer(times), *rows, np.frombuffer(moving, dtype=np.bool_))
+    positions, velocities = (np.frombuffer(each).reshape(shape) for each in (rows, speeds))
+    mask = np.frombuffer(moving, dtype=np.bool_)
+    return Points(tuple(joints), np.frombuffer(times), positions, velocities, mask)
 
 
 class Trajectory(NamedTuple):
