@@ -52,6 +52,8 @@ JOINT_COMMANDS = {f"/{kind}_controller/commands": kind for kind in ("position", 
 TRAJECTORIES = "/joint_trajectory_controller/joint_trajectory"
 TRIGGERS = {"stop": "stop asked for in ROS 2", "release": "release", "clear_faults": "clear"}
 """Services of the node, by the operator's line that each is"""
+PARTS = "/_action/"
+"""Between an action's name and those of its parts"""
 ZERO = "zero"
 """A service of each motor"""
 PARAMETERS = {
@@ -105,6 +107,8 @@ def rows(robot: Robot, *, steers: bool, cameras: Sequence[str] = ()) -> list[Row
         found += [("serve", f"~/{name}/{ZERO}", TRIGGER, Qos()) for name in robot.motors]
         found += [("serve", f"~/{name}", type_, Qos()) for name, type_ in PARAMETERS.items()]
     names = [name for _, name, _, _ in found]
+    names += dict.fromkeys(name.partition(PARTS)[0] for name in names if PARTS in name)
+    names += images.topics([*robot.sensors])  # of which one may be a camera, in another world
     for key in robot.ros.remap:
         if key not in names:
             raise UserError(f"[ros] remap: {unknown('topic', key, names)}")
@@ -112,7 +116,7 @@ def rows(robot: Robot, *, steers: bool, cameras: Sequence[str] = ()) -> list[Row
 
 
 def _action(name: str, type_: str) -> list[tuple[Kind, str, str, Qos]]:
-    inner = f"{name}/_action"
+    inner = f"{name}{PARTS[:-1]}"
     return [
         ("serve", f"{inner}/send_goal", f"{type_}_SendGoal", Qos()),
         ("serve", f"{inner}/get_result", f"{type_}_GetResult", Qos()),
@@ -128,8 +132,11 @@ def node_name(robot: Robot) -> str:
 
 
 def full_name(robot: Robot, name: str) -> str:
-    """Return the name in the graph: remapped, or in the namespace; "~" is our node."""
-    if name in robot.ros.remap:
-        return robot.ros.remap[name]
+    """Return the name in the graph: remapped, or in the namespace; "~" is our node. The parts of an action
+    go with it."""
+    whole, parts, part = name.partition(PARTS)
+    for each, rest in ((name, ""), (whole, parts + part)):
+        if each in robot.ros.remap:
+            return f"{robot.ros.remap[each]}{rest}"
     inner = re.sub(r"^~", f"/{node_name(robot)}", name)
     return f"{robot.ros.namespace}{inner}"
