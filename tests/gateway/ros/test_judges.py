@@ -323,6 +323,7 @@ def test_nodes_of_a_tutorial_drive_a_robot(mine: tuple[str, ...], tmp_path: Path
     remaps = [f"{theirs}:={ours}" for name in mine for theirs, ours in TOPICS[name].items()]
     given = [part for one in remaps for part in ("-r", one)]
     given += ["-p", "leads:=true"] if "controller" in mine else []
+    given += ["-p", "keeps:=true"] if "planner" in mine else []
     arguments = ["--ros-args", *given] if given else []
     seen = Seen()
     with gateway.open_session("diffbot", seed=1, record=recording) as session:

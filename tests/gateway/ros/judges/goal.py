@@ -21,6 +21,7 @@ goals = node.create_publisher(
 )
 message = PoseStamped()
 message.pose.position.x, message.pose.position.y = goal
+node.until(lambda: goals.get_subscription_count() > 0, "somebody who takes the goal")
 goals.publish(message)
 say("begin")
 node.until(lambda: here and math.dist(here[-1], goal) <= 0.15, "the goal")
