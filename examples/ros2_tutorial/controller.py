@@ -1,6 +1,4 @@
-"""Control as a ROS 2 node: a path (/tutorial/path) and /odom in, /cmd_vel out, at 20 Hz (pure pursuit). With
-the parameter `keeps` a path is followed to its end, also if it is taken back: the gateway's own planner does
-that when somebody else drives."""
+"""Control as a ROS 2 node: a path (/tutorial/path) and /odom in, /cmd_vel out, at 20 Hz (pure pursuit)."""
 
 import math
 
@@ -19,7 +17,6 @@ class Controller(Node):
     def __init__(self):
         super().__init__("controller")
         self.path, self.pose = [], None
-        self.keeps = self.declare_parameter("keeps", False).value
         self.twists = self.create_publisher(TwistStamped, "/cmd_vel", 10)
         self.create_subscription(Odometry, "/odom", self.on_odometry, 10)
         self.create_subscription(Path, "/tutorial/path", self.on_path, 10)
@@ -30,8 +27,6 @@ class Controller(Node):
         self.pose = position.x, position.y, 2.0 * math.atan2(q.z, q.w)
 
     def on_path(self, message):
-        if self.keeps and not message.poses:
-            return
         self.path = [(one.pose.position.x, one.pose.position.y) for one in message.poses]
 
     def step(self):

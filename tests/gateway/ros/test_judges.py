@@ -304,26 +304,23 @@ TUTORIAL = Path(__file__).parents[3] / "examples" / "ros2_tutorial"
 
 TOPICS = {
     "perception": {"/tutorial/map": "/map"},
-    "planner": {"/tutorial/path": "/plan", "/tutorial/goal": "/goal_pose"},
+    "planner": {},
     "controller": {},
 }
 """What is ours in the place of a node: topics of theirs, by those of ours"""
 
 
 @pytest.mark.prove
-@pytest.mark.parametrize(
-    "mine", [(), ("perception",), ("perception", "planner"), ("perception", "controller")]
-)
+@pytest.mark.parametrize("mine", [(), ("perception",), ("perception", "controller")])
 def test_nodes_of_a_tutorial_drive_a_robot(mine: tuple[str, ...], tmp_path: Path) -> None:
-    """What is not a node of ROS is the gateway's own: who plans without its control leads it from goal to
-    goal, and who controls without its planner drives along /plan."""
+    """What is not a node of ROS is the gateway's own: a planner without a controller leads it from goal to
+    goal."""
     python()
     number, recording, there = domain(), tmp_path / "drive.mcap", (1.2, 0.3)
     names = [name for name in TOPICS if name not in mine]
     remaps = [f"{theirs}:={ours}" for name in mine for theirs, ours in TOPICS[name].items()]
     given = [part for one in remaps for part in ("-r", one)]
     given += ["-p", "leads:=true"] if "controller" in mine else []
-    given += ["-p", "keeps:=true"] if "planner" in mine else []
     arguments = ["--ros-args", *given] if given else []
     seen = Seen()
     with gateway.open_session("diffbot", seed=1, record=recording) as session:
