@@ -53,7 +53,8 @@ class BaseLimb:
         settings: BrainSettings,
     ) -> None:
         self.motors = body.joints
-        self.perception = Perception(body, dict(sensors), settings.perception, settings.stop.self_seen)
+        seen, saved = settings.stop.self_seen, settings.saved
+        self.perception = Perception(body, dict(sensors), settings.perception, seen, saved)
         self.motion = MotionControl(settings.pursuit, body, body.joints)
         self.navigator = Navigator(body, settings.planner, settings.behaviour)
         self._body, self._settings = body, settings

@@ -19,6 +19,7 @@ from brain.control.pursuit import PursuitSettings
 from brain.health import HealthSettings
 from brain.other_brain import Chosen
 from brain.perception.perception import PerceptionSettings
+from brain.perception.saved_map import SavedMap
 from brain.planning.behaviours import BehaviourSettings
 from brain.planning.costmap import PlannerSettings
 from brain.planning.stop_zone import StopSettings
@@ -41,6 +42,8 @@ class BrainSettings:
     health: HealthSettings = field(default_factory=HealthSettings)
     other: Chosen | None = None
     """Who makes the commands in our brain's place: in the robot file its name, `kind`, and its own table"""
+    saved: SavedMap | None = None
+    """The map that it begins in: in the robot file the table [map]"""
 
     def __post_init__(self) -> None:
         radius = self.base.radius if self.base is not None else 0.0

@@ -30,6 +30,7 @@ ONLY: dict[str, tuple[str, ...]] = {
     "queue": (),
     "random": (),
     "rosbags": (*RECORDINGS, "gateway.ros.types"),
+    "ruamel": ("gateway.config.map_file",),
     "scipy": ("brain.perception.graph", "brain.perception.keyframes", "gateway.bench"),
     "secrets": ("gateway.cli.live",),
     "serial": ("gateway.buses",),

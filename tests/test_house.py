@@ -306,8 +306,13 @@ def test_the_gateway_asks_what_a_body_can_do_and_never_its_class() -> None:
 # -- dependencies -------------------------------------------------------------------------------
 
 
+def normal(name: str) -> str:
+    """Return the name of a distribution as the lock has it."""
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
 def requirement_names(requirements: list[str]) -> set[str]:
-    return {re.split(r"[<>=!~\[; ]", requirement)[0].lower() for requirement in requirements}
+    return {normal(re.split(r"[<>=!~\[; ]", requirement)[0]) for requirement in requirements}
 
 
 IF_THERE = {"pandas", "pytest"}
@@ -323,7 +328,7 @@ def test_what_is_imported_is_declared_and_the_other_way_round() -> None:
     }
     outside = tops - set(sys.stdlib_module_names) - {*ROOMS, "benchmarks"} - IF_THERE
     # A distribution may bring its module through another one (mujoco through mujoco-core).
-    providers = {top: {top, *(name.lower() for name in distributions[top])} for top in outside}
+    providers = {top: {top, *(normal(name) for name in distributions[top])} for top in outside}
     optional = PROJECT["project"]["optional-dependencies"]
     extras = [*optional["sim"], *optional["camera"], *optional["dbc"], *optional["ros"]]
     declared = requirement_names([*PROJECT["project"]["dependencies"], *extras])

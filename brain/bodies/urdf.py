@@ -29,8 +29,8 @@ FARTHEST, HEAVIEST = 1e3, 1e5
 FASTEST, STRONGEST = 1e3, 1e5
 """rad/s and m/s; N·m and N: what is beyond means no limit"""
 EXPAND = (
-    "it is xacro that was not expanded: make a URDF of it, with ROS by `xacro FILE.xacro > FILE.urdf`, "
-    "without by `xacrodoc FILE.xacro -o FILE.urdf` (pip install xacrodoc)"
+    "it is xacro that was not expanded: make a URDF of it by `xacro FILE.xacro > FILE.urdf` (pip install "
+    "xacro), or where it has $(find …) by `xacrodoc FILE.xacro -o FILE.urdf` (pip install xacrodoc)"
 )
 OTHERS = {
     "sdf": "Gazebo's SDF",

@@ -170,6 +170,10 @@ class Consistency:
         self._doubt.clear()
         self._too_sure.clear()
 
+    def lose(self, why: str) -> None:
+        """Begin being lost."""
+        self.lost = why
+
     def tied(self) -> None:
         """A loop ties where it is to the map of before."""
         self.adrift = ""

@@ -26,6 +26,7 @@ from brain.belief import Floats, Pose
 from brain.bodies.plane import seen_from, wrap
 from brain.perception.body_scan import BodyScan, Bools, PackedScan, rotated, to_world
 from brain.perception.match import OPEN, inverted
+from brain.perception.saved_map import SavedMap
 from protocols.bounds import Bounds, check, ordered
 
 Indices = npt.NDArray[np.int64]
@@ -244,8 +245,9 @@ class Keyframes:
     """All keyframes, numbered as they came, their poses, and the local map of the newest. Plain data: a deep
     copy continues exactly as the original."""
 
-    def __init__(self, settings: KeyframeSettings) -> None:
-        self.settings = settings
+    def __init__(self, settings: KeyframeSettings, saved: SavedMap | None = None) -> None:
+        """`saved`: of its walls, those about the robot are always in the local map."""
+        self.settings, self._saved = settings, saved
         self.kept: dict[int, Keyframe] = {}
         self.count = 0
         """That there have been"""
@@ -254,6 +256,7 @@ class Keyframes:
         """Number of the oldest that may be in the local map"""
         self._local = Surfaces(np.zeros((0, 2)), np.zeros((0, 2)))
         self._owners: Indices = np.zeros(0, dtype=np.int64)
+        """Keyframe of each of its surfaces; `count`: the saved map"""
 
     def __len__(self) -> int:
         return self.count - self._first
@@ -333,9 +336,15 @@ class Keyframes:
 
     def _build(self) -> None:
         newest = [number for number in self._newest() if number in self.kept]
-        self._local = Surfaces(*self.gathered(newest))
-        sizes = np.array([len(self.kept[number].points) for number in newest], dtype=np.int64)
-        self._owners = np.repeat(np.array(newest, dtype=np.int64), sizes)
+        points, normals = self.gathered(newest)
+        sizes = [len(self.kept[number].points) for number in newest]
+        if self._saved is not None and newest:
+            here = self.pose(newest[-1])
+            walls = self._saved.near(here.x, here.y, self.settings.farthest)
+            points, normals = np.concatenate([points, walls[0]]), np.concatenate([normals, walls[1]])
+            newest, sizes = [*newest, self.count], [*sizes, len(walls[0])]
+        self._local = Surfaces(points, normals)
+        self._owners = np.repeat(np.array(newest, dtype=np.int64), np.array(sizes, dtype=np.int64))
 
     def place(self, scan: BodyScan, predicted: Pose, noise: Floats) -> Placed | None:
         """Return the pose of a scan, searched from a prediction with this covariance (3 × 3), and, if
@@ -362,12 +371,15 @@ class Keyframes:
         return Placed(pose, best.noise + floor, self._shared(best.nearest, pose), best.share)
 
     def _shared(self, nearest: Indices, pose: Pose) -> Floats:
-        """Return the covariance of the keyframes to which these surfaces belong, moved to a pose."""
+        """Return the covariance of the keyframes to which these surfaces belong, moved to a pose; that of a
+        saved map's walls turns with no lever."""
         first = self._newest().start
         counts = np.bincount(self._owners[nearest] - first) / len(nearest)
         total = np.zeros((3, 3))
         for number, part in enumerate(counts.tolist(), first):
-            if part:
+            if part and number == self.count and self._saved is not None:
+                total += part * self._saved.variance * np.diag([1.0, 1.0, 0.0])
+            elif part:
                 x, y, _ = self._poses[number].tolist()
                 turn = np.eye(3)
                 turn[0, 2], turn[1, 2] = y - pose.y, pose.x - x

@@ -22,6 +22,7 @@ import numpy as np
 from brain.belief import Floats, Pose
 from brain.perception.body_scan import BodyScan, Bools, rotated, to_world
 from brain.perception.lines import TILE
+from brain.perception.saved_map import SavedMap
 from brain.perception.tiles import BITS, UNIT, Indices, Tiles, Values
 from protocols.bounds import Bounds, Invalid, check
 
@@ -72,13 +73,41 @@ class MapSettings:
 class Map(Tiles):
     """The map. Plain data: a deep copy continues exactly as the original."""
 
-    def __init__(self, settings: MapSettings) -> None:
+    def __init__(self, settings: MapSettings, saved: SavedMap | None = None) -> None:
+        """`saved`: what is known of the ground from before."""
         super().__init__(settings.resolution, settings.across, settings.tiles)
-        self.settings = settings
+        self.settings, self._saved = settings, saved
         names = ("hit", "miss", "low", "high")
         self._hit, self._miss, self._low, self._high = (
             np.int8(round(getattr(settings, name) / UNIT)) for name in names
         )
+        self._lay()
+
+    def anew(self) -> Map:
+        """Return a map as this one began."""
+        return Map(self.settings, self._saved)
+
+    def forget(self) -> None:
+        """Forget all that was observed: what is known is what it began with."""
+        super().forget()
+        self._lay()
+
+    def _lay(self) -> None:
+        """Take what is known from before."""
+        if (saved := self._saved) is None:
+            return
+        self.version += 1
+        firsts = {tile: self.put(tile, values) for tile, values in saved.tiles()}
+        walls = saved.walls
+        tiles = np.column_stack([walls.rows >> BITS, walls.columns >> BITS])
+        which, at = np.unique(tiles, axis=0, return_inverse=True)
+        first = np.array([firsts[row, column] for row, column in which.tolist()], dtype=np.int64)
+        _, within = self._parts(walls.columns, walls.rows)
+        surfaces = walls.normals * walls.offsets[:, None]
+        sure = np.diag([saved.variance, saved.variance, 0.0])
+        if len(first):
+            places = first[at.reshape(-1)] + within
+            self.lines.draw(places, surfaces, walls.normals, Pose(0.0, 0.0, 0.0), sure)
 
     def add(self, pose: Pose, scan: BodyScan, covariance: Floats) -> None:
         """Add a scan that was taken with the robot at this pose, known to this covariance (3 × 3)."""

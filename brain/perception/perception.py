@@ -55,6 +55,7 @@ from brain.perception.percept import Sight, extrapolated
 from brain.perception.placing import Placing, is_covered
 from brain.perception.redraw import Redraw, correction
 from brain.perception.relocalise import PoseFound, PoseSearch, PoseSearching, RelocaliseSettings
+from brain.perception.saved_map import SavedMap
 from protocols import messages as msg
 from protocols.bounds import Bounds, Duration, check
 from protocols.messages import MILLISECOND, SECOND, Event, Feedback, Fix, Imu, LaserScan, Nanos, PoseReading
@@ -101,6 +102,7 @@ ASTRAY = 0.5
 """Of what a lost robot has driven, by which it may be off: it was not carried meanwhile"""
 FAR, FAR_YAW = 1.0, 0.6
 """m, rad: who is found farther off was carried there; two scans must say so"""
+NO_PLACE = "lost: it has just begun, and where it is in the saved map was not stated"
 ADRIFT = "its place in the map is doubtful"
 GOES_ON = "the map does not have this ground, and goes on from where the wheels have taken the robot since"
 DRAWS = 1
@@ -191,12 +193,19 @@ class Perception:
     """Estimate, map and verdict. Plain data: a deep copy continues exactly as the original."""
 
     def __init__(
-        self, body: Base, mounts: Mapping[str, Mount], settings: PerceptionSettings, self_seen: float = 0.0
+        self,
+        body: Base,
+        mounts: Mapping[str, Mount],
+        settings: PerceptionSettings,
+        self_seen: float = 0.0,
+        saved: SavedMap | None = None,
     ) -> None:
-        """`self_seen`: m about the footprint, within which a beam ends at the robot's own body."""
+        """`self_seen`: m about the footprint, within which a beam ends at the robot's own body; `saved`: the
+        map that it begins in."""
         self.body = body
         self.settings = settings
-        self.map = Map(settings.map)
+        self.map = Map(settings.map, saved)
+        self._saved, self._begun = saved, saved is None
         self.rejected: dict[str, int] = dict.fromkeys((*body.joints, *mounts), 0)
         """Number of measurements rejected by the chi-square gate, by motor or sensor."""
         self.anomalies: dict[str, dict[str, int]] = {name: {} for name in self.rejected}
@@ -223,7 +232,7 @@ class Perception:
         self._map_began: Pose | None = None
         self._map_began_at: Nanos = 0
         self._consistency = Consistency()
-        self._placing = Placing(settings.match, settings.keyframes, settings.loops)
+        self._placing = Placing(settings.match, settings.keyframes, settings.loops, saved)
         self._sure: dict[str, float] = {}
         """Variance of the position [m²] after the newest scan of each lidar that showed a place"""
         self._fixes = Fixes(settings.fixes)
@@ -357,7 +366,24 @@ class Perception:
                 inputs += self._on_marker(event)
         if inputs:
             self._apply(inputs)
+        if not self._begun and self.estimate is not None:
+            self._begun = True
+            self._begin(self.estimate)
         self._work(now)
+
+    def _begin(self, estimate: Estimate) -> None:
+        """Begin in a saved map: where that was stated, or by looking for the place."""
+        saved = self._saved
+        assert saved is not None, "there is one"
+        if (start := saved.start) is None:
+            self._consistency.lose(NO_PLACE)
+            at = "the place is looked for"
+        else:
+            self._relocate(estimate.t, start.pose, start.covariance, "began in a saved map")
+            at = f"at ({start.x:.2f}, {start.y:.2f}), {math.degrees(start.yaw):.0f}°"
+        self._set_verdict()
+        self._notes.append(f"began in a saved map of {saved.text}: {at}")
+        self._notes += filter(None, [saved.remark])
 
     def locate(self, pose: Pose, sigma: float, sigma_yaw: float) -> bool:
         """Believe that the robot is at a pose now, as sure as that [m, rad]; return False before the first
@@ -692,7 +718,10 @@ class Perception:
         mount, t = self.mounts[name], self._filter.t
         self.mounts[name] = replace(mount, yaw=wrap(mount.yaw + yaw))
         here = None if t is None else self._filter.at(t)
-        if t is not None and here is not None and len(self._last_scan) == 1:
+        if t is not None and here is not None and self._saved is not None:  # which is right: it was turned
+            self._filter.reset(t, here[0], here[1] + np.diag([0.0, 0.0, yaw * yaw]))
+            self._apply([])
+        elif t is not None and here is not None and len(self._last_scan) == 1:
             pose, covariance = here
             began = self._map_began or pose
             c, s = math.cos(yaw), math.sin(yaw)

@@ -29,6 +29,7 @@ from brain.perception.lag import Lag
 from brain.perception.loops import TORN, Loops, LoopSettings
 from brain.perception.map import Map
 from brain.perception.match import WINDOWS, Match, MatchSettings, examine, match
+from brain.perception.saved_map import SavedMap
 from protocols.messages import SECOND, Nanos
 
 LOUDER, QUIETER, QUIETEST, LOUDEST = 0.1, 0.01, 0.1, 25.0
@@ -75,8 +76,14 @@ class Placing:
     """The keyframes, and what was learnt of the noise. Plain data: a deep copy continues exactly as the
     original."""
 
-    def __init__(self, matching: MatchSettings, keyframes: KeyframeSettings, loops: LoopSettings) -> None:
-        self.keyframes = Keyframes(keyframes)
+    def __init__(
+        self,
+        matching: MatchSettings,
+        keyframes: KeyframeSettings,
+        loops: LoopSettings,
+        saved: SavedMap | None = None,
+    ) -> None:
+        self.keyframes = Keyframes(keyframes, saved)
         self.loops = Loops(loops)
         self._settings = matching
         self._loud: dict[str, float] = {}

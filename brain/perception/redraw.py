@@ -66,7 +66,7 @@ class Redraw:
             self._drawn = drawn
             return True
         self._drawn = poses.copy()
-        self._poses, self._chart = poses, Map(chart.settings)
+        self._poses, self._chart = poses, chart.anew()
         here = poses[-1]
         kept = np.array([number for number in keyframes.kept if number < new], dtype=np.int64)
         nearest = kept[np.argsort(np.hypot(*(poses[kept, :2] - here[:2]).T), kind="stable")].tolist()

@@ -210,7 +210,20 @@ class Tiles:
         while len(self._gone) > self._most:
             del self._gone[next(iter(self._gone))]
 
-    def _make(self, tile: Tile, number: int) -> None:
+    def put(self, tile: Tile, values: Values) -> int:
+        """Set the values of a whole tile, wherever it is; return the place of its first cell."""
+        row, column = tile[0] - self._first[0], tile[1] - self._first[1]
+        inside = 0 <= row < self._across and 0 <= column < self._across
+        mask = self._across - 1
+        if tile not in self._at:
+            self._make(tile, ((tile[0] & mask) << self._shift) + (tile[1] & mask) if inside else None)
+        at = self._at[tile]
+        self._values[at : at + AREA] = values.reshape(-1)
+        self._touched[at // AREA] = self._stamps[at // AREA] = self.version
+        return at
+
+    def _make(self, tile: Tile, number: int | None) -> None:
+        """Make room for a tile; `number`: its place in the window, None: it is outside."""
         if len(self._at) >= self._most:
             from_middle = np.abs(2 * (self._tiles[1:] - self._first) - (self._across - 1)).max(axis=1)
             row, column = self._tiles[1 + from_middle.argmax()].tolist()
@@ -223,7 +236,9 @@ class Tiles:
             self.lines.extend(size)
             self._unused = list(range(size - AREA, have - AREA, -AREA))
         at = self._unused.pop()
-        self._at[tile] = self._window[number] = at
+        self._at[tile] = at
+        if number is not None:
+            self._window[number] = at
         self._tiles[at // AREA] = tile
         self._gone.pop(tile, None)
 

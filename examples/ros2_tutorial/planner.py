@@ -1,4 +1,5 @@
-"""Planning as a ROS 2 node: a grid, /odom and a goal (/tutorial/goal) in, a path by A* out."""
+"""Planning as a ROS 2 node: a grid, /odom and a goal (/tutorial/goal) in, a path by A* out; with the
+parameter `leads`, goals of the gateway's own control along that path."""
 
 import heapq
 import math
@@ -12,6 +13,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 RADIUS = 0.3
 """m that the path keeps from what is occupied."""
+AHEAD, NEXT = 0.8, 0.3
+"""m along the path to where it leads, and by which that moves before it is told."""
 
 
 class Planner(Node):
@@ -22,6 +25,9 @@ class Planner(Node):
         self.here = self.goal = None
         kept = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.paths = self.create_publisher(Path, "/tutorial/path", 10)
+        self.led = None
+        leads = self.declare_parameter("leads", False).value
+        self.goals = self.create_publisher(PoseStamped, "/goal_pose", 10) if leads else None
         self.create_subscription(Odometry, "/odom", self.on_odometry, 10)
         self.create_subscription(PoseStamped, "/tutorial/goal", self.on_goal, kept)
         self.create_subscription(OccupancyGrid, "/tutorial/map", self.on_grid, kept)
@@ -52,6 +58,17 @@ class Planner(Node):
             pose.pose.position.y = origin[1] + (row + 0.5) * info.resolution
             path.poses.append(pose)
         self.paths.publish(path)
+        if self.goals is not None and path.poses:
+            self.lead(path.poses)
+
+    def lead(self, poses):
+        """Tell where to drive next, in the frame of the map."""
+        next_ = poses[min(round(AHEAD / 0.05), len(poses) - 1)]
+        at = next_.pose.position.x, next_.pose.position.y
+        if self.led is None or math.dist(at, self.led) > NEXT or (next_ is poses[-1] and at != self.led):
+            self.led = at
+            next_.header.frame_id = "map"
+            self.goals.publish(next_)
 
 
 def widened(cells, radius):

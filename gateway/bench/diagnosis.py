@@ -45,7 +45,9 @@ def _foreign(driven: Driven) -> list[Finding]:
         return explained(driven.robot, verdict.named(calibrate(driven)))
     except UserError as error:  # no scans, or too few
         text = str(error)
-    perception = Perception(driven.body, driven.mounts, driven.robot.brain.perception)
+    perception = Perception(
+        driven.body, driven.mounts, driven.robot.brain.perception, saved=driven.robot.brain.saved
+    )
     for event in driven.events():
         perception.observe(event.t, [event])
         perception.finish(event.t)

@@ -33,6 +33,14 @@ def add_real(parser: ArgumentParser) -> None:
     parser.add_argument("--real", type=names, default=(), metavar="NAME,NAME", help=text)
 
 
+def add_map(parser: ArgumentParser) -> None:
+    """Add --map and --at."""
+    text = "begin in this map: a YAML file of map_server, with its image (PGM) beside it"
+    parser.add_argument("--map", default="", metavar="FILE", help=text)
+    text = "where the robot is in the map (m, m, degrees; default: it looks for its place by its first scans)"
+    parser.add_argument("--at", type=place, metavar="X,Y,YAW", help=text)
+
+
 def add_seconds(parser: ArgumentParser, default: str = "Ctrl-C") -> None:
     """Add --seconds."""
     text = f"stop after this time (default: {default})"
@@ -66,6 +74,12 @@ def add_realtime(parser: ArgumentParser) -> None:
 
 
 # -- types ------------------------------------------------------------------------------------------
+
+
+def place(text: str) -> tuple[float, float, float]:
+    """Return X,Y[,YAW] [m, m, degrees] as m, m, rad."""
+    x, y, yaw = goal(text)
+    return x, y, yaw or 0.0
 
 
 def names(text: str) -> tuple[str, ...]:

@@ -39,6 +39,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         parser, "put a bus on another interface: can0=socketcan:vcan0, sensors=serial:/dev/ttyUSB0, can0=twin"
     )
     arguments.add_real(parser)
+    arguments.add_map(parser)
     text = "put the world's torques on a real motor by another one on its shaft: left=brake"
     parser.add_argument(
         "--load", type=arguments.pair, action="append", default=[], metavar="MOTOR=BRAKE", help=text
@@ -78,7 +79,10 @@ def run(options: Namespace) -> int:
     """Return 1 if a motor was left in fault or armed, something asked for was not done, or the loop hung."""
     check_view(options)
     wanted = wanted_of(options.realtime)
-    robot = with_interfaces(load_robot(options.robot, real=options.real), dict(options.bus))
+    if options.at is not None and not options.map:
+        raise UserError("--at is a place in a map: name its file by --map")
+    robot = load_robot(options.robot, real=options.real, saved_map=options.map, start=options.at)
+    robot = with_interfaces(robot, dict(options.bus))
     rotation = replace(options.rotate, keep=60.0 * options.keep)
     if rotation != Rotation() and options.record is None:
         raise UserError("--rotate and --keep are of a recording: name its file by --record")

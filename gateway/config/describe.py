@@ -186,6 +186,8 @@ def _brain(robot: Robot) -> str:
     lines = [f"limbs: {', '.join(parts)}"] if len(parts) > 1 else []
     if (other := robot.brain.other) is not None:
         lines.append(f"commands by the brain {other.kind.name!r} of {other.maker}: {other.settings}")
+    if (saved := robot.brain.saved) is not None:
+        lines += [f"begins in a map of {saved.text}", *filter(None, [saved.remark])]
     return "\n".join([*lines, *(line for name, limb in parts.items() for line in _limb(heads[name], limb))])
 
 

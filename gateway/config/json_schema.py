@@ -26,6 +26,7 @@ from brain.perception.mount import Mount
 from brain.settings import BrainSettings
 from brain.skills import found as skills
 from gateway.config import bodies
+from gateway.config.map_file import MapKeys
 from gateway.config.mission import REPEAT
 from gateway.config.robot_file import LimbKeys, TopKeys
 from gateway.config.sections import BusKeys, ConnectionKeys, SensorKeys
@@ -209,7 +210,7 @@ def _robot_tables(write: Writer, *, complete: bool) -> dict[str, Schema]:
     place["body"] = {**place["body"], "enum": list(found)}
     body = {"enum": list(found), "description": "Its own table has this name"}
     also = {"body": body, **own, **_other_brains(write)}
-    brain = write.table(BrainSettings, complete=False, also=also, without=("body", "other"))
+    brain = write.table(BrainSettings, complete=False, also=also, without=("body", "other", "saved"))
     limbs = {name: write.table(one, complete=complete, also=place) for name, one in found.items()}
     named = write.table(UrdfKeys, complete=False)["properties"]
     joint = {"urdf_joint": named["urdf_joint"]}
@@ -229,7 +230,8 @@ def _robot_tables(write: Writer, *, complete: bool) -> dict[str, Schema]:
         own_keys = {"type": "object", "properties": groups, "additionalProperties": False}
         tables["defaults"] = {**own_keys, "description": text}
         tables["bag"] = write.reference(BagTopics, complete=True)
-        text = "The text of the URDF and of what it names, in the file of a recording"
+        tables["map"] = write.reference(MapKeys, complete=True)
+        text = "The URDF and what else is named, in the file of a recording"
         tables["files"] = {**_named({"type": "string"}), "description": text}
     return tables
 

@@ -22,7 +22,7 @@ from gateway.config.sections import Table
 from gateway.errors import UserError
 from protocols.bounds import bounds_of, hints, keys
 
-NOT_ITS_OWN = ("buses", "motors", "sensors", "limbs", "defaults", "world", "plant", "urdf")
+NOT_ITS_OWN = ("buses", "motors", "sensors", "limbs", "defaults", "world", "plant", "urdf", "map")
 FOR_RECORDINGS = (
     "this file is for recordings alone (a table [bag], and no bus): `gateway replay FILE --robot ROBOT` "
     "reads them; to run a robot, expected tables [buses.NAME] and [motors.NAME]"

@@ -17,6 +17,7 @@ dataclasses, so this file knows none of them by name. Files are TOML (toml.io, v
     [motors.NAME.settings]              what is configured on the device: the protocol's own, for its twin
     [sensors.NAME]                      protocol, bus, address, mount, timeout_ms, options, settings
     urdf                                links and joints (gateway.config.urdf); [files] has its text
+    [map]                               gateway.config.map_file.MapKeys: a map in which it begins; likewise
     [defaults.motors] …                 defaults for every motor (bus, sensor)
     [brain]                             brain.settings.BrainSettings; [brain.BODY] is the body's own; `kind`
                                         names a brain of another distribution, [brain.KIND] is its own
@@ -43,11 +44,13 @@ from brain.other_brain import Chosen
 from brain.settings import BrainSettings
 from gateway.config import bodies, resources, validate
 from gateway.config.errors import Key, Mistakes, shown, unknown
+from gateway.config.files import unpacked, with_files
+from gateway.config.map_file import MapKeys, image_of, saved_map
 from gateway.config.recorded import FOR_RECORDINGS, completed, is_recorded
 from gateway.config.schema import build
 from gateway.config.sections import Find, Table, check_interface, own_ids, read_bus, read_motor, read_sensor
 from gateway.config.text import read_text, read_toml
-from gateway.config.urdf import Description, with_files
+from gateway.config.urdf import Description
 from gateway.core.robot import (
     STALL_TIMEOUT,
     TWIN,
@@ -61,15 +64,17 @@ from gateway.core.robot import (
 )
 from gateway.errors import UserError
 from protocols import plugin
-from protocols.bounds import Bounds, Duration, keys
+from protocols.bounds import Bounds, Duration, Invalid, keys
 from protocols.messages import SECOND
 
 GROUPS = ("buses", "motors", "sensors")
-SECTIONS = (*GROUPS, "defaults", "brain", "limbs", "ros", "bag", "files")
+SECTIONS = (*GROUPS, "defaults", "brain", "limbs", "ros", "map", "bag", "files")
 NAME = "[A-Za-z_][A-Za-z0-9_]{0,63}"
 EXPECTED_NAME = "expected a name of letters, digits and _ that begins with no digit"
 LOWEST_RATE, HIGHEST_RATE = 10.0, 1000.0
 """Steps per second."""
+TIMES = 8
+"""The usual size of a file that a robot file may have with those that it names"""
 MAX_NAMED = 256
 """Buses, motors or sensors of a robot."""
 BESIDE = "_twins"
@@ -103,7 +108,13 @@ class TopKeys:
 
 
 def load_robot(
-    robot: str | Path, find: Find = plugin.load, *, recorded: bool = False, real: Sequence[str] = ()
+    robot: str | Path,
+    find: Find = plugin.load,
+    *,
+    recorded: bool = False,
+    real: Sequence[str] = (),
+    saved_map: str = "",
+    start: tuple[float, float, float] | None = None,
 ) -> Robot:
     """Read a robot file.
 
@@ -112,6 +123,8 @@ def load_robot(
         find: returns a protocol plugin by its name; by default those that are installed.
         recorded: whether it may be the file of a recording, which has no bus and cannot be run.
         real: as the file's key of this name, in its place; (): the file's.
+        saved_map: the file of a map in which it begins, as that of the table [map]; "": the file's.
+        start: where it is in it: m, m, rad; None: it looks for its place.
 
     Returns:
         Robot: everything that the file describes; nothing is opened yet.
@@ -122,9 +135,23 @@ def load_robot(
     """
     path = resources.find("robots", robot) if isinstance(robot, str) else robot
     mistakes = Mistakes(str(path), "")
-    text = with_files(read_text(path), path, mistakes)
+    text = read_text(path)
+    if saved_map:
+        text = _with_map(text, Path(saved_map), start, mistakes)
+    text = with_files(text, path, mistakes)
     mistakes.check()
     return parse_robot(text, str(path), find, file=path, recorded=recorded, real=real)
+
+
+def _with_map(text: str, file: Path, start: tuple[float, float, float] | None, mistakes: Mistakes) -> str:
+    """Return the text of a robot file with a table [map]."""
+    if "map" in read_toml(text, mistakes):
+        raise mistakes.fatal(f"--map {file}: the file has a table [map]; expected one of both")
+    lines = [f"file = {json.dumps(str(file.absolute()))}"]
+    if start is not None:
+        x, y, yaw = start
+        lines.append(f"start = {{ x = {x!r}, y = {y!r}, yaw = {yaw!r} }}")
+    return "\n".join([text.rstrip(), "", "[map]", *lines, ""])
 
 
 def parse_robot(
@@ -155,7 +182,7 @@ def parse_robot(
     """
     find = cache(find)  # it takes milliseconds
     mistakes = Mistakes(name, text)
-    table = read_toml(text, mistakes)
+    table = read_toml(text, mistakes, TIMES if "\n[files]\n" in text else 1)
     if is_recorded(table):
         if not recorded:
             raise mistakes.fatal(FOR_RECORDINGS)
@@ -204,6 +231,8 @@ def parse_robot(
     brain = _brain(table.get("brain", {}), limb_tables, motor_names, sensor_names, complete, mistakes)
     bag = build(BagTopics, table["bag"], ("bag",), mistakes) if "bag" in table else None
     ros = build(RosSettings, table.get("ros", {}), ("ros",), mistakes)
+    if "map" in table and brain is not None:
+        brain = _in_map(brain, table, mistakes)
 
     period = round(SECOND / top.rate_hz) if top else 0
     validate.check_interfaces(buses, ("buses",), mistakes)
@@ -354,9 +383,35 @@ def _brain(
     other = _other_brain(table, motors, mistakes)
     also = ["body", *([str(name)] if body else [str(name), *bodies.names()])]  # its table may be right
     also += ["kind", str(table["kind"])] if "kind" in table else []
-    given = {"body": body or bare(["x"]), "other": other}
+    given = {"body": body or bare(["x"]), "other": other, "saved": None}
     settings = build(BrainSettings, table, ("brain",), mistakes, also, given)
     return settings if body else None
+
+
+def _in_map(brain: BrainSettings, table: Table, mistakes: Mistakes) -> BrainSettings:
+    """Return the brain's settings with the map of the table [map]."""
+    named = build(MapKeys, table["map"], ("map",), mistakes)
+    if brain.base is None or brain.other is not None:
+        mistakes.add(
+            ("map",), "what is in a map is a base, of this project's own brain; expected no such table"
+        )
+    if named is None:
+        return brain
+    files = table.get("files", {})
+    text = files.get(named.file) if isinstance(files, dict) else None
+    if not isinstance(text, str):
+        missing = f"there is no text of {named.file!r} in [files]; it comes there by loading the file"
+        mistakes.add(("map", "file"), missing)
+        return brain
+    image = image_of(text)
+    packed = files.get(image)
+    images = {image: unpacked(packed)} if isinstance(packed, str) else {}
+    try:
+        return replace(brain, saved=saved_map(text, images, brain.perception.map, named.start))
+    except Invalid as error:
+        for _, sentence in error.wrong:
+            mistakes.add(("map", "file"), f"{Path(named.file).name}: {sentence}")
+    return brain
 
 
 def _other_brain(table: Table, motors: tuple[str, ...], mistakes: Mistakes) -> Chosen | None:

@@ -32,7 +32,7 @@ class Goal:
 
     id: bytes
     content: Any
-    """The message that it came as"""
+    """What it asks"""
     stamp: Any
     status: int = ACCEPTED
     result: bytes = b""
@@ -64,11 +64,17 @@ class Action:
         """The goal under way."""
         return next((goal for goal in self.goals.values() if goal.status not in ENDED), None)
 
-    def send_goal(self, request: Any, stamp: Any, token: Token, refused: Callable[[Any], str]) -> Goal | None:  # noqa: ANN401
+    def send_goal(
+        self,
+        id_: bytes,
+        content: Any,  # noqa: ANN401 -- what a goal of this action is
+        stamp: Any,  # noqa: ANN401 -- a message
+        token: Token,
+        refused: Callable[[Any], str],
+    ) -> Goal | None:
         """Answer who sends a goal; return it if it is accepted. `refused`: why its content is not, or ""."""
-        id_ = bytes(request.goal_id.uuid)
-        accepted = id_ not in self.goals and not refused(request.goal)
-        made = Goal(id_, request.goal, stamp) if accepted else None
+        accepted = id_ not in self.goals and not refused(content)
+        made = Goal(id_, content, stamp) if accepted else None
         response = make(f"{self.type}_SendGoal_Response", accepted=accepted, stamp=stamp)
         self.answer(f"{self.name}/_action/send_goal", encode(response), token)
         if made is None:

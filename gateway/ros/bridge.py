@@ -40,10 +40,11 @@ from gateway.core.tick import Note, Tick
 from gateway.errors import UserError
 from gateway.recording import ros_messages
 from gateway.recording.ros_views import OF_SENSORS, ViewMessage, Views
-from gateway.ros import actions, asked, graph, parameters, trajectory, types
+from gateway.ros import actions, asked, graph, images, parameters, trajectory, types
 from gateway.ros.actions import ABORTED, CANCELED, CANCELING, EXECUTING, SUCCEEDED, Action, Token
 from gateway.ros.asked import Held
 from gateway.ros.graph import FOLLOW, NAVIGATE, Row
+from gateway.ros.images import Camera, ImageTopics
 from gateway.ros.link import Link
 from gateway.ros.map_topics import MAP, UPDATES, MapTopics
 from gateway.ros.types import decode, encode, make
@@ -108,11 +109,14 @@ class _Motion:
     """Whether its last sample was given."""
 
 
-def open_bridge(scene: Scene, address: str, domain: int, epoch: Nanos) -> Bridge:
-    """Return the bridge once its process has opened the network.
+def open_bridge(
+    scene: Scene, address: str, domain: int, epoch: Nanos, cameras: Sequence[Camera] = ()
+) -> Bridge:
+    """Return the bridge once its process has opened the network. `cameras`: whose images are shown.
 
     Raises UserError if it cannot be opened, or the robot file remaps what there is not."""
-    rows = graph.rows(scene.robot, steers=scene.kind == "live")
+    names = [one.name for one in cameras]
+    rows = graph.rows(scene.robot, steers=scene.kind == "live", cameras=names)
     ours, theirs = socket.socketpair()
     with theirs:
         process = subprocess.Popen(
@@ -130,7 +134,7 @@ def open_bridge(scene: Scene, address: str, domain: int, epoch: Nanos) -> Bridge
         process.kill()
         process.wait()
         raise UserError(f"--ros: {first[0][1] if first else 'its process has not begun'}")
-    return Bridge(scene, rows, link, process, first[0][1], epoch, first[1:])
+    return Bridge(scene, rows, link, process, first[0][1], epoch, first[1:], cameras)
 
 
 def setup(robot: Robot, rows: Sequence[Row], address: str, domain: int) -> Sequence[Any]:
@@ -155,6 +159,7 @@ class Bridge:
         where: str,
         epoch: Nanos,
         first: Sequence[list[Any]] = (),
+        cameras: Sequence[Camera] = (),
     ) -> None:
         self.scene, self.where = scene, where
         self.rows = rows
@@ -166,13 +171,19 @@ class Bridge:
         self.wanted: set[str] = set()
         """Topics that somebody listens to,"""
         self._in_ticks: set[str] = set()
-        """and those that are made of each tick: all but the map, which is drawn in slices."""
+        """and those that are made of each tick: all but map and images, which are sent in slices."""
         self._store = types.store()
+        parts = {"serve": ("_Request", "_Response")}
+        types.prepare(f"{row.type}{part}" for row in rows for part in parts.get(row.kind, ("",)))
         self._gateway = scene.gateway
         self._mounts = {name: sensor.mount for name, sensor in scene.robot.sensors.items()}
+        self._mounts |= {images.frame(one.name): images.optical(one.mount) for one in cameras}
         self._views = Views(self._mounts, self._store, self._in_ticks, epoch=epoch)
         self._views.prepare()
-        self._map = MapTopics(partial(self._publish, may_drop=True), epoch)
+        may_drop = partial(self._publish, may_drop=True)
+        self._map = MapTopics(may_drop, epoch)
+        self._images = ImageTopics(cameras, self._index, link, may_drop, epoch)
+        self._sliced = MAP_TOPICS | self._images.names
         self._new: set[str] = set()
         """Topics that somebody has begun to listen to: who comes gets what there is now, but no old scan."""
         self._new_at: Nanos = 0
@@ -283,6 +294,7 @@ class Bridge:
         if view is not None:
             takers = {name: self._counts.get(self._index[name], 0) for name in MAP_TOPICS}
             self._map.show(now, self.scene.now, view, takers)
+        self._images.show(self.wanted)
         self._link.flush()
 
     def ends(self) -> list[Instruction]:
@@ -348,7 +360,7 @@ class Bridge:
         if row.kind != "publish":
             return
         (self.wanted.add if count else self.wanted.discard)(row.name)
-        if row.name not in MAP_TOPICS:
+        if row.name not in self._sliced:
             (self._in_ticks.add if count else self._in_ticks.discard)(row.name)
         if count > before and row.name not in OF_SENSORS:
             self._new.add(row.name)
@@ -384,7 +396,8 @@ class Bridge:
     def _sample(self, now: Nanos, row: Row, payload: bytes, writer: bytes, count: int) -> None:  # noqa: ARG002
         if row.qos.reliable:
             self._allow(now)
-        message = decode(row.type, self._checked(row, payload))
+        self._checked(row, payload)
+        message: Any = None if row.type == graph.TRAJECTORY else decode(row.type, payload)
         match row.name:
             case "/cmd_vel":
                 twist = message.twist if row.type == graph.TWIST_STAMPED else message
@@ -403,7 +416,7 @@ class Bridge:
                 self._say(row.name, "")
             case graph.TRAJECTORIES:
                 self._check_stop()
-                self._begin_motion(self._read(message), None)
+                self._begin_motion(self._read(trajectory.unpacked(payload)[0]), None)
                 self._say(row.name, "")
             case name:
                 kind = graph.JOINT_COMMANDS[name]
@@ -466,7 +479,12 @@ class Bridge:
         if row.type == graph.TRIGGER:
             self._trigger(now, row, name, token)
             return
-        request = decode(f"{row.type}_Request", self._checked(row, payload))
+        self._checked(row, payload)
+        if row.type == f"{FOLLOW}_SendGoal":
+            _, id_, follow = trajectory.unpacked(payload)
+            self._goal(now, self._actions[_FOLLOW], id_, follow, token)
+            return
+        request = decode(f"{row.type}_Request", payload)
         if name in graph.PARAMETERS:
             self._settings = self._settings or self.scene.settings()
             response = parameters.answer(name, request, self._settings, lambda line: self._line(now, line))
@@ -480,7 +498,7 @@ class Bridge:
             for goal in action.cancel(request, token):
                 self._cancelled(action, goal)
         else:
-            self._goal(now, action, request, token)
+            self._goal(now, action, bytes(request.goal_id.uuid), request.goal, token)
 
     def _trigger(self, now: Nanos, row: Row, name: str, token: Token) -> None:
         motor = name.removesuffix(f"/{graph.ZERO}") if name not in graph.TRIGGERS else ""
@@ -512,7 +530,7 @@ class Bridge:
 
     # -- actions ------------------------------------------------------------------------------------
 
-    def _goal(self, now: Nanos, action: Action, request: Any, token: Token) -> None:  # noqa: ANN401
+    def _goal(self, now: Nanos, action: Action, id_: bytes, sent: Any, token: Token) -> None:  # noqa: ANN401
         made: list[Any] = []
 
         def refused(content: Any) -> str:  # noqa: ANN401
@@ -532,7 +550,7 @@ class Bridge:
             return ""
 
         before = action.active
-        goal = action.send_goal(request, self._stamp(self.scene.now), token, refused)
+        goal = action.send_goal(id_, sent, self._stamp(self.scene.now), token, refused)
         if goal is None:
             return
         if before is not None:
@@ -623,10 +641,10 @@ class Bridge:
 
     # -- trajectories -------------------------------------------------------------------------------
 
-    def _read(self, message: Any) -> trajectory.Trajectory:  # noqa: ANN401 -- a message
+    def _read(self, points: trajectory.Points | str) -> trajectory.Trajectory:
         joints = self.scene.robot.brain.abilities(self.scene.robot.motors).joints
         now = {name: self.scene.gateway.joints[name].feedback.position for name in joints}
-        read = trajectory.read(message, joints, now)
+        read = trajectory.read(points, joints, now)
         ends = (msg.Position(name, position) for name, position in read.goal.items())
         if wrong := next(filter(None, (cannot(one, self.scene.robot) for one in ends)), ""):
             raise trajectory.Refused(wrong)
@@ -640,7 +658,7 @@ class Bridge:
             goal,
             _tolerances(content.goal_tolerance) if content else {},
             _tolerances(content.path_tolerance) if content else {},
-            _nanos(content.goal_time_tolerance) if content else 0,
+            content.goal_time_tolerance if content else 0,
         )
 
     def _holding(self) -> list[Instruction]:
@@ -726,10 +744,6 @@ def _duration(span: Nanos) -> Any:  # noqa: ANN401 -- a message
     return make("builtin_interfaces/msg/Duration", sec=seconds, nanosec=rest)
 
 
-def _nanos(duration: Any) -> Nanos:  # noqa: ANN401 -- a message
-    return max(0, int(duration.sec) * SECOND + int(duration.nanosec))
-
-
-def _tolerances(given: Sequence[Any]) -> dict[str, float]:
+def _tolerances(given: Sequence[tuple[str, float]]) -> dict[str, float]:
     """Return the largest errors of position that a goal allows; one of -1 allows any."""
-    return {one.name: one.position if one.position > 0.0 else 1e3 * pi for one in given if one.position}
+    return {name: position if position > 0.0 else 1e3 * pi for name, position in given if position}

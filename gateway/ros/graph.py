@@ -16,13 +16,14 @@ its value is latched. A command is read without repetition: an old one is worth 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import Literal, NamedTuple, TypeAlias
 
 from gateway.config.errors import unknown
 from gateway.core.robot import Robot
 from gateway.errors import UserError
 from gateway.recording.ros_views import OF_SENSORS, topic_name, topics, typestore
-from gateway.ros import types
+from gateway.ros import images, types
 from gateway.ros.map_topics import UPDATE, UPDATES
 from gateway.ros.rtps import Qos
 
@@ -51,6 +52,8 @@ JOINT_COMMANDS = {f"/{kind}_controller/commands": kind for kind in ("position", 
 TRAJECTORIES = "/joint_trajectory_controller/joint_trajectory"
 TRIGGERS = {"stop": "stop asked for in ROS 2", "release": "release", "clear_faults": "clear"}
 """Services of the node, by the operator's line that each is"""
+PARTS = "/_action/"
+"""Between an action's name and those of its parts"""
 ZERO = "zero"
 """A service of each motor"""
 PARAMETERS = {
@@ -80,12 +83,13 @@ class Row(NamedTuple):
     hash: str
 
 
-def rows(robot: Robot, *, steers: bool) -> list[Row]:
-    """Return what a robot has. Raises UserError if its file remaps what there is not."""
+def rows(robot: Robot, *, steers: bool, cameras: Sequence[str] = ()) -> list[Row]:
+    """Return what a robot has, and these cameras. Raises UserError if its file remaps what there is not."""
     able = robot.brain.abilities(robot.motors)
     found: list[tuple[Kind, str, str, Qos]] = []
     published = topics(typestore()) | {"/clock": CLOCK, "/robot_description": STRING, UPDATES: UPDATE}
     published.pop("/goal_pose")
+    published |= images.topics(cameras)
     for name, type_ in published.items():
         latched = name in LATCHED or name == "/rosout"
         found.append(("publish", name, type_, Qos(transient=latched, depth=DEPTHS.get(name, 10))))
@@ -103,6 +107,8 @@ def rows(robot: Robot, *, steers: bool) -> list[Row]:
         found += [("serve", f"~/{name}/{ZERO}", TRIGGER, Qos()) for name in robot.motors]
         found += [("serve", f"~/{name}", type_, Qos()) for name, type_ in PARAMETERS.items()]
     names = [name for _, name, _, _ in found]
+    names += dict.fromkeys(name.partition(PARTS)[0] for name in names if PARTS in name)
+    names += images.topics([*robot.sensors])  # of which one may be a camera, in another world
     for key in robot.ros.remap:
         if key not in names:
             raise UserError(f"[ros] remap: {unknown('topic', key, names)}")
@@ -110,7 +116,7 @@ def rows(robot: Robot, *, steers: bool) -> list[Row]:
 
 
 def _action(name: str, type_: str) -> list[tuple[Kind, str, str, Qos]]:
-    inner = f"{name}/_action"
+    inner = f"{name}{PARTS[:-1]}"
     return [
         ("serve", f"{inner}/send_goal", f"{type_}_SendGoal", Qos()),
         ("serve", f"{inner}/get_result", f"{type_}_GetResult", Qos()),
@@ -126,8 +132,11 @@ def node_name(robot: Robot) -> str:
 
 
 def full_name(robot: Robot, name: str) -> str:
-    """Return the name in the graph: remapped, or in the namespace; "~" is our node."""
-    if name in robot.ros.remap:
-        return robot.ros.remap[name]
+    """Return the name in the graph: remapped, or in the namespace; "~" is our node. The parts of an action
+    go with it."""
+    whole, parts, part = name.partition(PARTS)
+    for each, rest in ((name, ""), (whole, parts + part)):
+        if each in robot.ros.remap:
+            return f"{robot.ros.remap[each]}{rest}"
     inner = re.sub(r"^~", f"/{node_name(robot)}", name)
     return f"{robot.ros.namespace}{inner}"

@@ -2,15 +2,18 @@
 
 Rules. A stream (a row that is not reliable) is thinned: its newest sample from each writer goes on, at most
 every `THINNED`; what others send faster is counted. Everything else goes on in order, as far as `Share` has
-room in that time; a small request always has, since it may be a stop.
+room in that time; a small request always has, since it may be a stop. What takes long to be read is read
+here, if it is not too large (`READERS`): a step gets what it needs of it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from gateway.ros import trajectory, types
+from gateway.ros.graph import FOLLOW, LARGEST, TRAJECTORY
 from gateway.ros.link import Link
 from protocols.messages import MILLISECOND, Nanos
 
@@ -21,6 +24,17 @@ IN_ALL, BYTES = 200, 1 << 16
 """of all rows', and their bytes;"""
 ALWAYS, SMALL = 4, 2048
 """and of each row's, those that always do, if they have no more bytes than that."""
+
+
+READ_HERE = {TRAJECTORY: TRAJECTORY, f"{FOLLOW}_SendGoal": f"{FOLLOW}_SendGoal_Request"}
+"""By the type of a row, that of what comes"""
+
+
+def readers(kinds: Sequence[str]) -> dict[int, str]:
+    """Return, by number of the rows of these types, the type of what is read here, and prepare for it."""
+    found = {row: READ_HERE[kind] for row, kind in enumerate(kinds) if kind in READ_HERE}
+    types.prepare(found.values())
+    return found
 
 
 @dataclass(slots=True)
@@ -60,6 +74,8 @@ class Intake:
     """Between a transport and the loop's pipe."""
 
     link: Link
+    readers: Mapping[int, str] = field(default_factory=dict)
+    """By row, the type of what is read here"""
     _share: Share = field(default_factory=Share)
     _streams: dict[tuple[int, bytes], _Stream] = field(default_factory=dict)
     _passed: Nanos = 0
@@ -75,13 +91,17 @@ class Intake:
     def sample(self, row: int, payload: bytes, writer: bytes) -> None:
         """Take a sample of which each counts."""
         if self._share.take(row, len(payload)):
-            self.link.send("sample", row, payload, writer, 1, may_drop=True)
+            self.link.send("sample", row, self._read(row, payload), writer, 1, may_drop=True)
 
     def request(self, row: int, payload: bytes, token: Sequence[Any]) -> bool:
         """Take a request, to be answered with the token; return whether it goes on."""
         if goes := self._share.take(row, len(payload)):
-            self.link.send("request", row, payload, token, may_drop=True)
+            self.link.send("request", row, self._read(row, payload), token, may_drop=True)
         return goes
+
+    def _read(self, row: int, payload: bytes) -> bytes:
+        type_ = self.readers.get(row)
+        return payload if type_ is None or len(payload) > LARGEST else trajectory.packed(type_, payload)
 
     def turn(self, now: Nanos) -> None:
         """Let the streams go on, when it is time."""

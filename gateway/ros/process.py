@@ -26,7 +26,8 @@ from typing import TYPE_CHECKING, Any
 
 from gateway.core.clock import WallClock
 from gateway.errors import UserError
-from gateway.ros.intake import Intake
+from gateway.ros.images import BEGINS, GOES_ON, Pictures
+from gateway.ros.intake import Intake, readers
 from gateway.ros.link import Link, Setup, dds_type
 from gateway.ros.network import LOOPBACK, is_zenoh
 from gateway.ros.rtps import MULTICAST, Endpoint, Participant, Qos, Sample, ports
@@ -145,10 +146,12 @@ class Carrier:
     _of: dict[int, int] = field(init=False)
     """Rows by endpoint."""
     _intake: Intake = field(init=False)
+    _pictures: Pictures = field(init=False)
     _unsendable: int = 0
 
     def __post_init__(self) -> None:
-        setup, self._intake = self.setup, Intake(self.link)
+        setup, kinds = self.setup, [row[2] for row in self.setup.rows]
+        self._intake, self._pictures = Intake(self.link, readers(kinds)), Pictures(kinds)
         discovery, data = open_sockets(setup.address, setup.domain)
         self.sockets = [discovery, data]
         targets = [Locator(LOOPBACK, ports(setup.domain, number)[1]) for number in range(ANNOUNCED)]
@@ -183,6 +186,9 @@ class Carrier:
         for kind, *rest in messages:
             if kind == "publish":
                 self.participant.publish(now, self._rows[rest[0]][0], rest[1])
+            elif kind in (BEGINS, GOES_ON):
+                if (payload := self._pictures.take(kind, *rest)) is not None:
+                    self.participant.publish(now, self._rows[rest[0]][0], payload)
             elif kind == "answer":
                 self._answer(now, *rest)
 

@@ -10,7 +10,7 @@ actions); REP-2011 and rosidl_generator_type_description for RIHS01; design.ros2
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -104,6 +104,12 @@ def _default(desc: Any) -> Any:  # noqa: ANN401 -- of any type
     if inner[0] == Nodetype.BASE and inner[1][0] != "string":
         return np.zeros(count if kind == Nodetype.ARRAY else 0, inner[1][0].replace("octet", "uint8"))
     return [_default(inner) for _ in range(count)] if kind == Nodetype.ARRAY else []
+
+
+def prepare(types: Iterable[str]) -> None:
+    """Make what reads and writes messages of these types now: the first of each takes milliseconds."""
+    for type_ in types:
+        store().get_msgdef(type_)
 
 
 def encode(message: Any) -> bytes:  # noqa: ANN401

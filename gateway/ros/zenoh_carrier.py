@@ -20,7 +20,8 @@ from zenoh.handlers import RingChannel
 
 from gateway.core.clock import WallClock
 from gateway.ros import zenoh_keys as keys
-from gateway.ros.intake import Intake
+from gateway.ros.images import BEGINS, GOES_ON, Pictures
+from gateway.ros.intake import Intake, readers
 from gateway.ros.link import Link, Setup, dds_type
 from gateway.ros.network import zenoh_endpoint
 from protocols.messages import Nanos
@@ -89,7 +90,8 @@ class ZenohCarrier:
 
     def __init__(self, setup: Setup, link: Link) -> None:
         self.link, self.clock = link, WallClock()
-        self._intake = Intake(link)
+        kinds = [row[2] for row in setup.rows]
+        self._intake, self._pictures = Intake(link, readers(kinds)), Pictures(kinds)
         self.session, self.where = open_session(setup.address)
         node = keys.Node(setup.domain, str(self.session.zid()), setup.namespace, setup.node)
         self._publishers: dict[int, _Publisher] = {}
@@ -155,6 +157,9 @@ class ZenohCarrier:
             stamp = now + self.clock.system_offset()
             if kind == "publish":
                 self._publishers[row].put(stamp, payload)
+            elif kind in (BEGINS, GOES_ON):
+                if (whole := self._pictures.take(kind, row, payload, *rest)) is not None:
+                    self._publishers[row].put(stamp, whole)
             elif kind == "answer" and (found := self._open.pop(rest[0][0], None)) is not None:
                 query, number, client = found
                 query.reply(self._keys[row], payload, attachment=keys.attachment(number, stamp, client))

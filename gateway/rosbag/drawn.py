@@ -74,7 +74,7 @@ class Drawn:
         x, y = self.origin
         return (
             f"image: map.pgm\nresolution: {self.resolution:g}\norigin: [{x:.6g}, {y:.6g}, 0.0]\n"
-            "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.35\n"
+            "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"  # with more, unknown is free
         )
 
     def png(self) -> bytes:

@@ -232,9 +232,13 @@ class Trace:
     anchors: list[Anchor | None] = field(default_factory=list)
     """Where it was relative to keyframes, which loops may move"""
 
+    def is_due(self, t: Nanos) -> bool:
+        """Return whether the last pose is old enough for another one."""
+        return not self.path or t >= self.path[-1][0] + PATH_PERIOD
+
     def add(self, t: Nanos, pose: Pose, perception: Perception) -> None:
         """Add a pose, if the last one is old enough."""
-        if not self.path or t >= self.path[-1][0] + PATH_PERIOD:
+        if self.is_due(t):
             self.path.append((t, pose))
             self.anchors.append(perception.anchor(pose))
 

@@ -10,6 +10,7 @@ from gateway.core.clock import Clock, PacedClock, WallClock, stopwatch
 from gateway.core.tick import Tick
 from gateway.ros.bridge import Bridge, open_bridge
 from gateway.ros.graph import node_name
+from gateway.ros.images import Camera
 from gateway.view.scene import Scene
 from protocols.messages import Instruction, Nanos
 
@@ -22,11 +23,12 @@ if TYPE_CHECKING:
 class SessionBridge:
     """A session's place in the graph. Raises UserError if the network cannot be opened."""
 
-    def __init__(self, session: Viewed, address: str, domain: int) -> None:
+    def __init__(self, session: Viewed, address: str, domain: int, cameras: Sequence[Camera] = ()) -> None:
+        """`cameras`: whose images are shown."""
         clock = session.clock
         self._now = clock.machine.now if isinstance(clock, PacedClock) else stopwatch
         scene = Scene(session.gateway, "live", dict)
-        self._bridge = open_bridge(scene, address, domain, epoch(clock))
+        self._bridge = open_bridge(scene, address, domain, epoch(clock), cameras)
         robot = session.robot
         node = f"{robot.ros.namespace}/{node_name(robot)}"
         self.name = f"{node} in domain {domain}, at {self._bridge.where}"
@@ -48,9 +50,12 @@ class ShownBridge:
 
     Raises UserError if the network cannot be opened."""
 
-    def __init__(self, scene: Scene, address: str, domain: int, clock: Clock) -> None:
+    def __init__(
+        self, scene: Scene, address: str, domain: int, clock: Clock, cameras: Sequence[Camera] = ()
+    ) -> None:
+        """`cameras`: whose images are shown."""
         self._clock = clock
-        self._bridge: Bridge | None = open_bridge(scene, address, domain, epoch(clock))
+        self._bridge: Bridge | None = open_bridge(scene, address, domain, epoch(clock), cameras)
         self.name = f"/{node_name(scene.robot)} in domain {domain}, at {self._bridge.where}"
 
     def take(self, tick: Tick, belief: Belief, gateway: Gateway) -> None:

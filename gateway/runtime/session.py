@@ -366,7 +366,9 @@ class Session:
 
         address = parse_network(network)
         self.close_ros()
-        self._ros = SessionBridge(self, address, self.robot.ros.domain if domain is None else domain)
+        number = self.robot.ros.domain if domain is None else domain
+        cameras = self.twins.world.cameras() if self.twins is not None else ()
+        self._ros = SessionBridge(self, address, number, cameras)
         return self._ros.name
 
     def close_ros(self) -> None:

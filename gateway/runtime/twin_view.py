@@ -79,7 +79,7 @@ class TwinBridge:
     def __init__(self, made: Devices, address: str, domain: int) -> None:
         self._last = -PERIOD
         self._scene = TwinScene(Gateway(made.robot), "twin", dict, twins=made.twins)
-        self._bridge = ShownBridge(self._scene, address, domain, made.clock)
+        self._bridge = ShownBridge(self._scene, address, domain, made.clock, made.twins.world.cameras())
         self.name, self.close = self._bridge.name, self._bridge.close
 
     def watch(self, now: Nanos) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from brain.perception.mount import Mount
 from gateway.sim.load import WorldError
 from gateway.sim.plant_files import Camera
-from gateway.vision.camera import Image, events
+from gateway.vision.camera import Image, Intrinsics, events
 from protocols.messages import SECOND, Marker, Nanos
 
 if TYPE_CHECKING:
@@ -83,11 +83,20 @@ class CameraSensor:
         self._rng = rng
         self._renderer: Renderer | None = None
         self._found: deque[Marker] = deque()
+        self.newest: tuple[Nanos, Image] | None = None
+        """The image that it looked at last, and when"""
+
+    @property
+    def intrinsics(self) -> Intrinsics:
+        """How it projects."""
+        return self.file.intrinsics
 
     def measure(self, t: Nanos, phase: Nanos, scene: SimulatedScene) -> Marker | None:
         """Look at the beginning of a period; return one of what was found and not yet returned."""
         if phase == 0:
-            sightings = self.file.detectors.detect(self.image(scene), self.file.intrinsics)
+            image = self.image(scene)
+            self.newest = t, image
+            sightings = self.file.detectors.detect(image, self.intrinsics)
             self._found.extend(events(self.name, t, sightings))
         return self._found.popleft() if self._found else None
 

@@ -17,6 +17,7 @@ from brain.bodies.limbs import limbs
 from brain.perception.mount import Mount
 from gateway.config.errors import unknown
 from gateway.sim.assembly_file import Assembly
+from gateway.sim.camera import CameraSensor
 from gateway.sim.files import STEP, BenchFile, SceneFile, WorldFile
 from gateway.sim.linked import Linked, Standing
 from gateway.sim.linked_file import LinkedFile
@@ -134,6 +135,10 @@ class World:
     def twist(self) -> tuple[float, float, float]:
         """Return the true speeds forward and to the left [m/s], and of turning [rad/s]."""
         return (0.0, 0.0, 0.0) if self.scene is None else self.scene.twist()
+
+    def cameras(self) -> list[CameraSensor]:
+        """Return the cameras, whose images can be looked at."""
+        return [one for one in self._sensors if isinstance(one, CameraSensor)]
 
     def contacts(self) -> int:
         """Return how often walls and boxes (on a bench: hard stops) were touched so far."""

@@ -19,7 +19,7 @@ from protocols.messages import Nanos
 
 MAX_CELLS = 1 << 19
 """Of a message: 36 m × 36 m, of 5 cm each."""
-TILES = 32
+TILES = 4
 """That are drawn in one step."""
 
 Tile: TypeAlias = npt.NDArray[Any]
@@ -43,10 +43,6 @@ class MapLayout(NamedTuple):
     rows: int
     """and how many there are."""
     columns: int
-
-    def holds(self, tile: tuple[int, int]) -> bool:
-        """True if a tile (row, column) is drawn."""
-        return 0 <= tile[0] - self.row < self.rows and 0 <= tile[1] - self.column < self.columns
 
     @property
     def resolution(self) -> float:
@@ -144,7 +140,8 @@ class Drawing:
             self.cells = np.full(shape, UNKNOWN, np.int8)
             drawn.clear()
             self._changed.clear()
-        shown = {key: view.tiles[key] for key in view.tiles if layout.holds(key)}
+        rows, columns = view.region
+        shown = {at: tile for at, tile in view.tiles.items() if at[0] in rows and at[1] in columns}
         self._left += [(key, tile) for key, tile in shown.items() if drawn.get(key) is not tile]
         self._left += [(key, None) for key in drawn if key not in shown]
 

@@ -108,6 +108,19 @@ def decoded(data: npt.NDArray[np.uint8]) -> Image | None:
     return None if found is None else np.ascontiguousarray(found[..., ::-1], dtype=np.uint8)
 
 
+def packed(image: Image) -> bytes:
+    """Return an image as JPEG."""
+    cv2: Any = opencv()
+    _, data = cv2.imencode(
+        ".jpg", np.ascontiguousarray(image[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, QUALITY]
+    )
+    return bytes(data)
+
+
+QUALITY = 85
+"""Of 100"""
+
+
 def opencv() -> ModuleType:
     """Import OpenCV, in one thread. Raises UserError with the command that installs it."""
     try:

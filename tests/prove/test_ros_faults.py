@@ -27,8 +27,9 @@ from brain.belief import Belief, MapView
 from brain.perception.lines import TILE
 from brain.perception.tiles import UNIT
 from gateway.config import load_robot, parse_robot
-from gateway.core.tick import Tick
-from gateway.ros import bridge, graph, process, types
+from gateway.core.step import Gateway
+from gateway.core.tick import Inputs, Outputs, Tick
+from gateway.ros import bridge, graph, process, trajectory, types
 from gateway.ros.bridge import BYTES_IN_A_STEP, IN_A_STEP, Bridge
 from gateway.ros.link import Link, Setup
 from gateway.ros.process import Carrier
@@ -41,6 +42,7 @@ from protocols import messages as msg
 from protocols.messages import MILLISECOND, SECOND, Drive, Instruction, Nanos
 from tests.gateway.ros.rig import LOG, TWIST, Peer, twist
 from tests.gateway.ros.test_bridge import TRIGGER, stamped
+from tests.gateway.ros.test_trajectory import message, point
 
 TICKS, BEGINS, ENDS = 2000, 500, 1500
 """Of a run, and of the fault in it"""
@@ -391,6 +393,56 @@ def test_a_base_under_faults_of_the_graph(
     run(begin, seed, TICKS, monkeypatch, capsys)
 
 
+@pytest.mark.prove
+def test_what_a_step_of_twelve_joints_costs(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Everything that a robot of twelve joints with a lidar publishes is taken, and a trajectory of 64 KB
+    comes: processor time beside that of the steps themselves, printed; the work is counted."""
+    steps, step = list[float](), Gateway.step
+
+    def timed(gateway: Gateway, now: Nanos, inputs: Inputs) -> Outputs:
+        began = time.thread_time_ns()
+        made = step(gateway, now, inputs)
+        steps.append((time.thread_time_ns() - began) / 1e3)
+        return made
+
+    monkeypatch.setattr(Gateway, "step", timed)
+    with world(monkeypatch, "quadruped") as one:
+        for _ in range(TICKS // 2):
+            one.tick()
+        alone, topics = sorted(steps), {r.name: r.type for r in one.bridge.rows if r.kind == "publish"}
+        steps.clear()
+        judge = one.join(subscribes={name: type_ for name, type_ in topics.items() if "_action" not in name})
+        for _ in range(200):
+            one.tick()
+        one.work.clear()
+        for _ in range(TICKS):
+            one.tick()
+        took = sorted(each.took / 1e3 for each in one.work)
+        assert all(
+            judge.got[name] for name in ("/odom", "/tf", "/joint_states", "/scan", "/imu/data", "/map")
+        )
+        assert max(each.made_bytes for each in one.work) <= MAP_WITH_ROOM
+    joints = [f"j{k}" for k in range(6)]
+    points = [point(0.1 * (k + 1), *[0.01 * k] * 6, velocities=(0.0,) * 6) for k in range(330)]
+    data = types.encode(message(joints, *points))
+    assert 40_000 < len(data) <= graph.LARGEST
+    began = time.thread_time_ns()
+    there = trajectory.packed(graph.TRAJECTORY, data)
+    ready = time.thread_time_ns()
+    read = trajectory.read(trajectory.unpacked(there)[0], joints, dict.fromkeys(joints, 0.0))
+    ended = time.thread_time_ns()
+    assert len(read.times) == 331
+    with capsys.disabled():
+        alone_, beside, own = (each[len(each) // 2] for each in (alone, sorted(steps), took))
+        print(f"\na step alone {alone_:.0f} us, with all topics taken {beside:.0f}; the bridge {own:.0f},")
+        most = took[len(took) * 99 // 100], took[-1]
+        print(f"mean {sum(took) / len(took):.0f}, 99 % {most[0]:.0f}, at most {most[1]:.0f};")
+        spans = (ready - began) / 1e3, (ended - ready) / 1e3
+        print(f"{len(data)} bytes of a trajectory: {spans[0]:.0f} us outside, {spans[1]:.0f} us in a step")
+
+
 def run(
     begin: Begin, seed: int, ticks: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -402,6 +454,7 @@ def run(
         driver = one.join(publishes={"/cmd_vel": TWIST})
         judge = one.join(subscribes={"/rosout": LOG}, calls={"/diffbot/stop": graph.TRIGGER})
         goes: Goes = lambda _: None  # noqa: E731
+        known = len(types.store().cache)
         for tick in range(ticks):
             if tick == begins:
                 goes = begin(one, dice)
@@ -413,11 +466,15 @@ def run(
                 judge.call("/diffbot/stop", TRIGGER)
             one.tick()
         check(one, begins, stops, begin)
+        assert len(types.store().cache) == known, (
+            "what reads and writes messages is made before the first step"
+        )
         assert judge.got["/diffbot/stop"][0].success
-    took = sorted(each.took / 1e3 for each in one.work)
-    most = {
-        name: max(getattr(each, name) for each in one.work) for name in ("read", "read_bytes", "made_bytes")
-    }
+        took = sorted(each.took / 1e3 for each in one.work)
+        most = {
+            name: max(getattr(each, name) for each in one.work)
+            for name in ("read", "read_bytes", "made_bytes")
+        }
     with capsys.disabled():
         print(
             f"\n{begin.__name__:>15} {seed}: in a tick at most {most['read']} messages, {most['read_bytes']} "

@@ -8,9 +8,9 @@ from brain.bodies.limbs import LimbPlace, limbs
 from gateway.config import cannot, load_robot, resources
 from gateway.config.describe import describe
 from gateway.config.errors import Mistakes
+from gateway.config.files import with_files
 from gateway.config.mission import parse_mission
 from gateway.config.robot_file import parse_robot
-from gateway.config.urdf import with_files
 from gateway.errors import ConfigError
 from protocols import messages as msg
 

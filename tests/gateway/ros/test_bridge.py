@@ -133,6 +133,7 @@ def test_a_shaft_is_zeroed_by_a_service_that_answers_when_it_is() -> None:
         one.until(lambda: one.asked[-1] == Velocity("right", 0.0), "rest")
         one.persons.extend(msg.Idle(name) for name in one.session.joints)
         one.run(100)
+        one.until(lambda: abs(joint.feedback.velocity or 0.0) < 0.01, "a shaft at rest")
         assert abs(joint.feedback.position or 0.0) > 0.4
         peer.call("/bench/left/zero", TRIGGER)
         peer.call("/bench/right/zero", TRIGGER)

@@ -67,6 +67,18 @@ def test_both_kinds_of_twist_are_taken_and_what_is_latched_is() -> None:
     assert all(row.qos.reliable for row in rows if row.kind != "subscribe")
 
 
+def test_an_action_is_remapped_with_its_parts() -> None:
+    there = shown(with_ros('namespace = "/left"\nremap = { "/navigate_to_pose" = "/nav/go" }'))
+    parts = {name: there[name] for name in there if name.startswith("/navigate_to_pose/")}
+    assert parts["/navigate_to_pose/_action/send_goal"] == "/nav/go/_action/send_goal"
+    assert {one.partition("/_action/")[0] for one in parts.values()} == {"/nav/go"}
+    assert len(parts) == 5
+
+
+def test_topics_of_a_camera_are_remapped_where_there_is_none_too() -> None:
+    shown(with_ros('remap = { "/lidar/camera_info" = "/eye" }'))
+
+
 def test_a_remap_of_what_there_is_not_is_said() -> None:
     with pytest.raises(UserError, match=r"'/scna'.*did you mean '/scan'"):
         shown(with_ros('remap = { "/scna" = "/front" }'))

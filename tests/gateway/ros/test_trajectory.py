@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gateway.ros import trajectory
-from gateway.ros.types import make
+from gateway.ros.types import encode, make
 from protocols.messages import SECOND, Position
 
 POINT = "trajectory_msgs/msg/JointTrajectoryPoint"
@@ -26,7 +26,9 @@ def message(names: list[str], *points: Any) -> Any:
 
 
 def read(names: list[str], *points: Any) -> trajectory.Trajectory:
-    return trajectory.read(message(names, *points), ("a", "b"), {"a": 0.0, "b": 1.0})
+    """As the process with the sockets packs it, and a step reads it."""
+    data = trajectory.packed("trajectory_msgs/msg/JointTrajectory", encode(message(names, *points)))
+    return trajectory.read(trajectory.unpacked(data)[0], ("a", "b"), {"a": 0.0, "b": 1.0})
 
 
 def test_without_velocities_it_goes_straight() -> None:
@@ -49,7 +51,7 @@ def test_with_velocities_it_is_a_cubic_whose_velocity_is_its_slope() -> None:
 
 def test_a_first_point_at_once_is_where_the_joints_are() -> None:
     one = read(["a"], point(0.0, 0.1), point(1.0, 0.2))
-    assert [each.time for each in one.points] == [0.0, trajectory.SOONEST, 1.0]
+    assert one.times.tolist() == [0.0, trajectory.SOONEST, 1.0]
 
 
 @pytest.mark.parametrize(
@@ -74,5 +76,12 @@ def test_what_is_refused(names: list[str], points: list[Any], why: str) -> None:
 
 
 def test_where_it_begins_must_be_known() -> None:
+    points = trajectory.points_of(message(["a", "b"], point(1.0, 1.0, 1.0)))
     with pytest.raises(trajectory.Refused, match="where b is, is not known"):
-        trajectory.read(message(["a", "b"], point(1.0, 1.0, 1.0)), ("a", "b"), {"a": 0.0, "b": None})
+        trajectory.read(points, ("a", "b"), {"a": 0.0, "b": None})
+
+
+def test_bytes_that_are_none_are_refused_where_they_are_used() -> None:
+    data = trajectory.packed("trajectory_msgs/msg/JointTrajectory", b"\x00\x01\x00\x00" + bytes(60))
+    with pytest.raises(trajectory.Refused, match="JointTrajectory"):
+        trajectory.unpacked(data)

@@ -23,12 +23,15 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from brain.belief import Pose
 from brain.bodies.body import Base
 from brain.bodies.plane import arc, seen_from, wrap
+from brain.perception.map import Map, MapSettings
 from gateway.cli.main import main
 from gateway.config import load_robot, parse_robot
+from gateway.config.map_file import saved_map
 from gateway.core.robot import CloudSlice, Robot
 from gateway.errors import BagError, ConfigError
 from gateway.recording import Recorder
 from gateway.rosbag import Bag, is_bag, read
+from gateway.rosbag.drawn import Drawn
 from gateway.rosbag.evaluate import NOT_JUDGED, PASSED, evaluate, evaluate_file
 from gateway.rosbag.scans import of_cloud
 from gateway.rosbag.survey import proposed_robot, survey
@@ -485,6 +488,11 @@ def test_a_map_has_the_walls_where_they_are(tmp_path: Path, capsys: pytest.Captu
     assert (out / "map.png").read_bytes().startswith(b"\x89PNG")
     believed = read_truth(out / "path.tum")
     assert len(believed) == pytest.approx(80, abs=2)
+    images = {"map.pgm": (out / "map.pgm").read_bytes()}
+    again = Map(MapSettings(), saved_map((out / "map.yaml").read_text(), images, MapSettings(), None))
+    rows = [line.split(",") for line in (out / "path.csv").read_text().splitlines()[1:]]
+    drawn = Drawn(again.view(), [(0, Pose(float(x), float(y), 0.0)) for _, x, y, _ in rows])
+    assert (drawn.pgm(), drawn.yaml()) == (images["map.pgm"], (out / "map.yaml").read_text())
     assert survey(out / "path.csv").topics[0].topic.count == len(believed)
     assert main(["map", str(path), "--out", str(out)]) == 2
     assert "name another folder with --out" in capsys.readouterr().err

@@ -3,36 +3,18 @@
 Prints what it found as lines of JSON.
 """
 
-import json
-import time
-
 import rclpy
 from action_msgs.msg import GoalStatus
+from client import Client, say
 from rclpy.action import ActionClient
-from rclpy.node import Node
 from test_msgs.action import Fibonacci
-
-PATIENCE = 240.0
-
-
-def say(kind, **content):
-    print(json.dumps({"kind": kind} | content), flush=True)
-
-
-def until(node, condition, what):
-    end = time.monotonic() + PATIENCE
-    while not (found := condition()):
-        if time.monotonic() > end:
-            raise SystemExit(f"{what} did not come about")
-        rclpy.spin_once(node, timeout_sec=0.02)
-    return found
 
 
 def main():
     rclpy.init()
-    node = Node("client")
+    node = Client("client")
     client = ActionClient(node, Fibonacci, "/fibonacci")
-    until(node, client.server_is_ready, "a server")
+    node.until(client.server_is_ready, "a server")
     feedback = []
 
     def send(order):
@@ -40,12 +22,12 @@ def main():
             Fibonacci.Goal(order=order),
             feedback_callback=lambda m: feedback.append(list(m.feedback.sequence)),
         )
-        until(node, future.done, "an answer to a goal")
+        node.until(future.done, "an answer to a goal")
         return future.result()
 
     goal = send(4)
     result = goal.get_result_async()
-    until(node, result.done, "a result")
+    node.until(result.done, "a result")
     say(
         "done",
         accepted=goal.accepted,
@@ -55,11 +37,11 @@ def main():
     )
     say("refused", accepted=send(-1).accepted)
     goal = send(1000)
-    until(node, lambda: goal.status == GoalStatus.STATUS_EXECUTING, "a goal under way")
+    node.until(lambda: goal.status == GoalStatus.STATUS_EXECUTING, "a goal under way")
     result = goal.get_result_async()
     cancelled = goal.cancel_goal_async()
-    until(node, cancelled.done, "an answer to a cancel")
-    until(node, result.done, "a result")
+    node.until(cancelled.done, "an answer to a cancel")
+    node.until(result.done, "a result")
     say(
         "cancelled",
         code=cancelled.result().return_code,
@@ -67,7 +49,7 @@ def main():
         status=result.result().status,
     )
     again = goal.cancel_goal_async()
-    until(node, again.done, "an answer to a cancel")
+    node.until(again.done, "an answer to a cancel")
     say("again", code=again.result().return_code)
     rclpy.shutdown()
 

@@ -2,52 +2,22 @@
 
 Prints what it found as lines of JSON."""
 
-import json
-import time
-
 import rclpy
+from client import Client, say
 from rcl_interfaces.srv import ListParameters
-from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-PATIENCE = 240.0
 WANTED, TURN = [2.0, -1.0], 0.5
 
 
-def say(kind, **content):
-    print(json.dumps({"kind": kind} | content), flush=True)
-
-
-class Judge(Node):
+class Judge(Client):
     def __init__(self):
         super().__init__("judge")
         self.states = []
         self.create_subscription(JointState, "/arm/states", self.states.append, 10)
-
-    def until(self, condition, what, do=None):
-        end = time.monotonic() + PATIENCE
-        while not (found := condition()):
-            if time.monotonic() > end:
-                raise SystemExit(f"{what} did not come about")
-            if do is not None:
-                do()
-            rclpy.spin_once(self, timeout_sec=0.02)
-        return found
-
-    def call(self, kind, name):
-        client = self.create_client(kind, name)
-        self.until(client.service_is_ready, name)
-        future = client.call_async(kind.Request())
-        self.until(future.done, f"an answer of {name}")
-        return future.result()
-
-    def publisher(self, kind, name):
-        made = self.create_publisher(kind, name, 10)
-        self.until(lambda: made.get_subscription_count() > 0, f"a match of {name}")
-        return made
 
     def now(self, what):
         """Return what the joints have: in the order of the robot file, whatever that of the message is."""

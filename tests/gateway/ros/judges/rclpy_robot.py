@@ -4,27 +4,25 @@ Prints what it found as lines of JSON. Arguments: x, y of the goal; how many top
 takes, and how many services it has.
 """
 
-import json
 import math
 import sys
 import time
 from functools import partial
 
 import rclpy
+from client import Client, say
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Twist
 from nav_msgs.msg import OccupancyGrid, Odometry, Path
 from rcl_interfaces.msg import Log, ParameterType
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 from rclpy.action import get_action_server_names_and_types_by_node
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import BatteryState, Imu, JointState, LaserScan
 from std_srvs.srv import Trigger
 
-PATIENCE = 240.0
 KEPT = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 TOPICS = {
     "/odom": (Odometry, 50),
@@ -42,10 +40,6 @@ TOPICS = {
 SIDE, SPEED, TURN = 0.15, 0.25, 1.5
 
 
-def say(kind, **content):
-    print(json.dumps({"kind": kind} | content), flush=True)
-
-
 def seconds(stamp):
     return stamp.sec + stamp.nanosec / 1e9
 
@@ -54,7 +48,7 @@ def yaw(q):
     return 2.0 * math.atan2(q.z, q.w)
 
 
-class Judge(Node):
+class Judge(Client):
     def __init__(self):
         super().__init__("judge")
         self.got = {name: [] for name in TOPICS}
@@ -62,23 +56,6 @@ class Judge(Node):
             self.create_subscription(kind, name, self.got[name].append, qos)
         self.twists = self.create_publisher(Twist, "/cmd_vel", 10)
         self.goals = self.create_publisher(PoseStamped, "/goal_pose", 10)
-
-    def until(self, condition, what, do=None):
-        end = time.monotonic() + PATIENCE
-        while not (found := condition()):
-            if time.monotonic() > end:
-                raise SystemExit(f"{what} did not come about")
-            if do is not None:
-                do()
-            rclpy.spin_once(self, timeout_sec=0.02)
-        return found
-
-    def call(self, kind, name, request):
-        client = self.create_client(kind, name)
-        self.until(client.service_is_ready, name)
-        future = client.call_async(request)
-        self.until(future.done, f"an answer of {name}")
-        return future.result()
 
     @property
     def pose(self):
