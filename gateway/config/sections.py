@@ -146,12 +146,10 @@ def read_bus(name: str, table: Table, mistakes: Mistakes) -> BusSettings | None:
     for key in ("echo", "rs485", "dtr", "latency_ms", "turnaround_ms") if kind != "serial" else ():
         if key in table:
             mistakes.add((*at, key), f"a bus of kind {kind!r} is no serial line; expected no key {key!r}")
-    if (made.camera is None) == (kind == "camera") and made.interface != TWIN:
-        text = (
-            "missing; expected a table: what its pictures are like, and what is looked for (detectors)"
-            if kind == "camera"
-            else f"a bus of kind {kind!r} is no camera; expected no key 'camera'"
-        )
+    if made.camera is not None and kind != "camera":
+        mistakes.add((*at, "camera"), f"a bus of kind {kind!r} is no camera; expected no key 'camera'")
+    if made.camera is None and kind == "camera" and made.interface != TWIN:
+        text = "missing; expected a table: what its pictures are like, and what is looked for (detectors)"
         mistakes.add((*at, "camera"), text)
     own_rate = {"i2c": made.bitrate, "camera": USB}
     rates = made.bitrate, made.data_bitrate, own_rate.get(made.kind, made.baudrate)
