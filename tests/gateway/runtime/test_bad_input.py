@@ -12,6 +12,8 @@ import pytest
 from gateway.buses.virtual.faults import received
 from gateway.runtime.scenario import run_scenario
 from gateway.runtime.scenario_file import parse_scenario
+from gateway.runtime.session import open_session
+from protocols.messages import SECOND
 
 PAGE = (Path(__file__).parents[3] / "docs" / "sensors.md").read_text("utf-8")
 
@@ -63,6 +65,34 @@ touches = 0
 """
     result = run_scenario(parse_scenario(text, Path("x.toml")))
     assert not [one for one in result.verdicts if not one.holds], result.verdicts
+
+
+@pytest.mark.parametrize(
+    ("robot", "sensor", "code", "name", "detail"),
+    [
+        ("diffbot_sensors", "ld06", 1, "speed out of range", "turns at 2.0 Hz"),
+        ("diffbot_rplidar", "rplidar", 2, "protection stop", "health 2, error 0x8001"),
+    ],
+)
+def test_what_a_sensor_says_of_itself_is_told_and_the_base_stands(
+    robot: str, sensor: str, code: int, name: str, detail: str
+) -> None:
+    """Within the time that it must last, or in which it is asked, and a few steps."""
+    told: dict[str, float] = {}
+    reasons: set[str] = set()
+    with open_session(robot, simulated=True) as session:
+        for tick in session.run(seconds=5.0):
+            if tick.number == 800:
+                assert session.twins is not None
+                session.twins.twin(sensor).provoke(code)
+            for note in tick.outputs.notes:
+                if note.source == sensor:
+                    told.setdefault(note.text, tick.now / SECOND - 4.0)
+                reasons.add(session.belief.reason)
+    (fault,) = (text for text in told if text.startswith(f"{name}; likely cause: "))
+    assert told[fault] < 0.8
+    assert any(text.startswith("fault (") and detail in text for text in told), told
+    assert any(f"{sensor} is in fault: " in reason and reason.endswith("standing") for reason in reasons)
 
 
 def test_the_page_has_every_row() -> None:
