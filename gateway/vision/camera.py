@@ -32,9 +32,13 @@ class Intrinsics:
     """How a camera without skew projects: pixels; distortion as OpenCV and sensor_msgs/CameraInfo have it."""
 
     fx: Annotated[float, Bounds(1.0, 1e5)]
+    """Pixels: focal length, along the rows"""
     fy: Annotated[float, Bounds(1.0, 1e5)]
+    """Pixels: focal length, along the columns"""
     cx: Annotated[float, Bounds(-1e4, 1e4)]
+    """Pixels: column of the optical axis"""
     cy: Annotated[float, Bounds(-1e4, 1e4)]
+    """Pixels: row of the optical axis"""
     distortion: tuple[Annotated[float, Bounds(-1e3, 1e3)], ...] = ()
     """k1, k2, p1, p2, k3 … of the model "plumb_bob", or "rational_polynomial" """
 

@@ -4,6 +4,7 @@ machine has one. What a camera sees is in the recording, and replays to the same
 from __future__ import annotations
 
 import logging
+import os
 import select
 import stat
 import threading
@@ -156,7 +157,8 @@ def test_a_camera_that_is_pulled_out_is_gone_and_back_when_it_is_there_again(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(bus_of_a_camera, "REOPEN", 0.001)
-    first, second, tries = Made(TAG, None), Made(TAG), []
+    first, second = Made(TAG, None), Made(TAG)
+    tries: list[int] = []
 
     def again() -> Any:
         tries.append(len(tries))
@@ -279,7 +281,7 @@ def test_a_camera_of_another_group_names_it(tmp_path: Path, monkeypatch: pytest.
     device = tmp_path / "video0"
     device.touch()
     device.chmod(stat.S_IRUSR)
-    monkeypatch.setattr(bus_of_a_camera.os, "access", lambda *_: False)  # root may all
+    monkeypatch.setattr(os, "access", lambda *_: False)  # root may all
     assert 'SUBSYSTEM=="video4linux"' in bus_of_a_camera._missing(str(device))
 
 

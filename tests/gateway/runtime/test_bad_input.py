@@ -88,7 +88,7 @@ def test_what_a_sensor_says_of_itself_is_told_and_the_base_stands(
             for note in tick.outputs.notes:
                 if note.source == sensor:
                     told.setdefault(note.text, tick.now / SECOND - 4.0)
-                reasons.add(session.belief.reason)
+            reasons.add(session.belief.reason)
     (fault,) = (text for text in told if text.startswith(f"{name}; likely cause: "))
     assert told[fault] < 0.8
     assert any(text.startswith("fault (") and detail in text for text in told), told
