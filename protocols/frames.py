@@ -86,17 +86,16 @@ Frame: TypeAlias = CanFrame | bytes
 """One CAN frame, or any run of serial bytes (a piece of a stream, cut anywhere)."""
 
 
-OF_BYTES = "serial", "i2c"
-"""Kinds of bus that carry bytes: a serial line, and I²C, whose frames are transfers
-(`protocols.toolkit.i2c`)."""
+OF_BYTES = "serial", "i2c", "camera"
+"""Kinds of bus that carry bytes: a serial line; I²C, whose frames are transfers (`protocols.toolkit.i2c`);
+and a camera, whose frames are what it saw."""
 
 FD_LENGTHS = frozenset({*range(9), 12, 16, 20, 24, 32, 48, 64})
 """Data bytes that a frame of CAN FD can have."""
 
 
 def malformed(frame: Frame, kind: str) -> str:
-    """Return why a frame cannot be sent on a bus of this kind ("can", "canfd", "serial" or "i2c"); "" if it
-    can."""
+    """Return why a frame cannot be sent on a bus of this kind (`BusSettings.kind`); "" if it can."""
     if not isinstance(frame, CanFrame):
         return "" if kind in OF_BYTES else "bytes on a CAN bus"
     if kind in OF_BYTES:

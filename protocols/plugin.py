@@ -169,7 +169,7 @@ def unchanged(command: Command) -> Command:
 class Spec:
     """The properties of one device: the one source for joint, guard, doctor and conformance tests."""
 
-    bus: Literal["can", "canfd", "serial", "i2c"]
+    bus: Literal["can", "canfd", "serial", "i2c", "camera"]
     kind: Literal["motor", "sensor"]
     sends: tuple[IdMask, ...]
     """CAN ids that the driver may send for this device (empty on serial). Where the mask leaves bits open,

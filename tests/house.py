@@ -40,6 +40,7 @@ ONLY: dict[str, tuple[str, ...]] = {
     "zenoh": ("gateway.ros.zenoh_carrier",),
     "zstandard": ("gateway.recording",),
     "threading": (
+        "gateway.buses.camera",
         "gateway.buses.i2c",
         "gateway.buses.threaded",
         "gateway.recording.writer",

@@ -1,4 +1,4 @@
-"""The buses: the only package that touches CAN interfaces, serial ports and I²C adapters.
+"""The buses: the only package that touches CAN interfaces, serial ports, I²C adapters and cameras.
 
 `open_bus` opens a real one; `gateway.buses.virtual` makes buses of a simulated world,
 `gateway.buses.adapters` offers a bus to other programs. Knows frames and no protocol; imports no driver, no
@@ -25,7 +25,7 @@ __all__ = ["Bus", "WakingBus", "open_bus"]
 
 
 class Bus(Protocol):
-    """One CAN interface, one serial port, one I²C adapter, or a simulated bus."""
+    """One CAN interface, one serial port, one I²C adapter, one camera, or a simulated bus."""
 
     name: str
     """The bus's name in the robot file."""
@@ -65,6 +65,10 @@ def open_bus(settings: BusSettings, clock: Clock, *, listen_only: bool = False) 
         from gateway.buses.i2c import open_i2c
 
         return open_i2c(settings)
+    if settings.kind == "camera":
+        from gateway.buses.camera import open_camera
+
+        return open_camera(settings)
     if settings.interface.startswith("socketcan:"):
         from gateway.buses.socketcan.bus import open_socketcan
 

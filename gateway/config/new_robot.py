@@ -56,7 +56,7 @@ class Part:
     protocol: str
     address: int
     rate: int = 0
-    kind: Literal["can", "canfd", "serial", "i2c"] = "can"
+    kind: Literal["can", "canfd", "serial", "i2c", "camera"] = "can"
     data_rate: int = 0
     serial: int | None = None
     detail: str = ""

@@ -26,6 +26,7 @@ from gateway.core.robot import (
     Motor,
     Sensor,
 )
+from gateway.vision.live import LiveCamera
 from protocols.bounds import Bounds, Duration, keys
 from protocols.frames import OF_BYTES, IdMask
 from protocols.messages import MILLISECOND, SECOND
@@ -40,7 +41,7 @@ Table: TypeAlias = dict[str, Any]
 class BusKeys:
     """The keys of a bus."""
 
-    kind: Literal["can", "canfd", "serial", "i2c"]
+    kind: Literal["can", "canfd", "serial", "i2c", "camera"]
     """What kind of wire"""
     interface: str
     """INTERFACE:CHANNEL, such as "socketcan:can0" or "serial:/dev/ttyUSB0"; "twin": the world as a bus"""
@@ -64,6 +65,8 @@ class BusKeys:
     """Its level while the port is open"""
     latency: Annotated[Duration, Bounds(0, 100)] = LATENCY
     """What port and machine take both ways: an answer is waited for so much longer"""
+    camera: LiveCamera | None = None
+    """Of a camera: its pictures, and what is looked for in them"""
     turnaround: Annotated[Duration, Bounds(0, 20)] = 0
     """From the end of an answer to the next frame: a device must have let go of the wire"""
 
@@ -105,10 +108,13 @@ _RATES = {
     "canfd": ("bitrate", "data_bitrate"),
     "serial": ("baudrate",),
     "i2c": ("bitrate",),
+    "camera": (),
 }
 
 
-_NAMED = {"serial": "a serial bus", "i2c": "an I²C bus"}
+_NAMED = {"serial": "a serial bus", "i2c": "an I²C bus", "camera": "a camera"}
+USB: int = 480_000_000
+"""bit/s of a camera's USB 2.0: in the world, what it saw takes no time on it"""
 
 
 def read_bus(name: str, table: Table, mistakes: Mistakes) -> BusSettings | None:
@@ -122,7 +128,7 @@ def read_bus(name: str, table: Table, mistakes: Mistakes) -> BusSettings | None:
         if rate in _RATES[kind] and rate not in table:
             mistakes.add((*at, rate), "missing; expected an integer: bits per second")
         elif rate not in _RATES[kind] and rate in table:
-            wanted = " and ".join(_RATES[kind])
+            wanted = " and ".join(_RATES[kind]) or "none"
             mistakes.add((*at, rate), f"a bus of kind {kind!r} has no {rate}; expected {wanted}")
     if isinstance(interface, str):
         check_interface(interface, kind, at, mistakes)
@@ -140,7 +146,13 @@ def read_bus(name: str, table: Table, mistakes: Mistakes) -> BusSettings | None:
     for key in ("echo", "rs485", "dtr", "latency_ms", "turnaround_ms") if kind != "serial" else ():
         if key in table:
             mistakes.add((*at, key), f"a bus of kind {kind!r} is no serial line; expected no key {key!r}")
-    rates = made.bitrate, made.data_bitrate, made.bitrate if kind == "i2c" else made.baudrate
+    if made.camera is not None and kind != "camera":
+        mistakes.add((*at, "camera"), f"a bus of kind {kind!r} is no camera; expected no key 'camera'")
+    if made.camera is None and kind == "camera" and made.interface != TWIN:
+        text = "missing; expected a table: what its pictures are like, and what is looked for (detectors)"
+        mistakes.add((*at, "camera"), text)
+    own_rate = {"i2c": made.bitrate, "camera": USB}
+    rates = made.bitrate, made.data_bitrate, own_rate.get(made.kind, made.baudrate)
     acknowledged = made.shared_bus == "acknowledged"
     return BusSettings(
         name,
@@ -154,6 +166,7 @@ def read_bus(name: str, table: Table, mistakes: Mistakes) -> BusSettings | None:
         dtr=made.dtr,
         latency=made.latency,
         turnaround=made.turnaround,
+        camera=made.camera,
     )
 
 
@@ -166,12 +179,15 @@ def own_ids(specs: Collection[Spec]) -> tuple[IdMask, ...]:
     return tuple(sorted({ids for spec in specs for ids in (*spec.expects, *spec.receives_also, *spec.sends)}))
 
 
+_EXAMPLES = {"serial": "serial:/dev/ttyUSB0", "i2c": "i2c:/dev/i2c-1", "camera": "camera:/dev/video0"}
+
+
 def check_interface(interface: str, kind: str, at: Key, mistakes: Mistakes) -> None:
     """Check that it is "twin", or INTERFACE:CHANNEL with an interface that fits the kind of bus."""
     if interface == TWIN:
         return
     driver, colon, channel = interface.partition(":")
-    example = {"serial": "serial:/dev/ttyUSB0", "i2c": "i2c:/dev/i2c-1"}.get(kind, "socketcan:can0")
+    example = _EXAMPLES.get(kind, "socketcan:can0")
     if not (driver and colon and channel):
         wanted = f'expected "{TWIN}" or INTERFACE:CHANNEL, such as "{example}"'
         mistakes.add((*at, "interface"), f"found {shown(interface)}, {wanted}")
@@ -179,9 +195,9 @@ def check_interface(interface: str, kind: str, at: Key, mistakes: Mistakes) -> N
         mistakes.add((*at, "interface"), f"found {shown(interface)}, expected {ADAPTERS[driver]}")
     elif kind == "serial" and driver != "serial":
         mistakes.add((*at, "interface"), f'found {shown(interface)}, expected "serial:PORT" on a serial bus')
-    elif kind == "i2c" and driver != "i2c":
-        text = f'found {shown(interface)}, expected "i2c:/dev/i2c-NUMBER" on an I²C bus'
-        mistakes.add((*at, "interface"), text)
+    elif kind in _EXAMPLES and driver != kind:
+        wanted = f'expected "{kind}:PATH", such as "{example}"'
+        mistakes.add((*at, "interface"), f"found {shown(interface)}, {wanted}")
     elif channel.startswith("usb-") and not USB_NAME.fullmatch(channel.partition("@")[0]):
         wanted = "usb-VENDOR:PRODUCT:SERIAL, such as usb-0483:5740:3A5F, and of several channels /0, /1 …"
         mistakes.add((*at, "interface"), f"found {shown(interface)}, expected {wanted}")

@@ -36,8 +36,9 @@ STALLED_PERIODS = 4
 """Of the robot: a loop that stands for less is late."""
 NUMBERED = re.compile(r"socketcan:can[0-9]+|[a-z-]+:/dev/tty(USB|ACM)[0-9]+(@.*)?")
 """Interfaces that the machine numbers in the order in which it finds them."""
-_CARRIES = {"can": ("can", "canfd"), "canfd": ("canfd",), "serial": ("serial",), "i2c": ("i2c",)}
-"""Kinds of bus that carry a device's frames: a classic CAN device also works on a CAN FD bus."""
+_CARRIES = {"can": ("can", "canfd"), "canfd": ("canfd",)}
+"""Kinds of bus that carry a device's frames: a classic CAN device also works on a CAN FD bus;
+others have a kind of their own."""
 
 
 def check_devices(
@@ -54,8 +55,9 @@ def check_devices(
     ]
     for at, device in placed:
         bus = buses.get(device.bus)
-        if bus and bus.kind not in _CARRIES[device.spec.bus]:
-            kinds = " or ".join(_CARRIES[device.spec.bus])
+        carriers = _CARRIES.get(device.spec.bus, (device.spec.bus,))
+        if bus and bus.kind not in carriers:
+            kinds = " or ".join(carriers)
             text = f"{device.plugin.name} needs a bus of kind {kinds}, and {bus.name!r} is {bus.kind}"
             mistakes.add((*at, "bus"), text)
     for (before, first), (at, second) in combinations(placed, 2):

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 from brain.perception.mount import Mount
 from gateway.core.joint import JointSettings
 from gateway.vision.detectors import Detectors
+from gateway.vision.live import LiveCamera
 from protocols.bounds import Bounds, Duration, Invalid, check
 from protocols.frames import OF_BYTES, IdMask
 from protocols.messages import MILLISECOND, Nanos
@@ -49,7 +50,7 @@ class BusSettings:
     """One bus of the robot."""
 
     name: str
-    kind: Literal["can", "canfd", "serial", "i2c"]
+    kind: Literal["can", "canfd", "serial", "i2c", "camera"]
     interface: str
     """Interface and channel: "socketcan:can0", "serial:/dev/ttyUSB0", or "twin"."""
     bitrate: int = 0
@@ -57,7 +58,7 @@ class BusSettings:
     data_bitrate: int = 0
     """bit/s in the data phase of CAN FD; 0 elsewhere."""
     baudrate: int = 0
-    """bit/s of a serial line, or of I²C; 0 on a CAN bus."""
+    """bit/s of a serial line, of I²C, or of a camera's USB; 0 on a CAN bus."""
     receive_filter: tuple[IdMask, ...] = ()
     """CAN ids to receive. (): all."""
     transmit_queue: int = TRANSMIT_QUEUE
@@ -76,10 +77,12 @@ class BusSettings:
     """Of a serial line: what port and machine take both ways. An answer is waited for so much longer."""
     turnaround: Nanos = 0
     """Of a serial line: from the end of an answer to the next frame."""
+    camera: LiveCamera | None = None
+    """Of a camera: its pictures, and what is looked for in them."""
 
     @property
     def carries_bytes(self) -> bool:
-        """Whether its frames are bytes: a serial line, or I²C."""
+        """Whether its frames are bytes: of all but a CAN bus."""
         return self.kind in OF_BYTES
 
     @property

@@ -81,6 +81,8 @@ class Gateway:
         """The last that each bus has reported; those that are up from the beginning report none."""
         self.stopped = ""
         """Why an operator has stopped the robot; "" if no stop is in force."""
+        self._sensor_modes: dict[str, Mode] = {}
+        """The last that each sensor has reported, of those that do"""
         self._brain_failed = ""
         """Why the brain is not asked any more."""
         self._leaving = self._at_once = False
@@ -461,7 +463,21 @@ class Gateway:
                     self._note(level, joint.name, f"{event.mode}{_in_brackets(event.detail)}")
                 if not joint.unidentified:  # to the brain, it is not there
                     passed.append(moved)
+            elif event.motor in self.robot.sensors and not isinstance(event, msg.Feedback):
+                self._note_sensor(event)
+                passed.append(event)
         return passed
+
+    def _note_sensor(self, event: msg.State | msg.Fault) -> None:
+        """Note what is wrong with a sensor, by its own account, and that it is over."""
+        if isinstance(event, msg.Fault):
+            self._note("error", event.motor, f"{event.name}; likely cause: {event.cause}; {event.remedy}")
+            return
+        before = self._sensor_modes.get(event.motor, Mode.READY)
+        self._sensor_modes[event.motor] = event.mode
+        if event.mode is not before and {event.mode, before} & {*_BAD_MODES}:
+            level: Level = "warning" if event.mode in _BAD_MODES else "info"
+            self._note(level, event.motor, f"{event.mode}{_in_brackets(event.detail)}")
 
     def _note_answer(self, event: Event) -> None:
         """Note the answer to a request; Done to a ClearFault also clears the joint."""

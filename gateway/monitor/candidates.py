@@ -30,6 +30,7 @@ COMPATIBLE: dict[str, tuple[str, ...]] = {
     "canfd": ("can", "canfd"),
     "serial": ("serial",),
     "i2c": ("i2c",),
+    "camera": ("camera",),
 }
 """Which kinds of protocol run on a kind of bus: a CAN FD bus also carries classic frames."""
 NO_GEAR = JointSettings(Limits(velocity=1.0, acceleration=1.0, torque=1.0))

@@ -17,7 +17,7 @@ from gateway.core.step import Gateway
 from gateway.core.tick import Tick
 from gateway.monitor.state import ProtocolVariant
 from protocols.frames import BusState, CanFrame, IdSet, Packet, id_number
-from protocols.messages import SECOND, Measurement, Mode, Nanos
+from protocols.messages import SECOND, Measurement, Mode, Nanos, State
 from protocols.plugin import FeedbackKind, installed, load
 
 log = logging.getLogger("gateway")
@@ -33,6 +33,9 @@ _DEAD = {
     BusState.PASSIVE: "the bus is error-passive: check the wiring, the termination and the bit rate",
     BusState.FULL: "nothing takes what is sent: no device acknowledges it, or the bit rate is wrong",
 }
+_NOTHING_AT_ALL = "nothing at all is: check supply, cable, termination and bit rate"
+_NOTHING = {"camera": "no picture has come: see whether another program shows any, and its cable"}
+"""By kind of bus"""
 
 
 class Silence:
@@ -44,6 +47,8 @@ class Silence:
         self._heard: dict[str, list[Packet]] = {name: [] for name in buses}
         self._measured: set[str] = set()
         """Sensors."""
+        self._answered: dict[str, str] = {}
+        """Their states, of those that are heard"""
         self.told: dict[str, str] = {}
         """What was said, by device."""
         self._work: Iterator[None] = self._listen()
@@ -60,7 +65,10 @@ class Silence:
             for packet in self._tick.inputs.packets:
                 if len(self._heard[packet.bus]) < MOST_KEPT:
                     self._heard[packet.bus].append(packet)
-            self._measured |= {e.sensor for e in self._tick.outputs.events if isinstance(e, Measurement)}
+            events = self._tick.outputs.events
+            self._measured |= {e.sensor for e in events if isinstance(e, Measurement)}
+            states = (e for e in events if isinstance(e, State) and e.mode is not Mode.OFFLINE)
+            self._answered |= {e.motor: e.detail for e in states if e.motor in self._gateway.robot.sensors}
             yield
         silent = [device for device in self._gateway.robot.devices() if self._is_silent(device)]
         looks: dict[str, list[str]] = {}
@@ -94,9 +102,12 @@ class Silence:
             broken = (
                 f"; {bad} pieces that are no frames: another kind of adapter, or another rate" if bad else ""
             )
-            return f"nothing at all is: check supply, cable, termination and bit rate{broken}"
+            kind = self._gateway.robot.buses[device.bus].kind
+            return f"{_NOTHING.get(kind, _NOTHING_AT_ALL)}{broken}"
         if isinstance(device, Motor) and self._gateway.joints[device.name].mode is not Mode.OFFLINE:
             return "it answers, but does not report its motion: see its cyclic messages"
+        if device.name in self._answered:
+            return f"it answers, but measures nothing: {self._answered[device.name]}"
         return self._others(device, bus, heard, looks[device.bus])
 
     def _others(self, device: BusDevice, bus: Bus, heard: Sequence[Packet], looks: Sequence[str]) -> str:

@@ -106,8 +106,8 @@ def open_source(settings: BusSettings, clock: Clock) -> Source:
 
 
 def _simulated(bus: BusSettings) -> str:
-    if bus.kind == "i2c":
-        return f"bus {bus.name!r} is an I²C bus: nobody can listen on one beside its host"
+    if bus.kind in ("i2c", "camera"):
+        return f"bus {bus.name!r} is of kind {bus.kind!r}: nobody can listen on one beside its host"
     example = "serial:PORT" if bus.kind == "serial" else "socketcan:can0"
     return (
         f"bus {bus.name!r} is simulated inside the process that runs it, where nothing else can listen; "

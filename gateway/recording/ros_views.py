@@ -362,10 +362,10 @@ class Views:
                     if (value := getattr(event, name)) is not None:
                         status.measured[name] = value
                 self._moved = True
-            case msg.State(motor, _, mode, detail):
+            case msg.State(motor, _, mode, detail) if motor not in self._mounts:
                 status = self._motor(motor)
                 status.mode, status.detail = mode, detail
-            case msg.Fault(motor, _, code, name):
+            case msg.Fault(motor, _, code, name) if motor not in self._mounts:
                 self._motor(motor).faults[code] = name
             case msg.Done(_, "ClearFault", name) if name in self._motors:
                 self._motors[name].faults.clear()

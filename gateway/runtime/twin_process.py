@@ -157,8 +157,9 @@ def _open(settings: BusSettings, clock: Clock, adapters: Sequence[str]) -> tuple
 
         line = SerialPty(settings)
         return line, [f"serial:{line.pty.path}"]
-    if offered and settings.kind == "i2c":
-        text = "an I²C bus cannot be offered to another program: leave it in the robot's own process"
+    if offered and settings.kind in ("i2c", "camera"):
+        text = f"one of kind {settings.kind!r} cannot be offered to another program: leave it in the robot's"
+        text += " own process"
         raise BusError(f"bus {settings.name!r}: {text}")
     if offered:
         from gateway.buses.adapters.adapter_pty import AdapterPty

@@ -9,7 +9,6 @@ body's frame (x forward, y left, z up, origin on the floor). Invalid combination
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from typing import Annotated, Literal, TypeAlias
 
@@ -28,8 +27,7 @@ from gateway.sim.files import (
     Resistance,
     ShaftFile,
 )
-from gateway.vision.camera import Intrinsics
-from gateway.vision.detectors import Detectors
+from gateway.vision.detectors import CameraSettings
 from protocols.bounds import Bounds, Invalid
 from protocols.messages import SECOND
 
@@ -123,16 +121,9 @@ class ShaftEncoder:
 
 
 @dataclass(frozen=True, slots=True)
-class Camera:
+class Camera(CameraSettings):
     """A camera without distortion, and what it looks for."""
 
-    detectors: Detectors
-    width: Annotated[int, Bounds(16, 4096)] = 640
-    """Pixels"""
-    height: Annotated[int, Bounds(16, 4096)] = 480
-    """Pixels"""
-    view: Annotated[float, Bounds(10.0, 150.0, "degrees")] = 70.0
-    """From its left edge to its right one"""
     rate_hz: Rate = 5.0
     """Pictures per second"""
     noise: Noise = 0.0
@@ -140,12 +131,6 @@ class Camera:
 
     def __post_init__(self) -> None:
         _whole_steps(self.rate_hz)
-
-    @property
-    def intrinsics(self) -> Intrinsics:
-        """How it projects."""
-        focal = self.width / 2.0 / math.tan(math.radians(self.view) / 2.0)
-        return Intrinsics(focal, focal, self.width / 2.0 - 0.5, self.height / 2.0 - 0.5)
 
 
 def _whole_steps(rate_hz: float) -> None:

@@ -7,12 +7,13 @@ OpenCV's camera looks along z, x to the right, y down; a sensor of ours looks al
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Protocol, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from gateway.errors import UserError
+from protocols.bounds import Bounds
 from protocols.messages import Marker, Nanos
 
 if TYPE_CHECKING:
@@ -30,11 +31,15 @@ TO_SENSOR: Floats = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0
 class Intrinsics:
     """How a camera without skew projects: pixels; distortion as OpenCV and sensor_msgs/CameraInfo have it."""
 
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    distortion: tuple[float, ...] = ()
+    fx: Annotated[float, Bounds(1.0, 1e5)]
+    """Pixels: focal length, along the rows"""
+    fy: Annotated[float, Bounds(1.0, 1e5)]
+    """Pixels: focal length, along the columns"""
+    cx: Annotated[float, Bounds(-1e4, 1e4)]
+    """Pixels: column of the optical axis"""
+    cy: Annotated[float, Bounds(-1e4, 1e4)]
+    """Pixels: row of the optical axis"""
+    distortion: tuple[Annotated[float, Bounds(-1e3, 1e3)], ...] = ()
     """k1, k2, p1, p2, k3 … of the model "plumb_bob", or "rational_polynomial" """
 
     @property

@@ -15,7 +15,15 @@ from protocols.toolkit.host import Host, Report
 from protocols.toolkit.motor_driver import Rx
 from protocols.toolkit.sensors import SensorAdapter
 
-KINDS = {"standard": rp.NODES, "express": rp.EXPRESS, "dense": rp.DENSE}
+KINDS = {
+    "standard": rp.NODES,
+    "express": rp.EXPRESS,
+    "ultra": rp.ULTRA,
+    "dense": rp.DENSE,
+    "hq": rp.HQ,
+}
+SIZES = frozenset(rp.REPEATS.values())
+"""Of what is repeated; no answer is as long."""
 
 
 class RplidarAdapter(SensorAdapter[Lidar]):
@@ -33,7 +41,7 @@ class RplidarAdapter(SensorAdapter[Lidar]):
 
     def measured(self, t: Nanos, message: bytes, host: Host[Lidar]) -> Report[Lidar] | Rx:
         own, options, scan = host.own, host.options, None
-        if len(message) in (rp.NODE_BYTES, rp.CAPSULE_BYTES):
+        if len(message) in SIZES:
             scan = own.see(t, message, self._stream.kind, host.name, options)
         else:
             own.hear(t, message[6], message[rp.HEAD :], options)

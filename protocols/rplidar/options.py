@@ -38,8 +38,13 @@ MODELS: dict[str, Model] = {
 }
 NEAREST = 0.05
 """m, of all of them"""
-REACH = {"standard": 16.38, "express": 16.383, "dense": 65.535}
+REACH = {"standard": 16.38, "express": 16.383, "ultra": 28.656, "dense": 65.535, "hq": 100.0}
 """m that the numbers of a scan can hold"""
+
+
+MODES = {"dense": 1, "hq": 2, "ultra": 3}
+"""Their usual numbers"""
+Scan: TypeAlias = Literal["standard", "express", "ultra", "dense", "hq"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,10 +55,10 @@ class Options:
     """It decides how far a reading is believed, and the baud rate."""
     start: bool = False
     """The driver asks, and starts and stops the scan. False: it sends nothing at all."""
-    scan: Literal["standard", "express", "dense"] = "express"
+    scan: Scan = "express"
     """What is asked for; what comes is read, whichever it is."""
     scan_mode: Annotated[int, Bounds(0, 255)] = 0
-    """The device's number of an express or dense scan; 0: the first express one, or 1 for dense"""
+    """The device's number of a scan; 0: the first express one; 1 for dense, 2 for HQ, 3 for ultra"""
     motor: Literal["none", "pwm"] = "none"
     """Whether its motor is turned by SET_MOTOR_PWM (A2, A3); else by itself, or by DTR (A1: `dtr` of its
     bus)"""
@@ -77,7 +82,7 @@ class Options:
     @property
     def mode(self) -> int:
         """The number of the scan"""
-        return self.scan_mode or int(self.scan == "dense")
+        return self.scan_mode or MODES.get(self.scan, 0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +97,11 @@ class Settings:
     express_us: Annotated[int, Bounds(10, 10_000)] = 254
     """µs per sample, as it tells them"""
     dense_mode: Annotated[int, Bounds(1, 255)] = 1
-    """The number of its dense scan; others are express"""
+    """The number of its dense scan,"""
+    hq_mode: Annotated[int, Bounds(1, 255)] = 2
+    """of that of HQ,"""
+    ultra_mode: Annotated[int, Bounds(1, 255)] = 3
+    """and of its ultra one; others are express"""
     motor: Literal["turns", "pwm"] = "turns"
     """Whether its motor turns by itself, or by SET_MOTOR_PWM"""
     spin_up_ms: Annotated[float, Bounds(0.0, 10_000.0)] = 400.0

@@ -111,6 +111,8 @@ class Lidar:
         beams = Beams(name, options.beams, NEAREST, options.farthest)
         if kind == rp.NODES:
             return self.turn.node(t, data, beams)
+        if kind == rp.HQ:
+            return self.turn.packet(t, data, beams)
         return self.turn.capsule(t, data, kind, beams)
 
     def hear(self, t: Nanos, kind: int, data: bytes, options: Options) -> None:

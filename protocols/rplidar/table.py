@@ -2,8 +2,8 @@
 
 To the device: `A5 | command`, or `A5 | command | size | payload | XOR of all before it`. From it: a
 descriptor `A5 5A | length of the data, 30 bits, and 2 bits: 1 = repeated | type`, then the data, once or
-until STOP; what is repeated has no descriptor of its own. All numbers are little-endian. Only capsules have a
-checksum.
+until STOP; what is repeated has no descriptor of its own. All numbers are little-endian. Only capsules
+(`capsules`) have a checksum.
 
 Source: Slamtec/rplidar_sdk@99478e5; Interface Protocol and Application Notes (Slamtec).
 """
@@ -11,7 +11,7 @@ Source: Slamtec/rplidar_sdk@99478e5; Interface Protocol and Application Notes (S
 from __future__ import annotations
 
 import struct
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -47,11 +47,11 @@ PAYLOADS: Mapping[int, Collection[int]] = {
 PWM_MOST = 1023
 
 INFO, HEALTH, RATE, CONF, BOARD = 0x04, 0x06, 0x15, 0x20, 0xFF
-NODES, EXPRESS, DENSE = 0x81, 0x82, 0x85
-SCANS = frozenset({NODES, EXPRESS, DENSE})
-"""What is read here,"""
-REPEATS: Mapping[int, int] = {NODES: 5, EXPRESS: 84, 0x83: 781, 0x84: 132, DENSE: 84}
-"""and all that is repeated: its bytes, by type of the answer"""
+NODES, EXPRESS, HQ, ULTRA, DENSE = 0x81, 0x82, 0x83, 0x84, 0x85
+REPEATS: Mapping[int, int] = {NODES: 5, EXPRESS: 84, HQ: 781, ULTRA: 132, DENSE: 84, 0x86: 172}
+"""What is repeated: its bytes, by type of the answer"""
+SCANS = REPEATS.keys() - {0x86}
+"""What of it is read here"""
 ANSWERS: Mapping[int, range] = {
     INFO: range(20, 21),
     HEALTH: range(3, 4),
@@ -74,9 +74,9 @@ FAULTS: Mapping[int, FaultInfo] = {
 HEAD = 7
 """Bytes of a descriptor"""
 REPEATED = 1 << 30
-NODE_BYTES, CAPSULE_BYTES = 5, 84
-FARTHEST_NODE, FARTHEST_EXPRESS, FARTHEST_DENSE = 0xFFFF, 0x3FFF, 0xFFFF
-"""mm / 4, mm, mm"""
+NODE_BYTES = REPEATS[NODES]
+FARTHEST_NODE = 0xFFFF
+"""mm / 4"""
 TURN_Q6, FIRST_Q6 = 360 * 64, 20 * 64
 _NODE, _HEADER = struct.Struct("<BHH"), struct.Struct("<I")
 
@@ -194,60 +194,3 @@ def encode_node(one: Node) -> bytes:
     flags = one.quality << 2 | (1 if one.first else 2)
     angle = round(one.angle * 64.0) % TURN_Q6 << 1 | 1
     return _NODE.pack(flags, angle, min(round(one.distance * 4.0), FARTHEST_NODE))
-
-
-class Capsule(NamedTuple):
-    """Rays one after the other; how far they are apart follows from where the next capsule begins."""
-
-    first: bool
-    """Of a stream"""
-    start: float
-    """Degrees, of the first ray"""
-    distances: tuple[int, ...]
-    """mm; 0: no return"""
-    offsets: tuple[float, ...]
-    """Degrees by which each ray is behind its place"""
-
-
-def is_capsule(held: bytes, at: int) -> bool:
-    """True if two bytes here may begin a capsule."""
-    return held[at] >> 4 == 0xA and held[at + 1] >> 4 == 0x5
-
-
-def is_sound(data: bytes) -> bool:
-    """True if the checksum of a capsule is right."""
-    return xor8(data[2:]) == data[0] & 0xF | data[1] << 4 & 0xF0
-
-
-def capsule(data: bytes, kind: int) -> Capsule:
-    """Decode a capsule of an answer of this type, express or dense."""
-    (head,) = struct.unpack_from("<H", data, 2)
-    first, start = bool(head & 0x8000), (head & 0x7FFF) / 64.0 % 360.0
-    if kind == DENSE:
-        distances = struct.unpack_from("<40H", data, 4)
-        return Capsule(first, start, distances, (0.0,) * 40)
-    rays = list[tuple[int, float]]()
-    for one, other, low in struct.iter_unpack("<HHB", data[4:]):
-        rays.append((one >> 2, ((one & 3) << 4 | low & 0xF) / 8.0))
-        rays.append((other >> 2, ((other & 3) << 4 | low >> 4) / 8.0))
-    return Capsule(first, start, tuple(each for each, _ in rays), tuple(each for _, each in rays))
-
-
-def encode_capsule(one: Capsule, kind: int) -> bytes:
-    """Return a capsule as it stands on the line. What is out of reach is no return."""
-    head = round(one.start * 64.0) % TURN_Q6 | (0x8000 if one.first else 0)
-    body = struct.pack("<H", head)
-    if kind == DENSE:
-        body += struct.pack("<40H", *_reached(one.distances, FARTHEST_DENSE))
-    else:
-        found = list(zip(_reached(one.distances, FARTHEST_EXPRESS), one.offsets, strict=True))
-        for at in range(0, len(found), 2):
-            (a, behind), (b, later) = found[at : at + 2]
-            p, q = round(behind * 8.0), round(later * 8.0)
-            body += struct.pack("<HHB", a << 2 | p >> 4, b << 2 | q >> 4, p & 0xF | (q & 0xF) << 4)
-    check = xor8(body)
-    return bytes((0xA0 | check & 0xF, 0x50 | check >> 4)) + body
-
-
-def _reached(distances: Sequence[int], farthest: int) -> list[int]:
-    return [each if each <= farthest else 0 for each in distances]

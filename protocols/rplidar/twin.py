@@ -10,14 +10,18 @@ from math import ceil
 from protocols.frames import Frame
 from protocols.messages import MILLISECOND, Event, Idle, Kept, LaserScan, Nanos, Obeyed, Reboot, Torque
 from protocols.plugin import Device
+from protocols.rplidar import capsules
 from protocols.rplidar import table as rp
+from protocols.rplidar.capsules import Capsule
 from protocols.rplidar.options import Settings
-from protocols.rplidar.table import Capsule, Node
+from protocols.rplidar.table import Node
 from protocols.toolkit.rays import clockwise
 from protocols.toolkit.serial import Stream
 
-RAYS = {rp.EXPRESS: 32, rp.DENSE: 40}
-"""Of a capsule"""
+FAR = 1 << 20
+"""mm, where a ray of an ultra scan is as far behind its place as it can be"""
+LEADS = 12.0
+"""Degrees by which a near ray of an ultra scan may be before one that is far"""
 COARSE = 2.0
 """Degrees from ray to ray: where a plant has fewer, each is measured several times"""
 QUALITY = 47
@@ -49,9 +53,13 @@ class Memory:
             elif command not in (rp.SCAN, rp.FORCE_SCAN, rp.EXPRESS_SCAN):
                 self.scan = 0
             elif not failed:
-                capsules = rp.DENSE if message[2:3] == bytes((self.settings.dense_mode,)) else rp.EXPRESS
-                self.scan, self.since = capsules if command == rp.EXPRESS_SCAN else rp.NODES, t
+                asked = self._modes().get(message[2], rp.EXPRESS) if command == rp.EXPRESS_SCAN else rp.NODES
+                self.scan, self.since = asked, t
             yield message
+
+    def _modes(self) -> dict[int, int]:
+        settings = self.settings
+        return {settings.hq_mode: rp.HQ, settings.ultra_mode: rp.ULTRA, settings.dense_mode: rp.DENSE}
 
     def stop(self) -> None:
         """End its scan."""
@@ -158,7 +166,8 @@ class RplidarTwin:
             for event in truth:
                 if isinstance(event, LaserScan) and event.sensor == self.device.name:
                     self._look(event)
-            replies += self._nodes() if self.memory.scan == rp.NODES else self._capsules()
+            senders = {rp.NODES: self._nodes, rp.HQ: self._packets, rp.ULTRA: self._ultra}
+            replies += senders.get(self.memory.scan, self._capsules)(now)
         return (), replies
 
     def _look(self, scan: LaserScan) -> None:
@@ -177,17 +186,49 @@ class RplidarTwin:
                     off = width * ((part + 0.5) / more - 0.5)
                     self._rays.append(((angle + off) % 360.0, found))
 
-    def _nodes(self) -> Iterator[bytes]:
+    def _nodes(self, _: Nanos) -> Iterator[bytes]:
         rays, self._rays = self._rays, []
+        yield from map(rp.encode_node, self._told(rays))
+
+    def _told(self, rays: Sequence[tuple[float, float]]) -> Iterator[Node]:
         for angle, found in rays:
             first, self._last = angle < self._last - 180.0, angle
-            yield rp.encode_node(Node(first, QUALITY if found else 0, angle, found * 1000.0))
+            yield Node(first, QUALITY if found else 0, angle, found * 1000.0)
 
-    def _capsules(self) -> Iterator[bytes]:
-        count = RAYS[self.memory.scan]
+    def _packets(self, now: Nanos) -> Iterator[bytes]:
+        count = capsules.RAYS[rp.HQ]
+        while len(self._rays) >= count:
+            rays, self._rays = self._rays[:count], self._rays[count:]
+            yield capsules.encode_packet(now // 1000, [*self._told(rays)])
+
+    def _ultra(self, _: Nanos) -> Iterator[bytes]:
+        """Yield ultra capsules: of each place, what is seen where its ray goes, which is known of what is
+        near only when later rays have been measured."""
+        count, step = capsules.RAYS[rp.ULTRA], 0.0
+        if len(self._rays) > count:
+            step = (self._rays[count][0] - self._rays[0][0]) % 360.0 / count
+        ahead = ceil(LEADS / step) if step > 0.01 else 1
+        while len(self._rays) > count + ahead:
+            found = [self._reached(at, step, ahead) for at in range(count + 1)]
+            start = (self._rays[0][0] + capsules.behind(FAR)) % 360.0
+            self._rays = self._rays[count:]
+            capsule = Capsule(self._first, start, tuple(found[:count]), ())
+            self._first = False
+            yield capsules.encode_capsule(capsule, rp.ULTRA, found[count])
+
+    def _reached(self, at: int, step: float, ahead: int) -> int:
+        """Return what the ray at a place meets [mm]: it goes the farther ahead, the nearer that is."""
+        found = round(self._rays[at][1] * 1000.0)
+        for _ in range(3):
+            leads = capsules.behind(FAR) - capsules.behind(found) if found >= capsules.NEAREST_ULTRA else 0.0
+            found = round(self._rays[at + min(round(leads / step) if step > 0.01 else 0, ahead)][1] * 1000.0)
+        return found
+
+    def _capsules(self, _: Nanos) -> Iterator[bytes]:
+        count = capsules.RAYS[self.memory.scan]
         while len(self._rays) >= count:
             rays, self._rays = self._rays[:count], self._rays[count:]
             found = tuple(round(each * 1000.0) for _, each in rays)
             capsule = Capsule(self._first, rays[0][0], found, (0.0,) * count)
             self._first = False
-            yield rp.encode_capsule(capsule, self.memory.scan)
+            yield capsules.encode_capsule(capsule, self.memory.scan)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from protocols.rplidar import capsules
 from protocols.rplidar import table as rp
 from protocols.toolkit.motor_driver import Rx
 from protocols.toolkit.serial import FrameFormat, Stream
@@ -26,7 +27,7 @@ class Wire(Stream):
 
     framing: FrameFormat = rp.REQUESTS  # unused: what begins here depends on what came before
     kind: int = rp.EXPRESS
-    """Of what is repeated: `table.NODES`, `EXPRESS`, `DENSE`, or another, of which nothing is read"""
+    """Of what is repeated: `table.NODES`, `EXPRESS` …, or another, of which nothing is read"""
     placed: bool = False
     """It is known where the next node begins."""
 
@@ -68,18 +69,29 @@ class Wire(Stream):
             found = self._node(held, at)
             self.placed = self.placed and found != 0
             return found, Rx.IGNORED
+        if self.kind == rp.HQ:
+            return self._packet(held, at)
         if self.kind not in rp.SCANS or held[at] >> 4 != 0xA:
             return 0, Rx.IGNORED
         if len(held) < at + 2:
             return None, Rx.IGNORED
-        if not rp.is_capsule(held, at):
+        if not capsules.is_capsule(held, at):
             return 0, Rx.IGNORED
-        end = at + rp.CAPSULE_BYTES
+        end = at + rp.REPEATS[self.kind]
         # Among other bytes a wrong capsule may look right: where the next one begins, this one ends.
         if len(held) < end + 2 * self.skipping:
             return None, Rx.IGNORED
-        right = rp.is_sound(held[at:end]) and (not self.skipping or rp.is_capsule(held, end))
-        return (rp.CAPSULE_BYTES if right else 0), Rx.MALFORMED
+        right = capsules.is_sound(held[at:end]) and (not self.skipping or capsules.is_capsule(held, end))
+        return (end - at if right else 0), Rx.MALFORMED
+
+    def _packet(self, held: bytes, at: int) -> tuple[int | None, Rx]:
+        """Return the same of a packet of HQ, whose checksum is to be trusted."""
+        size = rp.REPEATS[rp.HQ]
+        if held[at] != capsules.SYNC_HQ:
+            return 0, Rx.IGNORED
+        if len(held) < at + size:
+            return None, Rx.IGNORED
+        return (size if capsules.is_sound_hq(held[at : at + size]) else 0), Rx.MALFORMED
 
     def _node(self, held: bytes, at: int) -> int | None:
         """Return 5 if a node begins here, 0 if none does, None if more must come."""

@@ -64,6 +64,7 @@ ROBOTS = {
     "witmotion": "diffbot_sensors",
     "rplidar": "diffbot_rplidar",
     "bno08x": "diffbot_gnss",
+    "camera": "diffbot_camera",
     "cia406": "diffbot_encoder",
     "nmea": "diffbot_gnss",
     "vesc_uart": "diffbot_vesc_uart",

@@ -122,6 +122,35 @@ def damaged(run: FaultSite, one: Transmission) -> Arrived:
     return (replace(one, frame=changed),)
 
 
+def received(data: bytes, ratio: float) -> bytes:
+    """Return what a serial port makes of bytes that are sent at another rate: its own is `ratio` times as
+    high. One without its stop bit counts as 0, as Linux gives it."""
+    levels = [1] + [level for byte in data for level in (0, *(byte >> at & 1 for at in range(8)), 1)]
+    got, at, last = bytearray(), 0.0, len(levels) - 1
+
+    def level(time: float) -> int:
+        return levels[int(time)] if time <= last else 1
+
+    while at <= last:
+        if level(at):
+            at = math.floor(at) + 1.0
+            continue
+        byte = sum(level(at + (bit + 1.5) / ratio) << bit for bit in range(8))
+        stop = at + 9.5 / ratio
+        got.append(byte if level(stop) else 0)
+        at = stop
+        while at <= last and not level(at):  # a stop bit that is none: the next edge begins
+            at = math.floor(at) + 1.0
+    return bytes(got)
+
+
+def misread(_run: FaultSite, one: Transmission) -> Arrived:
+    """Let a device on a serial line send at half the rate at which it is received."""
+    if one.sender == HOST or isinstance(one.frame, CanFrame):
+        return (one,)
+    return (replace(one, frame=received(one.frame, 2.0)),)
+
+
 # -- motors ------------------------------------------------------------------------------------------------
 
 
@@ -264,14 +293,24 @@ def ranges(change: Callable[[FaultSite, LaserScan], Sequence[float]]) -> Inject:
     )
 
 
+def elsewhere(where: Callable[[int, int], int]) -> Inject:
+    """Let each beam read what was read last at another one: from its number of so many in a turn."""
+
+    def change(_run: FaultSite, scan: LaserScan, memory: Memory) -> LaserScan:
+        width, turn = scan.angle_increment, round(math.tau / abs(scan.angle_increment))
+        first = round((scan.angle_min + math.pi) / width)
+        kept: dict[int, float] = memory.setdefault("kept", {})
+        beams = [(first + at) % turn for at in range(len(scan.ranges))]
+        kept.update(zip(beams, scan.ranges, strict=True))
+        seen = tuple(kept.get(where(beam, turn) % turn, scan.range_max) for beam in beams)
+        return replace(scan, ranges=seen)
+
+    return reading(change)
+
+
 def turned(degrees: float) -> Inject:
     """Turn the lidar, which has come loose."""
-
-    def change(_run: FaultSite, scan: LaserScan) -> Sequence[float]:
-        beams = round(degrees / 360.0 * len(scan.ranges))
-        return scan.ranges[-beams:] + scan.ranges[:-beams]
-
-    return ranges(change)
+    return elsewhere(lambda beam, turn: beam - round(degrees / 360.0 * turn))
 
 
 def sector(
@@ -290,6 +329,15 @@ def sector(
         return replace(scan, ranges=tuple(found))
 
     return reading(changed)
+
+
+def dust(run: FaultSite, scan: LaserScan) -> Sequence[float]:
+    """Let dust swallow 60 % of the beams, and send 10 % back from within 0.5 m."""
+    found = list(scan.ranges)
+    for beam in range(len(found)):
+        what = run.random.below(10)
+        found[beam] = 0.0 if what < 6 else run.random.uniform(0.15, 0.5) if what == 6 else found[beam]
+    return found
 
 
 def quarter(change: Callable[[Memory, int, float], float]) -> Inject:
@@ -339,6 +387,7 @@ CAUSES: dict[str, FaultCause] = {
         frames(lambda run, one: damaged(run, one) if one.sender == HOST else (one,)), "device"
     ),
     "scans damaged": FaultCause(frames(damaged), "lidar"),
+    "another baud rate": FaultCause(frames(misread), "device"),
     "host not received": FaultCause(frames(lambda _run, one: () if one.sender == HOST else (one,)), "device"),
     "devices not received": FaultCause(
         frames(lambda _run, one: (one,) if one.sender == HOST else ()), "device"
@@ -385,6 +434,8 @@ CAUSES: dict[str, FaultCause] = {
     "lidar: 90 % without a reading": FaultCause(
         ranges(lambda run, scan: [0.0 if run.random.below(10) else each for each in scan.ranges]), "lidar"
     ),
+    "lidar: upside down": FaultCause(elsewhere(lambda beam, turn: turn - beam), "lidar"),
+    "lidar: dust": FaultCause(ranges(dust), "lidar"),
     "lidar frozen": FaultCause(reading(same_again), "lidar"),
     "lidar: front quarter frozen": FaultCause(
         quarter(lambda memory, beam, true: memory.setdefault(str(beam), true)), "lidar"

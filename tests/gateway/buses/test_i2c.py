@@ -227,7 +227,7 @@ def test_an_i2c_bus_in_a_robot_file() -> None:
 @pytest.mark.parametrize(
     ("part", "instead", "wrong"),
     [
-        ('interface = "twin"', 'interface = "serial:/dev/ttyUSB0"', 'expected "i2c:/dev/i2c-NUMBER"'),
+        ('interface = "twin"', 'interface = "serial:/dev/ttyUSB0"', 'expected "i2c:PATH", such as'),
         ('interface = "twin"', 'interface = "i2c"', 'such as "i2c:/dev/i2c-1"'),
         ("bitrate = 400_000", "baudrate = 400_000", "a bus of kind 'i2c' has no baudrate; expected bitrate"),
         (

@@ -205,7 +205,7 @@ MISTAKES = [
     ("name", 'name = "diffbot"', 'name = "diff/bot"', "expected letters, digits, _ and -"),
     ("name", 'name = "diffbot"', "name = 5", "found 5, expected a string"),
     ("buses.can0.kind", 'kind = "can" ', 'kind = "cam"',
-     "found \"cam\", expected 'can' or 'canfd' or 'serial' or 'i2c'; did you mean 'can'?"),
+     "found \"cam\", expected 'can' or 'canfd' or 'serial' or 'i2c' or 'camera'; did you mean 'can'?"),
     ("buses.can0.bitrate", "bitrate = 1_000_000", "", "missing; expected an integer"),
     ("buses.can0.bitrate", "bitrate = 1_000_000", "bitrate = 0",
      "found 0, expected an integer from 5000 to 1000000"),

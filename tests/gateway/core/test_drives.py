@@ -38,6 +38,7 @@ ROBOTS = {
     "diffbot_vesc_uart": {"vesc_uart"},
     "diffbot_odrive_ascii": {"odrive_ascii"},
     "car": {"vesc", "maestro"},
+    "skid_steer_vesc": {"vesc"},
     "diffbot_mixed": {"cia402", "moteus", "odrive_can"},
     "diffbot_mixed_can": {"vesc", "robstride", "cubemars"},
 }
@@ -110,8 +111,10 @@ def test_a_loop_asks_for_no_more_torque_than_the_device_gives() -> None:
 
 def test_every_shipped_variant_of_the_demo_is_driven() -> None:
     """Every shipped robot that drives the office with another protocol than the demo's is tried above; so is
-    the car, of whose body there is no other."""
+    the car, of whose body there is no other, and a base on four wheels with sensors that are bought."""
     found = {
         path.stem for path in Path(str(resources.find("robots", "diffbot"))).parent.glob("diffbot_*.toml")
     }
-    assert found - {"diffbot_camera"} | {"car"} == set(ROBOTS)  # which drives where there are tags to see
+    assert found - {"diffbot_camera"} | {"car", "skid_steer_vesc"} == set(
+        ROBOTS
+    )  # which drives where there are tags to see

@@ -20,8 +20,9 @@ from gateway.core.tick import Inputs, Tick
 from gateway.monitor.silence import LISTENED, Silence
 from gateway.runtime.loop import read, write
 from gateway.runtime.session import open_session
+from protocols.camera import table
 from protocols.frames import BusState, CanFrame, Packet
-from protocols.messages import MILLISECOND, SECOND, Imu
+from protocols.messages import MILLISECOND, SECOND, Imu, Marker
 from protocols.plain.table import encode
 from tests.gateway.rig import BENCH
 
@@ -153,6 +154,34 @@ def test_a_sensor_on_a_line(
     (rear,) = [one for one in lines if one.startswith("rear: ")]
     assert f"at address 2 on line: {cause}" in rear
     assert len(lines) == (3 if "front" in cause else 4)  # with the two motors
+
+
+EYE = """
+[buses.eye]
+kind = "camera"
+interface = "twin"
+[sensors.eye]
+protocol = "camera"
+bus = "eye"
+address = 1
+"""
+
+
+@pytest.mark.parametrize(
+    ("faults", "cause"),
+    [
+        (table.SIZE, "it answers, but measures nothing: 320 × 240, 30.0 pictures per second, grey 100"),
+        (None, "no picture has come: see whether another program shows any, and its cable"),
+    ],
+)
+def test_a_camera_without_a_picture_that_is_looked_at(
+    faults: int | None, cause: str, empty: dict[str, Bus], caplog: pytest.LogCaptureFixture
+) -> None:
+    picture = table.Picture(1, 0, 320, 240, 3000, 100, faults or 0)
+    packets = (Packet(0, "eye", table.encode(picture, Marker("eye", 0, None))),) if faults else ()
+    with closing(SerialPty(BusSettings("eye", "serial", "twin", baudrate=115_200))) as line:
+        lines = told(BENCH + EYE, {**empty, "eye": line}, caplog, Inputs(packets=packets))
+    assert f"eye: nothing is heard of it at address 1 on eye: {cause}" in lines
 
 
 def test_an_adapter_that_refuses_is_named(caplog: pytest.LogCaptureFixture) -> None:
