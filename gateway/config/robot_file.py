@@ -16,7 +16,7 @@ dataclasses, so this file knows none of them by name. Files are TOML (toml.io, v
     [motors.NAME.options]               what the driver should do: the protocol's own
     [motors.NAME.settings]              what is configured on the device: the protocol's own, for its twin
     [sensors.NAME]                      protocol, bus, address, mount, timeout_ms, options, settings
-    urdf                                links and joints (gateway.config.urdf); [files] has its text
+    urdf                                links and joints (gateway.config.urdf); [files] has its text (.files)
     [defaults.motors] …                 defaults for every motor (bus, sensor)
     [brain]                             brain.settings.BrainSettings; [brain.BODY] is the body's own; `kind`
                                         names a brain of another distribution, [brain.KIND] is its own
@@ -43,11 +43,12 @@ from brain.other_brain import Chosen
 from brain.settings import BrainSettings
 from gateway.config import bodies, resources, validate
 from gateway.config.errors import Key, Mistakes, shown, unknown
+from gateway.config.files import fill, with_files
 from gateway.config.recorded import FOR_RECORDINGS, completed, is_recorded
 from gateway.config.schema import build
 from gateway.config.sections import Find, Table, check_interface, own_ids, read_bus, read_motor, read_sensor
 from gateway.config.text import read_text, read_toml
-from gateway.config.urdf import Description, with_files
+from gateway.config.urdf import Description
 from gateway.core.robot import (
     STALL_TIMEOUT,
     TWIN,
@@ -122,7 +123,7 @@ def load_robot(
     """
     path = resources.find("robots", robot) if isinstance(robot, str) else robot
     mistakes = Mistakes(str(path), "")
-    text = with_files(read_text(path), path, mistakes)
+    text = with_files(read_text(path), path, mistakes, find)
     mistakes.check()
     return parse_robot(text, str(path), find, file=path, recorded=recorded, real=real)
 
@@ -172,6 +173,7 @@ def parse_robot(
         raise mistakes.error()  # what it lacks would be reported for every motor
     moved = described.motors(groups["motors"])
     described.sensors(groups["sensors"])
+    fill(table, groups["motors"] | groups["sensors"], find)
     for key, kind in _FILES:
         try:
             if file is not None and isinstance(other := table.get(key), str):

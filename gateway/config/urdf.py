@@ -1,7 +1,7 @@
 """`urdf` in a robot file: what its links and joints say where the file says nothing.
 
 Rules. What is written in the robot file wins. A recording carries the robot file alone, so the URDF's text is
-appended to it when it is loaded (table [files]), and read from there and from nowhere else.
+appended to it when it is loaded (`gateway.config.files`), and read from there and from nowhere else.
 
     urdf = "robot.urdf"            beside the robot file, or shipped with the robots
     [motors.NAME]                  urdf_joint = "shoulder_joint"; by default the joint of the motor's name
@@ -14,44 +14,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, TypeAlias
 
 from brain.bodies import urdf
 from brain.bodies.body import Body
 from brain.bodies.chain import at_rest
-from gateway.config import resources
 from gateway.config.errors import Key, Mistakes, unknown
-from gateway.config.text import read_text, read_toml
-from gateway.errors import ConfigError
 
 Table: TypeAlias = dict[str, Any]
-QUOTES = "'''"
-
-
-def with_files(text: str, path: Path, mistakes: Mistakes) -> str:
-    """Return the text of a robot file with that of its URDF, if it names one and has none."""
-    try:
-        table = read_toml(text, Mistakes("", text))
-    except ConfigError:
-        return text  # what is wrong is reported when it is parsed
-    name = table.get("urdf")
-    if not isinstance(name, str) or "files" in table:
-        return text
-    beside = path.parent / name
-    try:
-        found = beside if beside.is_file() else resources.shipped("robots") / name
-        if not found.exists():
-            mistakes.add(("urdf",), f"there is no {name!r} beside the robot file, and none that ships")
-            return text
-        content = read_text(found, urdf.MOST_CHARACTERS)
-    except (OSError, ValueError) as error:  # a name that can be none of a file is one, too
-        mistakes.add(("urdf",), str(error))
-        return text
-    if QUOTES in content or '"' in name:
-        mistakes.add(("urdf",), f"{name!r} has {QUOTES} in it, or a quote in its name: expected none")
-        return text
-    return f'{text.rstrip()}\n\n[files]\n"{name}" = {QUOTES}\n{content}{QUOTES}\n'
 
 
 @dataclass(frozen=True, slots=True)

@@ -179,6 +179,10 @@ class Message:
 def read_database(name: str, text: str) -> Any:  # noqa: ANN401 -- cantools has no types
     """Return a file as cantools has it: its `messages`. Raises ValueError, in words: without cantools, or for
     a text that it cannot read."""
+    if not name:
+        raise ValueError('missing; expected the file with its messages, such as "motor.dbc"')
+    if not text:
+        raise ValueError(f"there is no text of {name!r}: it comes there by loading the robot file")
     try:
         import cantools
     except ImportError as error:

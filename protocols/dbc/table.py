@@ -157,8 +157,6 @@ class _Reader:
         self.name, text = named_text(options.file)
         self.used: dict[str, None] = {}
         try:
-            if not self.name:
-                raise ValueError('missing; expected the file with its messages, such as "motor.dbc"')
             self.all = messages_of(self.name, text)
         except ValueError as error:
             raise Invalid(("options.file", str(error))) from error

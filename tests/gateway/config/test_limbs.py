@@ -8,14 +8,15 @@ from brain.bodies.limbs import LimbPlace, limbs
 from gateway.config import cannot, load_robot, resources
 from gateway.config.describe import describe
 from gateway.config.errors import Mistakes
+from gateway.config.files import with_files
 from gateway.config.mission import parse_mission
 from gateway.config.robot_file import parse_robot
-from gateway.config.urdf import with_files
 from gateway.errors import ConfigError
 from protocols import messages as msg
+from protocols.plugin import load
 
 PATH = resources.find("robots", "mobile_arm")
-TEXT = with_files(PATH.read_text(), PATH, Mistakes("", ""))
+TEXT = with_files(PATH.read_text(), PATH, Mistakes("", ""), load)
 BASE, TWO = load_robot("mobile_arm"), load_robot("two_arms")
 
 
