@@ -115,4 +115,3 @@ def fill(table: Table, devices: dict[str, Table], find: Callable[[str], Plugin])
             name = options.get(key)
             if isinstance(name, str) and isinstance(text := files.get(name), str):
                 one["options"] = options = {**options, key: f"{name}\n{text}"}
-

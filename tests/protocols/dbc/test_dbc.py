@@ -53,7 +53,7 @@ OURS: dict[str, Message] = {**messages_of("odd.dbc", ODD), **messages_of(NAME, T
 
 @pytest.mark.parametrize("name", sorted(OURS))
 @given(data=st.binary(min_size=8, max_size=8))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_bits_are_decoded_and_encoded_as_cantools_does(name: str, data: bytes) -> None:
     ours, theirs = OURS[name], THEIRS[name]
     data = data[: ours.length]
