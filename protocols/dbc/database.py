@@ -39,7 +39,8 @@ class Signal:
     bits: int
     big: bool
     signed: bool
-    float: bool
+    real: bool
+    """It is a binary16, 32 or 64, no integer."""
     factor: float
     offset: float
     unit: str
@@ -54,14 +55,14 @@ class Signal:
 
     def ends(self) -> tuple[float, float]:
         """Return the lowest and the highest raw number."""
-        if self.float:
+        if self.real:
             return -LARGEST[self.bits], LARGEST[self.bits]
         return (-(1 << self.bits - 1), (1 << self.bits - 1) - 1) if self.signed else (0, (1 << self.bits) - 1)
 
     def read(self, little: int, big: int) -> Raw:
         """Return its raw number in data, given as a number in both orders of bytes."""
         raw = (big if self.big else little) >> self.start & (1 << self.bits) - 1
-        if self.float:
+        if self.real:
             value: float = struct.unpack(f">{FLOATS[self.bits]}", raw.to_bytes(self.bits // 8, "big"))[0]
             return 0.0 if abs(value) < TINY[self.bits] else value
         return raw - (1 << self.bits) if self.signed and raw >> self.bits - 1 else raw
@@ -72,7 +73,7 @@ class Signal:
             raise ValueError(f"{self.name}: {raw} is not finite: it is never sent")
         low, high = self.ends()
         raw = min(max(raw, low), high)
-        if self.float:
+        if self.real:
             raw = 0.0 if abs(raw) < TINY[self.bits] else raw
             return int.from_bytes(struct.pack(f">{FLOATS[self.bits]}", raw), "big") << self.start
         return (round(raw) & (1 << self.bits) - 1) << self.start

@@ -81,7 +81,11 @@ class Motor:
         if self.faulty:
             return Mode.FAULT, self.faulty
         if self.declared.state is None:
-            return (Mode.ARMED, "commanded; it tells no state") if self.driven else (Mode.READY, "it tells no state")
+            return (
+                (Mode.ARMED, "commanded; it tells no state")
+                if self.driven
+                else (Mode.READY, "it tells no state")
+            )
         if self.told is None:
             return None, ""
         return Mode.ARMED if self.told else Mode.READY, self.detail

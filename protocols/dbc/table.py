@@ -68,7 +68,7 @@ class Number:
         return self._rounded(min(max((value - self.offset) / self.factor, low), high))
 
     def _rounded(self, raw: float) -> Raw:
-        return raw if self.signal.float else round(raw)
+        return raw if self.signal.real else round(raw)
 
     def value(self, raw: Raw) -> float:
         """Return the value of a raw number."""
@@ -91,7 +91,7 @@ class Number:
     def range(self, *, inside: int = 0) -> Range:
         """Return the range; `inside`: of a measurement, without the ends."""
         low, high = self.signal.ends() if inside else self._raws()
-        if self.signal.float:
+        if self.signal.real:
             low, high = (1e-3 * each if abs(each) > 1e6 else each for each in (low, high))
             ends = sorted(self.value(each) / max(1.0, abs(self.factor)) for each in (low, high))
             error = 2.0**-10 if self.signal.bits == 16 else BINARY32
@@ -205,7 +205,7 @@ class _Reader:
             self.object(key, f"found {text!r}, expected a number{one_of}{did_you_mean(text, named)}")
             return None
         low, high = signal.ends()
-        raw = raw if signal.float else round(raw)
+        raw = raw if signal.real else round(raw)
         if not low <= raw <= high:
             least, most = sorted(each * signal.factor + signal.offset for each in (low, high))
             self.object(key, f"{text} does not fit into {signal.name}: it has {least:g} to {most:g}")
@@ -258,7 +258,7 @@ class _Reader:
         """Return the messages that are used, with their counters and checksums."""
         found = {name: self.all[name] for name in self.used}
         for text in self.options.counters:
-            if (there := self.signal("counters", text)) and not there[1].float:
+            if (there := self.signal("counters", text)) and not there[1].real:
                 found[there[0].name] = replace(found.get(there[0].name, there[0]), counter=there[1].name)
         for text in self.options.checksums:
             name, _, kind = (part.strip() for part in text.partition("="))
@@ -266,7 +266,7 @@ class _Reader:
             if kind not in CHECKSUMS:
                 known = ", ".join(CHECKSUMS)
                 self.object("checksums", f"{text!r}: expected one of {known}{did_you_mean(kind, CHECKSUMS)}")
-            elif there is not None and not there[1].float:
+            elif there is not None and not there[1].real:
                 before = found.get(there[0].name, there[0])
                 found[there[0].name] = replace(before, checksum=(there[1].name, CHECKSUMS[kind]))
         return found
@@ -297,7 +297,7 @@ def declared(options: Options, address: int) -> Declared:
     """Return what is declared of a motor. Raises Invalid with every mistake."""
     reader = _Reader(options, address)
     given = {key: one for key in KINDS if (one := getattr(options, key)) is not None}
-    setpoints = {KINDS[key]: made for key, one in given.items() if (made := reader.setpoint(key, one))}
+    setpoints = {KINDS[key]: found for key, one in given.items() if (found := reader.setpoint(key, one))}
     lists = {key: reader.assignments(key, getattr(options, key)) for key in ("enable", "idle", "clear")}
     to_device = tuple(reader.used)
     fed = _fed(reader)

@@ -124,7 +124,7 @@ def test_the_bytes_are_those_of_the_plugin_for_it_and_cantools_reads_the_command
     recording: Callable[[str], Path], command: msg.Command, name: str, signal: str, value: float
 ) -> None:
     path = recording(f"dbc_eds/{ODRIVE}")
-    known = cantools.database.load_file(path, strict=False)
+    known: Any = cantools.database.load_file(path, strict=False)
     by_file = last_frames(plugin, by_dbc(path.read_text()), command, msg.Idle("one"))
     of_plugin = last_frames(odrive, OdriveOptions(firmware="0.5"), command, msg.Idle("one"))
     names = {known.get_message_by_frame_id(number).name for number in by_file}
@@ -145,7 +145,8 @@ def test_every_message_of_a_vendors_file_is_encoded_as_cantools_does(
     recording: Callable[[str], Path], name: str
 ) -> None:
     path = recording(f"dbc_eds/{name}")
-    theirs = {one.name: one for one in cantools.database.load_file(path, strict=False).messages}
+    known: Any = cantools.database.load_file(path, strict=False)
+    theirs = {one.name: one for one in known.messages}
     ours = messages_of(name, path.read_text("cp1252"))
     assert ours.keys() == theirs.keys()
     for key, one in ours.items():
@@ -159,7 +160,8 @@ def test_every_message_of_a_vendors_file_is_encoded_as_cantools_does(
 
 def test_a_car_is_decoded_value_by_value_as_cantools_does(recording: Callable[[str], Path]) -> None:
     path = recording("rav4/_toyota_2017.dbc")
-    theirs = {one.frame_id: one for one in cantools.database.load_file(path, strict=False).messages}
+    known: Any = cantools.database.load_file(path, strict=False)
+    theirs = {one.frame_id: one for one in known.messages}
     ours = {one.id: one for one in messages_of(path.name, path.read_text("cp1252")).values()}
     values = frames = 0
     for packet, _ in logged(recording("rav4/raw_can_src0.candump.log.gz")):
