@@ -1,8 +1,8 @@
 """Text files that a robot file names: its URDF, and those of a protocol's options (`FileText`).
 
 Rules. A recording carries the robot file alone, so their texts are put into it when it is loaded (table
-[files], by name), and read from there and from nowhere else. A name is one of a file beside the robot file, or of one
-that ships with the robots. A protocol is given the text behind the name.
+[files], by name), and read from there and from nowhere else. A name is one of a file beside the robot file,
+or of one that ships with the robots. A protocol is given the text behind the name.
 """
 
 from __future__ import annotations

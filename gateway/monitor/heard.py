@@ -1,4 +1,4 @@
-"""Another program's log of a robot's CAN buses, held against its robot file: what was heard, and what was told.
+"""A log of a robot's CAN buses, held against its robot file: what was heard, and what was told.
 
 Rules. Of each device: how long it was silent at most, which faults it reported. Of each motor also the
 commands that it was sent, by whoever it was, held against the limits of the robot file; a guard asks more,

@@ -1,7 +1,7 @@
 """The electronic data sheet of a drive (EDS or DCF, CiA 306): what it says that the drive has and can.
 
-Rules. The library canopen reads it; here it is held against what the driver needs. What it does not say is left
-to the drive: it is asked. A value in it with $NODEID counts from the node id.
+Rules. The library canopen reads it; here it is held against what the driver needs. What it does not say is
+left to the drive: it is asked. A DCF's own value counts before the default.
 """
 
 from __future__ import annotations
@@ -65,13 +65,12 @@ class DataSheet:
         return {kind for kind in able - without if kind not in TARGETS or TARGETS[kind][0] in self}
 
     def mapped(self) -> list[tuple[int, list[Key]]]:
-        """Return the objects in each PDO as delivered, by the index of its mapping; an empty one is left out."""
+        """Return the objects in each PDO as delivered, by the index of its mapping, but for empty ones."""
         found = []
         for index in (base + at for base in (RPDO_MAPPING, TPDO_MAPPING) for at in range(PDOS)):
             count = self.entries.get((index, 0))
-            numbers = [
-                self.entries.get((index, at + 1)) for at in range(min((count and count.default) or 0, 8))
-            ]
+            most = min((count and count.default) or 0, 8)
+            numbers = [self.entries.get((index, at + 1)) for at in range(most)]
             keys = [(one.default >> 16, one.default >> 8 & 0xFF) for one in numbers if one and one.default]
             found += [(index, keys)] if keys else []
         return found
@@ -163,11 +162,11 @@ def _unmapped(sheet: DataSheet, keep: bool) -> list[Wrong]:
     """Return what is wrong with its PDOs: as delivered, and what can be mapped in them."""
     wrong: list[Wrong] = []
     for index, keys in sheet.mapped():
-        for key in keys:
-            if key[0] >= 0x1000 and key not in sheet:
-                wrong.append(
-                    ("options.eds", f"{sheet.name}: {index:04X} maps {_named(key)}, which it has not")
-                )
+        wrong += [
+            ("options.eds", f"{sheet.name}: {index:04X} maps {_named(key)}, which it has not")
+            for key in keys
+            if key[0] >= 0x1000 and key not in sheet
+        ]
     driven = [keys for index, keys in sheet.mapped() if index < TPDO_MAPPING]
     flat = {key for keys in driven for key in keys}
     targets = [target for target, _ in TARGETS.values() if target in sheet]

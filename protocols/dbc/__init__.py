@@ -1,5 +1,5 @@
-"""Motors whose CAN messages a file describes (DBC, KCD, SYM, ARXML): the robot file says which signals command
-them, and which report (README.md). Exports `plugin`."""
+"""Motors whose CAN messages a file describes (DBC, KCD, SYM, ARXML): the robot file says which signals
+command them, and which report (README.md). Exports `plugin`."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from protocols.toolkit.motor_driver import MotorDriver
 __all__ = ["example", "plugin"]
 
 NO_TIMEOUT = (
-    "nothing says that the device lets go when its host is silent (timeout_ms = 0): its last command goes on if "
-    'this host or its cable fails. State its timeout_ms, or write watchdog = "acknowledged" under options'
+    "nothing says that the device lets go when its host is silent (timeout_ms = 0): its last command goes on "
+    'if this host or its cable fails. State its timeout_ms, or write watchdog = "acknowledged" under options'
 )
 
 
@@ -50,12 +50,13 @@ def _stops(of: Declared) -> tuple[Frame, ...]:
     for count in (0, 1):
         for name, raws in of.idle.items():
             message = of.messages[name]
-            frames.append(message.encode({**raws, **({message.counter: count} if message.counter else {})}))
+            count_of = {message.counter: count} if message.counter else {}
+            frames.append(message.encode({**raws, **count_of}))
     return tuple(dict.fromkeys(frames))
 
 
 def spec(device: Device) -> Spec:
-    """Return the contract of one motor. Raises Invalid with all that its file does not have, or contradicts."""
+    """Return the contract of one motor. Raises Invalid with all that its file lacks, or contradicts."""
     options: Options = device.options
     of = declared(options, device.address)
     kinds = {*of.setpoints, msg.Idle, *((msg.Hold,) if msg.Position in of.setpoints else ())}
@@ -170,8 +171,8 @@ def names(frame: Frame) -> Sequence[str]:
 plugin = Plugin(
     name="dbc",
     title="any motor on CAN whose messages a DBC, KCD, SYM or ARXML file describes",
-    trust="bits and numbers: cantools 45.1.0, both ways; checksums: crccheck 1.3.1, opendbc 0.3.1; the same bytes as "
-    "odrive_can by ODrive's DBC. No hardware yet",
+    trust="bits and numbers: cantools 45.1.0, both ways; checksums: crccheck 1.3.1, opendbc 0.3.1; the same "
+    "bytes as odrive_can by ODrive's DBC. No hardware yet",
     options=Options,
     settings=Settings,
     spec=spec,

@@ -72,6 +72,7 @@ CHECKSUMS: Mapping[str, Checksum] = {
     "honda": _honda,
     "comma": _comma,
 }
-"""By the name in a robot file. "sum" and "xor": of all bytes. "crc8_j1850": polynomial 1Dh, "crc8_autosar": 2Fh,
-both from FFh, inverted. "toyota": sum of the id's bytes, the length and the data. "honda": 8 less the sum of
-all nibbles, 3 more with an id of 29 bits. "comma": polynomial D5h from FFh, the last byte first."""
+"""By the name in a robot file. "sum" and "xor": of all bytes. "crc8_j1850": polynomial 1Dh,
+"crc8_autosar": 2Fh, both from FFh, inverted. "toyota": sum of the id's bytes, the length and the data.
+"honda": 8 less the sum of all nibbles, 3 more with an id of 29 bits. "comma": polynomial D5h from FFh, the
+last byte first."""

@@ -142,8 +142,8 @@ class DbcAdapter(Adapter[Motor]):
         for name in of.to_device:
             message = self._messages.setdefault(name, of.messages[name])
             if message != of.messages[name]:
-                text = f"{device.name} has another {name} than the motors before it: one file, counters and checksums"
-                raise ValueError(f"{text} of a message must be the same")
+                text = f"{device.name} has another {name} than the motors before it: its file, counter and"
+                raise ValueError(f"{text} checksum must be the same")
             period = of.periods.get(name, round(device.options.period_ms * MILLISECOND))
             self._periods[name] = min(period, self._periods.get(name, period))
             self._lines.setdefault(name, Line())

@@ -47,7 +47,7 @@ class Fed:
     unit: Unit = ""
     """Of its physical value, whatever the file says: "" is SI, with `scale`"""
     scale: Annotated[float, Bounds(-1e9, 1e9)] = 1.0
-    """Times its value; −1: it counts the other way. A torque in A has the torque constant here, and unit "" """
+    """Times its value; −1: it counts the other way. A torque in A has the torque constant here, unit "" """
 
     def __post_init__(self) -> None:
         check(self, ("scale", "scale is 0: every value would be the same" * (self.scale == 0.0)))
@@ -110,8 +110,8 @@ class Options:
     velocity: Commanded | None = None
     torque: Commanded | None = None
     enable: tuple[str, ...] = ()
-    """What powers the motor: "MESSAGE.SIGNAL = VALUE". Sent with each command where it is in the same message, or
-    nothing tells the state; else until the state is one of `armed`. (): commanding it does"""
+    """What powers the motor: "MESSAGE.SIGNAL = VALUE". Sent with each command where it is in the same
+    message, or nothing tells the state; else until the state is one of `armed`. (): commanding it does"""
     idle: tuple[str, ...] = ()
     """The safe command: what is sent when the motor is to be idle, at every stop and at the end"""
     clear: tuple[str, ...] = ()

@@ -438,7 +438,7 @@ class Memory:
         armed = self._holds(of.enable)
         kind, one = self._commanded()
         if one is not None and not of.enable:
-            armed = self.armed or one.number.signal.name in raws and one.number.message == message.name
+            armed = self.armed or (one.number.signal.name in raws and one.number.message == message.name)
         did: list[Obeyed] = []
         if self.armed and not armed:
             did.append(msg.Idle(self.name))

@@ -192,8 +192,8 @@ Kind = TypeVar("Kind")
 
 
 def copied(memory: Kind, memo: dict[int, Any]) -> Kind:
-    """Return a deep copy of what a device keeps. Most memories are dataclasses with slots, of numbers, options and dictionaries of
-    numbers: these are copied in a fifth of the time."""
+    """Return a deep copy of what a device keeps. Most memories are dataclasses with slots, of numbers,
+    options and dictionaries of numbers: these are copied in a fifth of the time."""
     plain: Any = memory
     if not is_dataclass(plain) or hasattr(plain, "__dict__"):
         return deepcopy(memory, memo)

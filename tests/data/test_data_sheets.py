@@ -1,4 +1,4 @@
-"""Vendors' EDS and DCF files in a cia402 robot: what they lack is told in words, before anything is opened."""
+"""Vendors' EDS and DCF files in a cia402 robot: what they lack is told, before anything is opened."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Robots by other people's DBC files, through the plugin `dbc`: the comma body and ODrives, and the numbers of a car."""
+"""Robots by other people's DBC files: the comma body and ODrives; and the numbers of a car."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ def test_every_message_of_a_vendors_file_is_encoded_as_cantools_does(
         raws = one.decode(CanFrame(one.id, data, one.extended))
         assert raws is not None
         wanted = theirs[key].decode(data, scaling=False, decode_choices=False)
-        assert raws == {signal: raw for signal, raw in wanted.items()}
+        assert raws == dict(wanted)
         assert one.encode(raws).data == theirs[key].encode(wanted, scaling=False, strict=False)
 
 

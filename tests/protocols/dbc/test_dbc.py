@@ -1,4 +1,4 @@
-"""The plugin `dbc`: bits beside cantools, checksums beside crccheck and opendbc, mistakes in words, conversations."""
+"""Bits beside cantools, checksums beside crccheck and opendbc, mistakes in words, conversations."""
 
 from __future__ import annotations
 
@@ -19,8 +19,9 @@ from protocols.dbc.checksums import CHECKSUMS
 from protocols.dbc.database import Message, messages_of, read_database
 from protocols.dbc.options import Commanded, Fed, Feedback, Options
 from protocols.dbc.table import declared
-from protocols.frames import CanFrame
-from protocols.messages import SECOND, Feedback as Measured, Mode
+from protocols.frames import CanFrame, Frame
+from protocols.messages import SECOND, Mode
+from protocols.messages import Feedback as Measured
 from protocols.plugin import Device
 
 NAME, TEXT = example().file.split("\n", 1)
@@ -197,7 +198,7 @@ def two_wheels(**changes: Any) -> tuple[Device, Device]:
 def test_two_motors_in_one_message_are_the_bytes_that_opendbc_makes() -> None:
     driver = plugin.driver(two_wheels())
     driver.receive(0, CanFrame(513, bytes.fromhex("0000000000")))
-    sent = []
+    sent: list[Frame] = []
     for at, (left, right) in enumerate([(0.0, 0.0), (1.0, -1.0), (-10.0, 9.99), (0.37, -5.12)]):
         now = at * SECOND // 100
         driver.receive(now, CanFrame(513, bytes([0, 0, 0, 0, at + 1])))
