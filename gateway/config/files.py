@@ -2,13 +2,14 @@
 
 Rules. A recording carries the robot file alone, so their texts are put into it when it is loaded (table
 [files], by name), and read from there and from nowhere else. A name is one of a file beside the robot file,
-or of one that ships with the robots. A protocol is given the text behind the name.
+or of one that ships with the robots, or with the protocol. A protocol is given the text behind the name.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -41,7 +42,8 @@ def with_files(text: str, path: Path, mistakes: Mistakes, find: Callable[[str], 
         return text
     wanted = [name for name in named if name not in there]
     where = {name: at for at, name in reversed(list(_named(table, find)))}
-    parts = [part for name in wanted if (part := _part(name, path.parent, where[name], mistakes))]
+    folders = (path.parent, resources.shipped("robots"), *_own_folders(table, find))
+    parts = [part for name in wanted if (part := _part(name, folders, where[name], mistakes))]
     if not parts:
         return text
     if "files" in table:
@@ -84,11 +86,22 @@ def _fields(protocol: str, find: Callable[[str], Plugin]) -> list[str]:
     return [key for key, field in keys(kind).items() if names_file(hints(kind)[field.name])]
 
 
-def _part(name: str, folder: Path, at: Key, mistakes: Mistakes) -> str:
+def _own_folders(table: Table, find: Callable[[str], Plugin]) -> list[Path]:
+    """Return the folders of the protocols whose options name files."""
+    found: list[Path] = []
+    for group in ("motors", "sensors"):
+        devices = table.get(group)
+        for one in devices.values() if isinstance(devices, dict) else ():
+            name = one.get("protocol") if isinstance(one, dict) else None
+            if isinstance(name, str) and _fields(name, find):
+                found += [Path(str(files(find(name).options.__module__.rpartition(".")[0])))]
+    return [*dict.fromkeys(found)]
+
+
+def _part(name: str, folders: Sequence[Path], at: Key, mistakes: Mistakes) -> str:
     """Return the line of [files] for one file; "" if a mistake was added."""
     try:
-        beside = folder / name
-        found = beside if beside.is_file() else resources.shipped("robots") / name
+        found = next((each / name for each in folders if (each / name).is_file()), folders[0] / name)
         if not found.exists():
             mistakes.add(at, f"there is no {name!r} beside the robot file, and none that ships")
             return ""
