@@ -49,6 +49,26 @@ Duration: TypeAlias = Annotated[Nanos, _Milliseconds]
 """A span of time in a dataclass that a file fills: under its name with `_ms` there."""
 
 
+class _Named:
+    """Marks the name of a text file, by its type hint."""
+
+
+FileText: TypeAlias = Annotated[str, _Named]
+"""The name of a text file beside the robot file. Whoever reads the robot file puts the text behind it, from
+the next line on, and keeps it in the recording: nothing below opens a file (`named_text`)."""
+
+
+def named_text(value: str) -> tuple[str, str]:
+    """Return the name of a file, and its text; "": it has not been read."""
+    name, _, text = value.partition("\n")
+    return name, text
+
+
+def names_file(hint: object) -> bool:
+    """True for a hint of the name of a text file."""
+    return _Named in getattr(hint, "__metadata__", ())
+
+
 class Settings(Protocol):
     """Any dataclass."""
 

@@ -398,6 +398,12 @@ class Plugin:
     """Bytes from an independent source: a package and the path of a JSON file in it, as described in
     `protocols.reference_vectors`. None: there are none, and then conformance accepts no
     message that moves a motor."""
+    example: Callable[[], Any] | None = None
+    """Options of a device, for the contract, where the defaults describe none: a file of the user's does."""
+
+    def tried(self) -> Any:  # noqa: ANN401 -- the plugin's own type
+        """Return the options with which the contract tries it."""
+        return self.options() if self.example is None else self.example()
 
 
 # -- finding installed plugins -------------------------------------------------------------------------

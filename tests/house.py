@@ -16,7 +16,8 @@ RECORDINGS = ("gateway.recording", "gateway.rosbag")
 ONLY: dict[str, tuple[str, ...]] = {
     "asyncio": ("gateway.runtime.asynchronous",),
     "can": ("gateway.buses",),
-    "cantools": ("gateway.monitor.dbc",),
+    "canopen": ("protocols.cia402.data_sheet",),
+    "cantools": ("protocols.dbc.database",),
     "concurrent": ("gateway.runtime.asynchronous",),
     "cv2": ("gateway.vision.camera",),
     "filterpy": ("brain.perception.engine", "benchmarks"),
@@ -66,7 +67,7 @@ INSTALLED = "protocols.entry_points"
 OF_THE_BRAIN = ("protocols.messages", "protocols.bounds", INSTALLED)
 """What the brain may import of the protocols."""
 
-OUTSIDE = {"protocols": {"msgpack"}, "brain": {"numpy", "filterpy", "scipy"}}
+OUTSIDE = {"protocols": {"msgpack", "canopen", "cantools"}, "brain": {"numpy", "filterpy", "scipy"}}
 """What a room may import beside the standard library and the rooms below it."""
 
 STEP, CLOCK = "gateway.core", "gateway.core.clock"

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import gc
 from argparse import ArgumentParser, Namespace
+from contextlib import suppress
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 
 from brain.belief import Belief
+from gateway.buses.log_file import is_log, logged, summary
 from gateway.cli import arguments
 from gateway.cli.live import add_ros, add_view, check_view
 from gateway.cli.reports import add_report, check_report
@@ -15,10 +18,15 @@ from gateway.cli.terminal.progress import progress
 from gateway.cli.view import show_recordings
 from gateway.config import load_robot
 from gateway.core.clock import stopwatch
+from gateway.core.message_text import escaped
 from gateway.core.robot import Robot
 from gateway.core.step import Gateway
 from gateway.core.tick import Tick
 from gateway.errors import RecordingError, UserError
+from gateway.monitor import render
+from gateway.monitor.candidates import of_robot
+from gateway.monitor.decoder import BusMonitor
+from gateway.monitor.heard import Heard, places
 from gateway.recording import read_recording
 from gateway.recording.layout import MAGIC
 from gateway.replay import Observe, replay_recording
@@ -35,7 +43,10 @@ from protocols.messages import SECOND
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the arguments of the command."""
     parser.add_argument(
-        "file", type=Path, metavar="FILE", help="a recording, a bag of ROS 1 or 2, or a CARMEN log"
+        "file",
+        type=Path,
+        metavar="FILE",
+        help="a recording, a bag of ROS 1 or 2, a CARMEN log, or with --robot a log of CAN",
     )
     add_foreign(parser)
     add_report(parser)
@@ -68,6 +79,8 @@ def add_foreign(parser: ArgumentParser) -> None:
 def run(options: Namespace) -> int:
     """Return 1 if a byte differs, or a bag or a log does not pass; 3 if nothing judges it."""
     check_view(options)
+    if is_log(options.file):
+        return _hear(options)
     if is_bag(options.file):
         return _evaluate(options)
     for option, value in (("--at-most", options.at_most), ("--truth", options.truth)):
@@ -113,6 +126,34 @@ def run(options: Namespace) -> int:
     if options.report is not None:
         print(f"report: {options.report}")
     return 0 if comparison.ok else 1
+
+
+def _hear(options: Namespace) -> int:
+    """Hold a log of CAN against a robot file: 0 if nothing is wrong in it."""
+    file: Path = options.file
+    if options.robot is None:
+        raise UserError(f"{file} is a log of CAN: --robot ROBOT says whose devices were on its buses")
+    if options.view is not None:
+        return show_recordings([file], options.view, tuple(options.origin), options.robot)
+    for option in ("ros", "report", "truth", "at_most"):
+        if getattr(options, option) is not None:
+            name = option.replace("_", "-")
+            raise UserError(f"{file} is a log of CAN: --{name} is for recordings with a robot's motion")
+    robot, log = load_robot(options.robot), summary(file)
+    buses = places(robot, log, file)
+    settings = {bus: robot.buses[bus] for bus in buses.values()}
+    monitor = BusMonitor(settings, of_robot(robot, list(settings)), log.began, known=True, window=None)
+    heard, now = Heard(robot, buses, log.began), log.began
+    with suppress(UserError):  # it was told by the summary
+        for packet, sent in logged(file):
+            if packet.bus in buses:
+                now = packet.t
+                heard.take(monitor.decode(replace(packet, bus=buses[packet.bus]), sent=sent or None))
+    title = f"{file}: {robot.name}, {(now - log.began) / SECOND:.1f} s"
+    print("\n".join(map(escaped, [*render.page(monitor, now, title), "", *heard.lines()])))
+    if log.error:
+        print(f"cut short: {log.error}")
+    return 0 if heard.sound and not log.error else 1
 
 
 def _evaluate(options: Namespace) -> int:

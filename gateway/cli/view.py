@@ -6,15 +6,19 @@ from argparse import ArgumentParser, Namespace
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
+from gateway.buses.log_file import is_log
 from gateway.cli.live import add_origin, domain_of, token_for
 from gateway.config import load_robot
 from gateway.core.clock import WallClock
+from gateway.core.robot import Robot
 from gateway.errors import UserError
 from gateway.operator import ask, socket_path
 from gateway.recording import read_recording
 from gateway.replay.player import Player
+from gateway.runtime.log_recording import record_log
 from gateway.runtime.process import signals
 from gateway.runtime.replay_view import ReplayView
 from gateway.view import place
@@ -30,7 +34,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         "what",
         nargs="+",
         metavar="NAME|FILE",
-        help="the name of a running robot; or a recording, or two to compare",
+        help="the name of a running robot; or a recording, or two to compare; or a log of CAN, with --robot",
     )
     parser.add_argument(
         "--at",
@@ -41,7 +45,9 @@ def add_arguments(parser: ArgumentParser) -> None:
     add_origin(parser)
     parser.add_argument("--steer", action="store_true", help="let who looks steer the running robot, too")
     parser.add_argument(
-        "--robot", metavar="ROBOT", help="play with this robot file instead of the recorded one"
+        "--robot",
+        metavar="ROBOT",
+        help="play with this robot file instead of the recorded one; of a log of CAN: whose devices it has",
     )
 
 
@@ -77,7 +83,9 @@ def show_recordings(
     with ExitStack() as stack:
         stack.enter_context(signals(reasons.append, suspend=False))
         loaded = None if robot is None else load_robot(robot)
-        players = [stack.enter_context(Player(read_recording(file), loaded)) for file in files]
+        folder = Path(stack.enter_context(TemporaryDirectory(prefix="motor-gateway-")))
+        readable = [_readable(file, loaded, folder / f"{at}.mcap") for at, file in enumerate(files)]
+        players = [stack.enter_context(Player(read_recording(file), loaded)) for file in readable]
         graph = None if ros is None else partial(_graph, ros, clock)
         view = ReplayView(players, where, access, graph)
         stack.callback(view.close)
@@ -87,6 +95,17 @@ def show_recordings(
         while not reasons:
             clock.wait(view.slice(clock.now()))
     return 0
+
+
+def _readable(file: Path, robot: Robot | None, made: Path) -> Path:
+    """Return a file as a recording of ours: a log of CAN becomes one."""
+    if not is_log(file):
+        return file
+    if robot is None:
+        raise UserError(f"{file} is a log of CAN: --robot ROBOT says whose devices were on its buses")
+    print(f"{file}: read …", flush=True)
+    record_log(file, robot, made)
+    return made
 
 
 def _graph(network: str, clock: WallClock, scene: Scene) -> ShownBridge:

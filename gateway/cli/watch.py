@@ -16,18 +16,19 @@ from operator import attrgetter
 from pathlib import Path
 
 from gateway import config
-from gateway.buses.log_file import LogSummary, is_log, logged, summary
+from gateway.buses.log_file import is_log, logged, summary
 from gateway.cli import arguments
 from gateway.cli.terminal.screen import screen
 from gateway.core.clock import WallClock
 from gateway.core.message_text import escaped, message_text
-from gateway.core.robot import BusSettings, Robot
+from gateway.core.robot import BusSettings
 from gateway.core.tick import Tick
 from gateway.errors import UserError
 from gateway.monitor import render
 from gateway.monitor.candidates import of_plugins, of_robot
 from gateway.monitor.dbc import DbcSignals
 from gateway.monitor.decoder import BusMonitor
+from gateway.monitor.heard import places as places_of
 from gateway.monitor.sources import DEFAULT_BITRATE, WatchSession, open_all, usable_plugins
 from gateway.monitor.state import DecodedPacket
 from gateway.recording import read_recording
@@ -215,7 +216,7 @@ def _watch_log(path: Path, options: Namespace, dbc: DbcSignals | None) -> None:
     }
     if options.robot:
         robot = config.load_robot(options.robot)
-        places = _places(robot, log, path)
+        places = places_of(robot, log, path)
         variants = of_robot(robot, list(places.values()))
         buses = {bus: robot.buses[bus] for bus in places.values()}
     else:
@@ -242,16 +243,6 @@ def _watch_log(path: Path, options: Namespace, dbc: DbcSignals | None) -> None:
         seconds = (now - log.began) / SECOND
         shown = render.page(monitor, now, f"{path}: {seconds:.1f} s") + _by_dbc(dbc, seconds)
         print("\n".join(map(escaped, shown)))
-
-
-def _places(robot: Robot, log: LogSummary, path: Path) -> dict[str, str]:
-    """Return the robot's bus of each bus of a log: of the same name, or the only one. Raises UserError."""
-    ours = [name for name, bus in robot.buses.items() if not bus.carries_bytes]
-    same = {name: name for name in log.fd if name in ours}
-    if same or (len(ours) == 1 and len(log.fd) == 1):
-        return same or {next(iter(log.fd)): ours[0]}
-    found, wanted = ", ".join(log.fd), ", ".join(ours) or "none"
-    raise UserError(f"{path} has the buses {found}, {robot.name} has {wanted}: none has the same name")
 
 
 def _decode(monitor: BusMonitor, tick: Tick) -> tuple[list[DecodedPacket], list[DecodedPacket]]:

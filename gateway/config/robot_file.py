@@ -16,7 +16,7 @@ dataclasses, so this file knows none of them by name. Files are TOML (toml.io, v
     [motors.NAME.options]               what the driver should do: the protocol's own
     [motors.NAME.settings]              what is configured on the device: the protocol's own, for its twin
     [sensors.NAME]                      protocol, bus, address, mount, timeout_ms, options, settings
-    urdf                                links and joints (gateway.config.urdf); [files] has its text
+    urdf                                links and joints (gateway.config.urdf); [files] has its text (.files)
     [map]                               gateway.config.map_file.MapKeys: a map in which it begins; likewise
     [defaults.motors] …                 defaults for every motor (bus, sensor)
     [brain]                             brain.settings.BrainSettings; [brain.BODY] is the body's own; `kind`
@@ -44,7 +44,7 @@ from brain.other_brain import Chosen
 from brain.settings import BrainSettings
 from gateway.config import bodies, resources, validate
 from gateway.config.errors import Key, Mistakes, shown, unknown
-from gateway.config.files import unpacked, with_files
+from gateway.config.files import fill, unpacked, with_files
 from gateway.config.map_file import MapKeys, image_of, saved_map
 from gateway.config.recorded import FOR_RECORDINGS, completed, is_recorded
 from gateway.config.schema import build
@@ -138,7 +138,7 @@ def load_robot(
     text = read_text(path)
     if saved_map:
         text = _with_map(text, Path(saved_map), start, mistakes)
-    text = with_files(text, path, mistakes)
+    text = with_files(text, path, mistakes, find)
     mistakes.check()
     return parse_robot(text, str(path), find, file=path, recorded=recorded, real=real)
 
@@ -199,6 +199,7 @@ def parse_robot(
         raise mistakes.error()  # what it lacks would be reported for every motor
     moved = described.motors(groups["motors"])
     described.sensors(groups["sensors"])
+    fill(table, groups["motors"] | groups["sensors"], find)
     for key, kind in _FILES:
         try:
             if file is not None and isinstance(other := table.get(key), str):

@@ -29,18 +29,21 @@ _MARK = "\ufeff"
 """What some editors put before the first character."""
 
 
-def read_text(path: Path, most: int = MAX_SIZE) -> str:
-    """Return the text of a file, which is UTF-8 and has at most so many characters.
+def read_text(path: Path, most: int = MAX_SIZE, encoding: str = "utf-8", *, or_else: str = "") -> str:
+    """Return the text of a file, which is UTF-8 and has at most so many characters; `or_else`: in which other
+    encoding it may be.
 
     Raises ConfigError with what is wrong."""
     mistakes, text = Mistakes(str(path), ""), None
     try:
         if path.is_file() or not path.exists():  # a pipe would be waited for
-            with path.open(encoding="utf-8") as file:
+            with path.open(encoding=encoding) as file:
                 text = file.read(most + 1)
     except OSError as error:
         raise mistakes.fatal(f"cannot be read: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
+        if or_else:
+            return read_text(path, most, or_else)
         line = error.object.count(b"\n", 0, error.start) + 1 if error.start else 0
         wrong = f"is not UTF-8 (byte 0x{error.object[error.start]:02X}): save it as UTF-8"
         raise mistakes.fatal(wrong, line) from error

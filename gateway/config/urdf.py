@@ -1,7 +1,7 @@
 """`urdf` in a robot file: what its links and joints say where the file says nothing.
 
 Rules. What is written in the robot file wins. A recording carries the robot file alone, so the URDF's text is
-appended to it when it is loaded (table [files]), and read from there and from nowhere else.
+appended to it when it is loaded (`gateway.config.files`), and read from there and from nowhere else.
 
     urdf = "robot.urdf"            beside the robot file, or shipped with the robots
     [motors.NAME]                  urdf_joint = "shoulder_joint"; by default the joint of the motor's name

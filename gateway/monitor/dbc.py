@@ -11,11 +11,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from gateway.config.text import read_text
 from gateway.errors import UserError
+from protocols.dbc.database import read_database
 from protocols.frames import CanFrame, Packet
 
 MOST = 256
 """Messages of which the last values are kept, by bus and id"""
+MOST_CHARACTERS = 20_000_000
+"""Of a file: those of whole cars have a million"""
 
 
 @dataclass(slots=True)
@@ -34,21 +38,11 @@ class DbcSignals:
     def __init__(self, path: Path) -> None:
         """Read the file. Raises UserError: without cantools, or for a file that it cannot read."""
         try:
-            import cantools
-        except ImportError as error:
-            text = "--dbc needs cantools: pip install 'motor-gateway[dbc]'"
-            raise UserError(text) from error
-        try:
-            found: Any = cantools.database.load_file(path, strict=False)
-        except OSError as error:
-            raise UserError(f"{path}: {error.strerror}") from error
-        except Exception as error:  # of each of its parsers another one
-            raise UserError(f"{path}: not read as a DBC, KCD, SYM or ARXML file: {error}") from error
+            found = read_database(path.name, read_text(path, MOST_CHARACTERS, or_else="cp1252"))
+        except ValueError as error:
+            raise UserError(str(error)) from error
         self.path = path
-        messages = getattr(found, "messages", ())  # a diagnostics database has none
-        self._messages = {(bool(one.is_extended_frame), one.frame_id): one for one in messages}
-        if not self._messages:
-            raise UserError(f"{path}: there is no CAN message in it")
+        self._messages = {(bool(one.is_extended_frame), one.frame_id): one for one in found.messages}
         self.seen: dict[tuple[str, bool, int], MessageRecord] = {}
         self.others = 0
         """Frames of ids that it has not"""

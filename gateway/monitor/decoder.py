@@ -31,15 +31,16 @@ from gateway.monitor.state import (
 from protocols import messages as msg
 from protocols.frames import EXTENDED_BIT, BusState, CanFrame, IdSet, Packet, any_matches
 from protocols.messages import SECOND, Command, Event, Mode, Nanos, Obeyed
+from protocols.plugin import CommandDecoder, Driver
 
 WINDOW: Nanos = 2 * SECOND
 MIN_EVENTS = 3
 SETTLED_EVENTS = 50
 """After this many events of a device, no other protocol or option is tried on its ids."""
 MOST_IN_VAIN = 100
-"""After so many frames of an id that meant nothing to any protocol,"""
+"""After so many frames of an id that meant nothing to a protocol with its options,"""
 AGAIN = 50
-"""only one of so many is decoded, until one means something."""
+"""only one of so many is decoded by it, until one means something."""
 MAX_IDS = 4096
 """Number of CAN ids of which anything is kept; packets with other ids are counted by their bus only."""
 MAX_NOTES = 8
@@ -72,8 +73,9 @@ class BusMonitor:
         self._ids_of = {variant: _ids_of(variant) for variant in variants}
         self._interested: dict[CanId, list[ProtocolVariant]] = {}
         """By CAN id, the variants that it may mean something to, as far as they have been looked for."""
-        self._in_vain: dict[CanId, int] = {}
-        """By CAN id, how many of its newest frames meant nothing to any of these."""
+        self._in_vain: dict[CanId, dict[int, int]] = {}
+        """By CAN id, how many of its newest frames meant nothing to each driver and each decoder of these, by
+        the object's own number."""
         self._best: dict[Place, DeviceRecord] = {}
         """By the variant that has decoded most of a device."""
         self._owners_by_id: dict[CanId, list[DeviceRecord]] = {}
@@ -97,23 +99,24 @@ class BusMonitor:
         decoded = DecodedPacket(packet)
         accepted = False
         for variant in self._listening(packet, self._owners_of(packet)):
-            if not sent:
-                before = variant.driver.counters.accepted
+            if not sent and self._is_worth(packet, variant.driver):
+                before, told = variant.driver.counters.accepted, len(decoded.events) + len(decoded.guesses)
                 events: Sequence[Event] = ()
                 with self._asking(variant, decoded):
                     events = tuple(variant.driver.receive(packet.t, packet.frame))
-                accepted = accepted or variant.driver.counters.accepted > before
+                meant = variant.driver.counters.accepted > before
+                accepted = accepted or meant
                 self._on_events(variant, events, decoded)
-            if sent is not False or isinstance(packet.frame, CanFrame):
+                meant = meant or told != len(decoded.events) + len(decoded.guesses)
+                self._note(packet, variant.driver, meant=meant)
+            of_bytes = not isinstance(packet.frame, CanFrame)
+            if (sent is not False or not of_bytes) and self._is_worth(packet, variant.decoder):
+                told = len(decoded.commands)
                 obeyed: Sequence[Obeyed] = ()
                 with self._asking(variant, decoded):
                     obeyed = tuple(variant.decoder.decode(packet.t, packet.frame))
                 self._on_commands(variant, obeyed, decoded)
-        if isinstance(packet.frame, CanFrame) and not self.known:
-            key = _can_id(packet.bus, packet.frame)
-            meant = accepted or decoded.events or decoded.guesses or decoded.commands
-            if key in self._in_vain or len(self._in_vain) < MAX_IDS:
-                self._in_vain[key] = 0 if meant else self._in_vain.get(key, 0) + 1
+                self._note(packet, variant.decoder, meant=told != len(decoded.commands))
         owners = self._owners_of(packet)  # one may have been found just now
         if accepted and len(owners) == 1:
             owners[0].received_at = packet.t
@@ -265,9 +268,26 @@ class BusMonitor:
                 found = [one for one in self._variants[packet.bus] if number in self._ids_of[one]]
                 if len(self._interested) < MAX_IDS:
                     self._interested[key] = found
-            in_vain = self._in_vain.get(key, 0)
-            return found if in_vain < MOST_IN_VAIN or in_vain % AGAIN == 0 else []
+            return found
         return [self._best[owners[0].place].variant]
+
+    def _is_worth(self, packet: Packet, end: Driver | CommandDecoder) -> bool:
+        """True if an end of a variant is asked what a frame means: not where too many of its id meant
+        nothing to it, but for one now and then."""
+        if self.known or not isinstance(packet.frame, CanFrame):
+            return True
+        key = _can_id(packet.bus, packet.frame)
+        vain = self._in_vain.get(key, {}).get(id(end), 0)
+        return vain < MOST_IN_VAIN or self.ids[key].rate.total % AGAIN == 0
+
+    def _note(self, packet: Packet, end: Driver | CommandDecoder, *, meant: bool) -> None:
+        """Note whether a frame meant anything to an end of a variant."""
+        if self.known or not isinstance(packet.frame, CanFrame):
+            return
+        key = _can_id(packet.bus, packet.frame)
+        if key in self._in_vain or (len(self._in_vain) < MAX_IDS and key in self.ids):
+            vain = self._in_vain.setdefault(key, {})
+            vain[id(end)] = 0 if meant else vain.get(id(end), 0) + 1
 
     def _is_best(self, record: DeviceRecord) -> bool:
         """True if no other variant decodes more of this device; it may count as found from now on."""

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from protocols.canopen import objects as o
 from protocols.canopen import services
 from protocols.canopen.dictionary import Dictionary
-from protocols.canopen.lss import ASKS, SLAVE, Slave, is_message
+from protocols.canopen.lss import ASKS, MASTER, SLAVE, Slave, is_message
 from protocols.canopen.objects import Key
 from protocols.canopen.pdo import NO_RTR, is_synchronous
 from protocols.canopen.server import SdoServer
@@ -338,3 +338,41 @@ class Sender:
         if node.heartbeat_timeout and node.host_beat is not None:
             times.append(node.host_beat + node.heartbeat_timeout + 1)
         return min(times, default=None)
+
+
+class Listeners:
+    """The nodes that one end speaks for, by the ids of the frames that each looks at: there may be 127."""
+
+    def __init__(self, nodes: Sequence[Node]) -> None:
+        self._nodes = tuple(nodes)
+        self._ids: list[tuple[int, ...]] = [()] * len(self._nodes)
+        self._by_id: dict[int, list[int]] = {}
+        self._stale = set(range(len(self._nodes)))
+        """Nodes whose ids may have changed"""
+
+    def of(self, frame: Frame) -> Sequence[int]:
+        """Return the places of the nodes to which a frame may mean something; it is given to them next."""
+        if not services.is_classic(frame):
+            return ()
+        for at in self._stale:
+            self._index(at)
+        self._stale = set()
+        if frame.id in (services.NMT_ID, services.SYNC_ID, MASTER):
+            self._stale = set(range(len(self._nodes))) if frame.id != services.SYNC_ID else set()
+            return range(len(self._nodes))
+        found = self._by_id.get(frame.id, ())
+        if frame.id & ~services.NODE_MASK == services.SDO_RX_BASE:
+            self._stale.update(found)
+        return found
+
+    def _index(self, at: int) -> None:
+        for number in self._ids[at]:
+            self._by_id[number].remove(at)
+        node = self._nodes[at]
+        values = node.dictionary.values
+        beat = services.HEARTBEAT_BASE | values.get(o.CONSUMER_HEARTBEAT, 0) >> 16 & services.NODE_MASK
+        ids = {services.sdo_rx_id(node.address), beat, *(values[one, o.COB_ID] & ~NO_RTR for one in RPDOS)}
+        self._ids[at] = tuple(sorted(ids))
+        for number in self._ids[at]:
+            self._by_id.setdefault(number, []).append(at)
+            self._by_id[number].sort()

@@ -20,6 +20,7 @@ from protocols.canopen import services as cs
 from protocols.canopen.objects import PDO_NUMBERS, Key, Type
 from protocols.canopen.services import NMT_STATE, NmtState
 from protocols.cia402 import objects as o
+from protocols.cia402.data_sheet import DataSheet, check, read
 from protocols.cia402.driver import Cia402Adapter
 from protocols.cia402.faults import FAULTS
 from protocols.cia402.memory import HEARTBEAT, LSS, RESET, SYNC, Cia402Decoder
@@ -157,6 +158,14 @@ def set_up(device: Device) -> Written:
     return {**found, **sent, co.title(o.CONTROLWORD): ((0.0, 65535.0),)}
 
 
+def _sheet(options: Options) -> DataSheet | None:
+    """Return the data sheet that a robot file names. Raises Invalid if it cannot be read."""
+    try:
+        return read(options.eds) if options.eds else None
+    except ValueError as error:
+        raise Invalid(("options.eds", str(error))) from error
+
+
 def spec(device: Device) -> Spec:
     """Return the contract of one drive. ValueError if its address is not possible."""
     options, settings, node = device.options, device.settings, device.address
@@ -167,11 +176,18 @@ def spec(device: Device) -> Spec:
     if node == options.host_id:
         text = f"address {node} of {device.name} is the host's own node id: set host_id to another"
         raise Invalid(("address", text))
+    configuration, supported = configured(options, settings), settings.supported_modes
+    sheet = _sheet(options)
+    if sheet is not None:
+        configuration = {**check(sheet, options, configuration, configured(options, Settings()))}
+        supported = supported if sheet.modes is None else sheet.modes
     able = {
         kind
         for kind, families in FAMILIES.items()
-        if any(supports(settings.supported_modes, mode) for family in families for mode in family[1:])
+        if any(supports(supported, mode) for family in families for mode in family[1:])
     }
+    if sheet is not None:
+        able = sheet.commands(able, options)
     timeout = (options.watchdog_ms or settings.heartbeat_consumer & 0xFFFF) * MILLISECOND
     synced = options.feedback == "sync"
     # A scan uploads from every node, so SDO requests may be sent to all of them.
@@ -200,7 +216,7 @@ def spec(device: Device) -> Spec:
         stop_clears_faults=False,
         faults=FAULTS,
         parameters=("6041", "6064"),
-        configuration=configured(options, settings),
+        configuration=configuration,
         set_up=set_up(device),
         unread=tuple(exact(cs.rpdo_id(number, node)) for number in PDO_NUMBERS),
         stop=(cs.disable(node),),

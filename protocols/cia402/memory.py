@@ -22,7 +22,7 @@ from protocols.canopen import objects as co
 from protocols.canopen import sdo, services
 from protocols.canopen.dictionary import Dictionary, pdo_defaults
 from protocols.canopen.lss import Slave
-from protocols.canopen.node import Node, Received
+from protocols.canopen.node import Listeners, Node, Received
 from protocols.canopen.objects import Key, title
 from protocols.canopen.services import NMT_STATE, NmtCommand
 from protocols.cia402 import objects as o
@@ -329,12 +329,14 @@ class Cia402Decoder:
 
     def __init__(self, devices: Sequence[Device]) -> None:
         self.memories = [Memory(device, instant=True) for device in devices]
+        self._listeners = Listeners([memory.node for memory in self.memories])
         self._first, self._host = devices[0].name, devices[0].options.host_id
 
     def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
         """Return the commands and requests that the devices would obey; [] if none would do anything."""
         obeyed: list[Obeyed] = []
-        for memory in self.memories:
+        for at in self._listeners.of(frame):
+            memory = self.memories[at]
             received = memory.node.receive(t, frame)
             obeyed += [] if received is None else memory.obey(received)
         return obeyed or self._of_all(frame)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from protocols.bounds import Bounds, Wrong, check
+from protocols.bounds import Bounds, FileText, Wrong, check
 from protocols.canopen.master import BEATS
 from protocols.canopen.services import MAX_NODE
 from protocols.toolkit.table import FLOAT_MAX
@@ -15,6 +15,9 @@ from protocols.toolkit.table import FLOAT_MAX
 class Options:
     """Behaviour of the driver."""
 
+    eds: FileText = ""
+    """The drive's data sheet (EDS or DCF), beside the robot file: objects, modes, PDOs and limits are held
+    against it. "": without one, the drive is asked all the same"""
     modes: Literal["cyclic", "profile"] = "cyclic"
     """The preferred family of modes: CSP, CSV, CST, or PP, PV, PT. If the drive lacks a mode of it, the other
     family's is used."""

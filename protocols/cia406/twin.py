@@ -9,7 +9,7 @@ from typing import Annotated
 
 from protocols.bounds import Bounds, check
 from protocols.canopen.dictionary import Dictionary, pdo_defaults
-from protocols.canopen.node import Node, Received, Sender
+from protocols.canopen.node import Listeners, Node, Received, Sender
 from protocols.canopen.objects import DEVICE_TYPE, title
 from protocols.canopen.services import NMT_STATE, NmtCommand
 from protocols.cia406 import table as enc
@@ -53,11 +53,13 @@ class EncoderDecoder:
 
     def __init__(self, devices: Sequence[Device]) -> None:
         self._devices = [(device.name, node_of(device)) for device in devices]
+        self._listeners = Listeners([node for _, node in self._devices])
 
     def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
         """Return what each would obey; what only reads is nothing."""
         obeyed: list[Obeyed] = []
-        for name, node in self._devices:
+        for at in self._listeners.of(frame):
+            name, node = self._devices[at]
             received = node.receive(t, frame)
             if received is not None:
                 obeyed += _obeyed(name, node, received)

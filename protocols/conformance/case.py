@@ -103,12 +103,12 @@ class Case:
     @property
     def default(self) -> bool:
         """True for the plugin's default options: the first of `variants`."""
-        return bool(self.options == self.plugin.options())
+        return bool(self.options == self.plugin.tried())
 
     @cached_property
     def whole(self) -> bool:
         """True for the default options, and for options that make it another kind of device."""
-        usual = Device(NAMES[0], self.addresses[0], self.plugin.options(), self.plugin.settings())
+        usual = Device(NAMES[0], self.addresses[0], self.plugin.tried(), self.plugin.settings())
         return self.default or self.plugin.spec(usual).kind != self.spec.kind
 
     def counts_otherwise(self, usual: Case) -> bool:
@@ -177,7 +177,7 @@ def _form(frame: Frame) -> object:
 
 def variants(plugin: Plugin) -> Iterator[Any]:
     """Yield the plugin's default options, then those that differ in one Literal or bool each."""
-    default = plugin.options()
+    default = plugin.tried()
     yield default
     yield from valid(default, [dict([each]) for each in alternatives(default)])
 
@@ -208,7 +208,7 @@ def addresses_of(plugin: Plugin) -> tuple[int, int, int]:
     able: list[int] = []
     for address in (*tools.ADDRESSES, *range(256)):
         try:
-            plugin.spec(Device(NAMES[0], address, plugin.options(), plugin.settings()))
+            plugin.spec(Device(NAMES[0], address, plugin.tried(), plugin.settings()))
         except ValueError:
             continue
         except Exception:  # noqa: BLE001 -- a third party's plugin may raise anything: its clauses say so

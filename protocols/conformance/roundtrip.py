@@ -296,7 +296,7 @@ def _arrived(
 
 def scales_are_declared(case: Case) -> None:
     """An option that scales what a number in a frame means is listed in the spec, or its default is 0."""
-    usual = case.plugin.spec(Device(ALPHA, case.addresses[0], case.plugin.options(), case.plugin.settings()))
+    usual = case.plugin.spec(Device(ALPHA, case.addresses[0], case.plugin.tried(), case.plugin.settings()))
     if not case.whole and case.spec.scales == usual.scales:
         raise Inapplicable("the same options are scales as by default")
     steps = _conversation(case)

@@ -17,7 +17,7 @@ from protocols import messages as msg
 from protocols.asked import waiting
 from protocols.canopen import services
 from protocols.canopen.dictionary import Dictionary, pdo_defaults
-from protocols.canopen.node import Node, Received, Sender
+from protocols.canopen.node import Listeners, Node, Received, Sender
 from protocols.canopen.objects import DEVICE_TYPE, Key, Type, title
 from protocols.canopen.services import NMT_STATE, NODE_MASK, NmtCommand
 from protocols.frames import CanFrame, Frame
@@ -122,10 +122,11 @@ class ZlacDecoder:
 
     def __init__(self, devices: Sequence[Device]) -> None:
         self.halves = [Half(device) for device in devices]
+        self._listeners = Listeners([half.node for half in self.halves])
 
     def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
         """Return what the motors would obey in this frame; [] if nothing."""
-        return [each for half in self.halves for each in half.receive(t, frame)[1]]
+        return [each for at in self._listeners.of(frame) for each in self.halves[at].receive(t, frame)[1]]
 
 
 class ZlacTwin(ServoFirmware):

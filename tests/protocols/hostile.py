@@ -69,6 +69,7 @@ ROBOTS = {
     "nmea": "diffbot_gnss",
     "vesc_uart": "diffbot_vesc_uart",
     "odrive_ascii": "diffbot_odrive_ascii",
+    "dbc": str(Path(__file__).parent / "dbc" / "bench_dbc.toml"),
 }
 NUMBERS = (0.0, -0.0, 5e-324, 1e-40, 1e-19, -1.0, 6.5e4, 3.4e38, 1e300, float("inf"), float("nan"))
 INTEGERS = (0, 1, -1, 2**31, 2**63, -(2**63), 2**64 - 1)
@@ -265,7 +266,7 @@ def _traffic(name: str) -> dict[str, list[Frame]]:
     with open_session(name, simulated=True) as session:
         for tick in session.run(0.2):
             if tick.number == 10:
-                bench = name == "bench"
+                bench = session.robot.name.startswith("bench")
                 session.submit(msg.Velocity("left", 1.0) if bench else msg.Goal(1.0, 0.3))
             for packet in (*tick.inputs.packets, *tick.outputs.packets):
                 pools.setdefault(packet.bus, {})[packet.frame] = None

@@ -39,7 +39,7 @@ QUESTIONED: list[Plugin] = [
     *(
         each
         for each in load_all()[0]
-        if Case(each, each.options(), 0, addresses_of(each)).spec.line != "free" and each.name != sound.name
+        if Case(each, each.tried(), 0, addresses_of(each)).spec.line != "free" and each.name != sound.name
     ),
 ]
 """The installed protocols whose devices speak only when asked."""
@@ -49,7 +49,7 @@ QUESTIONED: list[Plugin] = [
 def names_nothing(name: str) -> bool:
     """True for a protocol whose answers name neither their sender nor what they answer."""
     (plugin,) = (each for each in QUESTIONED if each.name == name)
-    return answer_alike(Case(plugin, plugin.options(), 0, addresses_of(plugin)))
+    return answer_alike(Case(plugin, plugin.tried(), 0, addresses_of(plugin)))
 
 
 class LineSession:
@@ -57,7 +57,7 @@ class LineSession:
 
     def __init__(self, plugin: Plugin, seed: int) -> None:
         self.name, self.seed, self.random = plugin.name, seed, Random(seed)
-        self.case = Case(plugin, plugin.options(), seed, addresses_of(plugin))
+        self.case = Case(plugin, plugin.tried(), seed, addresses_of(plugin))
         self.wire: OnWire = on_wire(self.case, self.random.choice(RATES))
         self.share = self.random.uniform(0.0, 0.1)
         self.in_time = self.random.random() < 0.8

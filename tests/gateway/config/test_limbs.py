@@ -13,9 +13,10 @@ from gateway.config.mission import parse_mission
 from gateway.config.robot_file import parse_robot
 from gateway.errors import ConfigError
 from protocols import messages as msg
+from protocols.plugin import load
 
 PATH = resources.find("robots", "mobile_arm")
-TEXT = with_files(PATH.read_text(), PATH, Mistakes("", ""))
+TEXT = with_files(PATH.read_text(), PATH, Mistakes("", ""), load)
 BASE, TWO = load_robot("mobile_arm"), load_robot("two_arms")
 
 

@@ -18,6 +18,7 @@ from gateway.config.map_file import read_pixels, saved_map
 from gateway.errors import ConfigError
 from gateway.replay import replay_recording
 from protocols.bounds import Invalid
+from protocols.plugin import load
 
 YAML = """image: map.pgm
 resolution: 0.05
@@ -225,7 +226,7 @@ def test_an_image_that_no_recording_can_carry(tmp_path: Path) -> None:
     path = room(tmp_path)
     (tmp_path / "map.pgm").write_bytes(pgm(noise.tobytes(), 1200))
     mistakes = Mistakes("", "")
-    with_files(f'[map]\nfile = "{path.name}"', tmp_path / "robot.toml", mistakes)
+    with_files(f'[map]\nfile = "{path.name}"', tmp_path / "robot.toml", mistakes, load)
     assert f"expected at most {MOST_PACKED}" in str(mistakes.error())
 
 
