@@ -8,7 +8,7 @@ place of all of its devices.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -27,7 +27,7 @@ from gateway.runtime.realtime import DEFAULT, unallowed
 from protocols import messages as msg
 from protocols.frames import BusState, CanFrame, IdSet, Packet, id_number
 from protocols.messages import SECOND, Mode, Nanos
-from protocols.plugin import FeedbackKind
+from protocols.plugin import FeedbackKind, Spec
 
 EXAMINED: Nanos = 6 * SECOND
 """For how long a robot is looked at: silence is certain after 2 s, and the search for its cause goes on
@@ -149,7 +149,9 @@ class Examination:
                     what = (
                         "it cannot be commanded" if isinstance(device, Motor) else "the brain goes without it"
                     )
-                    yield Finding(True, name, self.silent[name], what, _scan(settings, device.plugin.name))
+                    like = self.silent[name].partition("that looks like ")[2].partition(" ")[0]
+                    scan = _scan(settings, like or device.plugin.name)
+                    yield Finding(True, name, self.silent[name], what, scan)
                 continue
             for text in device.assumed:
                 unknown = "speeds and torques are wrong by as much as it is"
@@ -216,7 +218,7 @@ class Examination:
                 todo = f"unplug one, or: gateway ask {self.robot.name} setid {where} {number} NEW"
                 about = known.get(at, one.protocol)
                 yield Finding(True, about, f"two devices have address {one.address}", two, todo)
-            elif at not in known and at not in told:
+            elif at not in known and at not in told and self._can_be(one):
                 told.add(at)
                 text = f"a device at address {one.address} is not in the robot file"
                 yield Finding(False, one.protocol, text, "nothing commands it", "add it, or unplug it")
@@ -240,14 +242,20 @@ class Examination:
 
     def _is_named(self, bus: str, number: int) -> bool:
         """Whether an id is of a device that a scan has found."""
-        for plugin, devices in self.robot.by_protocol(bus):
-            for one in self.found:
-                if one.protocol == plugin.name:
-                    with suppress(ValueError):  # an address that cannot be in a file
-                        spec = plugin.spec(replace(devices[0], address=one.address))
-                        if number in IdSet(spec.expects):
-                            return True
-        return False
+        specs = (spec for one in self.found for spec in self._specs(one, (bus,)))
+        return any(number in IdSet(spec.expects) for spec in specs)
+
+    def _can_be(self, found: msg.Found) -> bool:
+        """Whether the file could have what a scan has found: its address is one."""
+        return any(True for _ in self._specs(found, self.robot.buses))
+
+    def _specs(self, found: msg.Found, buses: Iterable[str]) -> Iterator[Spec]:
+        """Yield the spec of a device that was found, as those of its protocol on these buses have theirs."""
+        for bus in buses:
+            for plugin, devices in self.robot.by_protocol(bus):
+                if plugin.name == found.protocol:
+                    with suppress(ValueError):  # no device of the file can have this address
+                        yield plugin.spec(replace(devices[0], address=found.address))
 
     def _brain(self) -> Iterator[Finding]:
         for system in self.gateway.belief().systems:
