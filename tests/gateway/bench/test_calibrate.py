@@ -172,7 +172,7 @@ def stated(late: str = "", scale: str = "") -> Robot:
 
 
 def test_a_sensor_has_the_errors_that_its_file_states_and_the_brain_sees_none_of_them() -> None:
-    """Readings on the wire are late and scaled; after the step they equal those of one without errors."""
+    """Readings on the wire are late and scaled; after the step they are those of one without errors."""
     scans, rates, wires = list[list[int]](), list[list[float]](), list[list[object]]()
     for robot in (ROBOT, stated("late_ms = 40\n", "gyro_scale = 1.05\n")):
         with open_session(robot, simulated=True, seed=3) as session:
