@@ -92,8 +92,8 @@ def told(robot: Robot, action: Action) -> str:
                         f"{name}: a {protocol} has an address from the beginning: leave out --from none"
                     )
                 one = f"{name}: the {protocol} on {motor.bus} that has no address yet"
-                return f"{one} gets the address {action.address}, and stores it; of several the one "
-                    "with the lowest identity"
+                several = "of several the one with the lowest identity"
+                return f"{one} gets the address {action.address}, and stores it; {several}"
             saved = f", and saves it ({spec.save})" if spec.save else ""
             return f"{it} gets the address {action.address}{saved}"
         case "zero":
