@@ -308,8 +308,8 @@ class Cia402Adapter(Adapter[Drive]):
         if "search" in pending.notes:
             search: lss.FastScan = pending.notes["search"]
             following = search.message()
-            if search.failed:  # at the next look it is told
-                pending.deadline = now
+            if search.failed:
+                pending.expire(now)
             return () if following is None else (following,)
         return pending.frames
 
