@@ -217,6 +217,8 @@ class Spec:
     id_parameter: str = ""
     """The parameter that is its address, where WriteParameter gives it another; "": SetId, SetAddress, or
     nothing does."""
+    first_address: bool = False
+    """Whether a device may have no address yet: SetAddress of the motor's own gives it that."""
     calibration: tuple[str, float] = ("", 0.0)
     """The parameter, and what is written to it, by which the device calibrates itself: its shaft turns. "":
     it does not, or not over this bus."""

@@ -35,6 +35,8 @@ NOISE = 0.01, 0.02
 STARTS, RATIOS = ((0.8, 1.0), (15.0, 40.0, 100.0, 250.0), (0.0005, 0.0015, 0.003, 0.008)), (1.0, 8.0)
 """Where the search begins: the inertia as a share of the first guess, the bandwidth of the loop [rad/s], s
 from a set-point to the torque that answers it; the integral's gain over the other [1/s]"""
+LAGS = 0.0003, 0.0015, 0.003
+"""s, of the velocity that the device measures, where the search begins"""
 FEWEST = 50
 """Set-points of velocity from which on a loop is looked for"""
 STRANGE = 0.1
@@ -84,6 +86,8 @@ class Identified:
     """N·m/rad"""
     delay: float
     """s from a set-point to the torque that answers it"""
+    lag: float
+    """s by which the velocity lags that the device measures, and its loop with it"""
     torque_limit: float
     """N·m, the largest that was reported"""
     misfit: float
@@ -129,7 +133,9 @@ def identify(trace: JointTrace, torque_limit: float) -> Identified:
             "faster steps, or a longer travel"
         )
     most = float(np.abs(torque).max())
-    one = Identified(trace.joint, inertia, friction, damping, load, None, None, None, 0.0, most, math.nan)
+    one = Identified(
+        trace.joint, inertia, friction, damping, load, None, None, None, 0.0, 0.0, most, math.nan
+    )
     told = np.count_nonzero(~np.isnan(columns(trace.commanded)[1])) if trace.commanded else 0
     return _refined(one, trace, torque_limit) if told > FEWEST else one
 
@@ -152,21 +158,21 @@ def _refined(first: Identified, trace: JointTrace, torque_limit: float) -> Ident
         return np.concatenate(
             [
                 (np.interp(times, grid, velocity) - speeds) / scales[0],
-                (np.interp(at, grid, torque) - torques) / scales[1],
+                (np.interp(at - x[8], grid, torque) - torques) / scales[1],
             ]
         )
 
     guess = [math.log(max(one.value, 1e-7)) for one in (first.inertia, first.friction, first.damping)]
-    steps = np.array([0.02] * 5 + [0.02 * scales[1] / NOISE[1], 0.001])
+    steps = np.array([0.02] * 5 + [0.02 * scales[1] / NOISE[1], 0.001, 0.0005, 0.0005])
 
     def fitted(x: Floats, backlash: float, most: int) -> tuple[float, Floats, Floats]:
         found = least_squares(
             lambda y: residuals(y * steps, backlash),
-            np.append(x[:6], max(x[6], 1e-5)) / steps,
+            np.concatenate([x[:6], np.maximum(x[6:8], 1e-5), x[8:]]) / steps,
             diff_step=DIFFERENCE,
             max_nfev=most,
             loss="soft_l1",
-            bounds=([-np.inf] * 6 + [0.0], np.inf),
+            bounds=([-np.inf] * 6 + [0.0, 0.0, -np.inf], np.inf),
         )
         return float(found.cost), found.x * steps, found.jac / steps
 
@@ -179,6 +185,8 @@ def _refined(first: Identified, trace: JointTrace, torque_limit: float) -> Ident
                 0.0,
                 first.load.value,
                 delay,
+                LAGS[0],
+                0.0,
             ]
         )
         for share, fast, delay in product(*STARTS)
@@ -186,7 +194,9 @@ def _refined(first: Identified, trace: JointTrace, torque_limit: float) -> Ident
     starts = [np.array([*one[:4], one[3] + math.log(ratio), *one[5:]]) for one in starts for ratio in RATIOS]
     starts.sort(key=lambda one: float(np.sum(np.log1p(residuals(one, 0.0) ** 2))))
     begun = min((fitted(one, 0.0, 5) for one in starts[:3]), key=lambda one: one[0])
-    best = (*fitted(begun[1], 0.0, 12), 0.0)
+    lags = [np.append(begun[1][:7], (lag, begun[1][8])) for lag in LAGS]
+    nearer = min((fitted(one, 0.0, 8) for one in lags), key=lambda one: one[0])
+    best = (*fitted(nearer[1], 0.0, 12), 0.0)
     x = best[1]
     for backlash in BACKLASHES if misfit(_of(first, x, 0.0), trace, torque_limit) > GOOD else ():
         tried = fitted(best[1] if best[3] else x, backlash, 3)
@@ -208,9 +218,9 @@ def _refined(first: Identified, trace: JointTrace, torque_limit: float) -> Ident
 
 def _of(first: Identified, x: Floats, backlash: float, sigmas: Floats | None = None) -> Identified:
     """Return the joint with these values: logarithms of inertia, friction, damping, gain and integral;
-    load; delay."""
+    load; delay; lag; and by how much a torque is reported later than a velocity."""
     sizes = np.exp(np.clip(x[:5], -20.0, 12.0))
-    shares = np.zeros(7) if sigmas is None else sigmas
+    shares = np.zeros(9) if sigmas is None else sigmas
     inertia, friction, damping, gain, integral = (
         Value(float(v), float(v * s)) for v, s in zip(sizes, shares[:5], strict=True)
     )
@@ -225,6 +235,7 @@ def _of(first: Identified, x: Floats, backlash: float, sigmas: Floats | None = N
         gain=gain,
         integral=integral,
         delay=max(float(x[6]), 0.0),
+        lag=max(float(x[7]), 0.0),
     )
 
 
@@ -297,15 +308,17 @@ def simulated(one: Identified, trace: JointTrace, torque_limit: float) -> tuple[
     shaft.velocity = float(speeds[0])
     made, given = np.empty(len(grid)), np.empty(len(grid))
     gain, integral = one.gain.value, one.integral.value * DT
+    seen, share = shaft.velocity, -math.expm1(-DT / one.lag) if one.lag > 0.0 else 1.0
     for i, goal in enumerate(wanted):
         torque = 0.0
+        seen += share * (shaft.velocity - seen)
         if goal == goal:  # a number
-            error = goal - shaft.velocity
+            error = goal - seen
             gathered = min(max(gathered + integral * error, -torque_limit), torque_limit)
             torque = min(max(gain * error + gathered, -torque_limit), torque_limit)
         else:
             gathered = 0.0
-        made[i], given[i] = shaft.velocity, torque
+        made[i], given[i] = seen, torque
         shaft.step(torque)
     return grid, made, given
 
@@ -326,7 +339,7 @@ def proposed(one: Identified) -> tuple[float, float, float, float]:
     A loop whose torque is late by T loses T times its bandwidth of phase: a quarter rad is spared, and no
     more than `WIDEST` is asked of gears and frames. The two poles that inertia, gain and integral make are
     equal: the error does not swing. Position is four times slower."""
-    bandwidth = min(0.25 / max(one.delay, 1e-3), WIDEST)
+    bandwidth = min(0.25 / max(one.delay + one.lag, 1e-3), WIDEST)
     damping = max(one.damping.value, 0.0)
     gain = max(one.inertia.value * bandwidth - damping, 0.0)
     return bandwidth, gain, (gain + damping) ** 2 / (4.0 * one.inertia.value), bandwidth / 4.0

@@ -11,6 +11,7 @@ from brain.bodies.plane import wrap
 from gateway.bench.calibrate import Calibration, Figure, LidarFit
 from gateway.bench.geometry import corrected
 from gateway.bench.wheel_path import Factors
+from protocols.messages import MILLISECOND
 
 GROSS, SKEWED, LATE = 1.15, math.radians(30.0), 0.04
 """Factor on the wheels' motion, rad of a lidar, and s of stamps, from which on an error is named"""
@@ -207,6 +208,7 @@ def lines(made: Calibration) -> list[str]:
     found = []
     if written:
         found += [f"[brain.{body.kind}]", *(f"{key} = {value:.4f}" for key, value in written.items())]
+    own = {} if made.driven.by_odometry else _sensor_keys(made)
     for fit in made.lidars:
         stated, mount = made.driven.mounts[fit.sensor], fit.mount
         rows = {
@@ -229,6 +231,25 @@ def lines(made: Calibration) -> list[str]:
             found += (
                 ["[bag.mounts]", f"{fit.sensor} = {{ {table} }}"]
                 if made.driven.by_odometry
-                else [f"[sensors.{fit.sensor}]", f"mount = {{ {table} }}"]
+                else [f"[sensors.{fit.sensor}]", f"mount = {{ {table} }}", *own.pop(fit.sensor, ())]
             )
+    for name, keys in own.items():
+        found += [f"[sensors.{name}]", *keys]
+    return found
+
+
+def _sensor_keys(made: Calibration) -> dict[str, list[str]]:
+    """Return what a sensor's table is to state of its stamps and its gyro, beside what it states already: of
+    what the drive has shown to be otherwise, within the bounds of these keys."""
+    found: dict[str, list[str]] = {}
+    for one in (*_lidars(made), *_gyros(made)):
+        name, _, what = one.name.rpartition(" ")
+        sensor = made.driven.robot.sensors.get(name)
+        if sensor is None or not one.differs:
+            continue
+        if what == "late":
+            late = max(0.0, sensor.late / MILLISECOND + one.value)
+            found.setdefault(name, []).append(f"late_ms = {late:.1f}")
+        elif what == "scale":
+            found.setdefault(name, []).append(f"gyro_scale = {sensor.gyro_scale * one.value / 100.0:.4f}")
     return found

@@ -14,7 +14,7 @@ import errno
 import logging
 import select
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
 
@@ -28,6 +28,7 @@ from gateway.buses.queues import STALE, FrameQueue
 from gateway.buses.states import StateTracker
 from gateway.buses.threaded import MOST_FAILURES, Opening, ThreadedInterface
 from gateway.buses.timestamps import TimestampMapper
+from gateway.buses.troubles import Trouble, of_writes
 from gateway.core.clock import Clock, WallClock
 from gateway.core.robot import BusSettings
 from gateway.errors import BusError
@@ -68,6 +69,8 @@ class CanBus:
         """Malformed input: what could not be read as a frame."""
         self.turned_off = 0
         """How often an adapter that refused what it was sent was taken off the bus, to join it again."""
+        self.write_errors: Counter[int] = Counter()
+        """How often a write failed with each errno."""
         self._failures = 0
         """Exceptions of a back end in a row."""
         self._opening: Opening | None = None
@@ -92,6 +95,10 @@ class CanBus:
     def dropped(self) -> int:
         """Frames never sent, because a newer one took their place or the interface was gone."""
         return self._queue.dropped + self._lost
+
+    def troubles(self) -> Iterator[Trouble]:
+        """Yield what has failed in writing."""
+        yield from of_writes(self.write_errors, self._settings.interface.partition(":")[2])
 
     @property
     def refused(self) -> int:
@@ -149,6 +156,7 @@ class CanBus:
         try:
             self._interface.send(message_of(frame), timeout=self._send_timeout)
         except Exception as error:  # noqa: BLE001 -- whatever a back end raises is a state of the bus
+            self.write_errors[_number(error)] += 1
             if _is_full(error):
                 self._states.full(now)
                 return False
@@ -291,6 +299,14 @@ class CanBus:
                 interface.port.drop()
             if interface is not None:
                 interface.shutdown()
+
+
+def _number(error: Exception) -> int:
+    """Return the errno of what a back end has raised: its own, that of its cause, EIO if it has none."""
+    if isinstance(error, can.CanTimeoutError):
+        return errno.ETIMEDOUT
+    own = error.error_code if isinstance(error, can.CanError) else getattr(error, "errno", None)
+    return own or getattr(error.__cause__, "errno", None) or errno.EIO
 
 
 def _is_full(error: Exception) -> bool:

@@ -17,14 +17,15 @@ import fcntl
 import logging
 import os
 import threading
-from collections import deque
-from collections.abc import Callable, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from gateway.buses.queues import STALE
 from gateway.buses.serial.opening import forbidden
+from gateway.buses.troubles import Trouble, of_writes
 from gateway.core.robot import BusSettings
 from gateway.errors import BusError
 from protocols.frames import BusState, Frame, Packet
@@ -77,6 +78,8 @@ class I2cBus:
         self._now: Nanos = 0
         self._waiting: deque[tuple[Nanos, bytes]] = deque()
         self._done: deque[tuple[bytes, OSError | None]] = deque()
+        self.write_errors: Counter[int] = Counter()
+        """How often a transfer failed with each errno; a chip that does not answer is none of these."""
         self._failures = 0
         self._dead = False
         self._changes: list[BusState] = []
@@ -99,9 +102,15 @@ class I2cBus:
         changes, self._changes = self._changes, []
         return changes, packets
 
+    def troubles(self) -> Iterator[Trouble]:
+        """Yield what transfers have failed with."""
+        yield from of_writes(self.write_errors, self.name)
+
     def _note(self, answer: bytes, error: OSError | None) -> None:
         """Note how a transfer ended: a bus that hangs is off."""
         self._failures = self._failures + 1 if answer[1] == i2c.FAILED else 0
+        if self._failures and error is not None:
+            self.write_errors[error.errno or 0] += 1
         if self._failures == MOST_FAILURES and not self._dead:
             self._dead = True
             self._changes.append(BusState.OFF)

@@ -127,7 +127,7 @@ def missing(settings: BusSettings, channel: str, has_can: bool, net: Path = NET)
         no_can = "this machine's kernel has no CAN (errno 97: address family not supported by protocol)"
         why = f"there is no CAN interface {channel!r}" if has_can else no_can
         why += f". {_what_there_is(present)}"
-    return f"{_head(settings)}: {why}\n{_commands(settings, channel)}"
+    return f"{_head(settings)}: {why}\n{_commands(settings, channel, has_can=has_can)}"
 
 
 def check_fit(settings: BusSettings, link: NetLink) -> None:
@@ -171,9 +171,9 @@ def _what_there_is(present: Mapping[str, str]) -> str:
     return f"CAN interfaces of this machine: {names}. {none_needed}."
 
 
-def _commands(settings: BusSettings, channel: str) -> str:
+def _commands(settings: BusSettings, channel: str, *, has_can: bool) -> str:
     """Return the commands that create a missing vcan, or bring up a real interface at the robot file's
-    rate."""
+    rate; before that, what gives the kernel CAN, if it has none."""
     if channel.startswith("vcan"):
         mtu = " mtu 72" if settings.kind == "canfd" else ""
         lines = [
@@ -184,4 +184,6 @@ def _commands(settings: BusSettings, channel: str) -> str:
         ]
     else:
         lines = ["With the adapter plugged in, to bring it up:", *_set_up(settings, channel)[1:]]
+    if not has_can:
+        lines[1:1] = ["sudo modprobe can_raw"]
     return "\n  ".join(lines)

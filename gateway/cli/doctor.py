@@ -60,7 +60,11 @@ def run(options: Namespace) -> int:
             buses, failed = _open(robot, clock, stack)
             if not options.json:
                 _head(robot, buses)
-            findings = [*failed, *(_examined(robot, buses, clock) if buses else ()), *from_file(robot)]
+            seen = _examined(robot, buses, clock) if buses else None
+            if seen is not None and not options.json:
+                print("\n".join(_traffic(seen, buses)), flush=True)
+            wires = _findings(seen, buses) if seen is not None else []
+            findings = [*failed, *wires, *doctor.of_machine(robot), *from_file(robot)]
     finally:
         log.removeFilter(_is_told_otherwise)
     return _told(findings, options) if buses else _told(findings, options) and 2
@@ -91,12 +95,23 @@ def _is_told_otherwise(record: logging.LogRecord) -> bool:
     return record.levelno > logging.ERROR
 
 
-def _examined(robot: Robot, buses: Mapping[str, Bus], clock: Clock) -> list[Finding]:
-    """Return what is found where buses are open; on the others nothing is heard."""
+def _examined(robot: Robot, buses: Mapping[str, Bus], clock: Clock) -> doctor.Examination:
+    """Look at a robot where its buses are open; on the others nothing is heard."""
     closed = {name: Overhearing(None, {}) for name in robot.buses if name not in buses}
-    seen = doctor.examine(robot, {**buses, **closed}, clock).findings()
-    mute = {one.name for one in robot.devices() if one.bus in closed}
-    return [one for one in seen if one.about not in mute]
+    return doctor.examine(robot, {**buses, **closed}, clock)
+
+
+def _findings(seen: doctor.Examination, buses: Mapping[str, Bus]) -> list[Finding]:
+    """Return what is found where buses are open."""
+    mute = {one.name for one in seen.robot.devices() if one.bus not in buses}
+    return [one for one in seen.findings() if one.about not in mute]
+
+
+def _traffic(seen: doctor.Examination, buses: Mapping[str, Bus]) -> list[str]:
+    """Return what went to and came from each device, a line each."""
+    width = max(map(len, seen.traffic), default=0)
+    on = {one.name: one.bus for one in seen.robot.devices()}
+    return [f"  {name:<{width}}  {one}" for name, one in seen.traffic.items() if on[name] in buses]
 
 
 def _open(robot: Robot, clock: Clock, stack: ExitStack) -> tuple[dict[str, Bus], list[Finding]]:
@@ -115,17 +130,7 @@ def _open(robot: Robot, clock: Clock, stack: ExitStack) -> tuple[dict[str, Bus],
         try:
             buses[name] = open_bus(settings, clock)
         except BusError as error:
-            seen, _, todo = str(error).partition("\n")
-            nothing = "nothing on it can be heard"
-            failed.append(
-                Finding(
-                    True,
-                    name,
-                    seen,
-                    nothing,
-                    "; ".join(map(str.strip, todo.splitlines())).replace(":; ", ": ") or "gateway scan",
-                )
-            )
+            failed.append(doctor.of_opening(name, error))
         else:
             stack.callback(buses[name].close)
     return buses, failed

@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import errno
 import logging
+import math
 import os
 import platform
 import re
@@ -30,6 +31,8 @@ from gateway.core.message_text import escaped
 from gateway.errors import GatewayError
 
 NEGATIVE, OPTION = re.compile(r"-[\d.]"), re.compile(r"--[a-z][a-z-]*")
+REPEAT, MOST_LINES = 1.0, 64
+"""s within which a line of the log is not written again; and of how many lines that is known"""
 INTERRUPTED = 130
 """The status that a shell has for SIGINT."""
 DESCRIPTION = "One brain, any body, over real buses."
@@ -126,6 +129,10 @@ def _main(arguments: list[str]) -> int:
         return 1  # the reader of our output has gone, or its terminal was closed, which is not our error
     else:
         return status
+    finally:
+        for handler in logging.getLogger().handlers:
+            if isinstance(handler, LogHandler):
+                handler.settle()
 
 
 def parser(command: str = "") -> argparse.ArgumentParser:
@@ -150,10 +157,41 @@ def _set_log_level(verbosity: int) -> None:
 
 
 class LogHandler(logging.StreamHandler[TextIO]):
-    """Writes to a stream, and never waits for it: neither for a stopped terminal, nor for a full pipe."""
+    """Writes to a stream, and never waits for it: neither for a stopped terminal, nor for a full pipe. A line
+    that comes again within `REPEAT` of when it was written is counted; the count is written with the next."""
+
+    def __init__(self, stream: TextIO) -> None:
+        super().__init__(stream)
+        self._written: dict[str, tuple[logging.LogRecord, int]] = {}
+        """By line: the record that was written, and how often it came since."""
 
     def emit(self, record: logging.LogRecord) -> None:
         """Write a record, or leave it out if the stream takes nothing and does not queue it."""
+        line = self.format(record)
+        self._tell(record.created - REPEAT)
+        if line in self._written:
+            first, count = self._written[line]
+            self._written[line] = first, count + 1
+            return
+        if len(self._written) >= MOST_LINES:
+            self.settle()
+        self._written[line] = record, 0
+        self._write(record)
+
+    def settle(self) -> None:
+        """Write what was only counted, and forget it."""
+        self._tell(math.inf)
+
+    def _tell(self, until: float) -> None:
+        """Forget the lines written until a time [s]; write how often each came again."""
+        over = [line for line, (first, _) in self._written.items() if first.created <= until]
+        for first, count in map(self._written.pop, over):
+            if count:
+                again = logging.makeLogRecord(first.__dict__)
+                again.msg, again.args = f"{first.getMessage()} ({count} times more)", ()
+                self._write(again)
+
+    def _write(self, record: logging.LogRecord) -> None:
         stream = getattr(self.stream, "terminal", self.stream)
         if isinstance(stream, Unblocked) or is_writable(stream):
             super().emit(record)

@@ -35,6 +35,8 @@ ACTIONS = {
     "diff": "compare it with the robot file, or with an earlier dump",
     "restore": "write what differs from a dump, but what is protected",
 }
+NONE = -1
+"""In place of an address: there is none"""
 ONE: dict[motor_setup.Kind, str] = {
     "set-id": "give one motor another address, look for it there, and save it",
     "zero": "make the place where the shaft of one motor stands its zero",
@@ -76,10 +78,19 @@ def add_arguments(parser: ArgumentParser) -> None:
                 help="the new one (default: the file's)",
             )
             one.add_argument(
-                "--from", dest="old", type=address, metavar="N", help="that it has now (default: the file's)"
+                "--from",
+                dest="old",
+                type=_address_or_none,
+                metavar="N|none",
+                help="that it has now (default: the file's); none: it has none yet",
             )
         one.add_argument("--yes", action="store_true", help="do not ask")
         arguments.add_bus(one, "where a bus is: can0=socketcan:can0")
+
+
+def _address_or_none(text: str) -> int:
+    """Return an address, `NONE` for none. Raises ArgumentTypeError."""
+    return NONE if text == "none" else arguments.integer("an address", 0)(text)
 
 
 def run(options: Namespace) -> int:
@@ -116,11 +127,10 @@ def _compare(robot: Robot, options: Namespace) -> int:
 def _one(robot: Robot, options: Namespace) -> int:
     """Tell what is to be done to one motor, ask whether it is to be, and do it."""
     name, old, new = options.motor, getattr(options, "old", None), getattr(options, "address", None)
-    robot, stated = (
-        motor_setup.alone(robot, name, old),
-        motor_setup.alone(robot, name).motors[name].device.address,
-    )
-    action = Action(options.what, name, stated if new is None else new)
+    stated = motor_setup.alone(robot, name).motors[name].device.address
+    address = stated if new is None else new
+    robot = motor_setup.alone(robot, name, address if old == NONE else old)
+    action = Action(options.what, name, address, first=old == NONE)
     print(motor_setup.told(robot, action), flush=True)
     if not options.yes and not _agreed():
         print("nothing was done")

@@ -18,10 +18,12 @@ from gateway.cli.live import add_ros, add_view, check_view, open_ros, open_view,
 from gateway.cli.reports import add_report, reported
 from gateway.cli.terminal.progress import simulation
 from gateway.config import IF_IT_DIES, cannot, if_it_dies, load_mission, load_robot, with_interfaces
+from gateway.core.message_text import escaped
 from gateway.core.robot import TWIN, Robot
 from gateway.core.step import LEFT_ARMED
 from gateway.errors import UserError
 from gateway.operator import Operator
+from gateway.runtime.loop import LEFT
 from gateway.runtime.realtime import realtime, wanted_of
 from gateway.runtime.rotation import Rotation
 from gateway.runtime.schedule import COUNTING, NotCounted, not_armed, refuse_overload
@@ -165,7 +167,7 @@ def _drive(session: Session, operator: Operator, options: Namespace, mission: Mi
             session.leave("an operator sent quit")
         return instructions
 
-    faults = ""
+    faults = why = ""
     try:
         with closing(session.run(options.seconds, poll=poll, dry_run=options.dry_run)) as ticks:
             for tick in ticks:
@@ -173,6 +175,8 @@ def _drive(session: Session, operator: Operator, options: Namespace, mission: Mi
                     logged = note.level != "info" or log.isEnabledFor(logging.INFO)
                     operator.report(f"{note.source}: {note.text}", logged=logged)
                 faults = session.gateway.in_fault()
+                if (stopped := session.gateway.why_stopped()) != LEFT:
+                    why = stopped or session.belief.reason
                 if (
                     options.fast
                     and options.seconds is None
@@ -190,13 +194,28 @@ def _drive(session: Session, operator: Operator, options: Namespace, mission: Mi
     )
     for line in session.latencies.lines():
         print(line)
-    if faults:
-        print(f"left in fault: {faults}", file=sys.stderr)
     view = session.belief.mission
     if view is not None:
         print(f"mission {view.name}: {view.phase}{f': {view.reason}' * bool(view.reason)}")
-    undone = session.belief.reached < len(options.goal) or (mission and (not view or view.phase != "done"))
-    return 1 if faults or left or undone or stats.stalled else 0
+    wrong = [f"{motor}: {LEFT_ARMED}" for motor in left]
+    wrong += [f"left in fault: {faults}"] if faults else []
+    wrong += _undone(session, options, mission, why)
+    wrong += ["its loop hung, and the watchdog process sent the stop action"] if stats.stalled else []
+    for text in wrong:
+        print(f"gateway run: exit status 1: {escaped(text)}", file=sys.stderr)
+    return 1 if wrong else 0
+
+
+def _undone(session: Session, options: Namespace, mission: Mission | None, why: str) -> list[str]:
+    """Return what was asked for on the command line and not done, and why, as far as that is known."""
+    belief, goals = session.belief, len(options.goal)
+    because = f" ({why})" if why else ""
+    if belief.reached < goals:
+        within = f" within {options.seconds:g} s" if options.seconds is not None else ""
+        return [f"{belief.reached} of {goals} goals reached{within}{because}"]
+    if mission is not None and (belief.mission is None or belief.mission.phase != "done"):
+        return [f"mission {mission.name} was not done{because}"]
+    return []
 
 
 def _all_done(session: Session, goals: int, mission: Mission | None) -> bool:

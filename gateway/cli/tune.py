@@ -126,6 +126,7 @@ def _print(one: Identified, inertia: float | None) -> None:
         )
     if one.gain is not None:
         print(f"  delay          {1e3 * one.delay:.1f} ms from a set-point to its torque")
+        print(f"  lag            {1e3 * one.lag:.1f} ms of the velocity that its loop sees")
         print(
             f"a twin with these values follows the same set-points within {100 * one.misfit:.2f} % of "
             "the fastest"

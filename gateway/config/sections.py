@@ -97,6 +97,10 @@ class SensorKeys:
     """Where it is on the robot"""
     timeout: Annotated[Duration, Bounds(1, 5000)] = 500 * MILLISECOND
     """Age at which its readings count as lost"""
+    late: Annotated[Duration, Bounds(0, 500)] = 0
+    """By so much its readings are stamped later than they were made; `gateway calibrate base` measures it"""
+    gyro_scale: Annotated[float, Bounds(0.5, 2.0)] = 1.0
+    """What its gyro reads for each rad/s; `gateway calibrate base` measures it"""
 
 
 _STAND_IN = JointSettings(
@@ -224,7 +228,13 @@ def read_sensor(
     at = ("sensors", name)
     connected = _connected(at, table, buses, find, "sensor", mistakes)
     mounting = build(SensorKeys, table, at, mistakes, also=tuple(keys(ConnectionKeys))) or SensorKeys()
-    return Sensor(name, *connected, mounting.mount, mounting.timeout) if connected else None
+    if connected is None:
+        return None
+    made = Sensor(name, *connected, mounting.mount, mounting.timeout, mounting.late, mounting.gyro_scale)
+    if "gyro_scale" in table and "Imu.angular_velocity" not in made.spec.ranges:
+        what = f"{made.plugin.name!r} measures no rate of turn here"
+        mistakes.add((*at, "gyro_scale"), f"{what}; expected no key 'gyro_scale'")
+    return made
 
 
 def _connected(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 from brain.perception.mount import Mount
@@ -13,7 +13,7 @@ from gateway.vision.detectors import Detectors
 from gateway.vision.live import LiveCamera
 from protocols.bounds import Bounds, Duration, Invalid, check
 from protocols.frames import OF_BYTES, IdMask
-from protocols.messages import MILLISECOND, Nanos
+from protocols.messages import MILLISECOND, Imu, Measurement, Nanos
 from protocols.plugin import Device, Plugin, Spec
 
 if TYPE_CHECKING:
@@ -126,6 +126,31 @@ class Sensor:
     """In the robot's frame: m, rad."""
     timeout: Nanos
     """Age at which its measurements are too old; the brain slows down and stands at fractions of it."""
+    late: Nanos = 0
+    """By so much its measurements are stamped later than they were made."""
+    gyro_scale: float = 1.0
+    """What its gyro reads for each rad/s."""
+
+    @property
+    def errs(self) -> bool:
+        """Whether the file states an error of it."""
+        return bool(self.late) or self.gyro_scale != 1.0
+
+    def corrected(self, reading: Measurement) -> Measurement:
+        """Return what it has reported without the errors that the file states."""
+        return _scaled(replace(reading, t=reading.t - self.late), 1.0 / self.gyro_scale)
+
+    def reported(self, true: Measurement) -> Measurement:
+        """Return what it reports of a true reading."""
+        return _scaled(replace(true, t=true.t + self.late), self.gyro_scale)
+
+
+def _scaled(reading: Measurement, scale: float) -> Measurement:
+    """Return a reading with its rates of turn, if it has any, times a factor."""
+    if not isinstance(reading, Imu) or scale == 1.0:
+        return reading
+    x, y, z = reading.angular_velocity
+    return replace(reading, angular_velocity=(x * scale, y * scale, z * scale))
 
 
 BusDevice: TypeAlias = Motor | Sensor

@@ -108,6 +108,8 @@ class Gateway:
             if bus.line != "free"
         }
         """What waits for a serial line on which devices speak only when asked, by bus."""
+        self._erring = {name: sensor for name, sensor in robot.sensors.items() if sensor.errs}
+        """Sensors of which the file states an error."""
         self._turns = BrainTurns(robot.period)
         self._heard: list[Event] = []
         """What was received since the brain was asked."""
@@ -450,6 +452,8 @@ class Gateway:
         for given in events:
             event = given if given.t <= now else replace(given, t=now)
             if not isinstance(event, (msg.Feedback, msg.State, msg.Fault)):
+                if isinstance(event, msg.Measurement) and event.sensor in self._erring:
+                    event = self._erring[event.sensor].corrected(event)
                 self._note_answer(event)
                 passed.append(event)
             elif (joint := self.joints.get(event.motor)) is not None:

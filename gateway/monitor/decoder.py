@@ -301,6 +301,13 @@ class BusMonitor:
             self._own(record)
         return True
 
+    def likely(self) -> list[Place]:
+        """Return the devices that were found; if none was, those of which so much was decoded that they may
+        be there, though they tell no state unasked."""
+        return list(self.found) or [
+            place for place, one in self._best.items() if one.weight >= SETTLED_EVENTS
+        ]
+
     def _own(self, record: DeviceRecord) -> None:
         """Add a device: its ids are no longer unknown."""
         self.found[record.place] = record

@@ -12,7 +12,7 @@ from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
 
 from gateway.buses import Bus
 from gateway.buses.serial.garbage import verdict
-from gateway.core.robot import BusDevice, Motor
+from gateway.core.robot import BusDevice, Motor, Robot
 from gateway.core.step import Gateway
 from gateway.core.tick import Tick
 from gateway.monitor.state import ProtocolVariant
@@ -124,48 +124,59 @@ class Silence:
         others = [one for one in self._gateway.robot.devices_on(device.bus) if one is not device]
         known = IdSet(each for one in others for each in one.spec.expects)
         strange = [number for number in sorted(ids) if number not in known]
+        if not strange:
+            return "the bus is alive, of other devices: check its supply, cable and address"
         shown = ", ".join(f"0x{number & 0x1FFF_FFFF:03X}" for number in strange[:MOST_LISTED])
         shown += ", …" if len(strange) > MOST_LISTED else ""
         text = f"the bus is alive ({len(ids)} ids are heard), of no other device in the robot file: {shown}"
         return f"{text}; that looks like {', '.join(looks)}" if looks else text
 
-    # -- what it looks like -------------------------------------------------------------------
-
     def _search(self, bus: str) -> Generator[None, None, list[str]]:
         """Return which devices that are not in the robot file were heard on a bus; none while a motor is
         commanded, since it takes the loop's time."""
-        from gateway.monitor.decoder import BusMonitor
-
-        settings, heard = self._gateway.robot.buses[bus], self._heard[bus]
-        ids = {id_number(packet.frame) for packet in heard if isinstance(packet.frame, CanFrame)}
-        if not ids or any(joint.owned for joint in self._gateway.joints.values()):
+        if any(joint.owned for joint in self._gateway.joints.values()):
             return []
-        variants: list[ProtocolVariant] = []
-        for name in dict.fromkeys(point.name for point in installed()):
-            yield
-            try:
-                variants += yield from self._variants(bus, name, ids)
-            except Exception as error:  # noqa: BLE001 -- a third party's plugin may raise anything
-                log.debug("the protocol %s is not looked for: %r", name, error)
-        monitor = BusMonitor({bus: settings}, variants, heard[0].t, known=False)
-        for packet in heard:
-            yield
-            monitor.decode(packet, sent=False)
-        ours = {(one.plugin.name, one.device.address) for one in self._gateway.robot.devices_on(bus)}
-        found = ((protocol, address) for _, protocol, address in monitor.found)
-        return [f"{protocol} at address {at}" for protocol, at in found if (protocol, at) not in ours]
+        return (yield from looks(self._gateway.robot, bus, self._heard[bus]))
 
-    def _variants(
-        self, bus: str, name: str, ids: Collection[int]
-    ) -> Generator[None, None, list[ProtocolVariant]]:
-        """Return a protocol as it is by default, and as the robot file has it."""
-        from gateway.monitor.candidates import of_ids
 
-        robot, plugin = self._gateway.robot, load(name)
-        ours = [one.device.options for one in robot.devices_on(bus) if one.plugin.name == name]
-        options = [plugin.options(), *ours]
-        made: list[ProtocolVariant] = []
-        for number, each in enumerate(options):
-            if each not in options[:number]:
-                made += yield from of_ids(robot.buses[bus], plugin, each, ids)
-        return made
+# -- what it looks like ------------------------------------------------------------------------
+
+
+def looks(robot: Robot, bus: str, heard: Sequence[Packet]) -> Generator[None, None, list[str]]:
+    """Return what devices that are not in the robot file look like, by what was heard on a bus: every
+    installed protocol is tried, a piece at a time."""
+    from gateway.monitor.decoder import BusMonitor
+
+    ids = {id_number(packet.frame) for packet in heard if isinstance(packet.frame, CanFrame)}
+    if not ids:
+        return []
+    variants: list[ProtocolVariant] = []
+    for name in dict.fromkeys(point.name for point in installed()):
+        yield
+        try:
+            variants += yield from _variants(robot, bus, name, ids)
+        except Exception as error:  # noqa: BLE001 -- a third party's plugin may raise anything
+            log.debug("the protocol %s is not looked for: %r", name, error)
+    monitor = BusMonitor({bus: robot.buses[bus]}, variants, heard[0].t, known=False)
+    for packet in heard:
+        yield
+        monitor.decode(packet, sent=False)
+    ours = {(one.plugin.name, one.device.address) for one in robot.devices_on(bus)}
+    found = ((protocol, address) for _, protocol, address in monitor.likely())
+    return [f"{protocol} at address {at}" for protocol, at in found if (protocol, at) not in ours]
+
+
+def _variants(
+    robot: Robot, bus: str, name: str, ids: Collection[int]
+) -> Generator[None, None, list[ProtocolVariant]]:
+    """Return a protocol as it is by default, and as the robot file has it."""
+    from gateway.monitor.candidates import of_ids
+
+    plugin = load(name)
+    ours = [one.device.options for one in robot.devices_on(bus) if one.plugin.name == name]
+    options = [plugin.options(), *ours]
+    made: list[ProtocolVariant] = []
+    for number, each in enumerate(options):
+        if each not in options[:number]:
+            made += yield from of_ids(robot.buses[bus], plugin, each, ids)
+    return made

@@ -38,7 +38,7 @@ ALL = "all"
 class Query:
     """A line that is answered at once, and does not reach the robot."""
 
-    kind: Literal["status", "doctor", "help", "quit", "view"]
+    kind: Literal["status", "doctor", "help", "quit", "ready", "view"]
     text: str = ""
     """Its arguments."""
 
@@ -58,6 +58,8 @@ def parse(line: str, robot: Robot, *, files: bool = True) -> msg.Instruction | Q
     if not words:
         return None
     name, texts = words[0].lower(), words[1:]
+    if [name, *texts] == ["wait", "ready"]:
+        name, texts = "ready", []
     command = COMMANDS.get(name)
     if command is None:
         others, broken = _others()
@@ -298,6 +300,8 @@ COMMANDS: dict[str, _Command] = {
     "doctor": _Command("", "what hinders it, why that matters, and what to type", partial(Query, "doctor")),
     "view": _Command("[HOST:PORT] [steer]", "open the live view for a browser; print its address",
                      partial(Query, "view"), free_text=True),
+    "ready": _Command("", "keep the lines after it until every motor was heard (also: wait ready)",
+                      partial(Query, "ready")),
     "help": _Command("", "this list", partial(Query, "help")),
     "quit": _Command("", "send the stop command and end the run", partial(Query, "quit")),
 }

@@ -20,7 +20,7 @@ import stat
 import struct
 import sys
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -44,7 +44,9 @@ MAX_LINES_EACH = 8
 """and of one client."""
 MAX_CLIENTS = 64
 ENDING = ("stop", "estop", "quit", "idle")
-"""Commands for which no line of a pipe waits."""
+"""Commands for which no line of a pipe waits,"""
+STOPPING = ("stop", "estop")
+"""and for which none waits that follows `wait ready`."""
 MAX_PATH = 107
 """Bytes of a socket's path (unix(7): sun_path)."""
 
@@ -149,15 +151,19 @@ class Operator:
         for client in list(self._clients):
             count = min(left, MAX_LINES_EACH, len(client.lines))
             for _ in range(count):
+                if _stays(client.lines, unready):
+                    break
                 instructions += self._on_line(client.lines.popleft(), partial(_queue, client), answers)
             left -= count
             if count:
                 self._clients.remove(client)
                 self._clients.append(client)
             self._send(client)
-        self._typed_lines.extend(() if self._typed_lines else self._read_terminal())
+        self._typed_lines.extend(self._read_terminal() if _reads_on(self._typed_lines) else ())
         self._has_typed = self._has_typed or bool(self._typed_lines)
         for _ in range(0 if self._keeps(unready) else min(MAX_LINES_EACH, len(self._typed_lines))):
+            if _stays(self._typed_lines, unready):
+                break
             instructions += self._on_line(self._typed_lines.popleft(), _print, answers)
         return instructions
 
@@ -183,8 +189,8 @@ class Operator:
         """Whether lines of a pipe are kept until the robot is ready; say so once."""
         if not self._waits or not self._typed_lines:
             return False
-        ends = any(isinstance(one, str) and one.lower().startswith(ENDING) for one in self._typed_lines)
-        why = "" if ends else unready()
+        told = any(_asks_ready(one) for one in self._typed_lines)
+        why = "" if told or _contains(self._typed_lines, ENDING) else unready()
         if why and not self._told:
             _print(f"the lines wait: {why}")
         self._told, self._waits = bool(why), bool(why)
@@ -207,6 +213,8 @@ class Operator:
             case Query(kind, text) if kind in answers:
                 told = safely(partial(answers[kind], text))
                 answer(told if isinstance(told, str) else told.reason)
+            case Query("ready"):
+                answer("ready")
             case Query():  # quit
                 self.leaving = True
                 answer("leaving")
@@ -231,7 +239,7 @@ class Operator:
 
     def _read(self, client: _Client) -> None:
         """Read lines, unless some are left to be answered; drop a client that has ended and was answered."""
-        if client.lines:
+        if client.lines and (client.ended or not _reads_on(client.lines)):
             return
         if client.ended:
             self._send(client)
@@ -278,6 +286,25 @@ class Operator:
             return self._typed.feed(data)
         self._terminal = None
         return self._typed.end()
+
+
+def _stays(lines: Sequence[str | RejectedLine], unready: Callable[[], str]) -> bool:
+    """Whether the next line is `wait ready`, the robot is not, and no line asks for a stop."""
+    return _asks_ready(lines[0]) and bool(unready()) and not _contains(lines, STOPPING)
+
+
+def _reads_on(lines: Sequence[str | RejectedLine]) -> bool:
+    """Whether more lines are read: none is left, or they wait, and one that stops may come."""
+    return not lines or (_asks_ready(lines[0]) and len(lines) < MAX_LINES)
+
+
+def _asks_ready(line: str | RejectedLine) -> bool:
+    words = line.partition("#")[0].lower().split() if isinstance(line, str) else []
+    return words in (["ready"], ["wait", "ready"])
+
+
+def _contains(lines: Sequence[str | RejectedLine], commands: tuple[str, ...]) -> bool:
+    return any(isinstance(one, str) and one.lower().startswith(commands) for one in lines)
 
 
 def _queue(client: _Client, text: str) -> None:

@@ -52,6 +52,8 @@ class Action:
     motor: str
     address: int = -1
     """The new one; of set-id alone"""
+    first: bool = False
+    """Whether the device has no address yet; of set-id alone"""
 
 
 def alone(robot: Robot, name: str, address: int | None = None) -> Robot:
@@ -84,6 +86,14 @@ def told(robot: Robot, action: Action) -> str:
             if not spec.id_parameter and not {msg.SetAddress, msg.SetId} & spec.requests:
                 raise UserError(cannot)
             alone(robot, name, action.address)
+            if action.first:
+                if not spec.first_address:
+                    raise UserError(
+                        f"{name}: a {protocol} has an address from the beginning: leave out --from none"
+                    )
+                one = f"{name}: the {protocol} on {motor.bus} that has no address yet"
+                several = "of several the one with the lowest identity"
+                return f"{one} gets the address {action.address}, and stores it; {several}"
             saved = f", and saves it ({spec.save})" if spec.save else ""
             return f"{it} gets the address {action.address}{saved}"
         case "zero":
@@ -113,6 +123,8 @@ def perform(session: Session, action: Action, report: Report) -> bool:
     reported."""
     with closing(Motors(session)) as motors:
         before = motors.identify()[action.motor]
+        if action.first:
+            return _address_first(motors, action, report)
         if wrong := _unfit(motors, action.motor, before):
             report(f"{action.motor}: nothing was done: {wrong}")
             return False
@@ -204,6 +216,22 @@ def _readdress(session: Session, action: Action, before: Reading, report: Report
         motors.identify()
         given = _give(motors, action, before, report)
     return given and _moved(session, action, before, report)
+
+
+def _address_first(motors: Motors, action: Action, report: Report) -> bool:
+    """Give the one device without an address that of the motor in the file, and look for it there."""
+    name, address = action.motor, action.address
+    answer = _ask(motors, msg.SetAddress(name, address))
+    if not isinstance(answer, msg.Done):
+        report(f"{name}: NOT given the address {address}: {reason(answer)}")
+        return False
+    report(f"{name}: has the address {address}{f', {answer.detail}' if answer.detail else ''}")
+    motors.wait(SETTLED)
+    now = motors.identify()[name]
+    wrong = _unfit(motors, name, now)
+    serial = "" if now.serial is None else f", serial number {now.serial:X}"
+    report(f"{name}: NOT read back: {wrong}" if wrong else f"{name}: read back at {address}{serial}")
+    return not wrong
 
 
 def _give(motors: Motors, action: Action, before: Reading, report: Report) -> bool:

@@ -28,7 +28,7 @@ RUNAWAY = 3
 """s"""
 _LOCKED = 1 | 2 | 4
 """MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT: what was once used stays; nothing is filled that is not used."""
-_CAP_IPC_LOCK = 14
+_CAP_IPC_LOCK, _CAP_SYS_NICE = 14, 23
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,8 +126,18 @@ def _memory(stack: ExitStack) -> tuple[bool, str]:
     return True, "memory locked"
 
 
-def _capable(capability: int) -> bool:
-    effective = re.search(r"(?m)^CapEff:\s*(\w+)", Path("/proc/self/status").read_text())
+def unallowed(proc: Path = Path("/proc")) -> str:
+    """Return why this process would not get a priority of real time; "" if it would. Changes nothing."""
+    limits = (proc / "self/limits").read_text()
+    found = re.search(r"(?m)^Max realtime priority\s+(\w+)", limits)
+    allowed = found[1] if found else "0"
+    if allowed == "unlimited" or int(allowed) >= DEFAULT or _capable(_CAP_SYS_NICE, proc):
+        return ""
+    return f"no priority of real time is allowed (at most {allowed}, {DEFAULT} is usual)"
+
+
+def _capable(capability: int, proc: Path = Path("/proc")) -> bool:
+    effective = re.search(r"(?m)^CapEff:\s*(\w+)", (proc / "self/status").read_text())
     return effective is not None and bool(int(effective[1], 16) >> capability & 1)
 
 

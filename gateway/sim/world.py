@@ -44,6 +44,10 @@ class World:
         self.now: Nanos = 0
         """The world's time. It may be set before the first step."""
         self._sensors: list[WorldSensor] = []
+        self._erring = {name: sensor for name, sensor in robot.sensors.items() if sensor.errs}
+        """Sensors of which the robot file states an error: they have it."""
+        self._held: list[tuple[Nanos, Measurement]] = []
+        """Readings that come late, and when."""
         self._readings: list[Measurement] = []
         self._steps = 0
         self.scene: SimulatedScene | None = None
@@ -76,8 +80,15 @@ class World:
         """Measure the state at the beginning of the step, which is what MuJoCo has computed last."""
         for sensor in self._sensors:
             reading = sensor.measure(self.now, self._steps * STEP % sensor.period, scene)
-            if reading is not None:
+            if reading is None:
+                continue
+            if (erring := self._erring.get(sensor.name)) is None:
                 self._readings.append(reading)
+            else:
+                self._held.append((self.now + erring.late, erring.reported(reading)))
+        if self._held:
+            self._readings += [one for due, one in self._held if due <= self.now]
+            self._held = [one for one in self._held if one[0] > self.now]
 
     def shaft(self, motor: str) -> tuple[float, float]:
         """Return position [rad] and velocity [rad/s] of a motor's output shaft."""

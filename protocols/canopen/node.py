@@ -94,10 +94,14 @@ class Node:
         """Handle a frame; None if it did nothing that a device would react to."""
         if not services.is_classic(frame):
             return None
+        if self.lss is not None and not self.lss.addressed and not is_message(frame):
+            return None  # it hears LSS alone
         if frame.id == services.sdo_rx_id(self.address):
             return self._on_sdo(frame.data)
         if self.lss is not None and is_message(frame):
             answer = self.lss.receive(frame.data, self.address)
+            if self.lss.begins:
+                return self._on_nmt(NmtCommand.RESET_COMMUNICATION)
             return Received(lss=answer, lss_sets=frame.data[0] not in ASKS)
         values = self.dictionary.values
         if indices := [index for index in RPDOS if values[index, o.COB_ID] & ~NO_RTR == frame.id]:
@@ -270,11 +274,16 @@ class Sender:
         self._beat: Nanos | None = None
         """When the next heartbeat is due."""
 
+    @property
+    def addressed(self) -> bool:
+        """Whether it has a node id; without one it answers LSS alone."""
+        return self.node.lss is None or self.node.lss.addressed
+
     def loses(self, frame: Frame) -> bool:
         """True for a frame that the device cannot take now: before it has booted, or an SDO request while too
         many wait."""
         if len(self._responses) <= self.sdo_waiting:
-            return not self.booted
+            return not self.booted and self.addressed
         return isinstance(frame, CanFrame) and frame.id == services.sdo_rx_id(self.node.address)
 
     def note(self, t: Nanos, received: Received) -> None:
@@ -300,6 +309,8 @@ class Sender:
     def frames(self, now: Nanos, measure: Callable[[], None] | None = None) -> list[CanFrame]:
         """Return what is due; `measure` updates the measured objects, if TPDOs may need them."""
         frames, self._out = self._out, []
+        if not self.addressed:
+            return [frame for frame in frames if frame.id == SLAVE]
         if not self.booted:
             self.booted, self._period = True, 0
             boot = services.Heartbeat(self.node.address, NmtState.INITIALISING)

@@ -210,6 +210,7 @@ def spec(device: Device) -> Spec:
         commands=frozenset({msg.Idle} | able),
         requests=REQUESTS,
         tells_serial=True,
+        first_address=True,
         ranges=ranges(options, settings),
         watchdog=Watchdog(timeout or None, bool(timeout), "" if timeout else WATCHDOG_NOTE, "any command"),
         holds_unattended=not timeout,
@@ -223,7 +224,12 @@ def spec(device: Device) -> Spec:
         writes={msg.Home: HOMING, msg.Zero: HOMING, msg.SetAddress: READDRESSED},
         decoded=decoded,
         save="save",
-        receives_also=((cs.SDO_TX_BASE, any_node), (cs.HEARTBEAT_BASE, any_node), *other_producer),
+        receives_also=(
+            (cs.SDO_TX_BASE, any_node),
+            (cs.HEARTBEAT_BASE, any_node),
+            exact(lss.SLAVE),
+            *other_producer,
+        ),
     )
 
 

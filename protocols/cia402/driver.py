@@ -39,6 +39,8 @@ TIMEOUT = 2000 * MILLISECOND
 CLEAR_TIMEOUT, CLEAR_AGAIN = 3000 * MILLISECOND, 10 * MILLISECOND
 REBOOT_TIMEOUT, REBOOT_AGAIN = 8000 * MILLISECOND, 2000 * MILLISECOND
 SAVING = 6000 * MILLISECOND
+LSS_PERIOD, SEARCH = 15 * MILLISECOND, 6000 * MILLISECOND
+"""Between two messages of a search for a device without a node id, and of all of it with what follows"""
 TWICE = "every request is answered twice (by two devices, or to two hosts)"
 IDENTITY = (co.VENDOR_ID, co.PRODUCT_CODE, co.REVISION, co.SERIAL_NUMBER)
 DRIVER_OBJECTS = frozenset({o.CONTROLWORD, o.MODE, *o.TARGETS, co.CONSUMER_HEARTBEAT})
@@ -79,6 +81,8 @@ class Cia402Adapter(Adapter[Drive]):
     def receive(self, t: Nanos, frame: Frame, driver: Cia402Driver) -> Sequence[DriveReport | Rx]:
         if not isinstance(frame, CanFrame) or frame.extended or frame.fd or frame.remote:
             return (Rx.IGNORED,)
+        if frame.id == lss.SLAVE:
+            return (self._on_lss(frame, driver),)
         host, function = driver.at.get(frame.id & NODE_MASK), frame.id & ~NODE_MASK
         if host is None:
             return (self._on_stranger(t, frame, driver),)
@@ -90,6 +94,17 @@ class Cia402Adapter(Adapter[Drive]):
         if function in (EMCY_BASE, HEARTBEAT_BASE):
             return (self._on_message(t, host, frame),)
         return (Rx.IGNORED,)
+
+    def _on_lss(self, frame: CanFrame, driver: Cia402Driver) -> Rx:
+        """Take the answer of a device that has no node id yet."""
+        if len(frame.data) != lss.SIZE:
+            return Rx.MALFORMED
+        searches: list[lss.FastScan] = [
+            p.notes["search"] for p in driver.queue.waiting if "search" in p.notes
+        ]
+        for search in searches:
+            search.take(frame.data)
+        return Rx.EXPECTED if searches else Rx.IGNORED
 
     def _report(
         self,
@@ -266,6 +281,11 @@ class Cia402Adapter(Adapter[Drive]):
                 why = drive.home(zero=isinstance(request, msg.Zero))
                 timeout = drive.options.home_timeout_ms * MILLISECOND
                 return why or _waiting(now, request, host, timeout)
+            case msg.SetAddress(_, address):
+                if not host.offline:
+                    return f"it answers at {address} already"
+                search: dict[str, Any] = {"search": lss.FastScan(address)}
+                return Pending(request, host.name, now, now + SEARCH, now, host, (), LSS_PERIOD, search)
             case msg.ReadParameter(_, name):
                 job = _job(name, None, drive.token())
             case msg.WriteParameter(_, name) if name in SIGNATURES and host.running:
@@ -285,6 +305,12 @@ class Cia402Adapter(Adapter[Drive]):
             return scan.frames()
         if isinstance(pending.request, msg.ClearFault) and pending.host is not None:
             pending.host.own.reset(now)
+        if "search" in pending.notes:
+            search: lss.FastScan = pending.notes["search"]
+            following = search.message()
+            if search.failed:
+                pending.expire(now)
+            return () if following is None else (following,)
         return pending.frames
 
     def collected(self, pending: DrivePending, driver: Cia402Driver) -> Sequence[DriveReport]:
@@ -314,6 +340,10 @@ class Cia402Adapter(Adapter[Drive]):
                 return pending.done(t, "it stays in fault until cleared")
             case msg.Reboot() if report.content is NmtState.INITIALISING:
                 return pending.done(t, "it has restarted")
+            case msg.SetAddress() if pending.notes["search"].ended:
+                vendor, product, revision, serial = pending.notes["search"].numbers
+                one = f"vendor {vendor:#x}, product {product:#x}, revision {revision:#x}"
+                return pending.done(t, f"which the device of {one}, serial number {serial:X} took, by LSS")
             case msg.Home() | msg.Zero():
                 ended = drive.homed()
                 if ended is not None:
@@ -342,6 +372,9 @@ class Cia402Adapter(Adapter[Drive]):
         return msg.Parameter(host.name, t, request.parameter, float(value))
 
     def give_up(self, now: Nanos, pending: DrivePending) -> str:
+        if (search := pending.notes.get("search")) is not None:
+            given = f"it was given node id {search.node}, and nothing is heard of it there"
+            return search.failed or (given if search.ended else "its search took too long")
         host = pending.host
         if host is None or host.received_at is None or host.received_at <= pending.began:
             return super().give_up(now, pending)

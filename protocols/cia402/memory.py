@@ -99,7 +99,8 @@ class Memory:
         self._settings = device.settings
         dictionary = dictionary_of(device.settings, device.address)
         one: Any = tuple(dictionary.values[key] for key in IDENTITY)
-        self.node = Node(dictionary, device.address, Slave(None if instant else one))
+        slave = Slave(None if instant else one, addressed=instant or device.settings.has_node_id)
+        self.node = Node(dictionary, device.address, slave)
         self.demanded_position = 0
         """The base of a relative set-point while none is active; a decoder does not know it."""
         self._start()

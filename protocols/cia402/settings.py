@@ -55,6 +55,8 @@ class Settings:
     revision: Annotated[int, stored(co.REVISION)] = 0x0001_0000
     serial_number: Annotated[int, stored(co.SERIAL_NUMBER)] = 0
     """0: derived from the address"""
+    has_node_id: bool = True
+    """False: as from some makers, it has none yet, and answers LSS alone until it is given one"""
     supported_modes: Annotated[int, stored(o.SUPPORTED_MODES)] = ALL_MODES
     lacks: str = ""
     """Objects that it does not have, as indices: "60A9 60B1"."""

@@ -246,6 +246,11 @@ class Adapter(Generic[Own]):
         return "no reply to this request"
 
 
+def first_address(pending: Pending[Any]) -> bool:
+    """True for a request to give a device the address that its motor has in the file: it has none yet."""
+    return pending.host is not None and getattr(pending.request, "address", None) == pending.host.address
+
+
 def may_scan(device: Device | Host[Any]) -> bool:
     """True if a device's option `scan`, where it has one, does not switch scans of its bus off."""
     return bool(getattr(device.options, "scan", True))
@@ -312,7 +317,7 @@ class MotorDriver(Generic[Own]):
         if cause:
             events += self._on_duplicate(t, report, cause)
         for pending in self.queue.waiting:
-            if isinstance(pending.request, msg.SetAddress):
+            if isinstance(pending.request, msg.SetAddress) and not first_address(pending):
                 events += self._on_address(t, pending, pending.request, report)
             elif pending.host is None:
                 events += self._on_found(t, pending, report)
@@ -498,7 +503,7 @@ class MotorDriver(Generic[Own]):
         clears = isinstance(request, msg.ClearFault) and self.adapter.clearing_disarms
         if host is not None and clears and host.sound:
             return msg.Done(now, type(request).__name__, host.name, "it is armed: nothing to clear")
-        if host is not None and isinstance(request, msg.SetAddress):
+        if host is not None and isinstance(request, msg.SetAddress) and request.address != host.address:
             begun = self._give_address(now, request, host)
         else:
             begun = self.adapter.begin(now, request, host, self)
@@ -522,7 +527,7 @@ class MotorDriver(Generic[Own]):
                 request, makes = pending.request, self.adapter.frames
                 given = (
                     self._address_frames(now, pending, request)
-                    if isinstance(request, msg.SetAddress)
+                    if isinstance(request, msg.SetAddress) and not first_address(pending)
                     else makes(now, pending)
                 )
                 frames += pending.send(now, given)

@@ -111,6 +111,10 @@ class Pending(Generic[Own]):
         self.sent += len(frames)
         return frames
 
+    def expire(self, now: Nanos) -> None:
+        """Have it end at the next look: it cannot be carried out any more."""
+        self.deadline = now
+
     def restarted(self, t: Nanos, silence: Nanos) -> bool:
         """Record that its device has sent. True if it had been silent for so long before: it restarted."""
         last = self.notes.get("received", self.began)

@@ -13,6 +13,7 @@ from __future__ import annotations
 import logging
 import os
 import select
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 
@@ -23,6 +24,7 @@ from gateway.buses.queues import STALE, ByteQueue, Stall
 from gateway.buses.serial.echo import Echo
 from gateway.buses.serial.opening import close_port, holds_back, line_errors, open_port
 from gateway.buses.states import CALM
+from gateway.buses.troubles import FEW, Trouble, of_writes
 from gateway.core.robot import BusSettings
 from gateway.errors import BusError
 from protocols.frames import BusState, Frame, Packet
@@ -65,6 +67,8 @@ class SerialBus:
         """When it was last read: what is there now has arrived since."""
         self._held_back = ""
         """What was last said of a port that delays."""
+        self.write_errors: Counter[int] = Counter()
+        """How often a write failed with each errno."""
         self.echo = Echo(
             settings.echo if settings.line != "free" or settings.echo == "yes" else "no",
             settings.name,
@@ -94,6 +98,18 @@ class SerialBus:
     def dropped(self) -> int:
         """Messages never sent, because the queue was full or the port was gone."""
         return self._queue.dropped
+
+    def troubles(self) -> Iterator[Trouble]:
+        """Yield what port and adapter say of themselves that hinders the devices."""
+        if self._held_back:
+            text, timer, todo = self._held_back.partition(" (its latency timer)")
+            older = "each answer is that much older, and one that is too late counts as lost"
+            yield Trouble(False, f"{text}{timer}", older, todo.lstrip(";: "))
+        if self.errors >= FEW:
+            text = f"{self.errors} bytes came without their stop bit, or as a break"
+            todo = "the same baud rate on both ends; ground, bias and termination of the line"
+            yield Trouble(False, text, "what they belong to is lost", todo)
+        yield from of_writes(self.write_errors, self.name)
 
     def read(self, now: Nanos) -> tuple[Sequence[BusState], Sequence[Packet]]:
         """Return the state changes, and the bytes that have come in since it was read last."""
@@ -166,7 +182,8 @@ class SerialBus:
                 self._check_stall(now, port, empty=empty)
                 if not empty:
                     return
-            except OSError:
+            except OSError as error:
+                self.write_errors[error.errno or 0] += 1
                 self._lose(now)
                 return
         if self._state is BusState.FULL and now >= self._calm_at:

@@ -20,7 +20,7 @@ from __future__ import annotations
 import errno
 import logging
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 
 from can.interfaces.socketcan import SocketcanBus as PythonCan
@@ -32,6 +32,7 @@ from gateway.buses.queues import FrameQueue, Patience
 from gateway.buses.socketcan.raw_socket import OpenSocket, RawSocket
 from gateway.buses.states import StateTracker
 from gateway.buses.timestamps import TimestampMapper
+from gateway.buses.troubles import Trouble, of_counters, of_writes
 from gateway.buses.usb import resolved
 from gateway.core.clock import Clock, WallClock
 from gateway.core.robot import BusSettings
@@ -96,6 +97,8 @@ class SocketcanBus:
         self.name = settings.name
         self.errors: Counter[str] = Counter()
         """How often the controller reported each kind of error."""
+        self.write_errors: Counter[int] = Counter()
+        """How often a write failed with each errno."""
         self._settings = settings
         self._clock = clock
         self._device = device
@@ -140,6 +143,23 @@ class SocketcanBus:
         """Frames that the kernel dropped, since they came faster than they were read."""
         return self._earlier[1] + (self._socket.missed if self._socket is not None else 0)
 
+    def troubles(self) -> Iterator[Trouble]:
+        """Yield what interface and controller say of themselves that hinders the devices."""
+        name, link = self._channel, self._device.link()
+        down = f"sudo ip link set {name} down; sudo ip link set {name}"
+        if link is not None and link.listen_only:
+            text = f"{name} is in listen-only mode"
+            todo = f"{down} type can listen-only off; sudo ip link set {name} up"
+            yield Trouble(True, text, "nothing is sent, and nothing acknowledged", todo)
+        if link is not None and link.restart_ms == 0:
+            text, stays = (
+                f"{name} does not restart by itself",
+                "after bus-off it stays off until somebody does",
+            )
+            yield Trouble(False, text, stays, f"{down} type can restart-ms 100; sudo ip link set {name} up")
+        yield from of_counters(link.counters if link is not None else None, self.errors, name)
+        yield from of_writes(self.write_errors, name)
+
     def read(self, now: Nanos) -> tuple[Sequence[BusState], Sequence[Packet]]:
         """Return the state changes and the packets up to `now`; timestamps never run backwards."""
         if now >= self._poll_at:
@@ -173,6 +193,7 @@ class SocketcanBus:
         except ValueError as error:
             self._refused("ValueError", str(error))
         except OSError as error:
+            self.write_errors[error.errno or 0] += 1
             if error.errno in _FULL:
                 self._log_short_queue()
                 self._states.full(now)

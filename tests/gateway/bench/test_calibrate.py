@@ -16,9 +16,11 @@ from gateway.bench.drive import Leg, PatternDrive, legs
 from gateway.bench.driven import of_events
 from gateway.bench.geometry import corrected
 from gateway.bench.wheel_path import Factors
-from gateway.config import load_robot
-from gateway.errors import UserError
-from protocols.messages import LaserScan, Velocity
+from gateway.config import load_robot, parse_robot
+from gateway.core.robot import Robot
+from gateway.errors import ConfigError, UserError
+from gateway.runtime.session import open_session
+from protocols.messages import MILLISECOND, Event, Imu, LaserScan, Velocity
 from tests.brain.helpers import BODY, MOUNTS
 from tests.brain.test_contradictions import Faulty
 from tests.gateway.runtime.test_drive_doctor import mirrored
@@ -156,3 +158,69 @@ def test_the_numbers_of_any_body_make_up_for_factors(robot: str, keys: dict[str,
     for key, value in keys.items():
         assert value is None or found[key] == pytest.approx(value, rel=1e-3)
     assert found["wheel_radius"] == pytest.approx(1.05 * getattr(body, "wheel_radius"), rel=1e-6)  # noqa: B009
+
+
+# -- late stamps, and the scale of a gyro ----------------------------------------------------------------
+
+LATE, SCALE = 40 * MILLISECOND, 1.05
+
+
+def stated(late: str = "", scale: str = "") -> Robot:
+    """Return diffbot with what its file states of lidar and gyro."""
+    text = ROBOT.text.replace("[sensors.lidar]\n", f"[sensors.lidar]\n{late}")
+    return parse_robot(text.replace("[sensors.imu]\n", f"[sensors.imu]\n{scale}"))
+
+
+def test_a_sensor_has_the_errors_that_its_file_states_and_the_brain_sees_none_of_them() -> None:
+    """Readings on the wire are late and scaled; after the step they are those of one without errors."""
+    scans, rates, wires = list[list[int]](), list[list[float]](), list[list[object]]()
+    for robot in (ROBOT, stated("late_ms = 40\n", "gyro_scale = 1.05\n")):
+        with open_session(robot, simulated=True, seed=3) as session:
+            ticks = list(session.run(1.5))
+        events = [event for tick in ticks for event in tick.outputs.events]
+        scans.append([one.t for one in events if isinstance(one, LaserScan)])
+        rates.append([one.angular_velocity[2] for one in events if isinstance(one, Imu)])
+        wires.append([one.frame for tick in ticks for one in tick.inputs.packets if one.bus == "sensors"])
+    assert wires[0] != wires[1]
+    assert len(scans[1]) > 10
+    assert all(abs(a - b) <= 5 * MILLISECOND for a, b in zip(*scans, strict=False))
+    assert len(rates[1]) > 100
+    assert all(b == pytest.approx(a, rel=1e-5, abs=1e-6) for a, b in zip(*rates, strict=False))
+
+
+def test_the_keys_of_late_stamps_and_a_scale_are_bounded_and_of_a_gyro() -> None:
+    for late, scale, why in (
+        ("late_ms = -1\n", "", "late_ms"),
+        ("late_ms = 501\n", "", "late_ms"),
+        ("", "gyro_scale = 0.0\n", "gyro_scale"),
+        ("", "gyro_scale = 2.1\n", "gyro_scale"),
+    ):
+        with pytest.raises(ConfigError, match=why):
+            stated(late, scale)
+    lidar = load_robot("diffbot_rplidar").text.replace(
+        "[sensors.rplidar]\n", "[sensors.rplidar]\ngyro_scale = 1.1\n"
+    )
+    with pytest.raises(ConfigError, match="'rplidar' measures no rate of turn here"):
+        parse_robot(lidar)
+
+
+def test_what_a_drive_shows_of_stamps_and_scale_is_put_into_the_file_and_then_nothing_is_left() -> None:
+    def erring(_: Faulty, event: Event) -> Event:
+        if isinstance(event, LaserScan):
+            return replace(event, t=event.t + LATE)
+        if isinstance(event, Imu):
+            x, y, z = (SCALE * rate for rate in event.angular_velocity)
+            return replace(event, angular_velocity=(x, y, z))
+        return event
+
+    text = "\n".join(verdict.lines(driven(_with(erring))))
+    late, scale = re.search(r"late_ms = ([0-9.]+)", text), re.search(r"gyro_scale = ([0-9.]+)", text)
+    assert late is not None
+    assert scale is not None
+    assert float(late[1]) == pytest.approx(LATE / MILLISECOND, abs=8.0)
+    assert float(scale[1]) == pytest.approx(SCALE, rel=0.005)
+    robot = stated(f"{late[0]}\n", f"{scale[0]}\n")
+    read = robot.sensors["imu"].corrected(Imu("imu", 5, (0.0, 0.0, SCALE), (0.0, 0.0, 9.81)))
+    assert isinstance(read, Imu)
+    assert read.angular_velocity[2] == pytest.approx(1.0, rel=0.005)
+    assert abs(robot.sensors["lidar"].late - LATE) < 8 * MILLISECOND

@@ -187,7 +187,9 @@ def test_a_dry_run_does_everything_but_write_to_the_buses(
     received = [event for tick in ticks for event in tick.outputs.events if isinstance(event, Feedback)]
     assert received  # the twins report by themselves
     assert all(event.velocity in (None, 0.0) for event in received)
-    assert "firmware unknown" in capsys.readouterr().err  # no device has received the driver's query
+    err = capsys.readouterr().err
+    assert "firmware unknown" in err  # no device has received the driver's query
+    assert "gateway run: exit status 1: 0 of 1 goals reached within 2 s (" in err
 
 
 def test_what_became_of_a_mission_is_printed(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -85,6 +85,26 @@ def test_a_message_of_the_log_is_one_line() -> None:
     assert out.getvalue() == "left: a device\\nERROR: lies\\x1b[2J\n"
 
 
+def test_a_line_of_the_log_comes_once_a_second_and_then_says_how_often_it_came() -> None:
+    out = io.StringIO()
+    handler = LogHandler(out)
+    for t, text in ((0.0, "a"), (0.3, "a"), (0.5, "b"), (0.9, "a"), (1.1, "a"), (1.2, "a"), (9.0, "c")):
+        record = logging.LogRecord("gateway", logging.WARNING, "", 0, "%s", (text,), None)
+        record.created = t
+        handler.emit(record)
+    handler.emit(record)
+    handler.settle()
+    assert out.getvalue().splitlines() == [
+        "a",
+        "b",
+        "a (2 times more)",
+        "a",
+        "a (1 times more)",
+        "c",
+        "c (1 times more)",
+    ]
+
+
 def test_a_message_as_text_is_one_line() -> None:
     assert message_text(msg.Fault("left", 0, 1, "a\nb", "\x9b", "\u202e")).isprintable()
     assert escaped("Grüße: 3 N·m, 20 °C") == "Grüße: 3 N·m, 20 °C"

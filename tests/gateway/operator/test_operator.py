@@ -12,6 +12,7 @@ import sys
 import threading
 import tty
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -97,6 +98,8 @@ LINES: list[tuple[Robot, str, msg.Instruction | Query | None]] = [
     (BENCH, "doctor", Query("doctor")),
     (BENCH, "help", Query("help")),
     (BENCH, "quit  # enough", Query("quit")),
+    (BENCH, "ready", Query("ready")),
+    (DIFFBOT, "wait ready", Query("ready")),
     (BENCH, "view 127.0.0.1:0 steer", Query("view", "127.0.0.1:0 steer")),
     (BENCH, "", None),
     (BENCH, "   # only a comment", None),
@@ -478,6 +481,27 @@ def test_lines_on_a_pipe_wait_until_the_robot_is_ready_but_for_one_that_ends_som
             assert capsys.readouterr().out.count("the lines wait: left is silent\n") == kept
             late = operator.poll(status)
             assert len([*early, *late]) == 2
+        os.close(writer)
+        os.close(reader)
+
+
+@pytest.mark.parametrize("by_pipe", [True, False], ids=["a pipe", "a client"])
+def test_what_follows_wait_ready_waits_until_it_is_but_for_a_stop(by_pipe: bool, folder: Path) -> None:
+    for later, waits in ((b"quit\n", True), (b"stop enough\n", False)):
+        reader, writer = os.pipe()
+        with Operator(DIFFBOT, folder, terminal=reader) as operator, socket.socket(socket.AF_UNIX) as client:
+            client.connect(os.fspath(operator.path))
+            send = partial(os.write, writer) if by_pipe else client.send
+            send(b"goal 0 1\nwait ready\ngoal 1 2\n")
+            silent = partial(operator.poll, status, unready=lambda: "left is silent")
+            early = [one for _ in range(3) for one in silent()]
+            assert early == [msg.Goal(0.0, 1.0)]
+            send(later)
+            then = [one for _ in range(3) for one in silent()]
+            assert bool(then) != waits
+            late = [one for _ in range(3) for one in operator.poll(status)]
+            assert [*then, *late][0] == msg.Goal(1.0, 2.0)
+            assert operator.leaving == waits
         os.close(writer)
         os.close(reader)
 

@@ -44,6 +44,7 @@ CAN = 'kind = "can"\nbitrate = 1_000_000'
 BUSES = {
     "moteus": 'kind = "canfd"\nbitrate = 1_000_000\ndata_bitrate = 5_000_000',
     **dict.fromkeys(("dynamixel", "feetech"), 'kind = "serial"\nbaudrate = 1_000_000'),
+    "vesc_uart": 'kind = "serial"\nbaudrate = 115_200',
 }
 
 
@@ -223,6 +224,9 @@ def test_a_calibration_is_told_to_turn_the_shaft() -> None:
         ("vesc", "pole_pairs = 7", Action("set-id", "left", 2), "cannot do this over its bus"),
         ("vesc", "pole_pairs = 7", Action("zero", "left"), "cannot do this over its bus"),
         ("vesc", "pole_pairs = 7", Action("save", "left"), "has nothing that saves its configuration"),
+        ("vesc_uart", "pole_pairs = 7", Action("set-id", "left", 2), "cannot do this over its bus"),
+        ("cia402", "", Action("set-id", "left", 200, first=True), "address 200 of left"),
+        ("damiao", "", Action("set-id", "left", 5, first=True), "has an address from the beginning"),
         ("damiao", "", Action("set-id", "left", 99), "address 99 of left: it must be 1 to 15"),
         ("damiao", "", Action("zero", "leg"), "leg"),
     ],
@@ -231,3 +235,21 @@ def test_what_cannot_be_done_is_said_before(protocol: str, options: str, action:
     robot = robot_of(protocol, options)
     with pytest.raises(UserError, match=why):
         motor_setup.told(motor_setup.alone(robot, action.motor), action)
+
+
+@pytest.mark.parametrize("settings", ["has_node_id = false", ""], ids=["without a node id", "with one"])
+def test_a_device_without_an_address_gets_that_of_its_motor(settings: str) -> None:
+    text = ONE.format(protocol="cia402", options="", address=5, bus=CAN)
+    robot = parse_robot(text.replace("options = {  }", f"settings = {{ {settings} }}"))
+    robot = motor_setup.alone(robot, "left")
+    action = Action("set-id", "left", 5, first=True)
+    assert "that has no address yet gets the address 5" in motor_setup.told(robot, action)
+    with tapped(robot) as (session, tap):
+        good, lines = done(session, action)
+    assert good == bool(settings)
+    if settings:
+        assert "by LSS" in lines[0]
+        assert lines[1].startswith("left: read back at 5, serial number")
+    else:
+        assert lines == ["left: NOT given the address 5: it answers at 5 already"]
+    assert not [one for one in obeyed(robot, tap) if isinstance(one, msg.Arm)]

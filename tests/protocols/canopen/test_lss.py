@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import canopen
@@ -14,7 +15,7 @@ from protocols.canopen.lss import Slave
 from protocols.cia402 import plugin
 from protocols.conformance.bench import make_bench
 from protocols.frames import CanFrame
-from protocols.messages import MILLISECOND, Done, SetAddress
+from protocols.messages import MILLISECOND, Done, Feedback, Refused, SetAddress
 from protocols.plugin import Device
 
 LssMaster: Any = judge.LssMaster  # it is not typed
@@ -24,10 +25,10 @@ IDENTITY = (0, 402, 0x0001_0000, 0x0402_0001)
 class Network(canopen.Network):
     """A network on which one drive is."""
 
-    def __init__(self, master: Any) -> None:
+    def __init__(self, master: Any, settings: Any = None) -> None:
         super().__init__()
         self.master, self.now, self.sent = master, 0, list[str]()
-        self.twin = plugin.twin(Device("drive", 1, plugin.options(), plugin.settings()), 1)
+        self.twin = plugin.twin(Device("drive", 1, plugin.options(), settings or plugin.settings()), 1)
         self.heard: list[CanFrame] = []
         master.network = self
         self.wait()
@@ -105,3 +106,72 @@ def test_a_command_decoder_knows_no_identity_and_takes_a_reset_of_another_node_f
     answers = [slave.receive(one.data, 1)[:1] for one in lss.assignment(IDENTITY, 5)]
     assert answers == [b"", b"", b"", b"\x44", b"\x11", b"\x17", b""]
     assert (slave.take(), slave.take()) == (5, 0)
+
+
+# -- a device that has no node id yet --------------------------------------------------------------------
+
+UNADDRESSED = replace(plugin.settings(), has_node_id=False, serial_number=0x8000_0F01, vendor_id=0xFFFF_FFFF)
+WITHOUT = (0xFFFF_FFFF, 402, 0x0001_0000, 0x8000_0F01)
+
+
+def test_another_master_finds_a_device_without_a_node_id_and_gives_it_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(LssMaster, "RESPONSE_TIMEOUT", 0.0)
+    monkeypatch.setattr("canopen.lss.time.sleep", lambda _: None)
+    network = Network(LssMaster(), UNADDRESSED)
+    assert network.heard == []
+    network.send_message(0, bytes((0x81, 0)))
+    network.send_message(0x601, bytes((0x40, 0x18, 0x10, 1, 0, 0, 0, 0)))
+    assert network.heard == [], "it has no node id, and is silent"
+    assert network.master.fast_scan() == (True, list(WITHOUT))
+    assert network.master.inquire_node_id() == lss.UNADDRESSED
+    network.master.configure_node_id(9)
+    network.master.store_configuration()
+    assert {frame.id for frame in network.heard} == {lss.SLAVE}
+    network.master.send_switch_state_global(LssMaster.WAITING_STATE)
+    assert CanFrame(0x709, b"\0") in network.heard
+    assert network.master.fast_scan() == (False, None)
+
+
+def test_our_search_is_that_of_another_master_and_ends_with_a_node_id(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(LssMaster, "RESPONSE_TIMEOUT", 0.0)
+    monkeypatch.setattr("canopen.lss.time.sleep", lambda _: None)
+    theirs, ours = Network(LssMaster(), UNADDRESSED), Network(LssMaster(), UNADDRESSED)
+    theirs.master.fast_scan()
+    search = lss.FastScan(9)
+    while (message := search.message()) is not None:
+        before = len(ours.heard)
+        ours.send_message(message.id, message.data)
+        for frame in ours.heard[before:]:
+            if frame.id == lss.SLAVE:
+                search.take(frame.data)
+    assert ours.sent[1:-3] == theirs.sent
+    assert (search.ended, search.failed, tuple(search.numbers)) == (True, "", WITHOUT)
+    assert CanFrame(0x709, b"\0") in ours.heard
+
+
+def test_who_has_a_node_id_takes_no_part_and_no_answer_is_said_so() -> None:
+    network, search = Network(LssMaster()), lss.FastScan(9)
+    while (message := search.message()) is not None:
+        network.send_message(message.id, message.data)
+    assert search.failed == "no device without a node id answers"
+    assert not [frame for frame in network.heard if frame.id == lss.SLAVE]
+
+
+def test_our_driver_gives_a_drive_without_a_node_id_that_of_its_motor() -> None:
+    both = replace(UNADDRESSED, serial_number=0)  # each its own; the lower one is found
+    bench = make_bench(plugin, plugin.options(), (5, 2), ("drive", "other"), both)
+    before = [event for step in bench.steps(1500) for event in step.events]
+    assert not [one for one in before if isinstance(one, Feedback) and one.motor == "drive"]
+    steps = [bench.step([SetAddress("drive", 5)]), *bench.steps(8000)]
+    (done,) = [e for step in steps for e in step.events if isinstance(e, Done | Refused)]
+    assert isinstance(done, Done), done
+    assert "serial number 4020002 took" in done.detail
+    assert any(isinstance(e, Feedback) and e.motor == "drive" for step in steps for e in step.events)
+    again = [bench.step([SetAddress("drive", 5)]), *bench.steps(50)]
+    (refused,) = [e for step in again for e in step.events if isinstance(e, Done | Refused)]
+    assert isinstance(refused, Refused)
+    assert refused.reason == "it answers at 5 already"
