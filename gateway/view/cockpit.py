@@ -15,6 +15,7 @@ to four bytes, then arrays one after the other. Each has a "kind":
 | path | binary | when it changes | `version`; float32 x, y [m] for each point |
 | scan | binary | every 100 ms | `lidars`: `t`, mount, `poses`, `min`, `step`, `count`, `near`, `far`: f32 |
 | tiles | binary | every 20 ms, if new | map: `resolution`, `corner`, `size`, `keys` (row, column); int8 |
+| mesh | binary | on opening, in pieces | `mesh`: its number; `low`, `step` [m]; uint16: 3 corners, x, y, z |
 
 From the page, JSON as text: `{"ask": LINE, "id": N, "heard": N}`, a line of the operator's language, with the
 newest `clock`; `{"held": LINE, "heard": N}`, the same for as long as it is repeated;
@@ -42,6 +43,7 @@ import numpy.typing as npt
 from brain.belief import MapView
 from gateway.config.text import read_json
 from gateway.core.tick import Tick
+from gateway.view.figure import PIECE
 from gateway.view.requests import SILENT, Asking, Requests, ViewAnswer
 from gateway.view.scene import QUANTITIES, Json, Scene, lidar_mounts, note
 from gateway.view.server import Client, Message
@@ -70,6 +72,8 @@ class _Page:
     asking: Asking
     path: int = -1
     """Version of the path it has."""
+    mesh: tuple[int, int] = (0, 0)
+    """Of the robot's meshes, the next piece that it gets: the mesh, and its first triangle."""
     tiles: dict[tuple[int, int], object] = field(default_factory=dict)
     corner: tuple[float, float] | None = None
     plot: int = 0
@@ -201,7 +205,7 @@ class Cockpit:
             for page in self._pages.values():
                 page.client.sample("signals", partial(page.read, now))
                 view = self.scene.belief.map
-                if view is not None and page.client.idle(now):
+                if page.client.idle(now) and not self._send_mesh(page) and view is not None:
                     self._send_tiles(page, view)
         if now >= self._state_due:
             self._state_due = now - now % STATE_PERIOD + STATE_PERIOD
@@ -236,6 +240,20 @@ class Cockpit:
     def _sample(self, key: str, message: Callable[[], Message]) -> None:
         for client in self._pages:
             client.sample(key, message)
+
+    def _send_mesh(self, page: _Page) -> bool:
+        """Send the next piece of the robot's meshes; return whether there was one."""
+        (number, first), meshes = page.mesh, self.scene.figure.meshes
+        if number >= len(meshes):
+            return False
+        mesh = meshes[number]
+        page.mesh = (number, first + PIECE) if first + PIECE < len(mesh) else (number + 1, 0)
+        low = mesh.min(axis=(0, 1))
+        step = float((mesh.max(axis=(0, 1)) - low).max()) / 65535.0 or 1.0
+        corners = np.round((mesh[first : first + PIECE] - low) / step).astype("<u2")
+        header = {"mesh": number, "low": [float(one) for one in low], "step": step, "count": len(corners)}
+        page.client.send(_binary("mesh", header, corners))
+        return True
 
     def _send_tiles(self, page: _Page, view: MapView) -> None:
         """Send the tiles that a page does not have, some at a time; first that it has none, if they moved."""

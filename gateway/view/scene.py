@@ -20,6 +20,7 @@ from gateway.core.joint import LEAST_SHARE, Joint
 from gateway.core.robot import Robot
 from gateway.core.step import Gateway
 from gateway.core.tick import Inputs, Note, Outputs, Tick
+from gateway.view.figure import Figure, figure
 from protocols import messages as msg
 from protocols.messages import MILLISECOND, SECOND, Command, Nanos
 
@@ -90,6 +91,7 @@ class Scene:
     now: Nanos = 0
     belief: Belief = field(init=False)
     """After the last tick."""
+    _figure: Figure | None = None
     _track: deque[tuple[Nanos, Pose]] = field(default_factory=lambda: deque(maxlen=TRACK))
 
     def __post_init__(self) -> None:
@@ -99,6 +101,13 @@ class Scene:
     def robot(self) -> Robot:
         """The robot that is shown."""
         return self.gateway.robot
+
+    @property
+    def figure(self) -> Figure:
+        """What the robot looks like."""
+        if self._figure is None:
+            self._figure = figure(self.robot)
+        return self._figure
 
     def adopt(self, gateway: Gateway) -> None:
         """Show another gateway of the same robot from now on, as after a jump in a recording."""
@@ -157,6 +166,8 @@ class Scene:
                 for bus in robot.buses.values()
             ],
             "base": _base(base) if base is not None else None,
+            "figure": self.figure.described,
+            "missing": self.figure.missing,
         }
 
     def settings(self) -> list[Json]:
@@ -183,10 +194,13 @@ class Scene:
         return rows
 
     def joints(self) -> Json:
-        """Return every joint's state, in the order of `hello`: a row each."""
+        """Return every joint's state, in the order of `hello`: a row each; and how its figure stands."""
+        joints = self.gateway.joints
+        at = {name: joint.feedback.position for name, joint in joints.items()}
         return {
             "t": self.now / SECOND,
-            "rows": [self._joint(joint) for joint in self.gateway.joints.values()],
+            "rows": [self._joint(joint) for joint in joints.values()],
+            "figure": self.figure.stands(self.robot, at),
         }
 
     def values(self, signals: Sequence[tuple[str, str]]) -> list[float]:
