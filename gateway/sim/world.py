@@ -17,6 +17,7 @@ from brain.bodies.limbs import limbs
 from brain.perception.mount import Mount
 from gateway.config.errors import unknown
 from gateway.sim.assembly_file import Assembly
+from gateway.sim.camera import CameraSensor
 from gateway.sim.files import STEP, BenchFile, SceneFile, WorldFile
 from gateway.sim.linked import Linked, Standing
 from gateway.sim.linked_file import LinkedFile
@@ -27,6 +28,7 @@ from gateway.sim.rover import Rover
 from gateway.sim.scene import SimulatedScene
 from gateway.sim.sensors import WorldSensor, sensors
 from gateway.sim.shafts import Shafts
+from gateway.vision.camera import Seen
 from protocols.messages import Measurement, Nanos
 
 if TYPE_CHECKING:
@@ -77,6 +79,11 @@ class World:
             reading = sensor.measure(self.now, self._steps * STEP % sensor.period, scene)
             if reading is not None:
                 self._readings.append(reading)
+
+    def images(self) -> dict[str, Seen]:
+        """Return the newest image of each camera."""
+        cameras = (sensor for sensor in self._sensors if isinstance(sensor, CameraSensor))
+        return {camera.name: camera.seen for camera in cameras if camera.seen is not None}
 
     def shaft(self, motor: str) -> tuple[float, float]:
         """Return position [rad] and velocity [rad/s] of a motor's output shaft."""

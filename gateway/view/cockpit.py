@@ -12,6 +12,8 @@ to four bytes, then arrays one after the other. Each has a "kind":
 | state | text | every 100 ms | pose, states, goal, faults, buses … (`Scene.state`) |
 | note | text | at once | what happened, for a person |
 | answer | text | at once | to what was asked, with its `id`, or `held`: `ok`, `text` |
+| camera | text | every 100 ms | what cameras saw (`Scene.cameras`), where there are any |
+| picture | binary | every second | `name`, `t`, `wide`, `tall`: tangents of half the view; a JPEG |
 | path | binary | when it changes | `version`; float32 x, y [m] for each point |
 | scan | binary | every 100 ms | `lidars`: `t`, mount, `poses`, `min`, `step`, `count`, `near`, `far`: f32 |
 | tiles | binary | every 20 ms, if new | map: `resolution`, `corner`, `size`, `keys` (row, column); int8 |
@@ -47,10 +49,14 @@ from gateway.view.figure import PIECE
 from gateway.view.requests import SILENT, Asking, Requests, ViewAnswer
 from gateway.view.scene import QUANTITIES, Json, Scene, lidar_mounts, note
 from gateway.view.server import Client, Message
+from gateway.vision.camera import Seen, thumbnail
 from protocols.messages import MILLISECOND, SECOND, Instruction, LaserScan, Nanos, Set
 
 SIGNALS_PERIOD: Nanos = 20 * MILLISECOND
 STATE_PERIOD: Nanos = 100 * MILLISECOND
+PICTURES_PERIOD: Nanos = SECOND
+PICTURE_WIDTH, PICTURE_QUALITY = 320, 50
+"""Pixels, and of a JPEG: some 8 kB."""
 MAX_SIGNALS = 24
 """That a page may plot."""
 KEPT_ROWS = 4000
@@ -143,6 +149,7 @@ class Cockpit:
         self._notes: deque[str] = deque(maxlen=KEPT_NOTES)
         self._signals_due: Nanos = 0
         self._state_due: Nanos = 0
+        self._pictures_due: Nanos = 0
         self._settings_of: object = scene.gateway
         """The gateway whose settings pages have been sent; None: they have changed since."""
 
@@ -209,13 +216,22 @@ class Cockpit:
                     self._send_tiles(page, view)
         if now >= self._state_due:
             self._state_due = now - now % STATE_PERIOD + STATE_PERIOD
-            self._slow()
+            self._slow(now)
 
-    def _slow(self) -> None:
+    def _slow(self, now: Nanos) -> None:
         """Send what is sent ten times a second."""
         scene = self.scene
         self._sample("joints", _once(lambda: _text("joints", scene.joints())))
         self._sample("state", _once(lambda: _text("state", scene.state())))
+        if scene.sightings:
+            self._sample("camera", _once(lambda: _text("camera", scene.cameras())))
+        if self.scene.now >= self._pictures_due:
+            self._pictures_due = scene.now + PICTURES_PERIOD
+            for name, seen in scene.pictures().items():
+                picture = _once(partial(_picture, name, seen))
+                for page in self._pages.values():
+                    if page.client.idle(now):
+                        page.client.sample(f"picture {name}", picture)
         if scene.scans:
             self._sample("scan", _once(partial(_scan, scene)))
         version, points = scene.belief.path_version, scene.belief.path
@@ -310,6 +326,14 @@ def _scan(scene: Scene) -> bytes:
         lidars.append(_lidar(scan, mounts[name]) | {"name": name, "poses": scene.swept[name]})
         ranges.append(np.asarray(scan.ranges, dtype="<f4"))
     return _binary("scan", {"lidars": lidars}, *ranges)
+
+
+def _picture(name: str, seen: Seen) -> bytes:
+    rows, columns, _ = seen.image.shape
+    wide, tall = columns / 2.0 / seen.intrinsics.fx, rows / 2.0 / seen.intrinsics.fy
+    header = {"name": name, "t": seen.t / SECOND, "wide": wide, "tall": tall}
+    made = thumbnail(seen.image, PICTURE_WIDTH, PICTURE_QUALITY)
+    return _binary("picture", header, np.frombuffer(made, np.uint8))
 
 
 def _lidar(scan: LaserScan, mount: tuple[float, float, float]) -> Json:

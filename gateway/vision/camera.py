@@ -7,7 +7,7 @@ OpenCV's camera looks along z, x to the right, y down; a sensor of ours looks al
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -41,6 +41,14 @@ class Intrinsics:
     def matrix(self) -> Floats:
         """The matrix K."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+
+class Seen(NamedTuple):
+    """An image of a camera."""
+
+    t: Nanos
+    image: Image
+    intrinsics: Intrinsics
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +114,15 @@ def decoded(data: npt.NDArray[np.uint8]) -> Image | None:
     except cv2.error:  # it has more pixels than OpenCV takes, or none
         return None
     return None if found is None else np.ascontiguousarray(found[..., ::-1], dtype=np.uint8)
+
+
+def thumbnail(image: Image, width: int, quality: int) -> bytes:
+    """Return an image as a JPEG that is at most so many pixels wide. Raises UserError without OpenCV."""
+    cv = opencv()
+    scale = min(1.0, width / image.shape[1])
+    small = cv.resize(image, None, fx=scale, fy=scale, interpolation=cv.INTER_AREA)
+    _, made = cv.imencode(".jpg", small[..., ::-1], [cv.IMWRITE_JPEG_QUALITY, quality])
+    return bytes(made)
 
 
 def opencv() -> ModuleType:

@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from functools import partial
 from importlib import resources
-from math import sin
+from math import cos, exp, pi, sin, sqrt
 from pathlib import Path
 from typing import Any
 
@@ -643,6 +643,61 @@ def test_bare_joints_are_moved_by_hand(browser: Chromium, bench: Robot) -> None:
     tab.run(f"{button.format('Press again')}.click()")
     wait(lambda: bench.asked("Zero"), "zero")
     assert bench.asked("Zero")[0] == "Zero(motor='left')"
+
+
+def test_a_step_on_a_bench_is_held_plotted_and_measured(browser: Chromium, bench: Robot) -> None:
+    tab = opened(browser, bench.url)
+    tab.until("document.querySelectorAll('.joint').length === 2")
+    tab.click(".joint .open")
+    step = ".more .hold:nth-of-type(3)"
+    tab.until(f"document.querySelector('{step}').checkVisibility()")
+    at = tab.middle(step)
+    tab.mouse("mousePressed", at)
+    bench.held("Velocity(motor='left', velocity=0.0")
+    bench.held("Velocity(motor='left', velocity=2.0")
+    wait(lambda: bench.look()["speeds"]["left"] > 1.9, "turning")
+    now = bench.look()["t"]
+    wait(lambda: bench.look()["t"] > now + 0.5, "turning for a while")
+    tab.mouse("mouseReleased", at)
+    bench.held("Velocity(motor='left', velocity=0.0")
+    tab.until("document.querySelector('.controls output').textContent.includes('overshoot')")
+    found = tab.run("document.querySelector('.controls output').textContent")
+    assert found.startswith("velocity step: 10 % after ")
+    assert {"left velocity command", "left velocity"} <= set(tab.run(SHOWN))
+    assert tab.run("document.querySelector('#pause').textContent") == "Follow"
+    tab.type(".more input.to", "0.4", enter=False)
+    tab.run("document.querySelector('.more .to ~ button:nth-of-type(2)').click()")
+    tab.until("document.querySelector('.controls output').textContent.startsWith('position step: 10 %')")
+    assert bench.asked("Position")[0].startswith("Position(motor='left'")
+
+
+def test_the_figures_of_a_step_are_those_of_a_second_order_system(browser: Chromium, fake: Fake) -> None:
+    """Damping 0.4 at 20 rad/s: overshoot exp(-pi d / sqrt(1 - d²)), and the times by its closed form."""
+    tab = fake.show(browser, hello(base=False))
+    d, w = 0.4, 20.0
+    wd = w * sqrt(1.0 - d * d)
+    times = [0.001 * i for i in range(2500)]
+    answer = [
+        2.0 * (1.0 - exp(-d * w * (t - 0.5)) * (cos(wd * (t - 0.5)) + d * w / wd * sin(wd * (t - 0.5))))
+        if t > 0.5
+        else 0.0
+        for t in times
+    ]
+    command = [2.0 if t >= 0.5 else 0.0 for t in times]
+    found = tab.run(
+        f"import('./steps.js').then(m => m.figures({times}, {command}, {[one + 1.0 for one in answer]}))"
+    )
+    after = [(t - 0.5, one / 2.0) for t, one in zip(times, answer, strict=True) if t > 0.5]
+    reached = [next(t for t, one in after if one >= share) for share in (0.1, 0.9)]
+    assert found["overshoot"] == pytest.approx(exp(-pi * d / sqrt(1.0 - d * d)), abs=1e-3)
+    assert found["delay"] == pytest.approx(reached[0], abs=0.002)
+    assert found["rise"] == pytest.approx(reached[1] - reached[0], abs=0.002)
+    outside = [t for t, one in after if abs(one - 1.0) > 0.05]
+    assert found["settled"] == pytest.approx(outside[-1], abs=0.003)
+    assert found["error"] == pytest.approx(-1.0, abs=1e-3)
+    assert found["noise"] == pytest.approx(0.0, abs=1e-3)
+    still = f"import('./steps.js').then(m => m.figures({times}, {command}, {[0.01] * len(times)}))"
+    assert tab.run(still) is None
 
 
 def test_a_parameter_of_a_device_is_read(browser: Chromium, bench: Robot) -> None:
