@@ -13,7 +13,7 @@ to four bytes, then arrays one after the other. Each has a "kind":
 | note | text | at once | what happened, for a person |
 | answer | text | at once | to what was asked, with its `id`, or `held`: `ok`, `text` |
 | camera | text | every 100 ms | what cameras saw (`Scene.cameras`), where there are any |
-| picture | binary | every second | `name`, `t`, `wide`, `tall`: tangents of half the view; a JPEG |
+| picture | binary | each second, if idle | `name`, `t`, `wide`, `tall`: tangents of half the view; a JPEG |
 | path | binary | when it changes | `version`; float32 x, y [m] for each point |
 | scan | binary | every 100 ms | `lidars`: `t`, mount, `poses`, `min`, `step`, `count`, `near`, `far`: f32 |
 | tiles | binary | every 20 ms, if new | map: `resolution`, `corner`, `size`, `keys` (row, column); int8 |
@@ -78,6 +78,8 @@ class _Page:
     asking: Asking
     path: int = -1
     """Version of the path it has."""
+    pictures: Nanos = 0
+    """When it gets the next pictures of cameras."""
     mesh: tuple[int, int] = (0, 0)
     """Of the robot's meshes, the next piece that it gets: the mesh, and its first triangle."""
     tiles: dict[tuple[int, int], object] = field(default_factory=dict)
@@ -149,7 +151,6 @@ class Cockpit:
         self._notes: deque[str] = deque(maxlen=KEPT_NOTES)
         self._signals_due: Nanos = 0
         self._state_due: Nanos = 0
-        self._pictures_due: Nanos = 0
         self._settings_of: object = scene.gateway
         """The gateway whose settings pages have been sent; None: they have changed since."""
 
@@ -225,13 +226,12 @@ class Cockpit:
         self._sample("state", _once(lambda: _text("state", scene.state())))
         if scene.sightings:
             self._sample("camera", _once(lambda: _text("camera", scene.cameras())))
-        if self.scene.now >= self._pictures_due:
-            self._pictures_due = scene.now + PICTURES_PERIOD
-            for name, seen in scene.pictures().items():
-                picture = _once(partial(_picture, name, seen))
-                for page in self._pages.values():
-                    if page.client.idle(now):
-                        page.client.sample(f"picture {name}", picture)
+        pictures = {name: _once(partial(_picture, name, seen)) for name, seen in scene.pictures().items()}
+        for page in self._pages.values():
+            if pictures and now >= page.pictures and page.client.idle(now):
+                page.pictures = now + PICTURES_PERIOD
+                for name, picture in pictures.items():
+                    page.client.sample(f"picture {name}", picture)
         if scene.scans:
             self._sample("scan", _once(partial(_scan, scene)))
         version, points = scene.belief.path_version, scene.belief.path

@@ -40,10 +40,11 @@ export class Cameras {
   }
 
   draw({ canvas, text, seen, image, at, wide, tall, t }) {
-    // With an image those that were found in it, or in the one that is nearest; else the newest.
-    const off = one => (image ? Math.abs(one.t - at) : -one.t);
-    const { t: when } = seen.reduce((best, one) => (off(one) < off(best) ? one : best), seen[0] ?? {});
-    const markers = seen.filter(one => one.at && one.t === when && (!image || off(one) < OF));
+    // Of each marker what is nearest in time to the image; without one, to what was reported last. They come one by one.
+    const when = image ? at : Math.max(...seen.map(one => one.t)), off = one => Math.abs(one.t - when);
+    const best = new Map();
+    for (const one of seen) if (one.at && off(one) < OF && !(off(best.get(one.marker) ?? { t: Infinity }) <= off(one))) best.set(one.marker, one);
+    const markers = [...best.values()];
     if (!image) { // nothing says how wide it sees: as wide as what it has seen
       const more = Math.max(1, ...markers.map(({ at: [x, y] }) => EDGE * Math.max(Math.abs(x) / wide, Math.abs(y) / tall)));
       [wide, tall] = [wide * more, tall * more];
