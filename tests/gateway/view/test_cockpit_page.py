@@ -17,10 +17,12 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from functools import partial
 from importlib import resources
+from itertools import pairwise
 from math import cos, exp, pi, sin, sqrt
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from gateway import Goal, open_session
@@ -28,9 +30,12 @@ from gateway.view.access import Access, Address
 from gateway.view.scene import QUANTITIES
 from gateway.view.server import Server
 from gateway.view.view import pages
-from protocols.messages import SECOND
+from gateway.vision.camera import thumbnail
+from protocols.messages import MILLISECOND, SECOND
 from tests.gateway.processes import PATIENCE
 from tests.gateway.view.chromium import Chromium, Tab, chromium, wait
+from tests.gateway.view.test_view import PERIOD
+from tests.gateway.view.test_view import bench as counted
 
 PAGE = Path(__file__).parents[3] / "gateway" / "view" / "page"
 WATCH = """
@@ -710,6 +715,112 @@ def test_a_parameter_of_a_device_is_read(browser: Chromium, bench: Robot) -> Non
     assert bench.asked("ReadParameter")[0].endswith("'Bus_Voltage')")
 
 
+# -- three dimensions, cameras -----------------------------------------------------------------------
+
+RED, GREEN, BLUE = (f"{one} > 100 && {two} < 10 && {three} < 10" for one, two, three in ("rgb", "grb", "brg"))
+YELLOW = "r > 220 && g > 180 && b < 60"
+
+
+def pixels(tab: Tab, canvas: str, colour: str) -> list[float]:
+    """Return how many pixels of a canvas are of a colour (what is true of r, g, b), and the middle of these,
+    from 0 to 1 from the left and from the top."""
+    script = f"""(canvas => {{
+      const {{ width, height }} = canvas, seen = [0, 0, 0];
+      const pen = new OffscreenCanvas(width, height).getContext("2d");
+      pen.drawImage(canvas, 0, 0);
+      const data = pen.getImageData(0, 0, width, height).data;
+      for (let i = 0; i < data.length; i += 4) {{
+        const [r, g, b] = data.subarray(i, i + 3);
+        if (!({colour})) continue;
+        seen[0]++;
+        seen[1] += ((i / 4) % width) / width;
+        seen[2] += Math.floor(i / 4 / width) / height;
+      }}
+      return [seen[0], seen[1] / (seen[0] || 1), seen[2] / (seen[0] || 1)];
+    }})(document.querySelector({canvas!r}))"""
+    tab.drawn()
+    found: list[float] = tab.run(script)
+    return found
+
+
+def solid(kind: str, size: list[float], at: list[float], colour: list[int], **more: int) -> Any:
+    return {"kind": kind, "size": size, "at": [*at, 0, 0, 0], "colour": colour} | more
+
+
+def part(carrier: int, at: list[float], *shapes: Any, motor: str = "") -> Any:
+    where = {"carrier": carrier, "at": [*at, 0, 0, 0], "axis": [1, 0, 0], "slides": False, "rest": 0.0}
+    return where | {"motor": motor, "shapes": list(shapes)}
+
+
+def test_a_figure_moves_as_its_joints_do_and_is_turned_by_a_person(browser: Chromium, fake: Fake) -> None:
+    """A red bar stands on a blue base; its joint turns it about x, which looks to the left and forward."""
+    bar = part(0, [0, 0, 0.2], solid("cylinder", [0.05, 0.8], [0, 0, 0.4], [1, 0, 0]), motor="arm")
+    parts = [part(-1, [0, 0, 0], solid("box", [0.4, 0.4, 0.2], [0, 0, 0.1], [0, 0, 1])), bar]
+    about = hello(joints=["arm"], base=False) | {"figure": parts, "missing": ["a.dae: only STL is drawn"]}
+    tab = fake.show(browser, about)
+    row = ["armed", True, "Position", 0.0, 0.0, 0.0, 0.0, 1.0, 24.0, 30.0, 3, 0]
+
+    def red(angle: float | None) -> list[float]:
+        fake.say("joints", t=1.0, rows=[row], figure=[angle])
+        value = "arm –" if angle is None else f"arm {angle:.2f} rad"
+        names = "document.querySelector('#figure-names').textContent"
+        fake.until(lambda: tab.drawn() or tab.run(f"{names} === {json.dumps(value)}"))
+        return pixels(tab, "#figure-canvas", RED)
+
+    assert tab.run("document.querySelector('#figure').open")
+    assert "a.dae: only STL is drawn" in tab.text("#figure-panel")
+    tab.click("#figure-values")
+    unknown = red(None)
+    assert unknown[0] > 100
+    up = red(0.0)
+    assert up == pytest.approx(unknown, abs=1e-6)  # at rest
+    aside = red(-1.57)
+    assert abs(aside[1] - up[1]) > 0.05
+    assert aside[2] > up[2] + 0.05  # lower
+    x, y = tab.middle("#figure-canvas")
+    tab.mouse("mousePressed", (x, y))
+    tab.mouse("mouseMoved", (x + 150, y))
+    tab.mouse("mouseReleased", (x + 150, y))
+    turned = pixels(tab, "#figure-canvas", RED)
+    assert abs(turned[1] - aside[1]) > 0.05
+    before = pixels(tab, "#figure-canvas", BLUE)[0]
+    tab.click("#figure-near")
+    assert pixels(tab, "#figure-canvas", BLUE)[0] > 1.2 * before
+
+
+def test_a_mesh_is_drawn_piece_by_piece(browser: Chromium, fake: Fake) -> None:
+    mesh = solid("mesh", [0.5, 0.5, 0.5], [0, 0, 0], [0, 1, 0], mesh=0)
+    base = solid("box", [0.1, 0.1, 0.1], [0, 0, 0.05], [0, 0, 1])
+    tab = fake.show(browser, hello(base=False) | {"figure": [part(-1, [0, 0, 0], base, mesh)], "missing": []})
+    seen = [pixels(tab, "#figure-canvas", GREEN)[0]]
+    assert seen == [0]
+    for first in (0, 20000):
+        corners = ((first, 0, 65535), (first + 20000, 0, 65535), (first, 60000, 65535))
+        data = struct.pack("<9H", *(one for corner in corners for one in corner))
+        header = {"kind": "mesh", "mesh": 0, "low": [-0.5, -0.5, 0.0], "step": 1 / 65535, "count": 1}
+        fake.say_bytes(header, data)
+        fake.until(lambda: pixels(tab, "#figure-canvas", GREEN)[0] > seen[-1])
+        seen.append(pixels(tab, "#figure-canvas", GREEN)[0])
+
+
+def test_a_camera_s_markers_are_drawn_where_they_are_in_its_picture(browser: Chromium, fake: Fake) -> None:
+    tab = fake.show(browser, hello())
+    marker = {"t": 1.0, "marker": 7, "at": [0.35, 0.265], "distance": 2.0, "face": [0.34, 0.265]}
+    fake.say("camera", t=1.05, cameras=[{"name": "eye", "seen": [marker, {"t": 0.9, "marker": None}]}])
+    fake.until(lambda: tab.run("document.querySelector('#cameras canvas') !== null"))
+    count, x, y = pixels(tab, "#cameras canvas", YELLOW)
+    assert count > 50
+    assert (x, y) == pytest.approx((0.25, 0.25), abs=0.12)  # half to the left, half up; its name beside it
+    assert tab.text("#cameras").endswith("7 at 2.00 m")
+    picture = thumbnail(np.full((480, 640, 3), (0, 0, 255), dtype=np.uint8), 320, 50)
+    header = {"kind": "picture", "name": "eye", "t": 1.0, "wide": 0.7, "tall": 0.53}
+    fake.say_bytes(header, picture)
+    fake.until(lambda: pixels(tab, "#cameras canvas", "b > 200 && r < 40 && g < 40")[0] > 200_000)
+    assert pixels(tab, "#cameras canvas", YELLOW)[1:] == pytest.approx([x, y], abs=0.02)
+    fake.say("camera", t=9.0, cameras=[{"name": "eye", "seen": []}])
+    fake.until(lambda: tab.text("#cameras").endswith("no image reported for 2 s"))
+
+
 # -- plots -------------------------------------------------------------------------------------------
 
 SHOWN = (
@@ -817,6 +928,61 @@ def test_after_a_jump_back_what_was_later_is_not_plotted_any_more(
     rows = saved(tab, tmp_path)
     assert len(rows) == 1 + 801
     assert [float(one) for one in rows[-1]] == [104.0, 9.0, 9.0]
+
+
+DRAWN = """
+window.drawn = [];
+let given;
+Object.defineProperty(window, "uPlot", { configurable: true, get: () => given, set(uPlot) {
+  given = new Proxy(uPlot, { construct(target, how) {
+    const plot = new target(...how), set = plot.setData;
+    plot.setData = (data, ...rest) => {
+      const before = performance.now();
+      set.call(plot, data, ...rest);
+      drawn.push([data[0].length, data[0].at(-1), performance.now() - before]);
+    };
+    return (window.plotted = plot);
+  } });
+} });
+"""
+"""Notes of each time a plot is drawn: how much it has, its newest time, and how long that took [ms]."""
+
+
+@pytest.mark.parametrize("seconds", [6, pytest.param(60, marks=pytest.mark.prove)])
+def test_every_tick_of_a_plot_at_200_hz_is_drawn_with_the_next_frame(browser: Chromium, seconds: int) -> None:
+    """Counted, not timed: the page is given a frame, and its plot ends where the newest message does."""
+    with counted(steer=False) as loop:
+        tab = browser.open(loop.view.url, before=WATCH + DRAWN)
+        wait(lambda: loop.tick() or tab.run("window.plotted?.series.length === 5"), "a plot")
+        tab.run("document.querySelector('#span').value = '60'")
+        wait(lambda: loop.tick() or tab.run("drawn.length > 2"), "what is drawn")
+        begin = loop.now
+        messages = 20 * MILLISECOND // PERIOD
+        late = 0
+        for number in range(seconds * 50):
+            for _ in range(messages):
+                loop.tick()
+            if number % 5 == 0:  # and the other four frames as they come
+                came = "seen.in.filter(([, one]) => one.kind === 'signals').at(-1)[1].clock"
+                tab.until(f"{came} >= {loop.now // MILLISECOND - 20}")
+                tab.drawn()
+                late += not tab.run(f"1000 * drawn.at(-1)[1] >= {came} - 20")
+        ticks = (loop.now - begin) // PERIOD
+        newest = f"1000 * plotted.data[0].at(-1) >= {loop.now // MILLISECOND - 20}"
+        tab.until(newest)
+        times = tab.run("plotted.data[0]")
+        rows = tab.run(
+            "seen.in.reduce((sum, [, one]) => sum + (one.kind === 'signals' && one.id ? one.rows : 0), 0)"
+        )
+        cost = sorted(tab.run("drawn.map(one => one[2])"))
+        print(
+            f"{ticks} ticks: {rows} rows came, {len(times)} are drawn, in {len(cost)} frames; "
+            f"{cost[len(cost) // 2]:.1f} ms each (median), at most {cost[-1]:.1f} ms, {late} late"
+        )
+        assert late == 0
+        assert {round(after - before, 4) for before, after in pairwise(times[-ticks + messages :])} == {0.005}
+        assert "lost" not in tab.run("document.querySelector('#plot-lost').textContent")
+        tab.close()
 
 
 @pytest.mark.parametrize(("width", "height"), [(1440, 900), (390, 844)])
