@@ -33,7 +33,8 @@ class KeysOf(Directive):
     def run(self) -> list[Element]:
         """Return the tables."""
         made = Element()
-        lines = StringList(markdown(FILES[self.arguments[0]](), level=1).splitlines(), "gateway schema")
+        kind = self.arguments[0]
+        lines = StringList(markdown(FILES[kind](), kind, level=1).splitlines(), "gateway schema")
         self.state.nested_parse(lines, self.content_offset, made, match_titles=True)
         return list(made.children)
 
