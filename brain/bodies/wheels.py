@@ -198,10 +198,13 @@ class SteeredWheels(WheeledBase):
     @property
     def stands_on(self) -> tuple[Wheel, ...]:
         """The wheels that drive or steer."""
-        names = self.joints
+
+        def motor(index: int | None) -> str:
+            return "" if index is None else self.joints[index]
+
+        radius = self.wheel_radius
         return tuple(
-            Wheel(x, y, self.wheel_radius, *("" if one is None else names[one] for one in (drive, steering)))
-            for x, y, drive, steering in self.contacts
+            Wheel(x, y, radius, motor(drive), motor(steers)) for x, y, drive, steers in self.contacts
         )
 
     @property

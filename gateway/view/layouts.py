@@ -91,7 +91,7 @@ def plotjuggler(robot: Robot) -> str:
     if robot.brain.base is not None:
         tabs["base"] = [("velocity", [one.replace(".", "/") for one in BASE])]
     root = ET.Element("root")
-    widget = ET.SubElement(root, "tabbed_widget", parent="main_window", name="Main Window")
+    widget = ET.SubElement(root, "tabbed_widget", {"parent": "main_window", "name": "Main Window"})
     for name, plots in tabs.items():
         container = ET.SubElement(ET.SubElement(widget, "Tab", containers="1", tab_name=name), "Container")
         sizes = ";".join(f"{1.0 / len(plots):.6f}" for _ in plots)

@@ -764,7 +764,8 @@ def test_a_figure_moves_as_its_joints_do_and_is_turned_by_a_person(browser: Chro
         fake.say("joints", t=1.0, rows=[row], figure=[angle])
         value = "arm –" if angle is None else f"arm {angle:.2f} rad"
         names = "document.querySelector('#figure-names').textContent"
-        fake.until(lambda: tab.drawn() or tab.run(f"{names} === {json.dumps(value)}"))
+        drawn = "new Promise(requestAnimationFrame).then(() => requestAnimationFrame)"
+        fake.until(lambda: tab.run(f"{drawn}.then(() => {names} === {json.dumps(value)})"))
         return pixels(tab, "#figure-canvas", RED)
 
     assert tab.run("document.querySelector('#figure').open")
@@ -942,7 +943,8 @@ Object.defineProperty(window, "uPlot", { configurable: true, get: () => given, s
       drawn.push([data[0].length, data[0].at(-1), 0]);
       set.call(plot, data, ...rest);
     };
-    (plot.hooks.draw ??= []).push(() => drawn.length && (drawn.at(-1)[2] = clock() - before)); // after it, in a microtask
+    const took = () => drawn.length && (drawn.at(-1)[2] = clock() - before); // it draws in a microtask
+    (plot.hooks.draw ??= []).push(took);
     return (window.plotted = plot);
   } });
 } });
@@ -955,6 +957,9 @@ def test_every_tick_of_a_plot_at_200_hz_is_drawn_with_the_next_frame(browser: Ch
     """Counted, not timed: each tenth of a second, in which five messages come, the page is given a frame, and
     its plot ends where the newest message does."""
     with counted(steer=False) as loop:
+        tab = browser.open(loop.view.url, before=WATCH + DRAWN)
+        while not loop.view._server.clients:  # it answers nothing until it is there
+            loop.tick()
 
         def until(script: str, tick: int = 0) -> None:
             """Wait, while both ends go on: the loop by so many ticks."""
@@ -967,10 +972,6 @@ def test_every_tick_of_a_plot_at_200_hz_is_drawn_with_the_next_frame(browser: Ch
 
             wait(seen, script)
 
-        tab = browser.open(loop.view.url, before=WATCH + DRAWN)
-        wait(
-            lambda: loop.tick() or loop.view._server.clients, "a page"
-        )  # it answers nothing until it is there
         until("window.plotted?.series.length === 5 && drawn.length > 2", tick=4)
         tab.run("document.querySelector('#span').value = '60'")
         begin, late = loop.now, 0
