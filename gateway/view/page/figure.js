@@ -52,7 +52,7 @@ export class Figure {
   reset({ figure = [], missing = [], base }) {
     const same = JSON.stringify(figure) === this.known;
     $("figure-panel").hidden = !figure.length;
-    if (base) $("map").after($("figure-panel"));
+    if (base) $("drive").after($("figure-panel"));
     else $("beside").append($("figure-panel"));
     setText($("figure-missing"), missing.length ? `not drawn: ${missing.join("; ")}` : "");
     this.meshes = [];
