@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 from brain.perception.mount import Mount
@@ -293,8 +292,9 @@ class Robot:
     """The text of its URDF; "" if it has none."""
     described: Mapping[str, str] = field(default_factory=dict)
     """By motor: the joint of the URDF that it moves."""
-    folder: Path | None = None
-    """Where the URDF is, from which its meshes' names count; None: not known, as of a recording."""
+    folder: str = ""
+    """The path of the folder with its URDF, from which its meshes' names count; "": not known, as of a
+    recording."""
     real: tuple[str, ...] = ()
     """The devices that are named as real, while all others are simulated; (): as the interfaces say."""
 

@@ -120,14 +120,15 @@ def _parts(robot: Robot) -> list[Part]:
     return parts
 
 
-def _file(name: str, folder: Path | None, most: int) -> Path:
+def _file(name: str, place: str, most: int) -> Path:
     """Return the file that a URDF names: by its path, or of a ROS package by what of it lies beside the URDF.
 
     Raises ValueError if there is none, or a larger one than `most` bytes."""
-    if folder is None:
+    if not place:
         raise ValueError("where the URDF is, is not known")
     if not name.lower().endswith(".stl"):
         raise ValueError("only STL is drawn")
+    folder = Path(place)
     package = re.fullmatch(r"(?:package|model)://([^/]+)/(.+)", name)
     if package is None:
         tried = [folder / name.removeprefix("file://")]

@@ -1,8 +1,8 @@
 """Layouts for Foxglove and PlotJuggler: what of a robot stands where, to begin with.
 
-Rules. What is named is what the live view and recordings have (`gateway.recording.ros_views`). Joints stand
-in /joint_states in the order in which they reported first: PlotJuggler has them by name; Foxglove by index,
-beside a panel with the names.
+Rules. What is named is what the live view and recordings have (`gateway.recording.ros_views`). Of
+/joint_states, which has motors in the order in which they reported first, PlotJuggler plots by name; Foxglove
+by index, beside a panel with the names.
 
 Sources: defaultLayout.ts of Foxglove Studio, the last that was open (a mosaic of panels, "TYPE!ID", and the
 settings of each); PlotJuggler's MainWindow::xmlLoadState, and ParserROS for how it names joints.
