@@ -258,11 +258,11 @@ class _Reader:
         inertial = None if given is None else self.inertial(given, what)
         solid = element.findall("collision") or element.findall("visual")
         shapes = tuple(shape for one in solid if (shape := self.shape(one, what)))
-        seen = element.findall("visual") or solid
+        seen = _Reader(colours=self.colours)  # what is wrong with what a link looks like is no mistake
         looks = tuple(
-            shape._replace(colour=self.colour(one.find("material")))
-            for one in seen
-            if (shape := self.shape(one, what) or self.mesh(one, what))
+            look._replace(colour=self.colour(one.find("material")))
+            for one in element.findall("visual")
+            if (look := seen.shape(one, what) or seen.mesh(one, what))
         )
         return Link(name, inertial, shapes, looks or shapes)
 

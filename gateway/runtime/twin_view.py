@@ -99,7 +99,9 @@ class TwinView:
 
     def __init__(self, made: Devices, address: Address, access: Access) -> None:
         self._stats, self._last = made.stats, -PERIOD
-        self._scene = TwinScene(Gateway(made.robot), "twin", self._facts, twins=made.twins)
+        self._scene = TwinScene(
+            Gateway(made.robot), "twin", self._facts, made.twins.world.images, twins=made.twins
+        )
         self._view = View([self._scene], address, access)
         self.url = self._view.url
         self.close = self._view.close

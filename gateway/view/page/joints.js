@@ -74,17 +74,17 @@ export class Joints {
       };
       kind.addEventListener("change", rest);
       rest();
-      // `value`: of a time [ms] since it was pressed. `begun` and `ended`: of a test, which is looked at.
-      const hold = (text, title, value, begun = () => {}, ended = () => {}) => {
+      // `share` of what is typed when it is pressed, by the time [ms] since. `begun` and `ended`: of a test, which is looked at.
+      const hold = (text, title, share, begun = () => {}, ended = () => {}) => {
         const one = button(text, null, { className: "hold", title });
         let holding = false;
         holdable(one, () => {
           if (holding || !size.reportValidity()) return; // by a second finger, or by Enter
           holding = true;
           one.classList.add("held");
-          const [what, since] = [kind.value, performance.now()];
+          const [what, most, since] = [kind.value, Number(size.value), performance.now()];
           begun(what);
-          this.held.begin(() => `${what} ${name} ${value(performance.now() - since)}`, () => {
+          this.held.begin(() => `${what} ${name} ${share(performance.now() - since) * most}`, () => {
             holding = false;
             one.classList.remove("held");
             ended(what);
@@ -94,9 +94,9 @@ export class Joints {
       };
       let test = null;
       const title = "as long as it is held";
-      box.append(make("span", { className: "inline" }, kind, size), hold("− hold", title, () => -size.value), hold("hold +", title, () => size.value),
+      box.append(make("span", { className: "inline" }, kind, size), hold("− hold", title, () => -1), hold("hold +", title, () => 1),
         hold("hold: step", `0 for ${REST / 1000} s, then this, as long as it is held; it is plotted, and its figures are shown`,
-          ms => (ms < REST ? 0 : size.value), what => (test = this.begin(name, what)), () => this.end(test, shown)));
+          ms => (ms < REST ? 0 : 1), what => (test = this.begin(name, what)), () => this.end(test, shown)));
     }
     if (commands.includes("Position")) {
       const input = make("input", { type: "number", step: "any", required: true, ariaLabel: `position of ${name} [rad]`, placeholder: "rad", className: "to" });

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from brain.bodies import urdf
 from brain.bodies.chain import Array, Place, placed, rotation
 from brain.bodies.limbs import limbs
 from brain.bodies.parts import Part
@@ -191,6 +192,18 @@ def test_a_mesh_is_found_beside_its_urdf_or_in_its_package(name: str, tmp_path: 
     assert shape["colour"] == (1.0, 0.5, 0.0)
     assert shape["size"] == [0.1, 0.1, 0.1]
     assert shape["at"] == [0.0, 0.0, 0.1, 0.0, 0.0, 0.0]
+
+
+def test_what_is_wrong_with_the_look_of_a_link_is_no_mistake() -> None:
+    text = """<robot name="r"><link name="l">
+      <collision><geometry><box size="1 1 1"/></geometry></collision>
+      <visual><geometry><box size="a b c"/></geometry></visual>
+      <visual><geometry><mesh filename="a.stl" scale="big"/></geometry></visual>
+      <visual><origin xyz="0 0"/><geometry><sphere radius="0.1"/></geometry><material name="none"/></visual>
+      <visual><geometry><capsule radius="1"/></geometry></visual><visual/>
+    </link></robot>"""
+    model = urdf.parse(text)
+    assert [one.kind for one in model.links["l"].looks] == ["mesh", "sphere"]
 
 
 def test_meshes_that_cannot_be_drawn_are_named_with_the_reason(tmp_path: Path) -> None:
