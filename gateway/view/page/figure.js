@@ -5,6 +5,7 @@ import { $, make, number, setText } from "./elements.js";
 
 const SIDES = 24; // of what is round
 const LENS = 0.6; // rad, across the shorter side
+const GROWN = 1.05; // so much larger than when it was last fitted
 const PITCH = [-0.3, 1.5]; // rad, of the view
 const CORNERS = [-1, 1].flatMap(x => [-1, 1].flatMap(y => [-1, 1].map(z => [x, y, z])));
 const VERTEX = `#version 300 es
@@ -171,8 +172,8 @@ export class Figure {
   // Look at all of it, from before and aside.
   fit() {
     const [low, high] = this.stand();
-    const size = Math.hypot(...high.map((one, i) => one - low[i]));
-    Object.assign(this, { touched: false, yaw: 0.7, pitch: 0.35, distance: 1.4 * size, size });
+    const size = diagonal(low, high);
+    Object.assign(this, { touched: false, yaw: 0.7, pitch: 0.35, distance: 1.65 * size, size });
     this.target = high.map((one, i) => (one + low[i]) / 2);
     this.floor = low[2];
     this.change();
@@ -196,7 +197,8 @@ export class Figure {
     const { gl, canvas, parts, items } = this;
     if (!gl || gl.isContextLost() || !canvas.clientWidth || !parts.length) return;
     if (canvas.width !== Math.round(canvas.clientWidth * window.devicePixelRatio)) return this.resize();
-    const floor = this.stand()[0][2]; // of legs that fold the trunk sinks: they stay on it
+    const [low, high] = this.stand(), floor = low[2]; // of legs that fold the trunk sinks: they stay on it
+    if (!this.touched && diagonal(low, high) > GROWN * this.size) this.fit(); // an arm that stretches is seen whole
     const { yaw, pitch, distance, target, size } = this;
     const middle = [target[0], target[1], target[2] - this.floor + floor];
     const view = looking(middle, yaw, pitch, distance);
@@ -362,4 +364,5 @@ const perspective = (aspect, near, far) => {
   return [f / aspect, 0, 0, 0, 0, f, 0, 0, 0, 0, (far + near) / (near - far), -1, 0, 0, (2 * far * near) / (near - far), 0];
 };
 
+const diagonal = (low, high) => Math.hypot(...high.map((one, i) => one - low[i]));
 const rgb = text => [1, 3, 5].map(at => (parseInt(text.slice(at, at + 2), 16) || 0) / 255);
