@@ -26,14 +26,16 @@ napoleon_numpy_docstring = False
 
 
 class KeysOf(Directive):
-    """`{keys-of} robot`: every key of a kind of file, as `gateway schema robot --keys` prints it."""
+    """`{keys-of} robot 2`: every key of a kind of file, as `gateway schema robot --keys` prints it, with
+    headings of level 2: one below that where it stands, else they are put at the end of the page."""
 
-    required_arguments = 1
+    required_arguments = 2
 
     def run(self) -> list[Element]:
         """Return the tables."""
         made = Element()
-        lines = StringList(markdown(FILES[self.arguments[0]](), level=1).splitlines(), "gateway schema")
+        kind, level = self.arguments
+        lines = StringList(markdown(FILES[kind](), kind, int(level)).splitlines(), "gateway schema")
         self.state.nested_parse(lines, self.content_offset, made, match_titles=True)
         return list(made.children)
 

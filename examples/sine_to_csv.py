@@ -3,7 +3,6 @@
 import sys
 from dataclasses import replace
 from math import cos, pi
-from pathlib import Path
 
 import numpy as np
 
@@ -11,13 +10,11 @@ import gateway as gw
 
 FILES = sys.argv[1:] or ["sine.csv"]
 AMPLITUDE, HZ = 0.5, 0.5  # rad, 1/s
-
 robot = replace(gw.load_robot("bench"), period=10_000_000)  # ns: 100 steps a second
 session = gw.open_session(robot, simulated=True)
 log = session.log()
 for tick in session.run(seconds=6):
-    speed = 2 * pi * HZ
-    session.submit(gw.Velocity("left", AMPLITUDE * speed * cos(speed * tick.seconds)))
+    session.submit(gw.Velocity("left", AMPLITUDE * 2 * pi * HZ * cos(2 * pi * HZ * tick.seconds)))
 session.close()
 
 turned, asked = log["left.position"], log["left.command.velocity"]
@@ -31,4 +28,3 @@ if len(FILES) > 1:
     plt.xlabel("t [s]")
     plt.legend()
     plt.savefig(FILES[1])
-    print(f"{FILES[1]}: {Path(FILES[1]).stat().st_size // 1000} kB")

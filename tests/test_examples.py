@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import re
 import subprocess
 import sys
@@ -20,7 +21,7 @@ PRINTED = {
     "report_of_a_recording": [r"the same, byte for byte", r"drive\.html: \d+ kB"],
     "live_view": [r"open http://127\.0\.0\.1:\d+/", r"brain: goal 1 accepted"],
     "embed_the_step": [r"right: [23]\.\d\d rad, -?[\d.]+ rad/s on the way to 3 rad"],
-    "sine_to_csv": [r"6\d\d rows, 1\.00 rad, at 1\.57 rad/s", r"sine\.png: \d\d kB"],
+    "sine_to_csv": [r"6\d\d rows, 1\.00 rad, at 1\.57 rad/s"],
 }
 RECORDING = "drive.mcap"
 GIVEN = {
@@ -32,6 +33,8 @@ GIVEN = {
 PLUGIN = FOLDER / "robstride_can"
 DOORS = FOLDER / "wiggle_and_steady"
 """Run by tests/brain/skills/test_found.py and tests/brain/test_other_brain.py"""
+LAYOUTS = FOLDER / "layouts"
+"""Held against `gateway layout` by tests/gateway/view/test_layouts.py"""
 TUTORIAL = FOLDER / "ros2_tutorial"
 """Run by tests/gateway/ros/test_judges.py"""
 GUIDE = FOLDER.parent / "docs" / "adding-a-skill.md"
@@ -60,7 +63,9 @@ def test_none_is_left_out() -> None:
         PLUGIN.name,
         DOORS.name,
         TUTORIAL.name,
+        LAYOUTS.name,
     }
+    assert all(f"({LAYOUTS.name}/{one.name})" in text for one in LAYOUTS.iterdir())
     assert f"[{TUTORIAL.name}]({TUTORIAL.name}/README.md)" in text
     assert f"[{PLUGIN.name}]({PLUGIN.name}/{PLUGIN.name}/README.md)" in text
     assert f"[{DOORS.name}]({DOORS.name}/pyproject.toml)" in text
@@ -72,6 +77,19 @@ def test_it_runs_and_prints_what_it_should(name: str, folder: Path) -> None:
     printed = run(name, folder, *GIVEN.get(name, ()))
     for pattern in PRINTED[name]:
         assert re.search(pattern, printed), f"{pattern!r} is not in:\n{printed}"
+
+
+def test_a_sine_is_logged_and_plotted_in_30_lines(folder: Path) -> None:
+    assert len((FOLDER / "sine_to_csv.py").read_text().splitlines()) <= 30
+    run("sine_to_csv", folder, "again.csv", "again.png")
+    with (folder / "again.csv").open(newline="") as file:
+        head, *rows = csv.reader(file)
+    t, position = head.index("t [s]"), head.index("left.position [rad]")
+    assert len(rows) > 590  # 6 s, 100 a second
+    values = [float(row[position]) for row in rows if row[position]]
+    assert max(values) - min(values) == pytest.approx(1.0, abs=0.02)
+    assert float(rows[-1][t]) - float(rows[0][t]) == pytest.approx(6.0, abs=0.1)
+    assert (folder / "again.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_the_plugin_passes_its_own_tests(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

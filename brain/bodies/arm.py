@@ -18,6 +18,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from brain.bodies import urdf
 from brain.bodies.body import Linkage, Placement, Search
 from brain.bodies.chain import Chain, rotation
+from brain.bodies.parts import UPRIGHT, Part, of_urdf
 from brain.bodies.reach import ReachSearch
 from protocols import messages as msg
 from protocols.bounds import Bounds, Invalid, check
@@ -113,6 +114,11 @@ class SerialArm(Linkage):
         found = self.chain.points(positions).tolist()
         aside = self.chain.aside
         return (0.0, 0.0, 0.0), *(tuple(one) for i, one in enumerate(found) if i not in aside)
+
+    def parts(self) -> list[Part]:
+        """Return the links of its URDF."""
+        motors = {self._joint(motor): motor for motor in self.axes}
+        return of_urdf(urdf.parse(self.urdf), motors, UPRIGHT)
 
     def gravity(self, positions: Sequence[float]) -> tuple[float, ...]:
         """Return the torques that hold it."""

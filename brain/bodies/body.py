@@ -17,6 +17,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, NamedTuple, Protocol, TypeAlias
 
+from brain.bodies.parts import Part, Wheel, of_base
 from brain.bodies.plane import Twist
 from protocols import messages as msg
 from protocols.bounds import Bounds, Invalid, check
@@ -108,6 +109,10 @@ class Body(ABC):
         `table`: as it is in the robot file. Raises ValueError if it cannot be this body."""
         return {}
 
+    def parts(self) -> list[Part]:
+        """Return what it looks like by its own dimensions, in its own frame; []: it has none."""
+        return []
+
     def check_motors(self) -> None:
         """Raise Invalid unless every motor has a name and appears once."""
         names = self.joints
@@ -143,6 +148,11 @@ class Linkage(Body):
     @abstractmethod
     def limits(self) -> tuple[tuple[float, float, float], ...]:
         """Velocity, acceleration and jerk of each joint, at most: rad/s, rad/s², rad/s³."""
+
+    def angles(self, positions: Sequence[float]) -> tuple[float, ...]:
+        """Return how its links' joints stand [rad; m of one that slides]: as the motors, unless something is
+        between them."""
+        return tuple(positions)
 
     @abstractmethod
     def points(self, positions: Sequence[float]) -> tuple[tuple[float, float, float], ...]:
@@ -263,6 +273,15 @@ class Base(Body):
             msg.Velocity(motor, one.velocity) if one.velocity is not None else _position(motor, one)
             for motor, one in zip(self.joints, setpoints, strict=True)
         )
+
+    @property
+    def stands_on(self) -> tuple[Wheel, ...]:
+        """Its wheels, as its dimensions place them; (): it has none, or they do not tell."""
+        return ()
+
+    def parts(self) -> list[Part]:
+        """Return its outline and its wheels."""
+        return of_base(self.outline, self.stands_on)
 
     @property
     def outline(self) -> Corners:

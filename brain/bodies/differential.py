@@ -8,6 +8,7 @@ from typing import Annotated, Any, ClassVar
 
 from brain.bodies.body import Base, Setpoint, Travel
 from brain.bodies.from_urdf import wheels
+from brain.bodies.parts import Wheel
 from brain.bodies.plane import Twist
 from protocols.bounds import Bounds
 
@@ -58,6 +59,12 @@ class Differential(Base):
     def rolling(self) -> tuple[float, ...]:
         """The wheels' radius [m], twice."""
         return self.wheel_radius, self.wheel_radius
+
+    @property
+    def stands_on(self) -> tuple[Wheel, ...]:
+        """Both wheels."""
+        y, radius = self.wheel_separation / 2.0, self.wheel_radius
+        return Wheel(0.0, y, radius, self.left), Wheel(0.0, -y, radius, self.right)
 
     def inverse(self, twist: Twist, positions: Sequence[float | None] = ()) -> tuple[Setpoint, ...]:
         """Return the wheels' speeds [rad/s]."""

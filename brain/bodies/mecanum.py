@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
 from brain.bodies.from_urdf import wheels
+from brain.bodies.parts import Wheel
 from brain.bodies.wheels import FixedWheels, Row, roller_row
 from protocols.bounds import Bounds
 
@@ -54,6 +55,14 @@ class Mecanum(FixedWheels):
     def moves_sideways(self) -> bool:
         """It does."""
         return True
+
+    @property
+    def stands_on(self) -> tuple[Wheel, ...]:
+        """The four wheels."""
+        x, y = self.wheelbase / 2.0, self.wheel_separation / 2.0
+        places = ((x, y), (x, -y), (-x, y), (-x, -y))
+        pairs = zip(places, self.joints, strict=True)
+        return tuple(Wheel(*place, self.wheel_radius, motor) for place, motor in pairs)
 
     @property
     def rows(self) -> tuple[Row, ...]:

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
+from brain.bodies.parts import Wheel
 from brain.bodies.wheels import FixedWheels, Row, roller_row
 from protocols.bounds import Bounds, Invalid
 
@@ -58,6 +59,12 @@ class Omni(FixedWheels):
     def moves_sideways(self) -> bool:
         """It does."""
         return True
+
+    @property
+    def stands_on(self) -> tuple[Wheel, ...]:
+        """All of them."""
+        each = zip(self.places, self.wheels, self.directions, strict=True)
+        return tuple(Wheel(*at, self.wheel_radius, motor, "", turned) for at, motor, turned in each)
 
     @property
     def rows(self) -> tuple[Row, ...]:

@@ -20,8 +20,10 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 from brain.bodies import urdf
 from brain.bodies.body import Base, Setpoint, Travel
 from brain.bodies.leg import Leg, Point
+from brain.bodies.parts import UPRIGHT, Part
 from brain.bodies.plane import REST, Twist
 from brain.bodies.trot import Foot, Gait, Plane, Rhythm
+from brain.bodies.urdf import Geometry, Origin
 from protocols import messages as msg
 from protocols.bounds import Bounds, Invalid
 from protocols.messages import Command
@@ -156,6 +158,24 @@ class Quadruped(Base):
     def rolling(self) -> tuple[float, ...]:
         """What the body moves per rad of a thigh [m/rad], half of whose motion is on the floor."""
         return (0.0, 0.5 * self.height, 0.0) * 4
+
+    def parts(self) -> list[Part]:
+        """Return its trunk and its legs, as bars of its dimensions."""
+        thick, long = 0.15 * self.thigh, 2.0 * self.hip_x + 0.4 * self.thigh
+        trunk = Geometry("box", (long, 2.0 * self.hip_y + thick, 0.5 * self.thigh), UPRIGHT)
+        parts = [Part(-1, UPRIGHT, (trunk,))]
+        for number, leg in enumerate((self.front_left, self.front_right, self.rear_left, self.rear_right)):
+            hip, thigh, knee = leg
+            at = Origin((FORE[number] * self.hip_x, SIDE[number] * self.hip_y, 0.0))
+            aside, below = Origin((0.0, SIDE[number] * self.offset, 0.0)), Origin((0.0, 0.0, -self.thigh))
+            first, foot = len(parts), Origin((0.0, 0.0, -self.shank))
+            ball = Geometry("sphere", (max(self.foot_radius, 0.5 * thick),), foot)
+            parts += [
+                Part(0, at, (Geometry("sphere", (thick,), UPRIGHT),), hip, (1.0, 0.0, 0.0)),
+                Part(first, aside, (_bar(self.thigh, thick),), thigh, (0.0, 1.0, 0.0)),
+                Part(first + 1, below, (_bar(self.shank, 0.7 * thick), ball), knee, (0.0, 1.0, 0.0)),
+            ]
+        return parts
 
     # -- legs ------------------------------------------------------------------------------------
 
@@ -365,6 +385,11 @@ def _three(angles: Sequence[float], number: int) -> Point:
 
 def _mean(weights: Sequence[float], places: Sequence[Point], axis: int) -> float:
     return sum(weight * place[axis] for weight, place in zip(weights, places, strict=True))
+
+
+def _bar(length: float, thick: float) -> Geometry:
+    """Return a bar that hangs from its origin [m]."""
+    return Geometry("box", (thick, thick, length), Origin((0.0, 0.0, -0.5 * length)))
 
 
 def _smooth(share: float) -> tuple[float, float]:

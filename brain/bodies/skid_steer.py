@@ -6,6 +6,7 @@ from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
+from brain.bodies.parts import Wheel
 from brain.bodies.wheels import FixedWheels, Row
 from protocols.bounds import Bounds
 
@@ -38,6 +39,17 @@ class TwoSides(FixedWheels):
         """The motors on the left, then those on the right."""
         left, right = self.sides
         return left + right
+
+    @property
+    def stands_on(self) -> tuple[Wheel, ...]:
+        """A wheel for each motor, spread along the outline: the robot file does not say where they are."""
+        far, aside = (max(corner[i] for corner in self.outline) for i in (0, 1))
+        ends, radius = max(0.0, far - self.wheel_radius), self.wheel_radius
+        return tuple(
+            Wheel(ends * (1.0 - 2.0 * i / (len(side) - 1)) if len(side) > 1 else 0.0, y, radius, motor)
+            for side, y in zip(self.sides, (aside, -aside), strict=True)
+            for i, motor in enumerate(side)
+        )
 
     @property
     def rows(self) -> tuple[Row, ...]:

@@ -1,10 +1,11 @@
 """URDF: the text of a robot's links and joints as a `UrdfModel`.
 
-Rules. What a brain needs is read: kinematics, limits, inertia, plain shapes; meshes, materials, transmissions
-and what simulators add are skipped. What ROS's own parser takes is taken, as far as it has a meaning: the
-axis of a joint that does not move is not read; a limit that is negative, infinite or beyond the bounds below
-is none; an inertia that no body has is a mistake of who uses it. Every mistake becomes a sentence, all of one
-ValueError. A text with an entity, or beyond the bounds, is refused before it is read further.
+Rules. What a brain needs is read: kinematics, limits, inertia, plain shapes; and for a picture the names of
+meshes, and colours. Transmissions and what simulators add are skipped. What ROS's own parser takes is taken,
+as far as it has a meaning: the axis of a joint that does not move is not read; a limit that is negative,
+infinite or beyond the bounds below is none; an inertia that no body has is a mistake of who uses it. Every
+mistake becomes a sentence, all of one ValueError. A text with an entity, or beyond the bounds, is refused
+before it is read further.
 
 Source: the URDF specification at wiki.ros.org/urdf/XML (robot, link, joint); urdfdom for what is taken (no
 namespaces, anything in comments). Lengths in m, angles in rad; a joint's frame is its child link's, at
@@ -62,12 +63,22 @@ class Inertial(NamedTuple):
     """Why no body has it, as a sentence; "": one can."""
 
 
+Colour: TypeAlias = tuple[float, float, float]
+"""Red, green, blue: 0 to 1."""
+
+
 class Geometry(NamedTuple):
-    """A box (x, y, z), cylinder (radius, length along z) or sphere (radius) in its link's frame [m]."""
+    """A box (x, y, z), cylinder (radius, length along z) or sphere (radius) in its link's frame [m].
+
+    Of what a link only looks like: a mesh (its scales along x, y, z), too; of a body without a URDF a prism
+    (its height along z, then x and y of each corner of its foot)."""
 
     kind: str
     size: tuple[float, ...]
     origin: Origin
+    colour: Colour | None = None
+    file: str = ""
+    """Of a mesh, as the URDF names it"""
 
 
 class Link(NamedTuple):
@@ -77,6 +88,8 @@ class Link(NamedTuple):
     inertial: Inertial | None
     shapes: tuple[Geometry, ...]
     """What it collides with; where it has nothing, what it looks like."""
+    looks: tuple[Geometry, ...] = ()
+    """What it looks like, meshes too; where that is nothing, what it collides with."""
 
 
 class UrdfJoint(NamedTuple):
@@ -128,6 +141,7 @@ def parse(text: str) -> UrdfModel:
     """Return the model of a URDF's text. Raises ValueError with every mistake, in sentences."""
     reader = _Reader()
     root = read(text)
+    reader.materials(root)
     links = {link.name: link for element in root.findall("link") if (link := reader.link(element))}
     joints = {one.name: one for element in root.findall("joint") if (one := reader.joint(element))}
     model = reader.model(root.get("name", ""), links, joints)
@@ -188,6 +202,8 @@ class _Reader:
 
     mistakes: list[str] = field(default_factory=list)
     names: set[tuple[str, str]] = field(default_factory=set)
+    colours: dict[str, Colour | None] = field(default_factory=dict)
+    """Of the materials that the robot names"""
 
     def wrong(self, sentence: str) -> None:
         if len(self.mistakes) < 20:
@@ -241,8 +257,42 @@ class _Reader:
         given = element.find("inertial")
         inertial = None if given is None else self.inertial(given, what)
         solid = element.findall("collision") or element.findall("visual")
-        shapes = [shape for one in solid if (shape := self.shape(one, what))]
-        return Link(name, inertial, tuple(shapes))
+        shapes = tuple(shape for one in solid if (shape := self.shape(one, what)))
+        seen = _Reader(colours=self.colours)  # what is wrong with what a link looks like is no mistake
+        looks = tuple(
+            look._replace(colour=self.colour(one.find("material")))
+            for one in element.findall("visual")
+            if (look := seen.shape(one, what) or seen.mesh(one, what))
+        )
+        return Link(name, inertial, shapes, looks or shapes)
+
+    def materials(self, root: ET.Element) -> None:
+        """Note the colours that the robot names."""
+        for one in root.iter("material"):
+            if one.find("color") is not None:
+                self.colours[one.get("name", "")] = self.colour(one)
+
+    def colour(self, material: ET.Element | None) -> Colour | None:
+        """Return the colour of a material; None: it has none that can be read, which is no mistake here."""
+        if material is None:
+            return None
+        if (given := material.find("color")) is None:
+            return self.colours.get(material.get("name", ""))
+        try:
+            red, green, blue = (float(one) for one in given.get("rgba", "").split()[:3])
+        except ValueError:
+            return None
+        shares = (red, green, blue)
+        return shares if all(0.0 <= one <= 1.0 for one in shares) else None
+
+    def mesh(self, element: ET.Element, what: str) -> Geometry | None:
+        """Return the mesh that a link looks like; None if it is none."""
+        mesh = element.find("geometry/mesh")
+        if mesh is None or not mesh.get("filename"):
+            return None
+        scale = self.numbers(mesh, "scale", "1 1 1", what, 3)
+        origin = self.origin(element.find("origin"), what)
+        return Geometry("mesh", scale, origin, file=mesh.get("filename", ""))
 
     def inertial(self, element: ET.Element, what: str) -> Inertial | None:
         mass, inertia = element.find("mass"), element.find("inertia")

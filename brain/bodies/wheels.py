@@ -16,6 +16,7 @@ from functools import lru_cache
 from typing import Annotated, Any, NamedTuple, TypeAlias
 
 from brain.bodies.body import Base, Setpoint, Travel
+from brain.bodies.parts import Wheel
 from brain.bodies.plane import Twist
 from protocols.bounds import Bounds
 from protocols.messages import Command
@@ -193,6 +194,18 @@ class SteeredWheels(WheeledBase):
     @abstractmethod
     def contacts(self) -> tuple[Contact, ...]:
         """Every wheel that drives or steers."""
+
+    @property
+    def stands_on(self) -> tuple[Wheel, ...]:
+        """The wheels that drive or steer."""
+
+        def motor(index: int | None) -> str:
+            return "" if index is None else self.joints[index]
+
+        radius = self.wheel_radius
+        return tuple(
+            Wheel(x, y, radius, motor(drive), motor(steers)) for x, y, drive, steers in self.contacts
+        )
 
     @property
     def top_speeds(self) -> tuple[float, ...]:

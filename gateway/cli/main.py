@@ -58,6 +58,7 @@ COMMANDS = {
     "tune": "identify one joint by steps within a travel, or from a recording, and propose its gains",
     "check": "read a robot file and print its meaning, or every mistake in it",
     "schema": "print every key of a robot, world, plant, mission or scenario file, for an editor or to read",
+    "layout": "print a layout of a robot for Foxglove or PlotJuggler",
     "schedule": "count how much of its buses a robot takes, and the highest rate that fits",
     "protocols": "list the installed protocols, check one, or start a new one",
     "ask": "send a line to a running robot, as on its terminal",

@@ -23,8 +23,10 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, Union, cast, 
 
 from brain import doors, other_brain
 from brain.perception.mount import Mount
+from brain.reading import InvalidError, Read
 from brain.settings import BrainSettings
 from brain.skills import found as skills
+from brain.skills.skill import Skill
 from gateway.config import bodies
 from gateway.config.map_file import MapKeys
 from gateway.config.mission import REPEAT
@@ -160,6 +162,8 @@ class Writer:
         if origin is Annotated:
             inner = {"type": "number"} if is_duration(hint) else self.value(args[0], complete=complete)
             bounds = bounds_of(hint) if "type" in inner and inner["type"] in ("number", "integer") else None
+            unit = "ms" if is_duration(hint) else bounds.unit if bounds else ""
+            inner |= {"$comment": unit} if unit else {}
             return {**inner, "minimum": bounds.least, "maximum": bounds.most} if bounds else inner
         if origin is Literal:
             return {"enum": list(args)}
@@ -286,13 +290,22 @@ def mission() -> Schema:
     """Return the schema of a mission file: the keys of each skill. Their values are left to their own
     readers, which tell what is wrong when the mission is read."""
     kinds = [skills.load(name) for name in skills.names()]
-    failure = {"anyOf": [{"enum": ["stop", "skip"]}, {"$ref": "#/definitions/steps"}]}
-    own: dict[str, Schema] = {key: {} for kind in kinds for key in (kind.name, *kind.keys)}
+    failure = {
+        "anyOf": [{"enum": ["stop", "skip"]}, {"$ref": "#/definitions/steps"}],
+        "description": "What is done if it fails; steps: these, then the next",
+    }
+    readers: dict[str, Read] = {key: read for kind in kinds for key, read in kind.keys.items()}
+    own: dict[str, Schema] = {
+        key: {"title": _expected(read), "description": f"Of {' and '.join(_steps_with(key))}"}
+        for key, read in readers.items()
+    }
+    own |= {kind.name: {"title": _expected(kind.own), "description": _meaning(kind)} for kind in kinds}
+    often = {"description": "How often its steps are done; 0: no end"}
     step = {
         "type": "object",
         "properties": {
             **own,
-            REPEAT: {"type": "integer", "minimum": 0},
+            REPEAT: {"type": "integer", "minimum": 0, **often},
             "steps": {"$ref": "#/definitions/steps"},
             "on_failure": failure,
         },
@@ -304,14 +317,34 @@ def mission() -> Schema:
         "title": "A mission file of Motor Gateway",
         "type": "object",
         "properties": {
-            "name": {"type": "string", "minLength": 1},
-            "on_failure": {"enum": ["stop", "skip"]},
+            "name": {"type": "string", "minLength": 1, "description": "By default that of the file"},
+            "on_failure": {"enum": ["stop", "skip"], "description": "Of every step that says nothing else"},
             "steps": {"$ref": "#/definitions/steps"},
         },
         "required": ["steps"],
         "additionalProperties": False,
         "definitions": {"steps": {"type": "array", "items": step}},
     }
+
+
+def _expected(read: Read) -> str:
+    """Return what a reader takes: what it says of that which nothing takes."""
+    try:
+        read(object())
+    except InvalidError as error:
+        return str(error)
+    return "any value"
+
+
+def _steps_with(key: str) -> list[str]:
+    return [name for name in skills.names() if key in skills.load(name).keys]
+
+
+def _meaning(kind: Skill[Any]) -> str:
+    """Return what a step does: what the first line of its file says behind its example."""
+    module = inspect.getmodule(kind.perform)
+    line = (inspect.getdoc(module) or "").partition("\n")[0]
+    return line.rpartition("`: ")[2].rstrip(".")
 
 
 def of_kinds(title: str, kinds: Mapping[str, type]) -> Schema:
@@ -346,6 +379,8 @@ class Row(NamedTuple):
     """What it takes: type and bounds, or its values"""
     default: str
     text: str
+    where: str = ""
+    """The file whose settings it is one of; "": the robot file's reader alone"""
 
 
 def rows_of(schema: Schema) -> dict[str, list[Row]]:
@@ -353,8 +388,8 @@ def rows_of(schema: Schema) -> dict[str, list[Row]]:
     found: dict[str, list[Row]] = {}
     listed: dict[str, str] = {}
 
-    def list_table(path: str, node: Schema, heading: str = "") -> None:
-        heading = heading or f"[{path}]"
+    def list_table(path: str, node: Schema, heading: str = "", name: str = "") -> None:
+        heading, where = heading or f"[{path}]", _file_of(name)
         rows = found.setdefault(heading, [])
         for key, one in node.get("properties", {}).items():
             below = f"{path}.{key}" if path else key
@@ -368,14 +403,14 @@ def rows_of(schema: Schema) -> dict[str, list[Row]]:
             if "properties" not in table and "allOf" not in table:
                 default = _shown(one["default"]) if "default" in one else ""
                 needed = "required" if key in node.get("required", ()) else default
-                rows.append(Row(key, _what(_resolved(schema, one)[0]), needed, text))
+                rows.append(Row(key, _what(_resolved(schema, one)[0]), needed, text, where))
             elif _kind(name) in listed:
-                rows.append(Row(key, f"table, as {listed[_kind(name)]}", "", text))
+                rows.append(Row(key, f"table, as {listed[_kind(name)]}", "", text, where))
             else:
                 if name:
                     listed[_kind(name)] = f"[{below}]"
-                rows.append(Row(key, f"table [{below}]", "", text))
-                list_table(below, table)
+                rows.append(Row(key, f"table [{below}]", "", text, where))
+                list_table(below, table, name=name)
         for case in node.get("allOf", ()):
             ((key, chosen),) = case["if"]["properties"].items()
             then, name = _resolved(schema, case["then"])
@@ -383,7 +418,7 @@ def rows_of(schema: Schema) -> dict[str, list[Row]]:
             for below, (table, name) in parts.items():
                 if name and _kind(name) not in listed and table.get("properties"):
                     listed[_kind(name)] = f'[{below}] of {key} = "{chosen["const"]}"'.removeprefix("[] of ")
-                    list_table(below, table, listed[_kind(name)])
+                    list_table(below, table, listed[_kind(name)], name)
 
     whole = schema.get("else", {}).get("else", {}).get("properties", {})
     list_table("", {**schema, "properties": {**schema.get("properties", {}), **whole}}, BEFORE)
@@ -403,6 +438,12 @@ def _resolved(schema: Schema, one: Schema) -> tuple[Schema, str]:
         return one, ""
     name = one["$ref"].rpartition("/")[2]
     return schema["definitions"][name], name
+
+
+def _file_of(name: str) -> str:
+    """Return the file of a dataclass, by the name of its schema; "" if that is of several."""
+    module, _, kind = _kind(name).rpartition(".")
+    return f"{module.replace('.', '/')}.py" if "." in module and kind.isidentifier() else ""
 
 
 def _kind(name: str) -> str:
@@ -425,7 +466,7 @@ def _what(one: Schema) -> str:
         case {"type": "array", "items": dict(item)}:
             return f"array of {_what(item)}"
         case {"type": str(kind), "minimum": least, "maximum": most}:
-            return f"{kind}, {least:.10g} to {most:.10g}"
+            return f"{kind}, {least:.10g} to {most:.10g} {one.get('$comment', '')}".rstrip()
         case {"type": "object"} | {"$ref": _}:
             return "table"
-    return str(one.get("type", "any value"))
+    return str(one.get("type", one.get("title", "any value")))

@@ -246,7 +246,8 @@ def parse_robot(
     if top is None or brain is None:
         raise AssertionError("a section is missing, and no mistake was added")
     named = top.name, text, period, top.world, top.seed
-    rest = bag, top.plant, top.stall_timeout, ros or RosSettings(), described.text
+    folder = "" if file is None or top.urdf is None else str((file.parent / top.urdf).parent)
+    rest = bag, top.plant, top.stall_timeout, ros or RosSettings(), described.text, moved, folder
     return Robot(*named, buses, motors, sensors, brain, *rest, real=tuple(dict.fromkeys(there)))
 
 

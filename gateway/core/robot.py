@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
@@ -318,6 +318,11 @@ class Robot:
     """How it is called in ROS 2's graph."""
     description: str = ""
     """The text of its URDF; "" if it has none."""
+    described: Mapping[str, str] = field(default_factory=dict)
+    """By motor: the joint of the URDF that it moves."""
+    folder: str = ""
+    """The path of the folder with its URDF, from which its meshes' names count; "": not known, as of a
+    recording."""
     real: tuple[str, ...] = ()
     """The devices that are named as real, while all others are simulated; (): as the interfaces say."""
 

@@ -19,7 +19,7 @@ from brain.perception.mount import Mount
 from gateway.recording import ros_messages
 from gateway.ros.link import Link
 from gateway.ros.types import encode, make, store
-from gateway.vision.camera import TO_SENSOR, Image, Intrinsics, opencv, packed
+from gateway.vision.camera import TO_SENSOR, Image, Intrinsics, Seen, opencv, packed
 from protocols.messages import Nanos
 
 IMAGE, INFO = "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo"
@@ -36,12 +36,8 @@ class Camera(Protocol):
 
     name: str
     mount: Mount
-    newest: tuple[Nanos, Image] | None
-    """Its newest image, which is not changed any more, and when it was taken"""
-
-    @property
-    def intrinsics(self) -> Intrinsics:
-        """How it projects."""
+    seen: Seen | None
+    """Its newest image, which is not changed any more"""
 
 
 def topics(cameras: Sequence[str]) -> dict[str, str]:
@@ -107,16 +103,12 @@ class ImageTopics:
             self._waiting.rotate(-1)
             one = self._waiting[-1]
             image, info = _topics(one.name)
-            if (
-                one.newest is None
-                or one.newest[0] == self._sent.get(one.name)
-                or not {image, info} & {*wanted}
-            ):
+            if one.seen is None or one.seen.t == self._sent.get(one.name) or not {image, info} & {*wanted}:
                 continue
-            t, pixels = one.newest
+            t, pixels, intrinsics = one.seen
             self._sent[one.name] = t
             if info in wanted:
-                self._publish(info, encode(_info(one, t + self._epoch, pixels)))
+                self._publish(info, encode(_info(one.name, t + self._epoch, pixels, intrinsics)))
             if image in wanted:
                 self._begin(self._rows[image], one.name, t + self._epoch, pixels)
             return
@@ -134,14 +126,13 @@ class ImageTopics:
             self._pixels = None
 
 
-def _info(camera: Camera, t: Nanos, pixels: Image) -> object:
+def _info(camera: str, t: Nanos, pixels: Image, one: Intrinsics) -> object:
     """Return the description of a camera."""
-    one = camera.intrinsics
     distortion = np.array((*one.distortion, *[0.0] * max(0, 5 - len(one.distortion))))
     height, width, _ = pixels.shape
     return make(
         INFO,
-        header=ros_messages.header(store().types, t, frame(camera.name)),
+        header=ros_messages.header(store().types, t, frame(camera)),
         height=height,
         width=width,
         distortion_model="plumb_bob" if len(distortion) == 5 else "rational_polynomial",

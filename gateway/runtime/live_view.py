@@ -6,6 +6,7 @@ since the state that it began with is not in it. `--record` records from the sta
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
@@ -16,10 +17,12 @@ from gateway.errors import GatewayError
 from gateway.view import Access, Address, Scene, View
 from gateway.view.requests import READ_ONLY, ViewAnswer
 from gateway.view.scene import Json
+from gateway.vision.camera import Seen
 from protocols.messages import MILLISECOND, SECOND, Instruction, Nanos
 
 if TYPE_CHECKING:
     from brain.belief import Belief
+    from gateway.buses.virtual import TwinWorld
     from gateway.core.robot import Robot
     from gateway.core.step import Gateway
     from gateway.recording import Recorder
@@ -39,6 +42,7 @@ class Viewed(Protocol):
     clock: Clock
     stats: LoopStats
     recorder: Recorder | None
+    twins: TwinWorld | None
 
     def start_recording(self, path: Path | str) -> None:
         """Record from the next step on. Raises RecordingError and UserError."""
@@ -61,7 +65,7 @@ class SessionView:
         self._polled: Nanos = 0
         recording.prepare()  # for who switches it on, while the robot moves
         self._view = View(
-            [Scene(session.gateway, "live", self._facts)],
+            [Scene(session.gateway, "live", self._facts, self._pictures)],
             where,
             access,
             steer=steer,
@@ -85,6 +89,11 @@ class SessionView:
             self._busy, self._since = busy, tick.now
         self._view.take(tick, belief)
         self._view.show(self._now())
+
+    def _pictures(self) -> Mapping[str, Seen]:
+        """Return what simulated cameras see; of real ones only their markers come here."""
+        twins = self._session.twins
+        return {} if twins is None else twins.world.images()
 
     def _facts(self) -> Json:
         stats, recorder = self._session.stats, self._session.recorder

@@ -55,7 +55,10 @@ class TwinScene(Scene):
 
     def joints(self) -> Json:
         """Return the true position and velocity of every shaft at the joint."""
-        return {"t": self.now / SECOND, "rows": [self._shaft(name) for name in self.robot.motors]}
+        motors = self.robot.motors
+        at = {name: self._world.shaft(name)[0] for name in motors}
+        rows = [self._shaft(name) for name in motors]
+        return {"t": self.now / SECOND, "rows": rows, "figure": self.figure.stands(self.robot, at)}
 
     def _shaft(self, name: str) -> list[Any]:
         position, velocity = self._world.shaft(name)
@@ -96,7 +99,9 @@ class TwinView:
 
     def __init__(self, made: Devices, address: Address, access: Access) -> None:
         self._stats, self._last = made.stats, -PERIOD
-        self._scene = TwinScene(Gateway(made.robot), "twin", self._facts, twins=made.twins)
+        self._scene = TwinScene(
+            Gateway(made.robot), "twin", self._facts, made.twins.world.images, twins=made.twins
+        )
         self._view = View([self._scene], address, access)
         self.url = self._view.url
         self.close = self._view.close

@@ -17,7 +17,7 @@ import numpy as np
 from brain.perception.mount import Mount
 from gateway.sim.load import WorldError
 from gateway.sim.plant_files import Camera
-from gateway.vision.camera import Image, Intrinsics, events
+from gateway.vision.camera import Image, Seen, events
 from protocols.messages import SECOND, Marker, Nanos
 
 if TYPE_CHECKING:
@@ -83,20 +83,15 @@ class CameraSensor:
         self._rng = rng
         self._renderer: Renderer | None = None
         self._found: deque[Marker] = deque()
-        self.newest: tuple[Nanos, Image] | None = None
-        """The image that it looked at last, and when"""
-
-    @property
-    def intrinsics(self) -> Intrinsics:
-        """How it projects."""
-        return self.file.intrinsics
+        self.seen: Seen | None = None
+        """The newest image."""
 
     def measure(self, t: Nanos, phase: Nanos, scene: SimulatedScene) -> Marker | None:
         """Look at the beginning of a period; return one of what was found and not yet returned."""
         if phase == 0:
-            image = self.image(scene)
-            self.newest = t, image
-            sightings = self.file.detectors.detect(image, self.intrinsics)
+            image, intrinsics = self.image(scene), self.file.intrinsics
+            self.seen = Seen(t, image, intrinsics)
+            sightings = self.file.detectors.detect(image, intrinsics)
             self._found.extend(events(self.name, t, sightings))
         return self._found.popleft() if self._found else None
 

@@ -28,6 +28,7 @@ from gateway.sim.rover import Rover
 from gateway.sim.scene import SimulatedScene
 from gateway.sim.sensors import WorldSensor, sensors
 from gateway.sim.shafts import Shafts
+from gateway.vision.camera import Seen
 from protocols.messages import Measurement, Nanos
 
 if TYPE_CHECKING:
@@ -89,6 +90,11 @@ class World:
         if self._held:
             self._readings += [one for due, one in self._held if due <= self.now]
             self._held = [one for one in self._held if one[0] > self.now]
+
+    def images(self) -> dict[str, Seen]:
+        """Return the newest image of each camera."""
+        cameras = (sensor for sensor in self._sensors if isinstance(sensor, CameraSensor))
+        return {camera.name: camera.seen for camera in cameras if camera.seen is not None}
 
     def shaft(self, motor: str) -> tuple[float, float]:
         """Return position [rad] and velocity [rad/s] of a motor's output shaft."""

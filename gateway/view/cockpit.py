@@ -12,9 +12,12 @@ to four bytes, then arrays one after the other. Each has a "kind":
 | state | text | every 100 ms | pose, states, goal, faults, buses … (`Scene.state`) |
 | note | text | at once | what happened, for a person |
 | answer | text | at once | to what was asked, with its `id`, or `held`: `ok`, `text` |
+| camera | text | every 100 ms | what cameras saw (`Scene.cameras`), where there are any |
+| picture | binary | each second, if idle | `name`, `t`, `wide`, `tall`: tangents of half the view; a JPEG |
 | path | binary | when it changes | `version`; float32 x, y [m] for each point |
 | scan | binary | every 100 ms | `lidars`: `t`, mount, `poses`, `min`, `step`, `count`, `near`, `far`: f32 |
 | tiles | binary | every 20 ms, if new | map: `resolution`, `corner`, `size`, `keys` (row, column); int8 |
+| mesh | binary | on opening, in pieces | `mesh`: its number; `low`, `step` [m]; uint16: 3 corners, x, y, z |
 
 From the page, JSON as text: `{"ask": LINE, "id": N, "heard": N}`, a line of the operator's language, with the
 newest `clock`; `{"held": LINE, "heard": N}`, the same for as long as it is repeated;
@@ -42,13 +45,18 @@ import numpy.typing as npt
 from brain.belief import MapView
 from gateway.config.text import read_json
 from gateway.core.tick import Tick
+from gateway.view.figure import PIECE
 from gateway.view.requests import SILENT, Asking, Requests, ViewAnswer
 from gateway.view.scene import QUANTITIES, Json, Scene, lidar_mounts, note
 from gateway.view.server import Client, Message
+from gateway.vision.camera import Seen, packed
 from protocols.messages import MILLISECOND, SECOND, Instruction, LaserScan, Nanos, Set
 
 SIGNALS_PERIOD: Nanos = 20 * MILLISECOND
 STATE_PERIOD: Nanos = 100 * MILLISECOND
+PICTURES_PERIOD: Nanos = SECOND
+PICTURE_WIDTH, PICTURE_QUALITY = 320, 50
+"""Pixels, and of a JPEG: some 8 kB."""
 MAX_SIGNALS = 24
 """That a page may plot."""
 KEPT_ROWS = 4000
@@ -70,6 +78,10 @@ class _Page:
     asking: Asking
     path: int = -1
     """Version of the path it has."""
+    pictures: Nanos = 0
+    """When it gets the next pictures of cameras."""
+    mesh: tuple[int, int] = (0, 0)
+    """Of the robot's meshes, the next piece that it gets: the mesh, and its first triangle."""
     tiles: dict[tuple[int, int], object] = field(default_factory=dict)
     corner: tuple[float, float] | None = None
     plot: int = 0
@@ -201,17 +213,25 @@ class Cockpit:
             for page in self._pages.values():
                 page.client.sample("signals", partial(page.read, now))
                 view = self.scene.belief.map
-                if view is not None and page.client.idle(now):
+                if page.client.idle(now) and not self._send_mesh(page) and view is not None:
                     self._send_tiles(page, view)
         if now >= self._state_due:
             self._state_due = now - now % STATE_PERIOD + STATE_PERIOD
-            self._slow()
+            self._slow(now)
 
-    def _slow(self) -> None:
+    def _slow(self, now: Nanos) -> None:
         """Send what is sent ten times a second."""
         scene = self.scene
         self._sample("joints", _once(lambda: _text("joints", scene.joints())))
         self._sample("state", _once(lambda: _text("state", scene.state())))
+        if scene.sightings:
+            self._sample("camera", _once(lambda: _text("camera", scene.cameras())))
+        pictures = {name: _once(partial(_picture, name, seen)) for name, seen in scene.pictures().items()}
+        for page in self._pages.values():
+            if pictures and now >= page.pictures and page.client.idle(now):
+                page.pictures = now + PICTURES_PERIOD
+                for name, picture in pictures.items():
+                    page.client.sample(f"picture {name}", picture)
         if scene.scans:
             self._sample("scan", _once(partial(_scan, scene)))
         version, points = scene.belief.path_version, scene.belief.path
@@ -236,6 +256,20 @@ class Cockpit:
     def _sample(self, key: str, message: Callable[[], Message]) -> None:
         for client in self._pages:
             client.sample(key, message)
+
+    def _send_mesh(self, page: _Page) -> bool:
+        """Send the next piece of the robot's meshes; return whether there was one."""
+        (number, first), meshes = page.mesh, self.scene.figure.meshes
+        if number >= len(meshes):
+            return False
+        mesh = meshes[number]
+        page.mesh = (number, first + PIECE) if first + PIECE < len(mesh) else (number + 1, 0)
+        low = mesh.min(axis=(0, 1))
+        step = float((mesh.max(axis=(0, 1)) - low).max()) / 65535.0 or 1.0
+        corners = np.round((mesh[first : first + PIECE] - low) / step).astype("<u2")
+        header = {"mesh": number, "low": [float(one) for one in low], "step": step, "count": len(corners)}
+        page.client.send(_binary("mesh", header, corners))
+        return True
 
     def _send_tiles(self, page: _Page, view: MapView) -> None:
         """Send the tiles that a page does not have, some at a time; first that it has none, if they moved."""
@@ -292,6 +326,14 @@ def _scan(scene: Scene) -> bytes:
         lidars.append(_lidar(scan, mounts[name]) | {"name": name, "poses": scene.swept[name]})
         ranges.append(np.asarray(scan.ranges, dtype="<f4"))
     return _binary("scan", {"lidars": lidars}, *ranges)
+
+
+def _picture(name: str, seen: Seen) -> bytes:
+    rows, columns, _ = seen.image.shape
+    wide, tall = columns / 2.0 / seen.intrinsics.fx, rows / 2.0 / seen.intrinsics.fy
+    header = {"name": name, "t": seen.t / SECOND, "wide": wide, "tall": tall}
+    made = packed(seen.image, PICTURE_WIDTH, PICTURE_QUALITY)
+    return _binary("picture", header, np.frombuffer(made, np.uint8))
 
 
 def _lidar(scan: LaserScan, mount: tuple[float, float, float]) -> Json:

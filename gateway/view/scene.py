@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import isfinite, nan
+from math import hypot, isfinite, nan
 from typing import Any, Literal, TypeAlias
 
 from brain.belief import Belief, Pose
@@ -20,6 +20,8 @@ from gateway.core.joint import LEAST_SHARE, Joint
 from gateway.core.robot import Robot
 from gateway.core.step import Gateway
 from gateway.core.tick import Inputs, Note, Outputs, Tick
+from gateway.view.figure import Figure, figure
+from gateway.vision.camera import Seen
 from protocols import messages as msg
 from protocols.messages import MILLISECOND, SECOND, Command, Nanos
 
@@ -29,6 +31,12 @@ Kind: TypeAlias = Literal["live", "replay", "twin"]
 
 LIMITS = ("velocity", "acceleration", "torque")
 """Of a joint, that can be changed while it runs."""
+SIGHTINGS = 64
+"""Markers that are kept of each camera."""
+SEEN_FOR: Nanos = 2 * SECOND
+"""How long what a camera saw is shown."""
+FACE = 0.1
+"""m, by which the line that shows where a marker's face looks to is drawn before it."""
 TRACK = 256
 """Poses that are kept, one per tick: a scan is older than the tick that brings it."""
 VALUE = {"Velocity": "velocity", "Position": "position", "Impedance": "position", "Torque": "torque"}
@@ -83,13 +91,18 @@ class Scene:
     kind: Kind
     facts: Callable[[], Json]
     """What the gateway does not know of itself: ticks missed, buses, recording, playback."""
+    pictures: Callable[[], Mapping[str, Seen]] = dict
+    """The newest image of each camera, where this process has one."""
     scans: dict[str, msg.LaserScan] = field(default_factory=dict)
     """The newest of each lidar."""
     swept: dict[str, list[list[float | None]]] = field(default_factory=dict)
     """Where the robot was at the first and the last beam of it: x, y, yaw; empty if it did not know."""
+    sightings: dict[str, deque[msg.Marker]] = field(default_factory=dict)
+    """What each camera reported lately, oldest first."""
     now: Nanos = 0
     belief: Belief = field(init=False)
     """After the last tick."""
+    _figure: Figure | None = None
     _track: deque[tuple[Nanos, Pose]] = field(default_factory=lambda: deque(maxlen=TRACK))
 
     def __post_init__(self) -> None:
@@ -100,10 +113,18 @@ class Scene:
         """The robot that is shown."""
         return self.gateway.robot
 
+    @property
+    def figure(self) -> Figure:
+        """What the robot looks like."""
+        if self._figure is None:
+            self._figure = figure(self.robot)
+        return self._figure
+
     def adopt(self, gateway: Gateway) -> None:
         """Show another gateway of the same robot from now on, as after a jump in a recording."""
         self.gateway = gateway
         self.scans.clear()
+        self.sightings.clear()
         self._track.clear()
 
     def observe(self, tick: Tick, belief: Belief) -> None:
@@ -115,6 +136,8 @@ class Scene:
             if isinstance(event, msg.LaserScan):
                 self.scans[event.sensor] = event
                 self.swept[event.sensor] = self._at(event.t) + self._at(event.t + event.duration)
+            elif isinstance(event, msg.Marker):
+                self.sightings.setdefault(event.sensor, deque(maxlen=SIGHTINGS)).append(event)
 
     def _at(self, t: Nanos) -> list[list[float | None]]:
         """Return the pose at a time of the recent past, or the oldest kept; empty if there is none."""
@@ -157,6 +180,8 @@ class Scene:
                 for bus in robot.buses.values()
             ],
             "base": _base(base) if base is not None else None,
+            "figure": self.figure.described,
+            "missing": self.figure.missing,
         }
 
     def settings(self) -> list[Json]:
@@ -183,10 +208,13 @@ class Scene:
         return rows
 
     def joints(self) -> Json:
-        """Return every joint's state, in the order of `hello`: a row each."""
+        """Return every joint's state, in the order of `hello`: a row each; and how its figure stands."""
+        joints = self.gateway.joints
+        at = {name: joint.feedback.position for name, joint in joints.items()}
         return {
             "t": self.now / SECOND,
-            "rows": [self._joint(joint) for joint in self.gateway.joints.values()],
+            "rows": [self._joint(joint) for joint in joints.values()],
+            "figure": self.figure.stands(self.robot, at),
         }
 
     def values(self, signals: Sequence[tuple[str, str]]) -> list[float]:
@@ -194,6 +222,18 @@ class Scene:
         joints, now = self.gateway.joints, self.now
         found = [QUANTITIES[quantity][1](joints[joint], now) for joint, quantity in signals]
         return [nan if value is None else value for value in found]
+
+    def cameras(self) -> Json:
+        """Return what each camera saw in the last seconds: of each image the markers, by bearing and rise
+        (tangents, to the left and upward), the distance [m], and where their faces look to."""
+        since = self.now - SEEN_FOR
+        return {
+            "t": self.now / SECOND,
+            "cameras": [
+                {"name": name, "seen": [_sighting(one) for one in found if one.t >= since]}
+                for name, found in self.sightings.items()
+            ],
+        }
 
     def _joint(self, joint: Joint) -> list[Any]:
         """Return mode, armed, kind of command, its value, then the feedback, its age [ms] and faults."""
@@ -258,6 +298,22 @@ class Scene:
             "bus_states": gateway.bus_states,
             **self.facts(),
         }
+
+
+def _sighting(one: msg.Marker) -> Json:
+    """Return a marker as a camera has it in its image; an image without one has its time alone."""
+    found: Json = {"t": one.t / SECOND, "marker": one.marker}
+    if one.position is None or one.position[0] <= 0.0:
+        return found
+    x, y, z = one.position
+    found |= {"at": [_number(y / x), _number(z / x)], "distance": _number(hypot(x, y, z), 3)}
+    if one.orientation is not None:
+        i, j, k, w = one.orientation  # the image of x, out of its face
+        face = 1.0 - 2.0 * (j * j + k * k), 2.0 * (i * j + k * w), 2.0 * (i * k - j * w)
+        ahead = [a + FACE * b for a, b in zip(one.position, face, strict=True)]
+        if ahead[0] > 0.0:
+            found["face"] = [_number(ahead[1] / ahead[0]), _number(ahead[2] / ahead[0])]
+    return found
 
 
 def note(t: Nanos, one: Note) -> Json:

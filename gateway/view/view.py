@@ -54,6 +54,8 @@ class View:
     ) -> None:
         self._requests = Requests(scenes[0].robot, steer, live=scenes[0].kind == "live")
         self._scenes = scenes
+        for scene in scenes:
+            _ = scene.figure  # read now: files take time, and pages come while the robot moves
         self._cockpits = {
             COCKPIT + f"/{number}" * (number > 1): Cockpit(scene, self._requests, acts or {})
             for number, scene in enumerate(scenes, 1)

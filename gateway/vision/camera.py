@@ -7,7 +7,7 @@ OpenCV's camera looks along z, x to the right, y down; a sensor of ours looks al
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -46,6 +46,14 @@ class Intrinsics:
     def matrix(self) -> Floats:
         """The matrix K."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+
+class Seen(NamedTuple):
+    """An image of a camera."""
+
+    t: Nanos
+    image: Image
+    intrinsics: Intrinsics
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,17 +121,14 @@ def decoded(data: npt.NDArray[np.uint8]) -> Image | None:
     return None if found is None else np.ascontiguousarray(found[..., ::-1], dtype=np.uint8)
 
 
-def packed(image: Image) -> bytes:
-    """Return an image as JPEG."""
-    cv2: Any = opencv()
-    _, data = cv2.imencode(
-        ".jpg", np.ascontiguousarray(image[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, QUALITY]
-    )
-    return bytes(data)
-
-
-QUALITY = 85
-"""Of 100"""
+def packed(image: Image, width: int = 0, quality: int = 85) -> bytes:
+    """Return an image as a JPEG, at most so many pixels wide (0: as it is). Raises UserError without
+    OpenCV."""
+    cv: Any = opencv()
+    if scale := min(1.0, width / image.shape[1]):
+        image = cv.resize(image, None, fx=scale, fy=scale, interpolation=cv.INTER_AREA)
+    _, made = cv.imencode(".jpg", np.ascontiguousarray(image[..., ::-1]), [cv.IMWRITE_JPEG_QUALITY, quality])
+    return bytes(made)
 
 
 def opencv() -> ModuleType:

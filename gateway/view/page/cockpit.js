@@ -1,8 +1,10 @@
 // The cockpit: what comes over the wire is handed to its panels, what a person does becomes lines of the operator's
 // language. The page knows nothing that the robot did not setText, and sends nothing that nobody did, but which signals it plots.
 
+import { Cameras } from "./camera.js";
 import { Drive } from "./drive.js";
 import { $, number, setText, twice } from "./elements.js";
+import { Figure } from "./figure.js";
 import { Joints } from "./joints.js";
 import { Field } from "./map.js";
 import { log, rewind, Settings, showBuses, showFaults, showMission, showSystems } from "./panels.js";
@@ -12,13 +14,16 @@ import { Held, Wire } from "./wire.js";
 
 const query = new URLSearchParams(location.search);
 const on = { hello, settings, note, state, answer, joints: rows, signals: (m, b) => plots.takeSignals(m, b), path: (m, b) => field.takePath(m, b),
-  scan: (m, b) => field.takeScan(m, b), tiles: (m, b) => field.takeTiles(m, b) };
+  scan: (m, b) => field.takeScan(m, b), tiles: (m, b) => field.takeTiles(m, b), mesh: (m, b) => figure.takeMesh(m, b),
+  camera: m => cameras.take(m), picture: (m, b) => cameras.takePicture(m, b) };
 const wire = new Wire(query.get("scene") === "2" ? "/cockpit/2" : "/cockpit", on, lost);
 const held = new Held(wire, refused);
 const drive = new Drive(held);
 const field = new Field((x, y, yaw) =>
   ask(`goal ${x.toFixed(3)} ${y.toFixed(3)}` + (yaw === null ? "" : ` ${((yaw * 180) / Math.PI).toFixed(1)}`)));
 const plots = new Plots(wire);
+const figure = new Figure();
+const cameras = new Cameras();
 const joints = new Joints(wire, held, plots);
 $("both").search = location.search;
 const table = new Settings(wire);
@@ -48,6 +53,8 @@ function hello(message) {
   $("aim").hidden = !steer;
   field.steer = steer;
   field.reset(base?.outline ?? [], message.walls ?? []);
+  figure.reset(message);
+  cameras.reset();
   joints.reset(message, steer);
   plots.reset(message);
   drive.enable(steer ? base : null);
@@ -62,6 +69,7 @@ function settings(message) {
 function rows(message) {
   joints.take(message);
   plots.takeRows(message);
+  figure.take(message.figure);
 }
 
 function note(message) {

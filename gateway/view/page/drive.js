@@ -8,7 +8,7 @@ const KEYS = {
   KeyQ: [0, 0, 1], KeyE: [0, 0, -1],
 }; // forward, to the left, sideways to the left
 const TAKES_LETTERS = "input:not([type=range], [type=checkbox]), select";
-const TAKES_ARROWS = `${TAKES_LETTERS}, [type=range], #log, #rows, .scroll`; // they move it, or scroll it
+const TAKES_ARROWS = `${TAKES_LETTERS}, [type=range], #log, #rows, .scroll, #figure-canvas`; // they move it, or scroll it
 
 export class Drive {
   constructor(held) {

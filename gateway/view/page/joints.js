@@ -1,6 +1,7 @@
 // The joints: a row each, whose values are plotted by a click; below it what more there is of a joint, and what moves it.
 
 import { $, button, holdable, make, number, setText, twice } from "./elements.js";
+import { figures, inWords } from "./steps.js";
 
 const PLOTTED = { Velocity: "velocity", Position: "position", Impedance: "position", Torque: "torque" };
 const CONTROLLED = [["position", 4, 3], ["velocity", 5, 2], ["torque", 6, 3]];
@@ -8,12 +9,15 @@ const COLUMNS = [...CONTROLLED, ["temperature", 9, 0], ["age", 10, 0]]; // quant
 const MORE = [["current", 7, 2], ["voltage", 8, 1]];
 const FAULTS = 11;
 const SHARE = 0.1; // of a limit, with which a joint is moved unless another value is typed
+const REST = 500; // ms at 0 before a step
+const ANSWER = 2000; // ms that a step of position is looked at
+const SEEN = 0.3; // s before and after a step that are plotted with it
 const LONG = 9999; // ms, from which an age is only said to be long
 
 export class Joints {
   // `plots`: what a click on a value plots.
   constructor(wire, held, plots) {
-    Object.assign(this, { wire, held, plots, rows: [], steer: false });
+    Object.assign(this, { wire, held, plots, rows: [], steer: false, measured: new Map() }); // of each joint, what is controlled
     plots.changed = () => this.press();
   }
 
@@ -58,6 +62,7 @@ export class Joints {
   // What moves a bare joint: as long as a button is held, to a position, and where it is.
   controls({ name, commands, requests, limits }) {
     const box = make("div", { className: "row controls" });
+    const shown = make("output", { ariaLive: "polite", className: "wide" });
     const ask = line => this.wire.ask(`${line} ${name}`);
     const turned = ["Velocity", "Torque"].filter(kind => commands.includes(kind));
     if (turned.length) {
@@ -69,22 +74,29 @@ export class Joints {
       };
       kind.addEventListener("change", rest);
       rest();
-      const hold = (text, sign) => {
-        const one = button(text, null, { className: "hold", title: "as long as it is held" });
+      // `share` of what is typed when it is pressed, by the time [ms] since. `begun` and `ended`: of a test, which is looked at.
+      const hold = (text, title, share, begun = () => {}, ended = () => {}) => {
+        const one = button(text, null, { className: "hold", title });
         let holding = false;
         holdable(one, () => {
           if (holding || !size.reportValidity()) return; // by a second finger, or by Enter
           holding = true;
           one.classList.add("held");
-          const line = `${kind.value} ${name} ${sign * size.value}`;
-          this.held.begin(() => line, () => {
+          const [what, most, since] = [kind.value, Number(size.value), performance.now()];
+          begun(what);
+          this.held.begin(() => `${what} ${name} ${share(performance.now() - since) * most}`, () => {
             holding = false;
             one.classList.remove("held");
+            ended(what);
           });
         }, () => holding && this.held.end());
         return one;
       };
-      box.append(make("span", { className: "inline" }, kind, size), hold("− hold", -1), hold("hold +", 1));
+      let test = null;
+      const title = "as long as it is held";
+      box.append(make("span", { className: "inline" }, kind, size), hold("− hold", title, () => -1), hold("hold +", title, () => 1),
+        hold("hold: step", `0 for ${REST / 1000} s, then this, as long as it is held; it is plotted, and its figures are shown`,
+          ms => (ms < REST ? 0 : 1), what => (test = this.begin(name, what)), () => this.end(test, shown)));
     }
     if (commands.includes("Position")) {
       const input = make("input", { type: "number", step: "any", required: true, ariaLabel: `position of ${name} [rad]`, placeholder: "rad", className: "to" });
@@ -93,13 +105,39 @@ export class Joints {
         event.preventDefault();
         this.wire.ask(`position ${name} ${input.value}`);
       });
+      const by = button("Step by", () => {
+        const from = this.measured.get(name)?.[0];
+        if (!form.reportValidity() || from === undefined || from === null) return;
+        const test = this.begin(name, "position");
+        this.wire.ask(`position ${name} ${(from + Number(input.value)).toFixed(5)}`);
+        setTimeout(() => this.end(test, shown), ANSWER);
+      }, { title: "so much from where it is; it is plotted, and its figures are shown" });
+      form.append(by);
       box.append(form);
     }
     for (const command of ["Hold", "Idle"])
       if (commands.includes(command)) box.append(button(command, () => ask(command.toLowerCase())));
     for (const request of ["Home", "Zero"])
       if (requests.includes(request)) box.append(twice(button(`${request} …`), () => ask(request.toLowerCase())));
+    box.append(shown);
     return box;
+  }
+
+  // A step that is looked at: plotted from now on,
+  begin(name, quantity) {
+    this.plots.show(name, `${quantity} command`, quantity);
+    this.plots.follow();
+    return { name, quantity, from: this.plots.now };
+  }
+
+  // and what it was like, once the last of it has come.
+  end({ name, quantity, from }, shown) {
+    const to = this.plots.now;
+    setTimeout(() => {
+      const found = figures(...this.plots.between(from, to, name, `${quantity} command`, quantity));
+      setText(shown, `${quantity} step: ${inWords(found, this.units[quantity] ?? "")}`);
+      this.plots.range([from - SEEN, to + SEEN]);
+    }, 1000 * SEEN);
   }
 
   // The device's own parameters, its gains among them, by its own names: read, and written when pressed twice.
@@ -122,7 +160,11 @@ export class Joints {
   }
 
   take({ rows }) {
-    this.rows.forEach((row, i) => rows[i] && this.show(row, rows[i]));
+    this.rows.forEach((row, i) => {
+      if (!rows[i]) return;
+      this.measured.set(row.name, CONTROLLED.map(([, at]) => rows[i][at]));
+      this.show(row, rows[i]);
+    });
   }
 
   show({ name, mode, command, fault, values }, row) {

@@ -47,6 +47,23 @@ export class Plots {
     this.choose();
   }
 
+  // Plot these quantities of a joint, too.
+  show(joint, ...quantities) {
+    for (const quantity of quantities) if (!this.colour(joint, quantity)) this.toggle(joint, quantity);
+  }
+
+  get now() {
+    return this.times.at(-1) ?? 0;
+  }
+
+  // The times from one to another, and the values of these quantities of a joint then: a list each.
+  between(from, to, joint, ...quantities) {
+    const first = this.times.findIndex(t => t >= from), end = this.times.findIndex(t => t > to);
+    const cut = list => (first < 0 || !list ? [] : list.slice(first, end < 0 ? undefined : end));
+    const of = quantity => this.signals.find(one => one.key === key(joint, quantity))?.values;
+    return [this.times, ...quantities.map(of)].map(cut);
+  }
+
   // Add a signal, with what the rows of the last minute say of its past.
   add(joint, quantity) {
     const taken = this.signals.map(one => one.number);
@@ -109,8 +126,7 @@ export class Plots {
   }
 
   pause() {
-    const end = this.times.at(-1) ?? 0;
-    this.range([end - this.span, end]);
+    this.range([this.now - this.span, this.now]);
   }
 
   // Stand at a range of times, or follow: null.
@@ -126,8 +142,7 @@ export class Plots {
   }
 
   get seen() {
-    const end = this.times.at(-1) ?? 0;
-    return this.paused ?? [end - this.span, end];
+    return this.paused ?? [this.now - this.span, this.now];
   }
 
   size() {

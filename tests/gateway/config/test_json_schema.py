@@ -11,7 +11,7 @@ import pytest
 from jsonschema import Draft7Validator
 
 from gateway.cli.main import main
-from gateway.cli.schema import FILES
+from gateway.cli.schema import FILES, Examples
 from gateway.config import load_robot
 from gateway.config.json_schema import Schema, rows_of
 from gateway.errors import ConfigError
@@ -100,7 +100,7 @@ def test_every_key_says_what_it_means(schemas: dict[str, Schema]) -> None:
     """A key is explained below its field; that of a table by the table's own keys."""
     silent = [
         f"{heading} {row.key}"
-        for kind in ("robot", "world", "plant", "scenario")
+        for kind in FILES
         for heading, rows in rows_of(schemas[kind]).items()
         if DEVICE_SETTINGS not in heading
         for row in rows
@@ -120,5 +120,21 @@ def test_the_command_prints_a_schema_writes_it_once_and_prints_the_keys(
     assert main(["schema", "mission", "--out", str(file)]) == 2
     assert "cannot be written: File exists" in capsys.readouterr().err
     assert main(["schema", "robot", "--keys"]) == 0
-    row = "| `gear` | number, 0.001 to 10000 | `1` | Turns of the device's shaft per turn of the joint. |"
-    assert row in capsys.readouterr().out.splitlines()
+    row = "| `gear` | number, 0.001 to 10000 | `1` | `1.5` | Turns of the device's shaft per turn of the "
+    row += "joint. |"
+    printed = capsys.readouterr().out.splitlines()
+    assert row in printed
+    assert any(line.startswith("Settings of `brain/planning/") for line in printed)
+
+
+@pytest.mark.parametrize("kind", FILES)
+def test_keys_have_examples_from_the_files_that_ship_and_the_file_in_which_they_count(
+    schemas: dict[str, Schema], kind: str
+) -> None:
+    example = Examples(kind)
+    rows = [(heading, row) for heading, rows in rows_of(schemas[kind]).items() for row in rows]
+    shown = [example.of(heading, row.key) for heading, row in rows if not row.what.startswith("table")]
+    assert sum(map(bool, shown)) > {"robot": 200}.get(kind, 0.5 * len(shown))
+    for one in filter(None, shown):
+        tomllib.loads(f"key = {one}")
+    assert all((ROOT / row.where).is_file() for _, row in rows if row.where)

@@ -191,8 +191,8 @@ def test_images_of_a_camera(tmp_path: Path) -> None:
         session.ros(domain=number)
         judge = Judge(tmp_path, "rclpy_camera", number)
         for _ in session.run(seconds=PATIENCE):
-            if camera.newest is not None:
-                drawn.setdefault(*camera.newest)
+            if camera.seen is not None:
+                drawn.setdefault(camera.seen.t, camera.seen.image)
             if judge.done():
                 break
         found = judge.end()
@@ -204,7 +204,8 @@ def test_images_of_a_camera(tmp_path: Path) -> None:
         assert image is not None
         off = [float(np.abs(image.astype(float) - one).mean()) for one in drawn.values()]
         assert min(off) < 3.0, "grey levels, of JPEG"
-    one, info = camera.intrinsics, found["info"]
+    assert camera.seen is not None
+    one, info = camera.seen.intrinsics, found["info"]
     assert info["size"] == [640, 480]
     assert info["k"] == [one.fx, 0.0, one.cx, 0.0, one.fy, one.cy, 0.0, 0.0, 1.0]
     assert info["p"] == [one.fx, 0.0, one.cx, 0.0, 0.0, one.fy, one.cy, 0.0, 0.0, 0.0, 1.0, 0.0]

@@ -24,6 +24,7 @@ PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
 OPTIONS = [f"--{option}" for option in (
     "headless=new", "no-sandbox", "disable-dev-shm-usage", "disable-gpu", "no-first-run", "disable-sync",
     "disable-quic", "disable-background-networking", "disable-component-update", "remote-debugging-port=0",
+    "enable-unsafe-swiftshader",
 )]  # fmt: skip
 
 
@@ -172,6 +173,8 @@ class Chromium:
         if tab is None:
             return
         if method == "Log.entryAdded" and given["entry"]["level"] in ("error", "warning"):
+            if "GL Driver Message" in given["entry"]["text"]:
+                return  # of how fast a browser without a graphics card draws
             tab.problems.append(given["entry"]["text"])
         elif method == "Runtime.exceptionThrown":
             tab.problems.append(json.dumps(given["exceptionDetails"]))

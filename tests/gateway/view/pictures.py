@@ -32,6 +32,12 @@ def main(folder: Path) -> None:
             robot.do("provoke left")
             tab.until("document.querySelector('#faults article')")
             picture(tab, folder / "cockpit-dark.png")
+        with running("arm", "steer") as robot:
+            tab = opened(browser, robot.url)
+            tab.type("#line", "position shoulder -0.3")
+            tab.run("document.activeElement.blur()")
+            tab.until("/shoulder -0.[34]/.test(document.querySelector('#figure-names').textContent)")
+            picture(tab, folder / "cockpit-arm.png")
         with beside(Path(own), (Goal(5.6, 1.0), 14.0), (Goal(5.6, 0.4), 14.0)) as url:
             tab = browser.open(url, 1440, 900)
             tab.until(f"{FRAMES}.length === 2")

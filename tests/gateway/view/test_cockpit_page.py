@@ -17,10 +17,12 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from functools import partial
 from importlib import resources
-from math import sin
+from itertools import pairwise
+from math import cos, exp, pi, sin, sqrt
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from gateway import Goal, open_session
@@ -28,9 +30,12 @@ from gateway.view.access import Access, Address
 from gateway.view.scene import QUANTITIES
 from gateway.view.server import Server
 from gateway.view.view import pages
-from protocols.messages import SECOND
+from gateway.vision.camera import thumbnail
+from protocols.messages import MILLISECOND, SECOND
 from tests.gateway.processes import PATIENCE
 from tests.gateway.view.chromium import Chromium, Tab, chromium, wait
+from tests.gateway.view.test_view import PERIOD
+from tests.gateway.view.test_view import bench as counted
 
 PAGE = Path(__file__).parents[3] / "gateway" / "view" / "page"
 WATCH = """
@@ -645,6 +650,61 @@ def test_bare_joints_are_moved_by_hand(browser: Chromium, bench: Robot) -> None:
     assert bench.asked("Zero")[0] == "Zero(motor='left')"
 
 
+def test_a_step_on_a_bench_is_held_plotted_and_measured(browser: Chromium, bench: Robot) -> None:
+    tab = opened(browser, bench.url)
+    tab.until("document.querySelectorAll('.joint').length === 2")
+    tab.click(".joint .open")
+    step = ".more .hold:nth-of-type(3)"
+    tab.until(f"document.querySelector('{step}').checkVisibility()")
+    at = tab.middle(step)
+    tab.mouse("mousePressed", at)
+    bench.held("Velocity(motor='left', velocity=0.0")
+    bench.held("Velocity(motor='left', velocity=2.0")
+    wait(lambda: bench.look()["speeds"]["left"] > 1.9, "turning")
+    now = bench.look()["t"]
+    wait(lambda: bench.look()["t"] > now + 0.5, "turning for a while")
+    tab.mouse("mouseReleased", at)
+    bench.held("Velocity(motor='left', velocity=0.0")
+    tab.until("document.querySelector('.controls output').textContent.includes('overshoot')")
+    found = tab.run("document.querySelector('.controls output').textContent")
+    assert found.startswith("velocity step: 10 % after ")
+    assert {"left velocity command", "left velocity"} <= set(tab.run(SHOWN))
+    assert tab.run("document.querySelector('#pause').textContent") == "Follow"
+    tab.type(".more input.to", "0.4", enter=False)
+    tab.run("document.querySelector('.more .to ~ button:nth-of-type(2)').click()")
+    tab.until("document.querySelector('.controls output').textContent.startsWith('position step: 10 %')")
+    assert bench.asked("Position")[0].startswith("Position(motor='left'")
+
+
+def test_the_figures_of_a_step_are_those_of_a_second_order_system(browser: Chromium, fake: Fake) -> None:
+    """Damping 0.4 at 20 rad/s: overshoot exp(-pi d / sqrt(1 - d²)), and the times by its closed form."""
+    tab = fake.show(browser, hello(base=False))
+    d, w = 0.4, 20.0
+    wd = w * sqrt(1.0 - d * d)
+    times = [0.001 * i for i in range(2500)]
+    answer = [
+        2.0 * (1.0 - exp(-d * w * (t - 0.5)) * (cos(wd * (t - 0.5)) + d * w / wd * sin(wd * (t - 0.5))))
+        if t > 0.5
+        else 0.0
+        for t in times
+    ]
+    command = [2.0 if t >= 0.5 else 0.0 for t in times]
+    found = tab.run(
+        f"import('./steps.js').then(m => m.figures({times}, {command}, {[one + 1.0 for one in answer]}))"
+    )
+    after = [(t - 0.5, one / 2.0) for t, one in zip(times, answer, strict=True) if t > 0.5]
+    reached = [next(t for t, one in after if one >= share) for share in (0.1, 0.9)]
+    assert found["overshoot"] == pytest.approx(exp(-pi * d / sqrt(1.0 - d * d)), abs=1e-3)
+    assert found["delay"] == pytest.approx(reached[0], abs=0.002)
+    assert found["rise"] == pytest.approx(reached[1] - reached[0], abs=0.002)
+    outside = [t for t, one in after if abs(one - 1.0) > 0.05]
+    assert found["settled"] == pytest.approx(outside[-1], abs=0.003)
+    assert found["error"] == pytest.approx(-1.0, abs=1e-3)
+    assert found["noise"] == pytest.approx(0.0, abs=1e-3)
+    still = f"import('./steps.js').then(m => m.figures({times}, {command}, {[0.01] * len(times)}))"
+    assert tab.run(still) is None
+
+
 def test_a_parameter_of_a_device_is_read(browser: Chromium, bench: Robot) -> None:
     tab = opened(browser, bench.url)
     tab.until("document.querySelectorAll('.joint').length === 2")
@@ -653,6 +713,113 @@ def test_a_parameter_of_a_device_is_read(browser: Chromium, bench: Robot) -> Non
     tab.type(".parameters input", "Bus_Voltage")
     tab.until("document.querySelector('#log').textContent.includes('Bus_Voltage')")
     assert bench.asked("ReadParameter")[0].endswith("'Bus_Voltage')")
+
+
+# -- three dimensions, cameras -----------------------------------------------------------------------
+
+RED, GREEN, BLUE = (f"{one} > 100 && {two} < 10 && {three} < 10" for one, two, three in ("rgb", "grb", "brg"))
+YELLOW = "r > 220 && g > 180 && b < 60"
+
+
+def pixels(tab: Tab, canvas: str, colour: str) -> list[float]:
+    """Return how many pixels of a canvas are of a colour (what is true of r, g, b), and the middle of these,
+    from 0 to 1 from the left and from the top."""
+    script = f"""(canvas => {{
+      const {{ width, height }} = canvas, seen = [0, 0, 0];
+      const pen = new OffscreenCanvas(width, height).getContext("2d");
+      pen.drawImage(canvas, 0, 0);
+      const data = pen.getImageData(0, 0, width, height).data;
+      for (let i = 0; i < data.length; i += 4) {{
+        const [r, g, b] = data.subarray(i, i + 3);
+        if (!({colour})) continue;
+        seen[0]++;
+        seen[1] += ((i / 4) % width) / width;
+        seen[2] += Math.floor(i / 4 / width) / height;
+      }}
+      return [seen[0], seen[1] / (seen[0] || 1), seen[2] / (seen[0] || 1)];
+    }})(document.querySelector({canvas!r}))"""
+    tab.drawn()
+    found: list[float] = tab.run(script)
+    return found
+
+
+def solid(kind: str, size: list[float], at: list[float], colour: list[int], **more: int) -> Any:
+    return {"kind": kind, "size": size, "at": [*at, 0, 0, 0], "colour": colour} | more
+
+
+def part(carrier: int, at: list[float], *shapes: Any, motor: str = "") -> Any:
+    where = {"carrier": carrier, "at": [*at, 0, 0, 0], "axis": [1, 0, 0], "slides": False, "rest": 0.0}
+    return where | {"motor": motor, "shapes": list(shapes)}
+
+
+def test_a_figure_moves_as_its_joints_do_and_is_turned_by_a_person(browser: Chromium, fake: Fake) -> None:
+    """A red bar stands on a blue base; its joint turns it about x, which looks to the left and forward."""
+    bar = part(0, [0, 0, 0.2], solid("cylinder", [0.05, 0.8], [0, 0, 0.4], [1, 0, 0]), motor="arm")
+    parts = [part(-1, [0, 0, 0], solid("box", [0.4, 0.4, 0.2], [0, 0, 0.1], [0, 0, 1])), bar]
+    about = hello(joints=["arm"], base=False) | {"figure": parts, "missing": ["a.dae: only STL is drawn"]}
+    tab = fake.show(browser, about)
+    row = ["armed", True, "Position", 0.0, 0.0, 0.0, 0.0, 1.0, 24.0, 30.0, 3, 0]
+
+    def red(angle: float | None) -> list[float]:
+        fake.say("joints", t=1.0, rows=[row], figure=[angle])
+        value = "arm –" if angle is None else f"arm {angle:.2f} rad"
+        names = "document.querySelector('#figure-names').textContent"
+        drawn = "new Promise(requestAnimationFrame).then(() => requestAnimationFrame)"
+        fake.until(lambda: tab.run(f"{drawn}.then(() => {names} === {json.dumps(value)})"))
+        return pixels(tab, "#figure-canvas", RED)
+
+    assert tab.run("document.querySelector('#figure').open")
+    assert "a.dae: only STL is drawn" in tab.text("#figure-panel")
+    tab.click("#figure-values")
+    unknown = red(None)
+    assert unknown[0] > 100
+    up = red(0.0)
+    assert up == pytest.approx(unknown, abs=1e-6)  # at rest
+    aside = red(-1.57)
+    assert abs(aside[1] - up[1]) > 0.05
+    assert aside[2] > up[2] + 0.05  # lower
+    x, y = tab.middle("#figure-canvas")
+    tab.mouse("mousePressed", (x, y))
+    tab.mouse("mouseMoved", (x + 150, y))
+    tab.mouse("mouseReleased", (x + 150, y))
+    turned = pixels(tab, "#figure-canvas", RED)
+    assert turned != pytest.approx(aside, rel=0.03)
+    before = pixels(tab, "#figure-canvas", BLUE)[0]
+    tab.click("#figure-far")
+    assert pixels(tab, "#figure-canvas", BLUE)[0] < 0.8 * before
+
+
+def test_a_mesh_is_drawn_piece_by_piece(browser: Chromium, fake: Fake) -> None:
+    mesh = solid("mesh", [0.5, 0.5, 0.5], [0, 0, 0], [0, 1, 0], mesh=0)
+    base = solid("box", [0.1, 0.1, 0.1], [0, 0, 0.05], [0, 0, 1])
+    tab = fake.show(browser, hello(base=False) | {"figure": [part(-1, [0, 0, 0], base, mesh)], "missing": []})
+    seen = [pixels(tab, "#figure-canvas", GREEN)[0]]
+    assert seen == [0]
+    for first in (0, 20000):
+        corners = ((first, 0, 65535), (first + 20000, 0, 65535), (first, 60000, 65535))
+        data = struct.pack("<9H", *(one for corner in corners for one in corner))
+        header = {"kind": "mesh", "mesh": 0, "low": [-0.5, -0.5, 0.0], "step": 1 / 65535, "count": 1}
+        fake.say_bytes(header, data)
+        fake.until(lambda: pixels(tab, "#figure-canvas", GREEN)[0] > seen[-1])
+        seen.append(pixels(tab, "#figure-canvas", GREEN)[0])
+
+
+def test_a_camera_s_markers_are_drawn_where_they_are_in_its_picture(browser: Chromium, fake: Fake) -> None:
+    tab = fake.show(browser, hello())
+    marker = {"t": 1.0, "marker": 7, "at": [0.35, 0.265], "distance": 2.0, "face": [0.34, 0.265]}
+    fake.say("camera", t=1.05, cameras=[{"name": "eye", "seen": [marker, {"t": 0.9, "marker": None}]}])
+    fake.until(lambda: tab.run("document.querySelector('#cameras canvas') !== null"))
+    count, x, y = pixels(tab, "#cameras canvas", YELLOW)
+    assert count > 50
+    assert (x, y) == pytest.approx((0.25, 0.25), abs=0.12)  # half to the left, half up; its name beside it
+    assert tab.text("#cameras").endswith("7 at 2.00 m")
+    picture = thumbnail(np.full((480, 640, 3), (0, 0, 255), dtype=np.uint8), 320, 50)
+    header = {"kind": "picture", "name": "eye", "t": 1.0, "wide": 0.7, "tall": 0.53}
+    fake.say_bytes(header, picture)
+    fake.until(lambda: pixels(tab, "#cameras canvas", "b > 200 && r < 40 && g < 40")[0] > 200_000)
+    assert pixels(tab, "#cameras canvas", YELLOW)[1:] == pytest.approx([x, y], abs=0.02)
+    fake.say("camera", t=9.0, cameras=[{"name": "eye", "seen": []}])
+    fake.until(lambda: tab.text("#cameras").endswith("no image reported for 2 s"))
 
 
 # -- plots -------------------------------------------------------------------------------------------
@@ -762,6 +929,70 @@ def test_after_a_jump_back_what_was_later_is_not_plotted_any_more(
     rows = saved(tab, tmp_path)
     assert len(rows) == 1 + 801
     assert [float(one) for one in rows[-1]] == [104.0, 9.0, 9.0]
+
+
+DRAWN = """
+window.drawn = [];
+let given;
+Object.defineProperty(window, "uPlot", { configurable: true, get: () => given, set(uPlot) {
+  given = new Proxy(uPlot, { construct(target, how) {
+    const plot = new target(...how), set = plot.setData;
+    let before = 0;
+    plot.setData = (data, ...rest) => {
+      before = clock();
+      drawn.push([data[0].length, data[0].at(-1), 0]);
+      set.call(plot, data, ...rest);
+    };
+    const took = () => drawn.length && (drawn.at(-1)[2] = clock() - before); // it draws in a microtask
+    (plot.hooks.draw ??= []).push(took);
+    return (window.plotted = plot);
+  } });
+} });
+"""
+"""Notes of each time a plot is drawn: how much it has, its newest time, and how long that took [ms]."""
+
+
+@pytest.mark.parametrize("seconds", [6, pytest.param(60, marks=pytest.mark.prove)])
+def test_every_tick_of_a_plot_at_200_hz_is_drawn_with_the_next_frame(browser: Chromium, seconds: int) -> None:
+    """Counted, not timed: each tenth of a second, in which five messages come, the page is given a frame, and
+    its plot ends where the newest message does."""
+    with counted(steer=False) as loop:
+        tab = browser.open(loop.view.url, before=WATCH + DRAWN)
+        while not loop.view._server.clients:  # it answers nothing until it is there
+            loop.tick()
+
+        def until(script: str, tick: int = 0) -> None:
+            """Wait, while both ends go on: the loop by so many ticks."""
+
+            def seen() -> bool:
+                loop.run(tick * PERIOD / SECOND)
+                loop.view.poll(loop.now)
+                loop.view.show(loop.now)
+                return bool(tab.run(f"Boolean({script})"))
+
+            wait(seen, script)
+
+        until("window.plotted?.series.length === 5 && drawn.length > 2", tick=4)
+        tab.run("document.querySelector('#span').value = '60'")
+        begin, late = loop.now, 0
+        newest = "seen.in.findLast(([, one]) => one.kind === 'signals')[1].clock"
+        for _ in range(10 * seconds):
+            loop.run(0.1)
+            until(f"{newest} >= {loop.now // MILLISECOND - 20}")
+            tab.drawn()
+            late += not tab.run(f"1000 * drawn.at(-1)[1] > {newest} - 5")
+        ticks = (loop.now - begin) // PERIOD
+        times = tab.run("plotted.data[0]")
+        came = "seen.in.reduce((sum, [, one]) => sum + (one.kind === 'signals' && one.id ? one.rows : 0), 0)"
+        cost = sorted(tab.run("drawn.map(one => one[2])"))
+        print(
+            f"{ticks} ticks: {tab.run(came)} rows came, {len(times)} are drawn, in {len(cost)} frames of "
+            f"{cost[len(cost) // 2]:.1f} ms (median), at most {cost[-1]:.1f} ms; {late} late"
+        )
+        assert late == 0
+        assert {round(after - before, 4) for before, after in pairwise(times[-ticks + 20 :])} == {0.005}
+        assert tab.run("document.querySelector('#plot-lost').textContent") == ""
+        tab.close()
 
 
 @pytest.mark.parametrize(("width", "height"), [(1440, 900), (390, 844)])
@@ -1316,8 +1547,8 @@ def test_colours_have_the_contrast_that_they_need() -> None:
 
 def test_the_page_is_light_and_needs_no_other_server() -> None:
     files = [one for one in PAGE.iterdir() if one.suffix != ".LICENSE"]
-    assert sum(one.stat().st_size for one in files) < 145_000
-    assert sum(len(one.packed) for path, one in pages().items() if path != "/") < 56_000  # by gzip, as sent
+    assert sum(one.stat().st_size for one in files) < 175_000
+    assert sum(len(one.packed) for path, one in pages().items() if path != "/") < 66_000  # by gzip, as sent
     for one in files:
         if one.name != "uplot.js":
             addresses = re.findall(r"https?://[^\s\"']+", one.read_text())
