@@ -251,7 +251,7 @@ def is_covered(chart: Map, keyframes: Keyframes, scan: BodyScan, pose: Pose) -> 
     """Return whether somebody covers too much of a scan for it to show a place: where most of its near ends
     are, the newest keyframes saw farther. The map soon has who came; it is asked where there are none."""
     close = np.flatnonzero(scan.hit & (scan.ranges < CLOSE))
-    share = len(close) / max(np.count_nonzero(scan.ranges > 0.0), 1)
+    share = len(close) / max(int(np.count_nonzero(scan.ranges > 0.0)), 1)
     if share <= COVERED:
         return False
     ends = to_world(scan.ends[close], pose)

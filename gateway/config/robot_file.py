@@ -247,8 +247,9 @@ def parse_robot(
         raise AssertionError("a section is missing, and no mistake was added")
     named = top.name, text, period, top.world, top.seed
     folder = "" if file is None or top.urdf is None else str((file.parent / top.urdf).parent)
-    rest = bag, top.plant, top.stall_timeout, ros or RosSettings(), described.text, moved, folder
-    return Robot(*named, buses, motors, sensors, brain, *rest, real=tuple(dict.fromkeys(there)))
+    outside = bag, top.plant, top.stall_timeout, ros or RosSettings()
+    shape = described.text, moved, folder
+    return Robot(*named, buses, motors, sensors, brain, *outside, *shape, real=tuple(dict.fromkeys(there)))
 
 
 def _simulate_others(

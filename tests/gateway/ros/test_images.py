@@ -16,9 +16,10 @@ from brain.perception.mount import Mount
 from gateway.ros import types
 from gateway.ros.images import BAND, BEGINS, GOES_ON, IMAGE, INFO, ImageTopics, Pictures, optical, topics
 from gateway.ros.link import Link
-from gateway.vision.camera import Image, Intrinsics, decoded
-from protocols.messages import SECOND, Nanos
+from gateway.vision.camera import Image, Intrinsics, Seen, decoded
+from protocols.messages import SECOND
 
+LENS = Intrinsics(400.0, 410.0, 159.5, 119.5)
 NAMES = [*topics(["eye"])]
 ROWS = {name: number for number, name in enumerate(NAMES)}
 
@@ -29,8 +30,7 @@ class Eye:
 
     name: str = "eye"
     mount: Mount = Mount()  # noqa: RUF009 -- a frozen value
-    newest: tuple[Nanos, Image] | None = None
-    intrinsics: Intrinsics = Intrinsics(400.0, 410.0, 159.5, 119.5)  # noqa: RUF009
+    seen: Seen | None = None
 
 
 def drawn(seed: int, height: int = 240, width: int = 320) -> Image:
@@ -52,7 +52,7 @@ def ends(*eyes: Eye) -> Iterator[tuple[ImageTopics, Link, list[tuple[str, bytes]
 
 
 def test_an_image_goes_in_bands_and_comes_out_as_one_message() -> None:
-    eye = Eye(newest=(2 * SECOND, drawn(3)))
+    eye = Eye(seen=Seen(2 * SECOND, drawn(3), LENS))
     with ends(eye) as (show, other, sent):
         pictures, found, steps = Pictures([IMAGE]), list[bytes](), 0
         for _ in range(20):
@@ -80,7 +80,7 @@ def test_an_image_goes_in_bands_and_comes_out_as_one_message() -> None:
     [(set(), 0, 0), ({NAMES[0]}, 0, 1), ({NAMES[1]}, 1, 0), (set(NAMES), 1, 1)],
 )
 def test_what_nobody_takes_is_not_made(wanted: set[str], described: int, images: int) -> None:
-    with ends(Eye(newest=(1, drawn(1)))) as (show, other, sent):
+    with ends(Eye(seen=Seen(1, drawn(1), LENS))) as (show, other, sent):
         parts: list[Any] = []
         for _ in range(20):
             show.show(wanted)
@@ -93,7 +93,7 @@ def test_nothing_waits_for_who_does_not_read_and_newer_images_take_its_place() -
     eye = Eye()
     with ends(eye) as (show, other, _):
         for number in range(500):
-            eye.newest = number, drawn(number % 6, 480, 640)
+            eye.seen = Seen(number, drawn(number % 6, 480, 640), LENS)
             show.show(set(NAMES))
             assert len(show._link._out) <= BAND + 1000
         pictures, found = Pictures([IMAGE]), list[bytes]()
@@ -107,12 +107,12 @@ def test_nothing_waits_for_who_does_not_read_and_newer_images_take_its_place() -
 
 
 def test_two_cameras_take_turns() -> None:
-    eyes = Eye("left", newest=(1, drawn(1))), Eye("right", newest=(1, drawn(2)))
+    eyes = Eye("left", seen=Seen(1, drawn(1), LENS)), Eye("right", seen=Seen(1, drawn(2), LENS))
     with ends(*eyes) as (show, other, _):
         begun: list[int] = []
         for number in range(60):
             for eye in eyes:
-                eye.newest = number, drawn(1)
+                eye.seen = Seen(number, drawn(1), LENS)
             show.show(set(topics(["left", "right"])))
             begun += [part[1] for part in other.receive() if part[0] == BEGINS]
     assert begun[:4] == [0, 2, 0, 2]

@@ -30,7 +30,7 @@ from gateway.view.access import Access, Address
 from gateway.view.scene import QUANTITIES
 from gateway.view.server import Server
 from gateway.view.view import pages
-from gateway.vision.camera import thumbnail
+from gateway.vision.camera import packed
 from protocols.messages import MILLISECOND, SECOND
 from tests.gateway.processes import PATIENCE
 from tests.gateway.view.chromium import Chromium, Tab, chromium, wait
@@ -813,7 +813,7 @@ def test_a_camera_s_markers_are_drawn_where_they_are_in_its_picture(browser: Chr
     assert count > 50
     assert (x, y) == pytest.approx((0.25, 0.25), abs=0.12)  # half to the left, half up; its name beside it
     assert tab.text("#cameras").endswith("7 at 2.00 m")
-    picture = thumbnail(np.full((480, 640, 3), (0, 0, 255), dtype=np.uint8), 320, 50)
+    picture = packed(np.full((480, 640, 3), (0, 0, 255), dtype=np.uint8), 320, 50)
     header = {"kind": "picture", "name": "eye", "t": 1.0, "wide": 0.7, "tall": 0.53}
     fake.say_bytes(header, picture)
     fake.until(lambda: pixels(tab, "#cameras canvas", "b > 200 && r < 40 && g < 40")[0] > 200_000)
