@@ -245,11 +245,26 @@ def parse_robot(
     mistakes.check()
     if top is None or brain is None:
         raise AssertionError("a section is missing, and no mistake was added")
-    named = top.name, text, period, top.world, top.seed
     folder = "" if file is None or top.urdf is None else str((file.parent / top.urdf).parent)
-    outside = bag, top.plant, top.stall_timeout, ros or RosSettings()
-    shape = described.text, moved, folder
-    return Robot(*named, buses, motors, sensors, brain, *outside, *shape, real=tuple(dict.fromkeys(there)))
+    return Robot(
+        name=top.name,
+        text=text,
+        period=period,
+        world=top.world,
+        seed=top.seed,
+        buses=buses,
+        motors=motors,
+        sensors=sensors,
+        brain=brain,
+        bag=bag,
+        plant=top.plant,
+        stall_timeout=top.stall_timeout,
+        ros=ros or RosSettings(),
+        description=described.text,
+        described=moved,
+        folder=folder,
+        real=tuple(dict.fromkeys(there)),
+    )
 
 
 def _simulate_others(

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from math import pi, sin
+from dataclasses import replace
+from math import pi, sin, sqrt
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,11 @@ from brain.bodies.quadruped import Quadruped
 from fixtures import __file__ as fixtures
 from gateway.config import load_robot
 from gateway.core.robot import Robot
-from gateway.view.figure import MOST_TRIANGLES, coarser, figure, read_stl
+from gateway.core.tick import Inputs, Outputs, Tick
+from gateway.view.figure import MOST_TRIANGLES, PIECE, coarser, figure, read_stl
+from gateway.vision.camera import Intrinsics, Seen
+from protocols.messages import Marker
+from tests.gateway.view.test_view import bench
 
 ROBOTS = Path(fixtures).parent / "robots"
 NAMES = sorted(one.stem for one in ROBOTS.glob("*.toml"))
@@ -214,3 +219,54 @@ def test_meshes_that_cannot_be_drawn_are_named_with_the_reason(tmp_path: Path) -
         "a.dae: only STL is drawn",
         "no.stl: it is no STL: its length does not fit the number of its triangles",
     }
+
+
+# -- over the wire -----------------------------------------------------------------------------------
+
+
+def test_a_page_gets_each_mesh_once_in_pieces(tmp_path: Path) -> None:
+    fine = np.concatenate([TETRAHEDRON * (1.0 + number / 250.0) for number in range(225)]).astype(np.float32)
+    (tmp_path / "lens.stl").write_bytes(binary(fine))
+    described(tmp_path, "lens.stl")
+    with bench(robot=str(tmp_path / "robot.toml")) as loop:
+        page = loop.page()
+        loop.run(1.0)
+        (hello,) = page.of("hello")
+        (shape,) = [one for part in hello["figure"] for one in part["shapes"] if one["kind"] == "mesh"]
+        pieces = page.of("mesh")
+        assert [one["count"] for one in pieces] == [PIECE, PIECE, len(fine) - 2 * PIECE]
+        assert {one["mesh"] for one in pieces} == {shape["mesh"]}
+        corners = [
+            np.array(one["low"]) + one["step"] * np.frombuffer(one["bytes"], "<u2").reshape(-1, 3, 3)
+            for one in pieces
+        ]
+        assert np.concatenate(corners) == pytest.approx(fine, abs=float(fine.max()) / 65535)
+        (joints,) = page.of("joints")[-1:]
+        assert joints["figure"] == [None, None]  # its servos report nothing
+
+
+def test_a_page_gets_what_cameras_saw_and_their_pictures() -> None:
+    half = sqrt(0.5)
+    seen = Marker("eye", 0, 7, (2.0, 0.5, -0.25), (0.0, 0.0, 1.0, 0.0))  # faces the camera
+    aside = Marker("eye", 0, 8, (1.0, 0.0, 0.0), (0.0, 0.0, half, half))  # faces to its left
+    with bench() as loop:
+        page = loop.page()
+        scene = next(iter(loop.view._cockpits.values())).scene
+        image = np.zeros((480, 640, 3), dtype=np.uint8)
+        scene.pictures = lambda: {"eye": Seen(5, image, Intrinsics(320.0, 320.0, 319.5, 239.5))}
+        events = tuple(replace(one, t=loop.now) for one in (seen, aside, Marker("eye", 0, None)))
+        scene.observe(Tick(0, loop.now, Inputs(), Outputs(events=events)), scene.belief)
+        loop.run(2.4)
+        first, *_ = page.of("camera")
+        (eye,) = first["cameras"]
+        assert eye["name"] == "eye"
+        facing, turned, nothing = eye["seen"]
+        assert (facing["marker"], facing["at"], facing["distance"]) == (7, [0.25, -0.125], 2.077)
+        assert facing["face"] == pytest.approx([0.5 / 1.9, -0.25 / 1.9], abs=1e-4)  # 0.1 m nearer
+        assert turned["face"] == pytest.approx([0.1, 0.0], abs=1e-5)
+        assert (nothing["marker"], "at" in nothing) == (None, False)
+        assert page.of("camera")[-1]["cameras"] == [{"name": "eye", "seen": []}]  # 2 s later
+        pictures = page.of("picture")
+        assert 2 <= len(pictures) <= 3
+        assert (pictures[0]["name"], pictures[0]["wide"], pictures[0]["tall"]) == ("eye", 1.0, 0.75)
+        assert pictures[0]["bytes"].startswith(b"\xff\xd8")
