@@ -11,7 +11,7 @@ import pytest
 
 from gateway.bench.excite import Excitation, Part, excite, one_motor, parts
 from gateway.bench.joint_trace import JointTrace, traced
-from gateway.bench.tune import Identified, identify, misfit, proposed
+from gateway.bench.tune import Identified, bandwidth_of, identify, misfit, proposed
 from gateway.buses.virtual.bus import TwinWorld
 from gateway.config import parse_robot
 from gateway.core.clock import SimulatedClock
@@ -231,6 +231,7 @@ def test_proposed_gains_put_both_poles_on_half_the_bandwidth() -> None:
     assert poles == pytest.approx([-bandwidth / 2.0] * 2, rel=1e-3)
     assert position == bandwidth / 4.0
     assert proposed(replace(one, delay=0.05))[0] < bandwidth
+    assert bandwidth_of(one) == pytest.approx(2.0)  # what it has
 
 
 # -- backlash in the plant -----------------------------------------------------------------------------
