@@ -35,9 +35,11 @@ NOISE = 0.01, 0.02
 STARTS, RATIOS = ((0.8, 1.0), (15.0, 40.0, 100.0, 250.0), (0.0005, 0.0015, 0.003, 0.008)), (1.0, 8.0)
 """Where the search begins: the inertia as a share of the first guess, the bandwidth of the loop [rad/s], s
 from a set-point to the torque that answers it; the integral's gain over the other [1/s]"""
-AGAIN = (None, 1.0, 4.0), (0.0005, 0.001, 0.0015, 0.0025), (0.0005, 0.0015, 0.003)
-"""And where it begins again, once that is known roughly: that ratio (None: as found), s of delay and of lag,
-each of which another value of the other hides"""
+AGAIN = (None, 1.0, 4.0), (0.0005, 0.001, 0.0015, 0.0025), (0.0005, 0.0015, 0.003), (0.0, 0.0015)
+"""And where it begins again, once that is known roughly: that ratio (None: as found), s of delay, of lag, and
+by which torques are older, each of which another value of the others hides"""
+ROUNDS = 2
+"""How often"""
 FEWEST = 50
 """Set-points of velocity from which on a loop is looked for"""
 STRANGE = 0.1
@@ -202,11 +204,16 @@ def _refined(first: Identified, trace: JointTrace, torque_limit: float) -> Ident
         return min(tried, key=lambda one: one[0])[1]
 
     x = best_of(starts, 5)
-    again = [
-        np.array([*x[:4], x[4] if ratio is None else x[3] + math.log(ratio), x[5], delay, lag, x[8]])
-        for ratio, delay, lag in product(*AGAIN)
-    ]
-    best = (*fitted(best_of([x, *again], 8), 0.0, 20), 0.0)
+    for _ in range(ROUNDS):
+        again = [
+            np.array(
+                [*sizes, x[3], x[4] if ratio is None else x[3] + math.log(ratio), *x[5:6], delay, lag, late]
+            )
+            for sizes in (x[:3], guess)
+            for ratio, delay, lag, late in product(*AGAIN)
+        ]
+        x = best_of([x, *again], 8)
+    best = (*fitted(x, 0.0, 20), 0.0)
     x = best[1]
     for backlash in BACKLASHES if misfit(_of(first, x, 0.0), trace, torque_limit) > GOOD else ():
         tried = fitted(best[1] if best[3] else x, backlash, 3)
