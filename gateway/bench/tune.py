@@ -39,7 +39,7 @@ AGAIN = (None, 1.0, 4.0), (0.0005, 0.001, 0.0015, 0.0025), (0.0005, 0.0015, 0.00
 """And where it begins again, once that is known roughly: that ratio (None: as found), s of delay, of lag, and
 by which torques are older, each of which another value of the others hides"""
 ROUNDS = 2
-"""How often"""
+"""How often at most"""
 FEWEST = 50
 """Set-points of velocity from which on a loop is looked for"""
 STRANGE = 0.1
@@ -213,6 +213,8 @@ def _refined(first: Identified, trace: JointTrace, torque_limit: float) -> Ident
             for ratio, delay, lag, late in product(*AGAIN)
         ]
         x = best_of([x, *again], 8)
+        if misfit(_of(first, x, 0.0), trace, torque_limit) < GOOD / 4.0:
+            break
     best = (*fitted(x, 0.0, 20), 0.0)
     x = best[1]
     for backlash in BACKLASHES if misfit(_of(first, x, 0.0), trace, torque_limit) > GOOD else ():
