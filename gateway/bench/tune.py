@@ -35,8 +35,11 @@ NOISE = 0.01, 0.02
 STARTS, RATIOS = ((0.8, 1.0), (15.0, 40.0, 100.0, 250.0), (0.0005, 0.0015, 0.003, 0.008)), (1.0, 8.0)
 """Where the search begins: the inertia as a share of the first guess, the bandwidth of the loop [rad/s], s
 from a set-point to the torque that answers it; the integral's gain over the other [1/s]"""
-LAGS = 0.0003, 0.0015, 0.003
-"""s, of the velocity that the device measures, where the search begins"""
+AGAIN = (None, 1.0, 4.0), (0.0005, 0.001, 0.0015, 0.0025), (0.0005, 0.0015, 0.003), (0.0, 0.0015)
+"""And where it begins again, once that is known roughly: that ratio (None: as found), s of delay, of lag, and
+by which torques are older, each of which another value of the others hides"""
+ROUNDS = 2
+"""How often at most"""
 FEWEST = 50
 """Set-points of velocity from which on a loop is looked for"""
 STRANGE = 0.1
@@ -185,18 +188,34 @@ def _refined(first: Identified, trace: JointTrace, torque_limit: float) -> Ident
                 0.0,
                 first.load.value,
                 delay,
-                LAGS[0],
+                AGAIN[2][0],
                 0.0,
             ]
         )
         for share, fast, delay in product(*STARTS)
     ]
     starts = [np.array([*one[:4], one[3] + math.log(ratio), *one[5:]]) for one in starts for ratio in RATIOS]
-    starts.sort(key=lambda one: float(np.sum(np.log1p(residuals(one, 0.0) ** 2))))
-    begun = min((fitted(one, 0.0, 5) for one in starts[:3]), key=lambda one: one[0])
-    lags = [np.append(begun[1][:7], (lag, begun[1][8])) for lag in LAGS]
-    nearer = min((fitted(one, 0.0, 8) for one in lags), key=lambda one: one[0])
-    best = (*fitted(nearer[1], 0.0, 12), 0.0)
+
+    def cost(x: Floats) -> float:
+        return float(np.sum(np.log1p(residuals(x, 0.0) ** 2)))
+
+    def best_of(starts: list[Floats], most: int) -> Floats:
+        tried = (fitted(one, 0.0, most) for one in sorted(starts, key=cost)[:3])
+        return min(tried, key=lambda one: one[0])[1]
+
+    x = best_of(starts, 5)
+    for _ in range(ROUNDS):
+        again = [
+            np.array(
+                [*sizes, x[3], x[4] if ratio is None else x[3] + math.log(ratio), *x[5:6], delay, lag, late]
+            )
+            for sizes in (x[:3], guess)
+            for ratio, delay, lag, late in product(*AGAIN)
+        ]
+        x = best_of([x, *again], 8)
+        if misfit(_of(first, x, 0.0), trace, torque_limit) < GOOD / 4.0:
+            break
+    best = (*fitted(x, 0.0, 20), 0.0)
     x = best[1]
     for backlash in BACKLASHES if misfit(_of(first, x, 0.0), trace, torque_limit) > GOOD else ():
         tried = fitted(best[1] if best[3] else x, backlash, 3)
@@ -343,3 +362,9 @@ def proposed(one: Identified) -> tuple[float, float, float, float]:
     damping = max(one.damping.value, 0.0)
     gain = max(one.inertia.value * bandwidth - damping, 0.0)
     return bandwidth, gain, (gain + damping) ** 2 / (4.0 * one.inertia.value), bandwidth / 4.0
+
+
+def bandwidth_of(one: Identified) -> float:
+    """Return the bandwidth [rad/s] of the velocity loop that was identified."""
+    assert one.gain is not None, "without its loop it has none"
+    return (one.gain.value + max(one.damping.value, 0.0)) / one.inertia.value

@@ -137,6 +137,11 @@ def _print(one: Identified, inertia: float | None) -> None:
         now = f" (× {new / old.value:.2f} of what it has)" if old is not None and old.value > 0.0 else ""
         print(f"  {name:<14} {new:.4g}{now}")
     print(f"  position gain  {position:.3g} 1/s")
+    if one.gain is not None and tune.bandwidth_of(one) > bandwidth:
+        print(
+            f"it has {tune.bandwidth_of(one):.0f} rad/s: keep its own where nothing swings; with these it "
+            "follows more slowly, and bears more delay and load"
+        )
     print("\nfor its twin, in the world file (a bench) or the plant file:")
     print(f"[shafts.{one.joint}]")
     shaft = one.shaft()
