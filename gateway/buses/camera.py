@@ -98,7 +98,11 @@ class CameraBus:
     def _work(self) -> None:
         due = stopwatch()
         while not self._ends.is_set():
-            look = self._look()
+            try:
+                look = self._look()
+            except Exception as error:  # noqa: BLE001 -- whatever OpenCV raises
+                log.warning("%s: a picture cannot be looked at: %s", self.name, error)
+                look = None
             if look is not None:
                 self._tell(look)
                 due += self._period

@@ -177,6 +177,16 @@ def test_a_camera_that_is_pulled_out_is_gone_and_back_when_it_is_there_again(
     bus.close()
 
 
+def test_a_picture_that_cannot_be_looked_at_is_told(caplog: pytest.LogCaptureFixture) -> None:
+    flat: Any = np.zeros((0, 0), np.uint8)
+    bus = CameraBus(settings("x"), Made(TAG, flat), None)  # type: ignore[arg-type]
+    found = all_of(bus, ended)
+    bus.close()
+    assert found[0] is BusState.GONE
+    assert [one.marker for one in found[1:]] == [11]
+    assert caplog.messages[0].startswith("eye: a picture cannot be looked at: ")
+
+
 def test_a_camera_that_hangs_delays_nobody_and_keeps_its_files_at_the_end() -> None:
     made = Made()
     bus = CameraBus(settings("/dev/video0"), made, lambda: made)  # type: ignore[arg-type,return-value]
