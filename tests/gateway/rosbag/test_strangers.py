@@ -490,8 +490,9 @@ def test_a_map_has_the_walls_where_they_are(tmp_path: Path, capsys: pytest.Captu
     assert len(believed) == pytest.approx(80, abs=2)
     images = {"map.pgm": (out / "map.pgm").read_bytes()}
     again = Map(MapSettings(), saved_map((out / "map.yaml").read_text(), images, MapSettings(), None))
-    way = [line.split(",") for line in (out / "path.csv").read_text().splitlines()[1:]]
-    drawn = Drawn(again.view(), [(0, Pose(float(one[1]), float(one[2]), 0.0)) for one in way])
+    table = [line.split(",") for line in (out / "path.csv").read_text().splitlines()[1:]]
+    poses = [(0, Pose(float(one[1]), float(one[2]), 0.0)) for one in table]
+    drawn = Drawn(again.view(), poses)
     assert (drawn.pgm(), drawn.yaml()) == (images["map.pgm"], (out / "map.yaml").read_text())
     assert survey(out / "path.csv").topics[0].topic.count == len(believed)
     assert main(["map", str(path), "--out", str(out)]) == 2
