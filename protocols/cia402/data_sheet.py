@@ -6,8 +6,7 @@ left to the drive: it is asked. A DCF's own value counts before the default.
 
 from __future__ import annotations
 
-import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -76,6 +75,21 @@ class DataSheet:
         return found
 
 
+class _Text:
+    """A text as canopen reads a file."""
+
+    def __init__(self, name: str, text: str) -> None:
+        self.name = name if name.lower().endswith((".eds", ".dcf")) else f"{name}.eds"
+        self._text = text
+
+    def read(self) -> str:
+        """Return all of it."""
+        return self._text
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._text.splitlines(keepends=True))
+
+
 @lru_cache(16)
 def read(value: str) -> DataSheet:
     """Return the data sheet of an option `eds`. Raises ValueError in words."""
@@ -86,9 +100,8 @@ def read(value: str) -> DataSheet:
         import canopen
     except ImportError as error:
         raise ValueError(f"{name}: reading it needs canopen: pip install 'motor-gateway[eds]'") from error
-    file = io.StringIO(text)
-    file.name = name if name.lower().endswith((".eds", ".dcf")) else f"{name}.eds"
     try:
+        file: Any = _Text(name, text)
         found: Any = canopen.import_od(file)
     except Exception as error:  # of its parser many
         raise ValueError(

@@ -411,6 +411,10 @@ class Memory:
     values: dict[str, Raw] = field(default_factory=dict)
     """The last raw number of each signal, by message and signal"""
 
+    def disarm(self) -> None:
+        """Lose the power: by a timeout, a fault."""
+        self.armed = False
+
     def obey(self, frame: Frame) -> Sequence[Obeyed]:
         """Return what the motor does on a frame."""
         of = self.declared

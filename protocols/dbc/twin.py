@@ -51,7 +51,7 @@ class DbcTwin(ServoFirmware):
 
     def disarm(self) -> None:
         super().disarm()
-        self.memory.armed = False
+        self.memory.disarm()
 
     def timeout(self) -> Nanos:
         on = self.mode is Mode.ARMED
