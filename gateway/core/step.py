@@ -468,20 +468,23 @@ class Gateway:
                 if not joint.unidentified:  # to the brain, it is not there
                     passed.append(moved)
             elif event.motor in self.robot.sensors and not isinstance(event, msg.Feedback):
-                self._note_sensor(event)
-                passed.append(event)
+                passed += [event] if self._is_news(event) else []
         return passed
 
-    def _note_sensor(self, event: msg.State | msg.Fault) -> None:
-        """Note what is wrong with a sensor, by its own account, and that it is over."""
+    def _is_news(self, event: msg.State | msg.Fault) -> bool:
+        """Note what is wrong with a sensor, by its own account, and that it is over; False: it is well, as
+        before."""
         if isinstance(event, msg.Fault):
             self._note("error", event.motor, f"{event.name}; likely cause: {event.cause}; {event.remedy}")
-            return
+            return True
         before = self._sensor_modes.get(event.motor, Mode.READY)
         self._sensor_modes[event.motor] = event.mode
-        if event.mode is not before and {event.mode, before} & {*_BAD_MODES}:
+        if not {event.mode, before} & {*_BAD_MODES}:
+            return False
+        if event.mode is not before:
             level: Level = "warning" if event.mode in _BAD_MODES else "info"
             self._note(level, event.motor, f"{event.mode}{_in_brackets(event.detail)}")
+        return True
 
     def _note_answer(self, event: Event) -> None:
         """Note the answer to a request; Done to a ClearFault also clears the joint."""
