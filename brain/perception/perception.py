@@ -639,7 +639,8 @@ class Perception:
         consistency.on_scan(name, agreement)
         if agreement.disagrees:
             self._count(name, "does not fit the map")
-        if consistency.lost and self._placing.keyframes.count == 1 and t - self._map_began_at < BEGINNING:
+        beginning = self._saved is None and t - self._map_began_at < BEGINNING
+        if consistency.lost and beginning and self._placing.keyframes.count == 1:
             self._forget_map()
             self._count(name, "what the map began with has gone")
         elif consistency.lost:
