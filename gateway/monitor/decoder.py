@@ -76,6 +76,8 @@ class BusMonitor:
         self._in_vain: dict[CanId, dict[int, int]] = {}
         """By CAN id, how many of its newest frames meant nothing to each driver and each decoder of these, by
         the object's own number."""
+        self._worth: dict[CanId, list[ProtocolVariant]] = {}
+        """By CAN id, those of which an end is asked each time, once one is not."""
         self._best: dict[Place, DeviceRecord] = {}
         """By the variant that has decoded most of a device."""
         self._owners_by_id: dict[CanId, list[DeviceRecord]] = {}
@@ -268,7 +270,9 @@ class BusMonitor:
                 found = [one for one in self._variants[packet.bus] if number in self._ids_of[one]]
                 if len(self._interested) < MAX_IDS:
                     self._interested[key] = found
-            return found
+            record = self.ids.get(key)
+            again = record is None or record.rate.total % AGAIN == 0
+            return found if again else self._worth.get(key, found)
         return [self._best[owners[0].place].variant]
 
     def _is_worth(self, packet: Packet, end: Driver | CommandDecoder) -> bool:
@@ -287,7 +291,14 @@ class BusMonitor:
         key = _can_id(packet.bus, packet.frame)
         if key in self._in_vain or (len(self._in_vain) < MAX_IDS and key in self.ids):
             vain = self._in_vain.setdefault(key, {})
-            vain[id(end)] = 0 if meant else vain.get(id(end), 0) + 1
+            before = vain.get(id(end), 0)
+            vain[id(end)] = 0 if meant else before + 1
+            if (before >= MOST_IN_VAIN) != (vain[id(end)] >= MOST_IN_VAIN):
+                self._worth[key] = [
+                    one
+                    for one in self._interested.get(key, ())
+                    if min(vain.get(id(one.driver), 0), vain.get(id(one.decoder), 0)) < MOST_IN_VAIN
+                ]
 
     def _is_best(self, record: DeviceRecord) -> bool:
         """True if no other variant decodes more of this device; it may count as found from now on."""

@@ -18,10 +18,10 @@ from protocols.plugin import Device, Spec
 
 TWIN = Path(__file__).resolve().parents[2] / "protocols/cia402/twin.eds"
 SHEETS: list[tuple[str, set[type[msg.Command]]]] = [
-    ("cia402_cia402_slave.eds", {msg.Position, msg.Velocity}),
-    ("robot_control_prbt_0_1.dcf", {msg.Position}),  # it has no 60FF
-    ("e35.eds", {msg.Position, msg.Velocity, msg.Torque}),
-    ("robot_control_cia402_slave.eds", {msg.Position, msg.Velocity}),  # 6502 has no mode for torque
+    ("dbc_eds/cia402_cia402_slave.eds", {msg.Position, msg.Velocity}),
+    ("dbc_eds/robot_control_prbt_0_1.dcf", {msg.Position}),  # it has no 60FF
+    ("dbc_eds/e35.eds", {msg.Position, msg.Velocity, msg.Torque}),
+    ("dbc_eds/robot_control_cia402_slave.eds", {msg.Position, msg.Velocity}),  # 6502 has no mode for torque
 ]
 
 
@@ -34,8 +34,8 @@ def spec(text: str, name: str = "drive.eds", **changes: Any) -> Spec:
 def test_a_drive_is_commanded_as_its_data_sheet_can(
     recording: Callable[[str], Path], name: str, commands: set[type[msg.Command]]
 ) -> None:
-    text = recording(f"dbc_eds/{name}").read_text()
-    made = spec(text, name, counts_per_turn=4096.0, velocity_per_turn=60.0, rated_torque=1.0)
+    text = recording(name).read_text()
+    made = spec(text, Path(name).name, counts_per_turn=4096.0, velocity_per_turn=60.0, rated_torque=1.0)
     assert {*made.commands} & {msg.Position, msg.Velocity, msg.Torque} == commands
 
 
@@ -61,8 +61,8 @@ def test_what_is_no_drive_or_no_data_sheet_is_told(recording: Callable[[str], Pa
 def test_without_the_objects_for_units_the_robot_file_has_to_say_them(
     recording: Callable[[str], Path],
 ) -> None:
-    name = "robot_control_prbt_0_1.dcf"
-    told = wrong(recording(f"dbc_eds/{name}").read_text(), name)
+    name = "dbc_eds/robot_control_prbt_0_1.dcf"
+    told = wrong(recording(name).read_text(), Path(name).name)
     assert re.search(r"^options\.counts_per_turn: \S+ has none of 608F:01 \(Encoder increments\)", told, re.M)
     text = TWIN.read_text()
     start, end = text.index("[6076]"), text.index("[", text.index("[6076]") + 1)

@@ -31,15 +31,15 @@ from protocols.odrive_can.options import Options as OdriveOptions
 from protocols.plugin import Device
 
 ROOT = Path(__file__).resolve().parents[2]
-ROBOTS = [("body_dbc", "comma_body.dbc"), ("odrive_dbc", "odrive-cansimple.dbc")]
-ODRIVE = "odrive-cansimple.dbc"
+ROBOTS = [("body_dbc", "dbc_eds/comma_body.dbc"), ("odrive_dbc", "dbc_eds/odrive-cansimple.dbc")]
+ODRIVE = "dbc_eds/odrive-cansimple.dbc"
 
 
 @pytest.fixture(params=ROBOTS, ids=lambda robot: str(robot[0]))
 def robot(request: pytest.FixtureRequest, recording: Callable[[str], Path], tmp_path: Path) -> Path:
     """The robot file, with the DBC file beside it."""
     name, dbc = request.param
-    shutil.copy(recording(f"dbc_eds/{dbc}"), tmp_path / dbc)
+    shutil.copy(recording(dbc), tmp_path / Path(dbc).name)
     return Path(shutil.copy(ROOT / "examples/dbc" / f"{name}.toml", tmp_path))
 
 
@@ -83,7 +83,7 @@ def by_dbc(text: str) -> Options:
         )
 
     return Options(
-        f"{ODRIVE}\n{text}",
+        f"odrive.dbc\n{text}",
         velocity=Commanded(f"{axis}Set_Input_Vel.Input_Vel", "rev/s", beside=mode(2)),
         position=Commanded(f"{axis}Set_Input_Pos.Input_Pos", "rev", beside=mode(3)),
         torque=Commanded(f"{axis}Set_Input_Torque.Input_Torque", "N·m", beside=mode(1)),
@@ -99,15 +99,13 @@ def by_dbc(text: str) -> Options:
     )
 
 
-def last_frames(which: Any, options: Any, *commands: msg.Command) -> dict[int, bytes]:
-    """The last frame of each id that a driver sends while it is given these commands, one after the other."""
-    bench, found = make_bench(which, options, (3,), ("one",)), dict[int, bytes]()
+def last_frames(which: Any, options: Any, *commands: msg.Command) -> list[dict[int, bytes]]:
+    """The last frame of each id that a driver sends while it is given each of these commands."""
+    bench, found = make_bench(which, options, (3,), ("one",)), list[dict[int, bytes]]()
     bench.steps(600)
     for command in commands:
-        for step in bench.steps(400, [command]):
-            for frame in step.down:
-                if isinstance(frame, CanFrame) and not frame.remote:
-                    found[frame.id] = frame.data
+        sent = [frame for step in bench.steps(400, [command]) for frame in step.down]
+        found.append({each.id: each.data for each in sent if isinstance(each, CanFrame) and not each.remote})
     return found
 
 
@@ -123,28 +121,29 @@ GIVEN = [
 def test_the_bytes_are_those_of_the_plugin_for_it_and_cantools_reads_the_command_in_them(
     recording: Callable[[str], Path], command: msg.Command, name: str, signal: str, value: float
 ) -> None:
-    path = recording(f"dbc_eds/{ODRIVE}")
+    path = recording(ODRIVE)
     known: Any = cantools.database.load_file(path, strict=False)
-    by_file = last_frames(plugin, by_dbc(path.read_text()), command, msg.Idle("one"))
-    of_plugin = last_frames(odrive, OdriveOptions(firmware="0.5"), command, msg.Idle("one"))
+    by_file, idle = last_frames(plugin, by_dbc(path.read_text()), command, msg.Idle("one"))
+    of_plugin, idle_of_plugin = last_frames(odrive, OdriveOptions(firmware="0.5"), command, msg.Idle("one"))
     names = {known.get_message_by_frame_id(number).name for number in by_file}
     assert names == {f"Axis3_{each}" for each in ("Set_Axis_State", "Set_Controller_Mode", name)}
     assert by_file == {number: of_plugin[number] for number in by_file}
+    assert idle
+    assert idle == {number: idle_of_plugin[number] for number in idle}
     setpoint = known.get_message_by_name(f"Axis3_{name}")
     assert setpoint.decode(by_file[setpoint.frame_id])[signal] == pytest.approx(value, rel=1e-6)
     state = known.get_message_by_name("Axis3_Set_Axis_State")
-    told = state.decode(by_file[state.frame_id], decode_choices=False)
-    assert told["Axis_Requested_State"] == 1
+    assert state.decode(idle[state.frame_id], decode_choices=False) == {"Axis_Requested_State": 1}
 
 
 # -- whole files ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["comma_body.dbc", "LeafPowertrainBus.dbc", ODRIVE])
+@pytest.mark.parametrize("name", ["dbc_eds/comma_body.dbc", "dbc_eds/LeafPowertrainBus.dbc", ODRIVE])
 def test_every_message_of_a_vendors_file_is_encoded_as_cantools_does(
     recording: Callable[[str], Path], name: str
 ) -> None:
-    path = recording(f"dbc_eds/{name}")
+    path = recording(name)
     known: Any = cantools.database.load_file(path, strict=False)
     theirs = {one.name: one for one in known.messages}
     ours = messages_of(name, path.read_text("cp1252"))
