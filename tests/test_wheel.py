@@ -25,7 +25,20 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("protocols", "brain", "gateway")
-CARRIED = {".py", ".toml", ".json", ".md", ".dbc", ".eds", ".typed", ".js", ".css", ".html", ".svg", ".LICENSE"}
+CARRIED = {
+    ".py",
+    ".toml",
+    ".json",
+    ".md",
+    ".dbc",
+    ".eds",
+    ".typed",
+    ".js",
+    ".css",
+    ".html",
+    ".svg",
+    ".LICENSE",
+}
 KINDS = (
     "__init__.py",
     "robots/*.*",
