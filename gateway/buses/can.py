@@ -28,7 +28,7 @@ from gateway.buses.queues import STALE, FrameQueue
 from gateway.buses.states import StateTracker
 from gateway.buses.threaded import MOST_FAILURES, Opening, ThreadedInterface
 from gateway.buses.timestamps import TimestampMapper
-from gateway.buses.troubles import Trouble, of_writes
+from gateway.buses.troubles import TOO_FAST, Trouble, of_writes
 from gateway.core.clock import Clock, WallClock
 from gateway.core.robot import BusSettings
 from gateway.errors import BusError
@@ -88,7 +88,7 @@ class CanBus:
         self._queue = FrameQueue(settings.devices)
         self._states = StateTracker()
         self._timestamps = TimestampMapper()
-        self._lost = 0
+        self._lost = self._missed = 0
         self._reopen_at: Nanos = 0
 
     @property
@@ -181,6 +181,9 @@ class CanBus:
             )
             self._states.full(now)
         if isinstance(adapter, ThreadedInterface):
+            if (count := adapter.missed - self._missed) > 0:
+                log.warning(TOO_FAST, self.name, count)
+            self._missed = adapter.missed
             return
         refuses = adapter.refusals.judge(now)
         if refuses:

@@ -62,6 +62,9 @@ _WRITES: Mapping[int, tuple[str, str]] = {
     errno.ETIMEDOUT: ("the adapter took too long", "unplug it and plug it in again; dmesg | tail"),
 }
 
+TOO_FAST = "%s: %d frames were lost: they came faster than they were read"
+"""In the log: bus, and how many"""
+
 
 @dataclass(frozen=True, slots=True)
 class Trouble:

@@ -32,7 +32,7 @@ from gateway.buses.queues import FrameQueue, Patience
 from gateway.buses.socketcan.raw_socket import OpenSocket, RawSocket
 from gateway.buses.states import StateTracker
 from gateway.buses.timestamps import TimestampMapper
-from gateway.buses.troubles import Trouble, of_counters, of_writes
+from gateway.buses.troubles import TOO_FAST, Trouble, of_counters, of_writes
 from gateway.buses.usb import resolved
 from gateway.core.clock import Clock, WallClock
 from gateway.core.robot import BusSettings
@@ -277,7 +277,7 @@ class SocketcanBus:
                 self._on_error(frame)
         if self.missed != self._missed_logged:
             count, self._missed_logged = self.missed - self._missed_logged, self.missed
-            log.warning("%s: %d frames were lost: they came faster than they were read", name, count)
+            log.warning(TOO_FAST, name, count)
         return packets
 
     def _on_error(self, error: CanError) -> None:

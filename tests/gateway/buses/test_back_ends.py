@@ -181,3 +181,17 @@ def test_what_comes_faster_than_it_is_taken_is_counted() -> None:
     first = interface.recv(0)
     assert first is not None
     assert (first.arbitration_id, interface.missed) == (100, 100)
+
+
+def test_what_came_faster_than_it_was_taken_is_told_once(
+    stubborn: tuple[CanBus, Stubborn], caplog: pytest.LogCaptureFixture
+) -> None:
+    bus, raw = stubborn
+    raw.incoming = [can.Message(arbitration_id=number) for number in range(MOST_RECEIVED + 100)]
+    poll(lambda: not raw.incoming)
+    raw.go_on.set()
+    poll(lambda: bus.read(0)[1] or caplog.messages)
+    assert caplog.messages == ["can0: 100 frames were lost: they came faster than they were read"]
+    for number in range(1, 4):
+        bus.read(number * SECOND)
+    assert len(caplog.messages) == 1
