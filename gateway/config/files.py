@@ -27,12 +27,13 @@ from protocols.plugin import Plugin, UnknownProtocol
 
 Table: TypeAlias = dict[str, Any]
 QUOTES = "'''"
-MOST = 200_000
-"""Characters of a file of an option"""
+Limits: TypeAlias = tuple[int, str]
+URDF: Limits = MOST_CHARACTERS, ""
+MAP: Limits = map_file.MOST_CHARACTERS, ""
+OPTION: Limits = 200_000, "cp1252"
+"""Most characters of a text, and what else than UTF-8 it may be: DBC files of many tools are"""
 MOST_PACKED, MOST_BYTES = 1_500_000, 1 << 27
 """Characters of packed bytes; bytes of a file"""
-LEGACY = "cp1252"
-"""What else than UTF-8 a file may be: DBC files of many tools are"""
 _HEADER = re.compile(r"^\[files\][ \t]*$", re.MULTILINE)
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
 
@@ -48,9 +49,9 @@ def with_files(text: str, path: Path, mistakes: Mistakes, find: Callable[[str], 
         return text
     folders = (path.parent, resources.shipped("robots"), *_own_folders(table, find))
     found: dict[str, str] = {}
-    for at, name, most in _named(table, find):
+    for at, name, limits in _named(table, find):
         if name not in there and name not in found:
-            found |= _text(at, name, folders, mistakes, most)
+            found |= _text(at, name, folders, mistakes, limits)
         if at == ("map", "file") and name in found:
             found |= _image(at, found[name], path.parent / name, mistakes)
     if not found:
@@ -63,15 +64,15 @@ def with_files(text: str, path: Path, mistakes: Mistakes, find: Callable[[str], 
     return f"{text.rstrip()}\n\n[files]\n{chr(10).join(parts)}\n"
 
 
-def _named(table: Table, find: Callable[[str], Plugin]) -> Iterator[tuple[Key, str, int]]:
-    """Yield each key that names a text, the name, and the most characters that it may have."""
+def _named(table: Table, find: Callable[[str], Plugin]) -> Iterator[tuple[Key, str, Limits]]:
+    """Yield each key that names a text, the name, and what it may be."""
     if isinstance(name := table.get("urdf"), str):
-        yield ("urdf",), name, MOST_CHARACTERS
+        yield ("urdf",), name, URDF
     if isinstance(saved := table.get("map"), dict) and isinstance(name := saved.get("file"), str):
-        yield ("map", "file"), name, map_file.MOST_CHARACTERS
+        yield ("map", "file"), name, MAP
     for at, options, key in _keys(table, find):
         if isinstance(name := options.get(key), str) and name and "\n" not in name:
-            yield (*at, key), name, MOST
+            yield (*at, key), name, OPTION
 
 
 def _keys(table: Table, find: Callable[[str], Plugin]) -> Iterator[tuple[Key, Table, str]]:
@@ -112,14 +113,14 @@ def _own_folders(table: Table, find: Callable[[str], Plugin]) -> list[Path]:
     return [*dict.fromkeys(found)]
 
 
-def _text(at: Key, name: str, folders: Sequence[Path], mistakes: Mistakes, most: int) -> dict[str, str]:
+def _text(at: Key, name: str, folders: Sequence[Path], mistakes: Mistakes, limits: Limits) -> dict[str, str]:
     """Return the text of a file, by its name; nothing, and a mistake, if it cannot be read."""
     try:
         found = next((each / name for each in folders if (each / name).is_file()), folders[0] / name)
         if not found.exists():
             mistakes.add(at, f"there is no {name!r} beside the robot file, and none that ships")
             return {}
-        content = read_text(found, most, or_else=LEGACY if most == MOST else "")
+        content = read_text(found, limits[0], or_else=limits[1])
     except (OSError, ValueError) as error:  # a name that can be none of a file is one, too
         mistakes.add(at, str(error))
         return {}
