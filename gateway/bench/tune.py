@@ -54,6 +54,9 @@ WIDEST = 80.0
 """rad/s, of the bandwidth that is proposed"""
 NEIGHBOURS, TOGETHER = 6, 20
 """Windows, and readings, that may be wrong together"""
+HIDDEN = DT / math.sqrt(12.0)
+"""s, standard deviation: within one step it is not seen when something happens, whatever the scatter says, and a
+loop that settles in a few steps hides as much of what it moves"""
 LEAST_TRAVEL = 0.05
 """rad"""
 SLOWEST = 60.0
@@ -230,6 +233,7 @@ def _refined(first: Identified, trace: JointTrace, torque_limit: float) -> Ident
     inverse: Floats = np.asarray(np.linalg.pinv(jacobian.T @ jacobian), dtype=np.float64)
     spread = covariance(jacobian * left[:, None], inverse, TOGETHER)
     sigmas = np.sqrt(np.maximum(np.diag(spread), 0.0))
+    sigmas[[0, 3, 4]] = np.hypot(sigmas[[0, 3, 4]], HIDDEN * bandwidth_of(_of(first, x, backlash)))
     one = _of(first, x, backlash, sigmas)
     off = misfit(one, trace, torque_limit)
     return first if off > STRANGE else replace(one, misfit=off)

@@ -30,7 +30,7 @@ from gateway.sim.plant_files import WheeledFile
 from protocols.messages import SECOND, Event, Imu, LaserScan
 
 ROBOT = load_robot("diffbot")
-SEEDS = 12
+SEEDS = 14
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def rolled(plant: PlantFile, seed: int) -> tuple[float, float]:
         for _ in range(1000):
             world.step({})
         after = world.truth()
-        return math.dist(before[:2], after[:2]), wrap(after.yaw - before.yaw)
+        return math.dist((before.x, before.y), (after.x, after.y)), wrap(after.yaw - before.yaw)
 
     radius = run(6.0, 6.0)[0] / 6.0
     return radius, radius * 12.0 / run(-6.0, 6.0)[1]
