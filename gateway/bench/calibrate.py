@@ -4,9 +4,10 @@ Rules. The scans of a lidar give its path without anybody's help (`scan_path`); 
 the lidar's place unknown, must give the same between any two moments (least squares; Censi et al. 2013,
 "Simultaneous calibration of odometry and sensor parameters for mobile robots"). What is found then predicts
 the sweep of each scan, and all is done anew until nothing changes: sweeps freed with the speed of the scans
-before lag where it rises, which made ways 3 % too long, and still 0.4 % the second time. A gyro is compared with the turns of the scans. Standard
-deviations are taken from how the residuals scatter, neighbours together (Newey and West 1987): wheels that
-slip count by what they did. What the drive did not show is not told: each figure has a largest deviation.
+before lag where it rises, which made ways 3 % too long, and still 0.4 % the second time. A gyro is compared
+with the turns of the scans. Standard deviations are taken from how the residuals scatter, neighbours together
+(Newey and West 1987): wheels that slip count by what they did. What the drive did not show is not told: each
+figure has a largest deviation.
 """
 
 from __future__ import annotations
@@ -339,7 +340,8 @@ def _vector(fit: LidarFit) -> Floats:
 def _change(before: LidarFit, fit: LidarFit) -> float:
     """Return the largest change of a figure, in its standard deviations."""
     off = np.abs(_less(_vector(fit), _vector(before)))[: len(fit.covariance)]
-    return max(change / max(fit.sigma(index), 1e-9) for index, change in enumerate(off.tolist()))
+    sigmas = np.array([max(fit.sigma(index), 1e-9) for index in range(len(off))])
+    return float((off / sigmas).max())
 
 
 def _starts(wheels: WheelPath, pairs: _Comparisons, centre: Floats) -> list[Floats]:

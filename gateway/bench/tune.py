@@ -55,7 +55,7 @@ WIDEST = 80.0
 NEIGHBOURS, TOGETHER = 6, 20
 """Windows, and readings, that may be wrong together"""
 HIDDEN = DT / math.sqrt(12.0)
-"""s, standard deviation: within one step it is not seen when something happens, whatever the scatter says, and a
+"""s, standard deviation: when within a step something happens is not seen, whatever the scatter says, and a
 loop that settles in a few steps hides as much of what it moves"""
 LEAST_TRAVEL = 0.05
 """rad"""

@@ -147,8 +147,9 @@ def odrive(gain: float, integral: float, bandwidth: float) -> Robot:
 
 
 def test_a_loop_that_is_faster_than_its_lag_is_identified() -> None:
-    """The motor of the bench. Defects: the lag of the loop, and the age of torques, were taken for an integral
-    that is 15 % larger; in a long run inertia and integral were 2.6 and 5 of their deviations off."""
+    """The motor of the bench. Defects: the lag of the loop, and the age of torques, were taken for an
+    integral that is 15 % larger; in a long run inertia and integral were 2.6 and 5 of their deviations
+    off."""
     gain, integral = 0.16 / (2.0 * np.pi), 0.32 / (2.0 * np.pi)
     one = identify(moved(odrive(gain, integral, 1000.0), ShaftFile(0.006, 0.002, 0.02)).trace, 4.0)
     assert one.gain is not None
