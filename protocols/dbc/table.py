@@ -363,7 +363,7 @@ def _state(reader: _Reader) -> tuple[Number, tuple[Raw, ...], Raw] | None:
     ready = reader.raw("feedback.state.ready", there[1], told.ready)
     if not armed:
         reader.object("feedback.state.armed", "expected at least one value")
-    if ready in armed:
+    if ready is not None and ready in armed:
         reader.object("feedback.state.ready", f"{told.ready} is among armed, too")
     found = tuple(raw for raw in armed if raw is not None)
     return (Number(there[0].name, there[1], 1.0, 0.0), found, ready) if found and ready is not None else None
