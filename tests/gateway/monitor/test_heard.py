@@ -128,6 +128,8 @@ def test_a_log_that_is_cut_or_none_or_without_a_robot_is_told_in_words(
         (tmp_path / name).write_text(content)
         assert main(["replay", str(tmp_path / name), "--robot", "bench"]) == status
         assert words in capsys.readouterr().err
+    assert main(["replay", str(tmp_path / "nix.log"), "--robot", "bench"]) == 2
+    assert "nix.log: No such file or directory: expected a log of CAN" in capsys.readouterr().err
     for command in ("replay", "view"):
         assert main([command, str(text)]) == 2
         assert "--robot ROBOT says whose devices were on its buses" in capsys.readouterr().err

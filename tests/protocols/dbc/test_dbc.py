@@ -244,6 +244,21 @@ def test_a_signal_commands_one_motor() -> None:
         plugin.driver([left, replace(right, options=left.options)])
 
 
+def test_the_stop_of_one_motor_commands_no_other_by_initial_values() -> None:
+    """What a motor's own stop says of the others in its message are the file's initial values."""
+    devices = two_wheels()
+    starts = (
+        'BA_DEF_ SG_ "GenSigStartValue" INT 0 100000;\nBA_DEF_DEF_ "GenSigStartValue" 0;\n'
+        'BA_ "GenSigStartValue" SG_ 592 R 500;\n'
+    )
+    moving = [
+        replace(each, options=replace(each.options, file=each.options.file + starts)) for each in devices
+    ]
+    assert plugin.driver(devices)
+    with pytest.raises(ValueError, match="the stop of Left would command Right"):
+        plugin.driver(moving)
+
+
 def bench(**changes: Any) -> Bench:
     return make_bench(plugin, replace(example(), **changes), (1, 2), ("one", "two"))
 
