@@ -70,6 +70,10 @@ class Motor:
         self.mode_at = now if due else self.mode_at
         return due
 
+    def send_all(self) -> None:
+        """Let its mode be sent with the next set-point: it may be lost."""
+        self.kind = None
+
     def hear(self, told: bool | None, detail: str) -> None:
         """Record its state."""
         self.told, self.detail = told, detail
@@ -209,7 +213,7 @@ class DbcAdapter(Adapter[Motor]):
         return "position" not in host.own.declared.fed or host.options.feedback.within_turn
 
     def resend(self, host: Host[Motor]) -> None:
-        host.own.kind = None
+        host.own.send_all()
 
     # -- sent -----------------------------------------------------------------------------------------
 

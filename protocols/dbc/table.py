@@ -167,6 +167,10 @@ class _Reader:
         """Note a mistake at a key of the options."""
         self.wrong.append((f"options.{key}", text))
 
+    def take(self, there: tuple[Message, Signal], key: str) -> None:
+        """Note what a signal is used for."""
+        self.taken[there[0].name, there[1].name] = key
+
     def message(self, key: str, name: str) -> Message | None:
         """Return a message by its name."""
         name = name.strip().replace("{}", str(self.address))
@@ -231,7 +235,7 @@ class _Reader:
             raw = self.raw(key, there[1], value) if there else None
             if there is not None and raw is not None:
                 found.setdefault(there[0].name, {})[there[1].name] = raw
-                self.taken[there[0].name, there[1].name] = key
+                self.take(there, key)
         return found
 
     def number(self, key: str, quantity: str, fed: Fed) -> Number | None:
@@ -244,7 +248,7 @@ class _Reader:
         if there is None:
             return None
         message, signal = there
-        self.taken[message.name, signal.name] = key
+        self.take(there, key)
         unit = one * fed.scale
         if signal.factor * unit == 0.0:
             self.object(f"{key}.signal", f"{signal.name} has a factor of 0 in {self.name}")
@@ -358,7 +362,7 @@ def _state(reader: _Reader) -> tuple[Number, tuple[Raw, ...], Raw] | None:
     there = reader.signal("feedback.state.signal", told.signal) if told else None
     if told is None or there is None:
         return None
-    reader.taken[there[0].name, there[1].name] = "feedback.state"
+    reader.take(there, "feedback.state")
     armed = [reader.raw("feedback.state.armed", there[1], text) for text in told.armed]
     ready = reader.raw("feedback.state.ready", there[1], told.ready)
     if not armed:
@@ -374,7 +378,7 @@ def _fault(reader: _Reader) -> tuple[Number, Raw] | None:
     there = reader.signal("feedback.fault.signal", faulty.signal) if faulty else None
     none = reader.raw("feedback.fault.none", there[1], faulty.none) if faulty and there else None
     if there is not None:
-        reader.taken[there[0].name, there[1].name] = "feedback.fault"
+        reader.take(there, "feedback.fault")
     return None if there is None or none is None else (Number(there[0].name, there[1], 1.0, 0.0), none)
 
 
