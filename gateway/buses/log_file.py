@@ -101,5 +101,9 @@ def logged(path: Path) -> Iterator[tuple[Packet, bool]]:
                 count += 1
     except GeneratorExit:
         raise
+    except OSError as error:
+        if count or error.strerror is None:  # the second: by gzip, of what is in it
+            raise UserError(f"{path}: after {count} frames it cannot be read: {error}") from error
+        raise UserError(f"{path}: {error.strerror}: expected a log of CAN") from error
     except Exception as error:  # a reader of python-can may raise anything at a file that is none
         raise UserError(f"{path}: after {count} frames it cannot be read: {error!r}") from error

@@ -151,6 +151,8 @@ def _hear(options: Namespace) -> int:
                 heard.take(monitor.decode(replace(packet, bus=buses[packet.bus]), sent=sent or None))
     title = f"{file}: {robot.name}, {(now - log.began) / SECOND:.1f} s"
     print("\n".join(map(escaped, [*render.page(monitor, now, title), "", *heard.lines()])))
+    if other := [bus for bus in log.fd if bus not in buses]:
+        print(escaped(f"left out: {', '.join(other)}, since {robot.name} has no such bus"))
     if log.error:
         print(f"cut short: {log.error}")
     return 0 if heard.sound and not log.error else 1

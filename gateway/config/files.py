@@ -34,7 +34,8 @@ OPTION: Limits = 200_000, "cp1252"
 """Most characters of a text, and what else than UTF-8 it may be: DBC files of many tools are"""
 MOST_PACKED, MOST_BYTES = 1_500_000, 1 << 27
 """Characters of packed bytes; bytes of a file"""
-_HEADER = re.compile(r"^\[files\][ \t]*$", re.MULTILINE)
+_HEADER = re.compile(r"^[ \t]*\[[ \t]*files[ \t]*\][ \t]*(#.*)?$", re.MULTILINE)
+NO_TABLE = "expected a table with the line [files], or none: it is filled when the robot file is loaded"
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
 
 
@@ -45,7 +46,10 @@ def with_files(text: str, path: Path, mistakes: Mistakes, find: Callable[[str], 
     except ConfigError:
         return text  # what is wrong is reported when it is parsed
     there = table.get("files", {})
-    if not isinstance(there, dict) or ("urdf" in table and "files" in table and table["urdf"] not in there):
+    if not isinstance(there, dict):
+        mistakes.add(("files",), NO_TABLE)
+        return text
+    if "urdf" in table and "files" in table and table["urdf"] not in there:
         return text
     folders = (path.parent, resources.shipped("robots"), *_own_folders(table, find))
     found: dict[str, str] = {}
@@ -60,7 +64,10 @@ def with_files(text: str, path: Path, mistakes: Mistakes, find: Callable[[str], 
         f'"{name}" = {QUOTES}\n{content.removesuffix(chr(10))}\n{QUOTES}' for name, content in found.items()
     ]
     if "files" in table:
-        return _HEADER.sub(lambda header: "\n".join([header[0], *parts]), text, count=1)
+        text, count = _HEADER.subn(lambda header: "\n".join([header[0], *parts]), text, count=1)
+        if not count:
+            mistakes.add(("files",), NO_TABLE)
+        return text
     return f"{text.rstrip()}\n\n[files]\n{chr(10).join(parts)}\n"
 
 

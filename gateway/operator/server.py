@@ -46,7 +46,9 @@ MAX_CLIENTS = 64
 ENDING = ("stop", "estop", "quit", "idle")
 """Commands for which no line of a pipe waits,"""
 STOPPING = ("stop", "estop")
-"""and for which none waits that follows `wait ready`."""
+"""and which end what waits after `wait ready`."""
+MOST_WAITING = 1000
+"""Lines that may wait there: those after them are not read."""
 MAX_PATH = 107
 """Bytes of a socket's path (unix(7): sun_path)."""
 
@@ -96,6 +98,8 @@ class _Client:
     unsent: bytearray = field(default_factory=bytearray)
     ended: bool = False
     """Whether it has shut down its writing side."""
+    told: bool = False
+    """Whether it was told for what its lines wait."""
 
 
 class Operator:
@@ -149,9 +153,11 @@ class Operator:
             self._read(client)
         left = MAX_LINES
         for client in list(self._clients):
+            _stop_first(client.lines, unready)
             count = min(left, MAX_LINES_EACH, len(client.lines))
             for _ in range(count):
-                if _stays(client.lines, unready):
+                client.told = _stays(client.lines, unready, partial(_queue, client), told=client.told)
+                if client.told:
                     break
                 instructions += self._on_line(client.lines.popleft(), partial(_queue, client), answers)
             left -= count
@@ -161,8 +167,10 @@ class Operator:
             self._send(client)
         self._typed_lines.extend(self._read_terminal() if _reads_on(self._typed_lines) else ())
         self._has_typed = self._has_typed or bool(self._typed_lines)
+        _stop_first(self._typed_lines, unready)
         for _ in range(0 if self._keeps(unready) else min(MAX_LINES_EACH, len(self._typed_lines))):
-            if _stays(self._typed_lines, unready):
+            self._told = _stays(self._typed_lines, unready, _print, told=self._told)
+            if self._told:
                 break
             instructions += self._on_line(self._typed_lines.popleft(), _print, answers)
         return instructions
@@ -288,14 +296,30 @@ class Operator:
         return self._typed.end()
 
 
-def _stays(lines: Sequence[str | RejectedLine], unready: Callable[[], str]) -> bool:
-    """Whether the next line is `wait ready`, the robot is not, and no line asks for a stop."""
-    return _asks_ready(lines[0]) and bool(unready()) and not _contains(lines, STOPPING)
+def _stop_first(lines: deque[str | RejectedLine], unready: Callable[[], str]) -> None:
+    """Drop what waits before a line that stops."""
+    if lines and _asks_ready(lines[0]) and _contains(lines, STOPPING) and unready():
+        while not _contains([lines[0]], STOPPING):
+            lines.popleft()
+
+
+def _stays(
+    lines: Sequence[str | RejectedLine],
+    unready: Callable[[], str],
+    answer: Callable[[str], None],
+    *,
+    told: bool,
+) -> bool:
+    """Whether the next line is `wait ready`, and the robot is not; say so once."""
+    why = unready() if _asks_ready(lines[0]) else ""
+    if why and not told:
+        answer(f"the lines wait: {why}")
+    return bool(why)
 
 
 def _reads_on(lines: Sequence[str | RejectedLine]) -> bool:
     """Whether more lines are read: none is left, or they wait, and one that stops may come."""
-    return not lines or (_asks_ready(lines[0]) and len(lines) < MAX_LINES)
+    return not lines or (_asks_ready(lines[0]) and len(lines) < MOST_WAITING)
 
 
 def _asks_ready(line: str | RejectedLine) -> bool:

@@ -99,6 +99,15 @@ def driver(devices: Sequence[Device]) -> Driver:
             other = commanded.setdefault((one.number.message, one.number.signal.name), device.name)
             if other != device.name:
                 raise ValueError(f"{one.number.key} commands both {other} and {device.name}")
+    for device in devices:
+        others = [memory_of(each) for each in devices if each is not device]
+        for frame in spec(device).stop:
+            DbcDecoder(others).decode(0, frame)
+        if driven := [each.name for each in others if each.armed]:
+            text = (
+                f"the stop of {device.name} would command {', '.join(driven)}, by initial values of the file"
+            )
+            raise ValueError(f"{text} (GenSigStartValue): set them to what idle gives them")
     return MotorDriver(DbcAdapter(devices), devices, {each.name: spec(each).ranges for each in devices})
 
 

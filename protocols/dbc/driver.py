@@ -2,8 +2,9 @@
 
 Rules. A message may carry the commands of several motors: it is made at the end of a step, of what was given
 in this step; a motor that was given nothing has what `idle` gives it, or the file's initial value. A message
-goes out once per period, with the command of that step; what lets go does not wait. A set-point goes out
-before what enables it. A mode that nothing confirms is sent again every 500 ms. Where no signal tells the
+goes out once per period, with the command of that step; what lets go does not wait, nor does another kind of
+command, with its mode. A set-point goes out before what enables it. A mode that nothing confirms is sent
+again every 500 ms. Where no signal tells the
 state, a motor counts as armed while it is commanded and reports.
 """
 
@@ -48,18 +49,19 @@ class Motor:
     faulty: str = ""
     """Its fault, in words"""
     kind: type[Command] | None = None
-    """Of the last set-point"""
+    """Of the last set-point; None: what it was sent last is none, or may be lost"""
     mode_at: Nanos = -NEVER
     """When its mode was last sent"""
 
     def forget(self) -> None:
         """Forget what it reported."""
-        self.told, self.detail, self.faulty, self.mode_at = None, "", "", -NEVER
+        self.told, self.detail, self.faulty, self.mode_at, self.kind = None, "", "", -NEVER, None
         self.shaft.forget(self.shaft.position)
 
     def drive(self, *, driven: bool) -> None:
         """Record whether it is commanded."""
         self.driven = driven
+        self.kind = self.kind if driven else None
 
     def send_mode(self, now: Nanos, kind: type[Command], *, must: bool) -> bool:
         """True if what goes beside this command is to be sent now."""
@@ -67,6 +69,10 @@ class Motor:
         self.kind = kind
         self.mode_at = now if due else self.mode_at
         return due
+
+    def send_all(self) -> None:
+        """Let its mode be sent with the next set-point: it may be lost."""
+        self.kind = None
 
     def hear(self, told: bool | None, detail: str) -> None:
         """Record its state."""
@@ -206,6 +212,9 @@ class DbcAdapter(Adapter[Motor]):
         """True if the position is counted here."""
         return "position" not in host.own.declared.fed or host.options.feedback.within_turn
 
+    def resend(self, host: Host[Motor]) -> None:
+        host.own.send_all()
+
     # -- sent -----------------------------------------------------------------------------------------
 
     def _give(self, assignments: Assignments, *, urgent: bool = False) -> None:
@@ -221,10 +230,11 @@ class DbcAdapter(Adapter[Motor]):
         if arming:
             command = _still(command, host.position)
         kind, one = type(command), of.setpoints[type(command)]
+        other = kind is not own.kind
         value = getattr(command, kind.__name__.lower())
-        self._give({one.number.message: {one.number.signal.name: one.number.raw(value)}})
+        self._give({one.number.message: {one.number.signal.name: one.number.raw(value)}}, urgent=other)
         all_of_it = own.send_mode(now, kind, must=arming)
-        self._give(_beside(one, one.beside, all_of_it=all_of_it))
+        self._give(_beside(one, one.beside, all_of_it=all_of_it), urgent=other)
         self._give(_beside(one, of.enable, all_of_it=arming or of.state is None))
 
     def arm(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:

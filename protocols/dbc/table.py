@@ -156,6 +156,8 @@ class _Reader:
         self.wrong: list[Wrong] = []
         self.name, text = named_text(options.file)
         self.used: dict[str, None] = {}
+        self.taken: dict[tuple[str, str], str] = {}
+        """By message and signal: the key of what it is used for"""
         try:
             self.all = messages_of(self.name, text)
         except ValueError as error:
@@ -164,6 +166,10 @@ class _Reader:
     def object(self, key: str, text: str) -> None:
         """Note a mistake at a key of the options."""
         self.wrong.append((f"options.{key}", text))
+
+    def take(self, there: tuple[Message, Signal], key: str) -> None:
+        """Note what a signal is used for."""
+        self.taken[there[0].name, there[1].name] = key
 
     def message(self, key: str, name: str) -> Message | None:
         """Return a message by its name."""
@@ -197,15 +203,14 @@ class _Reader:
         if text in named:
             return named[text]
         try:
-            raw: Raw = (
-                float(int(text, 0) if text[:2].lower() == "0x" else float(text)) - signal.offset
-            ) / signal.factor
-        except (ValueError, ZeroDivisionError):
+            value = int(text, 0) if text[:2].lower() == "0x" else float(text)
+            raw: Raw = (value - signal.offset) / signal.factor
+            raw = raw if signal.real else round(raw)
+        except (ValueError, ArithmeticError):  # among them of what is not finite
             one_of = f", or one of {', '.join(named)}" if named else ""
             self.object(key, f"found {text!r}, expected a number{one_of}{did_you_mean(text, named)}")
             return None
         low, high = signal.ends()
-        raw = raw if signal.real else round(raw)
         if not low <= raw <= high:
             least, most = sorted(each * signal.factor + signal.offset for each in (low, high))
             self.object(key, f"{text} does not fit into {signal.name}: it has {least:g} to {most:g}")
@@ -230,6 +235,7 @@ class _Reader:
             raw = self.raw(key, there[1], value) if there else None
             if there is not None and raw is not None:
                 found.setdefault(there[0].name, {})[there[1].name] = raw
+                self.take(there, key)
         return found
 
     def number(self, key: str, quantity: str, fed: Fed) -> Number | None:
@@ -242,6 +248,7 @@ class _Reader:
         if there is None:
             return None
         message, signal = there
+        self.take(there, key)
         unit = one * fed.scale
         if signal.factor * unit == 0.0:
             self.object(f"{key}.signal", f"{signal.name} has a factor of 0 in {self.name}")
@@ -258,18 +265,37 @@ class _Reader:
         """Return the messages that are used, with their counters and checksums."""
         found = {name: self.all[name] for name in self.used}
         for text in self.options.counters:
-            if (there := self.signal("counters", text)) and not there[1].real:
-                found[there[0].name] = replace(found.get(there[0].name, there[0]), counter=there[1].name)
+            if there := self._protecting("counters", text):
+                before = found.get(there[0].name, there[0])
+                if before.counter not in ("", there[1].name):
+                    self.object("counters", f"{before.name} has two: {before.counter}, {there[1].name}")
+                found[there[0].name] = replace(before, counter=there[1].name)
         for text in self.options.checksums:
             name, _, kind = (part.strip() for part in text.partition("="))
-            there = self.signal("checksums", name)
+            there = self._protecting("checksums", name)
             if kind not in CHECKSUMS:
                 known = ", ".join(CHECKSUMS)
                 self.object("checksums", f"{text!r}: expected one of {known}{did_you_mean(kind, CHECKSUMS)}")
-            elif there is not None and not there[1].real:
+            elif there is not None:
                 before = found.get(there[0].name, there[0])
+                if before.checksum is not None and before.checksum[0] != there[1].name:
+                    self.object("checksums", f"{before.name} has two: {before.checksum[0]}, {there[1].name}")
                 found[there[0].name] = replace(before, checksum=(there[1].name, CHECKSUMS[kind]))
         return found
+
+    def _protecting(self, key: str, name: str) -> tuple[Message, Signal] | None:
+        """Return a signal that is nothing but a counter or a checksum, by its name."""
+        there = self.signal(key, name)
+        if there is None:
+            return None
+        other = self.taken.setdefault((there[0].name, there[1].name), key)
+        if there[1].real:
+            self.object(key, f"{name!r} is no integer")
+        elif other != key:
+            self.object(key, f"{name!r} is named by {other}, too: expected a signal of its own")
+        else:
+            return there
+        return None
 
     def periods(self) -> dict[str, Nanos]:
         """Return the periods of messages with one of their own."""
@@ -336,11 +362,12 @@ def _state(reader: _Reader) -> tuple[Number, tuple[Raw, ...], Raw] | None:
     there = reader.signal("feedback.state.signal", told.signal) if told else None
     if told is None or there is None:
         return None
+    reader.take(there, "feedback.state")
     armed = [reader.raw("feedback.state.armed", there[1], text) for text in told.armed]
     ready = reader.raw("feedback.state.ready", there[1], told.ready)
     if not armed:
         reader.object("feedback.state.armed", "expected at least one value")
-    if ready in armed:
+    if ready is not None and ready in armed:
         reader.object("feedback.state.ready", f"{told.ready} is among armed, too")
     found = tuple(raw for raw in armed if raw is not None)
     return (Number(there[0].name, there[1], 1.0, 0.0), found, ready) if found and ready is not None else None
@@ -350,6 +377,8 @@ def _fault(reader: _Reader) -> tuple[Number, Raw] | None:
     faulty = reader.options.feedback.fault
     there = reader.signal("feedback.fault.signal", faulty.signal) if faulty else None
     none = reader.raw("feedback.fault.none", there[1], faulty.none) if faulty and there else None
+    if there is not None:
+        reader.take(there, "feedback.fault")
     return None if there is None or none is None else (Number(there[0].name, there[1], 1.0, 0.0), none)
 
 
@@ -376,6 +405,10 @@ def _check(reader: _Reader, made: Declared, given: Mapping[str, Any]) -> None:
     for name in reader.used:
         if name not in made.to_device and name not in made.from_device:
             say("counters", f"{name} is neither sent nor fed back: leave it away")
+    for key, one in zip(given, made.setpoints.values(), strict=False):
+        for other, values in (("enable", made.enable), (f"{key}.beside", one.beside)):
+            if one.number.key in _flat(values):
+                say(other, f"{one.number.key} is what commands the {key}: it has no other value")
     if len(made.setpoints) > 1:
         besides = [_flat(one.beside) for one in made.setpoints.values()]
         if any(_fits_both(a, b) for at, a in enumerate(besides) for b in besides[:at]):

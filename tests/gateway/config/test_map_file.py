@@ -15,6 +15,7 @@ from gateway.config import load_robot, parse_robot
 from gateway.config.errors import Mistakes
 from gateway.config.files import MOST_PACKED, unpacked, with_files
 from gateway.config.map_file import read_pixels, saved_map
+from gateway.config.text import read_toml
 from gateway.errors import ConfigError
 from gateway.replay import replay_recording
 from protocols.bounds import Invalid
@@ -228,6 +229,20 @@ def test_an_image_that_no_recording_can_carry(tmp_path: Path) -> None:
     mistakes = Mistakes("", "")
     with_files(f'[map]\nfile = "{path.name}"', tmp_path / "robot.toml", mistakes, load)
     assert f"expected at most {MOST_PACKED}" in str(mistakes.error())
+
+
+@pytest.mark.parametrize("header", ["[files]", "[files]  # texts", " [ files ]"])
+def test_files_are_put_into_the_table_that_is_there(tmp_path: Path, header: str) -> None:
+    path, mistakes = room(tmp_path), Mistakes("", "")
+    text = with_files(f'map.file = "{path.name}"\n{header}\n', tmp_path / "robot.toml", mistakes, load)
+    assert read_toml(text, mistakes)["files"].keys() == {"map.yaml", "map.pgm"}
+
+
+@pytest.mark.parametrize("value", ["{}", "3"])
+def test_what_is_no_table_of_files_that_can_be_filled_is_told(tmp_path: Path, value: str) -> None:
+    path, mistakes = room(tmp_path), Mistakes("", "")
+    with_files(f'map.file = "{path.name}"\nfiles = {value}\n', tmp_path / "robot.toml", mistakes, load)
+    assert "files: expected a table with the line [files], or none" in str(mistakes.error())
 
 
 @pytest.mark.parametrize("text", ["!!", "AAAA", ""])

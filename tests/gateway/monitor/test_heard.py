@@ -110,6 +110,19 @@ def test_what_is_wrong_is_told_with_its_time(
     assert re.search(line, printed, re.M), printed
 
 
+def test_a_bus_of_a_log_that_the_robot_has_not_is_told(
+    run: Sequence[tuple[Packet, bool]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = write(tmp_path / "run.log", run)
+    lines = log.read_text().splitlines(keepends=True)
+    name = lines[0].split()[1]
+    own = next(bus for bus, each in BENCH.buses.items() if not each.carries_bytes)
+    two = [line.replace(f" {name} ", f" {each} ") for line in lines for each in (own, "other7")]
+    log.write_text("".join(two))
+    main(["replay", str(log), "--robot", "bench"])
+    assert "left out: other7, since bench has no such bus" in capsys.readouterr().out
+
+
 def test_a_log_that_is_cut_or_none_or_without_a_robot_is_told_in_words(
     run: Sequence[tuple[Packet, bool]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -128,6 +141,8 @@ def test_a_log_that_is_cut_or_none_or_without_a_robot_is_told_in_words(
         (tmp_path / name).write_text(content)
         assert main(["replay", str(tmp_path / name), "--robot", "bench"]) == status
         assert words in capsys.readouterr().err
+    assert main(["replay", str(tmp_path / "nix.log"), "--robot", "bench"]) == 2
+    assert "nix.log: No such file or directory: expected a log of CAN" in capsys.readouterr().err
     for command in ("replay", "view"):
         assert main([command, str(text)]) == 2
         assert "--robot ROBOT says whose devices were on its buses" in capsys.readouterr().err

@@ -11,7 +11,8 @@ import subprocess
 import sys
 import threading
 import tty
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
@@ -485,25 +486,49 @@ def test_lines_on_a_pipe_wait_until_the_robot_is_ready_but_for_one_that_ends_som
         os.close(reader)
 
 
+@contextmanager
+def waiting(
+    folder: Path, *, by_pipe: bool
+) -> Iterator[tuple[Operator, Callable[[bytes], int], socket.socket]]:
+    """An operator, what sends lines by its standard input or as a client, and the client."""
+    reader, writer = os.pipe()
+    with Operator(DIFFBOT, folder, terminal=reader) as operator, socket.socket(socket.AF_UNIX) as client:
+        client.connect(os.fspath(operator.path))
+        client.settimeout(PATIENCE)
+        yield operator, partial(os.write, writer) if by_pipe else client.send, client
+    os.close(writer)
+    os.close(reader)
+
+
 @pytest.mark.parametrize("by_pipe", [True, False], ids=["a pipe", "a client"])
 def test_what_follows_wait_ready_waits_until_it_is_but_for_a_stop(by_pipe: bool, folder: Path) -> None:
     for later, waits in ((b"quit\n", True), (b"stop enough\n", False)):
-        reader, writer = os.pipe()
-        with Operator(DIFFBOT, folder, terminal=reader) as operator, socket.socket(socket.AF_UNIX) as client:
-            client.connect(os.fspath(operator.path))
-            send = partial(os.write, writer) if by_pipe else client.send
-            send(b"goal 0 1\nwait ready\ngoal 1 2\n")
+        with waiting(folder, by_pipe=by_pipe) as (operator, send, _):
+            send(b"goal 0 1\nwait ready\n" + 100 * b"goal 1 2\n")
             silent = partial(operator.poll, status, unready=lambda: "left is silent")
-            early = [one for _ in range(3) for one in silent()]
+            early = [one for _ in range(20) for one in silent()]
             assert early == [msg.Goal(0.0, 1.0)]
             send(later)
-            then = [one for _ in range(3) for one in silent()]
-            assert bool(then) != waits
-            late = [one for _ in range(3) for one in operator.poll(status)]
-            assert [*then, *late][0] == msg.Goal(1.0, 2.0)
+            then = [one for _ in range(20) for one in silent()]
+            late = [one for _ in range(20) for one in operator.poll(status)]
+            if waits:
+                assert then == []
+                assert late == 100 * [msg.Goal(1.0, 2.0)]
+            else:  # it comes at once, and what waited never
+                assert (then, late) == ([msg.Stop("enough")], [])
             assert operator.leaving == waits
-        os.close(writer)
-        os.close(reader)
+
+
+@pytest.mark.parametrize("by_pipe", [True, False], ids=["a pipe", "a client"])
+def test_who_waits_until_it_is_ready_is_told_for_what(
+    by_pipe: bool, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with waiting(folder, by_pipe=by_pipe) as (operator, send, client):
+        send(b"wait ready\n")
+        for _ in range(3):
+            operator.poll(status, unready=lambda: "left is silent")
+        told = capsys.readouterr().out if by_pipe else client.recv(4096).decode()
+        assert told == "the lines wait: left is silent\n"
 
 
 def test_where_a_line_was_typed_its_answers_are_printed_too(

@@ -101,6 +101,7 @@ def test_checksums_are_those_of_others(
 
 # -- mistakes -------------------------------------------------------------------------------------------
 
+SPEED_ALONE = Feedback(velocity=Fed("Motor{}_Motion.SPEED"), voltage=Fed("Motor{}_Status.VOLTAGE"))
 WRONG: list[tuple[dict[str, Any], tuple[str, str]]] = [
     ({"file": ""}, ("options.file", "missing; expected the file with its messages")),
     ({"file": "motor.dbc"}, ("options.file", "there is no text of 'motor.dbc'")),
@@ -117,6 +118,24 @@ WRONG: list[tuple[dict[str, Any], tuple[str, str]]] = [
     ({"enable": ("Motor{}_Command.MODE = velocty",)}, ("options.enable", "did you mean 'velocity'?")),
     ({"enable": ("ENABLE",)}, ("options.enable", "there is no message 'ENABLE'")),
     ({"enable": ("Motor{}_Command",)}, ("options.enable", 'expected "MESSAGE.SIGNAL = VALUE"')),
+    *(
+        ({"enable": (f"Motor{{}}_Command.ENABLE = {value}",)}, ("options.enable", "expected a number"))
+        for value in ("nan", "inf", "0x" + "f" * 400)
+    ),
+    ({"enable": ("Motor{}_Command.SPEED = 5",)}, ("options.enable", "is what commands the velocity")),
+    (
+        {"torque": Commanded("Motor{}_Command.TORQUE", beside=("Motor{}_Command.TORQUE = 5",))},
+        ("options.torque.beside", "is what commands the torque"),
+    ),
+    ({"counters": ("Motor{}_Command.SPEED",)}, ("options.counters", "is named by velocity, too")),
+    ({"counters": ("Motor{}_Motion.ANGLE",)}, ("options.counters", "is no integer")),
+    ({"counters": ("Motor{}_Status.STATE",)}, ("options.counters", "is named by feedback.state, too")),
+    (
+        {"counters": ("Motor{}_Status.COUNTER", "Motor{}_Status.TEMPERATURE"), "feedback": SPEED_ALONE},
+        ("options.counters", "Motor1_Status has two: COUNTER, TEMPERATURE"),
+    ),
+    ({"checksums": ("Motor{}_Command.MODE = sum",)}, ("options.checksums", "is named by idle, too")),
+    ({"checksums": ("Motor{}_Command.COUNTER = sum",)}, ("options.checksums", "is named by counters, too")),
     ({"counters": ("Motor{}_Command",)}, ("options.counters", 'expected "MESSAGE.SIGNAL"')),
     ({"counters": ("Motor3_Command.COUNTER",)}, ("options.counters", "neither sent nor fed back")),
     ({"checksums": ("Motor{}_Command.CHECKSUM = crc9",)}, ("options.checksums", "expected one of sum, xor")),
@@ -225,6 +244,21 @@ def test_a_signal_commands_one_motor() -> None:
         plugin.driver([left, replace(right, options=left.options)])
 
 
+def test_the_stop_of_one_motor_commands_no_other_by_initial_values() -> None:
+    """What a motor's own stop says of the others in its message are the file's initial values."""
+    devices = two_wheels()
+    starts = (
+        'BA_DEF_ SG_ "GenSigStartValue" INT 0 100000;\nBA_DEF_DEF_ "GenSigStartValue" 0;\n'
+        'BA_ "GenSigStartValue" SG_ 592 R 500;\n'
+    )
+    moving = [
+        replace(each, options=replace(each.options, file=each.options.file + starts)) for each in devices
+    ]
+    assert plugin.driver(devices)
+    with pytest.raises(ValueError, match="the stop of Left would command Right"):
+        plugin.driver(moving)
+
+
 def bench(**changes: Any) -> Bench:
     return make_bench(plugin, replace(example(), **changes), (1, 2), ("one", "two"))
 
@@ -254,6 +288,43 @@ def test_another_command_changes_what_goes_beside_it() -> None:
     received = [one for each in step for one in each.received]
     assert msg.Torque("one", pytest.approx(0.5, abs=0.01)) in received  # type: ignore[arg-type]
     assert not [one for one in received if isinstance(one, msg.Idle)]
+
+
+APART = """VERSION ""
+BU_: A
+BO_ 16 MODE: 1 A
+ SG_ KIND : 0|8@1+ (1,0) [0|0] "" A
+BO_ 17 SPEED: 2 A
+ SG_ SPEED : 0|16@1- (0.01,0) [0|0] "" A
+BO_ 18 TORQUE: 2 A
+ SG_ TORQUE : 0|16@1- (0.01,0) [0|0] "" A
+BO_ 19 STATUS: 2 A
+ SG_ SPEED : 0|16@1- (0.01,0) [0|0] "" A
+"""
+MODES_APART = Options(
+    f"apart.dbc\n{APART}",
+    velocity=Commanded("SPEED.SPEED", beside=("MODE.KIND = 1",)),
+    torque=Commanded("TORQUE.TORQUE", beside=("MODE.KIND = 2",)),
+    idle=("MODE.KIND = 0", "SPEED.SPEED = 0", "TORQUE.TORQUE = 0"),
+    feedback=Feedback(velocity=Fed("STATUS.SPEED")),
+    timeout_ms=200.0,
+)
+
+
+@pytest.mark.parametrize("gap", [11, 20, 50])
+def test_a_mode_in_a_message_of_its_own_changes_at_once_whatever_its_period(gap: int) -> None:
+    made = make_bench(plugin, replace(MODES_APART, periods=("MODE = 1000",)), (1,), ("one",))
+    made.steps(20)
+    for command in (
+        msg.Velocity("one", 1.0), msg.Idle("one"), msg.Velocity("one", 1.0), msg.Torque("one", 0.5),
+        msg.Velocity("one", 2.0), msg.Idle("one"), msg.Torque("one", -0.5),
+    ):  # fmt: skip
+        obeyed = [one for step in made.steps(gap, [command]) for one in step.received]
+        moved = [one for one in obeyed if isinstance(one, msg.COMMANDS)]
+        still = (msg.Idle("one"), msg.Velocity("one", 0.0), msg.Torque("one", 0.0))
+        assert all(one in still or type(one) is type(command) for one in moved), (command, moved)
+        assert moved, command
+        assert type(moved[-1]) is type(command), (command, moved)
 
 
 def test_a_message_goes_out_once_per_period_and_what_lets_go_at_once() -> None:
