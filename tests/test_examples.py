@@ -64,6 +64,7 @@ def test_none_is_left_out() -> None:
         DOORS.name,
         TUTORIAL.name,
         LAYOUTS.name,
+        "dbc",  # robot files, driven in tests/data/test_dbc_robots.py
     }
     assert all(f"({LAYOUTS.name}/{one.name})" in text for one in LAYOUTS.iterdir())
     assert f"[{TUTORIAL.name}]({TUTORIAL.name}/README.md)" in text

@@ -9,8 +9,8 @@ from __future__ import annotations
 import struct
 from typing import Any
 
-from benchmarks.samples.dbc import RIVAL as RIVAL
-from benchmarks.samples.dbc import Sample, database
+from benchmarks.samples.cantools_messages import RIVAL as RIVAL
+from benchmarks.samples.cantools_messages import Sample, database
 from protocols.frames import CanFrame
 from protocols.myactuator.table import ANY
 

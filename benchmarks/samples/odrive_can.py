@@ -12,7 +12,7 @@ import struct
 from importlib.resources import files
 from typing import Any
 
-from benchmarks.samples.dbc import Sample
+from benchmarks.samples.cantools_messages import Sample
 from protocols.frames import CanFrame
 from protocols.odrive_can.table import table_of
 

@@ -282,8 +282,6 @@ class Cia402Adapter(Adapter[Drive]):
                 timeout = drive.options.home_timeout_ms * MILLISECOND
                 return why or _waiting(now, request, host, timeout)
             case msg.SetAddress(_, address):
-                if not host.offline:
-                    return f"it answers at {address} already"
                 search: dict[str, Any] = {"search": lss.FastScan(address)}
                 return Pending(request, host.name, now, now + SEARCH, now, host, (), LSS_PERIOD, search)
             case msg.ReadParameter(_, name):

@@ -246,6 +246,11 @@ class Adapter(Generic[Own]):
         return "no reply to this request"
 
 
+def _lacks(host: Host[Any], address: int) -> bool:
+    """True if a motor does not answer at this address, its own: it may have none yet."""
+    return host.offline and address == host.address
+
+
 def first_address(pending: Pending[Any]) -> bool:
     """True for a request to give a device the address that its motor has in the file: it has none yet."""
     return pending.host is not None and getattr(pending.request, "address", None) == pending.host.address
@@ -373,6 +378,8 @@ class MotorDriver(Generic[Own]):
             return f"{address} is not an address: {addresses.start} to {addresses.stop - 1}"
         if not addresses or not self.adapter.readdress(host, address):
             return "the device cannot be given an address on this bus"
+        if address == host.address:
+            return f"it answers at {address} already"
         if address in self.at:
             return f"address {address} is that of {self.at[address].name}"
         if self.adapter.running(host):
@@ -503,7 +510,7 @@ class MotorDriver(Generic[Own]):
         clears = isinstance(request, msg.ClearFault) and self.adapter.clearing_disarms
         if host is not None and clears and host.sound:
             return msg.Done(now, type(request).__name__, host.name, "it is armed: nothing to clear")
-        if host is not None and isinstance(request, msg.SetAddress) and request.address != host.address:
+        if host is not None and isinstance(request, msg.SetAddress) and not _lacks(host, request.address):
             begun = self._give_address(now, request, host)
         else:
             begun = self.adapter.begin(now, request, host, self)

@@ -65,7 +65,7 @@ def test_the_bytes_both_ways(
 @pytest.mark.parametrize(
     ("new", "why"),
     [
-        (1, "address 1 is that of motor"),
+        (1, "it answers at 1 already"),
         (2, "address 2 is that of other"),
         (3, "another device has address 3"),
         (99, "99 is not an address: 1 to 15"),
