@@ -201,7 +201,7 @@ class Wheel:
     """rad, the direction in which it rolls"""
     radius_error: Annotated[float, Bounds(-0.1, 0.1)] = 0.0
     """The wheel's true radius, without load, is that of `wheel` × (1 + this): wear, pressure. Its tyre
-    sinks into the floor as MuJoCo's contacts do, and rolls less: by 0.25 to 0.4 % on a robot of 5 kg."""
+    sinks into the floor as MuJoCo's contacts do, and rolls less: by 0.1 to 0.4 % on a robot of 5 kg."""
     roller: Annotated[float, Bounds(-1.4, 1.4)] | None = None
     """rad, from the direction in which the wheel rolls to the axis of the roller that is on the floor: 0 of
     an omni wheel, ±45° of a mecanum wheel; None: a plain tyre"""

@@ -2,7 +2,7 @@
 
 The plant's wheels, track, lidar and gyro differ from the robot file; stamps are late. Radius, track and yaw
 must be found within 0.5 %, 1 % and 0.5°, and be off by no more than their standard deviations allow. What a
-wheel rolls is measured in the world: under its load a tyre sinks into the floor, by 0.3 % of its radius.
+wheel rolls is measured in the world: under its load a tyre sinks into the floor, by some 0.3 % of its radius.
 """
 
 from __future__ import annotations
