@@ -67,7 +67,10 @@ def run(options: Namespace) -> int:
 def _view_robot(options: Namespace) -> int:
     """Ask a running robot to open its view."""
     if options.origin or options.robot:
-        raise UserError("--origin and --robot are for recordings; a robot gets its origins from `run --view`")
+        raise UserError(
+            f"{options.what[0]}: there is no such file, and --origin and --robot are for recordings: "
+            "a robot gets its origins from `run --view`"
+        )
     line = " ".join(["view", *([options.at] if options.at else []), *["steer"] * options.steer])
     answer = ask(socket_path(options.what[0]), line)
     print(answer)

@@ -129,7 +129,9 @@ def _text(at: Key, name: str, folders: Sequence[Path], mistakes: Mistakes, limit
             return {}
         content = read_text(found, limits[0], or_else=limits[1])
     except (OSError, ValueError) as error:  # a name that can be none of a file is one, too
-        mistakes.add(at, str(error))
+        mistakes.add(
+            at, f"{error}; expected the map's YAML file, not its image" if limits is MAP else str(error)
+        )
         return {}
     if QUOTES in content or '"' in name or "\\" in name or _CONTROL.search(content):
         mistakes.add(

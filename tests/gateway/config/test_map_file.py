@@ -193,6 +193,7 @@ def test_a_table_in_the_robot_file_is_read_from_beside_it(tmp_path: Path) -> Non
     ("table", "expected"),
     [
         ('file = "none.yaml"', "there is no 'none.yaml' beside the robot file"),
+        ('file = "map.pgm"', "expected the map's YAML file, not its image"),
         ("file = 3", "found 3, expected a string"),
         ('file = "map.yaml"\nstart = { x = 1e9 }', "x"),
         ('file = "map.yaml"\nstart = { X = 1.0 }', "no key 'X'"),
