@@ -31,8 +31,9 @@ from gateway.core.message_text import escaped
 from gateway.errors import GatewayError
 
 NEGATIVE, OPTION = re.compile(r"-[\d.]"), re.compile(r"--[a-z][a-z-]*")
-REPEAT, MOST_LINES = 1.0, 64
-"""s within which a line of the log is not written again; and of how many lines that is known"""
+REPEAT, MOST_LINES, MOST_NEWS = 1.0, 64, 10
+"""s within which a line of the log is not written again; of how many lines that is known; and how often it is
+all the same, where another of its subject came between"""
 INTERRUPTED = 130
 """The status that a shell has for SIGINT."""
 DESCRIPTION = "One brain, any body, over real buses."
@@ -159,29 +160,36 @@ def _set_log_level(verbosity: int) -> None:
 
 class LogHandler(logging.StreamHandler[TextIO]):
     """Writes to a stream, and never waits for it: neither for a stopped terminal, nor for a full pipe. A line
-    that comes again within `REPEAT` of when it was written is counted; the count is written with the next."""
+    that comes again within `REPEAT` of when it was written is counted; the count is written with the next.
+    After another of its subject it is news, a few times: "left: armed", "left: ready", "left: armed"."""
 
     def __init__(self, stream: TextIO) -> None:
         super().__init__(stream)
         self._written: dict[str, tuple[logging.LogRecord, int]] = {}
         """By line: the record that was written, and how often it came since."""
+        self._newest: dict[str, tuple[str, int]] = {}
+        """By subject: its newest line, and how often that was news within `REPEAT`"""
 
     def emit(self, record: logging.LogRecord) -> None:
         """Write a record, or leave it out if the stream takes nothing and does not queue it."""
         line = self.format(record)
         self._tell(record.created - REPEAT)
-        if line in self._written:
+        subject = record.getMessage().partition(":")[0]
+        newest, news = self._newest.get(subject, ("", 0))
+        if line in self._written and (newest == line or news >= MOST_NEWS):
             first, count = self._written[line]
             self._written[line] = first, count + 1
             return
-        if len(self._written) >= MOST_LINES:
+        if len(self._written) >= MOST_LINES or len(self._newest) >= MOST_LINES:
             self.settle()
-        self._written[line] = record, 0
+        self._newest[subject] = line, news + 1 if line in self._written else 0
+        self._written.setdefault(line, (record, 0))
         self._write(record)
 
     def settle(self) -> None:
         """Write what was only counted, and forget it."""
         self._tell(math.inf)
+        self._newest.clear()
 
     def _tell(self, until: float) -> None:
         """Forget the lines written until a time [s]; write how often each came again."""

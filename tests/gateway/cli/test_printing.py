@@ -105,6 +105,26 @@ def test_a_line_of_the_log_comes_once_a_second_and_then_says_how_often_it_came()
     ]
 
 
+def test_the_newest_line_of_a_subject_is_always_written() -> None:
+    """Defect: a motor that was armed twice within a second, and ready between, was ready by the log."""
+    out = io.StringIO()
+    handler = LogHandler(out)
+
+    def say(t: float, text: str) -> list[str]:
+        record = logging.LogRecord("gateway", logging.INFO, "", 0, "%s: %s", ("left", text), None)
+        record.created = t
+        handler.emit(record)
+        return out.getvalue().splitlines()
+
+    assert say(0.0, "armed") == ["left: armed"]
+    assert say(0.2, "ready") == ["left: armed", "left: ready"]
+    assert say(0.4, "armed") == say(0.5, "armed") == ["left: armed", "left: ready", "left: armed"]
+    for number in range(200):
+        said = say(0.6 + 0.001 * number, ("ready", "armed")[number % 2])
+    assert len(said) <= 12, "a flood is bounded"
+    assert say(3.0, "ready")[-1] == "left: ready"
+
+
 def test_a_message_as_text_is_one_line() -> None:
     assert message_text(msg.Fault("left", 0, 1, "a\nb", "\x9b", "\u202e")).isprintable()
     assert escaped("Grüße: 3 N·m, 20 °C") == "Grüße: 3 N·m, 20 °C"
