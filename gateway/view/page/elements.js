@@ -63,3 +63,21 @@ export function holdable(button, begin, end) {
   button.addEventListener("keydown", event => event.key === "Enter" && !event.repeat && begin());
   button.addEventListener("keyup", event => event.key === "Enter" && end());
 }
+
+// What is drawn on a canvas: in its own pixels, once a frame at most, when something has changed.
+export class Drawing {
+  resize() {
+    const { clientWidth, clientHeight } = this.canvas, ratio = window.devicePixelRatio;
+    Object.assign(this, { width: clientWidth, height: clientHeight, ratio });
+    this.canvas.width = Math.round(clientWidth * ratio);
+    this.canvas.height = Math.round(clientHeight * ratio);
+    this.change();
+  }
+
+  change() {
+    this.frame ??= requestAnimationFrame(() => {
+      this.frame = null;
+      this.draw();
+    });
+  }
+}

@@ -1,7 +1,7 @@
 // The robot in three dimensions: its parts as plain solids and meshes, each as its joint stands. Metres; x forward, y to
 // the left, z up. Drawn by WebGL 2, when something has changed; what is lowest stands on the floor.
 
-import { $, make, number, setText } from "./elements.js";
+import { $, Drawing, make, number, setText } from "./elements.js";
 
 const SIDES = 24; // of what is round
 const LENS = 0.6; // rad, across the shorter side
@@ -18,8 +18,9 @@ void main() {
   drawn = vec4(lit ? colour * (0.5 + 0.5 * max(0.0, dot(face, vec3(0.33, 0.66, 0.67)))) : colour, 1);
 }`;
 
-export class Figure {
+export class Figure extends Drawing {
   constructor() {
+    super();
     Object.assign(this, { canvas: $("figure-canvas"), parts: [], items: [], meshes: [], at: [], pointers: new Map(), names: [] });
     this.gl = this.canvas.getContext("webgl2", { antialias: true, preserveDrawingBuffer: true });
     $("figure-none").hidden = Boolean(this.gl);
@@ -179,24 +180,10 @@ export class Figure {
     this.change();
   }
 
-  resize() {
-    const { clientWidth, clientHeight } = this.canvas, ratio = window.devicePixelRatio;
-    this.canvas.width = Math.round(clientWidth * ratio);
-    this.canvas.height = Math.round(clientHeight * ratio);
-    this.change();
-  }
-
-  change() {
-    this.frame ??= requestAnimationFrame(() => {
-      this.frame = null;
-      this.draw();
-    });
-  }
-
   draw() {
     const { gl, canvas, parts, items } = this;
     if (!gl || gl.isContextLost() || !canvas.clientWidth || !parts.length) return;
-    if (canvas.width !== Math.round(canvas.clientWidth * window.devicePixelRatio)) return this.resize();
+    if (this.ratio !== window.devicePixelRatio) return this.resize();
     const [low, high] = this.stand(), floor = low[2]; // of legs that fold the trunk sinks: they stay on it
     if (!this.touched && diagonal(low, high) > GROWN * this.size) this.fit(); // an arm that stretches is seen whole
     const { yaw, pitch, distance, target, size } = this;

@@ -1,6 +1,6 @@
 // The map: what the robot believes of the place, drawn when something has changed. Metres; y to the left of x.
 
-import { $ } from "./elements.js";
+import { $, Drawing } from "./elements.js";
 
 const SIGMA_95 = Math.sqrt(5.991); // 95 % of a normal distribution in the plane (chi-square, 2 degrees of freedom)
 const TRAIL = 6000; // points of the path driven
@@ -10,9 +10,10 @@ const CLICK = 8; // pixels: less is no drag
 const OLD = 2; // s: a scan that is older is not drawn
 const COLOURS = ["unknown", "free", "wall", "grid", "robot", "path", "trail", "raw", "scan", "goal"];
 
-export class Field {
+export class Field extends Drawing {
   // `setGoal` takes x, y and yaw (or null) of a goal that was clicked.
   constructor(setGoal) {
+    super();
     Object.assign(this, { setGoal, canvas: $("canvas"), pen: $("canvas").getContext("2d"), steer: false });
     Object.assign(this, { x: 0, y: 0, scale: 60, follow: true, pointers: new Map(), aim: null, touchAims: false });
     this.reset([], []);
@@ -114,22 +115,6 @@ export class Field {
       picture.data[at + 3] = Math.min(255, 60 + (195 * Math.abs(cells[i])) / SEEN);
     }
     pen.putImageData(picture, 0, 0);
-  }
-
-  resize() {
-    const { clientWidth, clientHeight } = this.canvas;
-    const ratio = window.devicePixelRatio;
-    Object.assign(this, { width: clientWidth, height: clientHeight, ratio });
-    this.canvas.width = Math.round(clientWidth * ratio);
-    this.canvas.height = Math.round(clientHeight * ratio);
-    this.change();
-  }
-
-  change() {
-    this.frame ??= requestAnimationFrame(() => {
-      this.frame = null;
-      this.draw();
-    });
   }
 
   draw() {
