@@ -138,7 +138,9 @@ def test_every_mistake_in_a_map_is_said(text: str, expected: list[str]) -> None:
 
 
 def test_more_keys_of_others_are_no_mistake() -> None:
-    saved_map(f"{YAML}elevation_image: one.pgm\n", {"map.pgm": pgm(SHADES, 10)}, MapSettings(), None)
+    images = {"map.pgm": pgm(SHADES, 10)}
+    made = saved_map(f"{YAML}elevation_image: one.pgm\n", images, MapSettings(), None)
+    assert made.text == saved_map(YAML, images, MapSettings(), None).text
 
 
 def test_a_grey_that_savers_write_for_unknown_is_told_where_it_is_free() -> None:

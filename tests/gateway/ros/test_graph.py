@@ -76,7 +76,8 @@ def test_an_action_is_remapped_with_its_parts() -> None:
 
 
 def test_topics_of_a_camera_are_remapped_where_there_is_none_too() -> None:
-    shown(with_ros('remap = { "/lidar/camera_info" = "/eye" }'))
+    there = shown(with_ros('remap = { "/lidar/camera_info" = "/eye" }'))
+    assert "/eye" not in there.values()
 
 
 def test_a_remap_of_what_there_is_not_is_said() -> None:
