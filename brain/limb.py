@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from brain.belief import Belief, BrainTask, MissionView
-from brain.control.joint_profile import JointState
+from brain.bodies.joint_profile import JointState
 from brain.control.motion import FollowedPath, MotionInputs
 from brain.health import HealthLevel
 from brain.perception.percept import Sight

@@ -17,8 +17,8 @@ from math import inf
 from brain.bare_joints import BareJoints
 from brain.belief import BrainTask
 from brain.bodies.body import Linkage, Search
+from brain.bodies.joint_profile import JointLimits, JointState, Profiles, stopping, synchronised
 from brain.bodies.limbs import LimbPlace
-from brain.control.joint_profile import JointLimits, JointState, Profiles, stopping, synchronised
 from brain.health import HealthLevel
 from brain.limb import Allowance, Percept, Plan
 from brain.settings import BrainSettings

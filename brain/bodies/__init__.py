@@ -1,7 +1,8 @@
 """Robot bodies, one file each: exact kinematics both ways, limits, footprint.
 
-Exports: `body.Body` and `body.Base`, which the brain knows; `plane`, poses and twists; `bare`. The bodies
-themselves are found by their entry points, and named nowhere else.
+Exports: `body.Body` and `body.Base`, which the brain knows; `plane`, poses and twists; `joint_profile`,
+the fastest motion of a joint within its limits; `bare`. The bodies themselves are found by their entry
+points, and named nowhere else.
 Must not import: perception, planning, control, nor numpy where a twist is computed at every step.
 """
 

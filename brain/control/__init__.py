@@ -1,6 +1,6 @@
-"""Control: from a path to a twist, and to one command per joint, within the limits of base and joints.
+"""Control: from a path to a twist within the limits of the base.
 
 Exports: `motion.MotionControl` (all of it for a base), `pursuit.Pursuit` (path following), `track.runs` (a
-path as it is driven), `profile.approach` (acceleration and jerk), `joint_profile.synchronised` (joints).
-Must not import: perception; of planning, only `polyline`.
+path as it is driven), `profile.approach` (acceleration and jerk).
+Must not import: perception; of planning, only `polyline`. Nothing of it is imported by the gateway.
 """

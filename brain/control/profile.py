@@ -12,8 +12,8 @@ from math import cos, hypot, isfinite, sin
 from typing import NamedTuple
 
 from brain.bodies.body import Base
+from brain.bodies.joint_profile import JointLimits, JointState, velocity_step
 from brain.bodies.plane import REST, Twist
-from brain.control.joint_profile import JointLimits, JointState, velocity_step
 
 LATE = 0.1
 """s of angular acceleration by which a base may be off its curvature until it no longer speeds up"""

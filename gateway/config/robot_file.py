@@ -12,7 +12,7 @@ dataclasses, so this file knows none of them by name. Files are TOML (toml.io, v
                                         receive_filter, transmit_queue, shared_bus
     [motors.NAME]                       protocol, bus, address, and a joint's settings (gateway.core.joint)
     [motors.NAME.limits]                velocity, acceleration, torque, position, jerk
-    [motors.NAME.loop]                  brain.control.pid.LoopSettings: its motions are reached by torque
+    [motors.NAME.loop]                  gateway.core.torque_loop.LoopSettings: reached by torque
     [motors.NAME.options]               what the driver should do: the protocol's own
     [motors.NAME.settings]              what is configured on the device: the protocol's own, for its twin
     [sensors.NAME]                      protocol, bus, address, mount, timeout_ms, options, settings

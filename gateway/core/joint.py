@@ -16,7 +16,6 @@ import re
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, TypeAlias
 
-from brain.control.pid import LoopSettings
 from gateway.core.acceptance import Acceptance
 from gateway.core.arming import Arming
 from gateway.core.faults import (
@@ -35,7 +34,7 @@ from gateway.core.load import BY_TORQUE, Load
 from gateway.core.measured import Measured
 from gateway.core.reference import Reference
 from gateway.core.stopping import LOWERING, Stopping
-from gateway.core.torque_loop import TorqueLoop
+from gateway.core.torque_loop import LoopSettings, TorqueLoop
 from gateway.core.velocity_loop import VelocityLoop
 from gateway.core.whereabouts import Whereabouts
 from protocols import messages as msg

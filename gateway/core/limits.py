@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 from math import copysign, sqrt
 from typing import Annotated
 
-from brain.control.joint_profile import JointLimits, JointState, fastest, velocity_step
-from brain.control.joint_profile import Profile as JointProfile
+from brain.bodies.joint_profile import JointLimits, JointState, fastest, velocity_step
+from brain.bodies.joint_profile import Profile as JointProfile
 from protocols.bounds import Bounds, Invalid
 from protocols.messages import (
     SECOND,

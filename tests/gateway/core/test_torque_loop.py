@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import gateway as gw
-from brain.control.joint_profile import JointLimits, JointState, fastest
-from brain.control.pid import Loop, LoopSettings
+from brain.bodies.joint_profile import JointLimits, JointState, fastest
 from gateway.config.resources import find
+from gateway.core.torque_loop import Loop, LoopSettings
 from protocols import messages as msg
 
 GAINS = LoopSettings(velocity_gain=0.3, integral_gain=3.0, integral_most=1.0)

@@ -7,7 +7,7 @@ from math import inf, nan, sqrt
 import numpy as np
 import pytest
 
-from brain.control.joint_profile import (
+from brain.bodies.joint_profile import (
     JointLimits,
     JointState,
     Profile,
