@@ -171,6 +171,7 @@ def _drive(session: Session, operator: Operator, options: Namespace, mission: Mi
     try:
         with closing(session.run(options.seconds, poll=poll, dry_run=options.dry_run)) as ticks:
             for tick in ticks:
+                operator.see(tick.inputs.instructions)
                 for note in tick.outputs.notes:
                     logged = note.level != "info" or log.isEnabledFor(logging.INFO)
                     operator.report(f"{note.source}: {note.text}", logged=logged)

@@ -30,7 +30,7 @@ from gateway.core.message_text import escaped
 from gateway.core.robot import Robot
 from gateway.errors import OperatorError
 from gateway.operator.commands import Query, RejectedLine, help_text, parse, safely
-from protocols.messages import Instruction
+from protocols.messages import Instruction, Stop
 
 MAX_READ = 4096
 """Bytes taken from one client in one poll."""
@@ -52,6 +52,7 @@ MOST_WAITING = 1000
 MAX_PATH = 107
 """Bytes of a socket's path (unix(7): sun_path)."""
 
+_DROPPED = "the robot was stopped: {} lines that waited until it is ready are dropped"
 _TOO_LONG = RejectedLine(f"the line is longer than {MAX_LINE} bytes; it is left out")
 
 
@@ -121,6 +122,8 @@ class Operator:
         self._has_typed = False
         self.leaving = False
         """Whether quit has been received."""
+        self._polled: list[Instruction] = []
+        """Of the last poll."""
         self.path = _free_path(folder or socket_folder(), robot.name)
         self._listener = _listen(self.path)
 
@@ -159,7 +162,7 @@ class Operator:
                 client.told = _stays(client.lines, unready, partial(_queue, client), told=client.told)
                 if client.told:
                     break
-                instructions += self._on_line(client.lines.popleft(), partial(_queue, client), answers)
+                instructions += self._on_line(client.lines, partial(_queue, client), answers)
             left -= count
             if count:
                 self._clients.remove(client)
@@ -172,8 +175,28 @@ class Operator:
             self._told = _stays(self._typed_lines, unready, _print, told=self._told)
             if self._told:
                 break
-            instructions += self._on_line(self._typed_lines.popleft(), _print, answers)
+            instructions += self._on_line(self._typed_lines, _print, answers)
+        self._polled = instructions
         return instructions
+
+    def see(self, instructions: Sequence[Instruction]) -> None:
+        """Look at all that a tick was told: a stop that came from elsewhere, the page or a program, ends what
+        waits here, too."""
+        mine = {id(one) for one in self._polled}
+        if any(isinstance(one, Stop) and id(one) not in mine for one in instructions):
+            self._drop_waiting()
+
+    def _drop_waiting(self, but: Sequence[str | RejectedLine] | None = None) -> None:
+        """Drop what waits until the robot is ready, and say so: it was meant for a robot that nobody had
+        stopped. What follows the stop itself, in the lines `but`, is left."""
+        for client in self._clients:
+            if client.lines is not but and client.lines and _asks_ready(client.lines[0]):
+                _queue(client, _DROPPED.format(len(client.lines)))
+                client.lines.clear()
+        typed = self._typed_lines
+        if typed is not but and typed and (self._waits or _asks_ready(typed[0])):
+            _print(_DROPPED.format(len(typed)))
+            typed.clear()
 
     def report(self, text: str, *, logged: bool = True) -> None:
         """Send a text of the robot to every connected client, and print it where a line was typed, unless it
@@ -206,11 +229,12 @@ class Operator:
 
     def _on_line(
         self,
-        line: str | RejectedLine,
+        lines: deque[str | RejectedLine],
         answer: Callable[[str], None],
         answers: Mapping[str, Callable[[str], str]],
     ) -> list[Instruction]:
-        """Answer a line, and return its instruction if it is one."""
+        """Answer the next of the lines, and return its instruction if it is one."""
+        line = lines.popleft()
         match parse(line, self._robot) if isinstance(line, str) else line:
             case None:
                 pass
@@ -228,6 +252,8 @@ class Operator:
                 answer("leaving")
             case instruction:
                 answer(f"accepted: {line}")
+                if isinstance(instruction, Stop):
+                    self._drop_waiting(but=lines)
                 return [instruction]
         return []
 

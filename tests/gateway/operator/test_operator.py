@@ -520,6 +520,32 @@ def test_what_follows_wait_ready_waits_until_it_is_but_for_a_stop(by_pipe: bool,
 
 
 @pytest.mark.parametrize("by_pipe", [True, False], ids=["a pipe", "a client"])
+@pytest.mark.parametrize("by_line", [True, False], ids=["by a line", "from elsewhere"])
+def test_what_waits_does_not_outlast_a_stop_of_somebody_else(
+    by_pipe: bool, by_line: bool, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with (
+        waiting(folder, by_pipe=by_pipe) as (operator, send, client),
+        socket.socket(socket.AF_UNIX) as other,
+    ):
+        send(b"wait ready\nrelease\ngoal 1 2\n")
+        silent = partial(operator.poll, status, unready=lambda: "left is silent")
+        assert [one for _ in range(3) for one in silent()] == []
+        if by_line:
+            other.connect(os.fspath(operator.path))
+            other.send(b"stop enough\nwait ready\nrelease\n")  # what follows the stop is kept
+            stopped = silent()
+            assert stopped == [msg.Stop("enough")]
+            operator.see(stopped)
+        else:
+            operator.see([msg.Stop("page")])
+        late = [one for _ in range(3) for one in operator.poll(status)]
+        assert late == by_line * [msg.Release()]
+        told = capsys.readouterr().out if by_pipe else client.recv(4096).decode()
+        assert "the robot was stopped: 3 lines that waited until it is ready are dropped" in told
+
+
+@pytest.mark.parametrize("by_pipe", [True, False], ids=["a pipe", "a client"])
 def test_who_waits_until_it_is_ready_is_told_for_what(
     by_pipe: bool, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
