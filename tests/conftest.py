@@ -12,6 +12,7 @@ import random
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -20,6 +21,22 @@ settings.register_profile("busy", deadline=None)  # no test judges the clock: th
 settings.load_profile("busy")
 
 PREFIX = "NOT RUN: "
+LONGEST = (
+    "gateway/ros/test_judges.py",
+    "test_guide.py",
+    "protocols/test_conformance.py",
+    "gateway/cli/test_demo.py",
+    "gateway/monitor/test_decoder.py",
+    "gateway/runtime/test_live_view.py",
+    "brain/skills/test_found.py",
+    "gateway/ros/test_bridge.py",
+    "gateway/report/test_judge.py",
+    "faults/test_faults.py",
+    "gateway/runtime/test_twin_process.py",
+    "gateway/runtime/test_real_devices.py",
+    "gateway/cli/test_scaffold.py",
+)
+"""Files whose tests are long, or wait: they begin first, so that no worker ends long after the others."""
 
 
 def not_run(reasons: list[str]) -> list[str]:
@@ -39,6 +56,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     for item in beyond_their_sample(items):
         item.add_marker("prove")
+    here, last = Path(__file__).parent, len(LONGEST)
+    places = {here / name: place for place, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: places.get(item.path, last))
     seed = config.getoption("--shuffle")
     if seed is not None:
         dice = random.Random(seed)
