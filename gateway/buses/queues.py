@@ -158,6 +158,9 @@ class ByteQueue:
         self._partly_sent = False
         """Whether the first message has been sent in part."""
 
+    def __len__(self) -> int:
+        return len(self._messages)
+
     def put(self, message: bytes) -> None:
         """Append a message; nothing is dropped before `trim`."""
         self._messages.append(message)

@@ -13,7 +13,7 @@ from gateway.buses import Bus
 from gateway.buses.serial.garbage import verdict
 from gateway.core.step import Gateway
 from gateway.core.tick import Tick
-from protocols.line import Line
+from protocols.line import SILENT, Line
 from protocols.messages import MILLISECOND, SECOND, Nanos
 
 log = logging.getLogger("gateway")
@@ -89,13 +89,25 @@ class LineTroubles:
                 verdict(self._heard[name], rate, errors)
                 or "another baud rate, or two that always send at once"
             )
-        bad = sorted({str(about) for (_, about), (lost, _) in line.silence.items() if lost})
+        bad = self._silent(name, line)
         if bad and len(bad) <= 2:
             return (
                 f"all about {', '.join(map(repr, bad))}: an id twice on the line (both answer at once), or a "
                 "device that answers for another id"
             )
         return "noise, a loose connector, an adapter that cuts packets, or another host on the line"
+
+    def _silent(self, name: str, line: Line) -> list[str]:
+        """Return the devices that do not answer any more, by what they are called in questions: motors by
+        their names, others as they are asked about."""
+        motors = [each for each in self._gateway.robot.motors.values() if each.bus == name]
+        called = {word: each.name for each in motors for word in (str(each.device.address), each.name)}
+        silent = dict[str, None]()
+        for (_, key), (lost, _) in sorted(line.silence.items(), key=str):
+            about = str(key[1] if isinstance(key, tuple) else key)
+            known = [called[word] for word in about.split() if word in called]
+            silent |= dict.fromkeys(known or [about]) if lost >= SILENT else {}
+        return list(silent)
 
 
 def _counted(line: Line) -> dict[str, int]:

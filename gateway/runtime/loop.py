@@ -126,6 +126,12 @@ class Reader:
     states: list[tuple[str, BusState]] = field(default_factory=list)
     packets: list[Packet] = field(default_factory=list)
     """Read since the last step."""
+    _fresh: bool = False
+    """What ended the wait was read just now."""
+    _waking: dict[str, WakingBus] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._waking = {name: bus for name, bus in self.buses.items() if isinstance(bus, WakingBus)}
 
     @property
     def least(self) -> Nanos:
@@ -166,6 +172,7 @@ class Reader:
                 return
             self._read(self.clock.now())
             if self.states or (self.packets and polled) or self.gateway.completes(self.packets):
+                self._fresh = True
                 return
 
     def _wakes(self, now: Nanos, asked: Sequence[str]) -> tuple[list[int], Nanos]:
@@ -174,8 +181,8 @@ class Reader:
         files: list[int] = []
         look: Nanos = 1 << 62
         for name in asked:
-            bus = self.buses[name]
-            own, at = bus.wakes(now) if isinstance(bus, WakingBus) else ((), now + FINE)
+            bus = self._waking.get(name)
+            own, at = bus.wakes(now) if bus is not None else ((), now + FINE)
             soonest = self.gateway.earliest_answer(name, self.packets) if own else 0
             if soonest > now:
                 look = min(look, soonest)
@@ -190,8 +197,10 @@ class Reader:
         self.packets += packets
 
     def inputs(self, now: Nanos, instructions: Sequence[Instruction] = ()) -> Inputs:
-        """Read the buses; return all that has come since the last step."""
-        self._read(now)
+        """Read the buses, unless that ended the wait; return all that has come since the last step."""
+        if not self._fresh:
+            self._read(now)
+        self._fresh = False
         inputs = Inputs(tuple(self.states), tuple(self.packets), tuple(instructions))
         self.states, self.packets = [], []
         return inputs

@@ -25,7 +25,9 @@ PERIOD: Nanos = MILLISECOND
 LEAST: Nanos = 20_000
 """Between two iterations."""
 WAKING: Nanos = 50_000
-"""What this process takes to wake: what wakes it has come so much sooner, if there was nothing before."""
+"""What this process and a pty take at each end: what wakes it has come so much sooner, if there was nothing
+before, and what it sends on a line is handed over so much sooner. A quiet machine takes longer: nothing is
+there before its time."""
 MADE_UP: Nanos = 100 * MILLISECOND
 """What one iteration makes up for at most: steps of the world."""
 STALL: Nanos = SECOND // 2
@@ -93,7 +95,7 @@ def serve(
             waiting.clear()
             reached = now
         stats.late = max(stats.late, now - reached)
-        reached = min(now, reached + MADE_UP)
+        reached = min(now + lines.ahead, reached + MADE_UP)
         lines.behind = behind
         received: list[Packet] = []
         while waiting and waiting[0][0] <= reached:
@@ -104,7 +106,7 @@ def serve(
         write(buses, now, sent)
         stats.received += len(received)
         stats.sent += len(sent)
-        last = now
+        last = max(now, reached)
         yield ServeTick(now, tuple(states), tuple(received), tuple(sent), stalled)
 
 
@@ -118,11 +120,13 @@ class _Lines:
         self.names = frozenset(prompt)
         self._world, self._clock = list(prompt.values()), clock
         self._outer = [one for name in prompt if isinstance(one := buses[name], WakingBus)]
+        self.ahead = WAKING if self._outer else 0
+        """How far the world is ahead of the clock."""
 
     def due(self) -> Nanos | None:
         """Return when something next happens on one of them."""
         times = [at for bus in self._world if (at := bus.wakes(0)[1]) is not None]
-        return min(times, default=1 << 62) + self.behind
+        return min(times, default=1 << 62) + self.behind - self.ahead
 
     def wait(self, until: Nanos) -> None:
         """Wait until then, or until something is sent to one of them."""
@@ -146,7 +150,7 @@ def _arrivals(
         t = max(packet.t, last)
         if packet.t >= now:
             placed[packet.bus] += 1
-            t = last + (now - last) * placed[packet.bus] // (unstamped[packet.bus] + 1)
+            t = last + max(0, now - last) * placed[packet.bus] // (unstamped[packet.bus] + 1)
         if packet.bus in lines:
             t = max(last, packet.t - WAKING)
         timed.append((t, packet))

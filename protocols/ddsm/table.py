@@ -147,21 +147,24 @@ def answer(model: str, asked: int, address: int, /, **values: int) -> bytes:
     return ALL.framing.frame(bytes((address,)) + ANSWERS.encode(name, **fields).data)
 
 
+_NAMES = {(model, asked): f"{model} {asked:02X}" for model in MODELS for asked in (DRIVE, QUERY)}
+
+
 def read(model: str, asked: int, message: bytes) -> Values:
     """Return the numbers in an answer of a model to this function."""
-    return ANSWERS.read(f"{model} {asked:02X}", message[1:-1]) or {}
+    return ANSWERS.read(_NAMES[model, asked], message[1:-1]) or {}
 
 
 @dataclass(frozen=True, slots=True)
 class Belongs:
-    """Whether 10 bytes can be the answer of a model to a question."""
+    """Whether an answer of a model can be that to a question."""
 
     model: Model
 
     def __call__(self, asked: bytes, answer: bytes) -> bool:
         """Return it."""
         its = answer[0] == asked[0] or asked[0] == ANYONE
-        return its and (self.model.names_mode or answer[1] == asked[1]) and self.model.fits(answer)
+        return its and (self.model.names_mode or answer[1] == asked[1])
 
 
 def answers(fits: Callable[[bytes], bool]) -> Unmarked:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol, TypeAlias
 
-from protocols.frames import CanFrame, Frame
+from protocols.frames import Frame
 from protocols.messages import Nanos, Obeyed
 from protocols.plugin import CommandDecoder, Device, Range
 from protocols.toolkit.assembly import Memory, copied
@@ -33,7 +33,7 @@ class Packets:
 
     def __init__(self, rows: Iterable[Row], framing: FrameFormat, pack: Pack, unpack: Unpack) -> None:
         self.framing = framing
-        self._table = Table(replace(row, extended=True) for row in rows)
+        self._table = Table((replace(row, extended=True) for row in rows), framed=False)
         self._pack, self._unpack = pack, unpack
 
     def __deepcopy__(self, memo: object) -> Packets:
@@ -51,9 +51,8 @@ class Packets:
     def encode(self, name: str, address: int = 0, /, **values: Any) -> bytes:  # noqa: ANN401 -- numbers
         """Return a message to or from the device at an address, as it stands on the line. Raises ValueError
         for a number that is not finite, TypeError for a field that is missing or unknown."""
-        frame = self._table.encoder(name)(address, **values)
-        number = frame.id
-        return self.framing.frame(self._pack(number >> 8, number & 0xFF, frame.data))
+        number, data = self._table.bare_encoder(name)(address, **values)
+        return self.framing.frame(self._pack(number >> 8, number & 0xFF, data))
 
     def decode(self, message: bytes, direction: Direction) -> Decoded | None:
         """Return what is in a message (as `Stream.feed` gives it); None if it is none of the table's."""
@@ -61,7 +60,7 @@ class Packets:
         if unpacked is None:
             return None
         address, function, data = unpacked
-        return self._table.decode(CanFrame(address << 8 | function, data, extended=True), direction)
+        return self._table.decode_bare(address << 8 | function, data, direction)
 
     def in_frame(self, frame: Frame) -> tuple[list[Decoded | None], bool]:
         """Return the messages to a device in a run of bytes, and whether it holds nothing else."""

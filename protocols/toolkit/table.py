@@ -215,7 +215,7 @@ class Decoded(NamedTuple):
     values: Values
 
 
-_Encode: TypeAlias = Callable[..., CanFrame]
+_Encode: TypeAlias = Callable[..., Any]
 _Decode: TypeAlias = Callable[[int, int, bytes], Decoded | None]
 _Known: TypeAlias = tuple[_Decode, int, Decoded | None]
 """How frames of an id are decoded, the address in the id, and what is decoded if the data do not fit."""
@@ -224,13 +224,14 @@ _Known: TypeAlias = tuple[_Decode, int, Decoded | None]
 class Table:
     """The messages of a protocol."""
 
-    def __init__(self, rows: Iterable[Row]) -> None:
+    def __init__(self, rows: Iterable[Row], *, framed: bool = True) -> None:
+        """Not `framed`: encoding returns id and data in the place of a frame."""
         self.rows = tuple(rows)
         self._rows = {row.name: row for row in self.rows}
         self._encode: dict[str, _Encode] = {}
         self._decode: dict[str, _Decode] = {}
         for row in self.rows:
-            self._encode[row.name], self._decode[row.name] = _compiled(row)
+            self._encode[row.name], self._decode[row.name] = _compiled(row, framed)
         self._ids = [row.ids() for row in self.rows]
         self._particular = sorted(self._ids, key=lambda ids: -ids.mask.bit_count())
         self._standard, self._extended = self._nothing_seen(False), self._nothing_seen(True)
@@ -259,10 +260,15 @@ class Table:
     def encode(self, name: str, address: int = 0, /, **values: Any) -> CanFrame:  # noqa: ANN401 -- numbers
         """Return the frame of a message to or from the device at an address. Raises ValueError for a number
         that is not finite, TypeError for a field that is missing or unknown."""
-        return self._encode[name](address, **values)
+        frame: CanFrame = self._encode[name](address, **values)
+        return frame
 
     def encoder(self, name: str) -> Callable[..., CanFrame]:
         """Return `encode` for one message, in two thirds of the time: `encoder(name)(address, **values)`."""
+        return self._encode[name]
+
+    def bare_encoder(self, name: str) -> Callable[..., tuple[int, bytes]]:
+        """Return the same of a table that is not `framed`."""
         return self._encode[name]
 
     def decode(self, frame: Frame, direction: Direction) -> Decoded | None:
@@ -279,6 +285,15 @@ class Table:
             if len(seen) < REMEMBERED:
                 seen[key] = known
         return decode(address, number, frame.data) or misfit
+
+    def decode_bare(self, number: int, data: bytes, direction: Direction) -> Decoded | None:
+        """Return the same of an extended id and data without a frame."""
+        significant, seen = self._extended[direction]
+        known = seen.get(number & significant)
+        if known is None:
+            return self.decode(CanFrame(number, data, extended=True), direction)
+        decode, address, misfit = known
+        return decode(address, number, data) or misfit
 
     def _look_up(self, frame: CanFrame, direction: Direction) -> _Known:
         """Return how frames of an id are decoded. The most particular row comes first."""
@@ -328,8 +343,9 @@ CODES |= {("int", 8): "b", ("int", 16): "h", ("int", 32): "i", ("int", 64): "q"}
 """How `struct` has a field that is a number of its own."""
 
 
-def _compiled(row: Row) -> tuple[_Encode, _Decode]:
-    """Return `encode(address, **values) -> frame` and `decode(address, id, data) -> message` of a row."""
+def _compiled(row: Row, framed: bool) -> tuple[_Encode, _Decode]:
+    """Return `encode(address, **values) -> frame` and `decode(address, id, data) -> message` of a row. Not
+    `framed`: id and data in the place of a frame."""
     scope: dict[str, Any] = {"CanFrame": CanFrame, "Decoded": Decoded, "saturated": saturated}
     scope |= {
         "error": struct.error,
@@ -365,10 +381,12 @@ def _compiled(row: Row) -> tuple[_Encode, _Decode]:
     received = f"unpack_from(data) if {size} < len(data) <= {longest} else unpack(data)"
     received = received if longest > size else "unpack(data)"
     given = ", ".join(name for name in names if name != "address")
+    made = f"{' | '.join(number)}, {packed}"
+    made = f"CanFrame({made}, {row.extended}, {row.remote})" if framed else made
     source = f"""
 def encode(address{f", *, {given}" if given else ""}):
     {"; ".join(raws) or "pass"}
-    return CanFrame({" | ".join(number)}, {packed}, {row.extended}, {row.remote})
+    return {made}
 
 def decode(address, number, data):
     try:

@@ -82,6 +82,8 @@ class SerialBus:
         self._reopen_at: Nanos = 0
         self._stall = Stall()
         self._written = 0
+        self._holds = True
+        """Whether the port may hold something that has been written, and not sent."""
         self._calm_at: Nanos = 0
         """When a port that was purged counts as going on."""
         self._errors = 0
@@ -175,6 +177,8 @@ class SerialBus:
         """Write until the port takes no more. (pyserial's own write spins when its timeout is 0.)"""
         if self._port is None:
             self._queue.clear()
+        elif not (self._holds or self._queue):
+            self._stall.is_stalled(now, self._written, waiting=False)
         else:
             port = self._port.fileno()
             try:
@@ -198,7 +202,8 @@ class SerialBus:
     def _check_stall(self, now: Nanos, port: int, *, empty: bool) -> None:
         """Purge what waits if the port has stopped taking it."""
         holds = ports.held(port)
-        if self._stall.is_stalled(now, self._written - holds, waiting=holds > 0 or not empty):
+        self._holds = holds > 0 or not empty
+        if self._stall.is_stalled(now, self._written - holds, waiting=self._holds):
             self._purge(port)
             self._calm_at = now + CALM
             self._report(BusState.FULL)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import random
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise, product
 from typing import Any
@@ -24,10 +24,12 @@ from gateway.core.guard import STOPS_AGAIN, STOPS_WITHIN, decoder_of, text_of
 from gateway.core.robot import Robot
 from gateway.core.step import Gateway
 from gateway.core.tick import Tick
+from gateway.monitor.lines import LineTroubles
 from gateway.runtime.loop import FINE, Reader, moments, write
 from gateway.runtime.timing import LoopStats
 from protocols import messages as msg
 from protocols.conformance.case import addresses_of
+from protocols.ddsm import table as ds
 from protocols.feetech import table as ft
 from protocols.line import PATIENCE, Exchange, Line, Rank
 from protocols.messages import MILLISECOND, SECOND, Command, Feedback, Mode, Nanos, Velocity
@@ -55,15 +57,16 @@ limits = { velocity = 20.0, acceleration = 10.0, torque = 2.0 }
 """
 HUB = 'options = { model = "DDSM115", watchdog = "acknowledged" }\n'
 EIGHT = [f"m{number}" for number in range(1, 9)]
+THREE = EIGHT[:3]
 
 
-def many(**joint: Any) -> Robot:
+def many(motors: Sequence[str] = EIGHT, **joint: Any) -> Robot:
     """Eight hub motors on one line: each is asked alone, and an exchange takes about 2 ms: at one in each
     period, the last is disarmed after 40 ms."""
     text = f"{MANY}{HUB}[motors]\n" + "".join(
-        f"{name} = {{ address = {at} }}\n" for at, name in enumerate(EIGHT, 1)
+        f"{name} = {{ address = {at} }}\n" for at, name in enumerate(motors, 1)
     )
-    names = ", ".join(f'"{name}"' for name in EIGHT)
+    names = ", ".join(f'"{name}"' for name in motors)
     made = config.parse_robot(f'{text}[brain]\nbody = "joints"\n[brain.joints]\nmotors = [{names}]\n')
     return with_joints(made, **joint)
 
@@ -510,6 +513,79 @@ def test_two_protocols_share_a_line_and_both_get_their_readings(share: float) ->
     began = left(rig)
     assert wire.disarmed(began) <= 10 * MS
     assert set(modes(rig).values()) == {Mode.READY}
+
+
+# -- what is wrong on a line -------------------------------------------------------------------------------
+
+
+def cut_short(rig: Rig, wire: Wire) -> None:
+    """Every fifth answer of any device is half of one."""
+
+    def arrives(_bus: str, one: Transmission) -> Iterable[Transmission]:
+        assert isinstance(one.frame, bytes)
+        cut = one.sender != HOST and wire.chance.random() < 0.2
+        return (replace(one, frame=one.frame[: len(one.frame) // 2]) if cut else one,)
+
+    rig.world.tamper.transmission = arrives
+
+
+def for_another(rig: Rig, wire: Wire) -> None:
+    """The last one answers as the device at address 99 would."""
+
+    def arrives(_bus: str, one: Transmission) -> Iterable[Transmission]:
+        assert isinstance(one.frame, bytes)
+        body = bytes((99,)) + one.frame[1:-1]
+        wrong = one.sender == THREE[-1] and len(one.frame) == ds.SIZE
+        return (replace(one, frame=body + bytes((ds.CRC8_MAXIM(body),))) if wrong else one,)
+
+    rig.world.tamper.transmission = arrives
+
+
+def twice(rig: Rig, wire: Wire) -> None:
+    """Another device at the last one's address; what it measures is different."""
+    rig.world.duplicate(THREE[-1])
+
+
+def noise(rig: Rig, wire: Wire) -> None:
+    """Bytes as fast as the line carries them, for the whole time."""
+    for number in range(1200):
+        piece = wire.chance.randbytes(11)  # 115,200 bit/s
+        wire.bus.intrude(rig.clock.now() + number * MS, "noise", [piece])
+
+
+@pytest.mark.sample(2)
+@pytest.mark.parametrize(
+    ("wrong", "said", "faulty"),
+    [
+        (cut_short, "are garbage: noise, a loose connector, an adapter that cuts packets", ()),
+        (for_another, "a device that answers for another id", THREE[-1:]),
+        (twice, "an id twice on the line (both answer at once)", THREE[-1:]),
+        (noise, "are garbage: another baud rate, or two that always send at once", THREE),
+    ],
+)
+def test_what_is_wrong_on_a_line_is_counted_bounded_and_told_once_with_its_cause(
+    wrong: Callable[[Rig, Wire], None],
+    said: str,
+    faulty: Sequence[str],
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    rig, wire = driven(many(THREE, on_fault="continue"))
+    troubles = LineTroubles(rig.gateway, {})
+    wrong(rig, wire)
+    caplog.clear()
+    most = 0
+
+    def at(tick: Tick) -> None:
+        nonlocal most
+        troubles.take(tick)
+        most = max(most, len(wire.line.held) + len(wire.line.waiting))
+
+    rig.run(1.2, at=at)
+    assert [said in text for text in troubles.told.values()] == [True], troubles.told
+    assert sum(said in message for message in caplog.messages) == 1
+    assert wire.line.cut > 8
+    assert most < 100
+    assert [name for name, joint in rig.gateway.joints.items() if joint.faults] == [*faulty]
 
 
 def test_what_a_driver_sends_to_the_devices_of_another_is_held_back() -> None:
