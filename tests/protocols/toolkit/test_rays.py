@@ -97,4 +97,4 @@ def test_a_run_that_begins_behind_the_last_ray_goes_on_at_it() -> None:
 
 
 def test_angles_of_a_turn_ascend_beyond_its_end() -> None:
-    assert ascending([350.0, 355.0, 2.0, 1.5, 8.0]) == [350.0, 355.0, 362.0, 362.0, 368.5]
+    assert ascending([350.0, 355.0, 2.0, 1.5, 8.0]) == [350.0, 355.0, 362.0, 362.0, 368.0]
