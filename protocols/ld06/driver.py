@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from protocols.ld06 import table
 from protocols.ld06.options import NEAREST
 from protocols.ld06.turn import Turn
-from protocols.messages import LaserScan, Mode, Nanos
+from protocols.messages import SECOND, LaserScan, Mode, Nanos
 from protocols.plugin import Device, FaultInfo
 from protocols.toolkit.host import Host, Report
 from protocols.toolkit.motor_driver import Rx
@@ -34,8 +34,9 @@ class Ld06Adapter(SensorAdapter[Turn]):
         super().__init__(table.FRAMING)
 
     def own(self, device: Device) -> Turn:
-        options = device.options
-        return Turn(Beams(device.name, options.count, NEAREST, options.farthest))
+        options, rate = device.options, device.line_rate
+        carried = 10 * table.PACKET_BYTES * SECOND // rate if rate else 0
+        return Turn(Beams(device.name, options.count, NEAREST, options.farthest), carried)
 
     def streamed(self, t: Nanos, messages: Sequence[bytes], host: Host[Turn]) -> Sequence[Report[Turn] | Rx]:
         turn, packets, scans = host.own, [*map(table.decode, messages)], list[LaserScan]()

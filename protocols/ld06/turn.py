@@ -19,6 +19,8 @@ class Turn:
 
     beams: Beams
     """Of its scans"""
+    carried: Nanos
+    """How long a packet takes on the line"""
     clock: DeviceClock = field(default_factory=lambda: DeviceClock(table.ROUND * MILLISECOND))
     rays: Rays = field(default_factory=Rays)
     lost: int = 0
@@ -42,7 +44,7 @@ class Turn:
     def add(self, t: Nanos, packet: Packet) -> LaserScan | None:
         """Take a packet that came at t; return the scan that it completes."""
         stamp, step = packet.stamp * MILLISECOND, packet.step
-        since, end = self.clock.since(t, stamp), self.clock.read(t, stamp)
+        since, end = self.clock.since(t, stamp), self.clock.read(t, stamp) - self.carried
         if not packet.speed or not step:
             self.rays.forget()
             return None

@@ -305,41 +305,61 @@ TUTORIAL = Path(__file__).parents[3] / "examples" / "ros2_tutorial"
 
 TOPICS = {
     "perception": {"/tutorial/map": "/map"},
-    "planner": {},
+    "planner": {"/tutorial/map": "/map", "/tutorial/path": "/plan", "/tutorial/goal": "/goal_pose"},
     "controller": {},
 }
 """What is ours in the place of a node: topics of theirs, by those of ours"""
+GIVEN = {"perception": "perception", "controller": "pursuit"}
+"""Our settings by which a node does that for our planning"""
 
 
 @pytest.mark.prove
-@pytest.mark.parametrize("mine", [(), ("perception",), ("perception", "controller")])
-def test_nodes_of_a_tutorial_drive_a_robot(mine: tuple[str, ...], tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "nodes",
+    ["perception planner controller", "planner controller", "planner", "perception", "controller",
+     "perception controller"],
+)  # fmt: skip
+def test_nodes_of_a_tutorial_drive_a_robot(nodes: str, tmp_path: Path) -> None:
     """What is not a node of ROS is the gateway's own: a planner without a controller leads it from goal to
     goal."""
     python()
     number, recording, there = domain(), tmp_path / "drive.mcap", (1.2, 0.3)
-    names = [name for name in TOPICS if name not in mine]
-    remaps = [f"{theirs}:={ours}" for name in mine for theirs, ours in TOPICS[name].items()]
-    given = [part for one in remaps for part in ("-r", one)]
-    given += ["-p", "leads:=true"] if "controller" in mine else []
+    names = nodes.split()
+    mine = [name for name in TOPICS if name not in names]
+    remaps = {f"{theirs}:={ours}": "-r" for name in mine for theirs, ours in TOPICS[name].items()}
+    given = [part for remap, flag in remaps.items() for part in (flag, remap)]
+    given += ["-p", "leads:=true"] if "controller" in mine and "planner" in names else []
     arguments = ["--ros-args", *given] if given else []
+    text = load_robot("diffbot").text
+    for name in GIVEN if "planner" in mine else ():
+        if name in names:
+            table = f"[brain.{GIVEN[name]}]\n"
+            text = (
+                text.replace(table, f"{table}given = true\n")
+                if table in text
+                else f"{text}\n{table}given = true\n"
+            )
     seen = Seen()
-    with gateway.open_session("diffbot", seed=1, record=recording) as session:
+    with gateway.open_session(parse_robot(text), seed=1, record=recording) as session:
         session.watch(seen.take)
         session.ros(domain=number)
-        nodes = [Judge(tmp_path, f"{TUTORIAL}/{name}", number, *arguments) for name in names]
+        running = [Judge(tmp_path, f"{TUTORIAL}/{name}", number, *arguments) for name in names]
         judge = Judge(tmp_path, "goal", number, *map(str, there), *arguments)
         try:
             for _ in session.run(seconds=PATIENCE):
                 if judge.done():
                     break
         finally:
-            for node in nodes:
+            for node in running:
                 node.kill()
         found = judge.end()
     assert found["there"]["off"] < 0.2
     driven = [one for one in seen.asked if isinstance(one, msg.Drive)]
     goals = [one for one in seen.asked if isinstance(one, msg.Goal)]
-    assert len(driven) > 20 if "controller" in names else len(goals) >= 2
+    assert bool(len(driven) > 20) == ("controller" in names)
+    assert len(goals) >= (2 if "leads:=true" in given else "planner" in mine)
+    assert bool([one for one in seen.asked if isinstance(one, msg.Grid)]) == (
+        nodes.startswith("perception") and "planner" in mine
+    )
     comparison = replay_recording(read_recording(recording))
     assert comparison.ok, comparison.text()
