@@ -26,6 +26,7 @@ from gateway.recording import read_recording
 from gateway.replay import replay_recording
 from gateway.ros import actions, definitions, graph, images, types
 from gateway.ros.link import Link
+from gateway.runtime.cameras import RealCamera, cameras_of
 from gateway.vision import camera as vision
 from protocols import messages as msg
 from tests.gateway.processes import PATIENCE
@@ -180,14 +181,38 @@ def test_joints_in_a_namespace_by_names_of_the_robot_file(tmp_path: Path) -> Non
     assert {msg.Velocity("left", 2.0), msg.Zero("left"), msg.Release()} <= set(asked)
 
 
-def test_images_of_a_camera(tmp_path: Path) -> None:
-    """What ROS 2 unpacks is what the simulated camera drew, in its frame, with its description."""
+LENS = "fx = 480.0, fy = 470.0, cx = 318.5, cy = 241.0, distortion = [0.0, 0.0, 0.0, 0.0, 0.0]"
+
+
+def filmed(folder: Path) -> str:
+    """The robot with a camera, which is a video file: grey wedges that turn, three a second."""
+    cv2: Any = vision.opencv()
+    path = folder / "drive.avi"
+    file = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 3.0, (640, 480))
+    rows, columns = np.mgrid[:480, :640]
+    for number in range(600):
+        grey = (rows // 2 + columns // 3 + 40 * number) // 2 % 256
+        file.write(np.repeat(grey.astype(np.uint8)[..., None], 3, axis=2))
+    file.release()
+    table = (
+        f'interface = "camera:{path}"\n[buses.eye.camera]\nwidth = 640\nheight = 480\nlens = {{ {LENS} }}\n'
+    )
+    table += "detectors.tags.size = 0.16\n"
+    text = load_robot("diffbot_camera").text
+    head, eye, rest = text.partition("[buses.eye]")
+    return head + eye + rest.replace('interface = "twin"', table, 1)
+
+
+@pytest.mark.parametrize("real", [False, True], ids=["simulated", "a video as the device"])
+def test_images_of_a_camera(real: bool, tmp_path: Path) -> None:
+    """What ROS 2 unpacks is what the camera saw, in its frame, with its description."""
     python()
     number = domain()
     drawn: dict[int, vision.Image] = {}
-    with gateway.open_session("diffbot_camera", seed=1) as session:
-        assert session.twins is not None
-        (camera,) = session.twins.world.cameras()
+    robot = parse_robot(filmed(tmp_path)) if real else load_robot("diffbot_camera")
+    with gateway.open_session(robot, seed=1) as session:
+        (camera,) = cameras_of(session.robot, session.buses, session.twins)
+        assert isinstance(camera, RealCamera) == real
         session.ros(domain=number)
         judge = Judge(tmp_path, "rclpy_camera", number)
         for _ in session.run(seconds=PATIENCE):
