@@ -14,13 +14,14 @@ from math import hypot, pi
 
 from brain.belief import Belief, BrainTask, MissionView, Pose, SystemState
 from brain.bodies.body import Base
-from brain.bodies.plane import Twist, wrap
+from brain.bodies.plane import Twist, frame_of, wrap
 from brain.checks import objection
 from brain.control.motion import MotionControl, MotionInputs
 from brain.health import Health, HealthLevel, SourceHealth
 from brain.limb import Allowance, Course, Percept, Plan
 from brain.perception.consistency import Trust
 from brain.perception.filter_inputs import Nis
+from brain.perception.given_map import GivenMap
 from brain.perception.mount import Mount
 from brain.perception.percept import Sight
 from brain.perception.perception import Perception
@@ -38,6 +39,10 @@ MAX_GOALS = 1000
 """Goals that wait."""
 FARTHEST = 10_000.0
 """m from the origin, along x and y: of goals, and of where the robot may be."""
+NEAR_ENOUGH = 0.25
+"""m from the end of its path at which a base rests that another program drives: it has arrived,"""
+RESTS = 0.02
+"""m/s, and rad/s: so slow."""
 LEAST_SIGMA, MOST_SIGMA = (0.001, 0.001), (5.0, pi)
 """m, rad: how sure, and how unsure, who tells it where it is may be."""
 
@@ -61,6 +66,8 @@ class BaseLimb:
         self._zone = StopZone(body, self.perception.mounts, settings.stop)
         self._health = Health(body.joints, tuple(sensors), timeouts, settings.health)
         self._sight = self.perception.sight(0)
+        self._given = GivenMap(self.perception.map.resolution) if settings.perception.given else None
+        """What another program has perceived"""
         self._wanted: Twist | None = None
         """The motion that a mission's step wants"""
         self._followed = 0
@@ -94,7 +101,7 @@ class BaseLimb:
         assert sight is not None, "a base has perceived"
         verdict = sight.verdict
         health = self._health.assess(percept.now, sight.rejected, sight.contradictions, verdict)
-        by_hand = by_hand or self.navigator.drive is not None
+        by_hand = by_hand or (self.navigator.drive is not None and not self.is_led)
         if by_hand and verdict.trust is Trust.LOST and health.reason == verdict.reason:
             health = SourceHealth(HealthLevel.SLOW, health.reason)  # a person sees where it is
         shares = {HealthLevel.OK: 1.0, HealthLevel.SLOW: self._settings.health.slow}
@@ -114,7 +121,28 @@ class BaseLimb:
     def accept(self, now: Nanos, task: BrainTask) -> None:
         """Take a goal, or drive by hand."""
         assert isinstance(task, msg.Goal | msg.Drive), "a base takes these"
-        self.navigator.accept(now, task)
+        if isinstance(task, msg.Drive) and self.is_led:
+            self.navigator.steer(now, task)
+        else:
+            self.navigator.accept(now, task)
+
+    @property
+    def is_led(self) -> bool:
+        """Whether another program drives along the path to a goal."""
+        return self._settings.pursuit.given and bool(self.navigator.goals.waiting)
+
+    def take_map(self, task: msg.Grid) -> str:
+        """Plan on the grid of another program from now on; return why not, or ""."""
+        if self._given is None:
+            return "the robot perceives by itself, unless its file says otherwise: perception.given = true"
+        if why := objection(task):
+            return why
+        if max(abs(task.x), abs(task.y)) > FARTHEST:
+            return f"({task.x:g}, {task.y:g}) is beyond {FARTHEST:g} m"
+        pose, odom = self._sight.pose, self._sight.odom
+        if pose is None or odom is None:
+            return "there is no estimate yet: send it again when the robot is ready"
+        return self._given.take(task, frame_of(pose, odom) if task.odom else Pose(0.0, 0.0, 0.0))
 
     def _beyond_reach(self, task: msg.Goal | msg.Drive) -> str:
         """Return why a goal can never be reached, whatever is found on the way; "" if it may be."""
@@ -207,7 +235,8 @@ class BaseLimb:
             zone, pose = self._zone.hindrance(), sight.pose
             obstacle = (zone.standing, zone.reason) if zone.standing else (0.0, "")
             wanted = self._wanted if running and not self.navigator.goals.waiting else None
-            self.navigator.step(now, (pose.x, pose.y), sight.map, pose.yaw, *obstacle, sight.moving, wanted)
+            grid = self._given or sight.map
+            self.navigator.step(now, (pose.x, pose.y), grid, pose.yaw, *obstacle, sight.moving, wanted)
         route = self.navigator.route()
         stands, why = self._hindered(allowance, route)
         return Plan(
@@ -216,7 +245,7 @@ class BaseLimb:
             stands,
             route.given_up,
             self._motion_inputs(now, sight, allowance, route, running=running),
-            _course(route),
+            Course(route.version) if self._settings.pursuit.given else _course(route),
         )
 
     def _hindered(self, allowance: Allowance, route: Route) -> tuple[str, str]:
@@ -244,6 +273,8 @@ class BaseLimb:
         if not self.motion.is_due(now, self._zone):
             return None
         hand = route.drive if route.drive is not None else route.motion
+        if self.is_led:  # what planning does without a way comes first
+            hand = route.motion or route.drive or Twist()
         share = 0.0 if allowance.refusal else allowance.share
         clearance = self.navigator.clearance(pose, self._settings.pursuit.obstacle_distance)
         return MotionInputs(pose, odom, share, route.busy or running, hand, clearance)
@@ -261,13 +292,25 @@ class BaseLimb:
             return self.motion.commands
         self._follow(plan.course)
         commands = self.motion.step(percept.now, inputs, self._zone)
-        if inputs.drive is None:
+        if self.is_led:
+            self._look_for_arrival(percept.now, sight)
+        elif inputs.drive is None:
             trusted = inputs.share > 0.0 and sight.verdict.trust < Trust.DOUBTFUL
             if self.motion.arrived and trusted:
                 self.navigator.arrived(percept.now)
             elif missed := self.motion.missed:
                 self.navigator.missed(percept.now, missed)
         return commands
+
+    def _look_for_arrival(self, now: Nanos, sight: Sight) -> None:
+        """Note that another program has driven to the end of the path."""
+        path, estimate, pose = self.navigator.path, sight.estimate, sight.pose
+        if path is None or estimate is None or pose is None:
+            return
+        rests = max(hypot(estimate.linear, estimate.lateral), abs(estimate.angular)) < RESTS
+        x, y = path.points[-1]
+        if rests and hypot(pose.x - x, pose.y - y) <= NEAR_ENOUGH:
+            self.navigator.arrived(now)
 
     def _follow(self, course: Course) -> None:
         if course.version == self._followed:
@@ -294,7 +337,7 @@ class BaseLimb:
             goal=route.goal,
             path=route.path.points if route.path else (),
             path_version=route.version,
-            map=sight.map.view(),
+            map=(self._given or sight.map).view(),
             rejected=dict(sight.rejected),
             reached=route.reached,
             raw=sight.raw,

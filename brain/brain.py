@@ -191,6 +191,8 @@ class Brain:
                 return self._on_mission(now, task, allowances)
             case msg.Locate():
                 return self._locate(now, task)
+            case msg.Grid():
+                return NO_BASE if self.base is None else self.base.take_map(task)
         name = self._of.get(task.motor)
         if name is None:
             hint = suggestion(task.motor, self._able.joints)
@@ -214,8 +216,9 @@ class Brain:
         if not reason and isinstance(task, msg.Goal) and self._missions.running:
             reason = "a mission is running: pause it, or drop it"
         if not reason:
-            self._missions.forget()
-            self._halt(now, "manual driving")
+            if not (isinstance(task, msg.Drive) and self.base.is_led):
+                self._missions.forget()
+                self._halt(now, "manual driving")
             self.base.accept(now, task)
         return reason
 

@@ -55,6 +55,7 @@ CODES: dict[int, type[Message]] = {
     54: messages.Resume,
     55: messages.Drop,
     66: messages.Locate,
+    67: messages.Grid,
     **messages.STEPS,
     70: messages.Feedback,
     71: messages.State,
@@ -120,6 +121,12 @@ def _int(value: object) -> int:
 def _bool(value: object) -> bool:
     if type(value) is not bool:
         raise ValueError(f"{value!r} is not a bool")
+    return value
+
+
+def _bytes(value: object) -> bytes:
+    if type(value) is not bytes:
+        raise ValueError(f"{value!r:.40} is not a binary string")
     return value
 
 
@@ -209,6 +216,7 @@ _SCALARS: dict[object, tuple[_Convert, _Convert]] = {
     int: (_int, _int),
     bool: (_bool, _bool),
     str: (_str, _str),
+    bytes: (_bytes, _bytes),
     Mode: (_encode_mode, _decode_mode),
 }
 
@@ -289,6 +297,7 @@ _AS_IT_IS: dict[Any, frozenset[type]] = {
     int: frozenset({int}),
     bool: frozenset({bool}),
     str: frozenset({str}),
+    bytes: frozenset({bytes}),
 }
 """By the type of a field, the types of the values that need no conversion. An int that was decoded has 64
 bits; one to be encoded must be checked."""

@@ -310,6 +310,24 @@ class Locate:
     """rad"""
 
 
+@value
+class Grid:
+    """Plan on this grid, in place of a map of the robot's own: who sends it perceives for the robot."""
+
+    x: float
+    """m: its lower left corner,"""
+    y: float
+    yaw: float
+    """and where its rows point to [rad], in the frame "map","""
+    odom: bool
+    """or in the frame "odom" """
+    resolution: float
+    """m per cell"""
+    columns: int
+    cells: bytes
+    """Row by row: 0 not known, 1 free, 2 occupied"""
+
+
 # -- missions: steps as data; a Goal is a step, too -----------------------------------------------------
 
 
@@ -460,7 +478,7 @@ class Drop:
     """Drop the mission, and every goal."""
 
 
-Task: TypeAlias = Goal | Drive | Locate | Mission | Pause | Resume | Drop
+Task: TypeAlias = Goal | Drive | Locate | Grid | Mission | Pause | Resume | Drop
 Instruction: TypeAlias = Request | Task | Command
 """What may be asked of a running robot from outside; a Command only of a joint that is no wheel of a base."""
 

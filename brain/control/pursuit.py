@@ -34,6 +34,9 @@ from protocols.messages import MILLISECOND, SECOND, seconds
 class PursuitSettings:
     """Parameters of path following, SI."""
 
+    given: bool = False
+    """Another program controls: it drives (ROS 2's `cmd_vel`) along the paths that are planned to the goals;
+    without it the base stands."""
     period: Annotated[Duration, Bounds(1.0, 100.0)] = 20 * MILLISECOND
     """Period of the commands."""
     latency: Annotated[Duration, Bounds(0.0, 500.0)] = 40 * MILLISECOND

@@ -75,6 +75,9 @@ class PerceptionSettings:
     relocalise: RelocaliseSettings = field(default_factory=RelocaliseSettings)
     fixes: FixSettings = field(default_factory=FixSettings)
     markers: MarkerSettings = field(default_factory=MarkerSettings)
+    given: bool = False
+    """Another program perceives: it sends the grid that is planned on, and tells where the robot is (ROS 2's
+    `map` and `initialpose`). Meanwhile that follows wheels and IMU alone."""
     matching: bool = True
     """Match scans against the map; if not, they are only added to it."""
     scan_wait: Annotated[Duration, Bounds(0.0, 1000.0)] = 500 * MILLISECOND
@@ -85,6 +88,11 @@ class PerceptionSettings:
 
     def __post_init__(self) -> None:
         check(self)
+
+    @property
+    def matches(self) -> bool:
+        """Whether scans correct where the robot is."""
+        return self.matching and not self.given
 
 
 CONSTANT = "every value is as before: it does not measure"
@@ -594,7 +602,7 @@ class Perception:
         if is_covered(self.map, self._placing.keyframes, part.scan, believed[0]):
             self._on_covered(part.name, believed[1])
             return
-        if self.settings.matching:
+        if self.settings.matches:
             part = self._placed(part, believed)
         self._todo.append((_Work.DRAW, part))
         self._judge(part, believed[0])
@@ -710,7 +718,7 @@ class Perception:
         self._notes += self._check.take_news()
         if yaw:
             self._correct_mounting(part.name, yaw)
-        elif part.keep and self.settings.matching:
+        elif part.keep and self.settings.matches:
             self._todo.append((_Work.KEEP, part))
 
     def _correct_mounting(self, name: str, yaw: float) -> None:

@@ -128,6 +128,10 @@ class Navigator:
         self.drive = task
         self._drive_until = now + self.settings.drive_timeout
 
+    def steer(self, now: Nanos, task: Drive) -> None:
+        """Let another program drive along the path: goals and path are kept."""
+        self.drive, self._drive_until = task, now + self.settings.drive_timeout
+
     def go(self, now: Nanos, goal: Goal, *, passing: bool = False) -> None:
         """Take a goal of a mission, in place of all.
 

@@ -37,7 +37,7 @@ class Perception(Node):
         x, y, yaw = self.pose
         ranges = np.array(scan.ranges)
         angles = yaw + scan.angle_min + scan.angle_increment * np.arange(len(ranges))
-        hit = np.isfinite(ranges) & (ranges < scan.range_max)
+        hit = np.isfinite(ranges) & (ranges >= scan.range_min) & (ranges < scan.range_max)
         ends_x = x + LIDAR_X * math.cos(yaw) + ranges[hit] * np.cos(angles[hit])
         ends_y = y + LIDAR_X * math.sin(yaw) + ranges[hit] * np.sin(angles[hit])
         columns, rows = (np.floor(one / CELL).astype(int) + CELLS // 2 for one in (ends_x, ends_y))

@@ -1,4 +1,5 @@
-"""The bus on a camera: V4L2, or a video file in its place. What it sees comes as bytes, pixels never do.
+"""The bus on a camera: V4L2, or a video file in its place. What it sees comes as bytes, pixels never do:
+the newest picture is there for who looks on.
 
 Rules. Opening raises a BusError with what is missing; afterwards nothing is raised. A picture is waited for
 and looked at by a thread, and nothing here waits: a step takes what was seen since the last one. A camera
@@ -22,6 +23,7 @@ from gateway.buses.serial.opening import forbidden, in_use
 from gateway.core.clock import stopwatch
 from gateway.core.robot import BusSettings
 from gateway.errors import BusError, UserError
+from gateway.vision.camera import Image, Seen
 from gateway.vision.live import Capture, LiveCamera, Look, Watch
 from protocols.camera import table
 from protocols.frames import BusState, Frame, Packet
@@ -51,6 +53,11 @@ class CameraBus:
         self._watch = Watch(settings.camera)
         self._capture, self._reopen = capture, reopen
         self._period = capture.period
+        self._lens = settings.camera.projection
+        self.seen: Seen | None = None
+        """The newest picture, when it was taken by the clock of `read`, and how it was projected"""
+        self._newest: tuple[Nanos, Image] | None = None
+        """The same, as the thread has it"""
         self._found: deque[Look | BusState] = deque(maxlen=MOST_WAITING)
         self._ends = threading.Event()
         self._readable, self._written = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
@@ -73,6 +80,9 @@ class CameraBus:
                 changes.append(found)
             else:
                 packets += [Packet(now, self.name, frame) for frame in frames_of(found, stopwatch())]
+        if (newest := self._newest) is not None:
+            self._newest = None
+            self.seen = Seen(now - (stopwatch() - newest[0]), newest[1], self._lens)
         return changes, packets
 
     def wakes(self, now: Nanos) -> tuple[Sequence[int], Nanos | None]:  # noqa: ARG002 -- a real bus has no plan
@@ -127,6 +137,7 @@ class CameraBus:
             taken = stamp if stamp is not None and 0 <= now - stamp <= MOST_OLD else now
             if now - taken <= max(self._watch.interval, SECOND / 30):
                 break
+        self._newest = taken, image
         return self._watch.look(image, taken)
 
     def _again(self) -> bool:

@@ -70,7 +70,7 @@ def cannot(asked: Instruction, robot: Robot) -> str:
     match asked:
         case Mission():
             return why_not(asked, able)
-        case msg.Goal() | msg.Drive() | msg.Locate() if base is None:
+        case msg.Goal() | msg.Drive() | msg.Locate() | msg.Grid() if base is None:
             return f"{robot.name!r} has no base to drive; its joints take targets: {', '.join(joints)}"
         case msg.Drive(lateral=lateral) if lateral and base is not None and not base.moves_sideways:
             return f"the base of {robot.name!r} does not move sideways"

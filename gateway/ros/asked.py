@@ -8,9 +8,11 @@ go, by zeros or by silence, before it moves the robot again.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import asin, atan2, hypot, isfinite, sqrt
 from typing import Any
+
+import numpy as np
 
 from gateway.config.mission import cannot
 from gateway.core.robot import Robot
@@ -19,7 +21,9 @@ from protocols.messages import SECOND, Goal, Instruction, Nanos
 
 PERSON: Nanos = 2 * SECOND
 """For how long after a person's instruction nobody else drives."""
-MAP = "map"
+MAP, ODOM = "map", "odom"
+OCCUPIED = 50
+"""Of 100: a cell of a grid from which on it is an obstacle"""
 TILT = 0.05
 """rad by which a goal may lean"""
 SUREST = 0.001
@@ -69,6 +73,20 @@ def located(robot: Robot, stamped: Any) -> msg.Locate:  # noqa: ANN401 -- a mess
     asked = msg.Locate(*pose)
     if widest or yaw:
         asked = msg.Locate(*pose, max(sqrt(widest), SUREST), max(sqrt(yaw), SUREST))
+    return asked if not (wrong := cannot(asked, robot)) else _refuse(wrong)
+
+
+def grid(robot: Robot, message: Any) -> msg.Grid:  # noqa: ANN401 -- a message
+    """Return the map of an OccupancyGrid, in the frame of the map or the odometry. Raises Refused."""
+    odom, info = message.header.frame_id.lstrip("/") == ODOM, message.info
+    header = replace(message.header, frame_id=MAP) if odom else message.header
+    x, y, yaw = _pose("a grid", header, info.origin)
+    finite(info.resolution)
+    values = np.asarray(message.data, np.int8)
+    if values.size != info.width * info.height:
+        raise Refused(f"{info.width} × {info.height} cells are said, and there are {values.size}")
+    cells = np.where(values < 0, 0, np.where(values < OCCUPIED, 1, 2)).astype(np.uint8)
+    asked = msg.Grid(x, y, yaw, odom, float(info.resolution), int(info.width), cells.tobytes())
     return asked if not (wrong := cannot(asked, robot)) else _refuse(wrong)
 
 

@@ -411,6 +411,9 @@ class Bridge:
                 self._take_over()
                 self._instructions += [*self._dropped(), goal]
                 self._say(row.name, "")
+            case "/map":
+                self._instructions.append(asked.grid(self.scene.robot, message))
+                self._say(row.name, "")
             case "/initialpose":
                 self._instructions.append(asked.located(self.scene.robot, message))
                 self._say(row.name, "")
@@ -432,7 +435,8 @@ class Bridge:
         changes, refused = (False, why) if why else self._held[name].take(now, writer, rests=rests)
         self._say(name, refused)
         if changes:
-            self._end_motions(f"{name} moves the robot")
+            if not (name == "/cmd_vel" and self.scene.robot.brain.pursuit.given):  # it drives to that goal
+                self._end_motions(f"{name} moves the robot")
             self._instructions += wanted
 
     def _let_go(self, name: str) -> None:

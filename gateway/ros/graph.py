@@ -9,6 +9,7 @@ its value is latched. A command is read without repetition: an old one is worth 
 | cmd_vel | geometry_msgs/Twist, TwistStamped | drive, for as long as it is repeated |
 | goal_pose | geometry_msgs/PoseStamped | drive there, in place of what it does |
 | initialpose | geometry_msgs/PoseWithCovarianceStamped | it is there |
+| map, with `perception.given` | nav_msgs/OccupancyGrid | what it plans on |
 | position_controller/commands, velocity_…, effort_… | std_msgs/Float64MultiArray | targets of bare joints |
 | joint_trajectory_controller/joint_trajectory | trajectory_msgs/JointTrajectory | a motion of joints |
 """
@@ -24,13 +25,13 @@ from gateway.core.robot import Robot
 from gateway.errors import UserError
 from gateway.recording.ros_views import OF_SENSORS, topic_name, topics, typestore
 from gateway.ros import images, types
-from gateway.ros.map_topics import UPDATE, UPDATES
+from gateway.ros.map_topics import MAP, UPDATE, UPDATES
 from gateway.ros.rtps import Qos
 
 Kind: TypeAlias = Literal["publish", "subscribe", "serve"]
 TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 POSE_STAMPED, ARRAY = "geometry_msgs/msg/PoseStamped", "std_msgs/msg/Float64MultiArray"
-POSE_KNOWN = "geometry_msgs/msg/PoseWithCovarianceStamped"
+POSE_KNOWN, GRID = "geometry_msgs/msg/PoseWithCovarianceStamped", "nav_msgs/msg/OccupancyGrid"
 TRAJECTORY, CLOCK, STRING = (
     "trajectory_msgs/msg/JointTrajectory",
     "rosgraph_msgs/msg/Clock",
@@ -90,6 +91,8 @@ def rows(robot: Robot, *, steers: bool, cameras: Sequence[str] = ()) -> list[Row
     published = topics(typestore()) | {"/clock": CLOCK, "/robot_description": STRING, UPDATES: UPDATE}
     published.pop("/goal_pose")
     published |= images.topics(cameras)
+    if robot.brain.perception.given:
+        del published[MAP], published[UPDATES]
     for name, type_ in published.items():
         latched = name in LATCHED or name == "/rosout"
         found.append(("publish", name, type_, Qos(transient=latched, depth=DEPTHS.get(name, 10))))
@@ -98,6 +101,8 @@ def rows(robot: Robot, *, steers: bool, cameras: Sequence[str] = ()) -> list[Row
         found.append(("subscribe", "/goal_pose", POSE_STAMPED, Qos()))
         found.append(("subscribe", "/initialpose", POSE_KNOWN, Qos()))
         found += _action("/navigate_to_pose", NAVIGATE)
+        if robot.brain.perception.given:
+            found.append(("subscribe", MAP, GRID, Qos()))
     if steers and able.joints:
         found += [("subscribe", name, ARRAY, STREAM) for name in JOINT_COMMANDS]
         found.append(("subscribe", TRAJECTORIES, TRAJECTORY, Qos()))

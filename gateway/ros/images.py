@@ -34,10 +34,20 @@ BEGINS, GOES_ON = "image", "pixels"
 class Camera(Protocol):
     """A camera whose images can be had."""
 
-    name: str
-    mount: Mount
-    seen: Seen | None
-    """Its newest image, which is not changed any more"""
+    @property
+    def name(self) -> str:
+        """Of the sensor"""
+        ...
+
+    @property
+    def mount(self) -> Mount:
+        """On the robot"""
+        ...
+
+    @property
+    def seen(self) -> Seen | None:
+        """Its newest image, which is not changed any more"""
+        ...
 
 
 def topics(cameras: Sequence[str]) -> dict[str, str]:

@@ -362,12 +362,13 @@ class Session:
             UserError: there is no such interface, or its ports are taken.
         """
         from gateway.ros.network import parse_network
+        from gateway.runtime.cameras import cameras_of
         from gateway.runtime.ros_bridge import SessionBridge
 
         address = parse_network(network)
         self.close_ros()
         number = self.robot.ros.domain if domain is None else domain
-        cameras = self.twins.world.cameras() if self.twins is not None else ()
+        cameras = cameras_of(self.robot, self.buses, self.twins)
         self._ros = SessionBridge(self, address, number, cameras)
         return self._ros.name
 

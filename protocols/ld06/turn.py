@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from protocols.ld06 import table
-from protocols.ld06.options import NEAREST, Options
+from protocols.ld06.options import Options
 from protocols.ld06.table import RAYS, Packet
 from protocols.messages import MILLISECOND, SECOND, LaserScan, Nanos
 from protocols.toolkit.device_clock import DeviceClock
@@ -16,6 +17,10 @@ from protocols.toolkit.rays import BACK, Beams, Rays
 class Turn:
     """What is known of a lidar's present turn. Plain data."""
 
+    beams: Beams
+    """Of its scans"""
+    carried: Nanos
+    """How long a packet takes on the line"""
     clock: DeviceClock = field(default_factory=lambda: DeviceClock(table.ROUND * MILLISECOND))
     rays: Rays = field(default_factory=Rays)
     lost: int = 0
@@ -29,26 +34,25 @@ class Turn:
         self.clock.forget()
         self.steady = None
 
-    def unsteady(self, t: Nanos, packet: Packet, options: Options) -> bool:
-        """True if the lidar has turned too slowly or too fast for as long as that matters."""
-        good = options.slowest_hz <= packet.speed / 360.0 <= options.fastest_hz
+    def unsteady(self, t: Nanos, packets: Sequence[Packet], options: Options) -> bool:
+        """True if the lidar has turned too slowly or too fast for as long as that matters, by packets that
+        came at t."""
+        good = any(options.slowest_hz <= each.speed / 360.0 <= options.fastest_hz for each in packets)
         self.steady = t if good or self.steady is None else self.steady
         return t - self.steady > options.unsteady_ms * MILLISECOND
 
-    def add(self, t: Nanos, packet: Packet, sensor: str, options: Options) -> LaserScan | None:
+    def add(self, t: Nanos, packet: Packet) -> LaserScan | None:
         """Take a packet that came at t; return the scan that it completes."""
         stamp, step = packet.stamp * MILLISECOND, packet.step
-        since, end, scan = self.clock.since(t, stamp), self.clock.read(t, stamp), None
+        since, end = self.clock.since(t, stamp), self.clock.read(t, stamp) - self.carried
         if not packet.speed or not step:
             self.rays.forget()
             return None
         self._count_lost(packet, step, since or 0)
-        beams = Beams(sensor, options.count, NEAREST, options.farthest)
-        for ray, distance in enumerate(packet.distances):
-            measured = end - round((RAYS - 1 - ray) * step / packet.speed * SECOND)
-            angle = packet.start / 100.0 + ray * step
-            scan = self.rays.add(measured, angle, distance / 1000.0, step, packet.speed, beams) or scan
-        return scan
+        first, apart = packet.start / 100.0, step / packet.speed * SECOND
+        angles = [first + ray * step for ray in range(RAYS)]
+        ranges = [distance / 1000.0 for distance in packet.distances]
+        return self.rays.add(end, apart, angles, ranges, step, packet.speed, self.beams)
 
     def _count_lost(self, packet: Packet, step: float, since: Nanos) -> None:
         """Count the packets that are missing before this one, which ended so long after the last."""

@@ -28,7 +28,7 @@ def messages(frame: Frame) -> tuple[str, ...]:
     if found and b"".join(map(table.REQUESTS.frame, found)) == frame:
         return tuple(table.NAMES[each[0]] for each in found)
     if len(frame) >= table.HEAD and table.answer_size(frame[: table.HEAD]) == len(frame):
-        return (table.ANSWER_NAMES.get(frame[6], "descriptor"),)
+        return (table.ANSWERS[frame[6]][0] if frame[6] in table.ANSWERS else "descriptor",)
     whole = range(0, len(frame) - table.NODE_BYTES + 1, table.NODE_BYTES)
     if len(whole) * table.NODE_BYTES == len(frame) and all(table.is_node(frame, at) for at in whole):
         return ("node",) * len(whole)
@@ -38,7 +38,7 @@ def messages(frame: Frame) -> tuple[str, ...]:
 UNPROTECTED = frozenset(
     {
         *(name for code, name in table.NAMES.items() if not code & 0x80),
-        *table.ANSWER_NAMES.values(),
+        *(name for name, _ in table.ANSWERS.values()),
         "descriptor",
         "node",
     }
@@ -48,7 +48,7 @@ UNPROTECTED = frozenset(
 def read_only(frame: Frame) -> bool:
     """True if a frame consists of requests that only ask."""
     found = Stream(table.REQUESTS).messages(frame) if isinstance(frame, bytes) else ()
-    reads = [each for each in found if each[0] in table.READS]
+    reads = [each for each in found if table.NAMES[each[0]].startswith(table.READS)]
     return bool(reads) and b"".join(map(table.REQUESTS.frame, reads)) == frame
 
 

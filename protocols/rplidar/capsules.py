@@ -21,15 +21,14 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
-from itertools import pairwise
+from functools import cache, lru_cache
+from itertools import chain, pairwise
 from typing import NamedTuple
 
-from protocols.rplidar.table import DENSE, EXPRESS, HQ, REPEATS, TURN_Q6, ULTRA, Node
+from protocols.rplidar.table import RAYS, TURN_Q6, Node
 from protocols.toolkit.serial import CRC32, xor8
 
-RAYS: Mapping[int, int] = {EXPRESS: 32, DENSE: 40, ULTRA: 96, HQ: 96}
-FARTHEST: Mapping[int, int] = {EXPRESS: 0x3FFF, DENSE: 0xFFFF}
+FARTHEST: Mapping[str, int] = {"express": 0x3FFF, "dense": 0xFFFF}
 """mm"""
 SCALES = ((3328, 16384, 4), (1792, 4096, 3), (1280, 2048, 2), (512, 512, 1), (0, 0, 0))
 """Of an ultra capsule: from which number on, what that is [mm], and by how many bits steps are longer"""
@@ -48,75 +47,68 @@ class Capsule(NamedTuple):
     """Of a stream"""
     start: float
     """Degrees, of the first ray"""
-    distances: tuple[int, ...]
+    distances: Sequence[int]
     """mm; 0: no return"""
-    offsets: tuple[float, ...]
-    """Degrees by which each ray is behind its place"""
+    offsets: Sequence[float]
+    """Degrees by which each ray is behind its place; (): none is"""
 
 
-def is_capsule(held: bytes, at: int) -> bool:
-    """True if two bytes here may begin a capsule."""
-    return held[at] >> 4 == 0xA and held[at + 1] >> 4 == 0x5
+def begins(held: bytes, at: int, scan: str) -> bool:
+    """True if what begins here may be a message of a scan, as far as it has come."""
+    if scan == "hq":
+        return held[at] == SYNC_HQ
+    return held[at] >> 4 == 0xA and (len(held) == at + 1 or held[at + 1] >> 4 == 0x5)
 
 
-def is_sound(data: bytes) -> bool:
-    """True if the checksum of a capsule is right."""
+def is_sound(data: bytes, scan: str) -> bool:
+    """True if the checksum of a message of a scan is right."""
+    if scan == "hq":
+        return CRC32(data[:-4] + bytes(3)) == int.from_bytes(data[-4:], "little")
     return xor8(data[2:]) == data[0] & 0xF | data[1] << 4 & 0xF0
-
-
-def is_sound_hq(data: bytes) -> bool:
-    """True if the checksum of a packet of HQ is right."""
-    return CRC32(data[:-4] + bytes(3)) == int.from_bytes(data[-4:], "little")
 
 
 def head(data: bytes) -> tuple[bool, float]:
     """Return whether a capsule is the first of its stream, and where its first ray is [degrees]."""
-    (word,) = struct.unpack_from("<H", data, 2)
-    return bool(word & 0x8000), (word & 0x7FFF) / 64.0 % 360.0
+    word = data[2] | data[3] << 8
+    return word >= 0x8000, (word & 0x7FFF) / 64.0 % 360.0
 
 
-def capsule(data: bytes, kind: int, after: bytes = b"") -> Capsule:
-    """Decode a capsule of an answer of this type; `after` is the next, without which the last two rays of an
-    ultra capsule are not known."""
-    if kind == DENSE:
-        return Capsule(*head(data), struct.unpack_from("<40H", data, 4), (0.0,) * 40)
-    if kind == ULTRA:
+def capsule(data: bytes, scan: str, after: bytes = b"") -> Capsule:
+    """Decode a capsule of a scan; `after` is the next, without which the last two rays of an ultra capsule
+    are not known."""
+    if scan == "dense":
+        return Capsule(*head(data), struct.unpack_from("<40H", data, 4), ())
+    if scan == "ultra":
         found = _ultra(data, after)
-        far = tuple(each if each >= NEAREST_ULTRA else 0 for each in found)
-        return Capsule(*head(data), far, tuple(behind(each) for each in found))
-    rays = list[tuple[int, float]]()
-    for one, other, low in struct.iter_unpack("<HHB", data[4:]):
-        rays.append((one >> 2, ((one & 3) << 4 | low & 0xF) / 8.0))
-        rays.append((other >> 2, ((other & 3) << 4 | low >> 4) / 8.0))
-    return Capsule(*head(data), tuple(each for each, _ in rays), tuple(each for _, each in rays))
+        far = [each if each >= NEAREST_ULTRA else 0 for each in found]
+        return Capsule(*head(data), far, [*map(behind, found)])
+    cabins = [*struct.iter_unpack("<HHB", data[4:])]
+    distances = chain.from_iterable((one >> 2, other >> 2) for one, other, _ in cabins)
+    sixes = (((one & 3) << 4 | low & 0xF, (other & 3) << 4 | low >> 4) for one, other, low in cabins)
+    return Capsule(*head(data), [*distances], [each / 8.0 for each in chain.from_iterable(sixes)])
 
 
-def encode_capsule(one: Capsule, kind: int, after: int = 0) -> bytes:
+def encode_capsule(one: Capsule, scan: str, after: int = 0) -> bytes:
     """Return a capsule as it stands on the line. What is out of reach is no return. `after` is the first
     distance of the next [mm], for an ultra capsule, whose offsets are those of `behind`."""
     body = struct.pack("<H", round(one.start * 64.0) % TURN_Q6 | (0x8000 if one.first else 0))
-    if kind == ULTRA:
-        body += struct.pack("<32I", *_cabins(one.distances, after))
-    elif kind == DENSE:
-        body += struct.pack("<40H", *_reached(one.distances, kind))
+    found = [each if each <= FARTHEST.get(scan, each) else 0 for each in one.distances]
+    if scan == "ultra":
+        body += struct.pack("<32I", *_cabins(found, after))
+    elif scan == "dense":
+        body += struct.pack("<40H", *found)
     else:
-        found = list(zip(_reached(one.distances, kind), one.offsets, strict=True))
-        for at in range(0, len(found), 2):
-            (a, later), (b, last) = found[at : at + 2]
-            p, q = round(later * 8.0), round(last * 8.0)
+        eighths = [round(each * 8.0) for each in one.offsets] or [0] * len(found)
+        for a, b, p, q in zip(found[::2], found[1::2], eighths[::2], eighths[1::2], strict=True):
             body += struct.pack("<HHB", a << 2 | p >> 4, b << 2 | q >> 4, p & 0xF | (q & 0xF) << 4)
     check = xor8(body)
     return bytes((0xA0 | check & 0xF, 0x50 | check >> 4)) + body
 
 
-def _reached(distances: Sequence[int], kind: int) -> list[int]:
-    return [each if each <= FARTHEST[kind] else 0 for each in distances]
-
-
 # -- ultra -----------------------------------------------------------------------------------------------
 
 
-@lru_cache(4096)
+@lru_cache(1 << 15)
 def behind(distance: int) -> float:
     """Return by how many degrees a ray of an ultra scan is behind its place, by its distance [mm]."""
     if distance < 50:
@@ -125,10 +117,11 @@ def behind(distance: int) -> float:
     return 8.0 - math.degrees(((near << 6) + near**3 // 98304) / 65536.0)
 
 
-def _unscaled(code: int) -> tuple[int, int]:
-    """Return a distance [mm], and by how many bits the steps are longer there."""
-    base, target, bits = next(each for each in SCALES if code >= each[0])
-    return target + (code - base << bits), bits
+@cache
+def _scale() -> Sequence[tuple[int, int]]:
+    """Return, by number, a distance [mm], and by how many bits the steps are longer there."""
+    rows = (next(each for each in SCALES if code >= each[0]) for code in range(0x1000))
+    return [(target + (code - base << bits), bits) for code, (base, target, bits) in enumerate(rows)]
 
 
 def _scaled(distance: int) -> int:
@@ -136,33 +129,29 @@ def _scaled(distance: int) -> int:
     return min(base + (distance - target >> bits), 0xFFF)
 
 
-def _bases(major: int, then: int) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Return from what the rays behind a distance are predicted, and in what steps."""
-    here, there = _unscaled(major), _unscaled(then)
-    return (here if here[0] or not there[0] else there), there
-
-
 def _ultra(data: bytes, after: bytes) -> list[int]:
     """Return the distances of an ultra capsule [mm]."""
     words = [*struct.unpack_from("<32I", data, 4), *struct.unpack_from("<I", after or bytes(8), 4)]
-    found = list[int]()
+    scale, found = _scale(), list[int]()
     for word, then in pairwise(words):
-        found.append(_unscaled(word & 0xFFF)[0])
-        bases = _bases(word & 0xFFF, then & 0xFFF)
-        for (base, bits), shift in zip(bases, (12, 22), strict=True):
-            code = (word >> shift & 0x3FF ^ 0x200) - 0x200
-            found.append(0 if code in NO_RETURN else max(0, base + (code << bits)))
+        here, there = scale[word & 0xFFF], scale[then & 0xFFF]
+        base, bits = here if here[0] or not there[0] else there
+        one, other = (word >> 12 & 0x3FF ^ 0x200) - 0x200, (word >> 22 ^ 0x200) - 0x200
+        found += (
+            here[0],
+            0 if one in NO_RETURN else max(0, base + (one << bits)),
+            0 if other in NO_RETURN else max(0, there[0] + (other << there[1])),
+        )
     return found if after else [*found[:-2], found[-2] if words[-2] & 0xFFF else 0, 0]
 
 
 def _cabins(distances: Sequence[int], after: int) -> list[int]:
     """Return the words of an ultra capsule."""
-    majors = [_scaled(each) for each in (*distances[::3], after)]
-    words = list[int]()
+    majors, scale, words = [_scaled(each) for each in (*distances[::3], after)], _scale(), list[int]()
     for at, (major, then) in enumerate(pairwise(majors)):
-        word, bases = major, _bases(major, then)
-        for (base, bits), shift, ray in zip(bases, (12, 22), (1, 2), strict=True):
-            distance = distances[3 * at + ray]
+        here, there = scale[major], scale[then]
+        word, bases = major, (here if here[0] or not there[0] else there, there)
+        for (base, bits), shift, distance in zip(bases, (12, 22), distances[3 * at + 1 :], strict=False):
             code = distance - base >> bits
             good = distance and NO_RETURN[1] < code < NO_RETURN[0]
             word |= ((code if good else NO_RETURN[0]) & 0x3FF) << shift
@@ -173,12 +162,10 @@ def _cabins(distances: Sequence[int], after: int) -> list[int]:
 # -- HQ --------------------------------------------------------------------------------------------------
 
 
-def packet(data: bytes) -> list[Node]:
-    """Decode a packet of HQ."""
-    rays = _HQ_RAY.iter_unpack(data[9:-4])
-    return [
-        Node(bool(flag & 1), bright, angle * 90.0 / 16384.0, mm / 4.0) for angle, mm, bright, flag in rays
-    ]
+def packet(data: bytes) -> tuple[list[float], list[float]]:
+    """Return the angles [degrees] and distances [mm] of a packet of HQ."""
+    numbers = struct.unpack_from("<" + RAYS["hq"] * "HI2x", data, 9)
+    return [each * 90.0 / 16384.0 for each in numbers[::2]], [each / 4.0 for each in numbers[1::2]]
 
 
 def encode_packet(stamp: int, rays: Sequence[Node]) -> bytes:
@@ -187,6 +174,5 @@ def encode_packet(stamp: int, rays: Sequence[Node]) -> bytes:
     for one in rays:
         angle = round(one.angle * 16384.0 / 90.0) & 0xFFFF
         data += _HQ_RAY.pack(angle, round(one.distance * 4.0), one.quality, 1 if one.first else 2)
-    data += CRC32(data + bytes(3)).to_bytes(4, "little")
-    assert len(data) == REPEATS[HQ]
-    return data
+    assert len(rays) == RAYS["hq"]
+    return data + CRC32(data + bytes(3)).to_bytes(4, "little")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Literal, NamedTuple, TypeAlias
 
@@ -15,36 +16,20 @@ class Model(NamedTuple):
     farthest: float
     """m"""
     baudrate: int
-    major: int = 0
+    major: int
     """The high half of the number that it tells; 0: not known"""
-
-    @property
-    def begins_ms(self) -> float:
-        """Time in which it begins to scan. An A1, A2, A3 turns before; the others turn for the scan."""
-        return 800.0 if self.major else 2500.0
+    begins_ms: float
+    """Time in which it begins to scan. An A1, A2, A3 turns before; the others turn for the scan."""
 
 
 Name: TypeAlias = Literal["A1", "A2M7", "A2M8", "A2M12", "A3", "S1", "S2", "S3", "C1"]
-MODELS: dict[str, Model] = {
-    "A1": Model(12.0, 115_200, 1),
-    "A2M7": Model(16.0, 256_000, 2),
-    "A2M8": Model(12.0, 115_200, 2),
-    "A2M12": Model(12.0, 256_000, 2),
-    "A3": Model(25.0, 256_000, 3),
-    "S1": Model(40.0, 256_000),
-    "S2": Model(30.0, 1_000_000),
-    "S3": Model(40.0, 1_000_000),
-    "C1": Model(12.0, 460_800),
-}
+MODELS: Mapping[str, Model] = {name: Model(*row) for name, row in table.FILE["models"].items()}
 NEAREST = 0.05
 """m, of all of them"""
 REACH = {"standard": 16.38, "express": 16.383, "ultra": 28.656, "dense": 65.535, "hq": 100.0}
 """m that the numbers of a scan can hold"""
-
-
 MODES = {"dense": 1, "hq": 2, "ultra": 3}
 """Their usual numbers"""
-Scan: TypeAlias = Literal["standard", "express", "ultra", "dense", "hq"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +40,7 @@ class Options:
     """It decides how far a reading is believed, and the baud rate."""
     start: bool = False
     """The driver asks, and starts and stops the scan. False: it sends nothing at all."""
-    scan: Scan = "express"
+    scan: table.Scan = "express"
     """What is asked for; what comes is read, whichever it is."""
     scan_mode: Annotated[int, Bounds(0, 255)] = 0
     """The device's number of a scan; 0: the first express one; 1 for dense, 2 for HQ, 3 for ultra"""

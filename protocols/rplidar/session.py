@@ -7,15 +7,15 @@ Only what was told twice is believed to be a fault, since answers have no checks
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
 from protocols.messages import MILLISECOND, SECOND, LaserScan, Nanos
 from protocols.rplidar import table as rp
-from protocols.rplidar.options import MODELS, NEAREST, Options
+from protocols.rplidar.options import MODELS, Options
 from protocols.rplidar.turn import Turn
-from protocols.toolkit.rays import Beams
 
 
 class Stage(Enum):
@@ -43,10 +43,10 @@ WAITS: Mapping[Stage, tuple[Nanos, Stage]] = {
 }
 """How long an answer is waited for, and what is done without one; that of BEGINS is the model's"""
 QUESTIONS: Mapping[Stage, bytes] = {
-    S.STOPS: rp.request(rp.STOP),
-    S.INFO: rp.request(rp.GET_INFO),
-    S.HEALTH: rp.request(rp.GET_HEALTH),
-    S.RATE: rp.request(rp.GET_RATE),
+    S.STOPS: rp.request("STOP"),
+    S.INFO: rp.request("GET_INFO"),
+    S.HEALTH: rp.request("GET_HEALTH"),
+    S.RATE: rp.request("GET_SAMPLERATE"),
 }
 del S
 AGAIN: Nanos = SECOND
@@ -82,12 +82,12 @@ class Lidar:
     """how it is, if not well,"""
     unread: str = ""
     """and that what it sends is not read."""
-    kind: int = 0
-    """Of its stream"""
+    scan: str = ""
+    """What it streams"""
 
     def forget(self) -> None:
         """Begin anew: it may have restarted."""
-        self.stage, self.then, self.due, self.kind = Stage.SCANS, Stage.STOPS, 0, 0
+        self.stage, self.then, self.due, self.scan = Stage.SCANS, Stage.STOPS, 0, ""
         self.doubted, self.fault, self.spun = False, False, None
 
     def text(self, options: Options) -> str:
@@ -99,38 +99,33 @@ class Lidar:
 
     # -- received -------------------------------------------------------------------------------------
 
-    def see(self, t: Nanos, data: bytes, kind: int, name: str, options: Options) -> LaserScan | None:
-        """Take a node or capsule of a stream of this type that came at t; return the scan it completes."""
-        if kind != self.kind:
-            self.kind = kind
-            self.turn.begin(kind)
+    def see(self, t: Nanos, messages: Sequence[bytes], scan: str) -> list[LaserScan]:
+        """Take nodes or capsules of a scan that came at t; return the scans that they complete."""
+        if scan != self.scan:
+            self.scan = scan
+            self.turn.begin(scan)
         if self.stage is Stage.STOPS:
             self.due = t + WAITS[Stage.STOPS][0]  # until it is quiet
         elif self.stage in (Stage.BEGINS, Stage.SCANS) and self.due:
             self.stage, self.due = Stage.SCANS, t + WAITS[Stage.SCANS][0]
-        beams = Beams(name, options.beams, NEAREST, options.farthest)
-        if kind == rp.NODES:
-            return self.turn.node(t, data, beams)
-        if kind == rp.HQ:
-            return self.turn.packet(t, data, beams)
-        return self.turn.capsule(t, data, kind, beams)
+        return self.turn.add(t, messages, scan)
 
-    def hear(self, t: Nanos, kind: int, data: bytes, options: Options) -> None:
+    def hear(self, t: Nanos, message: bytes, options: Options) -> None:
         """Take an answer; go on to what follows."""
-        if kind in rp.REPEATS:
-            self.kind = 0
+        kind, data = message[6], message[rp.HEAD :]
+        if kind in rp.SCANS:
+            self.scan = ""
             other = f"answers {kind:#x}, which is not read: another scan_mode"
-            self.unread = "" if kind in rp.SCANS else other
-        elif kind == rp.INFO:
+            self.unread = "" if rp.SCANS[kind] in rp.RAYS else other
+        elif kind == rp.TYPES["info"]:
             stated, told = MODELS[options.model].major, data[0] >> 4
             wrong = stated and told <= 3 and told != stated
             self.model = f"is no {options.model}: model {data[0]:#04x}" if wrong else ""
             self._go(t, Stage.INFO, Stage.HEALTH)
-        elif kind == rp.HEALTH:
+        elif kind == rp.TYPES["health"]:
             self._on_health(t, data[0], int.from_bytes(data[1:], "little"))
-        elif kind == rp.RATE:
-            standard, express = (int.from_bytes(data[at : at + 2], "little") * 1000.0 for at in (0, 2))
-            self.turn.tell(standard, express)
+        elif kind == rp.TYPES["rate"]:
+            self.turn.tell(*(1000.0 * each for each in struct.unpack("<HH", data)))
             self._go(t, Stage.RATE, Stage.MOTOR)
 
     def _go(self, t: Nanos, stage: Stage, then: Stage) -> None:
@@ -171,7 +166,7 @@ class Lidar:
         elif self.stage is Stage.BEGINS:
             self.started, wait = True, round(MODELS[options.model].begins_ms * MILLISECOND)
             standard = options.scan == "standard"
-            frames = (rp.request(rp.SCAN) if standard else rp.express_scan(options.mode),)
+            frames = (rp.request("SCAN") if standard else rp.express_scan(options.mode),)
         self.due = now + wait
         return frames
 

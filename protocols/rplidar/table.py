@@ -1,9 +1,9 @@
-"""Requests, answers and data of Slamtec's lidars, in their own units: degrees clockwise from ahead, mm, µs.
+"""Requests, answers and nodes of Slamtec's lidars, in their own units: degrees clockwise from ahead, mm, µs.
 
 To the device: `A5 | command`, or `A5 | command | size | payload | XOR of all before it`. From it: a
 descriptor `A5 5A | length of the data, 30 bits, and 2 bits: 1 = repeated | type`, then the data, once or
 until STOP; what is repeated has no descriptor of its own. All numbers are little-endian. Only capsules
-(`capsules`) have a checksum.
+(`capsules`) have a checksum. Commands and types are in `device.toml`; here they have their names.
 
 Source: Slamtec/rplidar_sdk@99478e5; Interface Protocol and Application Notes (Slamtec).
 """
@@ -11,70 +11,44 @@ Source: Slamtec/rplidar_sdk@99478e5; Interface Protocol and Application Notes (S
 from __future__ import annotations
 
 import struct
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 from protocols.plugin import FaultInfo
+from protocols.toolkit.device_file import device_file
+from protocols.toolkit.faults import faults
 from protocols.toolkit.motor_driver import Rx
 from protocols.toolkit.serial import xor8
 
 NAME = "rplidar"
-STOP, RESET, SCAN, FORCE_SCAN, EXPRESS_SCAN = 0x25, 0x40, 0x20, 0x21, 0x82
-GET_INFO, GET_HEALTH, GET_RATE, GET_CONF = 0x50, 0x52, 0x59, 0x84
-SET_PWM, GET_BOARD = 0xF0, 0xFF
-NAMES: Mapping[int, str] = {
-    STOP: "STOP",
-    RESET: "RESET",
-    SCAN: "SCAN",
-    FORCE_SCAN: "FORCE_SCAN",
-    EXPRESS_SCAN: "EXPRESS_SCAN",
-    GET_INFO: "GET_INFO",
-    GET_HEALTH: "GET_HEALTH",
-    GET_RATE: "GET_SAMPLERATE",
-    GET_CONF: "GET_LIDAR_CONF",
-    SET_PWM: "SET_MOTOR_PWM",
-    GET_BOARD: "GET_ACC_BOARD_FLAG",
-}
-READS = frozenset({GET_INFO, GET_HEALTH, GET_RATE, GET_CONF, GET_BOARD})
-PAYLOADS: Mapping[int, Collection[int]] = {
-    EXPRESS_SCAN: (5,),
-    GET_CONF: (4, 6),
-    SET_PWM: (2,),
-    GET_BOARD: (4,),
-}
-"""Bytes of the payload, by command"""
+FILE: Mapping[str, Any] = device_file(__package__ or "")
+CODES: Mapping[str, int] = {name: code for name, (code, *_) in FILE["requests"].items()}
+NAMES: Mapping[int, str] = {code: name for name, code in CODES.items()}
+PAYLOADS: Mapping[int, list[int]] = {code: sizes for code, *sizes in FILE["requests"].values()}
+"""What may be the bytes of a payload, by command"""
+READS = "GET_"
+"""How requests begin that only ask"""
 PWM_MOST = 1023
 
-INFO, HEALTH, RATE, CONF, BOARD = 0x04, 0x06, 0x15, 0x20, 0xFF
-NODES, EXPRESS, HQ, ULTRA, DENSE = 0x81, 0x82, 0x83, 0x84, 0x85
-REPEATS: Mapping[int, int] = {NODES: 5, EXPRESS: 84, HQ: 781, ULTRA: 132, DENSE: 84, 0x86: 172}
-"""What is repeated: its bytes, by type of the answer"""
-SCANS = REPEATS.keys() - {0x86}
-"""What of it is read here"""
-ANSWERS: Mapping[int, range] = {
-    INFO: range(20, 21),
-    HEALTH: range(3, 4),
-    RATE: range(4, 5),
-    CONF: range(4, 65),
-    BOARD: range(4, 5),
+Scan: TypeAlias = Literal["standard", "express", "ultra", "dense", "hq"]
+ANSWERS: Mapping[int, tuple[str, range]] = {
+    kind: (name, range(fewest, most + 1)) for name, (kind, fewest, most) in FILE["answers"].items()
 }
-"""Bytes of what comes once, by type"""
-ANSWER_NAMES = {INFO: "info", HEALTH: "health", RATE: "rate", CONF: "conf", BOARD: "board"}
+"""What comes once: its name, and the bytes that it may have, by type"""
+TYPES: Mapping[str, int] = {name: kind for name, (kind, *_) in {**FILE["answers"], **FILE["scans"]}.items()}
+SCANS: Mapping[int, str] = {kind: name for name, (kind, *_) in FILE["scans"].items()}
+"""What is repeated"""
+SIZES: Mapping[str, int] = {name: size for name, (_, size, _) in FILE["scans"].items()}
+RAYS: Mapping[str, int] = {name: rays for name, (*_, rays) in FILE["scans"].items() if rays}
+"""Of one message of what is repeated, and read here"""
 ERROR = PROTECTION = 2
 """Of the health: protection stop"""
-FAULTS: Mapping[int, FaultInfo] = {
-    PROTECTION: FaultInfo(
-        "protection stop",
-        "its motor is blocked, its laser or its supply failed",
-        "free what turns, see that it gets 5 V with enough current, and switch it off and on",
-        latching=False,
-    )
-}
+FAULTS: Mapping[int, FaultInfo] = faults(FILE["faults"]["health"])
 HEAD = 7
 """Bytes of a descriptor"""
 REPEATED = 1 << 30
-NODE_BYTES = REPEATS[NODES]
+NODE_BYTES = SIZES["standard"]
 FARTHEST_NODE = 0xFFFF
 """mm / 4"""
 TURN_Q6, FIRST_Q6 = 360 * 64, 20 * 64
@@ -98,42 +72,38 @@ class Requests:
         if held[at] != 0xA5:
             found = held.find(b"\xa5", at)
             return Rx.IGNORED, found if found >= 0 else len(held)
-        if len(held) < at + 2:
-            return None, at
-        command = held[at + 1]
-        if command not in NAMES:
+        command, size = (*held[at + 1 : at + 3], None, None)[:2]
+        if command is not None and command not in NAMES:
             return Rx.IGNORED, at + 1
-        if not command & 0x80:
+        if command is not None and not command & 0x80:
             return held[at + 1 : at + 2], at + 2
-        if len(held) < at + 3:
+        if command is None or size is None:
             return None, at
-        size = held[at + 2]
+        end = at + 3 + size
         if size not in PAYLOADS[command]:
             return Rx.IGNORED, at + 1
-        end = at + 3 + size
         if len(held) <= end:
             return None, at
-        if xor8(held[at : end + 1]):
-            return Rx.MALFORMED, at + 1
-        return held[at + 1 : end], end + 1
+        return (Rx.MALFORMED, at + 1) if xor8(held[at : end + 1]) else (held[at + 1 : end], end + 1)
 
 
 REQUESTS = Requests()
 
 
-def request(command: int, payload: bytes = b"") -> bytes:
+def request(name: str, payload: bytes = b"") -> bytes:
     """Return a request as it stands on the line."""
-    return REQUESTS.frame(bytes((command, len(payload))) + payload if command & 0x80 else bytes((command,)))
+    code = CODES[name]
+    return REQUESTS.frame(bytes((code, len(payload))) + payload if code & 0x80 else bytes((code,)))
 
 
 def pwm(duty: int) -> bytes:
     """Return what sets the motor's duty, 0 to `PWM_MOST`."""
-    return request(SET_PWM, duty.to_bytes(2, "little"))
+    return request("SET_MOTOR_PWM", duty.to_bytes(2, "little"))
 
 
 def express_scan(mode: int) -> bytes:
     """Return what starts a scan in capsules; `mode` is the device's number of it, 0 the first of all."""
-    return request(EXPRESS_SCAN, bytes((mode, 0, 0, 0, 0)))
+    return request("EXPRESS_SCAN", bytes((mode, 0, 0, 0, 0)))
 
 
 # -- from the device -------------------------------------------------------------------------------------
@@ -148,22 +118,22 @@ def answer_size(head: bytes) -> int | None:
         return None
     (word,), kind = _HEADER.unpack_from(head, 2), head[6]
     if word & REPEATED:
-        return HEAD if word == REPEATED | REPEATS.get(kind, 0) else 0
-    return HEAD + word if word in ANSWERS.get(kind, ()) else 0
+        return HEAD if word == REPEATED | SIZES.get(SCANS.get(kind, ""), 0) else 0
+    return HEAD + word if kind in ANSWERS and word in ANSWERS[kind][1] else 0
 
 
-def answer(kind: int, data: bytes) -> bytes:
+def answer(name: str, data: bytes) -> bytes:
     """Return an answer that comes once."""
-    return b"\xa5\x5a" + _HEADER.pack(len(data)) + bytes((kind,)) + data
+    return b"\xa5\x5a" + _HEADER.pack(len(data)) + bytes((TYPES[name],)) + data
 
 
-def descriptor(kind: int) -> bytes:
+def descriptor(scan: str) -> bytes:
     """Return what precedes a stream."""
-    return b"\xa5\x5a" + _HEADER.pack(REPEATS[kind] | REPEATED) + bytes((kind,))
+    return b"\xa5\x5a" + _HEADER.pack(SIZES[scan] | REPEATED) + bytes((TYPES[scan],))
 
 
 class Node(NamedTuple):
-    """One ray of a standard scan."""
+    """One ray of a standard scan, or of one of HQ."""
 
     first: bool
     """Of a turn"""
@@ -186,7 +156,7 @@ def is_node(held: bytes, at: int) -> bool:
 def node(data: bytes) -> Node:
     """Decode a node."""
     flags, angle, distance = _NODE.unpack(data)
-    return Node(bool(flags & 1), flags >> 2, (angle >> 1) / 64.0, distance / 4.0)
+    return Node(flags & 1 == 1, flags >> 2, (angle >> 1) / 64.0, distance / 4.0)
 
 
 def encode_node(one: Node) -> bytes:

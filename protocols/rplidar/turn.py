@@ -7,12 +7,13 @@ the ones before can have taken. How long a ray takes is what the lidar tells, an
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 from protocols.messages import MILLISECOND, SECOND, LaserScan, Nanos
 from protocols.rplidar import capsules
 from protocols.rplidar import table as rp
-from protocols.toolkit.rays import BACK, Beams, Rays
+from protocols.toolkit.rays import BACK, Beams, Rays, ascending
 
 STANDARD, EXPRESS = 508_000.0, 254_000.0
 """ns per ray, if it does not tell"""
@@ -23,13 +24,13 @@ LATE: Nanos = 20 * MILLISECOND
 LOST = 1.5
 """Usual ways from one capsule to the next, from which on one is missing between them"""
 SLOWLY = 64
-"""Messages by which a mean follows"""
-UNTOLD = frozenset({rp.ULTRA, rp.HQ})
+"""Messages, of 32 rays at least, by which a mean follows"""
+UNTOLD = frozenset({"ultra", "hq"})
 """Of which GET_SAMPLERATE does not tell how long a ray takes:"""
 QUICKER = 4
 """so many times less than in an express scan, until it is measured"""
 ENOUGH = 1 << 20
-"""Messages, of what is told"""
+"""Rays, of what is told"""
 JUMP = 20.0
 """Degrees from one node to the next, beyond which some are missing"""
 
@@ -39,6 +40,8 @@ class Turn:
     """What is known of a lidar's present turn. Plain data."""
 
     line_rate: int
+    beams: Beams
+    """Of its scans"""
     told: tuple[float, float] = (STANDARD, EXPRESS)
     """ns per ray of a standard and an express scan"""
     sample: float = EXPRESS
@@ -49,7 +52,7 @@ class Turn:
     came: Nanos = 0
     """When the last message came"""
     measured: int = 0
-    """Messages of this stream by which that was, and what was taken for it before"""
+    """Rays of this stream by which that was, and what was taken for it before"""
     held: bytes = b""
     """The last capsule: where its rays are depends on the next"""
     way: float = 0.0
@@ -63,30 +66,50 @@ class Turn:
         """Note how long a ray takes [ns], as the lidar tells; 0: not known."""
         self.told = standard or self.told[0], express or self.told[1]
 
-    def begin(self, kind: int) -> None:
-        """Begin a stream of this type anew."""
-        self.sample = self.told[kind != rp.NODES] / (QUICKER if kind in UNTOLD else 1)
-        self.measured = 1 if kind in UNTOLD else ENOUGH
+    def begin(self, scan: str) -> None:
+        """Begin a stream of this scan anew."""
+        self.sample = self.told[scan != "standard"] / (QUICKER if scan in UNTOLD else 1)
+        self.measured = rp.RAYS[scan] if scan in UNTOLD else ENOUGH
         self.rays.forget()
         self.ended, self.held, self.way = 0, b"", 0.0
 
-    def node(self, t: Nanos, data: bytes, beams: Beams) -> LaserScan | None:
-        """Take a node that came at t; return the scan that it completes."""
-        one, before = rp.node(data), self.ended
-        self._measure(t, 1, 1, rp.NODE_BYTES)
-        ahead, self.last = (one.angle - self.last) % 360.0, one.angle
-        if ahead < JUMP and before:
-            self.way += (ahead - self.way) / SLOWLY if self.way else ahead
-        elif not before or ahead < BACK:
-            self.rays.forget()
-        speed = self.way / self.sample * SECOND
-        if not speed:
-            return None
-        return self.rays.add(self.ended, one.angle, one.distance / 1000.0, self.way, speed, beams)
+    def add(self, t: Nanos, messages: Sequence[bytes], scan: str) -> list[LaserScan]:
+        """Take messages of a scan that came at t; return the scans that they complete."""
+        if scan == "standard":
+            found = [self._nodes(t, messages)]
+        elif scan == "hq":
+            found = [self._packet(t, data) for data in messages]
+        else:
+            found = [self._capsule(t, data, scan) for data in messages]
+        return [each for each in found if each is not None]
 
-    def capsule(self, t: Nanos, data: bytes, kind: int, beams: Beams) -> LaserScan | None:
-        """Take a capsule that came at t; return the scan that the one before completes."""
-        (first, start), held, ended, count = capsules.head(data), self.held, self.ended, capsules.RAYS[kind]
+    def _nodes(self, t: Nanos, messages: Sequence[bytes]) -> LaserScan | None:
+        began, run = not self.ended, list[rp.Node]()
+        self._measure(t, len(messages), 1, rp.NODE_BYTES * len(messages))
+        for one in map(rp.node, messages):
+            ahead, self.last = (one.angle - self.last) % 360.0, one.angle
+            if ahead < JUMP and not began:
+                self.way += (ahead - self.way) / SLOWLY if self.way else ahead
+            elif began or ahead < BACK:
+                self.rays.forget()
+                run.clear()
+            run.append(one)
+            began = False
+        angles, found = ascending([one.angle for one in run]), [one.distance for one in run]
+        return self._go_on(self.ended, self.ended, angles, found, self.way)
+
+    def _packet(self, t: Nanos, data: bytes) -> LaserScan | None:
+        """Take a packet of HQ, whose rays have their angles."""
+        (angles, found), ended, count = capsules.packet(data), self.ended, rp.RAYS["hq"]
+        step = (angles[-1] - angles[0]) % 360.0 / (count - 1)
+        ahead, self.last = (angles[0] - self.last) % 360.0, angles[-1]
+        ways = 1 + (max(0, round((ahead / step - 1.0) / count)) if ended and step and ahead < BACK else 0)
+        self._measure(t, count, ways, len(data))
+        return self._go_on(self.ended, ended or self.ended, ascending(angles), found, step)
+
+    def _capsule(self, t: Nanos, data: bytes, scan: str) -> LaserScan | None:
+        """Take a capsule, which tells where the rays of the one before are."""
+        (first, start), held, ended, count = capsules.head(data), self.held, self.ended, rp.RAYS[scan]
         self.held = data
         if first or len(held) != len(data):
             self.rays.forget()
@@ -95,50 +118,36 @@ class Turn:
             return None
         way = (start - capsules.head(held)[1]) % 360.0
         ways = round(way / self.way) if self.way and way > LOST * self.way else 1
-        self.lost += ways - 1
         self.way = way / ways
         self._measure(t, count, ways, len(data))
-        before = capsules.capsule(held, kind, data if ways == 1 else b"")
-        step = self.way / count
-        if not step or self.ended - ended > SECOND:  # it stands, or a turn is missing
-            self.rays.forget()
-            return None
-        scan, speed, places = None, step / self.sample * SECOND, list[tuple[float, int]]()
-        for ray, offset in enumerate(before.offsets):
-            places.append((before.start + ray * step - offset, ray))
-        for angle, ray in sorted(places):
-            measured = ended - round((count - 1 - ray) * self.sample)
-            found = before.distances[ray] / 1000.0
-            scan = self.rays.add(measured, angle, found, step, speed, beams) or scan
-        return scan
+        one, step = capsules.capsule(held, scan, data if ways == 1 else b""), self.way / count
+        angles, found = [one.start + ray * step for ray in range(count)], one.distances
+        if one.offsets:
+            angles = [angle - off for angle, off in zip(angles, one.offsets, strict=True)]
+            if angles != sorted(angles):
+                pairs = sorted(zip(angles, found, strict=True))
+                angles, found = [angle for angle, _ in pairs], [mm for _, mm in pairs]
+        return self._go_on(ended, ended, angles, found, step)
 
-    def packet(self, t: Nanos, data: bytes, beams: Beams) -> LaserScan | None:
-        """Take a packet of HQ that came at t, whose rays have their angles; return the scan that it
-        completes."""
-        found, ended = capsules.packet(data), self.ended
-        count = len(found)
-        step = (found[-1].angle - found[0].angle) % 360.0 / (count - 1)
-        ahead = (found[0].angle - self.last) % 360.0
-        ways = 1 + (max(0, round((ahead / step - 1.0) / count)) if ended and step and ahead < BACK else 0)
-        self.lost += ways - 1
-        self.last = found[-1].angle
-        self._measure(t, count, ways, len(data))
-        if not step or (ended and self.ended - ended > SECOND):  # it stands, or a turn is missing
+    def _go_on(
+        self, ended: Nanos, before: Nanos, angles: Sequence[float], found: Iterable[float], step: float
+    ) -> LaserScan | None:
+        """Go on by rays [degrees, mm], of which the last was measured at `ended`; the rays before the last
+        message ended at `before`."""
+        if not step or self.ended - before > SECOND:  # it stands, or a turn is missing
             self.rays.forget()
             return None
-        scan, speed = None, step / self.sample * SECOND
-        for ray, one in enumerate(found):
-            measured = self.ended - round((count - 1 - ray) * self.sample)
-            scan = self.rays.add(measured, one.angle, one.distance / 1000.0, step, speed, beams) or scan
-        return scan
+        ranges, speed = [mm / 1000.0 for mm in found], step / self.sample * SECOND
+        return self.rays.add(ended, self.sample, angles, ranges, step, speed, self.beams)
 
     def _measure(self, t: Nanos, count: int, ways: int, size: int) -> None:
-        """Note that a message with so many rays came at t; so many ways on from the one before."""
+        """Note that so many rays came at t, in so many bytes; so many ways on from those before."""
+        self.lost += ways - 1
         arrived = t - (10 * size * SECOND // self.line_rate if self.line_rate else 0)
         taken, rays = t - self.came, count * ways
         if self.ended and 0 <= taken < LATE + 4 * rays * self.sample:
-            self.measured = min(self.measured + 1, SLOWLY * (32 // count or 1))
-            self.sample += (taken / rays - self.sample) / self.measured
+            self.measured = min(self.measured + rays, SLOWLY * max(32, count))
+            self.sample = max(1.0, self.sample + (taken - rays * self.sample) / self.measured)
         soonest = self.ended + round(rays * self.sample * (1.0 + DRIFT))
         self.ended = arrived if not self.ended or arrived - soonest > LATE else min(arrived, soonest)
         self.came = t

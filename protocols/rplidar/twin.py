@@ -1,7 +1,8 @@
-"""The device's end: what a lidar obeys, and its firmware, which streams what its rays see of the world."""
+"""The device's end: a lidar's firmware, which answers, and streams what its rays see. The world turns it."""
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -36,34 +37,31 @@ class Memory:
     """What a lidar keeps of the requests that it received."""
 
     settings: Settings
-    scan: int = 0
-    """Type of what it streams; 0: nothing"""
+    scan: str = ""
+    """What it streams; "": nothing"""
     since: Nanos = 0
     """When it was asked for that, or its motor was started"""
     pwm: int = 0
     stream: Stream = field(default_factory=lambda: Stream(rp.REQUESTS))
 
-    def obey(self, t: Nanos, frame: Frame, *, failed: bool = False) -> Iterator[bytes]:
-        """Obey the requests that these bytes complete, and yield them. In its protection stop it only answers
-        and restarts."""
+    def obey(self, t: Nanos, frame: Frame, *, failed: bool = False) -> Iterator[tuple[str, bytes]]:
+        """Obey the requests that these bytes complete, and yield their names and payloads. In its protection
+        stop it only answers and restarts."""
         for message in self.stream.messages(frame) if isinstance(frame, bytes) else ():
-            command = message[0]
-            if command == rp.SET_PWM:
-                self.pwm, self.since = int.from_bytes(message[2:], "little"), t
-            elif command not in (rp.SCAN, rp.FORCE_SCAN, rp.EXPRESS_SCAN):
-                self.scan = 0
+            name, payload = rp.NAMES[message[0]], message[2:]
+            if name == "SET_MOTOR_PWM":
+                self.pwm, self.since = int.from_bytes(payload, "little"), t
+            elif not name.endswith("SCAN"):
+                self.scan = ""
             elif not failed:
-                asked = self._modes().get(message[2], rp.EXPRESS) if command == rp.EXPRESS_SCAN else rp.NODES
-                self.scan, self.since = asked, t
-            yield message
+                self.scan, self.since = self._asked(payload), t
+            yield name, payload
 
-    def _modes(self) -> dict[int, int]:
+    def _asked(self, payload: bytes) -> str:
+        """Return the scan of its number; of a request without one, the standard scan."""
         settings = self.settings
-        return {settings.hq_mode: rp.HQ, settings.ultra_mode: rp.ULTRA, settings.dense_mode: rp.DENSE}
-
-    def stop(self) -> None:
-        """End its scan."""
-        self.scan = 0
+        modes = {settings.hq_mode: "hq", settings.ultra_mode: "ultra", settings.dense_mode: "dense"}
+        return modes.get(payload[0], "express") if payload else "standard"
 
     def streams(self, now: Nanos) -> bool:
         """True if it scans, and its turn is stable."""
@@ -79,21 +77,18 @@ class RplidarDecoder:
 
     def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
         """Return what each would obey; what only asks is nothing."""
-        found = [(name, each) for name, memory in self._devices for each in memory.obey(t, frame)]
-        return [_obeyed(name, each) for name, each in found if each[0] not in rp.READS]
+        found = [(name, *each) for name, memory in self._devices for each in memory.obey(t, frame)]
+        return [_obeyed(*each) for each in found if not each[1].startswith(rp.READS)]
 
 
-def _obeyed(name: str, message: bytes) -> Obeyed:
-    match message[0]:
-        case rp.STOP:
-            return Idle(name)
-        case rp.RESET:
-            return Reboot(name)
-        case rp.SET_PWM:
-            return Kept(name, "SET_MOTOR_PWM", float(int.from_bytes(message[2:], "little")))
-        case rp.EXPRESS_SCAN:
-            return Kept(name, "EXPRESS_SCAN", float(message[2]))
-    return Kept(name, rp.NAMES[message[0]], 1.0)
+def _obeyed(device: str, name: str, payload: bytes) -> Obeyed:
+    if name == "STOP":
+        return Idle(device)
+    if name == "RESET":
+        return Reboot(device)
+    # Of an express scan the number, of the motor the duty.
+    value = payload if name == "SET_MOTOR_PWM" else payload[:1]
+    return Kept(device, name, float(int.from_bytes(value, "little")) if payload else 1.0)
 
 
 class RplidarTwin:
@@ -108,7 +103,7 @@ class RplidarTwin:
         """When it has restarted"""
         self._replies: list[bytes] = []
         self._rays: list[tuple[float, float]] = []
-        """That nothing has taken yet: degrees clockwise, m"""
+        """That nothing has taken yet: degrees clockwise, mm"""
         self._first = True
         """The next capsule is the first of its stream."""
         self._last = 360.0
@@ -119,29 +114,27 @@ class RplidarTwin:
         """Obey it; answer with the next step."""
         if self.boots is not None:
             return
-        for message in self.memory.obey(t, frame, failed=self.failed):
-            if message[0] != rp.SET_PWM:
+        for name, _ in self.memory.obey(t, frame, failed=self.failed):
+            if name != "SET_MOTOR_PWM":
                 self._rays, self._first, self._last = [], True, 360.0
-            self._replies += self._answers(t, message)
-
-    def _answers(self, t: Nanos, message: bytes) -> Sequence[bytes]:
-        settings = self.device.settings
-        match message[0]:
-            case rp.GET_INFO:
-                head = struct.pack("<BHB", settings.model, settings.firmware, settings.hardware)
-                return (rp.answer(rp.INFO, head + SERIAL),)
-            case rp.GET_HEALTH:
-                health = (rp.ERROR, 0x8001) if self.failed else (0, 0)
-                return (rp.answer(rp.HEALTH, struct.pack("<BH", *health)),)
-            case rp.GET_RATE:
-                return (rp.answer(rp.RATE, struct.pack("<HH", settings.standard_us, settings.express_us)),)
-            case rp.GET_BOARD:
-                return (rp.answer(rp.BOARD, struct.pack("<I", settings.motor == "pwm")),)
-            case rp.RESET:
+            if name == "RESET":
                 self.boots = t + BOOT
-            case rp.SCAN | rp.FORCE_SCAN | rp.EXPRESS_SCAN if self.memory.scan:
-                return (rp.descriptor(self.memory.scan),)
-        return ()
+            elif name.endswith("SCAN") and self.memory.scan:
+                self._replies.append(rp.descriptor(self.memory.scan))
+            elif name.startswith(rp.READS):
+                self._replies += self._answers(name)
+
+    def _answers(self, name: str) -> Iterator[bytes]:
+        settings = self.device.settings
+        if name == "GET_INFO":
+            head = struct.pack("<BHB", settings.model, settings.firmware, settings.hardware)
+            yield rp.answer("info", head + SERIAL)
+        elif name == "GET_HEALTH":
+            yield rp.answer("health", struct.pack("<BH", *((rp.ERROR, 0x8001) if self.failed else (0, 0))))
+        elif name == "GET_SAMPLERATE":
+            yield rp.answer("rate", struct.pack("<HH", settings.standard_us, settings.express_us))
+        elif name == "GET_ACC_BOARD_FLAG":
+            yield rp.answer("board", struct.pack("<I", settings.motor == "pwm"))
 
     def due(self) -> Nanos | None:
         """Return None: it sends when it was asked, or its rays have been measured."""
@@ -152,7 +145,7 @@ class RplidarTwin:
         if code != rp.PROTECTION:
             raise ValueError(f"no fault {code}")
         self.failed = True
-        self.memory.stop()
+        self.memory.scan = ""
 
     def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
         """Answer; take what the rays have seen; send what is full."""
@@ -166,8 +159,7 @@ class RplidarTwin:
             for event in truth:
                 if isinstance(event, LaserScan) and event.sensor == self.device.name:
                     self._look(event)
-            senders = {rp.NODES: self._nodes, rp.HQ: self._packets, rp.ULTRA: self._ultra}
-            replies += senders.get(self.memory.scan, self._capsules)(now)
+            replies += self._sent(now, self.memory.scan)
         return (), replies
 
     def _look(self, scan: LaserScan) -> None:
@@ -175,60 +167,48 @@ class RplidarTwin:
         steps = max(len(scan.ranges) - 1, 1)
         apart = -scan.duration / steps if scan.duration < 0 else 0.0
         every = 1
-        if self.memory.scan == rp.NODES and apart:
+        if self.memory.scan == "standard" and apart:
             every = max(1, round(self.device.settings.standard_us * 1000.0 / apart))
-        width = abs(scan.angle_increment) * 180.0 / 3.141592653589793
+        width = math.degrees(abs(scan.angle_increment))
         more = min(ceil(width / COARSE), 360) if 0.0 < width < 360.0 else 1
         for angle, found, _ in clockwise(scan):
             self._turn += 1
-            if self._turn % every == 0:
-                for part in range(more):
-                    off = width * ((part + 0.5) / more - 0.5)
-                    self._rays.append(((angle + off) % 360.0, found))
+            for part in range(more) if self._turn % every == 0 else ():
+                off = width * ((part + 0.5) / more - 0.5)
+                self._rays.append(((angle + off) % 360.0, found * 1000.0))
 
-    def _nodes(self, _: Nanos) -> Iterator[bytes]:
-        rays, self._rays = self._rays, []
-        yield from map(rp.encode_node, self._told(rays))
+    def _sent(self, now: Nanos, scan: str) -> Iterator[bytes]:
+        """Yield what is full of a scan."""
+        count, ahead, step = rp.RAYS[scan], 0, 0.0
+        if scan == "ultra" and len(self._rays) > count:
+            step = (self._rays[count][0] - self._rays[0][0]) % 360.0 / count
+            ahead = ceil(LEADS / step) if step > 0.01 else 1
+        while len(self._rays) >= count + ahead + (scan == "ultra"):
+            rays = self._rays[:count]
+            start, after, found = rays[0][0], 0, [round(mm) for _, mm in rays]
+            if scan == "ultra":
+                # Of each place, what is seen where its ray goes: of what is near, that is known only when
+                # later rays have been measured.
+                *found, after = [self._reached(at, step, ahead) for at in range(count + 1)]
+                start = (start + capsules.behind(FAR)) % 360.0
+            self._rays = self._rays[count:]
+            if scan == "standard":
+                yield from map(rp.encode_node, self._told(rays))
+            elif scan == "hq":
+                yield capsules.encode_packet(now // 1000, [*self._told(rays)])
+            else:
+                yield capsules.encode_capsule(Capsule(self._first, start, found, ()), scan, after)
+                self._first = False
 
     def _told(self, rays: Sequence[tuple[float, float]]) -> Iterator[Node]:
         for angle, found in rays:
             first, self._last = angle < self._last - 180.0, angle
-            yield Node(first, QUALITY if found else 0, angle, found * 1000.0)
-
-    def _packets(self, now: Nanos) -> Iterator[bytes]:
-        count = capsules.RAYS[rp.HQ]
-        while len(self._rays) >= count:
-            rays, self._rays = self._rays[:count], self._rays[count:]
-            yield capsules.encode_packet(now // 1000, [*self._told(rays)])
-
-    def _ultra(self, _: Nanos) -> Iterator[bytes]:
-        """Yield ultra capsules: of each place, what is seen where its ray goes, which is known of what is
-        near only when later rays have been measured."""
-        count, step = capsules.RAYS[rp.ULTRA], 0.0
-        if len(self._rays) > count:
-            step = (self._rays[count][0] - self._rays[0][0]) % 360.0 / count
-        ahead = ceil(LEADS / step) if step > 0.01 else 1
-        while len(self._rays) > count + ahead:
-            found = [self._reached(at, step, ahead) for at in range(count + 1)]
-            start = (self._rays[0][0] + capsules.behind(FAR)) % 360.0
-            self._rays = self._rays[count:]
-            capsule = Capsule(self._first, start, tuple(found[:count]), ())
-            self._first = False
-            yield capsules.encode_capsule(capsule, rp.ULTRA, found[count])
+            yield Node(first, QUALITY if found else 0, angle, found)
 
     def _reached(self, at: int, step: float, ahead: int) -> int:
         """Return what the ray at a place meets [mm]: it goes the farther ahead, the nearer that is."""
-        found = round(self._rays[at][1] * 1000.0)
+        found = round(self._rays[at][1])
         for _ in range(3):
             leads = capsules.behind(FAR) - capsules.behind(found) if found >= capsules.NEAREST_ULTRA else 0.0
-            found = round(self._rays[at + min(round(leads / step) if step > 0.01 else 0, ahead)][1] * 1000.0)
+            found = round(self._rays[at + min(round(leads / step) if step > 0.01 else 0, ahead)][1])
         return found
-
-    def _capsules(self, _: Nanos) -> Iterator[bytes]:
-        count = capsules.RAYS[self.memory.scan]
-        while len(self._rays) >= count:
-            rays, self._rays = self._rays[:count], self._rays[count:]
-            found = tuple(round(each * 1000.0) for _, each in rays)
-            capsule = Capsule(self._first, rays[0][0], found, (0.0,) * count)
-            self._first = False
-            yield capsules.encode_capsule(capsule, self.memory.scan)

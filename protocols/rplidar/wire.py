@@ -9,6 +9,7 @@ few nodes, are held.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 from protocols.rplidar import capsules
 from protocols.rplidar import table as rp
@@ -26,8 +27,8 @@ class Wire(Stream):
     """The bytes of one lidar. Plain data."""
 
     framing: FrameFormat = rp.REQUESTS  # unused: what begins here depends on what came before
-    kind: int = rp.EXPRESS
-    """Of what is repeated: `table.NODES`, `EXPRESS` …, or another, of which nothing is read"""
+    scan: str = "express"
+    """What is repeated, by its name in `device.toml`; of another one nothing is read."""
     placed: bool = False
     """It is known where the next node begins."""
 
@@ -40,7 +41,9 @@ class Wire(Stream):
                 break
             if size:
                 found.append(held[at : at + size])
-                self._learn(held, at, size)
+                if size == rp.HEAD:
+                    self.scan = rp.SCANS[held[at + 6]]
+                self.placed = self.scan == "standard"
             elif not self.skipping:
                 found.append(wrong)
             self.skipping = not size
@@ -54,55 +57,33 @@ class Wire(Stream):
         self.skipped += len(self.held)
         self.held, self.skipping, self.placed = b"", False, False
 
-    def _learn(self, held: bytes, at: int, size: int) -> None:
-        if size == rp.HEAD:
-            self.kind = held[at + 6]
-        self.placed = self.kind == rp.NODES
-
     def _message(self, held: bytes, at: int) -> tuple[int | None, Rx]:
         """Return the bytes of the message that begins here, 0 for none, None if more must come; and as what
         these bytes count otherwise."""
-        size = rp.answer_size(held[at : at + rp.HEAD])
-        if size is None or size:
+        if held[at] == 0xA5 and (size := rp.answer_size(held[at : at + rp.HEAD])) != 0:
             return (None if size is None or len(held) < at + size else size), Rx.IGNORED
-        if self.kind == rp.NODES:
+        if self.scan == "standard":
             found = self._node(held, at)
             self.placed = self.placed and found != 0
             return found, Rx.IGNORED
-        if self.kind == rp.HQ:
-            return self._packet(held, at)
-        if self.kind not in rp.SCANS or held[at] >> 4 != 0xA:
+        if self.scan not in rp.RAYS or not capsules.begins(held, at, self.scan):
             return 0, Rx.IGNORED
-        if len(held) < at + 2:
-            return None, Rx.IGNORED
-        if not capsules.is_capsule(held, at):
-            return 0, Rx.IGNORED
-        end = at + rp.REPEATS[self.kind]
+        end = at + rp.SIZES[self.scan]
         # Among other bytes a wrong capsule may look right: where the next one begins, this one ends.
-        if len(held) < end + 2 * self.skipping:
+        doubted = self.skipping and self.scan != "hq"
+        if len(held) < end + 2 * doubted:
             return None, Rx.IGNORED
-        right = capsules.is_sound(held[at:end]) and (not self.skipping or capsules.is_capsule(held, end))
+        right = capsules.is_sound(held[at:end], self.scan)
+        right = right and not (doubted and not capsules.begins(held, end, self.scan))
         return (end - at if right else 0), Rx.MALFORMED
-
-    def _packet(self, held: bytes, at: int) -> tuple[int | None, Rx]:
-        """Return the same of a packet of HQ, whose checksum is to be trusted."""
-        size = rp.REPEATS[rp.HQ]
-        if held[at] != capsules.SYNC_HQ:
-            return 0, Rx.IGNORED
-        if len(held) < at + size:
-            return None, Rx.IGNORED
-        return (size if capsules.is_sound_hq(held[at : at + size]) else 0), Rx.MALFORMED
 
     def _node(self, held: bytes, at: int) -> int | None:
         """Return 5 if a node begins here, 0 if none does, None if more must come."""
-        before: float | None = None
-        for _ in range(1 if self.placed else IN_ROW):
-            if len(held) < at + rp.NODE_BYTES:
-                return None
-            if not rp.is_node(held, at):
-                return 0
-            one = rp.node(held[at : at + rp.NODE_BYTES])
-            if before is not None and (one.angle - before) % 360.0 > AHEAD:
-                return 0
-            before, at = one.angle, at + rp.NODE_BYTES
-        return rp.NODE_BYTES
+        places = range(at, at + (1 if self.placed else IN_ROW) * rp.NODE_BYTES, rp.NODE_BYTES)
+        here = [place for place in places if len(held) >= place + rp.NODE_BYTES]
+        if not all(rp.is_node(held, place) for place in here):
+            return 0
+        angles = [rp.node(held[place : place + rp.NODE_BYTES]).angle for place in here]
+        if any((after - one) % 360.0 > AHEAD for one, after in pairwise(angles)):
+            return 0
+        return rp.NODE_BYTES if len(here) == len(places) else None

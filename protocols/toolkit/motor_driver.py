@@ -37,6 +37,7 @@ class Rx(Enum):
     IGNORED = "of another device or protocol"
     MALFORMED = "of one of our devices, but with wrong content"
     EXPECTED = "of no device of ours, as an answer to a scan"
+    TOLD = "in the report of another message, which came with it"
 
 
 class Adapter(Generic[Own]):
@@ -304,7 +305,7 @@ class MotorDriver(Generic[Own]):
 
     def _count(self, received: Rx) -> Sequence[Event]:
         self.counters.add(
-            accepted=received is Rx.EXPECTED,
+            accepted=received in (Rx.EXPECTED, Rx.TOLD),
             malformed=received is Rx.MALFORMED,
             ignored=received is Rx.IGNORED,
         )

@@ -26,6 +26,7 @@ from gateway.recording import read_recording
 from gateway.replay import replay_recording
 from gateway.ros import actions, definitions, graph, images, types
 from gateway.ros.link import Link
+from gateway.runtime.cameras import RealCamera, cameras_of
 from gateway.vision import camera as vision
 from protocols import messages as msg
 from tests.gateway.processes import PATIENCE
@@ -180,14 +181,38 @@ def test_joints_in_a_namespace_by_names_of_the_robot_file(tmp_path: Path) -> Non
     assert {msg.Velocity("left", 2.0), msg.Zero("left"), msg.Release()} <= set(asked)
 
 
-def test_images_of_a_camera(tmp_path: Path) -> None:
-    """What ROS 2 unpacks is what the simulated camera drew, in its frame, with its description."""
+LENS = "fx = 480.0, fy = 470.0, cx = 318.5, cy = 241.0, distortion = [0.0, 0.0, 0.0, 0.0, 0.0]"
+
+
+def filmed(folder: Path) -> str:
+    """The robot with a camera, which is a video file: grey wedges that turn, three a second."""
+    cv2: Any = vision.opencv()
+    path = folder / "drive.avi"
+    file = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 3.0, (640, 480))
+    rows, columns = np.mgrid[:480, :640]
+    for number in range(600):
+        grey = (rows // 2 + columns // 3 + 40 * number) // 2 % 256
+        file.write(np.repeat(grey.astype(np.uint8)[..., None], 3, axis=2))
+    file.release()
+    table = (
+        f'interface = "camera:{path}"\n[buses.eye.camera]\nwidth = 640\nheight = 480\nlens = {{ {LENS} }}\n'
+    )
+    table += "detectors.tags.size = 0.16\n"
+    text = load_robot("diffbot_camera").text
+    head, eye, rest = text.partition("[buses.eye]")
+    return head + eye + rest.replace('interface = "twin"', table, 1)
+
+
+@pytest.mark.parametrize("real", [False, True], ids=["simulated", "a video as the device"])
+def test_images_of_a_camera(real: bool, tmp_path: Path) -> None:
+    """What ROS 2 unpacks is what the camera saw, in its frame, with its description."""
     python()
     number = domain()
     drawn: dict[int, vision.Image] = {}
-    with gateway.open_session("diffbot_camera", seed=1) as session:
-        assert session.twins is not None
-        (camera,) = session.twins.world.cameras()
+    robot = parse_robot(filmed(tmp_path)) if real else load_robot("diffbot_camera")
+    with gateway.open_session(robot, seed=1) as session:
+        (camera,) = cameras_of(session.robot, session.buses, session.twins)
+        assert isinstance(camera, RealCamera) == real
         session.ros(domain=number)
         judge = Judge(tmp_path, "rclpy_camera", number)
         for _ in session.run(seconds=PATIENCE):
@@ -305,41 +330,61 @@ TUTORIAL = Path(__file__).parents[3] / "examples" / "ros2_tutorial"
 
 TOPICS = {
     "perception": {"/tutorial/map": "/map"},
-    "planner": {},
+    "planner": {"/tutorial/map": "/map", "/tutorial/path": "/plan", "/tutorial/goal": "/goal_pose"},
     "controller": {},
 }
 """What is ours in the place of a node: topics of theirs, by those of ours"""
+GIVEN = {"perception": "perception", "controller": "pursuit"}
+"""Our settings by which a node does that for our planning"""
 
 
 @pytest.mark.prove
-@pytest.mark.parametrize("mine", [(), ("perception",), ("perception", "controller")])
-def test_nodes_of_a_tutorial_drive_a_robot(mine: tuple[str, ...], tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "nodes",
+    ["perception planner controller", "planner controller", "planner", "perception", "controller",
+     "perception controller"],
+)  # fmt: skip
+def test_nodes_of_a_tutorial_drive_a_robot(nodes: str, tmp_path: Path) -> None:
     """What is not a node of ROS is the gateway's own: a planner without a controller leads it from goal to
     goal."""
     python()
     number, recording, there = domain(), tmp_path / "drive.mcap", (1.2, 0.3)
-    names = [name for name in TOPICS if name not in mine]
-    remaps = [f"{theirs}:={ours}" for name in mine for theirs, ours in TOPICS[name].items()]
-    given = [part for one in remaps for part in ("-r", one)]
-    given += ["-p", "leads:=true"] if "controller" in mine else []
+    names = nodes.split()
+    mine = [name for name in TOPICS if name not in names]
+    remaps = {f"{theirs}:={ours}": "-r" for name in mine for theirs, ours in TOPICS[name].items()}
+    given = [part for remap, flag in remaps.items() for part in (flag, remap)]
+    given += ["-p", "leads:=true"] if "controller" in mine and "planner" in names else []
     arguments = ["--ros-args", *given] if given else []
+    text = load_robot("diffbot").text
+    for name in GIVEN if "planner" in mine else ():
+        if name in names:
+            table = f"[brain.{GIVEN[name]}]\n"
+            text = (
+                text.replace(table, f"{table}given = true\n")
+                if table in text
+                else f"{text}\n{table}given = true\n"
+            )
     seen = Seen()
-    with gateway.open_session("diffbot", seed=1, record=recording) as session:
+    with gateway.open_session(parse_robot(text), seed=1, record=recording) as session:
         session.watch(seen.take)
         session.ros(domain=number)
-        nodes = [Judge(tmp_path, f"{TUTORIAL}/{name}", number, *arguments) for name in names]
+        running = [Judge(tmp_path, f"{TUTORIAL}/{name}", number, *arguments) for name in names]
         judge = Judge(tmp_path, "goal", number, *map(str, there), *arguments)
         try:
             for _ in session.run(seconds=PATIENCE):
                 if judge.done():
                     break
         finally:
-            for node in nodes:
+            for node in running:
                 node.kill()
         found = judge.end()
     assert found["there"]["off"] < 0.2
     driven = [one for one in seen.asked if isinstance(one, msg.Drive)]
     goals = [one for one in seen.asked if isinstance(one, msg.Goal)]
-    assert len(driven) > 20 if "controller" in names else len(goals) >= 2
+    assert bool(len(driven) > 20) == ("controller" in names)
+    assert len(goals) >= (2 if "leads:=true" in given else "planner" in mine)
+    assert bool([one for one in seen.asked if isinstance(one, msg.Grid)]) == (
+        nodes.startswith("perception") and "planner" in mine
+    )
     comparison = replay_recording(read_recording(recording))
     assert comparison.ok, comparison.text()

@@ -10,27 +10,40 @@ import pytest
 
 from gateway.config import load_robot
 from gateway.ros import definitions, graph, types
+from tests.gateway.ros.judged import Judge, domain
 
 REAL = json.loads((Path(__file__).parent / "kilted.json").read_text())
 HASHES: dict[str, str] = REAL["hashes"]
 """RIHS01 of ROS 2 Kilted (rosidl 4.9.5), of the files that its packages install; of the map, tf2, nav2 and
-control packages there are none to be installed without a build."""
+control packages there are none to be installed without a build:"""
+MADE: dict[str, str] = REAL["made"]
+"""what its generator makes of the text of their definitions, and"""
 SHOWN: dict[str, str] = REAL["shown"]
-"""RIHS01 that real ones have shown (`ros2 topic info -v`, bags) in what others have published"""
+"""what real ones have shown (`ros2 topic info -v`, bags) in what others have published"""
 CDR: list[tuple[str, str]] = REAL["cdr"]
 """What rclpy 9.1.2 wrote: between a message's fields, and (cut off) after it, is what was in its memory."""
 
 
-@pytest.mark.parametrize("type_", [*HASHES, *SHOWN])
+@pytest.mark.parametrize("type_", [*HASHES, *SHOWN, *MADE])
 def test_hashes_are_those_of_ros(type_: str) -> None:
-    assert types.type_hash(type_) == f"RIHS01_{(HASHES | SHOWN)[type_]}"
+    assert types.type_hash(type_) == f"RIHS01_{(HASHES | SHOWN | MADE)[type_]}"
 
 
 def test_every_type_of_the_graph_has_a_hash_of_ros() -> None:
     robots = [load_robot(name) for name in ("diffbot", "bench", "arm")]
     rows = [row for one in robots for row in graph.rows(one, steers=True, cameras=["eye"])]
-    without = {row.type.split("/")[0] for row in rows if row.type not in HASHES | SHOWN}
-    assert without == {"nav2_msgs", "control_msgs"}
+    assert [row.type for row in rows if row.type not in HASHES | SHOWN | MADE] == []
+
+
+def test_the_generator_of_ros_makes_the_same_hashes_of_our_definitions(tmp_path: Path) -> None:
+    texts = tmp_path / "texts.json"
+    texts.write_text(json.dumps(definitions.MESSAGES | definitions.ACTIONS))
+    judge = Judge(tmp_path, "rosidl_hashes", domain(), str(texts))
+    found = judge.end()["hashes"]["of"]
+    named = [one for one in (*MADE, *SHOWN, *definitions.MESSAGES) if one in found]
+    assert {*MADE, *definitions.MESSAGES} <= {*named}
+    for one in named:
+        assert types.type_hash(one) == found[one], one
 
 
 def test_requests_of_actions_are_made_as_rosidl_makes_them(monkeypatch: pytest.MonkeyPatch) -> None:

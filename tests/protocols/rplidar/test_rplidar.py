@@ -31,13 +31,13 @@ from protocols.plugin import Device
 from protocols.reference_vectors import vectors_of
 from protocols.rplidar import capsules, plugin
 from protocols.rplidar import table as rp
-from protocols.rplidar.driver import KINDS
-from protocols.rplidar.options import Options, Scan, Settings
+from protocols.rplidar.options import Options, Settings
+from protocols.rplidar.table import Scan
 from protocols.rplidar.wire import Wire
 
 VECTORS = {vector.name: vector for vector in vectors_of(plugin)}
 BEAMS = 400
-STREAMS = [*KINDS]
+STREAMS = [*rp.RAYS]
 ASKS = ["STOP", "GET_INFO", "GET_HEALTH", "GET_SAMPLERATE"]
 
 
@@ -56,17 +56,17 @@ def lidar(settings: Settings | None = None, **options: Any) -> Device:
 
 def test_requests_are_those_of_others() -> None:
     ours = {
-        "get_info": rp.request(rp.GET_INFO),
-        "get_health": rp.request(rp.GET_HEALTH),
-        "get_samplerate": rp.request(rp.GET_RATE),
-        "scan": rp.request(rp.SCAN),
-        "force_scan": rp.request(rp.FORCE_SCAN),
-        "stop": rp.request(rp.STOP),
-        "reset": rp.request(rp.RESET),
+        "get_info": rp.request("GET_INFO"),
+        "get_health": rp.request("GET_HEALTH"),
+        "get_samplerate": rp.request("GET_SAMPLERATE"),
+        "scan": rp.request("SCAN"),
+        "force_scan": rp.request("FORCE_SCAN"),
+        "stop": rp.request("STOP"),
+        "reset": rp.request("RESET"),
         "express_scan_mode1": rp.express_scan(1),
         "set_motor_pwm_660": rp.pwm(660),
-        "get_lidar_conf_desired_speed": rp.request(rp.GET_CONF, b"\1\0\0\0"),
-        "get_lidar_conf_us_per_sample_mode1": rp.request(rp.GET_CONF, bytes.fromhex("710000000100")),
+        "get_lidar_conf_desired_speed": rp.request("GET_LIDAR_CONF", b"\1\0\0\0"),
+        "get_lidar_conf_us_per_sample_mode1": rp.request("GET_LIDAR_CONF", bytes.fromhex("710000000100")),
     }
     assert ours == {name: v.frame for name, v in VECTORS.items() if v.direction == "to_device"}
     for name, frame in ours.items():
@@ -76,10 +76,10 @@ def test_requests_are_those_of_others() -> None:
 def test_answers_of_a_twin_are_those_that_others_read() -> None:
     twin = plugin.twin(Device("lidar", 1, Options(), Settings()), 0)
     asked = {
-        rp.GET_INFO: data_of("info_reply_a1m8"),
-        rp.GET_HEALTH: data_of("health_reply_good"),
-        rp.GET_RATE: data_of("samplerate_reply"),
-        rp.SCAN: data_of("scan_descriptor"),
+        "GET_INFO": data_of("info_reply_a1m8"),
+        "GET_HEALTH": data_of("health_reply_good"),
+        "GET_SAMPLERATE": data_of("samplerate_reply"),
+        "SCAN": data_of("scan_descriptor"),
     }
     for at, (command, answer) in enumerate(asked.items()):
         twin.receive(at * MILLISECOND, rp.request(command))
@@ -87,9 +87,9 @@ def test_answers_of_a_twin_are_those_that_others_read() -> None:
     twin.receive(SECOND, rp.express_scan(0))
     assert twin.step(SECOND, ())[1] == [data_of("express_descriptor")]
     twin.provoke(2)
-    twin.receive(SECOND, rp.request(rp.SCAN) + rp.request(rp.GET_HEALTH))
+    twin.receive(SECOND, rp.request("SCAN") + rp.request("GET_HEALTH"))
     assert twin.step(SECOND, ())[1] == [data_of("health_reply_error_8001")]
-    twin.receive(SECOND, rp.request(rp.RESET))
+    twin.receive(SECOND, rp.request("RESET"))
     assert list(twin.step(2 * SECOND, ())[1]) == [
         b"RP LIDAR System.\r\nFirmware Ver 1.29 - rtm, HW Ver 7\r\nModel: 18\r\n"
     ]
@@ -109,28 +109,28 @@ def test_nodes_are_those_of_others(name: str) -> None:
 
 def test_capsules_are_those_of_others() -> None:
     data, meaning = data_of("express_capsule_pair_wrap")[:84], VECTORS["express_capsule_pair_wrap"].meaning
-    one = capsules.capsule(data, rp.EXPRESS)
+    one = capsules.capsule(data, "express")
     said = meaning["capsule1"]
     assert (one.first, one.start) == (said["start_of_stream"], said["start_deg"])
     assert (list(one.distances), list(one.offsets)) == (said["distance_mm"], said["offset_deg"])
-    assert capsules.is_sound(data)
-    assert capsules.encode_capsule(one, rp.EXPRESS) == data
-    assert not capsules.is_sound(data_of("express_capsule_bad_checksum")[:84])
+    assert capsules.is_sound(data, "express")
+    assert capsules.encode_capsule(one, "express") == data
+    assert not capsules.is_sound(data_of("express_capsule_bad_checksum")[:84], "express")
     pair = data_of("dense_capsule_pair")
-    one, two = capsules.capsule(pair[:84], rp.DENSE), capsules.capsule(pair[84:], rp.DENSE)
+    one, two = capsules.capsule(pair[:84], "dense"), capsules.capsule(pair[84:], "dense")
     nodes = VECTORS["dense_capsule_pair"].meaning["nodes_of_capsule1"]
     assert [float(each) for each in one.distances[: len(nodes)]] == [each["distance_mm"] for each in nodes]
     for at, each in enumerate(nodes):
         assert one.start + at * (two.start - one.start) / 40 == pytest.approx(each["angle_deg"], abs=0.03)
-    assert capsules.encode_capsule(one, rp.DENSE) + capsules.encode_capsule(two, rp.DENSE) == pair
+    assert capsules.encode_capsule(one, "dense") + capsules.encode_capsule(two, "dense") == pair
 
 
 def test_ultra_capsules_are_those_of_the_vendors_software() -> None:
     pair, meaning = data_of("ultra_capsule_pair"), VECTORS["ultra_capsule_pair"].meaning
     first, then = pair[:132], pair[132:]
-    assert capsules.is_sound(first)
-    assert capsules.is_sound(then)
-    one = capsules.capsule(first, rp.ULTRA, then)
+    assert capsules.is_sound(first, "ultra")
+    assert capsules.is_sound(then, "ultra")
+    one = capsules.capsule(first, "ultra", then)
     said = meaning["capsule1"]
     assert (one.first, one.start) == (said["start_of_stream"], said["start_deg"])
     step = (meaning["capsule2"]["start_deg"] - one.start) % 360.0 / 96
@@ -140,20 +140,20 @@ def test_ultra_capsules_are_those_of_the_vendors_software() -> None:
     for at, each in enumerate(nodes):
         off = one.start + at * step - one.offsets[at] - each["angle_z_q14"] * 90.0 / 16384.0
         assert abs((off + 180.0) % 360.0 - 180.0) < 0.03
-    after = capsules.capsule(then, rp.ULTRA).distances[0]
-    assert capsules.encode_capsule(one, rp.ULTRA, after) == first
+    after = capsules.capsule(then, "ultra").distances[0]
+    assert capsules.encode_capsule(one, "ultra", after) == first
 
 
 def test_packets_of_hq_are_those_of_the_vendors_software() -> None:
     data, nodes = data_of("hq_packet"), VECTORS["hq_packet"].meaning["nodes"]
-    assert capsules.is_sound_hq(data)
-    found = capsules.packet(data)
-    assert [(each.angle * 16384.0 / 90.0, each.distance * 4.0, each.quality) for each in found] == [
-        (each["angle_z_q14"], each["dist_mm_q2"], each["quality"]) for each in nodes
-    ]
-    assert [each.first for each in found] == [bool(each["flag"] & 1) for each in nodes]
-    assert capsules.encode_packet(123456789, found) == data
-    assert not capsules.is_sound_hq(data[:300] + bytes((data[300] ^ 8,)) + data[301:])
+    assert capsules.is_sound(data, "hq")
+    angles, found = capsules.packet(data)
+    assert [angle * 16384.0 / 90.0 for angle in angles] == [each["angle_z_q14"] for each in nodes]
+    assert [mm * 4.0 for mm in found] == [each["dist_mm_q2"] for each in nodes]
+    told = [(each["flag"] & 1 == 1, each["quality"]) for each in nodes]
+    rays = [rp.Node(*one, *ray) for one, ray in zip(told, zip(angles, found, strict=True), strict=True)]
+    assert capsules.encode_packet(123456789, rays) == data
+    assert not capsules.is_sound(data[:300] + bytes((data[300] ^ 8,)) + data[301:], "hq")
 
 
 # -- a lidar and its driver --------------------------------------------------------------------------------
@@ -279,8 +279,8 @@ def test_given_idle_it_stops_scan_and_motor_until_it_is_given_no_more() -> None:
     rig.run(2.0)
     rig.sent.clear()
     events = rig.run(1.0, [Idle("lidar")])
-    assert rig.sent[:2] == [rp.request(rp.STOP), rp.pwm(0)]
-    assert set(rig.sent) == {rp.request(rp.STOP), rp.pwm(0)}
+    assert rig.sent[:2] == [rp.request("STOP"), rp.pwm(0)]
+    assert set(rig.sent) == {rp.request("STOP"), rp.pwm(0)}
     assert len(rig.sent) == 100  # each 20 ms: one may be lost
     assert len(scans(events)) <= 1
     assert len(scans(rig.run(3.0))) > 10
@@ -310,9 +310,9 @@ def test_the_end_of_a_run_stops_it_through_the_guard() -> None:
     for name in (None, None, *answers):
         sent += step(*([data_of(name)] if name else []))
     assert sent[-1] == rp.pwm(660)
-    assert step(leave=True) == [rp.request(rp.STOP), rp.pwm(0)]
+    assert step(leave=True) == [rp.request("STOP"), rp.pwm(0)]
     assert [p.frame for p in gateway.leave(now + SECOND) if p.bus == "lidar"] == [
-        rp.request(rp.STOP),
+        rp.request("STOP"),
         rp.pwm(0),
     ]
     assert gateway.stopped == "done"  # and no driver has failed, no frame was blocked
@@ -328,7 +328,7 @@ def test_its_protection_stop_is_a_fault_that_ends_when_it_is_well_again() -> Non
     (state,) = (event for event in events if isinstance(event, State) and event.mode is Mode.FAULT)
     assert state.detail == "is asked how it is, health 2, error 0x8001"
     assert not scans(rig.run(2.0))
-    rig.twin.receive(rig.now, rp.request(rp.RESET))  # as switched off and on
+    rig.twin.receive(rig.now, rp.request("RESET"))  # as switched off and on
     assert len(scans(rig.run(4.0))) > 10
     assert rig.driver.hosts["lidar"].mode is Mode.READY  # type: ignore[attr-defined]
 
@@ -381,7 +381,7 @@ def test_what_is_lost_or_damaged_costs_its_rays_alone_and_is_counted(
 
 def test_the_place_among_nodes_is_found_again_behind_lost_bytes() -> None:
     """Nodes have no checksum: what is read wrongly in between are a few at most."""
-    random, wire = Random(5), Wire(kind=rp.NODES)
+    random, wire = Random(5), Wire(scan="standard")
     true = [rp.Node(at % 400 == 0, 47, at * 0.9 % 360.0, 1000.0 + at % 400) for at in range(4000)]
     known, stream = {rp.encode_node(each) for each in true}, b""
     for each in true:

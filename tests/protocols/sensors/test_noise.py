@@ -15,7 +15,6 @@ from protocols.conformance.bench import sensor_events
 from protocols.messages import MILLISECOND, SECOND
 from protocols.plugin import Device, load
 from protocols.rplidar import table as rp
-from protocols.rplidar.driver import KINDS
 
 
 class Line(NamedTuple):
@@ -81,7 +80,7 @@ def judge(name: str, seconds: float, seed: int) -> None:
     device = Device("s", 1, plugin.options(**options), plugin.settings(), rate)
     driver: Any = plugin.driver([device])
     if protocol == "rplidar":
-        driver.receive(0, rp.descriptor(KINDS[device.options.scan]))
+        driver.receive(0, rp.descriptor(device.options.scan))
     before = driver.counters.accepted
     sent, size, most, source = 0, 0, 0, messages_of(name, device)
     while size < rate / 10 * seconds:

@@ -1,0 +1,104 @@
+"""A map that another program has perceived: its newest grid, in the cells of our own map.
+
+Rules. A grid takes the place of the one before. Each of our cells has the value of the cell of the grid in
+which its middle lies; outside of the grid nothing is known. Only tiles that differ count as changed.
+"""
+
+from __future__ import annotations
+
+from math import ceil, cos, floor, sin
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from brain.belief import MapView, Pose
+from brain.bodies.plane import moved
+from brain.region import Tile
+from protocols.messages import Grid
+
+SIDE = 64
+"""Cells along a side of a tile"""
+LOG_ODDS = 2.0
+"""Of a cell that is occupied; less it of one that is free"""
+NOTHING = {(0, 0): np.zeros((SIDE, SIDE), np.int8)}
+VALUES = np.array([0, -1, 1], np.int8)
+"""Of our cells, by those of a grid: not known, free, occupied"""
+
+
+class GivenMap:
+    """The newest grid. State is plain data."""
+
+    def __init__(self, resolution: float) -> None:
+        self.resolution, self.version = resolution, 0
+        self._tiles: dict[Tile, npt.NDArray[np.int8]] = {}
+        self._changed: dict[Tile, int] = {}
+        """The version in which a tile changed last"""
+
+    def take(self, grid: Grid, frame: Pose) -> str:
+        """Take a grid of which the frame is here on the map; return why not, or ""."""
+        if wrong := _wrong(grid, self.resolution):
+            return wrong
+        corner = moved(frame, Pose(grid.x, grid.y, grid.yaw))
+        rows = len(grid.cells) // grid.columns
+        width, height = grid.columns * grid.resolution, rows * grid.resolution
+        corners = [moved(corner, Pose(x, y, 0.0)) for x in (0.0, width) for y in (0.0, height)]
+        side = SIDE * self.resolution
+        tile_rows = range(floor(min(c.y for c in corners) / side), ceil(max(c.y for c in corners) / side))
+        tile_columns = range(floor(min(c.x for c in corners) / side), ceil(max(c.x for c in corners) / side))
+        values = self._sampled(grid, corner, tile_rows, tile_columns)
+        tiles = {
+            (row, column): values[row - tile_rows.start, :, column - tile_columns.start]
+            for row in tile_rows
+            for column in tile_columns
+        }
+        tiles = {tile: np.ascontiguousarray(part) for tile, part in tiles.items() if part.any()}
+        self.version += 1
+        for tile in self._tiles.keys() | tiles.keys():
+            before, now = self._tiles.get(tile), tiles.get(tile)
+            if before is None or now is None or not np.array_equal(before, now):
+                self._changed[tile] = self.version
+        self._tiles = tiles
+        return ""
+
+    def _sampled(
+        self, grid: Grid, corner: Pose, tile_rows: range, tile_columns: range
+    ) -> npt.NDArray[np.int8]:
+        """Return our cells, by row of tiles, row in it, column of tiles, and column in it."""
+        y = (np.arange(len(tile_rows) * SIDE) + tile_rows.start * SIDE + 0.5) * self.resolution - corner.y
+        x = (
+            np.arange(len(tile_columns) * SIDE) + tile_columns.start * SIDE + 0.5
+        ) * self.resolution - corner.x
+        c, s = cos(corner.yaw) / grid.resolution, sin(corner.yaw) / grid.resolution
+        columns = np.floor(c * x[None, :] + s * y[:, None]).astype(np.int64)
+        rows = np.floor(c * y[:, None] - s * x[None, :]).astype(np.int64)
+        cells = np.frombuffer(grid.cells, np.uint8).reshape(-1, grid.columns)
+        inside = (rows >= 0) & (rows < cells.shape[0]) & (columns >= 0) & (columns < cells.shape[1])
+        found = np.zeros(inside.shape, np.int8)
+        found[inside] = VALUES[np.minimum(cells[rows[inside], columns[inside]], 2)]
+        return found.reshape(len(tile_rows), SIDE, len(tile_columns), SIDE)
+
+    def tile(self, row: int, column: int) -> npt.NDArray[Any] | None:
+        """Return the values of a tile, as `brain.planning.costmap.Map` has them."""
+        return self._tiles.get((row, column))
+
+    def changed(self, since: int) -> list[Tile]:
+        """Return the tiles that changed after this version."""
+        return [tile for tile, version in self._changed.items() if version > since]
+
+    def view(self) -> MapView:
+        """Return it for observers."""
+        return MapView(self.version, self.resolution, self._tiles or NOTHING, LOG_ODDS)
+
+
+def _wrong(grid: Grid, resolution: float) -> str:
+    """Return why a grid cannot be taken, or ""."""
+    rows, rest = divmod(len(grid.cells), grid.columns) if grid.columns > 0 else (0, 1)
+    if rest or not rows:
+        return f"a grid of {grid.columns} columns has {len(grid.cells)} cells: whole rows are expected"
+    if not 0.99 * resolution <= grid.resolution <= 10.0:
+        return (
+            f"its cells are {grid.resolution:g} m: {resolution:g} m, as of the robot's map (map.resolution), "
+            "to 10 m are expected"
+        )
+    return ""
