@@ -456,7 +456,7 @@ class OdriveTwin(Firmware):
 
     def cycle(self, now: Nanos, dt: float, position: float, velocity: float) -> float:
         self.servo.encoder.measure(dt or 1.0, position / math.tau, velocity / math.tau)
-        for name in list(self.servo.cycle(dt, self.memory)) if dt else ():
+        for name in self.servo.cycle(dt, self.memory) if dt else ():
             self.trip(self.raised[name])
         if self.procedure and now >= self.procedure_until:
             self.end()

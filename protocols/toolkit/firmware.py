@@ -144,8 +144,10 @@ class Firmware:
         if passed and self.fault and not self.faults[self.fault].latching:
             self.clear()
         self.torque = self.cycle(now, dt, *self.shaft)
-        due = [frame for at, frame in self._replies if at <= now]
-        self._replies = [each for each in self._replies if each[0] > now]
+        due: list[Frame] = []
+        if self._replies:
+            due = [frame for at, frame in self._replies if at <= now]
+            self._replies = [each for each in self._replies if each[0] > now]
         return [Torque(self.device.name, self.torque)], due + self._reports(now)
 
     def _watch(self, now: Nanos) -> None:
@@ -161,11 +163,13 @@ class Firmware:
             self.disarm()
 
     def _reports(self, now: Nanos) -> list[Frame]:
-        frames = []
+        frames, following = [], self._next
         for name, period in self.cyclic().items():
-            at = self._next.setdefault(name, now + period * self._phase // 1000)
+            at = following.get(name)
+            if at is None:
+                at = following[name] = now + period * self._phase // 1000
             if now >= at:
-                self._next[name] = at + period * (1 + (now - at) // period)
+                following[name] = at + period * (1 + (now - at) // period)
                 frame = self.report(name)
                 frames += [] if frame is None else [frame]
         return frames
