@@ -67,7 +67,7 @@ class SimulatedScene:
         self.model: Any = model
         self.data: Any = mujoco.MjData(model)
         self._places: Floats = self.data.qpos
-        """Of the joints; this and the next are windows on MuJoCo's memory, since each look at `data` takes time."""
+        """Of the joints; this and the next are windows on MuJoCo's memory: each look at `data` takes time."""
         self._speeds: Floats = self.data.qvel
         self._mj_step, self._mj_multi_ray = mujoco.mj_step, mujoco.mj_multiRay
         self._mj_distance = mujoco.mj_geomDistance
@@ -283,12 +283,12 @@ class SimulatedScene:
         x, y, z = self.data.qpos[start : start + 3].tolist()
         return x, y, z
 
-    def inertial(self, imu: str) -> tuple[Floats, Floats]:
+    def inertial(self, imu: str) -> tuple[list[float], list[float]]:
         """Return rad/s and m/s² (gravity included) in the sensor's frame, at the beginning of the last
         step."""
         start = self._imus[imu]
-        data: Floats = self.data.sensordata
-        return data[start : start + 3].copy(), data[start + 3 : start + 6].copy()
+        measured: list[float] = self.data.sensordata[start : start + 6].tolist()
+        return measured[:3], measured[3:]
 
     def frame(self, mount: Mount) -> tuple[Floats, Floats]:
         """Return where a sensor is [m], and its axes as columns, at the beginning of the last step."""
