@@ -8,7 +8,6 @@ needed.
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Iterable
 from dataclasses import replace
 from functools import lru_cache
 
@@ -62,25 +61,30 @@ def frame_bits(frame: CanFrame) -> tuple[int, int]:
         bits, width = frame.id >> 18 << 20 | 0b11 << 18 | frame.id & 0x3FFFF, 32
     if not frame.fd:  # RTR; IDE and r0, or r1 and r0; length code
         bits, width = (bits << 1 | frame.remote) << 6 | code, width + 7
-        checksum = _checksum(bits.to_bytes(5, "big") + data)
-        parts = ((bits, width), *((byte, 8) for byte in data), (checksum >> 8, 7), (checksum & 0xFF, 8))
-        return _stuffed(parts, _START)[0] + 1 + _TRAILER_BITS, 0
+        checksum = _checksum(bits.to_bytes(5 if frame.extended else 3, "big") + data)
+        added, run = _stuff(bits, width, _START)
+        of_data, run = _stuffed(data, run)
+        of_checksum, run = _stuff(checksum >> 8, 7, run)
+        last, _ = _STUFFED[run << 8 | checksum & 0xFF]
+        return width + added + of_data + 15 + of_checksum + last + 1 + _TRAILER_BITS, 0
     # RRS; IDE of a standard frame; FDF, res, BRS | ESI (dominant: error active), length code, data
     rest = 4 if frame.extended else 5
-    slow, run = _stuffed(((bits << rest | 0b100 | frame.brs, width + rest),), _START)
-    fast, run = _stuffed(((code, 5), *((byte, 8) for byte in data)), run)
+    slow, run = _stuff(bits << rest | 0b100 | frame.brs, width + rest, _START)
+    fast, run = _stuff(code, 5, run)
+    of_data, run = _stuffed(data, run)
+    slow, fast = slow + width + rest, fast + 5 + of_data
     # Stuff count with parity, and CRC: a fixed stuff bit before them, in place of one due behind the data,
     # and after every fourth bit.
     checked = 4 + (21 if len(data) > 16 else 17)
     return slow + _TRAILER_BITS, fast - (run & _JUST_STUFFED) + 1 + checked + checked // 4 + 1
 
 
-def _stuffed(parts: Iterable[tuple[int, int]], run: int) -> tuple[int, int]:
-    """Return the length of these bits (value, width) with their stuff bits, and the run after them."""
-    count = 0
-    for value, width in parts:
-        added, run = _stuff(value, width, run)
-        count += width + added
+def _stuffed(data: bytes, run: int) -> tuple[int, int]:
+    """Return the length of these bytes in bits with their stuff bits, and the run after them."""
+    count = 8 * len(data)
+    for byte in data:
+        added, run = _STUFFED[run << 8 | byte]
+        count += added
     return count, run
 
 
@@ -101,6 +105,16 @@ def _stuff(bits: int, width: int, run: int) -> tuple[int, int]:
             added += 1
             length, last, stuffed = 1, 1 - bit, _JUST_STUFFED
     return added, length << 2 | last << 1 | stuffed
+
+
+class _Stuffed(dict[int, tuple[int, int]]):
+    """What `_stuff` says of a byte, by the run before it and the byte: filled as they come."""
+
+    def __missing__(self, key: int) -> tuple[int, int]:
+        return self.setdefault(key, _stuff(key & 0xFF, 8, key >> 8))
+
+
+_STUFFED = _Stuffed()
 
 
 def _checksum(message: bytes) -> int:

@@ -91,6 +91,8 @@ class Session:
     """All that were opened, and are not written to their end."""
     _submitted: deque[Instruction] = field(default_factory=deque)
     """Another thread may add to it while the robot is stepped: it is never replaced."""
+    _belief: Belief | None = None
+    """After the last tick; None before the first."""
     _ticks: Generator[Tick] | None = None
     _stopped: bool = False
     """Whether a stop of the operator was in force at the last tick of a run."""
@@ -448,7 +450,7 @@ class Session:
     @property
     def belief(self) -> Belief:
         """What the brain believes: state and reason, pose with covariance, map, path, goal."""
-        return self.gateway.belief()
+        return self._belief if self._belief is not None else self.gateway.belief()
 
     @property
     def pose(self) -> Pose | None:
@@ -471,6 +473,7 @@ class Session:
                 self.driving = self.driving if _DRIVING in self._observers else None
 
     def _record(self, tick: Tick, belief: Belief) -> None:
+        self._belief = belief
         for take in self._watchers:
             take(tick, belief)
         self._guarded(lambda view: view.take(tick, belief))

@@ -120,11 +120,11 @@ class Rover(SimulatedScene):
 
     def step(self, torques: Mapping[str, float]) -> None:
         """Advance by one time step under torques [N·m] at the shafts."""
-        data = self.data
+        data, places, corrections = self.data, self._places, self.model.eq_data
         self.drive(torques)
         for index, (position, tyre) in enumerate(self._tyres):
-            tyre.turn(data.qpos[position])
-            self.model.eq_data[index, 0] = -tyre.crept
+            tyre.turn(float(places[position]))
+            corrections[index, 0] = -tyre.crept
         if self._dragged:
             self._drag()
         self.advance()

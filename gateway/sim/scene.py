@@ -66,9 +66,16 @@ class SimulatedScene:
         self.file = file
         self.model: Any = model
         self.data: Any = mujoco.MjData(model)
+        self._places: Floats = self.data.qpos
+        """Of the joints; this and the next are windows on MuJoCo's memory: each look at `data` takes time."""
+        self._speeds: Floats = self.data.qvel
         self._mj_step, self._mj_multi_ray = mujoco.mj_step, mujoco.mj_multiRay
         self._mj_distance = mujoco.mj_geomDistance
         self._base = int(model.body("base").id)
+        self._base_place: Floats = self.data.xpos[self._base]
+        self._base_axes: Floats = self.data.xmat[self._base].reshape(3, 3)
+        self._mounted: dict[Mount, tuple[Floats, Floats]] = {}
+        """Place and axes of mounts, in the frame of the base."""
         joint = int(model.body_jntadr[self._base])
         free = joint >= 0 and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
         self._free: int | None = int(model.jnt_qposadr[joint]) if free else None
@@ -91,7 +98,10 @@ class SimulatedScene:
         """Geoms that a robot should not touch,"""
         self._own = frozenset(geom for geom in range(model.ngeom) if own[geom])
         """and the robot's."""
+        self._contacts: list[list[int]] = []
+        """The pairs of geoms that were in contact after the last step,"""
         self._touching: frozenset[int] = frozenset()
+        """and what of it is to be touched by nobody."""
         self.touches = 0
         """How often walls and fixed boxes were newly touched, each counted separately."""
         self.touches_by_people = 0
@@ -124,17 +134,18 @@ class SimulatedScene:
 
     def drive(self, torques: Mapping[str, float]) -> None:
         """Apply torques [N·m] at the output shafts; of a cylinder a force [N], by its lever now."""
+        controls, cylinders = self.data.ctrl, self._cylinders
         for motor, (index, place, _) in self._shafts.items():
             torque = torques.get(motor, 0.0)
-            if motor in self._cylinders:
-                torque *= self._cylinders[motor].lever(float(self.data.qpos[place]))
-            self.data.ctrl[index] = torque
+            if motor in cylinders:
+                torque *= cylinders[motor].lever(float(self._places[place]))
+            controls[index] = torque
 
     def shaft(self, motor: str) -> tuple[float, float]:
         """Return position [rad] and velocity [rad/s] of a motor's output shaft; length [m] and its change of
         a cylinder."""
         _, place, speed = self._shafts[motor]
-        position, velocity = float(self.data.qpos[place]), float(self.data.qvel[speed])
+        position, velocity = float(self._places[place]), float(self._speeds[speed])
         if (cylinder := self._cylinders.get(motor)) is None:
             return position, velocity
         return cylinder.length(position), velocity * cylinder.lever(position)
@@ -220,6 +231,9 @@ class SimulatedScene:
 
     def _count_touches(self, pairs: list[list[int]]) -> None:
         """Count what is touched now and was not touched before the step; `pairs` of geoms are in contact."""
+        if pairs == self._contacts:
+            return
+        self._contacts = pairs
         off_floor = [pair for pair in pairs if FLOOR not in pair]
         if not off_floor and not self._touching:
             return
@@ -269,18 +283,20 @@ class SimulatedScene:
         x, y, z = self.data.qpos[start : start + 3].tolist()
         return x, y, z
 
-    def inertial(self, imu: str) -> tuple[Floats, Floats]:
+    def inertial(self, imu: str) -> tuple[list[float], list[float]]:
         """Return rad/s and m/s² (gravity included) in the sensor's frame, at the beginning of the last
         step."""
         start = self._imus[imu]
-        data: Floats = self.data.sensordata
-        return data[start : start + 3].copy(), data[start + 3 : start + 6].copy()
+        measured: list[float] = self.data.sensordata[start : start + 6].tolist()
+        return measured[:3], measured[3:]
 
     def frame(self, mount: Mount) -> tuple[Floats, Floats]:
         """Return where a sensor is [m], and its axes as columns, at the beginning of the last step."""
-        base = self.data.xmat[self._base].reshape(3, 3)
-        place: Floats = self.data.xpos[self._base] + base @ np.array([mount.x, mount.y, mount.z])
-        return place, base @ np.array(mount.rotation())
+        if (mounted := self._mounted.get(mount)) is None:
+            mounted = np.array([mount.x, mount.y, mount.z]), np.array(mount.rotation())
+            self._mounted[mount] = mounted
+        place: Floats = self._base_place + np.dot(self._base_axes, mounted[0])
+        return place, np.dot(self._base_axes, mounted[1])
 
     def rays(self, mount: Mount, directions: Floats, farthest: float) -> Floats:
         """Return the lengths [m] of beams from a mount, at the beginning of the last step.
@@ -288,10 +304,10 @@ class SimulatedScene:
         `directions`: n × 3 unit vectors in the sensor's frame. `farthest` where they hit nothing."""
         data, count = self.data, len(directions)
         origin, axes = self.frame(mount)
-        turned = directions @ axes.T
+        turned = np.dot(directions, axes.T).ravel()
         geoms, found = np.empty(count, dtype=np.int32), np.empty(count)
         self._mj_multi_ray(
-            self.model, data, origin, turned.ravel(), SOLIDS, True, -1, geoms, found, None, count, farthest
+            self.model, data, origin, turned, SOLIDS, True, -1, geoms, found, None, count, farthest
         )
-        hit: Floats = np.where((found < 0.0) | (found > farthest), farthest, found)
-        return hit
+        found[found < 0.0] = farthest
+        return np.minimum(found, farthest, out=found)

@@ -8,14 +8,14 @@ time since the beginning of the sensor's period; it returns what is complete the
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
 
 from brain.perception.mount import Mount
 from gateway.sim.camera import CameraSensor
-from gateway.sim.files import STEP
+from gateway.sim.files import STEP, Vector
 from gateway.sim.plant_files import InertialUnit, Lidar, PlantFile, Receiver, ShaftEncoder
 from gateway.sim.scene import Floats, SimulatedScene
 from protocols.messages import SECOND, Fix, Imu, LaserScan, Measurement, Nanos, ShaftReading
@@ -120,20 +120,30 @@ class ImuSensor:
         self.name, self.file = name, file
         self.period: Nanos = round(SECOND / file.rate_hz)
         self._rng = stream(seed, name)
-        self._gyro_bias: Floats = np.array(file.gyro_bias)
-        self._accel_bias: Floats = np.array(file.accel_bias)
+        self._gyro_bias = file.gyro_bias
         self._walk = file.gyro_walk / math.sqrt(file.rate_hz)
 
     def measure(self, t: Nanos, phase: Nanos, scene: SimulatedScene) -> Imu | None:
         """Return angular rates and accelerations at the beginning of a period; it has no orientation."""
         if phase:
             return None
+        file, walk = self.file, self._walk
+        walked, of_gyro, of_accel = self._rng.standard_normal((3, 3)).tolist()
+        gx, gy, gz = self._gyro_bias
+        self._gyro_bias = gx + walk * walked[0], gy + walk * walked[1], gz + walk * walked[2]
         gyro, accel = scene.inertial(self.name)
-        noise = self._rng.standard_normal((3, 3))
-        self._gyro_bias += self._walk * noise[0]
-        gyro += self._gyro_bias + self.file.gyro_noise * noise[1]
-        accel += self._accel_bias + self.file.accel_noise * noise[2]
-        return Imu(self.name, t, tuple(gyro.tolist()), tuple(accel.tolist()))
+        return Imu(
+            self.name,
+            t,
+            _noisy(gyro, self._gyro_bias, file.gyro_noise, of_gyro),
+            _noisy(accel, file.accel_bias, file.accel_noise, of_accel),
+        )
+
+
+def _noisy(true: Sequence[float], bias: Vector, sigma: float, noise: Sequence[float]) -> Vector:
+    """Return what is measured along x, y and z; by single numbers, which for three take less than arrays."""
+    (x, y, z), (bx, by, bz), (nx, ny, nz) = true, bias, noise
+    return x + (bx + sigma * nx), y + (by + sigma * ny), z + (bz + sigma * nz)
 
 
 class ReceiverSensor:

@@ -100,9 +100,6 @@ class Shafts:
     def __init__(self, file: BenchFile | PlantFile, motors: Iterable[str]) -> None:
         self._shafts = {name: Shaft(file.shafts.get(name, file.shaft)) for name in motors}
 
-    def __contains__(self, motor: str) -> bool:
-        return motor in self._shafts
-
     def step(self, torques: Mapping[str, float]) -> None:
         """Advance by one time step; a motor that is not named gives no torque."""
         for name, shaft in self._shafts.items():

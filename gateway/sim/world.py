@@ -60,8 +60,9 @@ class World:
             mounts = {name: sensor.mount for name, sensor in robot.sensors.items()}
             self.scene = _scene(file, plant, {n: m for n, m in mounts.items() if n in plant.imus}, seed)
             self._sensors = sensors(plant, mounts, seed)
-        self._shafts = Shafts(self._carrier, [name for name in robot.motors if name not in moved])
-        """On a bench all, in a scene those that the body carries."""
+        self._bare = frozenset(name for name in robot.motors if name not in moved)
+        """The motors whose shafts are bare: on a bench all, in a scene those that the body carries."""
+        self._shafts = Shafts(self._carrier, [name for name in robot.motors if name in self._bare])
 
     def step(self, torques: Mapping[str, float]) -> None:
         """Advance by one time step under torques [N·m] at the OUTPUT shafts, by motor; 0 where none is given.
@@ -98,14 +99,14 @@ class World:
 
     def shaft(self, motor: str) -> tuple[float, float]:
         """Return position [rad] and velocity [rad/s] of a motor's output shaft."""
-        if self.scene is None or motor in self._shafts:
+        if self.scene is None or motor in self._bare:
             return self._shafts.shaft(motor)
         return self.scene.shaft(motor)
 
     def follow(self, motor: str, position: float, velocity: float) -> None:
         """Give an output shaft its motion from now on: at this angle [rad], turning at this velocity [rad/s],
         whatever torques act on it, until `let_go`."""
-        if self.scene is None or motor in self._shafts:
+        if self.scene is None or motor in self._bare:
             self._shafts.give(motor, (position, velocity))
         else:
             self.scene.follow(motor, position, velocity)
@@ -116,7 +117,7 @@ class World:
 
     def let_go(self, motor: str) -> None:
         """Let torques move an output shaft again."""
-        if self.scene is None or motor in self._shafts:
+        if self.scene is None or motor in self._bare:
             self._shafts.give(motor, None)
         else:
             self.scene.let_go(motor)
@@ -124,7 +125,7 @@ class World:
     def resistance(self, motor: str) -> float:
         """Return the torque [N·m] that the world puts on an output shaft: negative brakes what turns
         forward."""
-        if self.scene is None or motor in self._shafts:
+        if self.scene is None or motor in self._bare:
             return self._shafts.resistance(motor)
         return self.scene.resistance(motor)
 

@@ -98,6 +98,10 @@ class Memory:
     velocity: float = 0.0
     torque: float = 0.0
 
+    def __copy__(self) -> Memory:
+        """Copy it as `copy.copy` does, in a fourth of the time."""
+        return Memory(*[getattr(self, name) for name in Memory.__slots__])
+
     @property
     def control(self) -> ControlMode:
         """The outermost loop: voltage control is torque control, and what is above the last is the last. A
@@ -302,6 +306,8 @@ class OdriveTwin(Firmware):
         self.memory = memory(device)
         self.table = table.table_of(self.memory.line, getattr(device.options, "is_extended", False))
         self.servo = Servo(device.settings, gains_of(device.settings))
+        self._fields: dict[str, tuple[str, list[str]]] = {}
+        """The rows of the messages that it has sent, and their fields."""
         self.words: dict[int, int] = {}  # Error bits by the base of their word.
         self.calibrated: bool = self.settings.calibrated
         self.procedure: int = 0
@@ -446,7 +452,9 @@ class OdriveTwin(Firmware):
         after.obey(decoded)
         if after.fault and (self.memory.armed or after.trips):
             self.trip(self.raised[after.fault])
-        self.memory.obey(decoded)
+            self.memory.obey(decoded)
+        else:
+            self.memory = after
         if name == "Set_Controller_Mode" and self.memory.position is None:
             self.servo.enter()
         return None
@@ -456,19 +464,23 @@ class OdriveTwin(Firmware):
 
     def cycle(self, now: Nanos, dt: float, position: float, velocity: float) -> float:
         self.servo.encoder.measure(dt or 1.0, position / math.tau, velocity / math.tau)
-        for name in list(self.servo.cycle(dt, self.memory)) if dt else ():
+        for name in self.servo.cycle(dt, self.memory) if dt else ():
             self.trip(self.raised[name])
         if self.procedure and now >= self.procedure_until:
             self.end()
         return self.servo.stage.torque if self.memory.armed else 0.0
 
     def report(self, name: str) -> Frame | None:
-        row = self.table.row("Address reply" if name == "Address" else name)
-        signals = self.signals()
-        names = [field.name for field in row.fields if field.name]
-        if not signals.keys() >= set(names):  # a message that it does not send
+        fields = self._fields.get(name)
+        if fields is None:
+            row = self.table.row("Address reply" if name == "Address" else name)
+            fields = self._fields[name] = row.name, [field.name for field in row.fields if field.name]
+        signals, (message, names) = self.signals(), fields
+        try:
+            values = {each: signals[each] for each in names}
+        except KeyError:  # a message that it does not send
             return None
-        return self.table.encode(row.name, self.memory.node, **{each: signals[each] for each in names})
+        return self.table.encode(message, self.memory.node, **values)
 
 
 class Twin06(OdriveTwin):
@@ -487,6 +499,8 @@ class Twin06(OdriveTwin):
         self._flash = (self.memory.node, gains_of(self.settings), dict(self.memory.endpoints))
         """Node id, gains and endpoints as saved."""
         self._version = [int(part) for part in firmware_of(device).split(".")]
+        version = (2, getattr(self.settings, "hw_line", 0), 1, 0, *self._version, 0)
+        self._versions = dict(zip(table.VERSION_SIGNALS, version, strict=True))
 
     def timeout(self) -> Nanos:
         return self.watchdog() if self.memory.armed else 0
@@ -569,11 +583,11 @@ class Twin06(OdriveTwin):
 
     def signals(self) -> Values:
         servo, stage, active = self.servo, self.servo.stage, self.active()
-        version = (2, getattr(self.settings, "hw_line", 0), 1, 0, *self._version, 0)
-        signals = super().signals() | dict(zip(table.VERSION_SIGNALS, version, strict=True))
+        signals = super().signals()
+        signals |= self._versions
         if self.memory.node <= BROADCAST:  # there is one byte for it
             signals |= {"Node_ID": self.memory.node, "Serial_Number": self.memory.serial, "Connection_ID": 0}
-        return signals | {
+        signals |= {
             "Axis_Error": active,
             "Active_Errors": active,
             "Disarm_Reason": self.disarm_reason,
@@ -585,6 +599,7 @@ class Twin06(OdriveTwin):
             "Electrical_Power": stage.electrical,
             "Mechanical_Power": stage.mechanical,
         }
+        return signals
 
 
 NEW_PROCEDURES = (14, 15, 16)  # States that 0.5.x does not have.

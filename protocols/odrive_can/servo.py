@@ -13,7 +13,7 @@ are ours (README, "the twin").
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Protocol
 
@@ -107,22 +107,21 @@ class Servo:
     def enter(self) -> None:
         """Enter position control: the present position is input and set-point."""
         self.here = self.encoder.position
-        self._lead(self.here, self.set_point.velocity)
+        self.set_point.lead(self.here, self.set_point.velocity)
 
-    def cycle(self, dt: float, inputs: AxisInputs) -> Iterator[str]:
-        """Run one cycle of the loop; yield the errors that it raised, by the names of 0.6.x."""
-        overspeed = False
-        if inputs.armed:
+    def cycle(self, dt: float, inputs: AxisInputs) -> Sequence[str]:
+        """Run one cycle of the loop; return the errors that it raised, by the names of 0.6.x."""
+        stage, armed, overspeed = self.stage, inputs.armed, False
+        if armed:
             self._follow(dt, inputs)
             overspeed = self._control(dt, inputs.control)
         else:
             self.torque_target = 0.0
-        wanted = self.torque_target if inputs.armed else None
-        self.stage.drive(dt, wanted, self.encoder.velocity * math.tau)
+        stage.drive(dt, self.torque_target if armed else None, self.encoder.velocity * math.tau)
         slow = lag(dt, self.settings.spinout_power_bandwidth)
-        self._electrical_slow += slow * (self.stage.electrical - self._electrical_slow)
-        self._mechanical_slow += slow * (self.stage.mechanical - self._mechanical_slow)
-        return (name for name, wrong in self._monitor(inputs.armed, overspeed) if wrong)
+        self._electrical_slow += slow * (stage.electrical - self._electrical_slow)
+        self._mechanical_slow += slow * (stage.mechanical - self._mechanical_slow)
+        return self._errors(armed, overspeed)
 
     # -- input modes: from inputs to set-points -------------------------------------------------------------
 
@@ -131,11 +130,11 @@ class Servo:
         goal = self.here if inputs.position is None else inputs.position
         match inputs.input_mode:
             case InputMode.PASSTHROUGH | InputMode.TUNING:  # with the factory's amplitudes of zero
-                self._lead(goal, inputs.velocity)
+                to.lead(goal, inputs.velocity)
                 self.torque_set_point = inputs.torque
             case InputMode.VEL_RAMP:
                 step = clamp(inputs.velocity - to.velocity, self.settings.vel_ramp_rate * dt)
-                self._lead(to.position, to.velocity + step)
+                to.lead(to.position, to.velocity + step)
                 self.torque_set_point = step / dt * gains["inertia"]
             case InputMode.TORQUE_RAMP:
                 limit = self.settings.torque_ramp_rate * dt
@@ -146,13 +145,10 @@ class Servo:
                 acceleration = kp * (goal - to.position) + ki * (inputs.velocity - to.velocity)
                 self.torque_set_point = acceleration * gains["inertia"]
                 velocity = to.velocity + dt * acceleration
-                self._lead(to.position + dt * velocity, velocity)
+                to.lead(to.position + dt * velocity, velocity)
             case InputMode.TRAP_TRAJ if inputs.position is not None:
                 limits = gains["trap_vel_limit"], gains["trap_accel_limit"], gains["trap_decel_limit"]
                 self.torque_set_point = to.advance(dt, goal, *limits) * gains["inertia"]
-
-    def _lead(self, position: float, velocity: float) -> None:
-        self.set_point = Trapezoid(position, velocity, self.set_point.done)
 
     # -- the cascade ------------------------------------------------------------------------------
 
@@ -190,20 +186,29 @@ class Servo:
         fet = _derate(stage.stage_temperature, s.fet_temp_limit_lower, s.fet_temp_limit_upper)
         return self.gains["current_soft_max"] * min(motor, fet)
 
-    def _monitor(self, armed: bool, overspeed: bool) -> Iterator[tuple[str, bool]]:
+    def _errors(self, armed: bool, overspeed: bool) -> list[str]:
         s, stage = self.settings, self.stage
-        yield "VELOCITY_LIMIT_VIOLATION", overspeed
-        yield "DC_BUS_UNDER_VOLTAGE", stage.voltage < s.dc_bus_undervoltage_trip_level
-        yield "DC_BUS_OVER_VOLTAGE", stage.voltage > s.dc_bus_overvoltage_trip_level
-        yield "MOTOR_OVER_TEMP", stage.motor_temperature > s.motor_temp_limit_upper + TEMPERATURE_MARGIN
-        yield "INVERTER_OVER_TEMP", stage.stage_temperature > s.fet_temp_limit_upper + TEMPERATURE_MARGIN
-        if armed:
-            yield "DC_BUS_OVER_CURRENT", stage.supply_current > s.dc_max_positive_current
-            yield "DC_BUS_OVER_REGEN_CURRENT", stage.supply_current < s.dc_max_negative_current
-            yield "CURRENT_LIMIT_VIOLATION", abs(stage.current) > s.current_hard_max
-            slipping = self._mechanical_slow < s.spinout_mechanical_power_threshold
-            strong = self._electrical_slow > s.spinout_electrical_power_threshold
-            yield "SPINOUT_DETECTED", slipping and strong
+        found = ["VELOCITY_LIMIT_VIOLATION"] if overspeed else []
+        if stage.voltage < s.dc_bus_undervoltage_trip_level:
+            found.append("DC_BUS_UNDER_VOLTAGE")
+        if stage.voltage > s.dc_bus_overvoltage_trip_level:
+            found.append("DC_BUS_OVER_VOLTAGE")
+        if stage.motor_temperature > s.motor_temp_limit_upper + TEMPERATURE_MARGIN:
+            found.append("MOTOR_OVER_TEMP")
+        if stage.stage_temperature > s.fet_temp_limit_upper + TEMPERATURE_MARGIN:
+            found.append("INVERTER_OVER_TEMP")
+        if not armed:
+            return found
+        if stage.supply_current > s.dc_max_positive_current:
+            found.append("DC_BUS_OVER_CURRENT")
+        if stage.supply_current < s.dc_max_negative_current:
+            found.append("DC_BUS_OVER_REGEN_CURRENT")
+        if abs(stage.current) > s.current_hard_max:
+            found.append("CURRENT_LIMIT_VIOLATION")
+        slipping = self._mechanical_slow < s.spinout_mechanical_power_threshold
+        if slipping and self._electrical_slow > s.spinout_electrical_power_threshold:
+            found.append("SPINOUT_DETECTED")
+        return found
 
 
 def _derate(temperature: float, lower: float, upper: float) -> float:

@@ -113,13 +113,14 @@ class PlainTwin(ServoFirmware):
         """Use these settings."""
         gains = Gains(0.0, settings.velocity_gain, settings.velocity_integral, settings.torque_limit)
         self.settings, self.servo = settings, Servo(gains)
+        periods = {"state": settings.state_ms, "feedback": settings.feedback_ms} if self.is_motor else {}
+        self._periods = {name: milliseconds(period) for name, period in periods.items()}
 
     def timeout(self) -> Nanos:
         return milliseconds(self.settings.watchdog_ms) if self.mode is Mode.ARMED else 0
 
     def cyclic(self) -> Mapping[str, Nanos]:
-        periods = {"state": self.settings.state_ms, "feedback": self.settings.feedback_ms}
-        return {name: milliseconds(period) for name, period in periods.items() if self.is_motor}
+        return self._periods
 
     # -- obeyed ---------------------------------------------------------------------------------------
 

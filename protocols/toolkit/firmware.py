@@ -14,7 +14,7 @@ from typing import Any
 
 from protocols import messages as msg
 from protocols.frames import Frame
-from protocols.messages import MILLISECOND, Command, Event, Feedback, Mode, Nanos, Obeyed, Torque, seconds
+from protocols.messages import MILLISECOND, SECOND, Command, Event, Feedback, Mode, Nanos, Obeyed, Torque
 from protocols.plugin import Device, FaultInfo
 from protocols.toolkit.servo import Encoder, Gains, Servo, clamp
 
@@ -51,7 +51,11 @@ class Firmware:
         self._phase = (seed * 7919 + (device.address - 1) * 619) % 1000
         self._replies: list[tuple[Nanos, Frame]] = []
         self._next: dict[str, Nanos] = {}
-        """When each cyclic report is due."""
+        """When each cyclic report is due,"""
+        self._soonest: Nanos = 0
+        """the first of them,"""
+        self._cycles: Mapping[str, Nanos] = {}
+        """and with which periods."""
 
     # -- the protocol's own ---------------------------------------------------------------------------
 
@@ -125,28 +129,33 @@ class Firmware:
         self.mode, self.fault, self.torque, self.silent_until = Mode.READY, 0, 0.0, t + silent
         self._replies.clear()
         self._next.clear()
+        self._soonest = 0
 
     def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
         """Read the shaft, run the loops, send what is due."""
+        name, before = self.device.name, self.now
         for event in truth:
-            if isinstance(event, Feedback) and event.motor == self.device.name:
+            if isinstance(event, Feedback) and event.motor == name:
                 position = self.shaft[0] if event.position is None else event.position
                 velocity = self.shaft[1] if event.velocity is None else event.velocity
                 if math.isfinite(position) and math.isfinite(velocity):
                     self.shaft = (position, velocity)
-        dt = 0.0 if self.now is None else seconds(max(0, now - self.now))
-        self.fed = now if self.now is None or now < self.silent_until else self.fed
+        dt = (now - before) / SECOND if before is not None and now > before else 0.0
+        if before is None or now < self.silent_until:
+            self.fed = now
         self.now = now
         if now < self.silent_until:
-            return [Torque(self.device.name, 0.0)], []
+            return [Torque(name, 0.0)], []
         self._watch(now)
         passed = self.passing and now - self.tripped_at >= self.passing
         if passed and self.fault and not self.faults[self.fault].latching:
             self.clear()
         self.torque = self.cycle(now, dt, *self.shaft)
-        due = [frame for at, frame in self._replies if at <= now]
-        self._replies = [each for each in self._replies if each[0] > now]
-        return [Torque(self.device.name, self.torque)], due + self._reports(now)
+        due: list[Frame] = []
+        if self._replies:
+            due = [frame for at, frame in self._replies if at <= now]
+            self._replies = [each for each in self._replies if each[0] > now]
+        return [Torque(name, self.torque)], due + self._reports(now)
 
     def _watch(self, now: Nanos) -> None:
         timeout = self.timeout()
@@ -161,13 +170,19 @@ class Firmware:
             self.disarm()
 
     def _reports(self, now: Nanos) -> list[Frame]:
+        periods, following = self.cyclic(), self._next
+        if now < self._soonest and periods == self._cycles:
+            return []
         frames = []
-        for name, period in self.cyclic().items():
-            at = self._next.setdefault(name, now + period * self._phase // 1000)
+        for name, period in periods.items():
+            at = following.get(name)
+            if at is None:
+                at = following[name] = now + period * self._phase // 1000
             if now >= at:
-                self._next[name] = at + period * (1 + (now - at) // period)
+                following[name] = at + period * (1 + (now - at) // period)
                 frame = self.report(name)
                 frames += [] if frame is None else [frame]
+        self._soonest, self._cycles = min((following[name] for name in periods), default=NEVER), dict(periods)
         return frames
 
     def due(self) -> Nanos | None:
@@ -175,10 +190,11 @@ class Firmware:
         if self.now is not None and self.now < self.silent_until < NEVER:
             return self.silent_until
         timeout = self.timeout()
+        if not (timeout or self._next or self._replies):  # most that speak only when asked
+            return None
         times = [self.fed + timeout + 1] if timeout else []
-        if self._next or self._replies:  # most that speak only when asked have neither
-            times += [*self._next.values(), *(at for at, _ in self._replies)]
-        return min(times, default=None)
+        times += [*self._next.values(), *(at for at, _ in self._replies)]
+        return min(times)
 
 
 def milliseconds(value: float) -> Nanos:

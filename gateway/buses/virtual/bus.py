@@ -100,6 +100,8 @@ class TwinBus:
         self._one_wire = serial and settings.line == "half-duplex"
         if self._one_wire:
             self._from_host = self.from_devices = HalfDuplex(settings.baudrate)
+        one, other = self._from_host, self.from_devices
+        self._wires: Sequence[Medium] = (one,) if one is other else (one, other)
         self._world = world
         self._room = settings.transmit_queue
         self._queue = FrameQueue(settings.devices)
@@ -134,7 +136,7 @@ class TwinBus:
 
     def wakes(self, now: Nanos) -> tuple[Sequence[int], Nanos | None]:
         """Return no file, and when something may next arrive, or a device may begin to send."""
-        times = [self._world.world.now + STEP, *(end for wire in self._wires() if (end := wire.first_end()))]
+        times = [self._world.world.now + STEP, *(end for wire in self._wires if (end := wire.first_end()))]
         times += [self._late[0][0]] if self._late else []
         return (), max(now + 1, min(times + [device.answers for device in self.devices]))
 
@@ -182,21 +184,15 @@ class TwinBus:
         self._from_host.drop(HOST)
         self._queue.clear()
 
-    def _wires(self) -> Sequence[Medium]:
-        one, other = self._from_host, self.from_devices
-        return (one,) if one is other else (one, other)
-
     def deliver(self, until: Nanos) -> None:
         """Deliver what arrives up to a time."""
         if self.prompt:
             self._deliver_promptly(until)
             return
-        if self._from_host.pending:
-            for transmission in self._from_host.run(until):
-                self._arrive(transmission)
-        if self.from_devices.pending and self.from_devices is not self._from_host:
-            for transmission in self.from_devices.run(until):
-                self._arrive(transmission)
+        for wire in self._wires:
+            if wire.pending:
+                for transmission in wire.run(until):
+                    self._arrive(transmission)
         while self._late and self._late[0][0] <= until:
             self._deliver(heappop(self._late)[2])
         if self._from_host.errors:
@@ -210,7 +206,7 @@ class TwinBus:
     def _deliver_promptly(self, until: Nanos) -> None:
         """The same where devices answer as soon as they have heard: what ends first, and what is due
         before."""
-        wires = self._wires()
+        wires = self._wires
         while True:
             first, ending = until, None
             for wire in wires:
@@ -389,10 +385,11 @@ class TwinWorld:
         if self.tamper.measured is not None:
             measured = self.tamper.measured(motor, measured)
         torques, frames = device.twin.step(t, (measured,))
-        device.send(t, frames)
+        if frames:
+            device.send(t, frames)
         if device.answers < NEVER:
             device.look(t)
-        return sum(torque.torque for torque in torques if torque.motor == motor) * ratio
+        return sum([torque.torque for torque in torques if torque.motor == motor]) * ratio
 
     def follow(self, feedback: Feedback, age: Nanos) -> None:
         """Let the shaft of a real motor turn in the world as it was measured so long ago, at its output

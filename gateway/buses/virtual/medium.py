@@ -12,11 +12,10 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from gateway.buses.frame_time import INTERFRAME_BITS, frame_time, padded, priority
 from protocols.frames import CanFrame, Frame
-from protocols.messages import SECOND, Nanos
+from protocols.messages import SECOND, Nanos, value
 
 QUEUE_DEPTH = 256
 """Frames of one sender that may wait."""
@@ -26,7 +25,7 @@ ERROR_PASSIVE, BUS_OFF = 128, 256
 """Values of a transmit error counter."""
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Transmission:
     """A frame and its sender; `t` is when it was queued or, once it has arrived, when it ended."""
 
@@ -52,6 +51,8 @@ class Medium:
         self.pending = 0
         """Frames that have not arrived yet."""
         self._idle_at: Nanos | None = None
+        self._nothing_before: Nanos = 0
+        """Nothing arrives before, unless something is queued or dropped."""
 
     def send(self, t: Nanos, sender: str, frame: Frame) -> bool:
         """Queue a frame. False if the sender's queue was full and its oldest frame was dropped instead.
@@ -67,6 +68,7 @@ class Medium:
             frame = padded(frame)
         queue.append(Transmission(t, sender, frame))
         self.pending += not full
+        self._nothing_before = 0
         return not full
 
     def waiting(self, sender: str) -> int:
@@ -77,6 +79,7 @@ class Medium:
         """Drop all that waits of a sender, and let it begin anew."""
         self.pending -= len(self._waiting.pop(sender, ()))
         self.errors.pop(sender, None)
+        self._nothing_before = 0
 
     def first_end(self) -> Nanos | None:
         """Return when the next frame of a serial line ends; None if nothing is sent."""
@@ -90,17 +93,22 @@ class Medium:
     def run(self, until: Nanos) -> list[Transmission]:
         """Return all that arrives up to a time, in order."""
         arrived: list[Transmission] = []
-        while self.pending:
-            first = min(queue[0].t for queue in self._waiting.values() if queue)
+        while self.pending and until >= self._nothing_before:
+            heads = [queue[0] for queue in self._waiting.values() if queue]
+            first = min([head.t for head in heads])
             start = first if self._idle_at is None else max(first, self._idle_at)
             if start > until:
+                self._nothing_before = start
                 break
-            heads = [queue[0] for queue in self._waiting.values() if queue and queue[0].t <= start]
-            winner = min(heads, key=lambda head: (priority(head.frame), head.t))
+            winner = heads[0]
+            if len(heads) > 1:
+                contending = [head for head in heads if head.t <= start]
+                winner = min(contending, key=lambda head: (priority(head.frame), head.t))
             taken = frame_time(winner.frame, self.bitrate, self.data_bitrate)
             serial = isinstance(winner.frame, bytes)
             end = start + taken - (0 if serial else INTERFRAME_BITS * SECOND // self.bitrate)
             if end > until:
+                self._nothing_before = end
                 break
             if self.destroyed is not None and not serial and (bits := self.destroyed(winner)):
                 taken = min(bits * SECOND // self.bitrate, taken) + ERROR_FRAME_BITS * SECOND // self.bitrate
