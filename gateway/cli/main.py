@@ -44,6 +44,8 @@ COMMANDS = {
     "replay": "run a recording through the same code and compare every byte; or evaluate another's",
     "judge": "run a folder of recordings as a test suite, each against what is expected of it",
     "scenario": "run scenarios: what happens to a robot when, and what must hold",
+    "trim": "write a stretch of a recording as one of its own, with what leads to its beginning",
+    "minimise": "find the fewest inputs of a recording that still do something; write them as a test",
     "diff": "compare two recordings: settings, the first difference, and the signals that part",
     "inspect": "tell what is in another program's recording, and write the robot file to start with",
     "map": "make a map and a path of another program's recording, as files",
