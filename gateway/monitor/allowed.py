@@ -8,8 +8,8 @@ tell who sends a frame to whom.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, field, fields
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import MISSING, dataclass, field, fields, replace
 
 from gateway.core.bus_driver import BusDriver
 from gateway.core.guard import Blocked, Guard
@@ -17,9 +17,17 @@ from gateway.core.joint import Joint
 from gateway.core.message_text import message_text
 from gateway.core.robot import Robot
 from protocols import messages as msg
+from protocols.asked import SET_POINTS
 from protocols.frames import CanFrame, IdMask, Packet, any_matches
-from protocols.messages import SECOND, Command, Nanos, Request
+from protocols.messages import SECOND, Command, Nanos, Obeyed, Request
+from protocols.plugin import Spec
 
+RESTS: Sequence[type[Command]] = (msg.Hold, msg.Velocity, msg.Torque, msg.Position, msg.Impedance)
+"""Commands by which a device rests, the plainest first"""
+NUMBERS_OF: Mapping[str, tuple[type[Command], str]] = {
+    f"{kind.__name__}.{one.name}": (kind, one.name) for kind in SET_POINTS for one in fields(kind)
+}
+"""By the name that a number of a set-point has in a spec"""
 SHOWN = 8
 """Requests of a motor that are listed"""
 
@@ -44,9 +52,23 @@ class _Counted:
     """What only a person may ask for: counted as asked"""
 
 
-def _numbers(kind: type[Command]) -> int:
-    """Return how many numbers a command must have."""
-    return sum(one.default is MISSING for one in fields(kind)) - 1
+def _rest(spec: Spec) -> type[Command]:
+    """Return the plainest kind of command of a device by which it rests."""
+    return next((kind for kind in RESTS if kind in spec.commands), msg.Hold)
+
+
+def _zero(kind: type[Command], motor: str) -> Command:
+    """Return a command of this kind with all numbers 0."""
+    return kind(motor, *[0.0] * (sum(one.default is MISSING for one in fields(kind)) - 1))
+
+
+class _OwnedJoint(Joint):
+    """The joint of a motor that somebody commands: it counts as ours."""
+
+    @property
+    def owned(self) -> bool:
+        """True: somebody commands it."""
+        return True
 
 
 class GuardOnly:
@@ -60,7 +82,7 @@ class GuardOnly:
     def __init__(self, robot: Robot, began: Nanos) -> None:
         self._robot, self._began = robot, began
         self._guard = Guard(robot)
-        self._joints = {name: Joint(name, one.joint, one.spec) for name, one in robot.motors.items()}
+        self._joints = {name: _OwnedJoint(name, one.joint, one.spec) for name, one in robot.motors.items()}
         self._drivers: list[tuple[BusDriver, tuple[IdMask, ...], tuple[IdMask, ...]]] = []
         specs = {one.name: one.spec for one in robot.devices()}
         for bus, settings in robot.buses.items():
@@ -101,32 +123,42 @@ class GuardOnly:
     def _judge(self, now: Nanos, driver: BusDriver, frame: CanFrame) -> None:
         meant = self._guard.overhear(now, driver.bus, frame)
         named = {name for one in meant if (name := getattr(one, "motor", "")) in self._joints}
+        if not meant and not self._guard.reads(driver.bus, driver.protocol, frame):
+            named = {
+                name for name in driver.motors if any_matches(self._robot.motors[name].spec.sends, frame)
+            }
         for one in meant:
-            if isinstance(one, msg.Arm):
-                self._guard.ask(now, msg.Hold(one.motor))
-            elif isinstance(one, Command | Request):
-                self._guard.ask(now, one)
-            if isinstance(one, Request) and (counted := self._counted.get(getattr(one, "motor", ""))):
-                name = message_text(one)
-                counted.requests[name] = counted.requests.get(name, 0) + 1
-            if isinstance(one, msg.Kept | msg.WriteParameter) and (kind := self._kind_of(one)) is not None:
-                self._guard.ask(now, kind(one.motor, *[0.0] * _numbers(kind)))
-        for name in named:
-            self._joints[name].command(now, msg.Hold(name), stopped=False)  # from now on it is ours
+            for asked in self._meant(one):
+                self._guard.ask(now, asked)
         _, blocked = self._guard.check(now, driver.bus, driver.protocol, [frame], self._joints, stopped=False)
         for counted in [self._counted[name] for name in sorted(named)] or [self._nobody]:
             counted.frames += 1
             for each in blocked:
                 counted.blocked.setdefault(each.rule, _Finding(now, each)).count += 1
 
-    def _kind_of(self, one: msg.Kept | msg.WriteParameter) -> type[Command] | None:
-        """Return the kind of set-points that a setting is declared for, such as a mode."""
-        motor = self._robot.motors.get(one.motor)
-        name = one.name if isinstance(one, msg.Kept) else one.parameter
-        for declared in () if motor is None else motor.spec.set_up.get(name, ()):
-            if isinstance(declared, tuple) and isinstance(declared[1], type) and declared[0] == one.value:
-                return declared[1]
-        return None
+    def _meant(self, one: Obeyed) -> Iterator[Command | Request]:
+        """Yield what was asked for, if somebody lets a device obey this."""
+        motor = self._robot.motors.get(getattr(one, "motor", ""))
+        if isinstance(one, Command | Request):
+            yield one
+        if motor is None:
+            return
+        declared = motor.spec.set_up
+        if isinstance(one, msg.Arm):
+            yield _zero(_rest(motor.spec), motor.name)
+        elif isinstance(one, msg.Kept | msg.WriteParameter):
+            name = one.name if isinstance(one, msg.Kept) else one.parameter
+            if name in NUMBERS_OF:  # a set-point that waits
+                kind, number = NUMBERS_OF[name]
+                yield replace(_zero(kind, motor.name), **{number: one.value})  # type: ignore[arg-type]
+            for each in declared.get(name, ()):  # a mode, for which set-points follow
+                if isinstance(each, tuple) and isinstance(each[1], type) and each[0] == one.value:
+                    yield _zero(each[1], motor.name)
+            if isinstance(one, msg.Kept) or name in declared:
+                return
+        if isinstance(one, Request):
+            requests, text = self._counted[motor.name].requests, message_text(one)
+            requests[text] = requests.get(text, 0) + 1
 
     @property
     def sound(self) -> bool:

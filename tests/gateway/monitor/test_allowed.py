@@ -13,9 +13,10 @@ import pytest
 
 from gateway.cli.main import main
 from gateway.config import resources
+from gateway.monitor.allowed import GuardOnly
 from gateway.runtime.session import open_session
 from protocols.frames import CanFrame, Packet
-from protocols.messages import SECOND, Velocity
+from protocols.messages import SECOND, Goal, Velocity
 
 INPUT_VELOCITY, ARM = 0x2D, 0x27
 """Ids of ODrive's Set_Input_Vel and Set_Axis_State, of the device at address 1"""
@@ -141,3 +142,16 @@ def test_wrong_arguments_are_told(
     ):
         assert main(["replay", *arguments, "--only", "guard"]) == 2
         assert told in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("robot", ["diffbot_cia402", "diffbot_zlac8015d"])
+def test_of_what_the_gateway_itself_sends_nothing_would_have_been_blocked(robot: str) -> None:
+    """A drive of which set-points wait for a SYNC, and one with two motors at one address."""
+    with open_session(robot, simulated=True) as session:
+        guard = GuardOnly(session.robot, 0)
+        session.submit(Goal(0.3, 0.1))
+        for tick in session.run(0.7):
+            for packet in (*tick.inputs.packets, *tick.outputs.packets):
+                guard.take(packet)
+    assert guard.sound, guard.lines()
+    assert re.match(r"left: \d\d+ frames to it, 0 would", guard.lines()[0])
