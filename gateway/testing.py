@@ -38,6 +38,20 @@ class UnexpectedError(Exception):
         super().__init__("\n  ".join([line, *details]))
 
 
+def holds(condition: str, recording: Path | str) -> bool:
+    """Return whether a condition holds of a recording's inputs, with the code of today.
+
+    Args:
+        condition: as `gateway minimise --while` takes it: "tells silent", "raises", "final x < 0.5".
+        recording: of this gateway.
+    """
+    from gateway.recording import read_recording
+    from gateway.replay.input_log import input_log
+    from gateway.report.condition import condition as condition_of
+
+    return condition_of(condition).first(input_log(read_recording(recording))) is not None
+
+
 class FileItem(pytest.Item):
     """A file that is a test."""
 

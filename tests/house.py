@@ -20,6 +20,7 @@ ONLY: dict[str, tuple[str, ...]] = {
     "cantools": ("protocols.dbc.database",),
     "concurrent": ("gateway.runtime.asynchronous",),
     "cv2": ("gateway.vision.camera",),
+    "distributed": ("gateway.cli.tasks",),
     "filterpy": ("brain.perception.engine", "benchmarks"),
     "matplotlib": ("gateway.cli.picture",),
     "lz4": RECORDINGS,

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
-import sys
-import tempfile
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TypeAlias
 
+from gateway.cli.tasks import Engine, add_engine, run_tasks
 from gateway.cli.terminal.progress import progress
 from gateway.config import load_robot
 from gateway.errors import UserError
@@ -33,8 +31,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--robot", metavar="ROBOT", help="use this robot file instead of the recorded ones")
     text = "other bytes pass, too, if every figure is within its tolerance"
     parser.add_argument("--within", action="store_true", help=text)
-    text = "how many are judged side by side, each in a process of its own"
-    parser.add_argument("--jobs", type=_jobs, default=1, metavar="N", help=text)
+    add_engine(parser)
     text = "judge every Nth recording, from the Ith on: of several machines, each another I of 1 to N"
     parser.add_argument("--shard", type=_shard, default=(1, 1), metavar="I/N", help=text)
     text = "write the results to a file; several of them, in the place of recordings, are one report"
@@ -58,7 +55,7 @@ def run(options: Namespace) -> int:
         results = []
         with progress("judge, recordings", len(paths)) as shown:
             ways = (judge.judge(path, robot) for path in paths)
-            for one in ways if options.jobs == 1 else _side_by_side(paths, options):
+            for one in ways if options.engine == Engine() else _side_by_side(paths, options):
                 results.append(one)
                 shown.update(len(results))
     results.sort(key=lambda one: one.name)
@@ -93,31 +90,10 @@ def _verdict(one: Judged, options: Namespace) -> Verdict:
 
 def _side_by_side(paths: Sequence[Path], options: Namespace) -> Iterator[Judged]:
     """Judge each recording in a process of its own; one that dies is that recording's error."""
-    with tempfile.TemporaryDirectory() as folder:
-        waiting = [(path, Path(folder, f"{number}.json")) for number, path in enumerate(paths)]
-        running: list[tuple[Path, Path, subprocess.Popen[str]]] = []
-        try:
-            while waiting or running:
-                while waiting and len(running) < options.jobs:
-                    path, file = waiting.pop(0)
-                    running.append((path, file, _started(path, file, options.robot)))
-                path, file, process = running.pop(0)
-                wrong = process.communicate()[1].strip().rpartition("\n")[2]
-                if file.exists():
-                    yield from _results(file)
-                else:
-                    text = f"its process ended with status {process.returncode}: {wrong}"
-                    yield Judged(str(path), "", error=text)
-        finally:
-            for _, _, process in running:
-                process.kill()
-
-
-def _started(path: Path, file: Path, robot: str | None) -> subprocess.Popen[str]:
-    more = () if robot is None else ("--robot", robot)
-    command = [sys.executable, "-P", "-m", "gateway", "judge", str(path), "--json", str(file), *more]
-    nothing = subprocess.DEVNULL
-    return subprocess.Popen(command, stdin=nothing, stdout=nothing, stderr=subprocess.PIPE, text=True)
+    more = () if options.robot is None else ("--robot", options.robot)
+    tasks = [["judge", str(path), *more] for path in paths]
+    for path, (text, error) in zip(paths, run_tasks(tasks, options.engine), strict=True):
+        yield Judged(str(path), "", error=error) if error else judge.from_json(json.loads(text)[0])
 
 
 def _results(path: Path) -> list[Judged]:
@@ -134,12 +110,6 @@ def _write(path: Path, text: str) -> None:
         replace_with(path, text.encode())
     except OSError as error:
         raise UserError(f"{path}: cannot be written: {error.strerror}") from error
-
-
-def _jobs(text: str) -> int:
-    if not re.fullmatch("[1-9][0-9]?", text):
-        raise ArgumentTypeError(f"{text!r} is not a number from 1 to 99")
-    return int(text)
 
 
 def _shard(text: str) -> Shard:

@@ -44,6 +44,9 @@ COMMANDS = {
     "replay": "run a recording through the same code and compare every byte; or evaluate another's",
     "judge": "run a folder of recordings as a test suite, each against what is expected of it",
     "scenario": "run scenarios: what happens to a robot when, and what must hold",
+    "again": "ask a robot in the simulated world again what a recording asks of it; sweep settings and seeds",
+    "trim": "write a stretch of a recording as one of its own, with what leads to its beginning",
+    "minimise": "find the fewest inputs of a recording that still do something; write them as a test",
     "diff": "compare two recordings: settings, the first difference, and the signals that part",
     "inspect": "tell what is in another program's recording, and write the robot file to start with",
     "map": "make a map and a path of another program's recording, as files",
@@ -64,7 +67,7 @@ COMMANDS = {
     "protocols": "list the installed protocols, check one, or start a new one",
     "ask": "send a line to a running robot, as on its terminal",
 }
-LIVE = ("demo", "run", "scenario", "twin", "jog", "motor", "new", "calibrate", "tune")
+LIVE = ("demo", "run", "scenario", "again", "twin", "jog", "motor", "new", "calibrate", "tune")
 """Those that must not wait for who reads their output: a robot would wait with them."""
 LINUX = (*LIVE, "view", "ask", "scan", "doctor")
 """Those that need what Linux alone has: SocketCAN, termios, real-time signals, /proc."""

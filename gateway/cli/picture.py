@@ -6,10 +6,11 @@ Matplotlib is imported here only, and only when a picture is drawn.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from io import BytesIO
 from math import hypot
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -43,6 +44,42 @@ WINDOW = 4
 
 LEGEND_WIDTH = 110
 """Characters of its names, and 5 for each of its lines, that fit above the axes"""
+
+
+def draw_sweep(
+    key: str, runs: Mapping[float, Sequence[Mapping[str, Any]]], names: Sequence[str], file: Path
+) -> None:
+    """Write a picture of a sweep, by the end of its name SVG or PNG: each figure of each run over the value
+    of the setting, and the mean of each value. Raises UserError if it cannot be written."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    shown = [
+        name
+        for name in names
+        if len({one["figures"].get(name) for found in runs.values() for one in found}) > 1
+    ]
+    figure = Figure(figsize=(8, 2.2 * max(1, len(shown))), layout="constrained")
+    FigureCanvasAgg(figure)
+    every = figure.subplots(max(1, len(shown)), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, name in zip(every, shown, strict=False):
+        points = [
+            (x, one["figures"][name]) for x, found in runs.items() for one in found if name in one["figures"]
+        ]
+        axes.plot(*zip(*points, strict=True), ".", color=RAW)
+        means = [(x, np.mean([y for at, y in points if at == x])) for x in dict(points)]
+        axes.plot(*zip(*means, strict=True), color=BELIEVED)
+        axes.set_title(name, loc="left", fontsize="small")
+    if not shown:
+        every[0].set_title("no figure differs", loc="left", fontsize="small")
+    every[-1].set_xlabel(key or "all runs")
+    kind = "svg" if file.suffix == ".svg" else "png"
+    data = BytesIO()
+    figure.savefig(data, format=kind, metadata={"Date": None} if kind == "svg" else {})
+    try:
+        replace_with(file, data.getvalue())
+    except OSError as error:
+        raise UserError(f"{file}: cannot be written: {error.strerror}") from error
 
 
 def draw(tour: Tour, file: Path) -> None:

@@ -36,6 +36,8 @@ PACKAGES = (
     "rosbags",
     "scipy",
 )
+PACKAGE, SENSOR = "package ", "sensor "
+"""Before the names of packages, and of kinds of sensors of others"""
 PLUGIN = "plugin "
 """Before the name of another distribution that adds something, with its version."""
 _DOORS = (plugin.GROUP, sensors.GROUP, bodies.GROUP, skills.GROUP, other_brain.GROUP)
@@ -47,9 +49,9 @@ def facts(cpuinfo: Path = Path("/proc/cpuinfo")) -> dict[str, str]:
     """Return name to value: sources, packages, others' kinds of sensors, Python, BLAS, processor, platform,
     environment variables."""
     found = {PROGRAM: sources()} | {
-        f"package {name}": number for name in PACKAGES if (number := _version(name))
+        f"{PACKAGE}{name}": number for name in PACKAGES if (number := _version(name))
     }
-    found |= _plugins() | {f"sensor {name}": whose for name, whose in sensors.versions().items()}
+    found |= _plugins() | {f"{SENSOR}{name}": whose for name, whose in sensors.versions().items()}
     found["python"] = sys.version.replace("\n", " ")
     found["platform"] = platform.platform()
     found["machine"] = platform.machine()

@@ -19,6 +19,8 @@ METADATA = "motor_gateway"
 """Name of the metadata with format and digest of the robot file."""
 FACTS = "facts"
 """Name of the metadata with versions, processor and so on."""
+VIEWS_FROM = "views from tick"
+"""A fact of a trimmed file: the ticks before this one are there for the state alone, and have few views."""
 RECOVERED = "recovered"
 """Name of additional metadata of a recovered file: its source, and what was lost."""
 

@@ -21,6 +21,7 @@ from gateway.recording.layout import (
     READABLE,
     RECOVERED,
     ROBOT_FILE,
+    VIEWS_FROM,
     Opcode,
     digest,
     modernised,
@@ -78,7 +79,7 @@ class Step:
     damage: tuple[str, ...]
     """What was changed since it was written, in words; empty if nothing."""
     whole: bool
-    """False for the last one before a cut: views may be missing."""
+    """False where views may be missing: the last one before a cut, and what a trimmed file begins with."""
     place: FilePlace
 
 
@@ -269,6 +270,7 @@ def _steps(path: Path, whole: bool, facts: Mapping[str, str], start: FilePlace =
 
     known = FileDeclarations(dict(start.known.schemas), dict(start.known.channels))
     chain, place = start.before, start
+    seen_from = _views_from(facts)
     entry: tick_codec.TickEntry | None = None
     views: list[ViewMessage] = []
     held = 0
@@ -299,12 +301,19 @@ def _steps(path: Path, whole: bool, facts: Mapping[str, str], start: FilePlace =
                     raise RecordingError(f"{path}: damaged: more than {MAX_UNPACKED} bytes between two ticks")
                 continue
             if entry is not None:
-                yield Step(entry.tick, tuple(views), entry.damage(), whole=True, place=place)
+                yield Step(entry.tick, tuple(views), entry.damage(), entry.tick.number >= seen_from, place)
             place = FilePlace(record.at, chain, known)
             entry, views, held = _entry(path, data, chain, entry, facts), [], 0
             chain = entry.written
     if entry is not None:
+        whole = whole and entry.tick.number >= seen_from
         yield Step(entry.tick, tuple(views), entry.damage(), whole, place)
+
+
+def _views_from(facts: Mapping[str, str]) -> int:
+    """Return the number of the tick from which on all views are there."""
+    text = facts.get(VIEWS_FROM, "0")
+    return int(text) if text.isascii() and text.isdigit() and len(text) < 20 else 0
 
 
 def _entry(

@@ -10,7 +10,7 @@ mountings are written again.
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 from brain.belief import Belief
@@ -19,7 +19,7 @@ from gateway.errors import RecordingError
 from gateway.recording import tick_codec
 from gateway.recording.layout import FACTS, FORMAT, METADATA, ROBOT_FILE, digest
 from gateway.recording.mcap_file import McapFile
-from gateway.recording.ros_views import Views
+from gateway.recording.ros_views import ViewMessage, Views
 from protocols.messages import MILLISECOND, SECOND, Nanos
 
 FLUSH_PERIOD: Nanos = 40 * MILLISECOND
@@ -29,7 +29,8 @@ RETRY_PERIOD: Nanos = SECOND
 """Time from a failed write to the next attempt."""
 
 # Subscribers may come late: rosbag2 must offer them what was sent before (QoS as rosbag2 writes it).
-_LATCHED = frozenset({"/tf_static", "/map", "/plan", "/goal_pose"})
+LATCHED = frozenset({"/tf_static", "/map", "/plan", "/goal_pose"})
+"""Topics of which what was sent last holds on."""
 _LATCHED_QOS = """\
 - history: keep_last
   depth: 1
@@ -89,6 +90,10 @@ class TickWriter:
 
     def add(self, tick: Tick, belief: Belief) -> str:
         """Add a tick and its views; flush if that is due, or after a warning or error."""
+        return self.put(tick, lambda: self._views.messages(tick, belief))
+
+    def put(self, tick: Tick, views: Callable[[], Iterable[ViewMessage]]) -> str:
+        """Add a tick and what views a function returns, which is asked only if the tick can be written."""
         if self._file.broken or (self._retry_at is not None and tick.now < self._retry_at):
             return self._count_lost(1)
         try:
@@ -99,7 +104,7 @@ class TickWriter:
         self._since = self._since if self.pending else tick.now
         self.pending += 1
         self._put(tick, tick_codec.TOPIC, tick_codec.TYPE, tick.now, data)
-        for topic, type_, t, data in self._views.messages(tick, belief):
+        for topic, type_, t, data in views():
             self._put(tick, topic, type_, t, data)
         if tick.now - self._since >= FLUSH_PERIOD or any(n.level != "info" for n in tick.outputs.notes):
             return self.flush()
@@ -156,7 +161,7 @@ class TickWriter:
         channel = file.channel(topic, type_)
         if channel is None:
             definition = tick_codec.DEFINITION if type_ == tick_codec.TYPE else self._views.definition(type_)
-            channel = file.open_channel(topic, type_, definition, _LATCHED_QOS if topic in _LATCHED else "")
+            channel = file.open_channel(topic, type_, definition, _LATCHED_QOS if topic in LATCHED else "")
         file.message(channel, tick.number & 0xFFFFFFFF, max(0, tick.now), max(0, t), data)
 
 

@@ -14,35 +14,29 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from math import isfinite
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, TypeAlias
 
-from brain.belief import Belief
 from gateway.config.errors import Mistakes
 from gateway.config.text import read_text, read_toml
 from gateway.core.robot import Robot
 from gateway.core.step import Gateway
-from gateway.core.tick import Tick
 from gateway.errors import GatewayError, UserError
 from gateway.recording import read_recording
 from gateway.recording.new_file import replace_with
 from gateway.recording.reader import is_recording
 from gateway.replay import Observe, replay_recording
-from gateway.report.collect import Collector
 from gateway.report.junit import junit_xml
+from gateway.report.watcher import Figure, Watcher
 from gateway.rosbag import is_bag
 from gateway.rosbag.evaluate import evaluate_file
 from gateway.rosbag.survey import proposed_robot, survey
 from gateway.rosbag.truth import read_truth
-from protocols.frames import CanFrame, Packet
-from protocols.messages import MILLISECOND, SECOND, Fault, Nanos
 
 EXPECTED = ".expected.toml"
 SUFFIXES = (".mcap", ".bag", ".db3", ".log", ".clf", ".gz", ".bz2", ".xz", ".csv", ".dat", ".mat")
 """Files that a folder is searched for; what is none of our readers' is left out."""
 TRUTHS = (".relations", ".tum")
 """Of another program's recording, beside it and called as it is before its first dot"""
-LATE = 1.5
-"""Periods between two steps, from which a tick counts as missed"""
 SHOWN = 5
 """Differences of a recording that are told"""
 
@@ -54,14 +48,6 @@ STATUS_TEXTS: Mapping[Status, str] = {
     "new": "nothing is expected yet: --update writes it",
     "unreadable": "NOT READ",
 }
-
-
-class Figure(NamedTuple):
-    """A figure of a recording, with the tolerance that it has unless another was edited."""
-
-    value: float
-    tolerance: float
-    unit: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,80 +113,20 @@ def judge(path: Path, robot: Robot | None = None) -> Judged:
         return _of_ours(path, source, robot)
     except GatewayError as error:
         return Judged(str(path), source, error=str(error))
+    except Exception as error:  # noqa: BLE001 -- a step that fails is what the code of today makes of it
+        return Judged(str(path), source, error=f"the program fails: {type(error).__name__}: {error}")
 
 
 def _of_ours(path: Path, source: str, robot: Robot | None) -> Judged:
-    watchers: list[_Watcher] = []
+    watchers: list[Watcher] = []
 
     def watch(gateway: Gateway) -> Observe:
-        watchers.append(_Watcher(gateway))
+        watchers.append(Watcher(gateway))
         return watchers[0].take
 
     comparison = replay_recording(read_recording(path), robot, watch)
     causes = () if comparison.ok else (*comparison.objections(), *comparison.causes)
     return Judged(str(path), source, watchers[0].digests(), watchers[0].figures(), causes)
-
-
-class _Watcher:
-    """What is counted of a replay."""
-
-    def __init__(self, gateway: Gateway) -> None:
-        self._gateway = gateway
-        self._collector = Collector(gateway)
-        self._late = LATE * gateway.robot.period
-        self._before: Nanos | None = None
-        self._missed = self._faults = 0
-        self._oldest: Nanos = 0
-        self._hashes: dict[str, list[Any]] = {name: [] for name in gateway.robot.buses}
-
-    def take(self, tick: Tick, belief: Belief) -> None:
-        """Take a tick of today, and the belief after it."""
-        self._collector.take(tick, belief)
-        if self._before is not None and tick.now - self._before > self._late:
-            self._missed += 1
-        self._before = tick.now
-        self._faults += sum(isinstance(event, Fault) for event in tick.outputs.events)
-        ages = [joint.feedback_age(tick.now) or 0 for joint in self._gateway.joints.values()]
-        self._oldest = max(self._oldest, *ages)
-        second = (tick.now - self._collector.start) // SECOND
-        for packet in tick.outputs.packets:
-            if (hashes := self._hashes.get(packet.bus)) is not None:
-                hashes += (hashlib.blake2b(digest_size=4) for _ in range(len(hashes), second + 1))
-                hashes[-1].update(_bytes_of(packet))
-
-    def digests(self) -> dict[str, list[str]]:
-        """Return the digests by bus and second."""
-        return {bus: [one.hexdigest() for one in hashes] for bus, hashes in self._hashes.items()}
-
-    def figures(self) -> dict[str, Figure]:
-        """Return the figures of the whole run."""
-        seen, belief = self._collector, self._collector.belief
-        took = max(1, seen.end - seen.start)
-        found = {
-            "ticks": Figure(seen.ticks, 0),
-            "ticks missed": Figure(self._missed, 0),
-            "goals reached": Figure(belief.reached, 0),
-            "faults": Figure(self._faults, 0),
-            "rejected measurements": Figure(sum(belief.rejected.values()), 5),
-            "oldest feedback": Figure(self._oldest / MILLISECOND, 1.0, "ms"),
-        }
-        if belief.estimate is not None:
-            pose = belief.estimate.pose
-            found |= {
-                "final x": Figure(pose.x, 0.02, "m"),
-                "final y": Figure(pose.y, 0.02, "m"),
-                "final yaw": Figure(pose.yaw, 0.02, "rad"),
-                "path driven": Figure(seen.driven.length, 0.05, "m"),
-                "off the path, RMS": Figure(seen.off_rms or 0.0, 0.005, "m"),
-            }
-        for name, joint in self._gateway.joints.items():
-            if joint.feedback.position is not None:
-                found[f"{name}: final position"] = Figure(joint.feedback.position, 0.1, "rad")
-        for bus, busy in seen.busy.items():
-            found[f"{bus}: busy"] = Figure(100.0 * busy / took, 0.5, "%")
-        for sensor, nis in self._gateway.brain.nis.items():
-            found[f"{sensor}: NIS per degree of freedom"] = Figure(nis.mean, 0.1)
-        return found
 
 
 def _of_another(path: Path, robot: Robot | None) -> dict[str, Figure]:
@@ -230,15 +156,6 @@ def _file_digest(path: Path) -> str:
                 while block := file.read(1 << 20):
                     digest.update(block)
     return digest.hexdigest()
-
-
-def _bytes_of(packet: Packet) -> bytes:
-    frame = packet.frame
-    head = packet.t.to_bytes(8, "little")
-    if isinstance(frame, CanFrame):
-        kind = frame.extended | frame.remote << 1 | frame.fd << 2 | frame.brs << 3
-        return head + frame.id.to_bytes(4, "little") + bytes([kind, len(frame.data)]) + frame.data
-    return head + frame
 
 
 # -- what is expected ---------------------------------------------------------------------------------

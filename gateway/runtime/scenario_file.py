@@ -26,7 +26,7 @@ clock, from the beginning of the run.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
@@ -244,6 +244,20 @@ class ScenarioFile:
 
 
 @dataclass(frozen=True, slots=True)
+class FaultFile:
+    """What happens to a robot that does again what a recording asks, and what must hold: a scenario file
+    without name, robot, seconds and asks."""
+
+    seed: Annotated[int, Bounds(0, 2**63 - 1)] = 1
+    """Of what happens by chance"""
+    faults: dict[str, FaultEvent] = field(default_factory=dict)
+    loads: dict[str, LoadStep] = field(default_factory=dict)
+    walls: dict[str, WallEvent] = field(default_factory=dict)
+    must: Requirements = field(default_factory=Requirements)
+    never: Never = field(default_factory=Never)
+
+
+@dataclass(frozen=True, slots=True)
 class Scenario:
     """A scenario that fits its robot."""
 
@@ -306,8 +320,40 @@ def parse_scenario(
     assert robot is not None, "mistakes were added"
     asks = _check_events(file, robot, mistakes)
     _check_requirements(file, robot, mistakes)
+    if not (file.must.all() or file.never != Never()):
+        mistakes.add((), "nothing must hold: expected a table [must.…] or [never]")
     mistakes.check()
     return Scenario(path, file, robot, asks, world)
+
+
+def parse_faults(text: str, path: Path, robot: Robot, lasts: float, seed: int | None = None) -> Scenario:
+    """Return the scenario of what is asked elsewhere, and what a file lets happen meanwhile.
+
+    Args:
+        text: of the file; "" for nothing.
+        path: its name in mistakes.
+        robot: all of it simulated.
+        lasts: s
+        seed: of the simulated world's noise; None: that of the file.
+
+    Raises:
+        ConfigError: as `load_scenario`.
+    """
+    mistakes = Mistakes(str(path), text)
+    given = build(FaultFile, read_toml(text, mistakes), (), mistakes)
+    mistakes.check()
+    assert given is not None, "mistakes were added"
+    tables = {each.name: getattr(given, each.name) for each in fields(FaultFile)}
+    file = ScenarioFile(path.stem, robot.name, lasts, **tables | ({} if seed is None else {"seed": seed}))
+    world = None
+    try:
+        world = _world(file, robot, mistakes)
+    except UserError as error:
+        mistakes.add((), str(error))
+    _check_events(file, robot, mistakes)
+    _check_requirements(file, robot, mistakes)
+    mistakes.check()
+    return Scenario(path, file, robot, {}, world)
 
 
 def _world(file: ScenarioFile, robot: Robot, mistakes: Mistakes) -> WorldFile | None:
@@ -400,8 +446,6 @@ def _check_requirements(file: ScenarioFile, robot: Robot, mistakes: Mistakes) ->
     for name in ("faster", "nearer"):
         if getattr(file.never, name) is not None and base is None:
             mistakes.add(("never", name), f"{robot.name!r} has no base that drives")
-    if not (file.must.all() or file.never != Never()):
-        mistakes.add((), "nothing must hold: expected a table [must.…] or [never]")
 
 
 def scenarios_in(names: Sequence[str | Path]) -> list[Path]:

@@ -273,6 +273,8 @@ def test_what_needs_no_bus_runs_elsewhere_and_the_rest_is_a_sentence(tmp_path: P
         f"replay {recording} --report {report}": 0,
         f"replay {bag} --robot {tmp_path}/rover.toml": 0,
         f"judge {recording} --update": 0,
+        f"trim {recording} --to 0.2": 0,
+        f"minimise {recording} --while tells": 2,
         "schema mission": 0,
         f"recover {recording}": 0,
         f"watch {recording}": 0,
@@ -286,7 +288,7 @@ def test_what_needs_no_bus_runs_elsewhere_and_the_rest_is_a_sentence(tmp_path: P
     assert [line for line in done.stdout.splitlines() if " -> " in line] == [
         f"{line} -> {status}" for line, status in runs.items()
     ], done.stderr
-    there = "replay, judge, diff, inspect, map, recover, watch, check, schema"
+    there = "replay, judge, trim, minimise, diff, inspect, map, recover, watch, check, schema"
     assert done.stderr.count(f": runs on Linux only; here do: {there},") == 5
     assert done.stderr.count("gateway watch: this runs on Linux only") == 1
 

@@ -1,0 +1,235 @@
+"""`gateway again`: what a recording asks of its robot, asked again in the simulated world; sweeps of it."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import re
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from gateway.bench.again import drive_again, lasts, simulated
+from gateway.cli import arguments
+from gateway.cli.tasks import add_engine, run_tasks
+from gateway.cli.terminal.progress import progress
+from gateway.config import load_robot, parse_robot
+from gateway.config.one_setting import with_setting
+from gateway.config.text import read_text
+from gateway.core.message_text import escaped
+from gateway.core.robot import Robot
+from gateway.errors import UserError
+from gateway.recording import read_recording
+from gateway.recording.new_file import replace_with
+from gateway.replay.input_log import input_log
+from gateway.runtime.scenario_file import parse_faults
+
+MOST_RUNS = 100_000
+COLUMNS = (
+    "goals reached",
+    "faults",
+    "ticks missed",
+    "off the path, RMS",
+    "error of the believed place, most",
+    "nearest to anything",
+    "touches",
+)
+"""Figures of a sweep's table; all are in --csv"""
+
+
+class Sweep(NamedTuple):
+    """A setting, and its values."""
+
+    key: str
+    values: tuple[float, ...]
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.add_argument("file", type=Path, metavar="FILE", help="a recording of this gateway")
+    parser.add_argument("--robot", metavar="ROBOT", help="use this robot file instead of the recorded one")
+    text = "faults, loads and walls that come meanwhile, and what must hold"
+    parser.add_argument("--inject", type=Path, metavar="TOML", help=text)
+    text = "another value of a setting of the robot file"
+    parser.add_argument("--set", type=setting, action="append", default=[], metavar="KEY=VALUE", help=text)
+    arguments.add_seed(parser)
+    text = "record the run, in a file that must not exist yet"
+    parser.add_argument("--record", type=Path, metavar="FILE", help=text)
+    text = "drive again for each of N values of a setting, from A to B (or for VALUE,VALUE,…)"
+    parser.add_argument("--sweep", type=sweep, metavar="KEY=A..B:N", help=text)
+    text = "for each value with so many seeds of the world's noise (default: 1)"
+    seeds = arguments.integer("a number from 1 to 1000", 1, 1000)
+    parser.add_argument("--seeds", type=seeds, default=1, metavar="K", help=text)
+    add_engine(parser)
+    parser.add_argument("--csv", type=Path, metavar="FILE", help="write all figures of all runs as a table")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the sweep, as SVG or PNG")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the run's result as JSON")
+
+
+def run(options: Namespace) -> int:
+    """Return 1 if something does not hold that must."""
+    if options.sweep is None and options.seeds == 1:
+        for name in ("csv", "plot"):
+            if getattr(options, name) is not None:
+                raise UserError(f"--{name} is of a sweep: give --sweep KEY=A..B:N, or --seeds K")
+        return _once(options)
+    for name in ("record", "json"):
+        if getattr(options, name) is not None:
+            raise UserError(f"--{name} is of one run: leave it, or --sweep and --seeds, away")
+    return _sweep(options)
+
+
+def _robot(options: Namespace) -> Robot:
+    """Return the robot as it is to drive, all of it simulated."""
+    if options.robot is None:
+        recording = read_recording(options.file)
+        text, name = recording.robot_text, f"{options.file}: robot.toml"
+        robot = parse_robot(text, name)
+    else:
+        robot = load_robot(options.robot, recorded=True)
+        text, name = robot.text, str(options.robot)
+    for key, value in options.set:
+        text = with_setting(text, key, value)
+    return simulated(parse_robot(text, name) if options.set else robot)
+
+
+def _once(options: Namespace) -> int:
+    robot, log = _robot(options), input_log(read_recording(options.file))
+    file = options.inject or Path("nothing.toml")
+    text = "" if options.inject is None else read_text(options.inject)
+    scenario = parse_faults(text, file, robot, max(0.1, lasts(log)))
+    found = drive_again(log, scenario, options.record, options.seed)
+    if options.json is not None:
+        result = {
+            "figures": {name: figure.value for name, figure in found.figures.items()},
+            "held": {one.name: one.holds for one in found.verdicts},
+            "bytes": found.digests,
+        }
+        _write(options.json, json.dumps(result, sort_keys=True))
+    for line in found.told:
+        print(escaped(line))
+    for name, figure in found.figures.items():
+        print(escaped(f"{name}: {figure.value:.6g} {figure.unit}".rstrip()))
+    for one in found.verdicts:
+        print(escaped(f"{'held' if one.holds else 'DID NOT HOLD'}: {one.name}: {one.text}"))
+    return 0 if found.passed else 1
+
+
+def _sweep(options: Namespace) -> int:
+    """Drive again for each value and seed, and tell what comes of each value."""
+    key, values = options.sweep or Sweep("", (math.nan,))
+    if len(values) * options.seeds > MOST_RUNS:
+        raise UserError(f"{len(values)} values with {options.seeds} seeds are more than {MOST_RUNS} runs")
+    for value in values if key else ():  # all mistakes before the first run
+        _robot(Namespace(**{**vars(options), "set": [*options.set, (key, value)]}))
+    first = 1 if options.seed is None else options.seed
+    runs = [(value, seed) for value in values for seed in range(first, first + options.seeds)]
+    tasks = [[*_arguments(options, key, value), "--seed", str(seed)] for value, seed in runs]
+    results: list[dict[str, Any]] = []
+    with progress("again, runs", len(tasks)) as shown:
+        for (value, seed), (text, error) in zip(runs, run_tasks(tasks, options.engine), strict=True):
+            if error:
+                raise UserError(f"{_named(key, value)} with seed {seed}: {error}")
+            results.append(json.loads(text))
+            shown.update(len(results))
+    rows = [*zip(runs, results, strict=True)]
+    print("\n".join(map(escaped, table(key, rows))))
+    if options.csv is not None:
+        _write(options.csv, as_csv(key, rows))
+    if options.plot is not None:
+        from gateway.cli.picture import draw_sweep
+
+        draw_sweep(key, {value: _of(rows, value) for value in values}, COLUMNS, options.plot)
+    return 0 if all(all(result["held"].values()) for result in results) else 1
+
+
+Row = tuple[tuple[float, int], Mapping[str, Any]]
+
+
+def table(key: str, rows: Sequence[Row]) -> Iterator[str]:
+    """Yield the lines of a sweep's table: of each figure the mean, and the lowest and highest value."""
+    names = [name for name in COLUMNS if any(name in result["figures"] for _, result in rows)]
+    yield " | ".join([key or "seeds", "runs", "held", *names])
+    for value in dict.fromkeys(value for (value, _), _ in rows):
+        found = _of(rows, value)
+        held = sum(all(one["held"].values()) for one in found)
+        cells = [f"{value:g}" if key else "all", str(len(found)), str(held)]
+        for name in names:
+            numbers = [one["figures"][name] for one in found if name in one["figures"]]
+            mean, low, high = math.fsum(numbers) / max(1, len(numbers)), min(numbers), max(numbers)
+            cells.append(f"{mean:.4g}" if low == high else f"{mean:.4g} ({low:.4g} to {high:.4g})")
+        yield " | ".join(cells)
+
+
+def as_csv(key: str, rows: Sequence[Row]) -> str:
+    """Return all figures of all runs, a row for each run."""
+    names = list(dict.fromkeys(name for _, result in rows for name in result["figures"]))
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow([key or "value", "seed", *names])
+    for (value, seed), result in rows:
+        writer.writerow(
+            [f"{value:g}" if key else "", seed, *(result["figures"].get(name, "") for name in names)]
+        )
+    return out.getvalue()
+
+
+def _of(rows: Sequence[Row], value: float) -> list[Mapping[str, Any]]:
+    return [result for (each, _), result in rows if each == value or (each != each and value != value)]
+
+
+def _arguments(options: Namespace, key: str, value: float) -> list[str]:
+    """Return the arguments of one run."""
+    found = ["again", str(options.file.absolute())]
+    if options.robot is not None:
+        path = Path(options.robot)
+        found += ["--robot", str(path.absolute() if path.exists() else path)]
+    if options.inject is not None:
+        found += ["--inject", str(options.inject.absolute())]
+    for name, given in [*options.set, *[(key, value)] * bool(key)]:
+        found += ["--set", f"{name}={json.dumps(given)}"]
+    return found
+
+
+def _named(key: str, value: float) -> str:
+    return f"{key}={value:g}" if key else "the run"
+
+
+def setting(text: str) -> tuple[str, float | str | bool]:
+    """Return the key and the value of KEY=VALUE."""
+    key, equals, value = text.partition("=")
+    if not (key and equals and value):
+        raise ArgumentTypeError(f"{text!r} is not KEY=VALUE (as in brain.pursuit.lookahead_time=0.4)")
+    try:
+        found = json.loads(value)
+    except ValueError:
+        found = value
+    if not isinstance(found, int | float | str | bool) or (
+        isinstance(found, float) and not math.isfinite(found)
+    ):
+        raise ArgumentTypeError(f"{text!r}: expected a finite number, a word, true or false")
+    return key.strip(), found
+
+
+def sweep(text: str) -> Sweep:
+    """Return the key and the values of KEY=A..B:N, or of KEY=VALUE,VALUE."""
+    key, _, rest = text.partition("=")
+    number = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+    expected = f"{text!r} is not KEY=A..B:N, with N from 2 to 1000, or KEY=VALUE,VALUE"
+    if key and (found := re.fullmatch(rf"({number})\.\.({number}):(\d{{1,4}})", rest)):
+        a, b, count = float(found[1]), float(found[2]), int(found[3])
+        if 2 <= count <= 1000:
+            return Sweep(key, tuple(float(f"{a + (b - a) * i / (count - 1):.12g}") for i in range(count)))
+    elif key and re.fullmatch(rf"{number}(?:,{number})*", rest):
+        return Sweep(key, tuple(map(float, rest.split(","))))
+    raise ArgumentTypeError(expected)
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        replace_with(path, text.encode())
+    except OSError as error:
+        raise UserError(f"{path}: cannot be written: {error.strerror}") from error

@@ -1,0 +1,84 @@
+"""`gateway minimise`: the fewest inputs of a recording that still do it; as fixture, golden and test."""
+
+from __future__ import annotations
+
+import json
+import re
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+
+from gateway.cli import arguments
+from gateway.cli.terminal.progress import progress
+from gateway.cli.trim import add_anonymise
+from gateway.errors import UserError
+from gateway.recording import read_recording
+from gateway.recording.new_file import create_with
+from gateway.replay.anonymous import anonymous
+from gateway.replay.input_log import MADE_FROM, input_log, write_run
+from gateway.report import judge
+from gateway.report.condition import EXAMPLES, condition
+from gateway.report.minimise import TRIALS, minimise
+
+TEST = '''\
+"""Made by `gateway minimise`: what {name} shows must not happen again.
+
+Until it is mended this test fails. Then `gateway judge {name} --update` makes anew what is expected of it.
+"""
+
+from pathlib import Path
+
+from gateway.testing import holds
+
+RECORDING = Path(__file__).with_name("{name}")
+
+
+def test_{word}() -> None:
+    assert not holds({condition}, RECORDING)
+'''
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.add_argument("file", type=Path, metavar="FILE", help="a recording of this gateway")
+    text = f"what the rest must still do: {EXAMPLES}"
+    parser.add_argument("--while", dest="condition", required=True, metavar="CONDITION", help=text)
+    add_anonymise(parser)
+    text = f"how often at most it is tried (default: {TRIALS})"
+    trials = arguments.integer("a number from 10 to 100000", 10, 100_000)
+    parser.add_argument("--trials", type=trials, default=TRIALS, metavar="N", help=text)
+    text = "the new file, which must not exist yet (default: FILE with .minimal in it); the others lie beside"
+    parser.add_argument("-o", "--out", type=Path, metavar="OUT", help=text)
+
+
+def run(options: Namespace) -> int:
+    """Write fixture, golden and test; return 1 if the condition does not hold of the recording."""
+    path: Path = options.file
+    target: Path = options.out or path.with_name(f"{path.stem}.minimal.mcap")
+    word = re.sub(r"\W+", "_", target.name.removesuffix(".mcap")).strip("_").lower()
+    golden, test = judge.expected_file(target, None), target.with_name(f"test_{word}.py")
+    if there := [one for one in (target, golden, test) if one.exists()]:
+        raise UserError(f"{there[0]}: exists already; it is never overwritten: name another file with --out")
+    holds = condition(options.condition)
+    log, left_out = input_log(read_recording(path)), list[str]()
+    if options.anonymise:
+        log, left_out = anonymous(log)
+    with progress("minimise, trials", options.trials) as shown:
+        found = minimise(log, holds, options.trials, shown.update)
+    if found is None:
+        print(f"{path}: {holds.text!r} does not hold of it")
+        print("\n".join(f"  {line}" for line in holds.why_not(log)))
+        return 1
+    made_from = "another recording" if options.anonymise else path.name
+    write_run(target, found.log, {MADE_FROM: f"{made_from}, as small as {holds.text!r} allows"})
+    judged = judge.judge(target)
+    if not judged.error:
+        judge.write_expected(golden, judged, None)
+    text = TEST.format(name=target.name, word=word, condition=json.dumps(holds.text))
+    try:
+        create_with(test, text.encode())
+    except OSError as error:
+        raise UserError(f"{test}: cannot be written: {error.strerror}") from error
+    print("\n".join([found.text(), *left_out]))
+    written = ", ".join(one.name for one in (golden, test) if one.exists())
+    print(f"written: {target}, {written}\nrun it: pytest {test}")
+    return 0

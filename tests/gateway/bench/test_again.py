@@ -1,0 +1,156 @@
+"""`gateway again`: what a recording asks of its robot, asked again in the simulated world."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+import gateway as gw
+from gateway.bench.again import asked, drive_again, lasts, simulated
+from gateway.cli.main import main
+from gateway.config import parse_robot, resources
+from gateway.config.one_setting import with_setting
+from gateway.errors import UserError
+from gateway.recording import read_recording
+from gateway.replay.input_log import InputLog, input_log
+from gateway.runtime.scenario_file import parse_faults
+from protocols.messages import SECOND
+
+CABLE = """\
+[faults.cable]
+at = 0.7
+cause = "device silent"
+on = "left"
+
+[must.tell.silence]
+after = "cable"
+within = 0.2
+on = "left"
+text = "silent"
+
+[must.stand.left]
+after = "cable"
+within = 0.01
+on = "left"
+"""
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bench of which one motor turns from 0.5 to 0.9 s."""
+    path = tmp_path_factory.mktemp("again") / "turn.mcap"
+    with gw.open_session("bench", simulated=True, record=path) as session:
+        for tick in session.run(1.1):
+            if 0.5 * SECOND < tick.now < 0.9 * SECOND:
+                session.submit(gw.Velocity("left", 3.0))
+    return path
+
+
+@pytest.fixture(scope="module")
+def log(recorded: Path) -> InputLog:
+    return input_log(read_recording(recorded))
+
+
+def test_the_same_robot_and_world_give_the_same_bytes(recorded: Path, log: InputLog, tmp_path: Path) -> None:
+    assert lasts(log) == pytest.approx(1.1, abs=0.01)
+    assert {type(one) for _, asks in asked(log) for one in asks} == {gw.Velocity}
+    again = tmp_path / "again.mcap"
+    scenario = parse_faults("", Path("nothing"), simulated(log.robot), lasts(log))
+    found = drive_again(log, scenario, again)
+    assert found.passed
+    ticks = [(tick.now, tick.inputs, tick.outputs) for tick in read_recording(recorded).ticks]
+    assert [(tick.now, tick.inputs, tick.outputs) for tick in read_recording(again).ticks] == ticks
+    assert found.figures["left: final position"].value == pytest.approx(1.8, abs=0.2)
+
+
+def test_faults_come_meanwhile_and_what_must_hold_is_judged(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "cable.toml").write_text(CABLE)
+    assert main(["again", str(recorded), "--inject", str(tmp_path / "cable.toml")]) == 1
+    printed = capsys.readouterr().out
+    assert re.search(
+        r"^0\.8\d s: left: fault: silent: no feedback for more than 100 ms", printed, re.MULTILINE
+    )
+    assert "held: must.tell.silence: 'silent' of left: told after 0.1" in printed
+    assert "DID NOT HOLD: must.stand.left: " in printed  # it coasts
+
+
+def test_a_sweep_is_a_table_and_a_picture_the_same_by_any_engine(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    figures, plot = tmp_path / "s.csv", tmp_path / "s.svg"
+    command = ["again", str(recorded), "--sweep", "motors.left.limits.velocity=1..3:2", "--csv", str(figures)]
+    assert main([*command, "--jobs", "2", "--plot", str(plot)]) == 0
+    printed, table = capsys.readouterr().out, figures.read_bytes()
+    assert re.search(r"^motors\.left\.limits\.velocity \| runs \| held \| goals", printed, re.MULTILINE)
+    assert re.search(r"^1 \| 1 \| 1 \| 0 \| .*\n3 \| 1 \| 1 \| 0 ", printed, re.MULTILINE)
+    rows = list(csv.DictReader(figures.read_text().splitlines()))
+    slow, fast = (float(row["left: final position"]) for row in rows)
+    assert 0.5 < slow < 0.7 < 1.5 < fast
+    assert b"<svg" in plot.read_bytes()[:400]
+    one = tmp_path / "one.json"
+    alone = ["--set", "motors.left.limits.velocity=1.0", "--seed", "1", "--json", str(one)]
+    assert main(["again", str(recorded), *alone]) == 0
+    assert json.loads(one.read_text())["figures"]["left: final position"] == slow
+    assert table.count(b"\n") == 3
+
+
+# fmt: off
+WRONG = [
+    # arguments, and what is told
+    (["--sweep", "left"], r"'left' is not KEY=A\.\.B:N, with N from 2 to 1000, or KEY=VALUE,VALUE"),
+    (["--sweep", "a.b=1..2:1"], r"is not KEY=A\.\.B:N"),
+    (["--sweep", "a.b=1..nan:5"], r"is not KEY=A\.\.B:N"),
+    (["--sweep", "motors.left.limits.velocity=1,1e9"], r"motors\.left\.limits\.velocity.*1000000000"),
+    (["--sweep", "motors.left.limits.velocty=1,2"], r"velocty"),
+    (["--set", "velocity"], r"is not KEY=VALUE"),
+    (["--set", "motors.left.gear=NaN"], r"expected a finite number, a word, true or false"),
+    (["--csv", "x.csv"], r"--csv is of a sweep"),
+    (["--seeds", "2", "--json", "x"], r"--json is of one run"),
+    (["--seeds", "0"], r"'0' is not a number from 1 to 1000"),
+    (["--seeds", "2", "--engine", "spark:1"], r"is not dask:ADDRESS, such as dask:tcp://10\.0\.0\.1:8786"),
+    (["--inject", "{}"], r"faults\.cable\.cause.*did you mean 'device silent'"),
+    (["--inject", "nowhere.toml"], r"nowhere\.toml"),
+]
+# fmt: on
+
+
+@pytest.mark.parametrize(("given", "told"), WRONG)
+def test_wrong_arguments_are_told_before_anything_runs(
+    given: list[str], told: str, recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "wrong.toml"
+    file.write_text(CABLE.replace("device silent", "device silnt"))
+    status: object
+    try:
+        status = main(["again", str(recorded), *(one.format(file) for one in given)])
+    except SystemExit as error:
+        status = error.code
+    printed = capsys.readouterr()
+    assert status == 2, printed
+    assert re.search(told, printed.err), printed.err
+
+
+def test_a_setting_is_changed_where_it_stands_or_added() -> None:
+    text = resources.find("robots", "bench").read_text()
+    for key, value in (
+        ("rate_hz", 100),
+        ("motors.left.limits.velocity", 7.5),
+        ("motors.right.following_time_ms", 300),
+        ("brain.health.give_up_ms", 4000),
+    ):
+        changed = with_setting(text, key, value)
+        differing = set(changed.splitlines()) ^ set(text.splitlines())
+        assert 1 <= len(differing) <= 3, differing
+    assert parse_robot(with_setting(text, "motors.left.limits.velocity", 7.5), "x").motors[
+        "left"
+    ].joint.limits.velocity == pytest.approx(7.5)
+    assert "# comment" in with_setting("[a]\nb = 1  # comment\n", "a.b", 2)
+    for broken in ("a = {b = 1}\n", "[[a]]\nb = 1\n", 'a.b = """\n1"""\n'):
+        with pytest.raises(UserError, match=r"a\.b: cannot be changed where it stands"):
+            with_setting(broken, "a.b", 2)
