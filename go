@@ -66,7 +66,7 @@ TOOLS = (
 )
 DOCS = ["-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", "docs", "out/site"]
 PYTEST = ["-m", "pytest", "-n", "3", "--dist", "loadfile", "--no-loadscope-reorder"]
-"""One worker more than cores: some tests wait for processes, sockets and a page. The order is tests/conftest.py's."""
+"""One worker more than cores: some tests wait for processes and pages. The order is tests/conftest.py's."""
 
 REAL_CAN = ["-m", "tests.real_can"]
 """The tests of a real CAN; the file named next gets what of them could not run, and why."""

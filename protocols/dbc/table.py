@@ -76,9 +76,10 @@ class Number:
 
     def measured(self, raw: Raw) -> float | None:
         """Return the value of a raw number that was received; None at an end of its range: it may as well be
-        beyond it; and where it is not finite."""
+        beyond it; and where it is not finite. A magnitude of 0 is a value: nothing is below it."""
         low, high = self.signal.ends()
-        return self.value(raw) if low < raw < high else None
+        value = self.value(raw)
+        return value if low < raw < high or value == 0.0 else None
 
     def _raws(self) -> tuple[float, float]:
         """Return the least and the most raw number, as far as the file bounds it."""
@@ -96,7 +97,10 @@ class Number:
             ends = sorted(self.value(each) / max(1.0, abs(self.factor)) for each in (low, high))
             error = 2.0**-10 if self.signal.bits == 16 else BINARY32
             return Range(ends[0], ends[1], 1e-12, error)
-        ends = sorted(map(self.value, (low + inside, high - inside)))
+        raws = [
+            end if self.value(end) == 0.0 else end + step for end, step in ((low, inside), (high, -inside))
+        ]
+        ends = sorted(map(self.value, raws))
         return Range(ends[0], ends[1], 0.501 * abs(self.factor))
 
 
@@ -204,8 +208,8 @@ class _Reader:
             return named[text]
         try:
             value = int(text, 0) if text[:2].lower() == "0x" else float(text)
-            raw: Raw = (value - signal.offset) / signal.factor
-            raw = raw if signal.real else round(raw)
+            exact = (value - signal.offset) / signal.factor
+            raw: Raw = exact if signal.real else round(exact)
         except (ValueError, ArithmeticError):  # among them of what is not finite
             one_of = f", or one of {', '.join(named)}" if named else ""
             self.object(key, f"found {text!r}, expected a number{one_of}{did_you_mean(text, named)}")
@@ -214,6 +218,9 @@ class _Reader:
         if not low <= raw <= high:
             least, most = sorted(each * signal.factor + signal.offset for each in (low, high))
             self.object(key, f"{text} does not fit into {signal.name}: it has {least:g} to {most:g}")
+            return None
+        if signal.factor == 1.0 and not signal.real and raw != exact:
+            self.object(key, f"{text} is no value of {signal.name}, which has whole steps")
             return None
         return raw
 

@@ -16,9 +16,9 @@ from protocols.bounds import Invalid
 from protocols.conformance.bench import Bench, make_bench
 from protocols.dbc import example, plugin
 from protocols.dbc.checksums import CHECKSUMS
-from protocols.dbc.database import Message, messages_of, read_database
+from protocols.dbc.database import Message, Signal, messages_of, read_database
 from protocols.dbc.options import Commanded, Fed, Feedback, Options
-from protocols.dbc.table import declared
+from protocols.dbc.table import Number, declared
 from protocols.frames import CanFrame, Frame
 from protocols.messages import SECOND, Mode
 from protocols.messages import Feedback as Measured
@@ -115,6 +115,10 @@ WRONG: list[tuple[dict[str, Any], tuple[str, str]]] = [
         {"enable": ("Motor{}_Command.ENABLE = 2",)},
         ("options.enable", "does not fit into ENABLE: it has 0 to 1"),
     ),
+    (
+        {"enable": ("Motor{}_Command.ENABLE = 0.6",)},
+        ("options.enable", "0.6 is no value of ENABLE, which has whole steps"),
+    ),
     ({"enable": ("Motor{}_Command.MODE = velocty",)}, ("options.enable", "did you mean 'velocity'?")),
     ({"enable": ("ENABLE",)}, ("options.enable", "there is no message 'ENABLE'")),
     ({"enable": ("Motor{}_Command",)}, ("options.enable", 'expected "MESSAGE.SIGNAL = VALUE"')),
@@ -175,6 +179,14 @@ def test_all_mistakes_are_told_at_once() -> None:
     assert {key for key, _ in found.value.wrong} >= {
         "options.enable", "options.periods", "options.velocity.signal", "options.velocity.unit",
     }  # fmt: skip
+
+
+def test_a_magnitude_of_nothing_is_measured_and_what_lies_at_another_end_is_not() -> None:
+    signal = Signal("SPEED", 0, 8, False, False, False, 0.5, 0.0, "rad/s", None, None, (), 0, None)
+    magnitude, both = (Number("M", one, 0.5, 0.0) for one in (signal, replace(signal, signed=True)))
+    assert [magnitude.measured(raw) for raw in (0, 1, 254, 255)] == [0.0, 0.5, 127.0, None]
+    assert [both.measured(raw) for raw in (-128, -127, 0, 127)] == [None, -63.5, 0.0, None]
+    assert (magnitude.range(inside=1).low, both.range(inside=1).low) == (0.0, -63.5)
 
 
 def test_without_cantools_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
