@@ -197,7 +197,7 @@ class Outer:
     """What another program sends on a port, and when it is handed something."""
 
     sends: list[tuple[Nanos, bytes]]
-    handed: list[tuple[Nanos, Frame]] = field(default_factory=list)
+    handed: list[tuple[Nanos, bytes]] = field(default_factory=list)
     name = "line"
 
     def read(self, now: Nanos) -> tuple[Sequence[BusState], Sequence[Packet]]:
@@ -206,7 +206,7 @@ class Outer:
         return (), [Packet(now, self.name, data) for data in came]
 
     def write(self, now: Nanos, frames: Sequence[Frame]) -> None:
-        self.handed += [(now, frame) for frame in frames]
+        self.handed += [(now, frame) for frame in frames if isinstance(frame, bytes)]
 
     def wakes(self, now: Nanos) -> tuple[Sequence[int], Nanos | None]:
         return (), None
