@@ -23,6 +23,7 @@ from protocols.messages import MILLISECOND, SECOND
 from protocols.plugin import load
 
 GROUP = "a serial line with noise at full rate, 1 Mbaud (100 kB/s), on a pty"
+WHAT = "a second of it, while nothing is asked", "a second of it, while each answer is waited for"
 RATE = 1_000_000
 MOST = 0.1 * SECOND
 """The project's own: processor time for a second of it."""
@@ -52,17 +53,14 @@ def lines(effort: Effort) -> list[Row]:
     """Noise while nothing is asked, and while questions are."""
     with ExitStack() as stack:
         calls: dict[str, Call] = {}
-        for what, asks in (("nothing is asked", False), ("each answer is waited for", True)):
+        for what, asks in zip(WHAT, (False, True), strict=True):
             far, _, path = stack.enter_context(line())
             settings = BusSettings("line", "serial", f"serial:{path}", baudrate=RATE)
             bus = stack.enter_context(closing(open_bus(settings, SimulatedClock())))
             calls[what] = second(far, bus.read, asks)
         found = in_turn(calls, effort.of(10, 1))
     whole = span("a second", float(SECOND))
-    return [
-        Row(GROUP, f"a second of it, while {what}", each, (whole,), Target(at_most=MOST))
-        for what, each in found.items()
-    ]
+    return [Row(GROUP, what, each, (whole,), Target(at_most=MOST)) for what, each in found.items()]
 
 
 def noise(size: int) -> bytes:

@@ -163,8 +163,7 @@ class Belongs:
 
     def __call__(self, asked: bytes, answer: bytes) -> bool:
         """Return it."""
-        its = answer[0] == asked[0] or asked[0] == ANYONE
-        return its and (self.model.names_mode or answer[1] == asked[1])
+        return asked[0] in (answer[0], ANYONE) and (self.model.names_mode or answer[1] == asked[1])
 
 
 def answers(fits: Callable[[bytes], bool]) -> Unmarked:

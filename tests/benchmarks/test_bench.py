@@ -24,6 +24,7 @@ from benchmarks import (
     codec,
     drive,
     drivers,
+    lines,
     measure,
     paths,
     perceive,
@@ -70,6 +71,7 @@ TARGETS = {
     "12 motors, position",
     "processor time of both",
     view.BOTH,
+    *lines.WHAT,
     *(sample.what for _, language in LANGUAGES for sample in language.SAMPLES),
 }
 
@@ -114,6 +116,7 @@ def test_every_row_is_there_once_and_in_order(run: Run) -> None:
         *(sample.what for _, language in LANGUAGES for sample in language.SAMPLES),
         bridge.SENT,
         bridge.RECEIVED,
+        *lines.WHAT,
         "one predict and update, gated",
         "1024 × 1024 cells of 0.05 m, beams of up to 12 m",
         "200 × 200 cells",

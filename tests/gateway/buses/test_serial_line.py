@@ -16,7 +16,7 @@ import pytest
 import serial
 from serial.tools.list_ports_common import ListPortInfo
 
-from gateway.buses import WakingBus, usb
+from gateway.buses import WakingBus, ports, usb
 from gateway.buses.can import open_can
 from gateway.buses.serial import garbage, opening
 from gateway.buses.serial.bus import LEAST_PIECE, SerialBus, open_serial
@@ -244,6 +244,28 @@ def test_an_echo_on_a_real_port_is_left_out(line: tuple[int, SerialBus, BusSetti
         os.write(device, came + answer)
         assert gather(lambda: bytes_of(bus, number * MS + 1), len(answer)) == answer  # noqa: B023 -- at once
     assert bus.echo.collisions == 0
+
+
+def test_what_is_written_after_a_long_pause_is_not_taken_for_stuck(
+    line: tuple[int, SerialBus, BusSettings], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A port that holds nothing is not asked what it holds."""
+    device, bus, _ = line
+    asked: list[int] = []
+    holds = [0]
+
+    def held(_fileno: int) -> int:
+        asked.append(1)
+        return holds[0]
+
+    monkeypatch.setattr(ports, "held", held)
+    assert [bus.read(number * MS)[0] for number in range(1000)] == [[]] * 1000
+    assert len(asked) == 1
+    holds[0] = 8
+    bus.write(SECOND, [b"question"])
+    assert [bus.read(SECOND + number * MS)[0] for number in range(90)] == [[]] * 90
+    assert taken(device, 8) == b"question"
+    assert BusState.FULL in [each for number in range(90, 120) for each in bus.read(SECOND + number * MS)[0]]
 
 
 def test_a_collision_on_a_real_port_is_told_once(

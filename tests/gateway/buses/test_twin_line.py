@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from contextlib import closing, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import pytest
@@ -18,8 +18,8 @@ from gateway.core.clock import SimulatedClock, WallClock
 from gateway.core.robot import Robot
 from gateway.core.step import Gateway
 from gateway.runtime.loop import Reader
-from gateway.runtime.serve import serve
-from protocols.frames import BusState, Frame
+from gateway.runtime.serve import LEAST, WAKING, serve
+from protocols.frames import BusState, Frame, Packet
 from protocols.line import Answer, Exchange
 from protocols.messages import Event, Nanos, Torque
 from protocols.plugin import Device
@@ -190,6 +190,53 @@ def over_a_pty(echo: bool, *questions: bytes) -> tuple[bytes, TwinBus]:
         assert outer.read(0)[0] == [] or outer._state is BusState.GONE
         served.close()
     return came, bus
+
+
+@dataclass
+class Outer:
+    """What another program sends on a port, and when it is handed something."""
+
+    sends: list[tuple[Nanos, bytes]]
+    handed: list[tuple[Nanos, bytes]] = field(default_factory=list)
+    name = "line"
+
+    def read(self, now: Nanos) -> tuple[Sequence[BusState], Sequence[Packet]]:
+        came = [data for at, data in self.sends if at <= now]
+        self.sends = [each for each in self.sends if each[0] > now]
+        return (), [Packet(now, self.name, data) for data in came]
+
+    def write(self, now: Nanos, frames: Sequence[Frame]) -> None:
+        self.handed += [(now, frame) for frame in frames if isinstance(frame, bytes)]
+
+    def wakes(self, now: Nanos) -> tuple[Sequence[int], Nanos | None]:
+        return (), None
+
+    def close(self) -> None: ...
+
+
+class WakenClock(SimulatedClock):
+    """Waken by what comes on a port, as by its file."""
+
+    def __init__(self, outer: Outer) -> None:
+        super().__init__()
+        self.outer = outer
+
+    def wait(self, until: Nanos, files: Sequence[int] = ()) -> None:
+        super().wait(min([until, *(at for at, _ in self.outer.sends if at > self.now())]), files)
+
+
+def test_what_a_port_and_waking_take_is_taken_off_at_both_ends() -> None:
+    """As far as they do not take it, an answer is handed over too soon by so much."""
+    made, bus = world()
+    times = 10_500_000, 20_500_000
+    outer = Outer([(times[0], b"question"), (times[1], b"another")])
+    for _ in serve(made.buses, {"line": outer}, WakenClock(outer), until=30 * MS):
+        pass
+    assert [frame for _, frame in outer.handed] == [b"<question>", b"<another>"]
+    for (at, frame), came in zip(outer.handed, times, strict=True):
+        ends = came - WAKING + (len(frame) - 2) * BYTE + DELAY + len(frame) * BYTE
+        assert ends - WAKING <= at <= ends - WAKING + LEAST
+    assert bus.overlaps == 0
 
 
 @pytest.mark.parametrize("echo", [False, True])

@@ -34,6 +34,7 @@ from protocols.feetech import table as ft
 from protocols.line import PATIENCE, Exchange, Line, Rank
 from protocols.messages import MILLISECOND, SECOND, Command, Feedback, Mode, Nanos, Velocity
 from protocols.plugin import CommandDecoder, Device, Plugin
+from protocols.toolkit.serial import CRC8_MAXIM
 from protocols.toolkit.servo_packets import WRITE
 from tests.gateway.rig import Rig, notes_in
 from tests.protocols.line_sessions import QUESTIONED
@@ -536,7 +537,7 @@ def for_another(rig: Rig, wire: Wire) -> None:
         assert isinstance(one.frame, bytes)
         body = bytes((99,)) + one.frame[1:-1]
         wrong = one.sender == THREE[-1] and len(one.frame) == ds.SIZE
-        return (replace(one, frame=body + bytes((ds.CRC8_MAXIM(body),))) if wrong else one,)
+        return (replace(one, frame=body + bytes((CRC8_MAXIM(body),))) if wrong else one,)
 
     rig.world.tamper.transmission = arrives
 
