@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +40,7 @@ def twist(belief: Belief) -> msg.Drive | None:
     pose, path = belief.estimate.pose, belief.path
     fine = [
         (a[0] + (b[0] - a[0]) * k / 20.0, a[1] + (b[1] - a[1]) * k / 20.0)
-        for a, b in zip(path, path[1:], strict=False)
+        for a, b in pairwise(path)
         for k in range(21)
     ]
     nearest = min(range(len(fine)), key=lambda i: math.dist(fine[i], (pose.x, pose.y)))
