@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from protocols.ld06 import table
 from protocols.ld06.options import NEAREST
 from protocols.ld06.turn import Turn
-from protocols.messages import SECOND, LaserScan, Mode, Nanos
+from protocols.messages import SECOND, Mode, Nanos
 from protocols.plugin import Device, FaultInfo
 from protocols.toolkit.host import Host, Report
 from protocols.toolkit.motor_driver import Rx
@@ -38,16 +38,14 @@ class Ld06Adapter(SensorAdapter[Turn]):
         carried = 10 * table.PACKET_BYTES * SECOND // rate if rate else 0
         return Turn(Beams(device.name, options.count, NEAREST, options.farthest), carried)
 
-    def streamed(self, t: Nanos, messages: Sequence[bytes], host: Host[Turn]) -> Sequence[Report[Turn] | Rx]:
-        turn, packets, scans = host.own, [*map(table.decode, messages)], list[LaserScan]()
-        sound = [packet for packet in packets if packet is not None]
-        for packet in sound:
-            scans += filter(None, (turn.add(t, packet),))
-        told: list[Report[Turn] | Rx] = [Rx.MALFORMED if packet is None else Rx.TOLD for packet in packets]
-        if sound:
-            fault, hertz = turn.unsteady(t, sound, host.options), sound[-1].speed / 360.0
-            lost = f", {turn.lost} packets lost" if turn.lost else ""
-            mode, faults = (Mode.FAULT, (SPEED,)) if fault else (Mode.READY, ())
-            text = f"turns at {hertz:.1f} Hz" if fault else f"turns{lost}"
-            told[told.index(Rx.TOLD)] = Report(host, host.address, mode, text, faults, events=scans)
-        return told
+    def measured(self, t: Nanos, message: bytes, host: Host[Turn]) -> Report[Turn] | Rx:
+        packet = table.decode(message)
+        if packet is None:
+            return Rx.MALFORMED
+        turn = host.own
+        scan = turn.add(t, packet)
+        fault = turn.unsteady(t, packet, host.options)
+        lost = f", {turn.lost} packets lost" if turn.lost else ""
+        turns = f"turns at {packet.speed / 360.0:.1f} Hz" if fault else f"turns{lost}"
+        mode, faults = (Mode.FAULT, (SPEED,)) if fault else (Mode.READY, ())
+        return Report(host, host.address, mode, turns, faults, events=() if scan is None else (scan,))

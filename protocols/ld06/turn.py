@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from protocols.ld06 import table
@@ -34,10 +33,9 @@ class Turn:
         self.clock.forget()
         self.steady = None
 
-    def unsteady(self, t: Nanos, packets: Sequence[Packet], options: Options) -> bool:
-        """True if the lidar has turned too slowly or too fast for as long as that matters, by packets that
-        came at t."""
-        good = any(options.slowest_hz <= each.speed / 360.0 <= options.fastest_hz for each in packets)
+    def unsteady(self, t: Nanos, packet: Packet, options: Options) -> bool:
+        """True if the lidar has turned too slowly or too fast for as long as that matters."""
+        good = options.slowest_hz <= packet.speed / 360.0 <= options.fastest_hz
         self.steady = t if good or self.steady is None else self.steady
         return t - self.steady > options.unsteady_ms * MILLISECOND
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import groupby
 
 from protocols.frames import Frame
 from protocols.messages import Mode, Nanos
@@ -37,22 +36,15 @@ class RplidarAdapter(SensorAdapter[Lidar]):
         beams = Beams(device.name, options.beams, NEAREST, options.farthest)
         return Lidar(Turn(device.line_rate, beams))
 
-    def streamed(
-        self, t: Nanos, messages: Sequence[bytes], host: Host[Lidar]
-    ) -> Sequence[Report[Lidar] | Rx]:
-        own, found = host.own, list[Report[Lidar] | Rx]()
-        for repeated, run in groupby(messages, lambda one: len(one) in SIZES):
-            several = [*run]
-            scans = own.see(t, several, self._stream.scan) if repeated else []
-            for answer in () if repeated else several:
-                own.hear(t, answer, host.options)
-            mode, faults = (Mode.FAULT, (rp.PROTECTION,)) if own.fault else (Mode.READY, ())
-            text = own.text(host.options)
-            found += (
-                Report(host, host.address, mode, text, faults, events=scans),
-                *[Rx.TOLD] * len(several[1:]),
-            )
-        return found
+    def measured(self, t: Nanos, message: bytes, host: Host[Lidar]) -> Report[Lidar] | Rx:
+        own, options, scan = host.own, host.options, None
+        if len(message) in SIZES:
+            scan = own.see(t, message, self._stream.scan)
+        else:
+            own.hear(t, message, options)
+        mode, faults = (Mode.FAULT, (rp.PROTECTION,)) if own.fault else (Mode.READY, ())
+        events = () if scan is None else (scan,)
+        return Report(host, host.address, mode, own.text(options), faults, events=events)
 
     def poll(self, now: Nanos, host: Host[Lidar]) -> Sequence[Frame]:
         return host.own.ask(now, host.options)

@@ -99,8 +99,8 @@ class Lidar:
 
     # -- received -------------------------------------------------------------------------------------
 
-    def see(self, t: Nanos, messages: Sequence[bytes], scan: str) -> list[LaserScan]:
-        """Take nodes or capsules of a scan that came at t; return the scans that they complete."""
+    def see(self, t: Nanos, data: bytes, scan: str) -> LaserScan | None:
+        """Take a node or capsule of a scan that came at t; return the scan that it completes."""
         if scan != self.scan:
             self.scan = scan
             self.turn.begin(scan)
@@ -108,7 +108,7 @@ class Lidar:
             self.due = t + WAITS[Stage.STOPS][0]  # until it is quiet
         elif self.stage in (Stage.BEGINS, Stage.SCANS) and self.due:
             self.stage, self.due = Stage.SCANS, t + WAITS[Stage.SCANS][0]
-        return self.turn.add(t, messages, scan)
+        return self.turn.add(t, data, scan)
 
     def hear(self, t: Nanos, message: bytes, options: Options) -> None:
         """Take an answer; go on to what follows."""

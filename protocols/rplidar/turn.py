@@ -73,30 +73,21 @@ class Turn:
         self.rays.forget()
         self.ended, self.held, self.way = 0, b"", 0.0
 
-    def add(self, t: Nanos, messages: Sequence[bytes], scan: str) -> list[LaserScan]:
-        """Take messages of a scan that came at t; return the scans that they complete."""
+    def add(self, t: Nanos, data: bytes, scan: str) -> LaserScan | None:
+        """Take a node or capsule of a scan that came at t; return the scan that it completes."""
         if scan == "standard":
-            found = [self._nodes(t, messages)]
-        elif scan == "hq":
-            found = [self._packet(t, data) for data in messages]
-        else:
-            found = [self._capsule(t, data, scan) for data in messages]
-        return [each for each in found if each is not None]
+            return self._node(t, data)
+        return self._packet(t, data) if scan == "hq" else self._capsule(t, data, scan)
 
-    def _nodes(self, t: Nanos, messages: Sequence[bytes]) -> LaserScan | None:
-        began, run = not self.ended, list[rp.Node]()
-        self._measure(t, len(messages), 1, rp.NODE_BYTES * len(messages))
-        for one in map(rp.node, messages):
-            ahead, self.last = (one.angle - self.last) % 360.0, one.angle
-            if ahead < JUMP and not began:
-                self.way += (ahead - self.way) / SLOWLY if self.way else ahead
-            elif began or ahead < BACK:
-                self.rays.forget()
-                run.clear()
-            run.append(one)
-            began = False
-        angles, found = ascending([one.angle for one in run]), [one.distance for one in run]
-        return self._go_on(self.ended, self.ended, angles, found, self.way)
+    def _node(self, t: Nanos, data: bytes) -> LaserScan | None:
+        one, before = rp.node(data), self.ended
+        self._measure(t, 1, 1, rp.NODE_BYTES)
+        ahead, self.last = (one.angle - self.last) % 360.0, one.angle
+        if ahead < JUMP and before:
+            self.way += (ahead - self.way) / SLOWLY if self.way else ahead
+        elif not before or ahead < BACK:
+            self.rays.forget()
+        return self._go_on(self.ended, self.ended, (one.angle,), (one.distance,), self.way)
 
     def _packet(self, t: Nanos, data: bytes) -> LaserScan | None:
         """Take a packet of HQ, whose rays have their angles."""

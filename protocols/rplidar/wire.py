@@ -79,7 +79,10 @@ class Wire(Stream):
 
     def _node(self, held: bytes, at: int) -> int | None:
         """Return 5 if a node begins here, 0 if none does, None if more must come."""
-        places = range(at, at + (1 if self.placed else IN_ROW) * rp.NODE_BYTES, rp.NODE_BYTES)
+        if self.placed:
+            whole = len(held) >= at + rp.NODE_BYTES
+            return None if not whole else rp.NODE_BYTES if rp.is_node(held, at) else 0
+        places = range(at, at + IN_ROW * rp.NODE_BYTES, rp.NODE_BYTES)
         here = [place for place in places if len(held) >= place + rp.NODE_BYTES]
         if not all(rp.is_node(held, place) for place in here):
             return 0

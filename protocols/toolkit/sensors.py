@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import groupby
 from typing import Any
 
 from protocols.bounds import Invalid
@@ -62,18 +61,18 @@ class SensorAdapter(LineAdapter[Own]):
         """Return what a message of the stream reports."""
         raise NotImplementedError
 
-    def streamed(self, t: Nanos, messages: Sequence[bytes], host: Host[Own]) -> Sequence[Report[Own] | Rx]:
-        """Return what messages report that came together, one after the other: one for each, of which those
-        that another one tells are `Rx.TOLD`."""
-        return [self.measured(t, message, host) for message in messages]
-
     def receive(self, t: Nanos, frame: Frame, driver: MotorDriver[Own]) -> Sequence[Report[Own] | Rx]:
         if not isinstance(frame, bytes) or self._stream is None:
             return (Rx.IGNORED,)
-        (host,), found = driver.hosts.values(), list[Report[Own] | Rx]()
-        for kind, run in groupby(self._stream.feed(frame), type):
-            several: list[Any] = [*run]
-            found += several if kind is Rx else self.streamed(t, several, host)
+        (host,), found, told = driver.hosts.values(), list[Report[Own] | Rx](), None
+        for one in self._stream.feed(frame):
+            report = self.measured(t, one, host) if isinstance(one, bytes) else one
+            if isinstance(report, Report):
+                state = report.mode, report.detail, report.faults
+                if state == told and not report.events:
+                    report = Rx.TOLD
+                told = state
+            found.append(report)
         return found
 
     def refuse(self, host: Host[Own], command: Command) -> str:

@@ -1,8 +1,9 @@
 """The host's end: it listens. A sensor streams as it is configured, by the vendor's tool.
 
 Rules. The packets of one cycle come one after the other, by type; a reading is made of those of one cycle,
-when that with its orientation, or else its angular rates, has come. It was measured when the first of them
-began. What stands at the end of its scale may as well be beyond: a cycle with such a number is no reading.
+when that with its orientation, or else its angular rates, has come: also where the former is not sent. It was
+measured when the first of them began. What stands at the end of its scale may as well be beyond: a cycle with
+such a number is no reading.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ from protocols.witmotion.options import Options
 
 LAST = {"angle": wit.ANGLE, "quaternion": wit.QUATERNION, "none": wit.ANGULAR_RATE}
 """The packet with which a reading is complete"""
+LACKS = 2
+"""Cycles in a row without it, by which it is not sent"""
 Quaternion = tuple[float, float, float, float]
 
 
@@ -31,6 +34,8 @@ class Cycle:
     line_rate: int
     words: dict[int, tuple[int, ...]] = field(default_factory=dict)
     """By type"""
+    lacking: int = 0
+    """Cycles in a row, up to `LACKS`, that had no packet with the orientation"""
     clipped: int = 0
     """Cycles at the end of a scale, since the start"""
 
@@ -40,10 +45,13 @@ class Cycle:
 
     def add(self, t: Nanos, kind: int, words: tuple[int, ...], sensor: str, options: Options) -> Imu | None:
         """Take a packet that came at t; return the reading that it completes."""
+        last = LAST[options.orientation]
         if self.words and kind <= max(self.words):
+            self.lacking = 0 if last in self.words else min(self.lacking + 1, LACKS)
             self.words = {}
         self.words[kind] = words
-        if kind != LAST[options.orientation] or not {wit.ACCELERATION, wit.ANGULAR_RATE} <= self.words.keys():
+        complete = kind == (wit.ANGULAR_RATE if self.lacking == LACKS else last)
+        if not complete or not {wit.ACCELERATION, wit.ANGULAR_RATE} <= self.words.keys():
             return None
         pushed, turning = self.words[wit.ACCELERATION][:3], self.words[wit.ANGULAR_RATE][:3]
         if any(each in wit.ENDS for each in (*pushed, *turning)):
@@ -55,6 +63,8 @@ class Cycle:
         return Imu(sensor, began, rates, accelerations, self._orientation(options))
 
     def _orientation(self, options: Options) -> Quaternion | None:
+        if self.lacking == LACKS:
+            return None
         if options.orientation == "angle":
             return _of_angles(*_scaled(self.words[wit.ANGLE], wit.ANGLE_MOST))
         if options.orientation == "quaternion":
@@ -95,5 +105,7 @@ class WitmotionAdapter(SensorAdapter[Cycle]):
         own = host.own
         reading = own.add(t, message[1], wit.words_of(message), host.name, host.options)
         detail = f"{own.clipped} readings at the end of a scale" if own.clipped else "streams"
+        if own.lacking == LACKS:
+            detail += f", no packet {LAST[host.options.orientation]:02X}: no orientation"
         events = () if reading is None else (reading,)
         return Report(host, host.address, Mode.READY, detail, events=events)

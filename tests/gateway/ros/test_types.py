@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +40,8 @@ def test_the_generator_of_ros_makes_the_same_hashes_of_our_definitions(tmp_path:
     texts = tmp_path / "texts.json"
     texts.write_text(json.dumps(definitions.MESSAGES | definitions.ACTIONS))
     judge = Judge(tmp_path, "rosidl_hashes", domain(), str(texts))
+    while not judge.done():
+        time.sleep(0.05)
     found = judge.end()["hashes"]["of"]
     named = [one for one in (*MADE, *SHOWN, *definitions.MESSAGES) if one in found]
     assert {*MADE, *definitions.MESSAGES} <= {*named}

@@ -180,6 +180,18 @@ def test_a_scan_has_the_time_of_its_rays() -> None:
     assert {round((after.t - one.t) / SECOND, 1) for one, after in pairwise(found)} == {0.1}
 
 
+def test_what_a_packet_takes_on_the_line_is_no_part_of_a_rays_time() -> None:
+    rate = 230_400
+    carried = 10 * table.PACKET_BYTES * SECOND // rate
+    packets = list(turning(3.0, lambda _: 3.0, first=180.0))
+    events, _ = received(packets, lambda: carried, plugin.driver([lidar(rate)]))
+    found = scans(events)[5:]
+    assert len(found) >= 23
+    for scan in found:  # each turn ends at the rear, where the first began; stamps are whole ms
+        late_by = (scan.t - START + 50 * MILLISECOND) % (100 * MILLISECOND) - 50 * MILLISECOND
+        assert abs(late_by) <= MILLISECOND
+
+
 def test_two_rays_on_one_surface_have_the_beam_between_them() -> None:
     def wall(angle: float) -> float:
         """One to the right, 2 m away."""

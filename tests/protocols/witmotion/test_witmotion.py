@@ -141,6 +141,18 @@ def test_a_packet_that_is_lost_costs_its_cycle_alone() -> None:
         assert len(readings(driver.receive(START, whole))) == 1
 
 
+def test_a_sensor_that_is_not_configured_to_send_an_orientation_says_so() -> None:
+    driver = plugin.driver([sensor(orientation="quaternion")])
+    events = [e for at in range(5) for e in driver.receive(START + at * 5 * MILLISECOND, cycle())]
+    assert [one.orientation for one in readings(events)] == [None] * 3
+    said = [event.detail for event in events if isinstance(event, State)]
+    assert said[-1] == "streams, no packet 59: no orientation"
+    later = [START + at * 5 * MILLISECOND for at in (5, 6, 7)]
+    events = [e for t in later for e in driver.receive(t, cycle(quaternion=(32767, 0, 0, 0)))]
+    assert [one.orientation is None for one in readings(events)] == [True, False, False]
+    assert [event.detail for event in events if isinstance(event, State)][-1] == "streams"
+
+
 @pytest.mark.parametrize("at", range(3))
 @pytest.mark.parametrize("end", wit.ENDS)
 def test_what_stands_at_the_end_of_its_scale_is_no_reading(at: int, end: int) -> None:

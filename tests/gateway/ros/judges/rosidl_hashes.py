@@ -1,6 +1,6 @@
 """Hashes (RIHS01) by ROS 2's own generator (rosidl), of types whose packages are not installed here.
 
-Argument: a file with a JSON object, {"package/msg/Name": text of its .msg file, "package/action/Name": …}. Prints
+Argument: a file with a JSON object, {"package/msg/Name": text of its file, "package/action/Name": …}. Prints
 what it found as a line of JSON."""
 
 import json
