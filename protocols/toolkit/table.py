@@ -236,6 +236,8 @@ class Table:
         self._standard, self._extended = self._nothing_seen(False), self._nothing_seen(True)
         """By direction: the bits of ids that count, and what was looked up by these (inverted for a remote
         frame)."""
+        self._heard: tuple[Frame | None, Decoded | None] = (None, None)
+        """The frame of which a device has asked last, and its message."""
 
     def _nothing_seen(self, extended: bool) -> dict[Direction, tuple[int, dict[int, _Known]]]:
         return {direction: (self._significant(direction, extended), {}) for direction in DIRECTIONS}
@@ -279,6 +281,13 @@ class Table:
             if len(seen) < REMEMBERED:
                 seen[key] = known
         return decode(address, number, frame.data) or misfit
+
+    def heard(self, frame: Frame) -> Decoded | None:
+        """Return the message to a device in a frame, as `decode`: for twins, which all hear each frame of a
+        bus. It is decoded for the first of them; what is returned is not to be changed."""
+        if frame is not self._heard[0]:
+            self._heard = frame, self.decode(frame, "to_device")
+        return self._heard[1]
 
     def _look_up(self, frame: CanFrame, direction: Direction) -> _Known:
         """Return how frames of an id are decoded. The most particular row comes first."""
