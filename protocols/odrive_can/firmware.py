@@ -320,6 +320,8 @@ class OdriveTwin(Firmware):
         """Use these settings from now on; its gains are as last set."""
         self.settings = settings
         self.servo.use(settings)
+        self.watchdog: Nanos = round(settings.watchdog_timeout * SECOND) if settings.enable_watchdog else 0
+        """Its timeout as configured; 0: off."""
         sent = {row.name for row in self.table.rows if row.direction == "from_device"}
         periods = {name: getattr(settings, key, 0) for name, key in CYCLIC.items() if name in sent}
         self._periods = {name: milliseconds(period) for name, period in periods.items() if period}
@@ -386,10 +388,6 @@ class OdriveTwin(Firmware):
     def on_timeout(self) -> None:
         self.trip(self.raised["WATCHDOG_TIMER_EXPIRED"])
 
-    def watchdog(self) -> Nanos:
-        """Return the timeout as configured; 0: off."""
-        return round(self.settings.watchdog_timeout * SECOND) if self.settings.enable_watchdog else 0
-
     def restart_with(
         self, t: Nanos, node: int, gains: Mapping[str, float], endpoints: Mapping[int, int]
     ) -> None:
@@ -403,7 +401,7 @@ class OdriveTwin(Firmware):
         self.procedure = 0
 
     def on_frame(self, t: Nanos, frame: Frame) -> None:
-        decoded = self.table.decode(frame, "to_device")
+        decoded = self.table.heard(frame)
         if decoded is None or not decoded.name:
             return
         requested = decoded.name.partition("request for ")[2]
@@ -503,7 +501,7 @@ class Twin06(OdriveTwin):
         self._versions = dict(zip(table.VERSION_SIGNALS, version, strict=True))
 
     def timeout(self) -> Nanos:
-        return self.watchdog() if self.memory.armed else 0
+        return self.watchdog if self.memory.armed else 0
 
     def on_request(self, t: Nanos, name: str, address: int) -> None:
         """Reply; discovery is on the broadcast node, and all that a device without an address answers."""
@@ -631,7 +629,7 @@ class Twin05(OdriveTwin):
     def timeout(self) -> Nanos:
         """It runs in every state; once expired there is nothing left to do."""
         expired = self.word(errors.AXIS) & errors.AXIS.bits["WATCHDOG_TIMER_EXPIRED"]
-        return 0 if expired else self.watchdog()
+        return 0 if expired else self.watchdog
 
     def on_frame(self, t: Nanos, frame: Frame) -> None:
         """Any frame to the axis feeds its watchdog, also one that is ignored otherwise."""
