@@ -60,7 +60,8 @@ DEFECTS = [
            "in self._other_hosts.among(packets[:1]):\n",
            "right.age", (0.0, 1.4)),
     Defect("a wrong gear", "turn", "gateway/core/joint.py",
-           "            gear * settings.sign,", "            (gear + 1.0) * settings.sign,", "left", (0.0, 1.4)),
+           "            gear * settings.sign,", "            (gear + 1.0) * settings.sign,",
+           "left", (0.0, 1.4)),
 ]
 # fmt: on
 
