@@ -12,10 +12,15 @@ from typing import TypeAlias
 from gateway.cli.tasks import Engine, add_engine, run_tasks
 from gateway.cli.terminal.progress import progress
 from gateway.config import load_robot
-from gateway.errors import UserError
+from gateway.core.message_text import escaped
+from gateway.core.robot import Robot
+from gateway.errors import RecordingError, UserError
 from gateway.recording.new_file import replace_with
 from gateway.report import judge
 from gateway.report.judge import Judged, Verdict
+from gateway.report.self_test import self_test
+from gateway.report.versions import Parted, compared, settings_apart, version
+from gateway.rosbag import is_bag
 
 Shard: TypeAlias = tuple[int, int]
 
@@ -34,6 +39,10 @@ def add_arguments(parser: ArgumentParser) -> None:
     add_engine(parser)
     text = "judge every Nth recording, from the Ith on: of several machines, each another I of 1 to N"
     parser.add_argument("--shard", type=_shard, default=(1, 1), metavar="I/N", help=text)
+    text = "judge the judge: put into copies of each recording what must be found, and tell whether it is"
+    parser.add_argument("--self-test", action="store_true", help=text)
+    text = "compare with another version of the program: a revision, or a folder that has its rooms"
+    parser.add_argument("--against", metavar="REV", help=text)
     text = "write the results to a file; several of them, in the place of recordings, are one report"
     parser.add_argument("--json", type=Path, metavar="FILE", help=text)
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the verdicts as Markdown")
@@ -45,6 +54,10 @@ def run(options: Namespace) -> int:
     if options.expected is not None and not options.expected.is_dir():
         raise UserError(f"--expected {options.expected}: there is no such folder")
     robot = None if options.robot is None else load_robot(options.robot, recorded=True)
+    if options.self_test:
+        return _self_test(options)
+    if options.against is not None:
+        return _against(options, robot)
     if all(path.suffix == ".json" for path in options.paths):
         results = [one for path in options.paths for one in _results(path)]
     else:
@@ -73,6 +86,47 @@ def run(options: Namespace) -> int:
     if options.junit is not None:
         _write(options.junit, judge.junit(verdicts, lambda one: _passes(one, options)))
     return 0 if good == len(verdicts) else 1
+
+
+def _self_test(options: Namespace) -> int:
+    """Return 0 if all that the judge claims is shown on each recording."""
+    for name in ("update", "expected", "within", "json", "junit", "against", "robot", "report"):
+        if getattr(options, name):
+            raise UserError(f"--self-test tries the judge itself: leave --{name} away")
+    shown = []
+    for path in [one for one in judge.recordings_in(options.paths) if not is_bag(one)]:
+        checks = self_test(path)
+        print("\n".join(map(escaped, [f"{path}:", *(f"  {one.line}" for one in checks)])))
+        shown += [one.shown for one in checks]
+    if not shown:
+        raise UserError(f"no recording of this gateway in {', '.join(map(str, options.paths))}")
+    return 0 if all(shown) else 1
+
+
+def _against(options: Namespace, robot: Robot | None) -> int:
+    """Compare two versions of the program, or two robot files: 0 if they send the same."""
+    for name in ("update", "expected", "within", "json", "junit"):
+        if getattr(options, name):
+            raise UserError(
+                f"--against compares with another version, not with what is expected: leave --{name} away"
+            )
+    paths = [one for one in judge.recordings_in(options.paths) if not is_bag(one)]
+    if not paths:
+        raise UserError(f"no recording of this gateway in {', '.join(map(str, options.paths))}")
+    found, lines = [], list[str]()
+    with version(options.against) as folder, progress("judge, recordings", len(paths)) as shown:
+        for path in paths:
+            try:
+                found += [compared(path, folder)]
+                found += [settings_apart(path, robot)] if robot is not None else []
+            except RecordingError as error:
+                found.append(Parted(str(path), error=str(error)))
+            shown.update(len(found))
+    lines = [line for one in found for line in one.lines()]
+    print("\n".join(map(escaped, lines)))
+    if options.report is not None:
+        _write(options.report, f"# Against {options.against}\n\n```\n" + "\n".join(lines) + "\n```\n")
+    return 0 if all(one.tick is None and not one.error for one in found) else 1
 
 
 def _passes(one: Verdict, options: Namespace) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from argparse import ArgumentParser, Namespace
+from contextlib import closing
 from pathlib import Path
 
 from gateway.cli import arguments
@@ -16,8 +17,9 @@ from gateway.recording.new_file import create_with
 from gateway.replay.anonymous import anonymous
 from gateway.replay.input_log import MADE_FROM, input_log, write_run
 from gateway.report import judge
-from gateway.report.condition import EXAMPLES, condition
+from gateway.report.condition import EXAMPLES, Condition, condition
 from gateway.report.minimise import TRIALS, minimise
+from gateway.report.versions import Differs, version
 
 TEST = '''\
 """Made by `gateway minimise`: what {name} shows must not happen again.
@@ -37,11 +39,29 @@ def test_{word}() -> None:
 '''
 
 
+TEST_OF_TWO = '''\
+"""Made by `gateway minimise`: {name} has what {rev} sent, and what is sent today must be the same."""
+
+from pathlib import Path
+
+from gateway.replay import replay_recording
+
+RECORDING = Path(__file__).with_name("{name}")
+
+
+def test_{word}() -> None:
+    comparison = replay_recording(RECORDING)
+    assert comparison.ok, comparison.text()
+'''
+
+
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the arguments of the command."""
     parser.add_argument("file", type=Path, metavar="FILE", help="a recording of this gateway")
     text = f"what the rest must still do: {EXAMPLES}"
     parser.add_argument("--while", dest="condition", required=True, metavar="CONDITION", help=text)
+    text = "with `--while differs`: another version of the program, a revision or a folder with its rooms"
+    parser.add_argument("--against", metavar="REV", help=text)
     add_anonymise(parser)
     text = f"how often at most it is tried (default: {TRIALS})"
     trials = arguments.integer("a number from 10 to 100000", 10, 100_000)
@@ -58,7 +78,16 @@ def run(options: Namespace) -> int:
     golden, test = judge.expected_file(target, None), target.with_name(f"test_{word}.py")
     if there := [one for one in (target, golden, test) if one.exists()]:
         raise UserError(f"{there[0]}: exists already; it is never overwritten: name another file with --out")
-    holds = condition(options.condition)
+    if (options.condition == "differs") != (options.against is not None):
+        raise UserError("`--while differs` and --against REV go together: from which version does it differ?")
+    if options.against is None:
+        return _minimise(options, condition(options.condition), (target, golden, test), word)
+    with version(options.against) as folder, closing(Differs(folder)) as differs:
+        return _minimise(options, differs, (target, golden, test), word)
+
+
+def _minimise(options: Namespace, holds: Condition, files: tuple[Path, Path, Path], word: str) -> int:
+    path, (target, golden, test) = options.file, files
     log, left_out = input_log(read_recording(path)), list[str]()
     if options.anonymise:
         log, left_out = anonymous(log)
@@ -69,11 +98,15 @@ def run(options: Namespace) -> int:
         print("\n".join(f"  {line}" for line in holds.why_not(log)))
         return 1
     made_from = "another recording" if options.anonymise else path.name
-    write_run(target, found.log, {MADE_FROM: f"{made_from}, as small as {holds.text!r} allows"})
-    judged = judge.judge(target)
-    if not judged.error:
-        judge.write_expected(golden, judged, None)
-    text = TEST.format(name=target.name, word=word, condition=json.dumps(holds.text))
+    if isinstance(holds, Differs):
+        holds.write(found.log, target)
+        text = TEST_OF_TWO.format(name=target.name, word=word, rev=options.against)
+    else:
+        write_run(target, found.log, {MADE_FROM: f"{made_from}, as small as {holds.text!r} allows"})
+        judged = judge.judge(target)
+        if not judged.error:
+            judge.write_expected(golden, judged, None)
+        text = TEST.format(name=target.name, word=word, condition=json.dumps(holds.text))
     try:
         create_with(test, text.encode())
     except OSError as error:

@@ -7,12 +7,12 @@ long as `FOR`: a single odd sample is no difference of two runs on real wires.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from brain.belief import Floats
-from gateway.replay.signal_log import SignalLog
 
 SHARE = 0.02
 """Of the span of a signal, both runs together"""
@@ -20,6 +20,21 @@ FOR = 0.1
 """s"""
 LEAST = 1e-9
 """A span of no difference"""
+
+
+class Signals(Protocol):
+    """The signals of a run, such as a `SignalLog`."""
+
+    @property
+    def t(self) -> Floats:
+        """Times [s]"""
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Unit by signal"""
+
+    def __getitem__(self, name: str) -> Floats:
+        """Return a signal's values."""
 
 
 class Parting(NamedTuple):
@@ -45,7 +60,7 @@ class Parting(NamedTuple):
         )
 
 
-def partings(one: SignalLog, two: SignalLog) -> list[Parting]:
+def partings(one: Signals, two: Signals) -> list[Parting]:
     """Return the signals that part, the earliest first.
 
     Args:

@@ -45,7 +45,7 @@ def settings(recorded: str, now: str, sides: tuple[str, str] = _SIDES) -> list[s
         one, two = (read_toml(text, Mistakes(side, text)) for side, text in files)
     except ConfigError as error:
         return [f"the two files differ, and one of them cannot be read: {error}"]
-    return mappings(_flat(one), _flat(two), sides)
+    return mappings(flat(one), flat(two), sides)
 
 
 def mappings(
@@ -65,19 +65,19 @@ def _shown(values: Mapping[str, object], key: str) -> str:
     return repr(values[key]) if key in values else "nothing"
 
 
-def _flat(table: Mapping[str, object], prefix: str = "") -> dict[str, object]:
+def flat(table: Mapping[str, object], prefix: str = "") -> dict[str, object]:
     """Return a TOML table with dotted keys; an array of tables by index, or by name where they have one."""
-    flat: dict[str, object] = {}
+    found: dict[str, object] = {}
     for key, value in table.items():
         dotted = f"{prefix}{key}"
         if isinstance(value, dict):
-            flat |= _flat(value, f"{dotted}.")
+            found |= flat(value, f"{dotted}.")
         elif isinstance(value, list) and value and all(isinstance(item, dict) for item in value):
             for i, item in enumerate(value):
-                flat |= _flat(item, f"{dotted}[{item.get('name', i)}].")
+                found |= flat(item, f"{dotted}[{item.get('name', i)}].")
         else:
-            flat[dotted] = value
-    return flat
+            found[dotted] = value
+    return found
 
 
 def first_field(recorded: object, now: object) -> str:

@@ -80,13 +80,13 @@ def test_faults_come_meanwhile_and_what_must_hold_is_judged(
     assert "DID NOT HOLD: must.stand.left: " in printed  # it coasts
 
 
-def test_a_sweep_is_a_table_and_a_picture_the_same_by_any_engine(
+def test_a_sweep_is_a_table_and_a_picture(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     figures, plot = tmp_path / "s.csv", tmp_path / "s.svg"
     command = ["again", str(recorded), "--sweep", "motors.left.limits.velocity=1..3:2", "--csv", str(figures)]
     assert main([*command, "--jobs", "2", "--plot", str(plot)]) == 0
-    printed, table = capsys.readouterr().out, figures.read_bytes()
+    printed = capsys.readouterr().out
     assert re.search(r"^motors\.left\.limits\.velocity \| runs \| held \| goals", printed, re.MULTILINE)
     assert re.search(r"^1 \| 1 \| 1 \| 0 \| .*\n3 \| 1 \| 1 \| 0 ", printed, re.MULTILINE)
     rows = list(csv.DictReader(figures.read_text().splitlines()))
@@ -97,7 +97,6 @@ def test_a_sweep_is_a_table_and_a_picture_the_same_by_any_engine(
     alone = ["--set", "motors.left.limits.velocity=1.0", "--seed", "1", "--json", str(one)]
     assert main(["again", str(recorded), *alone]) == 0
     assert json.loads(one.read_text())["figures"]["left: final position"] == slow
-    assert table.count(b"\n") == 3
 
 
 # fmt: off

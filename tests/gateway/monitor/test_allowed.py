@@ -17,9 +17,24 @@ from gateway.monitor.allowed import GuardOnly
 from gateway.runtime.session import open_session
 from protocols.frames import CanFrame, Packet
 from protocols.messages import SECOND, Goal, Velocity
+from tests.sampled import sampled
 
 INPUT_VELOCITY, ARM = 0x2D, 0x27
 """Ids of ODrive's Set_Input_Vel and Set_Axis_State, of the device at address 1"""
+NINE = [
+    f"diffbot_{name}"
+    for name in (
+        "cia402",
+        "zlac8015d",
+        "vesc",
+        "moteus",
+        "damiao",
+        "robstride",
+        "myactuator",
+        "cubemars",
+        "robomaster",
+    )
+]
 Change = Callable[[Packet, CanFrame], Iterator[Packet]]
 
 
@@ -144,9 +159,8 @@ def test_wrong_arguments_are_told(
         assert told in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("robot", ["diffbot_cia402", "diffbot_zlac8015d"])
+@pytest.mark.parametrize("robot", sampled(NINE, 9))
 def test_of_what_the_gateway_itself_sends_nothing_would_have_been_blocked(robot: str) -> None:
-    """A drive of which set-points wait for a SYNC, and one with two motors at one address."""
     with open_session(robot, simulated=True) as session:
         guard = GuardOnly(session.robot, 0)
         session.submit(Goal(0.3, 0.1))

@@ -1,0 +1,114 @@
+"""`gateway judge --against`: defects put into a copy of the sources are named by signal, second and file."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+import gateway as gw
+from gateway.cli.main import main
+from gateway.config import load_robot, resources
+from gateway.recording import read_recording
+from gateway.replay.input_log import input_log
+from gateway.report.minimise import minimise
+from gateway.report.versions import ALONE, NOT_ALONE, Differs, compared, settings_apart
+from protocols.messages import SECOND
+from tests.gateway.report.defects import DECOYS, DEFECTS, Defect, versions
+from tests.sampled import sampled
+
+
+@pytest.fixture(scope="module")
+def turn(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bench of which a motor is asked for more than it may from 1.2 s on, and silent from 1.7 to 2.1 s."""
+    path = tmp_path_factory.mktemp("versions") / "turn.mcap"
+    with gw.open_session("bench", simulated=True, record=path) as session:
+        assert session.twins is not None
+        for tick in session.run(2.4):
+            if tick.now > 1.2 * SECOND:
+                session.submit(gw.Velocity("left", 25.0))
+            if tick.now == 1.7 * SECOND:
+                session.twins.disconnect("left")
+            if tick.now == 2.1 * SECOND:
+                session.twins.reconnect("left")
+    return path
+
+
+@pytest.fixture(scope="module")
+def goal(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A base that drives for 2.5 s."""
+    path = tmp_path_factory.mktemp("versions") / "goal.mcap"
+    with gw.open_session("diffbot", simulated=True, record=path) as session:
+        session.submit(gw.Goal(0.6, 0.1))
+        for _ in session.run(2.5):
+            pass
+    return path
+
+
+@pytest.mark.parametrize("defect", sampled([(one,) for one in DEFECTS], 10))
+def test_a_defect_is_named_by_signal_second_and_file(
+    defect: Defect, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    before, after = versions(tmp_path, defect)
+    found = compared(request.getfixturevalue(defect.recording), before, after)
+    assert not found.error
+    assert found.tick is not None
+    low, high = defect.since
+    assert low <= found.since <= high, found.lines()
+    named = [line.partition(":")[0] for line in found.signals]
+    assert any(one.startswith(defect.signal) for one in named) or f" {defect.signal}:" in found.first, found
+    assert found.files == {defect.file: ALONE} | dict.fromkeys(DECOYS, NOT_ALONE)
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("defect", DEFECTS, ids=[one.name for one in DEFECTS])
+def test_what_remains_of_a_defect_is_shorter_than_two_seconds(
+    defect: Defect, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    differs = Differs(*versions(tmp_path, defect))
+    try:
+        small = minimise(input_log(read_recording(request.getfixturevalue(defect.recording))), differs, 24)
+        assert small is not None
+        assert differs.first(small.log) == len(small.log.ticks) - 1
+    finally:
+        differs.close()
+    assert small.log.ticks[-1].now - small.log.ticks[0].now < 2 * SECOND
+
+
+@pytest.mark.prove
+def test_the_same_sources_send_the_same(turn: Path, tmp_path: Path) -> None:
+    before, _ = versions(tmp_path, DEFECTS[0])
+    found = compared(turn, before)
+    assert found.lines() == [f"{turn}: the same packets in both versions"]
+
+
+def test_settings_are_put_in_by_turns(turn: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.toml"
+    text = resources.find("robots", "bench").read_text()
+    text = re.sub(r"velocity = [\d.]+", "velocity = 5.0", text, count=1)
+    other.write_text(text.replace('name = "bench"', 'name = "another"'))
+    found = settings_apart(turn, load_robot(str(other)))
+    assert found.tick is not None
+    assert 1.2 < found.since < 1.5
+    assert found.files == {"defaults.motors.limits.velocity": ALONE, "name": NOT_ALONE}
+    assert settings_apart(turn, load_robot("bench")).tick is None
+
+
+# fmt: off
+WRONG = [
+    # arguments, and what is told
+    (["judge", "{turn}", "--against", "no-such-revision"], r"neither a folder with the rooms nor a rev"),
+    (["judge", "{turn}", "--against", ".", "--update"], r"another version.*: leave --update away"),
+    (["minimise", "{turn}", "--while", "differs"], r"`--while differs` and --against REV go together"),
+    (["minimise", "{turn}", "--while", "raises", "--against", "."], r"go together: from which version"),
+]
+# fmt: on
+
+
+@pytest.mark.parametrize(("given", "told"), WRONG)
+def test_wrong_arguments_are_told(
+    given: list[str], told: str, turn: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([one.format(turn=turn) for one in given]) == 2
+    assert re.search(told, capsys.readouterr().err)
