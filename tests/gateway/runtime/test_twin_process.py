@@ -14,6 +14,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
@@ -39,7 +40,7 @@ from gateway.runtime.serve import MADE_UP, ServeStats, ServeTick, serve
 from gateway.runtime.twin_process import devices, without_interfaces
 from protocols.frames import BusState, CanFrame, Frame, Packet
 from protocols.messages import MILLISECOND, SECOND, Mode, Nanos, Velocity
-from tests.gateway.processes import Process, eventually, patient
+from tests.gateway.processes import PATIENCE, Process, eventually, patient
 from tests.gateway.rig import BENCH, WATCHED, Rig
 
 MS = MILLISECOND
@@ -325,6 +326,18 @@ def invited(twin: Process, *more: str) -> list[str]:
     return [*shlex.split(twin.find(r"(?m)^  gateway (run .*)")), *more]
 
 
+def reach(robot: Process, x: float, y: float) -> None:
+    """Wait until the robot has reached its goal; give the goal again where it drops it: for a robot that has
+    no processor for a while, wheels and lidar may not agree."""
+    end, dropped = time.monotonic() + PATIENCE, 0
+    while not re.search(r"brain: goal \d+ reached", robot.text):
+        assert time.monotonic() < end, robot.text
+        robot.look()
+        if robot.text.count("goal dropped") > dropped:
+            dropped += 1
+            robot.send_line(f"goal {x} {y}")
+
+
 @pytest.mark.sample(1)
 @pytest.mark.parametrize(("name", "adapter"), [("diffbot", "slcan"), ("diffbot_damiao", "dm-serial")])
 def test_two_processes_reach_a_goal_and_the_recording_replays(folder: Path, name: str, adapter: str) -> None:
@@ -333,7 +346,7 @@ def test_two_processes_reach_a_goal_and_the_recording_replays(folder: Path, name
     with Process(folder / "run", *command) as twin:
         arguments = invited(twin, "--goal", "0.6,0", "--record", str(recording), "-v")
         with Process(folder / "run", *arguments) as robot:
-            robot.until("goal 1 reached")
+            reach(robot, 0.6, 0.0)
             status, text = robot.end(signal.SIGTERM)
             assert status == 0, text
             assert "leaving: SIGTERM" in text
