@@ -50,6 +50,7 @@ def _strategy(hint: object) -> st.SearchStrategy[Any]:
         int: INTS,
         bool: st.booleans(),
         str: TEXTS,
+        bytes: st.binary(max_size=40),
         Mode: st.sampled_from(Mode),
     }
     if hint in plain:
