@@ -34,6 +34,8 @@ def message_of(row: dict[str, Any]) -> Message:
     values: dict[str, Any] = {key: _value(value) for key, value in row["fields"].items()}
     if "mode" in values:
         values["mode"] = Mode(values["mode"])
+    if "cells" in values:
+        values["cells"] = bytes.fromhex(values["cells"])
     message: Message = kind(**values)
     return message
 
