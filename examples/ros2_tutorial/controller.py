@@ -1,6 +1,7 @@
 """Control as a ROS 2 node: a path (/tutorial/path) and /odom in, /cmd_vel out, at 20 Hz (pure pursuit)."""
 
 import math
+from itertools import pairwise
 
 import rclpy
 from geometry_msgs.msg import TwistStamped
@@ -27,7 +28,11 @@ class Controller(Node):
         self.pose = position.x, position.y, 2.0 * math.atan2(q.z, q.w)
 
     def on_path(self, message):
-        self.path = [(one.pose.position.x, one.pose.position.y) for one in message.poses]
+        corners = [(one.pose.position.x, one.pose.position.y) for one in message.poses]
+        self.path = corners[:1]
+        for (x, y), (u, v) in pairwise(corners):  # a path may have its corners alone: every 5 cm
+            parts = max(1, math.ceil(math.dist((x, y), (u, v)) / 0.05))
+            self.path += [(x + (u - x) * k / parts, y + (v - y) * k / parts) for k in range(1, parts + 1)]
 
     def step(self):
         if self.pose is None or not self.path:

@@ -63,6 +63,10 @@ class Memory:
         modes = {settings.hq_mode: "hq", settings.ultra_mode: "ultra", settings.dense_mode: "dense"}
         return modes.get(payload[0], "express") if payload else "standard"
 
+    def stop(self) -> None:
+        """End its scan."""
+        self.scan = ""
+
     def streams(self, now: Nanos) -> bool:
         """True if it scans, and its turn is stable."""
         turns = self.settings.motor == "turns" or self.pwm > 0
@@ -145,7 +149,7 @@ class RplidarTwin:
         if code != rp.PROTECTION:
             raise ValueError(f"no fault {code}")
         self.failed = True
-        self.memory.scan = ""
+        self.memory.stop()
 
     def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
         """Answer; take what the rays have seen; send what is full."""

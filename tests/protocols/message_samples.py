@@ -34,6 +34,8 @@ def message_of(row: dict[str, Any]) -> Message:
     values: dict[str, Any] = {key: _value(value) for key, value in row["fields"].items()}
     if "mode" in values:
         values["mode"] = Mode(values["mode"])
+    if "cells" in values:
+        values["cells"] = bytes.fromhex(values["cells"])
     message: Message = kind(**values)
     return message
 
@@ -50,6 +52,7 @@ def _strategy(hint: object) -> st.SearchStrategy[Any]:
         int: INTS,
         bool: st.booleans(),
         str: TEXTS,
+        bytes: st.binary(max_size=40),
         Mode: st.sampled_from(Mode),
     }
     if hint in plain:
