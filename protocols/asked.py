@@ -18,7 +18,10 @@ from protocols.plugin import Declared, Spec
 
 SetPoint: TypeAlias = msg.Velocity | msg.Position | msg.Torque | msg.Impedance
 SET_POINTS = get_args(SetPoint)
-READS = msg.Scan | msg.ReadParameter
+READS = msg.Scan, msg.ReadParameter
+ANSWERS = msg.Done, msg.Refused, msg.Parameter
+"""Kinds are tuples that are made once: a union that is made for each look takes ten times as long."""
+_RESTING = msg.Idle, msg.Hold
 Objection: TypeAlias = tuple[str, str]
 """The rule that is broken, and the numbers."""
 
@@ -198,7 +201,7 @@ class Asked:
 
     def answer(self, event: Event) -> None:
         """Note the answer to a request: it is not under way any more."""
-        if not isinstance(event, msg.Done | msg.Refused | msg.Parameter):
+        if not isinstance(event, ANSWERS):
             return
         if isinstance(event, msg.Parameter):
             kind, name = msg.ReadParameter.__name__, event.motor
@@ -284,21 +287,21 @@ class Asked:
         return any((set_id(each.serial), each.address) == (name, address) for each in ids)
 
     def _objection(self, now: Nanos, one: Obeyed, reported: Reported) -> Objection | None:
+        name = getattr(one, "motor", "")
+        device = self._devices.get(name)
+        if device is not None and isinstance(one, msg.COMMANDS):
+            if isinstance(one, msg.Idle):
+                return None
+            device.start = reported.position if device.start is None else device.start
+            return _objection_to_command(now, device, one, reported, NUMBERS[type(one)])
         if isinstance(one, READS):
             return None
         if isinstance(one, msg.SetId):
             ids = [(each.serial, each.address) for at, each in self._ids if now - at <= UNDER_WAY]
             same = (one.serial, one.address) in ids
             return None if same else (NOT_MADE, f"SetId {one.serial:X} to {one.address}")
-        name = getattr(one, "motor", "")
-        device = self._devices.get(name)
         if device is None:
             return "a command to a device that is not a motor of this robot", name
-        if isinstance(one, msg.Idle):
-            return None
-        if isinstance(one, msg.COMMANDS):
-            device.start = reported.position if device.start is None else device.start
-            return _objection_to_command(now, device, one, reported, NUMBERS[type(one)])
         match one:
             case msg.Arm():
                 return (NOT_TO_ARM, "") if isinstance(device.command, msg.Idle) else None
@@ -364,8 +367,9 @@ def _errors(spec: Spec) -> dict[tuple[type[Command], str], tuple[float, float]]:
 
 def _stands(command: Command) -> bool:
     """True if a command is to come to rest, or to stay there."""
-    still = isinstance(command, msg.Velocity) and not command.velocity
-    return still or isinstance(command, msg.Idle | msg.Hold)
+    if isinstance(command, msg.Velocity):
+        return not command.velocity
+    return isinstance(command, _RESTING)
 
 
 def _moves(device: _Given, one: Command) -> bool:
@@ -386,13 +390,13 @@ def _objection_to_command(
     # A velocity may go on from where the device is: by a position, again after an outage.
     turning = changing or isinstance(command, msg.Velocity)
     for name in names:
-        value: float = getattr(one, name)
         has: float | None = getattr(command, name, None)
-        last: float | None = getattr(before, name, None)
         if has is not None and (alike or turning or name == "torque") and device.close(one, name, has):
             continue
         if name != "position" and device.close(one, name, 0.0):
             continue
+        value: float = getattr(one, name)
+        last: float | None = getattr(before, name, None)
         if isinstance(one, msg.Torque):  # no loop of the device limits it: an older one drives it too fast
             # The feed-forward of a command before may be added to it, until the mode has changed.
             most = device.most_torque(one, has or 0.0, last or 0.0, now - TORQUE_DELAYS)

@@ -97,6 +97,8 @@ class _Receivers:
         self._ids = [[ids for spec in some for ids in (*spec.sends, *spec.obeys_also)] for some in specs]
         self._by_id: dict[tuple[int, bool], list[int]] = {}
         """The decoders by the id of a frame and its format: filled as ids are used."""
+        self._asked: tuple[Frame | None, Sequence[int]] = (None, ())
+        """The frame that was asked about last, and the decoders that listen to it."""
 
     def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
         """Decode what any device on the bus would obey."""
@@ -130,6 +132,8 @@ class _Receivers:
         return bool(numbers) and all(tells(frame) for number in numbers for tells in self._read_only[number])
 
     def _listening(self, frame: Frame) -> Sequence[int]:
+        if frame is self._asked[0]:
+            return self._asked[1]
         if not isinstance(frame, CanFrame):
             return range(len(self._decoders))
         key = (frame.id, frame.extended)
@@ -137,6 +141,7 @@ class _Receivers:
         if numbers is None:
             numbers = [n for n, ids in enumerate(self._ids) if any_matches(ids, frame)]
             self._by_id[key] = numbers
+        self._asked = frame, numbers
         return numbers
 
 
@@ -250,8 +255,8 @@ class Guard:
 
     def drives(self, motor: str, since: Nanos) -> bool:
         """True if a motor was sent a set-point, Hold among them, at this time or later."""
-        at, command = self._last.get((motor, None), (-1, msg.Idle(motor)))
-        return at >= since and not isinstance(command, msg.Idle)
+        last = self._last.get((motor, None))
+        return last is not None and last[0] >= since and not isinstance(last[1], msg.Idle)
 
     def overhear(self, t: Nanos, bus: str, frame: Frame) -> list[Obeyed]:
         """Return what a frame of another host makes the devices do, but for reading and disarming. It leaves
@@ -262,7 +267,7 @@ class Guard:
         except (Exception, SystemExit):  # noqa: BLE001 -- a plugin's; a frame that cannot be read commands nothing
             obeyed = ()
         receivers.take_back(frame)
-        return [one for one in obeyed if not isinstance(one, READS | msg.Idle)]
+        return [one for one in obeyed if not isinstance(one, (*READS, msg.Idle))]
 
     def _stops(
         self, now: Nanos, bus: str, protocol: str, joints: Mapping[str, Joint], failing: Failing | None
@@ -347,8 +352,11 @@ class Guard:
         joints: Mapping[str, Joint],
         stopped: bool,
     ) -> Objection | None:
-        named = dict.fromkeys(getattr(one, "motor", "") for one in obeyed)
-        ours = [name for name in named if name in joints and self._is_ours(now, joints[name])]
+        ours: list[str] = []
+        for one in obeyed:
+            name = getattr(one, "motor", "")
+            if name in joints and name not in ours and self._is_ours(now, joints[name]):
+                ours.append(name)
         for one in obeyed:
             found = self._objection_to(now, one, joints.get(getattr(one, "motor", "")), ours, stopped)
             if found is not None:

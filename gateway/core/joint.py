@@ -342,14 +342,15 @@ class Joint:
         self._check(now, stopped)
         wanted = self._wanted(now, stopped, last, leaving)
         out = self._limited(now, self._placed(now, wanted, stopped), stopped)
-        measured, limits, armed = self.feedback, self.settings.limits, self.mode is Mode.ARMED
-        first = self.armed and not self.owned
+        arming = self._arming
+        measured, limits, armed = self._measured.feedback, self.settings.limits, arming.mode is Mode.ARMED
+        first = arming.armed and not arming.owned
         self._intended = self._load.carried(now, out, measured, limits, taken_over=first)
         there = self._measured.expected(now, self._swing) if self._load.pulls(out) else measured
         out = self._load.softened(self._intended, measured, there, limits, armed=armed)
         if isinstance(self._intended, msg.Impedance) and not stopped:
             self._stopping.on_spring(self._intended.damping)  # not that of a softened one
-        self._arming.on_sent(now, out, abs(measured.velocity or 0.0))
+        arming.on_sent(now, out, abs(measured.velocity or 0.0))
         dt, self._out, self._out_at = (now - self._out_at) / SECOND, out, now
         given = out if self._loop is None else self._loop.torque(out, dt, measured, limits, armed=armed)
         if self._by_velocity is not None:
@@ -361,16 +362,17 @@ class Joint:
         if self._measured.loses_position(now):
             self._profile.forget()
             self._acceptance.refuse("its position is lost: the device no longer reports it")
-        if self.owned and self.armed and self._measured.lost(now):
-            limit = f"{self.settings.feedback_timeout / MILLISECOND:g} ms"
-            self._faults.find(now, FEEDBACK_LOST, limit)
-        if self.owned and self.armed and self.open_loop and self.mode is Mode.OFFLINE:
-            self._faults.find(now, FEEDBACK_LOST, f"{self._silence / MILLISECOND:g} ms")
+        armed = self._arming.armed
+        if armed and self._arming.owned:
+            if self._measured.lost(now):
+                limit = f"{self.settings.feedback_timeout / MILLISECOND:g} ms"
+                self._faults.find(now, FEEDBACK_LOST, limit)
+            if self.open_loop and self.mode is Mode.OFFLINE:
+                self._faults.find(now, FEEDBACK_LOST, f"{self._silence / MILLISECOND:g} ms")
         if wrong := self._identity.wrong():
             self._faults.find(now, ANOTHER_DEVICE, wrong)
-        for code, detail in self._place.check(
-            self._measured, driven=self.armed and not isinstance(self._out, msg.Idle)
-        ):
+        driven = armed and not isinstance(self._out, msg.Idle)
+        for code, detail in self._place.check(self._measured, driven=driven):
             self._faults.find(now, code, detail)
         self._judge(now, stopped)
         self._check_idle(now)
@@ -379,10 +381,10 @@ class Joint:
         """Latch a fault if the motion is not what the last command was to make."""
         moves_by_itself = self._place.moves_by_itself(now)
         age = self._measured.age(now)
-        if age is None or self.mode is not Mode.ARMED or isinstance(self._out, msg.Idle):
+        if age is None or self._arming.mode is not Mode.ARMED or isinstance(self._out, msg.Idle):
             self._following.restart()
         elif not moves_by_itself and (
-            found := self._following.judge(now, self._intended, self.feedback, age)
+            found := self._following.judge(now, self._intended, self._measured.feedback, age)
         ):
             code, detail = found
             if stopped and isinstance(self._out, msg.Hold):
@@ -396,7 +398,7 @@ class Joint:
             self._faults.find(now, *found)
 
     def _wanted(self, now: Nanos, stopped: bool, last: bool, leaving: bool) -> Command:
-        if stopped or self.faults:
+        if stopped or self._faults.latched:
             return self._stop_command(now, last, leaving)
         self._stopping.end()
         command = self._acceptance.newest(now, self.settings.command_timeout)
@@ -406,10 +408,10 @@ class Joint:
 
     def _placed(self, now: Nanos, wanted: Command, stopped: bool) -> Command:
         """Return what is wanted, if it is known where the joint is, and near enough to its range to begin."""
-        if stopped or self.faults or isinstance(wanted, msg.Idle):
+        if stopped or self._faults.latched or isinstance(wanted, msg.Idle):
             return wanted
         begins = isinstance(self._out, msg.Idle)
-        if self.unidentified and begins:
+        if begins and self.unidentified:
             self._acceptance.refuse("the serial number that the robot file demands has not been read")
             return msg.Idle(self.name)
         why = self._place.objection(now, wanted, self._measured, begins=begins)
@@ -431,7 +433,7 @@ class Joint:
             wanted = self._at_rest(msg.Velocity)
         shown, self._shown = self._shown, self._arming.shows_arming(measured)
         dt = max(0, min(now - self._out_at, self.settings.command_timeout)) / SECOND
-        limits = self._stop_limits if stopped or self.faults else self.settings.limits
+        limits = self._stop_limits if stopped or self._faults.latched else self.settings.limits
         here = measured.feedback
         if not isinstance(wanted, msg.Velocity):
             here = self.presumed(now) or here

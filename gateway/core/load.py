@@ -75,7 +75,7 @@ class Load:
             self._held = here.position
         if isinstance(out, msg.Impedance):
             return no_stronger(spring_within(out, there, limits), here, limits)
-        if self._spring is None or not isinstance(out, msg.Position | msg.Velocity | msg.Hold):
+        if self._spring is None or not isinstance(out, (msg.Hold, *BY_TORQUE)):
             return out
         stiffness, damping = self._spring
         for motion in (there, here):

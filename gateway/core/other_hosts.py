@@ -10,6 +10,7 @@ from protocols.frames import CanFrame, IdSet, Packet, id_number
 if TYPE_CHECKING:
     from gateway.core.robot import Robot
 
+IDS_KEPT = 4096
 OVERHEARD = 8
 """Most frames of other hosts that a step reads, by bus."""
 
@@ -24,6 +25,8 @@ class OtherHosts:
             specs = settings.devices
             received = [ids for spec in specs for ids in (*spec.expects, *spec.receives_also)]
             self._ids[bus] = IdSet([ids for spec in specs for ids in spec.sends]), IdSet(received)
+        self._theirs: dict[str, dict[int, bool]] = {bus: {} for bus in robot.buses}
+        """By bus and id: whether only a host sends it; of the first `IDS_KEPT` that were seen."""
         self._noted: set[str] = set()
         """The motors that another host commands, and that are not ours."""
 
@@ -40,8 +43,14 @@ class OtherHosts:
         """True if only a host sends such a frame."""
         if not isinstance(packet.frame, CanFrame):
             return False
-        number, (sent, received) = id_number(packet.frame), self._ids[packet.bus]
-        return number in sent and number not in received
+        number, known = id_number(packet.frame), self._theirs[packet.bus]
+        theirs = known.get(number)
+        if theirs is None:
+            sent, received = self._ids[packet.bus]
+            theirs = number in sent and number not in received
+            if len(known) < IDS_KEPT:
+                known[number] = theirs
+        return theirs
 
     def is_news(self, motor: str) -> bool:
         """True if it was not noted yet that another host commands this motor; it is now."""

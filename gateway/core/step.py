@@ -452,9 +452,10 @@ class Gateway:
         for given in events:
             event = given if given.t <= now else replace(given, t=now)
             if not isinstance(event, (msg.Feedback, msg.State, msg.Fault)):
-                if isinstance(event, msg.Measurement) and event.sensor in self._erring:
+                if not isinstance(event, msg.Measurement):
+                    self._note_answer(event)
+                elif event.sensor in self._erring:
                     event = self._erring[event.sensor].corrected(event)
-                self._note_answer(event)
                 passed.append(event)
             elif (joint := self.joints.get(event.motor)) is not None:
                 before = joint.mode

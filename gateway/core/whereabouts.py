@@ -20,6 +20,7 @@ HOMING_MOST: Nanos = 60 * SECOND
 """The longest own motion of a device, during which its set-points are not compared with what it measures."""
 _REFERENCES = frozenset({"Zero", "Home"})
 """Requests after which the position is known."""
+_TO_A_PLACE = msg.Position, msg.Impedance
 _OWN_MOTION = _REFERENCES | {"Reboot"}
 """Requests under which a device moves, or gives its position another value, by itself."""
 
@@ -103,7 +104,7 @@ class Whereabouts:
                 f"{self._text(measured)}: a turn lost? zero it or home it; if it is there, "
                 f"move it by hand to within {margin:g} rad of its range"
             )
-        self._by_position = self._by_position or isinstance(wanted, msg.Position | msg.Impedance)
+        self._by_position = self._by_position or isinstance(wanted, _TO_A_PLACE)
         return ""
 
     def _text(self, measured: Measured) -> str:

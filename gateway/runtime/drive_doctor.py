@@ -37,6 +37,7 @@ LONG, REPLANNED = 2.5, 12
 """Times the straight way, and paths within `KEPT`, from which on a path is odd"""
 OCCUPIED = 0.62
 """Log-odds of a cell that is an obstacle"""
+_STAMPED = Feedback, LaserScan, Imu
 JUMP: Nanos = SECOND
 """By so much a stamp may differ from the moment it came, or a step follow the last"""
 UPSIDE = -5.0
@@ -116,8 +117,8 @@ class DriveDoctor:
             self._say("steps", Finding(True, "clock", text, slept, "gateway run ROBOT --realtime"))
         self._last = now
         for event in events:
-            name = getattr(event, "sensor", "") or getattr(event, "motor", "")
-            if isinstance(event, Feedback | LaserScan | Imu) and abs(now - event.t) > JUMP:
+            if isinstance(event, _STAMPED) and abs(now - event.t) > JUMP:
+                name = event.motor if isinstance(event, Feedback) else event.sensor
                 text = f"its stamps are {seconds(now - event.t):+.1f} s off the moment they came"
                 old = "what is stamped in the past is too old, and what is ahead cannot be placed"
                 self._say(

@@ -545,7 +545,7 @@ def open_session(
             session.start_recording(record)
         for caution in config.cautions(robot):
             log.warning("%s", caution)
-        stack.enter_context(quiet_collector())
+        stack.enter_context(quiet_collector(paced=not simulated))
         if real and session.gateway.lines:
             fine_timers()
         _discard_stale(robot, buses, clock)

@@ -112,7 +112,7 @@ class CubeMarsTwin(ServoFirmware):
         self.memory = memory_of(device)
 
     def on_frame(self, t: Nanos, frame: Frame) -> None:
-        decoded = self.options.table.decode(frame, "to_device")
+        decoded = self.options.table.heard(frame)
         if decoded is None or not decoded.name or decoded.address != self.memory.address:
             return
         for obeyed in self.memory.obey(decoded):

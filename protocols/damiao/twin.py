@@ -145,11 +145,12 @@ class DamiaoTwin(ServoFirmware):
         self._tune()
 
     def timeout(self) -> Nanos:
-        timeout = milliseconds(self.memory.registers["TIMEOUT"] * dm.TIMEOUT_UNIT_MS)
-        return timeout if self.mode is Mode.ARMED else 0
+        if self.mode is not Mode.ARMED:
+            return 0
+        return milliseconds(self.memory.registers["TIMEOUT"] * dm.TIMEOUT_UNIT_MS)
 
     def on_frame(self, t: Nanos, frame: Frame) -> None:
-        decoded, motor = self.table.decode(frame, "to_device"), self.memory
+        decoded, motor = self.table.heard(frame), self.memory
         if decoded is None or not decoded.name:
             return
         if decoded.name == "discover":

@@ -80,11 +80,11 @@ class PlainAdapter(Adapter[Faults]):
         if isinstance(event, msg.Found) and (event.protocol, event.address) == (table.NAME, address):
             return Report(host, address, serial=event.serial, note=event.detail)
         # A command towards the host is an echo (RS-485); an unknown address is not ours.
+        if host is not None and host.options.kind == "sensor" and isinstance(event, msg.Measurement):
+            return Report(host, address, events=(event,))
         if host is None or isinstance(event, Command | Request):
             return Rx.IGNORED
         if host.options.kind == "sensor":
-            if isinstance(event, msg.Measurement):
-                return Report(host, address, events=(event,))
             return Rx.MALFORMED
         match event:
             case msg.State(_, _, mode, detail):

@@ -108,8 +108,9 @@ class RobStrideTwin(ServoFirmware):
         self.faults = rs.faults_of(self.model)
 
     def timeout(self) -> Nanos:
-        timeout = milliseconds(self.memory.registers.get("canTimeout", 0.0) / rs.PER_MS)
-        return timeout if self.mode is Mode.ARMED else 0
+        if self.mode is not Mode.ARMED:
+            return 0
+        return milliseconds(self.memory.registers.get("canTimeout", 0.0) / rs.PER_MS)
 
     def _frame(self, name: str, **values: Any) -> Frame:  # noqa: ANN401 -- numbers
         return self.table.encode(name, self.memory.address, host=self.host, **values)
@@ -124,7 +125,7 @@ class RobStrideTwin(ServoFirmware):
         return self._frame("status", **state, **measured)
 
     def on_frame(self, t: Nanos, frame: Frame) -> None:
-        decoded, memory = self.table.decode(frame, "to_device"), self.memory
+        decoded, memory = self.table.heard(frame), self.memory
         if decoded is None or not decoded.name or decoded.address != memory.address:
             return
         for obeyed in memory.obey(decoded):
