@@ -9,10 +9,12 @@ import math
 import re
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from gateway.bench.again import drive_again, lasts, simulated
+from gateway.bench.on_recording import run_spoilt
 from gateway.cli import arguments
 from gateway.cli.tasks import add_engine, run_tasks
 from gateway.cli.terminal.progress import progress
@@ -53,6 +55,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--robot", metavar="ROBOT", help="use this robot file instead of the recorded one")
     text = "faults, loads and walls that come meanwhile, and what must hold"
     parser.add_argument("--inject", type=Path, metavar="TOML", help=text)
+    text = "with --inject: on the recorded inputs, by which no world answers"
+    parser.add_argument("--recorded", action="store_true", help=text)
     text = "another value of a setting of the robot file"
     parser.add_argument("--set", type=setting, action="append", default=[], metavar="KEY=VALUE", help=text)
     arguments.add_seed(parser)
@@ -71,6 +75,10 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(options: Namespace) -> int:
     """Return 1 if something does not hold that must."""
+    if options.recorded and (options.inject is None or options.sweep is not None or options.seeds != 1):
+        raise UserError(
+            "--recorded puts faults upon recorded inputs: give --inject, and no --sweep or --seeds"
+        )
     if options.sweep is None and options.seeds == 1:
         for name in ("csv", "plot"):
             if getattr(options, name) is not None:
@@ -101,7 +109,10 @@ def _once(options: Namespace) -> int:
     file = options.inject or Path("nothing.toml")
     text = "" if options.inject is None else read_text(options.inject)
     scenario = parse_faults(text, file, robot, max(0.1, lasts(log)))
-    found = drive_again(log, scenario, options.record, options.seed)
+    if options.recorded:
+        found = run_spoilt(replace(log, robot_text=robot.text, robot=robot), scenario, options.record)
+    else:
+        found = drive_again(log, scenario, options.record, options.seed)
     if options.json is not None:
         result = {
             "figures": {name: figure.value for name, figure in found.figures.items()},

@@ -11,6 +11,7 @@ import pytest
 
 import gateway as gw
 from gateway.bench.again import asked, drive_again, lasts, simulated
+from gateway.bench.on_recording import run_spoilt
 from gateway.cli.main import main
 from gateway.config import parse_robot, resources
 from gateway.config.one_setting import with_setting
@@ -100,6 +101,34 @@ def test_a_sweep_is_a_table_and_a_picture(
 
 
 # fmt: off
+UPON = [
+    # cause, seconds, and what is told
+    ("device silent", 0.25, ["left: fault: silent: no feedback for more than 100 ms"]),
+    ("bus gone", 0.2, ["can0: has vanished: the interface", "left: fault: silent"]),
+    ("frames doubled", 0.2, []),
+    ("frames 15 ms late", 0.2, []),
+]
+# fmt: on
+
+
+@pytest.mark.parametrize(("cause", "seconds", "expected"), UPON)
+def test_faults_are_put_upon_recorded_inputs(
+    cause: str, seconds: float, expected: list[str], log: InputLog, tmp_path: Path
+) -> None:
+    text = f'[faults.it]\nat = 0.7\ncause = "{cause}"\non = "left"\nseconds = {seconds}\n'
+    found = run_spoilt(log, parse_faults(text, Path("it.toml"), log.robot, lasts(log)), tmp_path / "it.mcap")
+    told = [line.partition(" s: ")[2] for line in found.told if "the run ends" not in line]
+    assert bool(told) is bool(expected), told
+    assert all(any(each in line for line in told) for each in expected), told
+    ticks = list(read_recording(tmp_path / "it.mcap").ticks)
+    times = [0.7 <= (tick.now - ticks[0].now) / SECOND < 0.7 + seconds + 0.02 for tick in ticks]
+    pairs = [*zip(times, log.ticks, ticks, strict=True)]
+    assert all(tick.inputs == given.inputs for inside, given, tick in pairs if not inside)
+    assert any(tick.inputs != given.inputs for inside, given, tick in pairs if inside)
+    assert main(["replay", str(tmp_path / "it.mcap")]) == 0
+
+
+# fmt: off
 WRONG = [
     # arguments, and what is told
     (["--sweep", "left"], r"'left' is not KEY=A\.\.B:N, with N from 2 to 1000, or KEY=VALUE,VALUE"),
@@ -115,6 +144,8 @@ WRONG = [
     (["--seeds", "2", "--engine", "spark:1"], r"is not dask:ADDRESS, such as dask:tcp://10\.0\.0\.1:8786"),
     (["--inject", "{}"], r"faults\.cable\.cause.*did you mean 'device silent'"),
     (["--inject", "nowhere.toml"], r"nowhere\.toml"),
+    (["--recorded"], r"--recorded puts faults upon recorded inputs: give --inject"),
+    (["--recorded", "--inject", "{world}"], r"faults\.cable: 'encoder stuck' acts on the world, which"),
 ]
 # fmt: on
 
@@ -125,9 +156,11 @@ def test_wrong_arguments_are_told_before_anything_runs(
 ) -> None:
     file = tmp_path / "wrong.toml"
     file.write_text(CABLE.replace("device silent", "device silnt"))
+    world = tmp_path / "world.toml"
+    world.write_text(CABLE.replace("device silent", "encoder stuck"))
     status: object
     try:
-        status = main(["again", str(recorded), *(one.format(file) for one in given)])
+        status = main(["again", str(recorded), *(one.format(file, world=world) for one in given)])
     except SystemExit as error:
         status = error.code
     printed = capsys.readouterr()
