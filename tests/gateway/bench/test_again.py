@@ -81,13 +81,19 @@ def test_faults_come_meanwhile_and_what_must_hold_is_judged(
     assert "DID NOT HOLD: must.stand.left: " in printed  # it coasts
 
 
-def test_a_sweep_is_a_table_and_a_picture(
+def test_a_sweep_is_a_table_and_a_picture_the_same_by_jobs_and_by_shards(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     figures, plot = tmp_path / "s.csv", tmp_path / "s.svg"
     command = ["again", str(recorded), "--sweep", "motors.left.limits.velocity=1..3:2", "--csv", str(figures)]
-    assert main([*command, "--jobs", "2", "--plot", str(plot)]) == 0
-    printed = capsys.readouterr().out
+    parts = [str(tmp_path / f"{number}.json") for number in (1, 2)]
+    for number, part in enumerate(parts, 1):
+        assert main([*command, "--shard", f"{number}/2", "--json", part]) == 0
+    capsys.readouterr()
+    assert main(["again", *reversed(parts), "--csv", str(figures), "--plot", str(plot)]) == 0
+    printed, merged = capsys.readouterr().out, figures.read_bytes()
+    assert main([*command, "--jobs", "2"]) == 0
+    assert (capsys.readouterr().out, figures.read_bytes()) == (printed, merged)
     assert re.search(r"^motors\.left\.limits\.velocity \| runs \| held \| goals", printed, re.MULTILINE)
     assert re.search(r"^1 \| 1 \| 1 \| 0 \| .*\n3 \| 1 \| 1 \| 0 ", printed, re.MULTILINE)
     rows = list(csv.DictReader(figures.read_text().splitlines()))
@@ -139,7 +145,9 @@ WRONG = [
     (["--set", "velocity"], r"is not KEY=VALUE"),
     (["--set", "motors.left.gear=NaN"], r"expected a finite number, a word, true or false"),
     (["--csv", "x.csv"], r"--csv is of a sweep"),
-    (["--seeds", "2", "--json", "x"], r"--json is of one run"),
+    (["--seeds", "2", "--record", "x"], r"--record is of one run"),
+    (["--shard", "3/2"], r"'3/2' is not I/N"),
+    (["another.mcap"], r"one recording at a time"),
     (["--seeds", "0"], r"'0' is not a number from 1 to 1000"),
     (["--seeds", "2", "--engine", "spark:1"], r"is not dask:ADDRESS, such as dask:tcp://10\.0\.0\.1:8786"),
     (["--inject", "{}"], r"faults\.cable\.cause.*did you mean 'device silent'"),
