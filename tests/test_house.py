@@ -315,7 +315,7 @@ def requirement_names(requirements: list[str]) -> set[str]:
     return {normal(re.split(r"[<>=!~\[; ]", requirement)[0]) for requirement in requirements}
 
 
-IF_THERE = {"pandas", "pytest"}
+IF_THERE = {"distributed", "pandas", "pytest"}
 """What is used if a user has it, and asked for in words if not."""
 
 

@@ -100,7 +100,7 @@ def drive_again(
         with closing(session.run(scenario.file.seconds, poll=both)) as ticks:
             for _ in ticks:
                 pass
-        return DrivenAgain(watched.figures(), watched.watcher.digests(), judge.verdicts(), watched.lines)
+        return DrivenAgain(watched.figures(), watched.watcher.digests(), judge.verdicts(), watched.told.lines)
 
 
 class _Requests:
@@ -118,27 +118,38 @@ class _Requests:
             yield from self._coming.pop(0)[1]
 
 
-class _Watched:
-    """What is seen of a run, from outside too."""
+class Told:
+    """Warnings and errors of a run, each when it came first."""
 
-    def __init__(self, session: Session) -> None:
-        self.watcher = Watcher(session.gateway)
+    def __init__(self) -> None:
         self.lines: list[str] = []
-        self._session = session
         self._began: Nanos | None = None
-        self._looked: Nanos = -LOOK
-        self._nearest = self._worst = 0.0
         self._said: set[str] = set()
 
     def take(self, tick: Tick, belief: Belief) -> None:
         """Take a tick, and the belief after it."""
-        self.watcher.take(tick, belief)
         self._began = tick.now if self._began is None else self._began
         since = (tick.now - self._began) / SECOND
         for line in told(tick, belief):
             if line not in self._said and len(self.lines) < SHOWN:
                 self._said.add(line)
                 self.lines.append(f"{since:.2f} s: {line}")
+
+
+class _Watched:
+    """What is seen of a run, from outside too."""
+
+    def __init__(self, session: Session) -> None:
+        self.watcher = Watcher(session.gateway)
+        self.told = Told()
+        self._session = session
+        self._looked: Nanos = -LOOK
+        self._nearest = self._worst = 0.0
+
+    def take(self, tick: Tick, belief: Belief) -> None:
+        """Take a tick, and the belief after it."""
+        self.watcher.take(tick, belief)
+        self.told.take(tick, belief)
         twins = self._session.twins
         if twins is None or twins.world.scene is None or tick.now - self._looked < LOOK:
             return

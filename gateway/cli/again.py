@@ -9,10 +9,12 @@ import math
 import re
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from gateway.bench.again import drive_again, lasts, simulated
+from gateway.bench.on_recording import run_spoilt
 from gateway.cli import arguments
 from gateway.cli.tasks import add_engine, run_tasks
 from gateway.cli.terminal.progress import progress
@@ -49,10 +51,13 @@ class Sweep(NamedTuple):
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the arguments of the command."""
-    parser.add_argument("file", type=Path, metavar="FILE", help="a recording of this gateway")
+    text = "a recording of this gateway; or what --json wrote of the shards of a sweep"
+    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help=text)
     parser.add_argument("--robot", metavar="ROBOT", help="use this robot file instead of the recorded one")
     text = "faults, loads and walls that come meanwhile, and what must hold"
     parser.add_argument("--inject", type=Path, metavar="TOML", help=text)
+    text = "with --inject: on the recorded inputs, by which no world answers"
+    parser.add_argument("--recorded", action="store_true", help=text)
     text = "another value of a setting of the robot file"
     parser.add_argument("--set", type=setting, action="append", default=[], metavar="KEY=VALUE", help=text)
     arguments.add_seed(parser)
@@ -63,22 +68,32 @@ def add_arguments(parser: ArgumentParser) -> None:
     text = "for each value with so many seeds of the world's noise (default: 1)"
     seeds = arguments.integer("a number from 1 to 1000", 1, 1000)
     parser.add_argument("--seeds", type=seeds, default=1, metavar="K", help=text)
+    text = "drive every Nth of these runs, from the Ith on: of several machines, each another I of 1 to N"
+    parser.add_argument("--shard", type=arguments.shard, default=(1, 1), metavar="I/N", help=text)
     add_engine(parser)
     parser.add_argument("--csv", type=Path, metavar="FILE", help="write all figures of all runs as a table")
     parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the sweep, as SVG or PNG")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the run's result as JSON")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the results as JSON")
 
 
 def run(options: Namespace) -> int:
     """Return 1 if something does not hold that must."""
+    if all(path.suffix == ".json" for path in options.files):
+        return _told(options, *_merged(options.files))
+    if len(options.files) != 1:
+        raise UserError("one recording at a time; of the shards of a sweep, what --json wrote")
+    options.file = options.files[0]
+    if options.recorded and (options.inject is None or options.sweep is not None or options.seeds != 1):
+        raise UserError(
+            "--recorded puts faults upon recorded inputs: give --inject, and no --sweep or --seeds"
+        )
     if options.sweep is None and options.seeds == 1:
         for name in ("csv", "plot"):
             if getattr(options, name) is not None:
                 raise UserError(f"--{name} is of a sweep: give --sweep KEY=A..B:N, or --seeds K")
         return _once(options)
-    for name in ("record", "json"):
-        if getattr(options, name) is not None:
-            raise UserError(f"--{name} is of one run: leave it, or --sweep and --seeds, away")
+    if options.record is not None:
+        raise UserError("--record is of one run: leave it, or --sweep and --seeds, away")
     return _sweep(options)
 
 
@@ -101,7 +116,10 @@ def _once(options: Namespace) -> int:
     file = options.inject or Path("nothing.toml")
     text = "" if options.inject is None else read_text(options.inject)
     scenario = parse_faults(text, file, robot, max(0.1, lasts(log)))
-    found = drive_again(log, scenario, options.record, options.seed)
+    if options.recorded:
+        found = run_spoilt(replace(log, robot_text=robot.text, robot=robot), scenario, options.record)
+    else:
+        found = drive_again(log, scenario, options.record, options.seed)
     if options.json is not None:
         result = {
             "figures": {name: figure.value for name, figure in found.figures.items()},
@@ -120,40 +138,70 @@ def _once(options: Namespace) -> int:
 
 def _sweep(options: Namespace) -> int:
     """Drive again for each value and seed, and tell what comes of each value."""
-    key, values = options.sweep or Sweep("", (math.nan,))
+    key, values = options.sweep or Sweep("", (0.0,))
     if len(values) * options.seeds > MOST_RUNS:
         raise UserError(f"{len(values)} values with {options.seeds} seeds are more than {MOST_RUNS} runs")
     for value in values if key else ():  # all mistakes before the first run
         _robot(Namespace(**{**vars(options), "set": [*options.set, (key, value)]}))
-    first = 1 if options.seed is None else options.seed
-    runs = [(value, seed) for value in values for seed in range(first, first + options.seeds)]
-    tasks = [[*_arguments(options, key, value), "--seed", str(seed)] for value, seed in runs]
-    results: list[dict[str, Any]] = []
+    first, (part, of) = (1 if options.seed is None else options.seed), options.shard
+    every = [(value, seed) for value in values for seed in range(first, first + options.seeds)]
+    runs = [*enumerate(every)][part - 1 :: of]
+    tasks = [[*_arguments(options, key, value), "--seed", str(seed)] for _, (value, seed) in runs]
+    rows: list[Row] = []
     with progress("again, runs", len(tasks)) as shown:
-        for (value, seed), (text, error) in zip(runs, run_tasks(tasks, options.engine), strict=True):
+        for (place, (value, seed)), (text, error) in zip(runs, run_tasks(tasks, options.engine), strict=True):
             if error:
                 raise UserError(f"{_named(key, value)} with seed {seed}: {error}")
-            results.append(json.loads(text))
-            shown.update(len(results))
-    rows = [*zip(runs, results, strict=True)]
+            rows.append(Row(place, value if key else 0.0, seed, json.loads(text)))
+            shown.update(len(rows))
+    return _told(options, key, rows)
+
+
+class Row(NamedTuple):
+    """What came of one run."""
+
+    place: int
+    """Among all of the sweep"""
+    value: float
+    seed: int
+    result: Mapping[str, Any]
+
+
+def _told(options: Namespace, key: str, rows: Sequence[Row]) -> int:
+    """Tell, and write, what came of the runs."""
+    if options.json is not None:
+        _write(options.json, json.dumps({"setting": key, "runs": rows}, sort_keys=True))
     print("\n".join(map(escaped, table(key, rows))))
     if options.csv is not None:
         _write(options.csv, as_csv(key, rows))
     if options.plot is not None:
         from gateway.cli.picture import draw_sweep
 
+        values = dict.fromkeys(row.value for row in rows)
         draw_sweep(key, {value: _of(rows, value) for value in values}, COLUMNS, options.plot)
-    return 0 if all(all(result["held"].values()) for result in results) else 1
+    return 0 if all(all(row.result["held"].values()) for row in rows) else 1
 
 
-Row = tuple[tuple[float, int], Mapping[str, Any]]
+def _merged(files: Sequence[Path]) -> tuple[str, list[Row]]:
+    """Return the setting and the runs of the shards of a sweep. Raises UserError for what is none."""
+    found: dict[str, list[Row]] = {}
+    for file in files:
+        try:
+            part = json.loads(read_text(file))
+            found.setdefault(str(part["setting"]), []).extend(Row(*each) for each in part["runs"])
+        except (ValueError, TypeError, KeyError) as error:
+            raise UserError(f"{file}: not what `gateway again --sweep … --json` writes: {error}") from error
+    if len(found) != 1:
+        raise UserError(f"these are of several sweeps: {', '.join(sorted(found))}")
+    ((key, rows),) = found.items()
+    return key, sorted(rows, key=lambda row: row.place)
 
 
 def table(key: str, rows: Sequence[Row]) -> Iterator[str]:
     """Yield the lines of a sweep's table: of each figure the mean, and the lowest and highest value."""
-    names = [name for name in COLUMNS if any(name in result["figures"] for _, result in rows)]
+    names = [name for name in COLUMNS if any(name in row.result["figures"] for row in rows)]
     yield " | ".join([key or "seeds", "runs", "held", *names])
-    for value in dict.fromkeys(value for (value, _), _ in rows):
+    for value in dict.fromkeys(row.value for row in rows):
         found = _of(rows, value)
         held = sum(all(one["held"].values()) for one in found)
         cells = [f"{value:g}" if key else "all", str(len(found)), str(held)]
@@ -166,11 +214,11 @@ def table(key: str, rows: Sequence[Row]) -> Iterator[str]:
 
 def as_csv(key: str, rows: Sequence[Row]) -> str:
     """Return all figures of all runs, a row for each run."""
-    names = list(dict.fromkeys(name for _, result in rows for name in result["figures"]))
+    names = list(dict.fromkeys(name for row in rows for name in row.result["figures"]))
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow([key or "value", "seed", *names])
-    for (value, seed), result in rows:
+    for _, value, seed, result in rows:
         writer.writerow(
             [f"{value:g}" if key else "", seed, *(result["figures"].get(name, "") for name in names)]
         )
@@ -178,7 +226,7 @@ def as_csv(key: str, rows: Sequence[Row]) -> str:
 
 
 def _of(rows: Sequence[Row], value: float) -> list[Mapping[str, Any]]:
-    return [result for (each, _), result in rows if each == value or (each != each and value != value)]
+    return [row.result for row in rows if row.value == value]
 
 
 def _arguments(options: Namespace, key: str, value: float) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from argparse import ArgumentParser, ArgumentTypeError
 from collections.abc import Callable
 from math import inf, isfinite, radians
@@ -145,3 +146,11 @@ def integer(what: str, lowest: int, highest: float = inf) -> Callable[[str], int
         return value
 
     return convert
+
+
+def shard(text: str) -> tuple[int, int]:
+    """Return the numbers of I/N."""
+    found = re.fullmatch("([1-9][0-9]{0,3})/([1-9][0-9]{0,3})", text)
+    if found is None or int(found[1]) > int(found[2]):
+        raise ArgumentTypeError(f"{text!r} is not I/N, such as 1/4, with I at most N")
+    return int(found[1]), int(found[2])

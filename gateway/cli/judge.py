@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-import re
-from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TypeAlias
 
+from gateway.cli import arguments
 from gateway.cli.tasks import Engine, add_engine, run_tasks
 from gateway.cli.terminal.progress import progress
 from gateway.config import load_robot
@@ -21,8 +20,6 @@ from gateway.report.judge import Judged, Verdict
 from gateway.report.self_test import self_test
 from gateway.report.versions import Parted, compared, settings_apart, version
 from gateway.rosbag import is_bag
-
-Shard: TypeAlias = tuple[int, int]
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -38,7 +35,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--within", action="store_true", help=text)
     add_engine(parser)
     text = "judge every Nth recording, from the Ith on: of several machines, each another I of 1 to N"
-    parser.add_argument("--shard", type=_shard, default=(1, 1), metavar="I/N", help=text)
+    parser.add_argument("--shard", type=arguments.shard, default=(1, 1), metavar="I/N", help=text)
     text = "judge the judge: put into copies of each recording what must be found, and tell whether it is"
     parser.add_argument("--self-test", action="store_true", help=text)
     text = "compare with another version of the program: a revision, or a folder that has its rooms"
@@ -164,10 +161,3 @@ def _write(path: Path, text: str) -> None:
         replace_with(path, text.encode())
     except OSError as error:
         raise UserError(f"{path}: cannot be written: {error.strerror}") from error
-
-
-def _shard(text: str) -> Shard:
-    found = re.fullmatch("([1-9][0-9]{0,3})/([1-9][0-9]{0,3})", text)
-    if found is None or int(found[1]) > int(found[2]):
-        raise ArgumentTypeError(f"{text!r} is not I/N, such as 1/4, with I at most N")
-    return int(found[1]), int(found[2])

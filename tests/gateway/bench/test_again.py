@@ -11,6 +11,7 @@ import pytest
 
 import gateway as gw
 from gateway.bench.again import asked, drive_again, lasts, simulated
+from gateway.bench.on_recording import run_spoilt
 from gateway.cli.main import main
 from gateway.config import parse_robot, resources
 from gateway.config.one_setting import with_setting
@@ -80,13 +81,19 @@ def test_faults_come_meanwhile_and_what_must_hold_is_judged(
     assert "DID NOT HOLD: must.stand.left: " in printed  # it coasts
 
 
-def test_a_sweep_is_a_table_and_a_picture(
+def test_a_sweep_is_a_table_and_a_picture_the_same_by_jobs_and_by_shards(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     figures, plot = tmp_path / "s.csv", tmp_path / "s.svg"
     command = ["again", str(recorded), "--sweep", "motors.left.limits.velocity=1..3:2", "--csv", str(figures)]
-    assert main([*command, "--jobs", "2", "--plot", str(plot)]) == 0
-    printed = capsys.readouterr().out
+    parts = [str(tmp_path / f"{number}.json") for number in (1, 2)]
+    for number, part in enumerate(parts, 1):
+        assert main([*command, "--shard", f"{number}/2", "--json", part]) == 0
+    capsys.readouterr()
+    assert main(["again", *reversed(parts), "--csv", str(figures), "--plot", str(plot)]) == 0
+    printed, merged = capsys.readouterr().out, figures.read_bytes()
+    assert main([*command, "--jobs", "2"]) == 0
+    assert (capsys.readouterr().out, figures.read_bytes()) == (printed, merged)
     assert re.search(r"^motors\.left\.limits\.velocity \| runs \| held \| goals", printed, re.MULTILINE)
     assert re.search(r"^1 \| 1 \| 1 \| 0 \| .*\n3 \| 1 \| 1 \| 0 ", printed, re.MULTILINE)
     rows = list(csv.DictReader(figures.read_text().splitlines()))
@@ -100,6 +107,34 @@ def test_a_sweep_is_a_table_and_a_picture(
 
 
 # fmt: off
+UPON = [
+    # cause, seconds, and what is told
+    ("device silent", 0.25, ["left: fault: silent: no feedback for more than 100 ms"]),
+    ("bus gone", 0.2, ["can0: has vanished: the interface", "left: fault: silent"]),
+    ("frames doubled", 0.2, []),
+    ("frames 15 ms late", 0.2, []),
+]
+# fmt: on
+
+
+@pytest.mark.parametrize(("cause", "seconds", "expected"), UPON)
+def test_faults_are_put_upon_recorded_inputs(
+    cause: str, seconds: float, expected: list[str], log: InputLog, tmp_path: Path
+) -> None:
+    text = f'[faults.it]\nat = 0.7\ncause = "{cause}"\non = "left"\nseconds = {seconds}\n'
+    found = run_spoilt(log, parse_faults(text, Path("it.toml"), log.robot, lasts(log)), tmp_path / "it.mcap")
+    told = [line.partition(" s: ")[2] for line in found.told if "the run ends" not in line]
+    assert bool(told) is bool(expected), told
+    assert all(any(each in line for line in told) for each in expected), told
+    ticks = list(read_recording(tmp_path / "it.mcap").ticks)
+    times = [0.7 <= (tick.now - ticks[0].now) / SECOND < 0.7 + seconds + 0.02 for tick in ticks]
+    pairs = [*zip(times, log.ticks, ticks, strict=True)]
+    assert all(tick.inputs == given.inputs for inside, given, tick in pairs if not inside)
+    assert any(tick.inputs != given.inputs for inside, given, tick in pairs if inside)
+    assert main(["replay", str(tmp_path / "it.mcap")]) == 0
+
+
+# fmt: off
 WRONG = [
     # arguments, and what is told
     (["--sweep", "left"], r"'left' is not KEY=A\.\.B:N, with N from 2 to 1000, or KEY=VALUE,VALUE"),
@@ -110,11 +145,15 @@ WRONG = [
     (["--set", "velocity"], r"is not KEY=VALUE"),
     (["--set", "motors.left.gear=NaN"], r"expected a finite number, a word, true or false"),
     (["--csv", "x.csv"], r"--csv is of a sweep"),
-    (["--seeds", "2", "--json", "x"], r"--json is of one run"),
+    (["--seeds", "2", "--record", "x"], r"--record is of one run"),
+    (["--shard", "3/2"], r"'3/2' is not I/N"),
+    (["another.mcap"], r"one recording at a time"),
     (["--seeds", "0"], r"'0' is not a number from 1 to 1000"),
     (["--seeds", "2", "--engine", "spark:1"], r"is not dask:ADDRESS, such as dask:tcp://10\.0\.0\.1:8786"),
     (["--inject", "{}"], r"faults\.cable\.cause.*did you mean 'device silent'"),
     (["--inject", "nowhere.toml"], r"nowhere\.toml"),
+    (["--recorded"], r"--recorded puts faults upon recorded inputs: give --inject"),
+    (["--recorded", "--inject", "{world}"], r"faults\.cable: 'encoder stuck' acts on the world, which"),
 ]
 # fmt: on
 
@@ -125,9 +164,11 @@ def test_wrong_arguments_are_told_before_anything_runs(
 ) -> None:
     file = tmp_path / "wrong.toml"
     file.write_text(CABLE.replace("device silent", "device silnt"))
+    world = tmp_path / "world.toml"
+    world.write_text(CABLE.replace("device silent", "encoder stuck"))
     status: object
     try:
-        status = main(["again", str(recorded), *(one.format(file) for one in given)])
+        status = main(["again", str(recorded), *(one.format(file, world=world) for one in given)])
     except SystemExit as error:
         status = error.code
     printed = capsys.readouterr()
