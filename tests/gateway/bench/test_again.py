@@ -20,6 +20,7 @@ from gateway.recording import read_recording
 from gateway.replay.input_log import InputLog, input_log
 from gateway.runtime.scenario_file import parse_faults
 from protocols.messages import SECOND
+from tests.sampled import sampled
 
 CABLE = """\
 [faults.cable]
@@ -81,6 +82,7 @@ def test_faults_come_meanwhile_and_what_must_hold_is_judged(
     assert "DID NOT HOLD: must.stand.left: " in printed  # it coasts
 
 
+@pytest.mark.prove
 def test_a_sweep_is_a_table_and_a_picture_the_same_by_jobs_and_by_shards(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -117,7 +119,7 @@ UPON = [
 # fmt: on
 
 
-@pytest.mark.parametrize(("cause", "seconds", "expected"), UPON)
+@pytest.mark.parametrize(("cause", "seconds", "expected"), sampled(UPON, 3))
 def test_faults_are_put_upon_recorded_inputs(
     cause: str, seconds: float, expected: list[str], log: InputLog, tmp_path: Path
 ) -> None:

@@ -122,7 +122,7 @@ FOREIGN: list[tuple[Change, int, str]] = [
 # fmt: on
 
 
-@pytest.mark.parametrize(("change", "status", "told"), FOREIGN)
+@pytest.mark.parametrize(("change", "status", "told"), sampled(FOREIGN, 2))
 def test_a_foreign_log(
     change: Change,
     status: int,
@@ -159,7 +159,8 @@ def test_wrong_arguments_are_told(
         assert told in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("robot", sampled(NINE, 9))
+@pytest.mark.prove
+@pytest.mark.parametrize("robot", NINE)
 def test_of_what_the_gateway_itself_sends_nothing_would_have_been_blocked(robot: str) -> None:
     with open_session(robot, simulated=True) as session:
         guard = GuardOnly(session.robot, 0)

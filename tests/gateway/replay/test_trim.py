@@ -20,6 +20,7 @@ from gateway.replay.anonymous import anonymous, anonymous_text
 from gateway.replay.input_log import input_log
 from gateway.replay.trim import stretch_around, stretch_between, trim
 from protocols.messages import SECOND
+from tests.sampled import sampled
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +55,7 @@ STRETCHES = [
 # fmt: on
 
 
-@pytest.mark.parametrize(("begin", "end", "most"), STRETCHES)
+@pytest.mark.parametrize(("begin", "end", "most"), sampled(STRETCHES, 3))
 def test_a_stretch_replays_from_its_own_beginning_to_the_bytes_of_the_whole(
     begin: float, end: float, most: int, waited: Path, tmp_path: Path
 ) -> None:
@@ -73,6 +74,7 @@ def test_a_stretch_replays_from_its_own_beginning_to_the_bytes_of_the_whole(
     assert not any(views[1 : trimmed.lead])
 
 
+@pytest.mark.prove
 def test_a_trimmed_file_is_trimmed_again(waited: Path, tmp_path: Path) -> None:
     part, again = tmp_path / "part.mcap", tmp_path / "again.mcap"
     whole, ticks = of(waited)
@@ -200,6 +202,7 @@ def test_an_anonymous_recording_sends_the_same_at_other_times(waited: Path, tmp_
     assert "#" not in recording.robot_text
 
 
+@pytest.mark.prove
 def test_places_on_the_earth_are_left_out(tmp_path: Path) -> None:
     path = tmp_path / "gnss.mcap"
     with gw.open_session(load_robot("diffbot_gnss"), simulated=True, record=path) as session:

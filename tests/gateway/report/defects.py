@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[3]
 ROOMS = ("protocols", "brain", "gateway")
-DECOYS = ("brain/planning/polyline.py", "gateway/core/notes.py")
-"""Files that change too, by a comment: a change that makes no difference"""
+DECOYS = ("brain/planning/polyline.py",)
+"""What changes too, by a comment: a change that makes no difference"""
 
 
 class Defect(NamedTuple):
@@ -67,7 +67,7 @@ DEFECTS = [
 
 
 def versions(folder: Path, defect: Defect) -> tuple[Path, Path]:
-    """Return a folder with the sources, and one with the defect in it and two changes that are none."""
+    """Return a folder with the sources, and one with the defect in it and a change that is none."""
     before, after = folder / "before", folder / "after"
     for target in (before, after):
         for room in ROOMS:

@@ -42,6 +42,7 @@ def log(cable: Path) -> InputLog:
     return input_log(read_recording(cable))
 
 
+@pytest.mark.prove
 def test_what_remains_still_does_it_and_is_far_less(log: InputLog) -> None:
     silent = condition("tells silent: no feedback")
     found = minimise(log, silent, 80)

@@ -34,6 +34,7 @@ def test_all_that_the_judge_claims_is_shown(recorded: Path, capsys: pytest.Captu
     assert [one.name for one in recorded.parent.iterdir()] == ["turn.mcap"]
 
 
+@pytest.mark.prove
 def test_a_judge_that_does_not_look_is_found_out(recorded: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def blind(*_given: Any) -> None:
         """See nothing."""
