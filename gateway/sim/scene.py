@@ -66,14 +66,10 @@ class SimulatedScene:
         self.file = file
         self.model: Any = model
         self.data: Any = mujoco.MjData(model)
-        self._places: Floats = self.data.qpos
-        """Of the joints; this and the next are windows on MuJoCo's memory: each look at `data` takes time."""
-        self._speeds: Floats = self.data.qvel
         self._mj_step, self._mj_multi_ray = mujoco.mj_step, mujoco.mj_multiRay
         self._mj_distance = mujoco.mj_geomDistance
         self._base = int(model.body("base").id)
-        self._base_place: Floats = self.data.xpos[self._base]
-        self._base_axes: Floats = self.data.xmat[self._base].reshape(3, 3)
+        self._open_windows()
         self._mounted: dict[Mount, tuple[Floats, Floats]] = {}
         """Place and axes of mounts, in the frame of the base."""
         joint = int(model.body_jntadr[self._base])
@@ -117,6 +113,18 @@ class SimulatedScene:
         self._given: dict[str, tuple[float, float]] = {}
         """The angle [rad] and the velocity [rad/s] of the shafts whose motion is given."""
         self._move_people()
+
+    def _open_windows(self) -> None:
+        """Keep arrays that show MuJoCo's memory: a look at `data` for each takes longer than what is read."""
+        self._places: Floats = self.data.qpos
+        self._speeds: Floats = self.data.qvel
+        self._base_place: Floats = self.data.xpos[self._base]
+        self._base_axes: Floats = self.data.xmat[self._base].reshape(3, 3)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Make a copy that shows its own memory, not copies of what the other's showed."""
+        self.__dict__.update(state)
+        self._open_windows()
 
     # -- what a kind of robot may do otherwise -----------------------------------------------------------
 

@@ -179,6 +179,7 @@ class Loops:
         self.fault = 0  # the fault register: the fault, or what limits the output now
         self.enabling = 0.0  # s since enabling began
         self.home_state = 1  # 0 relative, 1 rotor, 2 output
+        self._timeout: Nanos = 0  # of the watchdog, by the command; no mode has one before the first
         self.velocity = 0.0  # rev/s, commanded
         self.fastest = self.hardest = inf
         self.scales = (1.0, 1.0, 1.0)  # of kp, kd and the integrator's limit
@@ -195,6 +196,8 @@ class Loops:
     def take(self, mode: int, command: Mapping[str, float]) -> None:
         """Take a command; it is executed from the next cycle on. What is wrong with it trips at once."""
         self.commanded, self.command = mode, command
+        timeout = command["command_timeout"] or self.settings.default_timeout_s
+        self._timeout = 0 if isnan(timeout) else max(1, round(timeout * SECOND))
         self.stopping |= mode == Mode.STOPPED
         self.fastest, self.hardest = limits_of(command, self.settings)
         self.velocity = clamp(self._given("velocity"), self.fastest)
@@ -228,8 +231,7 @@ class Loops:
 
     def timeout(self) -> Nanos:
         """Return the timeout of the watchdog; 0: it does not run."""
-        timeout = self.command["command_timeout"] or self.settings.default_timeout_s
-        return 0 if self.mode not in WATCHDOG_MODES or isnan(timeout) else max(1, round(timeout * SECOND))
+        return self._timeout if self.mode in WATCHDOG_MODES else 0
 
     # -- one cycle of the loop --------------------------------------------------------------------
 
@@ -288,14 +290,18 @@ class Loops:
 
     def _monitor(self) -> None:
         s, stage = self.settings, self.stage
-        checks = {
-            34: stage.voltage > s.max_voltage,
-            40: stage.voltage < s.min_voltage,
-            38: stage.stage_temperature > s.fault_temperature
-            or stage.motor_temperature > s.motor_fault_temperature,
-        }
-        code = next((code for code, wrong in checks.items() if wrong), 0)
-        if code and self.mode not in (Mode.STOPPED, Mode.FAULT):
+        if stage.voltage > s.max_voltage:
+            code = 34
+        elif stage.voltage < s.min_voltage:
+            code = 40
+        elif (
+            stage.stage_temperature > s.fault_temperature
+            or stage.motor_temperature > s.motor_fault_temperature
+        ):
+            code = 38
+        else:
+            return
+        if self.mode not in (Mode.STOPPED, Mode.FAULT):
             self.trip(code)
 
     # -- torque -----------------------------------------------------------------------------------
