@@ -8,6 +8,7 @@ that ask it. One whose worker dies is given to another; one that dies of itself 
 from __future__ import annotations
 
 import re
+import socket
 import subprocess
 import sys
 import tempfile
@@ -94,8 +95,10 @@ def _result(file: Path, process: subprocess.Popen[str]) -> Result:
     return "", f"its process ended with status {process.returncode}: {wrong}"
 
 
-def done_here(task: Sequence[str]) -> Result:
-    """Do one task on this machine, as a worker does."""
+def done_here(task: Sequence[str], version: str) -> Result:
+    """Do one task on this machine, as a worker does; none for a program of other sources than these."""
+    if sources() != version:
+        return "", f"{socket.gethostname()}: another version of this program's sources than here"
     (result,) = _side_by_side([task], 1)
     return result
 
@@ -110,11 +113,8 @@ def _on_cluster(tasks: Sequence[Sequence[str]], address: str) -> Iterator[Result
     except (OSError, ValueError) as error:
         raise UserError(f"no scheduler of dask answers at {address} within {WAIT} s: {error}") from error
     with client:
-        there: dict[str, str] = client.run(sources)
-        if not there:
+        if not client.scheduler_info()["workers"]:
             raise UserError(f"{address}: its cluster has no worker")
-        if other := sorted(name for name, found in there.items() if found != sources()):
-            raise UserError(f"{', '.join(other)}: another version of this program's sources than here")
-        futures = client.map(done_here, tasks, pure=False, retries=RETRIES)
+        futures = client.map(done_here, tasks, version=sources(), pure=False, retries=RETRIES)
         for future in futures:
             yield future.result()

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import re
+import signal
+import threading
 from pathlib import Path
 
+import distributed
 import pytest
 
 import gateway as gw
@@ -106,6 +110,23 @@ def test_a_sweep_is_a_table_and_a_picture_the_same_by_jobs_and_by_shards(
     alone = ["--set", "motors.left.limits.velocity=1.0", "--seed", "1", "--json", str(one)]
     assert main(["again", str(recorded), *alone]) == 0
     assert json.loads(one.read_text())["figures"]["left: final position"] == slow
+
+
+@pytest.mark.prove
+def test_on_a_cluster_of_which_a_worker_is_killed_the_table_is_the_same(
+    recorded: Path, tmp_path: Path
+) -> None:
+    command = ["again", str(recorded), "--sweep", "motors.left.limits.velocity=1..3:4", "--csv"]
+    here, there = tmp_path / "here.csv", tmp_path / "there.csv"
+    assert main([*command, str(here), "--jobs", "2"]) == 0
+    with distributed.LocalCluster(n_workers=3, threads_per_worker=1, dashboard_address=None) as cluster:
+        first = cluster.workers[0]
+        killed = threading.Timer(0.5, lambda: os.kill(first.pid, signal.SIGKILL))
+        killed.start()
+        engine = f"dask:{cluster.scheduler_address}"
+        assert main([*command, str(there), "--engine", engine]) == 0
+        killed.join()
+    assert there.read_bytes() == here.read_bytes()
 
 
 # fmt: off
