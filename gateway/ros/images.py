@@ -104,7 +104,7 @@ class ImageTopics:
 
     def show(self, wanted: Collection[str]) -> None:
         """Send the next band, or begin with an image. `wanted`: topics that somebody takes."""
-        if self._link.waiting:
+        if not self._waiting or self._link.waiting:
             return
         if self._pixels is not None:
             self._go_on(*self._pixels)

@@ -106,7 +106,9 @@ def judge(name: str, seconds: float, seed: int) -> None:
     )
     extra = driver.counters.accepted - before - sent
     assert sent > 5 * seconds
-    assert 0 <= extra <= seconds / 1000, (sent, driver.counters)  # by chance, a message may be in noise
+    # By chance, a message is in noise: for 255 with a wrong sum of 8 bits, there is one with a right one.
+    chance = driver.counters.malformed / 255
+    assert 0 <= extra <= seconds / 1000 + chance + 5.0 * chance**0.5, (sent, driver.counters)
 
 
 @pytest.mark.parametrize("name", LINES)
