@@ -165,7 +165,7 @@ class I2cBus:
         """Return the outcome of a transfer."""
         found = i2c.parse(frame)
         if found is None:
-            return i2c.outcome(frame[0] if frame else 0, i2c.FAILED), None
+            return i2c.outcome(frame, i2c.FAILED), None
         written = ctypes.create_string_buffer(found.written, len(found.written))
         read = ctypes.create_string_buffer(max(1, found.reads))
         parts = [(0, len(found.written), written), (M_RD, found.reads, read)][: 1 + bool(found.reads)]
@@ -176,8 +176,8 @@ class I2cBus:
             self._ioctl(self._file, I2C_RDWR, _Transfer(messages, len(parts)))
         except OSError as error:
             result = i2c.NO_CHIP if error.errno in NOT_ACKNOWLEDGED else i2c.FAILED
-            return i2c.outcome(found.address, result), error
-        return i2c.outcome(found.address, i2c.DONE, read.raw[: found.reads]), None
+            return i2c.outcome(frame, result), error
+        return i2c.outcome(frame, i2c.DONE, read.raw[: found.reads]), None
 
 
 def open_i2c(settings: BusSettings) -> I2cBus:

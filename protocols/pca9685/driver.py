@@ -124,7 +124,7 @@ class Pca9685Adapter(LineAdapter[Channel]):
         if answer[1] != i2c.DONE:
             host.own.fail(answer[1])
             return (Rx.IGNORED,)
-        host.own.see(bytes(asked), transfer.written, answer[2:])
+        host.own.see(bytes(asked), transfer.written, answer[i2c.HEAD :])
         mode, detail = host.own.state()
         return (Report(host, host.address, mode, detail),)
 

@@ -49,7 +49,7 @@ class Pca9685Twin(HobbyServo):
 
     def on_frame(self, t: Nanos, frame: Frame) -> None:
         found = i2c.parse(frame)
-        if found is None:
+        if found is None or not isinstance(frame, bytes):
             return
         for obeyed in self.output.obey(frame):
             self.obey(t, obeyed)
@@ -57,7 +57,7 @@ class Pca9685Twin(HobbyServo):
             read = self.output.read(found.reads)
             own = found.written[0] == pt.LED0 + 4 * pt.channel(self.device.address)
             if own or (self.last and not self._is_anothers(found.written[0])):
-                self.reply(t, i2c.outcome(found.address, i2c.DONE, read))
+                self.reply(t, i2c.outcome(frame, i2c.DONE, read))
 
     def turns_to(self, position: float) -> float:
         pulse = self.options.pulse_of(position) / self.settings.clock

@@ -1,8 +1,10 @@
 """A transfer on an I²C bus, and what comes of it, as bytes: what a driver sends, and a bus answers.
 
 Rules. A transfer is the address of the chip (7 bits), how many bytes are read, and the bytes that are written
-before that, in one transaction with a repeated start. Each is answered: the address, the outcome, and the
-bytes that were read. So a bus is a line on which devices speak only when asked (`protocols.line`).
+before that, in one transaction with a repeated start. Each is answered: the address, the outcome, a checksum
+of the transfer, and the bytes that were read. So a bus is a line on which devices speak only when asked
+(`protocols.line`); and what comes late, from an adapter that hung, is not taken for the answer to another
+transfer.
 """
 
 from __future__ import annotations
@@ -11,12 +13,15 @@ from typing import NamedTuple
 
 from protocols.frames import Frame
 from protocols.line import Answer
+from protocols.toolkit.serial import CRC8_MAXIM
 
 DONE, NO_CHIP, FAILED = range(3)
 """Outcomes: acknowledged; nobody acknowledges this address; the transfer was not carried out."""
 ADDRESSES = range(0x08, 0x78)
 """Those that a chip can have; the others are reserved (UM10204, 3.1.12)."""
 GENERAL_CALL = 0x00
+HEAD = 3
+"""Bytes of an answer before those that were read"""
 
 
 class Transfer(NamedTuple):
@@ -39,20 +44,21 @@ def parse(frame: Frame) -> Transfer | None:
     return Transfer(frame[0], frame[1], frame[2:])
 
 
-def outcome(address: int, result: int, read: bytes = b"") -> bytes:
+def outcome(asked: bytes, result: int, read: bytes = b"") -> bytes:
     """Return what comes of a transfer as a frame."""
-    return bytes((address, result)) + read
+    return bytes((asked[0] if asked else 0, result, CRC8_MAXIM(asked))) + read
 
 
 def find(asked: bytes, held: bytes) -> tuple[int, int] | None:
-    """Return where the answer to a transfer is: it begins with its address."""
-    for at in range(len(held) - 1):
-        if held[at] == asked[0] and held[at + 1] in (DONE, NO_CHIP, FAILED):
-            end = at + 2 + (asked[1] if held[at + 1] == DONE else 0)
+    """Return where the answer to a transfer is."""
+    heads = [outcome(asked, result) for result in (DONE, NO_CHIP, FAILED)]
+    for at in range(len(held) - HEAD + 1):
+        if held[at : at + HEAD] in heads:
+            end = at + HEAD + (asked[1] if held[at + 1] == DONE else 0)
             return (at, end) if end <= len(held) else None
     return None
 
 
 def answer(frame: bytes, delay: int = 0) -> Answer:
     """Return what is expected to come of a transfer."""
-    return Answer(2 + frame[1], find, delay, usual=2)
+    return Answer(HEAD + frame[1], find, delay, usual=HEAD)

@@ -88,8 +88,8 @@ def test_transfers_are_carried_out_in_order_and_answered() -> None:
     frames = [wake, i2c.transfer(0x40, pt.led(0, 0, 307)), i2c.transfer(0x40, bytes((pt.LED0,)), 4)]
     bus.write(SECOND, frames)
     states, answers = until(bus, 3)
-    assert (states, answers[:2]) == ([], [bytes((0x40, i2c.DONE))] * 2)
-    assert answers[2] == bytes((0x40, i2c.DONE, 0, 0, 0x33, 0x01))
+    assert (states, answers[:2]) == ([], [i2c.outcome(each, i2c.DONE) for each in frames[:2]])
+    assert answers[2] == i2c.outcome(frames[2], i2c.DONE, bytes((0, 0, 0x33, 0x01)))
     assert adapter.seen == [(0x40, b"\x00\x20", 0), (0x40, pt.led(0, 0, 307), 0), (0x40, b"\x06", 4)]
     assert adapter.chip.high() == 307
     assert bus.read(SECOND) == ([], [])
@@ -98,9 +98,19 @@ def test_transfers_are_carried_out_in_order_and_answered() -> None:
 
 def test_a_chip_that_is_not_there_is_an_answer() -> None:
     bus = made(Adapter())
-    bus.write(SECOND, [i2c.transfer(0x41, b"\x00", 1)])
-    assert until(bus, 1) == ([], [bytes((0x41, i2c.NO_CHIP))])
+    read = i2c.transfer(0x41, b"\x00", 1)
+    bus.write(SECOND, [read])
+    assert until(bus, 1) == ([], [i2c.outcome(read, i2c.NO_CHIP)])
     bus.close()
+
+
+def test_what_comes_late_is_not_taken_for_the_answer_to_another_transfer() -> None:
+    first, second = i2c.transfer(0x40, b"\x06", 4), i2c.transfer(0x40, b"\x0e", 4)
+    late, answer = i2c.outcome(first, i2c.DONE, b"\0\0\0\x10"), i2c.outcome(second, i2c.DONE, b"\0\0\x33\1")
+    assert answer == bytes((0x40, i2c.DONE, 0x15, 0, 0, 0x33, 1))
+    assert i2c.find(second, late) is None
+    assert i2c.find(second, late + answer) == (len(late), len(late + answer))
+    assert i2c.find(first, late) == (0, len(late))
 
 
 def test_a_bus_that_hangs_is_off_and_back_when_a_chip_answers(caplog: pytest.LogCaptureFixture) -> None:
@@ -109,14 +119,14 @@ def test_a_bus_that_hangs_is_off_and_back_when_a_chip_answers(caplog: pytest.Log
     bus = made(adapter)
     read = i2c.transfer(0x40, b"\x00", 1)
     bus.write(SECOND, [read] * MOST_FAILURES)
-    assert until(bus, MOST_FAILURES) == ([BusState.OFF], [bytes((0x40, i2c.FAILED))] * MOST_FAILURES)
+    assert until(bus, MOST_FAILURES) == ([BusState.OFF], [i2c.outcome(read, i2c.FAILED)] * MOST_FAILURES)
     (text,) = [record.getMessage() for record in caplog.records]
     assert text.startswith(
         "i2c1: it hangs ([Errno 110] Connection timed out): a chip or a short holds SDA or"
     )
     adapter.fails = 0
     bus.write(SECOND, [read])
-    assert until(bus, 1) == ([BusState.BACK], [bytes((0x40, i2c.DONE, 0x11))])
+    assert until(bus, 1) == ([BusState.BACK], [i2c.outcome(read, i2c.DONE, b"\x11")])
     bus.close()
 
 

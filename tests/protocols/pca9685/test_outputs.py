@@ -170,7 +170,7 @@ def answered(result: int) -> Any:
 
     def change(_: str, one: Transmission) -> Iterable[Transmission]:
         is_answer = bool(one.sender) and isinstance(one.frame, bytes)
-        return (replace(one, frame=bytes((one.frame[0], result))),) if is_answer else (one,)  # type: ignore[index]
+        return (replace(one, frame=bytes((one.frame[0], result, one.frame[2]))),) if is_answer else (one,)  # type: ignore[index]
 
     return change
 
