@@ -125,6 +125,7 @@ def test_what_another_program_perceives_is_planned_on(walled: bool, tmp_path: Pa
         (("perception",), {"columns": 79}, "whole rows are expected"),
         (("perception",), {"columns": 0}, "whole rows are expected"),
         (("perception",), {"resolution": 0.01}, "to 10 m are expected"),
+        (("perception",), {"resolution": 10.0}, "it covers 800 × 800 m: at most 51.2 × 51.2 m are taken"),
         (("perception",), {"x": 1e5}, "is beyond 10000 m"),
         (("perception",), {"yaw": math.nan}, "its yaw must be"),
     ],
