@@ -150,6 +150,7 @@ def _of(hint: object) -> st.SearchStrategy[Any]:
         int: int64,
         bool: st.booleans(),
         str: text,
+        bytes: st.binary(max_size=12),
         Mode: st.sampled_from(Mode),
         type(None): st.none(),
     }
