@@ -93,6 +93,8 @@ def version(given: str) -> Iterator[Path]:
     if (Path(given) / "gateway").is_dir():
         yield Path(given).resolve()
         return
+    if given.startswith("-"):  # git would take it for an option, of which some write files
+        raise UserError(f"--against {given}: neither a folder with the rooms nor a revision")
     command = ["git", "-C", str(HERE), "archive", "--format=tar", given, "--", *ROOMS]
     try:
         done = subprocess.run(command, capture_output=True, check=False)
