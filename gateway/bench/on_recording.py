@@ -134,9 +134,9 @@ def _noting(change: Arriving, on: str, name: str, acts: dict[str, bool]) -> Arri
     """Return the same change, which notes whether it changes anything on a bus."""
 
     def noted(bus: str, one: Transmission) -> Sequence[Transmission]:
-        arrived = change(bus, one)
+        arrived = tuple(change(bus, one))
         if bus == on:
-            acts[name] = acts.get(name, False) or tuple(arrived) != (one,)
+            acts[name] = acts.get(name, False) or arrived != (one,)
         return arrived
 
     return noted

@@ -97,8 +97,8 @@ def _minimise(options: Namespace, holds: Condition, files: tuple[Path, Path, Pat
         print(f"{path}: {holds.text!r} does not hold of it")
         print("\n".join(f"  {line}" for line in holds.why_not(log)))
         return 1
-    shown = _escaped(target.name)
-    said = {"name": f'"{shown}"', "shown": shown, "word": word}
+    name = _escaped(target.name)
+    said = {"name": f'"{name}"', "shown": name, "word": word}
     made_from = "another recording" if options.anonymise else path.name
     if isinstance(holds, Differs):
         holds.write(found.log, target)
