@@ -292,10 +292,11 @@ class BaseLimb:
             return self.motion.commands
         self._follow(plan.course)
         commands = self.motion.step(percept.now, inputs, self._zone)
+        trusted = inputs.share > 0.0 and sight.verdict.trust < Trust.DOUBTFUL
         if self.is_led:
-            self._look_for_arrival(percept.now, sight)
+            if trusted:
+                self._look_for_arrival(percept.now, sight)
         elif inputs.drive is None:
-            trusted = inputs.share > 0.0 and sight.verdict.trust < Trust.DOUBTFUL
             if self.motion.arrived and trusted:
                 self.navigator.arrived(percept.now)
             elif missed := self.motion.missed:

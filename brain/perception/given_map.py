@@ -19,6 +19,8 @@ from protocols.messages import Grid
 
 SIDE = 64
 """Cells along a side of a tile"""
+MOST_TILES = 24 * 24
+"""Of a grid, for which a step of the robot waits: 16 × 16, whichever way it is turned"""
 LOG_ODDS = 2.0
 """Of a cell that is occupied; less it of one that is free"""
 NOTHING = {(0, 0): np.zeros((SIDE, SIDE), np.int8)}
@@ -46,13 +48,14 @@ class GivenMap:
         side = SIDE * self.resolution
         tile_rows = range(floor(min(c.y for c in corners) / side), ceil(max(c.y for c in corners) / side))
         tile_columns = range(floor(min(c.x for c in corners) / side), ceil(max(c.x for c in corners) / side))
-        values = self._sampled(grid, corner, tile_rows, tile_columns)
-        tiles = {
-            (row, column): values[row - tile_rows.start, :, column - tile_columns.start]
+        if len(tile_rows) * len(tile_columns) > MOST_TILES:
+            return f"it covers {width:g} × {height:g} m: at most {16 * side:g} × {16 * side:g} m are taken"
+        sampled = {
+            (row, column): self._sampled(grid, corner, row, column)
             for row in tile_rows
             for column in tile_columns
         }
-        tiles = {tile: np.ascontiguousarray(part) for tile, part in tiles.items() if part.any()}
+        tiles = {tile: part for tile, part in sampled.items() if part.any()}
         self.version += 1
         for tile in self._tiles.keys() | tiles.keys():
             before, now = self._tiles.get(tile), tiles.get(tile)
@@ -61,22 +64,25 @@ class GivenMap:
         self._tiles = tiles
         return ""
 
-    def _sampled(
-        self, grid: Grid, corner: Pose, tile_rows: range, tile_columns: range
-    ) -> npt.NDArray[np.int8]:
-        """Return our cells, by row of tiles, row in it, column of tiles, and column in it."""
-        y = (np.arange(len(tile_rows) * SIDE) + tile_rows.start * SIDE + 0.5) * self.resolution - corner.y
-        x = (
-            np.arange(len(tile_columns) * SIDE) + tile_columns.start * SIDE + 0.5
-        ) * self.resolution - corner.x
+    def _sampled(self, grid: Grid, corner: Pose, row: int, column: int) -> npt.NDArray[np.int8]:
+        """Return our cells of a tile."""
+        y = (np.arange(SIDE) + row * SIDE + 0.5) * self.resolution - corner.y
+        x = (np.arange(SIDE) + column * SIDE + 0.5) * self.resolution - corner.x
         c, s = cos(corner.yaw) / grid.resolution, sin(corner.yaw) / grid.resolution
         columns = np.floor(c * x[None, :] + s * y[:, None]).astype(np.int64)
         rows = np.floor(c * y[:, None] - s * x[None, :]).astype(np.int64)
         cells = np.frombuffer(grid.cells, np.uint8).reshape(-1, grid.columns)
+        if (
+            rows.max() < 0
+            or rows.min() >= cells.shape[0]
+            or columns.max() < 0
+            or columns.min() >= cells.shape[1]
+        ):
+            return np.zeros((SIDE, SIDE), np.int8)
         inside = (rows >= 0) & (rows < cells.shape[0]) & (columns >= 0) & (columns < cells.shape[1])
         found = np.zeros(inside.shape, np.int8)
         found[inside] = VALUES[np.minimum(cells[rows[inside], columns[inside]], 2)]
-        return found.reshape(len(tile_rows), SIDE, len(tile_columns), SIDE)
+        return found
 
     def tile(self, row: int, column: int) -> npt.NDArray[Any] | None:
         """Return the values of a tile, as `brain.planning.costmap.Map` has them."""

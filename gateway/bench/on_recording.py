@@ -16,7 +16,7 @@ from typing import Any, cast
 from gateway.bench.again import DrivenAgain, Told
 from gateway.buses.virtual.faults import CAUSES, Site
 from gateway.buses.virtual.medium import Transmission
-from gateway.buses.virtual.tamper import Tamper, composed
+from gateway.buses.virtual.tamper import Arriving, Tamper, composed
 from gateway.core.robot import Robot
 from gateway.core.step import Gateway
 from gateway.core.tick import Inputs
@@ -86,6 +86,8 @@ def spoilt(log: InputLog, scenario: Scenario) -> InputLog:
     start = log.ticks[0].now if log.ticks else 0
     coming = sorted(scenario.file.faults.items(), key=lambda each: each[1].at)
     going: list[tuple[Site, Tamper, float, str]] = []
+    acts: dict[str, bool] = {}
+    """By fault upon frames of which some came: whether it changed one"""
     late: list[Packet] = []
     found: list[Given] = []
     for now, inputs in log.ticks:
@@ -99,21 +101,45 @@ def spoilt(log: InputLog, scenario: Scenario) -> InputLog:
             except AttributeError:
                 own.measured = lambda _motor, true: true
             if any((own.measured, own.torques, own.reading, own.error)):
-                text = f"faults.{name}: {event.cause!r} acts on the world, which a recording has not"
-                raise UserError(f"{scenario.path}: {text}: leave --recorded away")
-            going.append((site, own, now + lasts * SECOND, event.cause))
-        for site, _, _, _ in going:
-            site.each(now)
+                raise _needs_world(scenario, name)
+            if own.transmission is not None:
+                own.transmission = _noting(own.transmission, site.bus, name, acts)
+            going.append((site, own, now + lasts * SECOND, name))
+        for site, _, _, name in going:
+            try:
+                site.each(now)
+            except AttributeError:
+                raise _needs_world(scenario, name) from None
         for over in [one for one in going if now >= one[2]]:
             going.remove(over)
-            CAUSES[over[3]].end(over[0])
+            CAUSES[scenario.file.faults[over[3]].cause].end(over[0])
         world.tamper = composed([one[1] for one in going])
         packets, late = _arrived(now, [*late, *_changed(world, inputs.packets)])
         states = [(bus, state) for bus, one in world.buses.items() for state in one.states]
         for one in world.buses.values():
             one.states.clear()
         found.append(Given(now, Inputs((*inputs.states, *states), packets, inputs.instructions)))
+    if idle := [name for name, changed in acts.items() if not changed]:  # such as commands that come late
+        raise _needs_world(scenario, idle[0])
     return log.with_ticks(found)
+
+
+def _needs_world(scenario: Scenario, name: str) -> UserError:
+    cause = scenario.file.faults[name].cause
+    text = f"faults.{name}: {cause!r} acts on the world, which a recording has not"
+    return UserError(f"{scenario.path}: {text}: leave --recorded away")
+
+
+def _noting(change: Arriving, on: str, name: str, acts: dict[str, bool]) -> Arriving:
+    """Return the same change, which notes whether it changes anything on a bus."""
+
+    def noted(bus: str, one: Transmission) -> Sequence[Transmission]:
+        arrived = tuple(change(bus, one))
+        if bus == on:
+            acts[name] = acts.get(name, False) or arrived != (one,)
+        return arrived
+
+    return noted
 
 
 def _changed(world: _World, packets: Sequence[Packet]) -> list[Packet]:

@@ -8,6 +8,7 @@ import json
 import math
 import re
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -188,13 +189,23 @@ def _merged(files: Sequence[Path]) -> tuple[str, list[Row]]:
     for file in files:
         try:
             part = json.loads(read_text(file))
-            found.setdefault(str(part["setting"]), []).extend(Row(*each) for each in part["runs"])
+            found.setdefault(str(part["setting"]), []).extend(map(_row, part["runs"]))
         except (ValueError, TypeError, KeyError) as error:
             raise UserError(f"{file}: not what `gateway again --sweep … --json` writes: {error}") from error
     if len(found) != 1:
         raise UserError(f"these are of several sweeps: {', '.join(sorted(found))}")
     ((key, rows),) = found.items()
+    if twice := [place for place, count in Counter(row.place for row in rows).items() if count > 1]:
+        raise UserError(f"run {min(twice)} of the sweep is there more than once: give each shard once")
     return key, sorted(rows, key=lambda row: row.place)
+
+
+def _row(found: Any) -> Row:  # noqa: ANN401 -- of any kind
+    """Return a run as --json wrote it. Raises what is no such run: ValueError, TypeError or KeyError."""
+    place, value, seed, result = found
+    figures = {str(name): float(figure) for name, figure in dict(result["figures"]).items()}
+    held = {str(name): bool(holds) for name, holds in dict(result["held"]).items()}
+    return Row(int(place), float(value), int(seed), {**result, "figures": figures, "held": held})
 
 
 def table(key: str, rows: Sequence[Row]) -> Iterator[str]:

@@ -57,9 +57,8 @@ def add_goal(parser: ArgumentParser, text: str) -> None:
 
 def add_seed(parser: ArgumentParser) -> None:
     """Add --seed, of the simulated world."""
-    parser.add_argument(
-        "--seed", type=int, help="seed of the simulated world's noise (default: the robot file's)"
-    )
+    text = "seed of the simulated world's noise (default: the robot file's)"
+    parser.add_argument("--seed", type=integer("a whole number from 0 on", 0, 2**63 - 1), help=text)
 
 
 def add_realtime(parser: ArgumentParser) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import os
 import re
 from argparse import ArgumentParser, Namespace
 from contextlib import closing
@@ -22,16 +22,16 @@ from gateway.report.minimise import TRIALS, minimise
 from gateway.report.versions import Differs, version
 
 TEST = '''\
-"""Made by `gateway minimise`: what {name} shows must not happen again.
+"""Made by `gateway minimise`: what {shown} shows must not happen again.
 
-Until it is mended this test fails. Then `gateway judge {name} --update` makes anew what is expected of it.
+Until it is mended this test fails. Then `gateway judge {shown} --update` makes anew what is expected of it.
 """
 
 from pathlib import Path
 
 from gateway.testing import holds
 
-RECORDING = Path(__file__).with_name("{name}")
+RECORDING = Path(__file__).with_name({name})
 
 
 def test_{word}() -> None:
@@ -40,13 +40,13 @@ def test_{word}() -> None:
 
 
 TEST_OF_TWO = '''\
-"""Made by `gateway minimise`: {name} has what {rev} sent, and what is sent today must be the same."""
+"""Made by `gateway minimise`: {shown} has what {rev} sent, and what is sent today must be the same."""
 
 from pathlib import Path
 
 from gateway.replay import replay_recording
 
-RECORDING = Path(__file__).with_name("{name}")
+RECORDING = Path(__file__).with_name({name})
 
 
 def test_{word}() -> None:
@@ -74,9 +74,9 @@ def run(options: Namespace) -> int:
     """Write fixture, golden and test; return 1 if the condition does not hold of the recording."""
     path: Path = options.file
     target: Path = options.out or path.with_name(f"{path.stem}.minimal.mcap")
-    word = re.sub(r"\W+", "_", target.name.removesuffix(".mcap")).strip("_").lower()
+    word = re.sub(r"\W+", "_", target.name.removesuffix(".mcap"), flags=re.ASCII).strip("_").lower()
     golden, test = judge.expected_file(target, None), target.with_name(f"test_{word}.py")
-    if there := [one for one in (target, golden, test) if one.exists()]:
+    if there := [one for one in (target, golden, test) if os.path.lexists(one)]:
         raise UserError(f"{there[0]}: exists already; it is never overwritten: name another file with --out")
     if (options.condition == "differs") != (options.against is not None):
         raise UserError("`--while differs` and --against REV go together: from which version does it differ?")
@@ -97,16 +97,18 @@ def _minimise(options: Namespace, holds: Condition, files: tuple[Path, Path, Pat
         print(f"{path}: {holds.text!r} does not hold of it")
         print("\n".join(f"  {line}" for line in holds.why_not(log)))
         return 1
+    name = _escaped(target.name)
+    said = {"name": f'"{name}"', "shown": name, "word": word}
     made_from = "another recording" if options.anonymise else path.name
     if isinstance(holds, Differs):
         holds.write(found.log, target)
-        text = TEST_OF_TWO.format(name=target.name, word=word, rev=options.against)
+        text = TEST_OF_TWO.format(**said, rev=_escaped(options.against))
     else:
         write_run(target, found.log, {MADE_FROM: f"{made_from}, as small as {holds.text!r} allows"})
         judged = judge.judge(target)
         if not judged.error:
             judge.write_expected(golden, judged, None)
-        text = TEST.format(name=target.name, word=word, condition=json.dumps(holds.text))
+        text = TEST.format(**said, condition=f'"{_escaped(holds.text)}"')
     try:
         create_with(test, text.encode())
     except OSError as error:
@@ -115,3 +117,8 @@ def _minimise(options: Namespace, holds: Condition, files: tuple[Path, Path, Pat
     written = ", ".join(one.name for one in (golden, test) if one.exists())
     print(f"written: {target}, {written}\nrun it: pytest {test}")
     return 0
+
+
+def _escaped(text: str) -> str:
+    """Return a text as it stands between double quotes in a program, of which it cannot be the end."""
+    return text.encode("unicode_escape").decode().replace('"', '\\"')

@@ -54,8 +54,9 @@ def run(options: Namespace) -> int:
         print(trim(recording, stretch, target).text())
     elif stretch.first:
         part = target.with_name(f"{target.name}.named.part")
+        found = trim(recording, stretch, part)
         try:
-            print(trim(recording, stretch, part).text())
+            print(found.text())
             write_anonymous(part, target)
         finally:
             part.unlink(missing_ok=True)

@@ -49,6 +49,8 @@ STOPPING = ("stop", "estop")
 """and which end what waits after `wait ready`."""
 MOST_WAITING = 1000
 """Lines that may wait there: those after them are not read."""
+READS_DROPPED = 64
+"""Reads of lines that are dropped: what a socket or a pipe holds."""
 MAX_PATH = 107
 """Bytes of a socket's path (unix(7): sun_path)."""
 
@@ -79,6 +81,11 @@ class LineBuffer:
             self.skipping = True
             self.rest.clear()
         return lines
+
+    def skip(self) -> None:
+        """Leave out a line of which the beginning has come."""
+        self.skipping = self.skipping or bool(self.rest)
+        self.rest.clear()
 
     def end(self) -> list[str | RejectedLine]:
         """Return what follows the last end of line, when nothing more will come."""
@@ -154,6 +161,8 @@ class Operator:
             self._read(client)
         for client in self._accept():
             self._read(client)
+        self._typed_lines.extend(self._read_terminal() if _reads_on(self._typed_lines) else ())
+        self._has_typed = self._has_typed or bool(self._typed_lines)
         left = MAX_LINES
         for client in list(self._clients):
             _stop_first(client.lines, unready)
@@ -168,8 +177,6 @@ class Operator:
                 self._clients.remove(client)
                 self._clients.append(client)
             self._send(client)
-        self._typed_lines.extend(self._read_terminal() if _reads_on(self._typed_lines) else ())
-        self._has_typed = self._has_typed or bool(self._typed_lines)
         _stop_first(self._typed_lines, unready)
         for _ in range(0 if self._keeps(unready) else min(MAX_LINES_EACH, len(self._typed_lines))):
             self._told = _stays(self._typed_lines, unready, _print, told=self._told)
@@ -190,13 +197,23 @@ class Operator:
         """Drop what waits until the robot is ready, and say so: it was meant for a robot that nobody had
         stopped. What follows the stop itself, in the lines `but`, is left."""
         for client in self._clients:
-            if client.lines is not but and client.lines and _asks_ready(client.lines[0]):
-                _queue(client, _DROPPED.format(len(client.lines)))
-                client.lines.clear()
+            if client.lines is not but and (count := _drop_from_ready(client.lines)):
+                for _ in range(READS_DROPPED):  # what was sent with it is meant likewise
+                    data = _received(client.socket)
+                    if not data:
+                        client.ended = client.ended or data == b""
+                        break
+                    count += len(client.buffer.feed(data))
+                client.buffer.skip()
+                _queue(client, _DROPPED.format(count))
         typed = self._typed_lines
-        if typed is not but and typed and (self._waits or _asks_ready(typed[0])):
-            _print(_DROPPED.format(len(typed)))
-            typed.clear()
+        if typed is not but and (count := _drop_from_ready(typed, whole=self._waits)):
+            for _ in range(READS_DROPPED):
+                if not (more := self._read_terminal()):
+                    break
+                count += len(more)
+            self._typed.skip()
+            _print(_DROPPED.format(count))
 
     def report(self, text: str, *, logged: bool = True) -> None:
         """Send a text of the robot to every connected client, and print it where a line was typed, unless it
@@ -320,6 +337,23 @@ class Operator:
             return self._typed.feed(data)
         self._terminal = None
         return self._typed.end()
+
+
+def _received(connection: socket.socket) -> bytes | None:
+    """Return what has come; None if nothing has, b"" at the end."""
+    try:
+        return connection.recv(MAX_READ)
+    except OSError:
+        return None
+
+
+def _drop_from_ready(lines: deque[str | RejectedLine], *, whole: bool = False) -> int:
+    """Drop the first line that waits until the robot is ready, and all behind it; return how many."""
+    first = 0 if whole else next((place for place, one in enumerate(lines) if _asks_ready(one)), len(lines))
+    count = len(lines) - first
+    for _ in range(count):
+        lines.pop()
+    return count
 
 
 def _stop_first(lines: deque[str | RejectedLine], unready: Callable[[], str]) -> None:

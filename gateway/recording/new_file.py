@@ -11,6 +11,8 @@ import stat
 from contextlib import suppress
 from pathlib import Path
 
+from gateway.recording.layout import MAGIC
+
 EXISTS = "exists already; it is never overwritten"
 
 
@@ -42,7 +44,9 @@ def create_with(path: Path, data: bytes) -> None:
 
 
 def replace_with(path: Path, data: bytes) -> None:
-    """Write a file, in the place of one of that name. Raises OSError, also if it is a link."""
+    """Write a file, in the place of one of that name. Raises OSError, also if it is a link or a recording."""
+    if _is_recording(path):
+        raise FileExistsError(0, f"is a recording, which {EXISTS}", str(path))
     try:
         descriptor = os.open(
             path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666
@@ -53,6 +57,13 @@ def replace_with(path: Path, data: bytes) -> None:
         raise
     with os.fdopen(descriptor, "wb") as file:
         file.write(data)
+
+
+def _is_recording(path: Path) -> bool:
+    if not path.is_file() or path.is_symlink():
+        return False
+    with path.open("rb") as there:
+        return there.read(len(MAGIC)) == MAGIC
 
 
 def publish(part: Path, target: Path) -> None:

@@ -138,6 +138,7 @@ class RecordingFile:
         try:
             publish(self._part, self._path)
         except OSError as error:
+            self.abandon()
             raise RecordingError(f"{self._path}: cannot be written: {error.strerror}") from error
 
     def abandon(self) -> None:

@@ -90,9 +90,12 @@ def version(given: str) -> Iterator[Path]:
     """Yield a folder with the rooms of a version: a folder, or a revision of the repository that runs.
 
     Raises UserError if it is neither."""
-    if (Path(given) / "gateway").is_dir():
+    # of a folder that lacks a room, python would take the installed one, and compare that with itself
+    if given and all((Path(given) / room / "__init__.py").is_file() for room in ROOMS):
         yield Path(given).resolve()
         return
+    if not given or given.startswith("-"):  # git would take it for an option, of which some write files
+        raise UserError(f"--against {given}: neither a folder with the rooms nor a revision")
     command = ["git", "-C", str(HERE), "archive", "--format=tar", given, "--", *ROOMS]
     try:
         done = subprocess.run(command, capture_output=True, check=False)

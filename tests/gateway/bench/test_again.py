@@ -177,6 +177,9 @@ WRONG = [
     (["--inject", "nowhere.toml"], r"nowhere\.toml"),
     (["--recorded"], r"--recorded puts faults upon recorded inputs: give --inject"),
     (["--recorded", "--inject", "{world}"], r"faults\.cable: 'encoder stuck' acts on the world, which"),
+    (["--recorded", "--inject", "{full}"], r"faults\.cable: 'bus saturated' acts on the world, which"),
+    (["--recorded", "--inject", "{late}"], r"faults\.cable: 'commands 300 ms late' acts on the world, which"),
+    (["--seed", "-1"], r"'-1' is not a whole number from 0 on"),
 ]
 # fmt: on
 
@@ -189,14 +192,42 @@ def test_wrong_arguments_are_told_before_anything_runs(
     file.write_text(CABLE.replace("device silent", "device silnt"))
     world = tmp_path / "world.toml"
     world.write_text(CABLE.replace("device silent", "encoder stuck"))
+    full = tmp_path / "full.toml"
+    full.write_text(CABLE.replace("device silent", "bus saturated"))
+    late = tmp_path / "late.toml"
+    late.write_text(CABLE.replace("device silent", "commands 300 ms late"))
     status: object
     try:
-        status = main(["again", str(recorded), *(one.format(file, world=world) for one in given)])
+        status = main(
+            ["again", str(recorded), *(one.format(file, world=world, full=full, late=late) for one in given)]
+        )
     except SystemExit as error:
         status = error.code
     printed = capsys.readouterr()
     assert status == 2, printed
     assert re.search(told, printed.err), printed.err
+
+
+# fmt: off
+NO_SHARDS = [
+    # runs, and what is told
+    ([[0, 1.0, 1, {}]], "not what `gateway again --sweep … --json` writes"),
+    ([[0, 1.0, 1, 3]], "not what `gateway again --sweep … --json` writes"),
+    ([["x", 1.0, 1, {"figures": {}, "held": {}}]], "not what `gateway again --sweep … --json` writes"),
+    ([[0, 1.0, 1, {"figures": {"faults": "z"}, "held": {}}]], "not what `gateway again --sweep …"),
+    ([[0, 1.0, 1, {"figures": {}, "held": {}}]] * 2, "run 0 of the sweep is there more than once"),
+]
+# fmt: on
+
+
+@pytest.mark.parametrize(("runs", "told"), NO_SHARDS)
+def test_what_is_no_shard_of_a_sweep_is_told(
+    runs: list[object], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    part = tmp_path / "part.json"
+    part.write_text(json.dumps({"setting": "k", "runs": runs}))
+    assert main(["again", str(part)]) == 2
+    assert told in capsys.readouterr().err
 
 
 def test_a_setting_is_changed_where_it_stands_or_added() -> None:

@@ -546,6 +546,28 @@ def test_what_waits_does_not_outlast_a_stop_of_somebody_else(
 
 
 @pytest.mark.parametrize("by_pipe", [True, False], ids=["a pipe", "a client"])
+@pytest.mark.parametrize("filling", [0, 1500], ids=["all is read", "some is not read yet"])
+def test_what_is_to_wait_behind_other_lines_does_not_outlast_a_stop_either(
+    by_pipe: bool, filling: int, folder: Path
+) -> None:
+    with (
+        waiting(folder, by_pipe=by_pipe) as (operator, send, client),
+        socket.socket(socket.AF_UNIX) as other,
+    ):
+        silent = partial(operator.poll, status, unready=lambda: "left is silent")
+        other.connect(os.fspath(operator.path))
+        client.send(b"help\n")  # who was answered longest ago comes first
+        assert silent() == []
+        other.send(b"stop enough\n")
+        send(b"goal 0 1\nwait ready\n" + filling * b"# more\n" + b"release\ngoal 1 2\n")
+        before = [] if by_pipe else [msg.Goal(0.0, 1.0)]  # all lines of a pipe wait at first
+        assert [one for _ in range(5) for one in silent()] == [msg.Stop("enough"), *before]
+        assert [one for _ in range(400) for one in operator.poll(status)] == []
+        send(b"release\n")
+        assert [one for _ in range(3) for one in operator.poll(status)] == [msg.Release()]
+
+
+@pytest.mark.parametrize("by_pipe", [True, False], ids=["a pipe", "a client"])
 def test_who_waits_until_it_is_ready_is_told_for_what(
     by_pipe: bool, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

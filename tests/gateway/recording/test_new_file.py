@@ -79,6 +79,16 @@ def test_what_is_written_over_is_never_a_link(
     assert found["file"].read_bytes() == b"new"
 
 
+def test_a_recording_is_never_written_over(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = recording.read_bytes()
+    for option in ("--json", "--report"):
+        assert main(["judge", str(recording), option, str(recording)]) == 2
+        assert "is a recording" in capsys.readouterr().err
+    assert main(["again", str(recording), "--json", str(recording)]) == 2
+    assert "is a recording" in capsys.readouterr().err
+    assert recording.read_bytes() == before
+
+
 def test_of_two_with_one_name_the_second_is_refused_and_the_first_goes_on(tmp_path: Path) -> None:
     path = tmp_path / "one.mcap"
     with Recorder(path, little.ROBOT, {}), pytest.raises(GatewayError, match=r"one\.mcap: exists already"):

@@ -14,10 +14,11 @@ from gateway.cli.main import main
 from gateway.config import load_robot, resources
 from gateway.core.step import Gateway
 from gateway.core.tick import Inputs, Outputs, Tick
+from gateway.errors import RecordingError
 from gateway.recording import Recording, read_recording
 from gateway.replay import replay_recording
 from gateway.replay.anonymous import anonymous, anonymous_text
-from gateway.replay.input_log import input_log
+from gateway.replay.input_log import RecordingFile, input_log
 from gateway.replay.trim import stretch_around, stretch_between, trim
 from protocols.messages import SECOND
 from tests.sampled import sampled
@@ -200,6 +201,26 @@ def test_an_anonymous_recording_sends_the_same_at_other_times(waited: Path, tmp_
     assert "date" not in recording.facts
     assert "waited" not in str(recording.facts)
     assert "#" not in recording.robot_text
+
+
+def test_what_somebody_has_is_not_removed(waited: Path, tmp_path: Path) -> None:
+    out, theirs = tmp_path / "out.mcap", tmp_path / "out.mcap.named.part"
+    theirs.write_text("kept")
+    assert main(["trim", str(waited), "--from", "1", "--to", "1.1", "--anonymise", "-o", str(out)]) == 2
+    assert theirs.read_text() == "kept"
+    assert [one.name for one in tmp_path.iterdir()] == [theirs.name]
+
+
+def test_a_name_that_is_taken_meanwhile_is_left_to_who_has_it_and_nothing_else_remains(
+    waited: Path, tmp_path: Path
+) -> None:
+    log, out = input_log(read_recording(waited)), tmp_path / "out.mcap"
+    file = RecordingFile(out, log, {})
+    out.write_text("kept")
+    with pytest.raises(RecordingError, match="exists already"):
+        file.finish()
+    assert out.read_text() == "kept"
+    assert [one.name for one in tmp_path.iterdir()] == [out.name]
 
 
 @pytest.mark.prove

@@ -135,3 +135,16 @@ def test_where_it_does_not_hold_what_does_is_told(cable: Path, capsys: pytest.Ca
     assert main(["minimise", str(cable), "--while", "clearance < 3"]) == 1
     assert re.search(r"\n  ticks: 4\d\d\n", capsys.readouterr().out)
     assert [one.name for one in cable.parent.iterdir()] == ["cable.mcap"]
+
+
+@pytest.mark.parametrize(
+    "name", ['a"); raise SystemExit("run") #', '"""\nraise SystemExit("run")\n"""', "a\\"]
+)
+def test_a_name_is_no_program(cable: Path, tmp_path: Path, name: str) -> None:
+    recording = tmp_path / f"{name}.mcap"
+    recording.write_bytes(cable.read_bytes())
+    assert main(["minimise", str(recording), "--while", "tells silent", "--trials", "10"]) == 0
+    (test,) = tmp_path.glob("test_*.py")
+    scope: dict[str, object] = {"__file__": str(test), "__name__": "test"}
+    exec(compile(test.read_text(), str(test), "exec"), scope)
+    assert scope["RECORDING"] == tmp_path / f"{name}.minimal.mcap"

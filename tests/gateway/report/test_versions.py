@@ -112,3 +112,23 @@ def test_wrong_arguments_are_told(
 ) -> None:
     assert main([one.format(turn=turn) for one in given]) == 2
     assert re.search(told, capsys.readouterr().err)
+
+
+def test_a_revision_is_no_option_of_git(
+    turn: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    theirs = tmp_path / "theirs"
+    theirs.write_text("kept")
+    assert main(["judge", str(turn), f"--against=--output={theirs}"]) == 2
+    assert "neither a folder with the rooms nor a revision" in capsys.readouterr().err
+    assert theirs.read_text() == "kept"
+
+
+def test_a_folder_that_lacks_a_room_is_not_compared(
+    turn: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "gateway").mkdir()
+    monkeypatch.chdir(tmp_path)
+    for given in (str(tmp_path), ""):
+        assert main(["judge", str(turn), "--against", given]) == 2
+        assert "neither a folder with the rooms nor a revision" in capsys.readouterr().err

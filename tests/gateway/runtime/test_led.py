@@ -97,6 +97,21 @@ def test_who_drives_falls_silent_and_the_goal_stays() -> None:
     assert belief.estimate.pose.x > 0.05
 
 
+def test_no_goal_is_reached_at_a_place_that_is_told_to_a_robot_that_sees_nothing() -> None:
+    with gateway.open_session(robot("perception", "pursuit"), simulated=True, seed=1) as session:
+        assert session.twins is not None
+        session.submit(msg.Goal(1.0, 0.0))
+        for tick in session.run(seconds=4.0):
+            if tick.now == 2 * SECOND:
+                session.twins.disconnect("lidar")
+            elif tick.now == 3 * SECOND:
+                assert "no scan" in session.belief.reason
+                session.submit(msg.Locate(1.0, 0.0, 0.0))
+            belief = session.belief
+    assert belief.reached == 0
+    assert belief.goal == msg.Goal(1.0, 0.0)
+
+
 @pytest.mark.parametrize("walled", [False, True])
 def test_what_another_program_perceives_is_planned_on(walled: bool, tmp_path: Path) -> None:
     recording = tmp_path / "given.mcap"
@@ -125,6 +140,7 @@ def test_what_another_program_perceives_is_planned_on(walled: bool, tmp_path: Pa
         (("perception",), {"columns": 79}, "whole rows are expected"),
         (("perception",), {"columns": 0}, "whole rows are expected"),
         (("perception",), {"resolution": 0.01}, "to 10 m are expected"),
+        (("perception",), {"resolution": 10.0}, "it covers 800 × 800 m: at most 51.2 × 51.2 m are taken"),
         (("perception",), {"x": 1e5}, "is beyond 10000 m"),
         (("perception",), {"yaw": math.nan}, "its yaw must be"),
     ],
