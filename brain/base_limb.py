@@ -127,9 +127,14 @@ class BaseLimb:
             self.navigator.accept(now, task)
 
     @property
+    def may_be_led(self) -> bool:
+        """Whether another program drives along paths to goals."""
+        return self._settings.pursuit.given
+
+    @property
     def is_led(self) -> bool:
-        """Whether another program drives along the path to a goal."""
-        return self._settings.pursuit.given and bool(self.navigator.goals.waiting)
+        """Whether it does so now: there is a goal."""
+        return self.may_be_led and bool(self.navigator.goals.waiting)
 
     def take_map(self, task: msg.Grid) -> str:
         """Plan on the grid of another program from now on; return why not, or ""."""

@@ -215,6 +215,8 @@ class Brain:
         reason = self.base.objection(now, task, allowances[BASE])
         if not reason and isinstance(task, msg.Goal) and self._missions.running:
             reason = "a mission is running: pause it, or drop it"
+        if not reason and isinstance(task, msg.Drive) and self.base.may_be_led and self._missions.paused:
+            reason = "the mission is paused: resume it, or drop it"  # who leads goes on sending twists
         if not reason:
             if not (isinstance(task, msg.Drive) and self.base.is_led):
                 self._missions.forget()

@@ -117,6 +117,11 @@ class Missions:
         return self.phase is MissionPhase.RUNNING
 
     @property
+    def paused(self) -> bool:
+        """True if it waits for an operator."""
+        return self.phase is MissionPhase.PAUSED
+
+    @property
     def active(self) -> bool:
         """True if it is running or paused."""
         return self.phase in (MissionPhase.RUNNING, MissionPhase.PAUSED)

@@ -97,6 +97,27 @@ def test_who_drives_falls_silent_and_the_goal_stays() -> None:
     assert belief.estimate.pose.x > 0.05
 
 
+def test_a_mission_that_a_person_pauses_is_not_driven_on() -> None:
+    with gateway.open_session(robot("pursuit"), simulated=True, seed=1) as session:
+        session.submit(msg.Mission("there", (GOAL,)))
+        refused, places = 0, dict[float, float]()
+        for tick in session.run(seconds=9.0):
+            if tick.now > 2 * SECOND and tick.number % 10 == 0:
+                session.submit(msg.Drive(0.3, 0.0))
+            if tick.now == 4 * SECOND:
+                session.submit(msg.Pause())
+            if tick.now == 7 * SECOND:
+                session.submit(msg.Resume())
+            if session.belief.estimate is not None:
+                places[tick.now / SECOND] = session.belief.estimate.pose.x
+            refused += "Drive refused: the mission is paused" in str(tick.outputs.notes)
+        assert refused > 20
+        assert places[4.0] > 0.1
+        assert places[5.5] == pytest.approx(places[4.0], abs=0.25)  # it brakes,
+        assert places[7.0] == pytest.approx(places[5.5], abs=0.005)  # and stands
+        assert places[8.5] > places[7.0] + 0.1
+
+
 def test_no_goal_is_reached_at_a_place_that_is_told_to_a_robot_that_sees_nothing() -> None:
     with gateway.open_session(robot("perception", "pursuit"), simulated=True, seed=1) as session:
         assert session.twins is not None
