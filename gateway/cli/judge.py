@@ -18,7 +18,7 @@ from gateway.recording.new_file import replace_with
 from gateway.report import judge
 from gateway.report.judge import Judged, Verdict
 from gateway.report.self_test import self_test
-from gateway.report.versions import Parted, compared, settings_apart, version
+from gateway.report.two_versions import Parted, compared, settings_apart, version
 from gateway.rosbag import is_bag
 
 

@@ -19,7 +19,7 @@ from gateway.replay.input_log import MADE_FROM, input_log, write_run
 from gateway.report import judge
 from gateway.report.condition import EXAMPLES, Condition, condition
 from gateway.report.minimise import TRIALS, minimise
-from gateway.report.versions import Differs, version
+from gateway.report.two_versions import Differs, version
 
 TEST = '''\
 """Made by `gateway minimise`: what {shown} shows must not happen again.

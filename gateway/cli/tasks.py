@@ -7,8 +7,8 @@ that ask it. One whose worker dies is given to another; one that dies of itself 
 
 from __future__ import annotations
 
+import platform
 import re
-import socket
 import subprocess
 import sys
 import tempfile
@@ -98,7 +98,7 @@ def _result(file: Path, process: subprocess.Popen[str]) -> Result:
 def done_here(task: Sequence[str], version: str) -> Result:
     """Do one task on this machine, as a worker does; none for a program of other sources than these."""
     if sources() != version:
-        return "", f"{socket.gethostname()}: another version of this program's sources than here"
+        return "", f"{platform.node()}: another version of this program's sources than here"
     (result,) = _side_by_side([task], 1)
     return result
 

@@ -13,7 +13,7 @@ from gateway.config import load_robot, resources
 from gateway.recording import read_recording
 from gateway.replay.input_log import input_log
 from gateway.report.minimise import minimise
-from gateway.report.versions import ALONE, NOT_ALONE, Differs, compared, settings_apart
+from gateway.report.two_versions import ALONE, NOT_ALONE, Differs, compared, settings_apart
 from protocols.messages import SECOND
 from tests.gateway.report.defects import DECOYS, DEFECTS, Defect, versions
 from tests.sampled import sampled
