@@ -79,6 +79,9 @@ ARRIVED, SETTLING = 0.05, 2.0
 WAIT = "it was not taken"
 MOVES = (msg.Goal, msg.Drive, msg.Mission, msg.Resume, msg.Stop, *msg.COMMANDS)
 """What of a person is above us."""
+MAP_EVERY: Nanos = SECOND
+"""A map that comes sooner after the last waits so long, or until a newer one comes in its place: planning
+on a large one takes part of a step"""
 PATH_VIOLATED, GOAL_VIOLATED = -4, -5
 NAV_UNKNOWN = 9000
 
@@ -209,6 +212,10 @@ class Bridge:
             for name, type_ in (("/navigate_to_pose", NAVIGATE), (_FOLLOW, FOLLOW))
             if f"{name}/_action/send_goal" in self._serves
         }
+        self._map: tuple[Row, Any] | None = None
+        """That is to be planned on, and waits,"""
+        self._map_from: Nanos = 0
+        """until then"""
         self._navigation: _Navigation | None = None
         self._motion: _Motion | None = None
         self._describe()
@@ -241,6 +248,9 @@ class Bridge:
             asks_much = self.rows[waited[1]].type in graph.PARAMETERS.values()
             count, size = count + 1, size + (BYTES_IN_A_STEP if asks_much else len(waited[2]))
             self._use(now, *waited)
+        if self._map is not None and now >= self._map_from:
+            (row, message), self._map, self._map_from = self._map, None, now + MAP_EVERY
+            self._guarded(self.rows.index(row), partial(self._plan_on, row, message))
         for name, held in self._held.items():
             if held.ended(now):
                 self._say(
@@ -395,6 +405,10 @@ class Bridge:
         except (AttributeError, TypeError, ValueError, OverflowError, KeyError) as error:
             self._say(name, f"nothing was done: {type(error).__name__}: {error}")
 
+    def _plan_on(self, row: Row, message: Any) -> None:  # noqa: ANN401 -- a message
+        self._instructions.append(asked.grid(self.scene.robot, message))
+        self._say(row.name, "")
+
     def _sample(self, now: Nanos, row: Row, payload: bytes, writer: bytes, count: int) -> None:  # noqa: ARG002
         if row.qos.reliable:
             self._allow(now)
@@ -414,8 +428,7 @@ class Bridge:
                 self._instructions += [*self._dropped(), goal]
                 self._say(row.name, "")
             case "/map":
-                self._instructions.append(asked.grid(self.scene.robot, message))
-                self._say(row.name, "")
+                self._map = row, message
             case "/initialpose":
                 self._instructions.append(asked.located(self.scene.robot, message))
                 self._say(row.name, "")

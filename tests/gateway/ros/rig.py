@@ -158,9 +158,10 @@ class Rig:
 
 
 @contextmanager
-def rig(name: str, settings: str = "") -> Iterator[Rig]:
-    """`settings`: of the table [ros]."""
-    robot = parse_robot(f"{load_robot(name).text}\n[ros]\n{settings}\n")
+def rig(name: str, settings: str = "", perceives: str = "") -> Iterator[Rig]:
+    """`settings`: of the table [ros]; `perceives`: of [brain.perception]."""
+    text = load_robot(name).text.replace("[brain.perception]\n", f"[brain.perception]\n{perceives}\n")
+    robot = parse_robot(f"{text}\n[ros]\n{settings}\n")
     with gateway.open_session(robot, simulated=True, seed=1) as session:
         bridge = open_bridge(Scene(session.gateway, "live", dict), "127.0.0.1", domain(), 0)
         made = Rig(session, bridge)

@@ -118,6 +118,31 @@ def test_who_drives_and_what_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
         one.until(lambda: Drive(0.12, 0.0) in drives(one), "driving by it")
 
 
+def test_of_maps_that_come_fast_one_a_second_is_planned_on_and_the_newest_in_the_end() -> None:
+    kind, sent = "nav_msgs/msg/OccupancyGrid", 0
+    with rig("diffbot", perceives="given = true") as one:
+        peer = one.join(publishes={"/map": kind})
+        one.ready()
+
+        def publish() -> None:
+            nonlocal sent
+            sent += 1
+            turn = make("geometry_msgs/msg/Quaternion", w=1.0)
+            origin = make("geometry_msgs/msg/Pose", orientation=turn)
+            origin.position.x = 0.001 * sent
+            info = make("nav_msgs/msg/MapMetaData", resolution=0.05, width=2, height=1, origin=origin)
+            header = make("std_msgs/msg/Header", frame_id="map")
+            peer.publish("/map", make(kind, header=header, info=info, data=np.zeros(2, np.int8)))
+
+        for _ in range(50):  # 2.5 s
+            one.run(1, publish)
+            one.run(9)
+        one.run(300)
+        grids = [each for each in one.asked if isinstance(each, msg.Grid)]
+        assert 2 <= len(grids) <= 4
+        assert grids[-1].x == pytest.approx(0.001 * sent)
+
+
 def test_a_shaft_is_zeroed_by_a_service_that_answers_when_it_is() -> None:
     calls = {f"/bench/{name}/zero": graph.TRIGGER for name in ("left", "right")}
     with rig("bench") as one:
