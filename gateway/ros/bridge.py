@@ -212,10 +212,10 @@ class Bridge:
             for name, type_ in (("/navigate_to_pose", NAVIGATE), (_FOLLOW, FOLLOW))
             if f"{name}/_action/send_goal" in self._serves
         }
-        self._map: tuple[Row, Any] | None = None
-        """That is to be planned on, and waits,"""
+        self._offered: tuple[Row, Any] | None = None
+        """A map that is to be planned on, and waits"""
         self._map_from: Nanos = 0
-        """until then"""
+        """until then."""
         self._navigation: _Navigation | None = None
         self._motion: _Motion | None = None
         self._describe()
@@ -248,8 +248,8 @@ class Bridge:
             asks_much = self.rows[waited[1]].type in graph.PARAMETERS.values()
             count, size = count + 1, size + (BYTES_IN_A_STEP if asks_much else len(waited[2]))
             self._use(now, *waited)
-        if self._map is not None and now >= self._map_from:
-            (row, message), self._map, self._map_from = self._map, None, now + MAP_EVERY
+        if self._offered is not None and now >= self._map_from:
+            (row, message), self._offered, self._map_from = self._offered, None, now + MAP_EVERY
             self._guarded(self.rows.index(row), partial(self._plan_on, row, message))
         for name, held in self._held.items():
             if held.ended(now):
@@ -428,7 +428,7 @@ class Bridge:
                 self._instructions += [*self._dropped(), goal]
                 self._say(row.name, "")
             case "/map":
-                self._map = row, message
+                self._offered = row, message
             case "/initialpose":
                 self._instructions.append(asked.located(self.scene.robot, message))
                 self._say(row.name, "")
