@@ -21,6 +21,8 @@ SIDE = 64
 """Cells along a side of a tile"""
 MOST_TILES = 24 * 24
 """Of a grid, for which a step of the robot waits: 16 × 16, whichever way it is turned"""
+MOST_GONE = 4 * MOST_TILES
+"""Tiles that are no longer in the grid, of which it is known when they went: planning looks in each step"""
 LOG_ODDS = 2.0
 """Of a cell that is occupied; less it of one that is free"""
 NOTHING = {(0, 0): np.zeros((SIDE, SIDE), np.int8)}
@@ -60,8 +62,12 @@ class GivenMap:
         for tile in self._tiles.keys() | tiles.keys():
             before, now = self._tiles.get(tile), tiles.get(tile)
             if before is None or now is None or not np.array_equal(before, now):
+                self._changed.pop(tile, None)
                 self._changed[tile] = self.version
         self._tiles = tiles
+        gone = [tile for tile in self._changed if tile not in tiles]  # the first that went come first
+        for tile in gone[: max(0, len(gone) - MOST_GONE)]:
+            del self._changed[tile]
         return ""
 
     def _sampled(self, grid: Grid, corner: Pose, row: int, column: int) -> npt.NDArray[np.int8]:

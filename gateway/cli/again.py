@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 from gateway.bench.again import drive_again, lasts, simulated
 from gateway.bench.on_recording import run_spoilt
 from gateway.cli import arguments
-from gateway.cli.tasks import add_engine, run_tasks
+from gateway.cli.tasks import Engine, add_engine, run_tasks
 from gateway.cli.terminal.progress import progress
 from gateway.config import load_robot, parse_robot
 from gateway.config.one_setting import with_setting
@@ -89,9 +89,10 @@ def run(options: Namespace) -> int:
             "--recorded puts faults upon recorded inputs: give --inject, and no --sweep or --seeds"
         )
     if options.sweep is None and options.seeds == 1:
-        for name in ("csv", "plot"):
-            if getattr(options, name) is not None:
-                raise UserError(f"--{name} is of a sweep: give --sweep KEY=A..B:N, or --seeds K")
+        for name, none in (("csv", None), ("plot", None), ("shard", (1, 1)), ("engine", Engine())):
+            if getattr(options, name) != none:
+                named = "jobs and --engine are" if name == "engine" else f"{name} is"
+                raise UserError(f"--{named} of a sweep: give --sweep KEY=A..B:N, or --seeds K")
         return _once(options)
     if options.record is not None:
         raise UserError("--record is of one run: leave it, or --sweep and --seeds, away")

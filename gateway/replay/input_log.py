@@ -7,6 +7,7 @@ same bytes from its beginning, on a gateway that begins anew: no state is ever s
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -26,6 +27,8 @@ from gateway.recording.ros_views import ViewMessage, Views
 from gateway.recording.tick_writer import TickWriter
 from gateway.replay.compare import on_known_buses
 from protocols.messages import Nanos
+
+log = logging.getLogger("gateway")
 
 MOST_TICKS = 400_000
 """Ticks that are taken into memory: half an hour at 200 Hz."""
@@ -61,7 +64,8 @@ class InputLog:
 
 
 def input_log(recording: Recording, robot: Robot | None = None) -> InputLog:
-    """Read the inputs of a recording; those on buses that the robot does not have are left out.
+    """Read the inputs of a recording; those on buses that the robot does not have are left out. One that was
+    cut off is taken as far as it goes, which is told.
 
     Args:
         recording: of this gateway.
@@ -74,6 +78,8 @@ def input_log(recording: Recording, robot: Robot | None = None) -> InputLog:
     if (recording.indexed or 0) > MOST_TICKS:
         text = f"{recording.indexed} ticks, more than the {MOST_TICKS} that are held in memory"
         raise RecordingError(f"{recording.path}: {text}; `gateway trim` cuts a part out")
+    if not recording.whole:
+        log.warning("%s: it was cut off before its end: what is there of it is taken", recording.path)
     robot = robot or parse_robot(recording.robot_text, f"{recording.path}: robot.toml")
     given = [Given(tick.now, on_known_buses(tick.inputs, robot.buses)) for tick in recording.ticks]
     return InputLog(robot.text, robot, recording.facts, given)

@@ -88,6 +88,18 @@ def test_a_trimmed_file_is_trimmed_again(waited: Path, tmp_path: Path) -> None:
     assert replay_recording(again).ok
 
 
+def test_one_that_was_cut_off_is_taken_as_far_as_it_goes_which_is_told(
+    waited: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    data = waited.read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(data[: len(data) // 2])
+    log = input_log(read_recording(tmp_path / "cut.mcap"))
+    assert 0 < len(log.ticks) < len(input_log(read_recording(waited)).ticks)
+    assert [one.getMessage() for one in caplog.records] == [
+        f"{tmp_path / 'cut.mcap'}: it was cut off before its end: what is there of it is taken"
+    ]
+
+
 def test_what_replays_otherwise_is_cut_as_it_was_written_and_still_does(
     waited: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
