@@ -175,14 +175,22 @@ class GuardOnly:
                 lines += [f"{name}: no frame to it"] * (one is not self._nobody)
                 continue
             blocked = sum(each.count for each in one.blocked.values())
-            lines.append(f"{name}: {one.frames} frames to it, {blocked} would have been blocked")
+            lines.append(f"{name}: {_frames(one.frames)} to it, {blocked} would have been blocked")
             asked = list(one.requests.items())
-            lines += [f"  {count} times, if a person asks for it: {text}" for text, count in asked[:SHOWN]]
+            lines += [f"  {_times(count)}, if a person asks for it: {text}" for text, count in asked[:SHOWN]]
             lines += [f"  and {len(asked) - SHOWN} more such requests"] * (len(asked) > SHOWN)
             for each in one.blocked.values():
                 at = (each.first - self._began) / SECOND
-                lines.append(f"  {each.count} times, from {at:.3f} s on: {each.example.text}")
-        lines += [f"left out: {self.others} frames of no device of the robot"] * bool(self.others)
+                lines.append(f"  {_times(each.count)}, from {at:.3f} s on: {each.example.text}")
+        lines += [f"left out: {_frames(self.others)} of no device of the robot"] * bool(self.others)
         serial = [name for name, bus in self._robot.buses.items() if bus.carries_bytes]
         lines += [f"not judged, since bytes do not tell who sent them: {', '.join(serial)}"] * bool(serial)
         return lines
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"
+
+
+def _frames(count: int) -> str:
+    return f"{count} frame{'s' * (count != 1)}"
