@@ -154,7 +154,7 @@ def _sweep(options: Namespace) -> int:
         for (place, (value, seed)), (text, error) in zip(runs, run_tasks(tasks, options.engine), strict=True):
             if error:
                 raise UserError(f"{_named(key, value)} with seed {seed}: {error}")
-            rows.append(Row(place, value if key else 0.0, seed, json.loads(text)))
+            rows.append(_row((place, value if key else 0.0, seed, json.loads(text))))
             shown.update(len(rows))
     return _told(options, key, rows)
 
@@ -202,7 +202,7 @@ def _merged(files: Sequence[Path]) -> tuple[str, list[Row]]:
 
 
 def _row(found: Any) -> Row:  # noqa: ANN401 -- of any kind
-    """Return a run as --json wrote it. Raises what is no such run: ValueError, TypeError or KeyError."""
+    """Return a run as it was written. Raises what is no such run: ValueError, TypeError or KeyError."""
     place, value, seed, result = found
     figures = {str(name): float(figure) for name, figure in dict(result["figures"]).items()}
     held = {str(name): bool(holds) for name, holds in dict(result["held"]).items()}
@@ -231,9 +231,9 @@ def as_csv(key: str, rows: Sequence[Row]) -> str:
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow([key or "value", "seed", *names])
     for _, value, seed, result in rows:
-        writer.writerow(
-            [f"{value:g}" if key else "", seed, *(result["figures"].get(name, "") for name in names)]
-        )
+        figures = [result["figures"].get(name, "") for name in names]
+        whole = [int(one) if one != "" and one.is_integer() else one for one in figures]
+        writer.writerow([f"{value:g}" if key else "", seed, *whole])
     return out.getvalue()
 
 

@@ -86,7 +86,6 @@ def test_faults_come_meanwhile_and_what_must_hold_is_judged(
     assert "DID NOT HOLD: must.stand.left: " in printed  # it coasts
 
 
-@pytest.mark.prove
 def test_a_sweep_is_a_table_and_a_picture_the_same_by_jobs_and_by_shards(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
