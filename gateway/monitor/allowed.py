@@ -93,7 +93,7 @@ class GuardOnly:
                 sends = tuple(mask for spec in own for mask in (*spec.sends, *spec.obeys_also))
                 self._drivers.append((one, tuple(mask for spec in own for mask in spec.expects), sends))
         self._counted = {name: _Counted() for name in self._joints}
-        self._nobody = _Counted()
+        self._unaddressed = _Counted()
         """Of frames that are for no motor in particular"""
         self.others = 0
         """Frames of devices that the robot does not have"""
@@ -131,7 +131,7 @@ class GuardOnly:
             for asked in self._meant(one):
                 self._guard.ask(now, asked)
         _, blocked = self._guard.check(now, driver.bus, driver.protocol, [frame], self._joints, stopped=False)
-        for counted in [self._counted[name] for name in sorted(named)] or [self._nobody]:
+        for counted in [self._counted[name] for name in sorted(named)] or [self._unaddressed]:
             counted.frames += 1
             for each in blocked:
                 counted.blocked.setdefault(each.rule, _Finding(now, each)).count += 1
@@ -163,16 +163,16 @@ class GuardOnly:
     @property
     def sound(self) -> bool:
         """True if something was sent to a motor, and all of it would have been allowed."""
-        all_ = [self._nobody, *self._counted.values()]
+        all_ = [self._unaddressed, *self._counted.values()]
         return any(one.frames for one in self._counted.values()) and not any(one.blocked for one in all_)
 
     def lines(self) -> list[str]:
         """Return what would have been allowed, a line for each motor and each reason."""
-        found: Mapping[str, _Counted] = self._counted | {"no motor in particular": self._nobody}
+        found: Mapping[str, _Counted] = self._counted | {"no motor in particular": self._unaddressed}
         lines = []
         for name, one in found.items():
             if not one.frames:
-                lines += [f"{name}: no frame to it"] * (one is not self._nobody)
+                lines += [f"{name}: no frame to it"] * (one is not self._unaddressed)
                 continue
             blocked = sum(each.count for each in one.blocked.values())
             lines.append(f"{name}: {_frames(one.frames)} to it, {blocked} would have been blocked")

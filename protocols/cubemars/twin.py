@@ -112,7 +112,7 @@ class CubeMarsTwin(ServoFirmware):
         self.memory = memory_of(device)
 
     def on_frame(self, t: Nanos, frame: Frame) -> None:
-        decoded = self.options.table.heard(frame)
+        decoded = self.options.table.decode_once(frame)
         if decoded is None or not decoded.name or decoded.address != self.memory.address:
             return
         for obeyed in self.memory.obey(decoded):

@@ -150,7 +150,7 @@ class DamiaoTwin(ServoFirmware):
         return milliseconds(self.memory.registers["TIMEOUT"] * dm.TIMEOUT_UNIT_MS)
 
     def on_frame(self, t: Nanos, frame: Frame) -> None:
-        decoded, motor = self.table.heard(frame), self.memory
+        decoded, motor = self.table.decode_once(frame), self.memory
         if decoded is None or not decoded.name:
             return
         if decoded.name == "discover":

@@ -87,7 +87,7 @@ class ValveTwin(ServoFirmware):
         return self.options.timeout_ms * MILLISECOND if self.mode is Mode.ARMED else 0
 
     def on_frame(self, t: Nanos, frame: Frame) -> None:
-        decoded = jt.TABLE.heard(frame)
+        decoded = jt.TABLE.decode_once(frame)
         if decoded is None or decoded.name != "command" or decoded.address != self.device.address:
             return
         for obeyed in self.memory.obey(decoded):

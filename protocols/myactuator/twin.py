@@ -128,7 +128,7 @@ class RmdTwin(ServoFirmware):
     # -- messages -------------------------------------------------------------------------------------
 
     def on_frame(self, t: Nanos, frame: Frame) -> None:
-        decoded, memory = self.table.heard(frame), self.memory
+        decoded, memory = self.table.decode_once(frame), self.memory
         if decoded is None or not decoded.name:
             return
         name, values, all_of_them = decoded.name, decoded.values, decoded.name.endswith("every id")

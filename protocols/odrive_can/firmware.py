@@ -401,7 +401,7 @@ class OdriveTwin(Firmware):
         self.procedure = 0
 
     def on_frame(self, t: Nanos, frame: Frame) -> None:
-        decoded = self.table.heard(frame)
+        decoded = self.table.decode_once(frame)
         if decoded is None or not decoded.name:
             return
         requested = decoded.name.partition("request for ")[2]

@@ -66,7 +66,7 @@ class RoboMasterTwin(ServoFirmware):
         return milliseconds(self.settings.timeout_ms or self.options.timeout_ms) if driven else 0
 
     def on_frame(self, t: Nanos, frame: Frame) -> None:
-        decoded = rm.TABLE.heard(frame)
+        decoded = rm.TABLE.decode_once(frame)
         if decoded is None or decoded.name != self.memory.group:
             return
         for obeyed in self.memory.obey(decoded):

@@ -125,7 +125,7 @@ class RobStrideTwin(ServoFirmware):
         return self._frame("status", **state, **measured)
 
     def on_frame(self, t: Nanos, frame: Frame) -> None:
-        decoded, memory = self.table.heard(frame), self.memory
+        decoded, memory = self.table.decode_once(frame), self.memory
         if decoded is None or not decoded.name or decoded.address != memory.address:
             return
         for obeyed in memory.obey(decoded):

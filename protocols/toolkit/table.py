@@ -237,7 +237,7 @@ class Table:
         self._standard, self._extended = self._nothing_seen(False), self._nothing_seen(True)
         """By direction: the bits of ids that count, and what was looked up by these (inverted for a remote
         frame)."""
-        self._heard: tuple[Frame | None, Decoded | None] = (None, None)
+        self._decoded_last: tuple[Frame | None, Decoded | None] = (None, None)
         """The frame of which a device has asked last, and its message."""
 
     def _nothing_seen(self, extended: bool) -> dict[Direction, tuple[int, dict[int, _Known]]]:
@@ -297,12 +297,12 @@ class Table:
         decode, address, misfit = known
         return decode(address, number, data) or misfit
 
-    def heard(self, frame: Frame) -> Decoded | None:
-        """Return the message to a device in a frame, as `decode`: for twins, which all hear each frame of a
-        bus. It is decoded for the first of them; what is returned is not to be changed."""
-        last = self._heard
+    def decode_once(self, frame: Frame) -> Decoded | None:
+        """Return the message to a device in a frame, as `decode`: for twins, each of which receives every
+        frame of a bus. It is decoded for the first of them; what is returned is not to be changed."""
+        last = self._decoded_last
         if frame is not last[0]:
-            last = self._heard = frame, self.decode(frame, "to_device")
+            last = self._decoded_last = frame, self.decode(frame, "to_device")
         return last[1]
 
     def _look_up(self, frame: CanFrame, direction: Direction) -> _Known:

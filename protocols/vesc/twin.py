@@ -25,7 +25,7 @@ class VescTwin(VescFirmware):
         super().__init__(device, seed, motor_of(device))
 
     def on_frame(self, t: Nanos, frame: Frame) -> None:
-        decoded, address = vt.TABLE.heard(frame), self.device.address
+        decoded, address = vt.TABLE.decode_once(frame), self.device.address
         if decoded is None or not self.memory.takes(decoded):
             return
         match decoded.name:

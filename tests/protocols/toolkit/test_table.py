@@ -175,7 +175,9 @@ TABLE = Table(ROWS)
 def test_a_frame_is_the_message_of_its_id(frame: CanFrame, decoded: Any) -> None:
     got = TABLE.decode(frame, "to_device")
     assert (None if got is None else (got.name, got.address, got.values)) == decoded
-    assert [TABLE.heard(frame), TABLE.heard(frame)] == [got, got], "of each device that hears it"
+    assert [TABLE.decode_once(frame), TABLE.decode_once(frame)] == [got, got], (
+        "of each device that receives it"
+    )
     name = decoded[0] if decoded else ""
     assert TABLE.names(frame) == ((name,) if name else ())
     assert TABLE.read_only(frame) is (name in ("two", "question"))
