@@ -103,12 +103,7 @@ def _checked_or_bare(ten: bytes) -> bytes | None:
 
 
 def _packets(message: Callable[[bytes], bytes | None]) -> Packets:
-    return Packets(
-        ROWS,
-        Unmarked(SIZE, message, CRC8_MAXIM),
-        lambda address, function, data: bytes((address, function)) + data,
-        lambda message: (message[0], message[1], message[2:]),
-    )
+    return Packets(ROWS, Unmarked(SIZE, message, CRC8_MAXIM))
 
 
 ALL = _packets(_checked_or_bare)

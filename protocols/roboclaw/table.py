@@ -75,8 +75,6 @@ PACKETS = Packets(
         *(_row(name, number, (), read_only=True) for name, number, _ in _READ),
     ),
     Coded(BOARDS.addresses, _SIZES | dict.fromkeys(_QUESTIONS, 0), _QUESTIONS, CRC16_XMODEM, 2),
-    lambda address, function, data: bytes((address, function)) + data,
-    lambda message: (message[0], message[1], message[2:]),
 )
 ANSWERS = Table(_row(*each, direction="from_device") for each in _READ if each[2])
 COVERED = Covered(2, CRC16_XMODEM, 2)

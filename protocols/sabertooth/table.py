@@ -17,6 +17,8 @@ FULL = 127
 TIMEOUT_UNIT_MS = 100
 AUTOBAUD = 0xAA
 """The first byte after it is switched on, by which it finds the baud rate."""
+BARE = bytes((AUTOBAUD,))
+CHECKS = tuple(bytes((check,)) for check in range(FULL + 1))
 SIZE = 4
 _NAMES = (
     "M1FORWARD M1REVERSE MINVOLTAGE MAXVOLTAGE M2FORWARD M2REVERSE M17BIT M27BIT MIXEDFORWARD MIXEDREVERSE "
@@ -32,7 +34,9 @@ class Format:
 
     def frame(self, message: bytes) -> bytes:
         """Return a message, address, command and value, as it stands on the line."""
-        return message if message[0] == AUTOBAUD else message + bytes((sum(message) & 0x7F,))
+        if AUTOBAUD in message:  # without an address; no other byte has this value
+            return BARE
+        return message + CHECKS[sum(message) & FULL]
 
     def read(self, held: bytes, at: int) -> tuple[bytes | Rx | None, int]:
         """Return what begins here, and where the search goes on, as every `FrameFormat`."""
@@ -58,8 +62,5 @@ PACKETS = Packets(
         Row("AUTOBAUD", (uint("address"), const(AUTOBAUD)), (), read_only=True),
     ),
     Format(),
-    lambda address, function, data: (
-        bytes((AUTOBAUD,)) if function == AUTOBAUD else bytes((address, function)) + data
-    ),
-    lambda message: (message[0], message[1] if message[1:] else AUTOBAUD, message[2:]),
+    unpack=lambda message: (message[0], message[1] if message[1:] else AUTOBAUD, message[2:]),
 )

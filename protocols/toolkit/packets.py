@@ -20,7 +20,7 @@ from protocols.toolkit.assembly import Memory, copied
 from protocols.toolkit.firmware import Firmware, ServoFirmware
 from protocols.toolkit.serial import FrameFormat, Stream
 from protocols.toolkit.servo import Gains
-from protocols.toolkit.table import Decoded, Direction, Row, Table
+from protocols.toolkit.table import Decoded, Direction, Line, Row, Table
 
 Pack: TypeAlias = Callable[[int, int, bytes], bytes]
 """From address, function and data: the message without its checksum."""
@@ -28,13 +28,24 @@ Unpack: TypeAlias = Callable[[bytes], tuple[int, int, bytes] | None]
 """The reverse; None if it is no message."""
 
 
+def unpack_bytes(message: bytes) -> tuple[int, int, bytes] | None:
+    """Return address, function and data, if the first two are a byte each."""
+    return (message[0], message[1], message[2:]) if len(message) > 1 else None
+
+
 class Packets:
     """The messages of a serial protocol."""
 
-    def __init__(self, rows: Iterable[Row], framing: FrameFormat, pack: Pack, unpack: Unpack) -> None:
-        self.framing = framing
-        self._table = Table((replace(row, extended=True) for row in rows), framed=False)
-        self._pack, self._unpack = pack, unpack
+    def __init__(
+        self,
+        rows: Iterable[Row],
+        framing: FrameFormat,
+        pack: Pack | None = None,
+        unpack: Unpack = unpack_bytes,
+    ) -> None:
+        """Without `pack`, address and function are the first two bytes of a message."""
+        self.framing, self._unpack = framing, unpack
+        self._table = Table((replace(row, extended=True) for row in rows), Line(framing.frame, pack))
 
     def __deepcopy__(self, memo: object) -> Packets:
         """It is a constant: copies of a driver's state share it."""
@@ -51,8 +62,11 @@ class Packets:
     def encode(self, name: str, address: int = 0, /, **values: Any) -> bytes:  # noqa: ANN401 -- numbers
         """Return a message to or from the device at an address, as it stands on the line. Raises ValueError
         for a number that is not finite, TypeError for a field that is missing or unknown."""
-        number, data = self._table.bare_encoder(name)(address, **values)
-        return self.framing.frame(self._pack(number >> 8, number & 0xFF, data))
+        return self._table.packet_encoder(name)(address, **values)
+
+    def encoder(self, name: str) -> Callable[..., bytes]:
+        """Return `encode` for one message, in two thirds of the time: `encoder(name)(address, **values)`."""
+        return self._table.packet_encoder(name)
 
     def decode(self, message: bytes, direction: Direction) -> Decoded | None:
         """Return what is in a message (as `Stream.feed` gives it); None if it is none of the table's."""

@@ -217,6 +217,18 @@ class Decoded(NamedTuple):
 
 _Encode: TypeAlias = Callable[..., Any]
 _Decode: TypeAlias = Callable[[int, int, bytes], Decoded | None]
+
+
+class Line(NamedTuple):
+    """How the messages of a table stand on a serial line."""
+
+    frame: Callable[[bytes], bytes]
+    """From a message without its checksum: the packet."""
+    pack: Callable[[int, int, bytes], bytes] | None
+    """From address, function (the low 8 bits of an id) and data: the message; None: a byte each, in this
+    order, and the data."""
+
+
 _Known: TypeAlias = tuple[_Decode, int, Decoded | None]
 """How frames of an id are decoded, the address in the id, and what is decoded if the data do not fit."""
 
@@ -224,14 +236,14 @@ _Known: TypeAlias = tuple[_Decode, int, Decoded | None]
 class Table:
     """The messages of a protocol."""
 
-    def __init__(self, rows: Iterable[Row], *, framed: bool = True) -> None:
-        """Not `framed`: encoding returns id and data in the place of a frame."""
+    def __init__(self, rows: Iterable[Row], line: Line | None = None) -> None:
+        """With a line, encoding returns packets in the place of CAN frames."""
         self.rows = tuple(rows)
         self._rows = {row.name: row for row in self.rows}
         self._encode: dict[str, _Encode] = {}
         self._decode: dict[str, _Decode] = {}
         for row in self.rows:
-            self._encode[row.name], self._decode[row.name] = _compiled(row, framed)
+            self._encode[row.name], self._decode[row.name] = _compiled(row, line)
         self._ids = [row.ids() for row in self.rows]
         self._particular = sorted(self._ids, key=lambda ids: -ids.mask.bit_count())
         self._standard, self._extended = self._nothing_seen(False), self._nothing_seen(True)
@@ -269,8 +281,8 @@ class Table:
         """Return `encode` for one message, in two thirds of the time: `encoder(name)(address, **values)`."""
         return self._encode[name]
 
-    def bare_encoder(self, name: str) -> Callable[..., tuple[int, bytes]]:
-        """Return the same of a table that is not `framed`."""
+    def packet_encoder(self, name: str) -> Callable[..., bytes]:
+        """Return the same of a table with a line."""
         return self._encode[name]
 
     def decode(self, frame: Frame, direction: Direction) -> Decoded | None:
@@ -353,9 +365,9 @@ CODES |= {("int", 8): "b", ("int", 16): "h", ("int", 32): "i", ("int", 64): "q"}
 """How `struct` has a field that is a number of its own."""
 
 
-def _compiled(row: Row, framed: bool) -> tuple[_Encode, _Decode]:
-    """Return `encode(address, **values) -> frame` and `decode(address, id, data) -> message` of a row. Not
-    `framed`: id and data in the place of a frame."""
+def _compiled(row: Row, line: Line | None) -> tuple[_Encode, _Decode]:
+    """Return `encode(address, **values) -> frame` and `decode(address, id, data) -> message` of a row. With a
+    line: packets in the place of frames."""
     scope: dict[str, Any] = {"CanFrame": CanFrame, "Decoded": Decoded, "saturated": saturated}
     scope |= {
         "error": struct.error,
@@ -366,12 +378,16 @@ def _compiled(row: Row, framed: bool) -> tuple[_Encode, _Decode]:
         "f32": _f32,
     }
     size = (sum(field.bits for field in row.fields) + 7) // 8
-    words, taken, packed = _data(row, scope)
-    packed = f"({packed})[:{row.sent}]" if 0 < row.sent < size else packed
+    constant = row.id_mask()[0] & ~EXTENDED_BIT
+    addressed = any(field.name == "address" for field in row.id)
+    head = ("address" if addressed else f"{constant >> 8}"), f"{constant & 0xFF}"
+    before = head if line is not None and line.pack is None else ()
+    words, taken, packed = _data(row, scope, before)
+    packed = f"({packed})[:{len(before) + row.sent}]" if 0 < row.sent < size else packed
     raws = [f"r{at} = {_raw(field)}" for at, field in enumerate(row.fields) if field.name]
 
     names = [field.name for field in row.fields if field.name]
-    number = [str(row.id_mask()[0] & ~EXTENDED_BIT)]
+    number = [str(constant)]
     values = [f"{f.name!r}: {_value(f, f'r{at}')}" for at, f in enumerate(row.fields) if f.name]
     address = next((f"r{at}" for at, field in enumerate(row.fields) if field.name == "address"), "address")
     for field, at, bits in row.id_parts():
@@ -391,8 +407,10 @@ def _compiled(row: Row, framed: bool) -> tuple[_Encode, _Decode]:
     received = f"unpack_from(data) if {size} < len(data) <= {longest} else unpack(data)"
     received = received if longest > size else "unpack(data)"
     given = ", ".join(name for name in names if name != "address")
-    made = f"{' | '.join(number)}, {packed}"
-    made = f"CanFrame({made}, {row.extended}, {row.remote})" if framed else made
+    made = f"CanFrame({' | '.join(number)}, {packed}, {row.extended}, {row.remote})"
+    if line is not None:
+        scope |= {"frame": line.frame, "message": line.pack}
+        made = f"frame({packed})" if before else f"frame(message({', '.join(head)}, {packed}))"
     source = f"""
 def encode(address{f", *, {given}" if given else ""}):
     {"; ".join(raws) or "pass"}
@@ -413,13 +431,14 @@ def decode(address, number, data):
     return scope["encode"], scope["decode"]
 
 
-def _data(row: Row, scope: dict[str, Any]) -> tuple[str, str, str]:
+def _data(row: Row, scope: dict[str, Any], before: Sequence[str]) -> tuple[str, str, str]:
     """Return the numbers of which data is made (raw numbers r0, r1 …; words w0, w1 … with parts of such),
-    the statements that take the other raw numbers from these words, and the expression for the data."""
+    the statements that take the other raw numbers from these words, and the expression for the data, behind
+    bytes that stand before them."""
     words = _words(row.fields)
-    codes = ("<" if row.order == "little" else ">") + "".join(code for code, _, _ in words)
-    packer = struct.Struct(codes)
-    padded = struct.Struct(f"{codes}{max(0, row.sent - packer.size)}x")
+    order, codes = "<" if row.order == "little" else ">", "".join(code for code, _, _ in words)
+    packer = struct.Struct(order + codes)
+    padded = struct.Struct(f"{order}{len(before)}B{codes}{max(0, row.sent - packer.size)}x")
     scope |= {"pack": padded.pack, "unpack": packer.unpack, "unpack_from": packer.unpack_from}
     names = [f"w{number}" for number in range(len(words))]
     taken = []
@@ -446,7 +465,7 @@ def _data(row: Row, scope: dict[str, Any]) -> tuple[str, str, str]:
             taken.append(f"r{at} = {bits}")
         start = end
     received = "".join(f"{name}, " for name in names)
-    return f"({received})", "; ".join(taken) or "pass", f"pack({', '.join(map(' | '.join, packed))})"
+    return f"({received})", "; ".join(taken) or "pass", f"pack({', '.join((*before, *map(' | '.join, packed)))})"
 
 
 def _bits(name: str, at: int, count: int, width: int, to: int) -> str:
@@ -491,6 +510,9 @@ def _raw(field: Field) -> str:
         finite = f"{x} if {low!r} <= {x} <= {high!r} else saturated({x}, {low!r}, {high!r})"
         absent = f"nan if {x} is None else " if field.optional else ""
         return f"({absent}0.0 if {-TINY!r} < {x} < {TINY!r} else {finite})"
+    if field.kind != "span" and field.unit == 1.0:  # a number is compared with its like in less time
+        half = 1 << field.bits - 1
+        low, high = (-half, half - 1) if field.kind == "int" else (0, 2 * half - 1)
     inside = f"({x} if {low!r} <= {x} <= {high!r} else saturated({x}, {low!r}, {high!r}))"
     if field.kind == "span":
         steps = f"({inside} - {low!r}) * {1.0 / field.step!r}"
