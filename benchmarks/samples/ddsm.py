@@ -70,7 +70,7 @@ def _found() -> Any:  # noqa: ANN401 -- numbers
 SAMPLES = (
     Sample(
         "encode drive",
-        lambda: ds.encode("drive", 1, value=-50, brake=0),
+        lambda: ds.drive(1, value=-50, brake=0),
         lambda: _DRIVE.pack(1, 0x64, -50, 0xDA),
         _made,
     ),

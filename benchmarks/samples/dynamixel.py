@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from protocols.dynamixel.packets import PACKETS, STATUS
-from protocols.toolkit.serial import Stream
 
 RIVAL = ("dynamixel_sdk", "dynamixel-sdk", "the vendor's PacketHandler and GroupSyncWrite")
 GOALS = {number: 1000 + 50 * number for number in range(1, 13)}
@@ -22,6 +21,8 @@ _ANSWERS = b"".join(
     PACKETS.packet(number, STATUS, bytes(1) + struct.pack("<hii", *each))
     for number, each in zip(GOALS, _NUMBERS, strict=True)
 )
+_WANTED = dict.fromkeys(GOALS, (126, 10))
+_QUESTION = PACKETS.question(PACKETS.asks(_WANTED, "", 0))
 _GOAL = struct.Struct("<BI")
 _MOTION = struct.Struct("<hii")
 
@@ -78,8 +79,8 @@ def _encode_bare() -> bytes:
 
 
 def _decode() -> list[tuple[int, ...]]:
-    found = map(PACKETS.unpacked, Stream(PACKETS.framing).messages(_ANSWERS))
-    return [_MOTION.unpack(one.data[1:]) for one in found]
+    found, _ = PACKETS.answered(_WANTED, _QUESTION, _ANSWERS)
+    return [_MOTION.unpack(data) for _, _, data in found]
 
 
 def _decode_bare() -> list[tuple[int, ...]]:

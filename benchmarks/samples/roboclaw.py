@@ -102,7 +102,7 @@ def _found() -> Any:  # noqa: ANN401 -- numbers
 SAMPLES = (
     Sample(
         "encode M1SPEED",
-        lambda: rt.PACKETS.encode("M1SPEED", BOARD, speed=SPEED),
+        lambda: rt.PACKETS.encoder("M1SPEED")(BOARD, speed=SPEED),
         lambda: _SPEED.pack(BOARD, 35, SPEED, CHECK),
         _made,
     ),

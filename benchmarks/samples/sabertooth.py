@@ -71,7 +71,7 @@ class Sample:
 SAMPLES = (
     Sample(
         "encode M1FORWARD",
-        lambda: st.PACKETS.encode("M1FORWARD", BOARD, value=VALUE),
+        lambda: st.PACKETS.encoder("M1FORWARD")(BOARD, value=VALUE),
         lambda: _MESSAGE.pack(BOARD, 0, VALUE, (BOARD + VALUE) & 0x7F),
     ),
 )

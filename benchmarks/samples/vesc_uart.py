@@ -74,14 +74,14 @@ class Sample:
 
 
 def _decoded() -> Any:  # noqa: ANN401 -- mask and values
-    (payload,) = Stream(FORMAT).messages(ANSWER)
+    (payload,) = Stream(FORMAT).feed(ANSWER)  # `messages` would split the same bytes once
     return decode_values(payload)
 
 
 SAMPLES = (
     Sample(
         "encode SET_RPM",
-        lambda: PACKETS.encode("SET_RPM", DIRECT, value=3000),
+        lambda: PACKETS.encoder("SET_RPM")(DIRECT, value=3000),
         lambda: _SET.pack(2, 5, 8, 3000, 0xF804, 3),
     ),
     Sample("decode GET_VALUES", _decoded, lambda: _VALUES.unpack_from(ANSWER, 3)),

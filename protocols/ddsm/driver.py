@@ -181,7 +181,7 @@ class DdsmAdapter(LineAdapter[Motor]):
         host.own.send(value)
         if host.options.of_model.names_mode:
             host.own.asked.ask(now, "motion")
-        frame = ds.encode("drive", host.address, value=value, brake=0)
+        frame = ds.drive(host.address, value=value, brake=0)
         return Exchange(frame, host.options.answer, rank, f"{host.address} drive")
 
     def _mode(self, host: Host[Motor], mode: int, rank: Rank) -> Exchange:

@@ -110,7 +110,7 @@ ALL = _packets(_checked_or_bare)
 """The messages to motors of either model,"""
 PACKETS: Mapping[str, Packets] = {"DDSM115": ALL, "DDSM210": _packets(_checked)}
 """and to those of one."""
-encode = ALL.encode
+encode, drive = ALL.encode, ALL.encoder("drive")
 
 
 # -- answers -----------------------------------------------------------------------------------------------

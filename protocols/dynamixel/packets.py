@@ -103,11 +103,28 @@ class Packets(sp.ServoPackets):
         answer = Answer(size, Whole(head, size, next(iter(wanted))), delay, size)
         return Exchange(frame, answer, Rank.QUESTION, about)
 
+    def in_place(self, wanted: Targets, data: bytes) -> tuple[Sequence[Status], bytes]:
+        found, at = list[Status](), 0
+        for number, (_, size) in wanted.items():
+            end = at + HEAD + 2 + size
+            one = data[at:end]
+            if not one.startswith(_HEAD.pack(HEADER, number, size + 4, STATUS)) or PLAIN in one[HEAD:]:
+                break
+            check = data[end : end + 2]
+            if len(check) < 2 or CRC(one) != check[0] | check[1] << 8:
+                break
+            found.append((number, one[HEAD + 1], one[HEAD + 2 :]))
+            at = end + 2
+        return found, data[at:]
+
     def answered(self, wanted: Targets, question: Packet, data: bytes) -> tuple[Sequence[Status], bytes]:
-        """Return the blocks of the answer to a fast read, up to the first that is wrong or missing."""
+        """Return the statuses in an answer; of a fast read its blocks, up to the first that is wrong or
+        missing."""
+        if question.instruction not in FAST:
+            return super().answered(wanted, question, data)
         start, found, end = data.find(HEADER + bytes((EVERYBODY,))), list[Status](), 0
         at = start + HEAD + 1
-        for _, length in wanted.values() if question.instruction in FAST and start >= 0 else ():
+        for _, length in wanted.values() if start >= 0 else ():
             behind = at + 2 + length
             check = int.from_bytes(data[behind : behind + 2], "little")
             if len(data) < behind + 2 or CRC(data[start:behind]) != check or data[at + 1] not in wanted:

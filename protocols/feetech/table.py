@@ -121,18 +121,18 @@ class Packets(ServoPackets):
     def status(self, one: Packet) -> Status:
         return one.id, one.instruction, one.data
 
-    def answered(self, wanted: Targets, question: Packet, data: bytes) -> tuple[Sequence[Status], bytes]:
-        """Return whole answers with nothing else between them: the usual case, which needs no search."""
+    def in_place(self, wanted: Targets, data: bytes) -> tuple[Sequence[Status], bytes]:
         found: list[Status] = []
         at = 0
         for number, (_, size) in wanted.items():
-            one = data[at : at + size + 6]
-            if len(one) != size + 6 or one[:2] != SYNC or one[2] != number or one[3] != size + 2:
+            end = at + size + 6
+            one = data[at:end]
+            if len(one) != size + 6 or not one.startswith(SYNC + IDS[number] + IDS[size + 2]):
                 break
             if sum(one) & 0xFF != WHOLE:
                 break
             found.append((number, one[4], one[5:-1]))
-            at += size + 6
+            at = end
         return found, data[at:]
 
 

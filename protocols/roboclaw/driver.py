@@ -92,7 +92,7 @@ class Board:
 
     def message(self, name: str, rank: Rank = Rank.QUESTION, /, **values: float) -> Exchange:
         """Return a message, with what comes back."""
-        frame = rt.PACKETS.encode(name, self.address, **values)
+        frame = rt.PACKETS.encoder(name)(self.address, **values)
         return Exchange(frame, self.options.answer(frame), rank, f"{self.address} {name}")
 
     def ask(self, now: Nanos, name: str, rank: Rank = Rank.QUESTION) -> Exchange:

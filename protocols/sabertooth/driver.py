@@ -139,5 +139,5 @@ class SabertoothAdapter(LineAdapter[Motor]):
     def _message(
         host: Host[Motor], name: str, value: int, about: str, rank: Rank = Rank.SET_POINT
     ) -> Exchange:
-        frame = st.PACKETS.encode(name, st.BOARDS.board(host.address), value=value)
+        frame = st.PACKETS.encoder(name)(st.BOARDS.board(host.address), value=value)
         return Exchange(frame, None, rank, f"{host.address} {about}")

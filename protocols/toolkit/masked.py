@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
+from typing import Any
 
 from protocols.toolkit.table import CODES, Field
 
@@ -16,6 +17,7 @@ class Masked:
         self.fields = tuple(map(tuple, fields))
         self.bit = {each.name: 1 << bit for bit, some in enumerate(self.fields) for each in some}
         self.layout = lru_cache(64)(self._layout)
+        self._reader = lru_cache(64)(self._compiled)
 
     def __deepcopy__(self, memo: object) -> Masked:
         return self
@@ -45,11 +47,19 @@ class Masked:
     def decode(self, mask: int, data: bytes) -> dict[str, float | None] | None:
         """Return the values of a mask; None if there is too little. A number of 32 bits is None at its ends,
         where it may as well be beyond."""
+        return self._reader(mask)(data) if len(data) >= self.size(mask) else None
+
+    def _compiled(self, mask: int) -> Callable[[bytes], dict[str, float | None]]:
+        """Return what reads the fields of a mask."""
         packed, fields = self.layout(mask)
-        if len(data) < packed.size:
-            return None
-        values: dict[str, float | None] = {}
-        for each, raw in zip(fields, packed.unpack_from(data), strict=True):
-            beyond = each.bits == 32 and abs(raw) >= (1 << 31) - 1
-            values[each.name] = None if beyond else raw if each.unit == 1.0 else raw * each.unit
-        return values
+        taken, values, end = "", [], (1 << 31) - 1
+        for at, each in enumerate(fields):
+            value = f"r{at}" if each.unit == 1.0 else f"r{at} * {each.unit!r}"
+            within = f" if {-end} < r{at} < {end} else None" * (each.bits == 32)
+            taken, values = f"{taken}r{at}, ", [*values, f"{each.name!r}: {value}{within}"]
+        statement = f"({taken}) = unpack(data)" if fields else "pass"
+        scope: dict[str, Any] = {"unpack": packed.unpack_from}
+        source = f"def read(data):\n    {statement}\n    return {{{', '.join(values)}}}"
+        exec(source, scope)  # noqa: S102 -- generated from the constants of fields alone
+        read: Callable[[bytes], dict[str, float | None]] = scope["read"]
+        return read

@@ -104,8 +104,7 @@ class MemoryMap(Registers):
                 raise ValueError(f"{name} is {value}: it is never sent")
             value = min(max(value, low), high)
         number = round(value)
-        data: bytes = pack(sign - number if sign and number < 0 else number)
-        return data
+        return cast("bytes", pack(sign - number if sign and number < 0 else number))
 
     def runs(self, values: Mapping[str, float]) -> list[tuple[int, bytes]]:
         """Return what is written, in the order given: those that lie behind one another at once."""
@@ -121,8 +120,8 @@ class MemoryMap(Registers):
 
     def values(self, at: int, data: bytes) -> Values:
         """Return the values of the registers of which a run of bytes has all."""
-        read, _ = self._layouts.get((at, len(data))) or self.layout(at, len(data))
-        return read(data)
+        found = self._layouts.get((at, len(data)))
+        return (self.layout(at, len(data)) if found is None else found).read(data)
 
     def held(self, name: str, image: bytes) -> int:
         """Return the value of a register in an image of all of them; 0 if there is no such register."""

@@ -216,7 +216,8 @@ class Framing:
 
     def read(self, held: bytes, at: int) -> tuple[bytes | Rx | None, int]:
         """Return what begins here, and where the search goes on, as every `FrameFormat`."""
-        head = held[at : at + self.head]
+        start, stuffing = at + self.head, self.stuffing
+        head = held[at:start]
         if not head.startswith(self.sync[: len(head)]):
             return Rx.IGNORED, self._sync(held, at + 1)
         if len(head) < self.head:
@@ -224,20 +225,21 @@ class Framing:
         size = self.body(head)
         if size is None or size < 0:
             return Rx.IGNORED, self._sync(held, at + 1)
-        start, end = at + self.head, at + self.head + size
-        whole = end + self.checksum_size + len(self.tail)
-        if self.stuffing is not None and self.stuffing.is_broken(held, start, end):
+        end = start + size
+        behind = end + self.checksum_size
+        whole = behind + len(self.tail)
+        stuffed = stuffing is not None and held.find(stuffing.pattern, start, end) >= 0
+        if stuffing is not None and stuffed and stuffing.is_broken(held, start, end):
             return Rx.MALFORMED, self._sync(held, at + 1)
         if len(held) < whole:
             return None, at
-        check = int.from_bytes(held[end : end + self.checksum_size], self.order)
-        right = held[end + self.checksum_size : whole] == self.tail
-        if not right or self.checksum(held[at + self.covers : end]) != check:
+        check = int.from_bytes(held[end:behind], self.order)
+        if held[behind:whole] != self.tail or self.checksum(held[at + self.covers : end]) != check:
             return Rx.MALFORMED, self._sync(held, at + 1)
-        if self.stuffing is None or self.stuffing.pattern not in held[start:end]:
+        if stuffing is None or not stuffed:
             return held[at:end], whole
-        body = self.stuffing.unstuff(held[start:end])
-        return self.stuffing.resize(head, len(body)) + body, whole
+        body = stuffing.unstuff(held[start:end])
+        return stuffing.resize(head, len(body)) + body, whole
 
     def _sync(self, held: bytes, at: int) -> int:
         """Return where the next sync begins, whole or as far as it has come."""
@@ -366,23 +368,27 @@ class Envelope:
     """Of the bytes of length and checksum"""
     end: bytes
     starts: re.Pattern[bytes] = field(init=False)
+    heads: Mapping[int, bytes] = field(init=False)
+    """What stands before a message, by its length"""
 
     def __post_init__(self) -> None:
-        """Make the pattern by which the next message is looked for."""
+        """Make the heads, and the pattern by which the next message is looked for."""
         starts = b"[" + re.escape(bytes(self.lengths)) + b"]"
         object.__setattr__(self, "starts", re.compile(starts))
+        heads: dict[int, bytes] = {}
+        for first, sizes in self.lengths.items():
+            for size in sizes:
+                heads.setdefault(size, bytes((first,)) + size.to_bytes(_bytes_of(sizes), self.order))
+        object.__setattr__(self, "heads", heads)
 
     def frame(self, message: bytes) -> bytes:
         """Return a message as it stands on the line. Raises ValueError if none has its length."""
-        size = len(message)
-        for first, sizes in self.lengths.items():
-            if size in sizes:
-                length = size.to_bytes(_bytes_of(sizes), self.order)
-                check = self.checksum(message).to_bytes(self.checksum_size, self.order)
-                return b"%c%b%b%b%b" % (first, length, message, check, self.end)
-        least = min(sizes.start for sizes in self.lengths.values())
-        most = max(sizes.stop for sizes in self.lengths.values()) - 1
-        raise ValueError(f"a message has {least} to {most} bytes, not {size}")
+        head = self.heads.get(len(message))
+        if head is None:
+            raise ValueError(
+                f"a message has {min(self.heads)} to {max(self.heads)} bytes, not {len(message)}"
+            )
+        return head + message + self.checksum(message).to_bytes(self.checksum_size, self.order) + self.end
 
     def read(self, held: bytes, at: int) -> tuple[bytes | Rx | None, int]:
         """Return what begins here, and where the search goes on, as every `FrameFormat`."""

@@ -83,6 +83,11 @@ class ServoPackets:
 
     def answered(self, wanted: Targets, question: Packet, data: bytes) -> tuple[Sequence[Status], bytes]:
         """Return the statuses in an answer that are known by their place, and the rest of it."""
+        return self.in_place(wanted, data)
+
+    def in_place(self, wanted: Targets, data: bytes) -> tuple[Sequence[Status], bytes]:
+        """Return whole statuses with nothing else before and between them, the usual case, which needs no
+        search; and what is behind them."""
         return (), data
 
     # -- in a packet --------------------------------------------------------------------------------------
@@ -158,10 +163,10 @@ class ServoPackets:
 
     def answer(self, wanted: Targets, delay: Nanos) -> Answer:
         """Return what is expected as answer to a question."""
-        sizes = {number: size for number, (_, size) in wanted.items()}
-        most = sum(self.overhead + self.stuffed(size) for size in sizes.values())
-        usual = sum(self.overhead + size for size in sizes.values())
-        return Answer(most, Answers(self, sizes, next(reversed(sizes))), delay, usual)
+        sizes = [size for _, size in wanted.values()]
+        most = sum(self.overhead + self.stuffed(size) for size in sizes)
+        usual = sum(self.overhead + size for size in sizes)
+        return Answer(most, Answers(self, wanted, next(reversed(wanted))), delay, usual)
 
     def stuffed(self, size: int) -> int:
         """Return the bytes on the line of so much data, at most."""
@@ -246,21 +251,24 @@ class Answers:
     """Finds the statuses that answer a question: they are over with that of the last device asked."""
 
     packets: ServoPackets
-    sizes: Mapping[int, int]
-    """Bytes of data, by device that was asked."""
+    wanted: Targets
     last: int
+    """The last device that was asked"""
 
     def __call__(self, asked: bytes, held: bytes) -> tuple[int, int] | None:
         """Return where they begin and end. A status that is all error has no data."""
         packets, at, first = self.packets, 0, -1
+        found, rest = packets.in_place(self.wanted, held)
+        if len(found) == len(self.wanted):
+            return 0, len(held) - len(rest)
         if packets.framing.sync + IDS[self.last] not in held:  # a status of the last one begins so
             return None
         while at + packets.overhead <= len(held):
             message, end = packets.framing.read(held, at)
             status = packets.status(packets.unpacked(message)) if isinstance(message, bytes) else None
-            if status is not None and status[0] in self.sizes:
+            if status is not None and status[0] in self.wanted:
                 number, error, data = status
-                if len(data) == self.sizes[number] or (error and not data):
+                if len(data) == self.wanted[number][1] or (error and not data):
                     first = at if first < 0 else first
                     if number == self.last:
                         return first, end
