@@ -73,6 +73,9 @@ class Answer:
     usual: int = 0
     """Bytes, if nothing is wrong and nothing stuffed: it is not looked for before so many can have
     come. 0: it is looked for whenever something comes."""
+    alike: str = ""
+    """Of answers that do not say what they answer: whose they are. Where one has not come, another question
+    with this name is not asked until that one cannot come any more, and a copy answers none."""
 
 
 class Exchange(bytes):
@@ -91,7 +94,7 @@ class Exchange(bytes):
     rank: Rank
     about: str
     tries: int
-    key: tuple[Rank, str | bytes] | None
+    key: Key
     """What two of one driver have in common of which only the newer one is sent; None: each is."""
 
     def __new__(
@@ -144,6 +147,8 @@ class Ended:
 
 Silence: TypeAlias = tuple[int, Nanos]
 """Answers lost in a row, and when the last was."""
+Key: TypeAlias = tuple[Rank, str | bytes] | None
+"""As `Exchange.key`"""
 
 
 @dataclass(slots=True)
@@ -185,6 +190,10 @@ class Line:
     """The driver that was last in turn, by rank."""
     silence: dict[tuple[int, object], Silence] = field(default_factory=dict)
     """By driver and `Exchange.key`."""
+    missed: dict[tuple[int, str], tuple[Key, Nanos]] = field(default_factory=dict)
+    """By driver and `Answer.alike`: what was not answered, and until when that may come late."""
+    last: tuple[Key, bytes, Nanos] = (None, b"", 0)
+    """What was answered last, the answer, and when it came."""
     sent: int = 0
     answered: int = 0
     lost: int = 0
@@ -262,6 +271,7 @@ class Line:
         device that was asked has the line until its answer would be overdue."""
         self.waiting = [one for one in self.waiting if owner is not None and one.owner != owner]
         self.silence = {key: each for key, each in self.silence.items() if owner not in (None, key[0])}
+        self.missed = {key: each for key, each in self.missed.items() if owner not in (None, key[0])}
         if self.out is not None and owner in (None, self.out.owner):
             self.stray += len(self.held)
             self.out, self.held, self.free = None, b"", max(self.free, self.overdue)
@@ -310,7 +320,7 @@ class Line:
     def _next(self, now: Nanos) -> Waiting | None:
         """Return what is next: what disarms; else of this round the first by rank, drivers in turn."""
         ready = self.waiting
-        if self.silence:
+        if self.silence or self.missed:
             ready = [one for one in ready if self._may_be_sent(one) <= now]
         if self.out is not None:
             ready = [one for one in ready if one.exchange.answer is None]
@@ -356,9 +366,15 @@ class Line:
         return self.silence.get((one.owner, one.exchange.key), (0, 0))
 
     def _may_be_sent(self, one: Waiting) -> Nanos:
-        """Return from when on it may be sent: who has been silent is asked less often."""
+        """Return from when on it may be sent: who has been silent is asked less often, and not for something
+        else while its answer may still come."""
         lost, at = self._silence(one)
-        if lost < SILENT or one.exchange.answer is None:
+        answer, key = one.exchange.answer, one.exchange.key
+        if answer is not None and answer.alike and one.exchange.rank is not Rank.RELEASE:
+            missed, until = self.missed.get((one.owner, answer.alike), (key, 0))
+            if missed != key:
+                return until
+        if lost < SILENT or answer is None:
             return 0
         longest = LONGEST_RELEASE if one.exchange.rank is Rank.RELEASE else LONGEST_BACKOFF
         return at + min((1 << (lost - SILENT)) * MILLISECOND, longest)
@@ -384,6 +400,11 @@ class Line:
             return [], b""
         start, end = found
         before, answer, behind = self.held[:start], self.held[start:end], self.held[end:]
+        if self._is_copy(t, answer):
+            self.held, self.searched = behind, (b"", None)
+            self.stray += end
+            return [], before + answer
+        self.last = asked.key, answer, t
         self.answered += 1
         self.silence.pop((self.out.owner, asked.key), None)
         ended = self._end(t, answer, complete=True)
@@ -398,6 +419,14 @@ class Line:
             quiet = max(self.quiet, min(self.quiet << min(self.pieces, 16), LONGEST_QUIET))
             self.free = max(self.free, t + quiet)
             self.pieces += 1
+
+    def _is_copy(self, t: Nanos, answer: bytes) -> bool:
+        """True if this has just answered another question, and does not say what it answers."""
+        key, before, at = self.last
+        asked = self.out.exchange if self.out is not None else None
+        if asked is None or asked.answer is None or not asked.answer.alike:
+            return False
+        return answer == before and asked.key != key and t - at <= LONGEST_QUIET
 
     def _note_late(self, data: bytes) -> None:
         """Count an answer that comes when it has been given up."""
@@ -440,6 +469,7 @@ class Line:
             self.cut += bool(self.held)
             self._note_late(self.held)
             self.unanswered = [*self.unanswered, one.exchange][-UNANSWERED:]
+            self._miss(now, one)
             if key[1] is not None:
                 self.silence[key] = min(self._silence(one)[0] + 1, 20), now
                 if len(self.silence) > CAPACITY:  # who was asked with ever new words is forgotten
@@ -454,6 +484,14 @@ class Line:
         self.waiting.append(one)  # behind the others: one that is silent keeps none waiting
         return [ended] if ended.data else []
 
+    def _miss(self, now: Nanos, one: Waiting) -> None:
+        """Note until when an answer may come late that does not say what it answers: once more as long."""
+        answer = one.exchange.answer
+        if answer is not None and answer.alike:
+            self.missed = {key: each for key, each in self.missed.items() if each[1] > now}
+            until = now + self.latest - self.given
+            self.missed[one.owner, answer.alike] = one.exchange.key, until
+
     def _given_up(self) -> Nanos:
         """Return when the answer under way is not waited for any longer."""
         if any(self._goes_first(one) for one in self.waiting):
@@ -463,7 +501,8 @@ class Line:
     def due(self) -> Nanos | None:
         """Return when there is something to hand over, or an answer is overdue."""
         if self.out is None:
-            soonest = min(map(self._may_be_sent, self.waiting)) if self.waiting and self.silence else 0
+            held_back = self.waiting and (self.silence or self.missed)
+            soonest = min(map(self._may_be_sent, self.waiting)) if held_back else 0
             return max(self.free, soonest) if self.waiting else None
         unanswered = any(one.exchange.answer is None for one in self.waiting)
         return min(self.free, self._given_up()) if unanswered and not self.half_duplex else self._given_up()

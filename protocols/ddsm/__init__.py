@@ -58,7 +58,9 @@ def spec(device: Device) -> Spec:
         set_up={"mode": (float(model.rest), float(ds.SPEED))},
         stop=(
             ds.encode(f"set mode {model.name[4:]}", at, mode=model.rest),
-            Exchange(ds.encode("drive", at, value=0, brake=0), options.answer, Rank.RELEASE, f"{at} drive"),
+            Exchange(
+                ds.encode("drive", at, value=0, brake=0), options.answer(at), Rank.RELEASE, f"{at} drive"
+            ),
         ),
         scales={"model": "answers of the other model are none to it: it is offline then"},
         unprotected=frozenset({"set mode 115"}),

@@ -182,7 +182,7 @@ class DdsmAdapter(LineAdapter[Motor]):
         if host.options.of_model.names_mode:
             host.own.asked.ask(now, "motion")
         frame = ds.drive(host.address, value=value, brake=0)
-        return Exchange(frame, host.options.answer, rank, f"{host.address} drive")
+        return Exchange(frame, host.options.answer(host.address), rank, f"{host.address} drive")
 
     def _mode(self, host: Host[Motor], mode: int, rank: Rank) -> Exchange:
         name = f"set mode {host.options.model[4:]}"
@@ -191,7 +191,7 @@ class DdsmAdapter(LineAdapter[Motor]):
     def _query(self, now: Nanos, host: Host[Motor], rank: Rank, about: str) -> Exchange:
         host.own.asked.ask(now, "motion", "state")
         frame = ds.encode("query", host.address)
-        return Exchange(frame, host.options.answer, rank, f"{host.address} {about}")
+        return Exchange(frame, host.options.answer(host.address), rank, f"{host.address} {about}")
 
     def arm(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
         return self.command(now, host, still(command))
@@ -237,9 +237,9 @@ class DdsmAdapter(LineAdapter[Motor]):
         match request:
             case msg.Scan():
                 options = next(iter(driver.hosts.values())).options
-                period = 2 * (options.answer.delay + 3 * MILLISECOND)
+                period = 2 * (options.delay + 3 * MILLISECOND)
                 asked = [(at, ds.encode("query", at)) for at in ds.ADDRESSES]
-                frames = [Exchange(one, options.answer, about=f"scan {at}", tries=2) for at, one in asked]
+                frames = [Exchange(one, options.answer(at), about=f"scan {at}", tries=2) for at, one in asked]
                 return scan(now, request, frames, 1, 1, period)
             case msg.ClearFault() if host is not None:  # its faults pass by themselves
                 return Pending(request, host.name, now, now + CLEARED, now, host, sent=1)
@@ -260,4 +260,4 @@ class DdsmAdapter(LineAdapter[Motor]):
             return super().frames(now, pending)
         if isinstance(request, msg.WriteParameter) and pending.sent < ds.TIMES:
             return (Exchange(ds.encode("set id", id=int(request.value))),)
-        return (Exchange(ds.encode("id query"), host.options.answer, Rank.QUESTION, "id"),)
+        return (Exchange(ds.encode("id query"), host.options.answer(ds.ANYONE), Rank.QUESTION, "id"),)

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from protocols.bounds import Bounds, check
 from protocols.ddsm import table as ds
 from protocols.line import Answer
-from protocols.messages import MILLISECOND
+from protocols.messages import MILLISECOND, Nanos
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,9 +39,14 @@ class Options:
         return ds.MODELS[self.model]
 
     @property
-    def answer(self) -> Answer:
-        """What comes back"""
-        return Answer(ds.SIZE, ds.FINDS[self.model], round(self.answer_ms * MILLISECOND))
+    def delay(self) -> Nanos:
+        """How late an answer may begin"""
+        return round(self.answer_ms * MILLISECOND)
+
+    def answer(self, address: int) -> Answer:
+        """Return what comes back from a motor. A DDSM115 does not say what it answers."""
+        alike = f"{address}" if self.of_model.names_mode else ""
+        return Answer(ds.SIZE, ds.FINDS[self.model], self.delay, alike=alike)
 
     @property
     def strongest(self) -> float:

@@ -465,7 +465,11 @@ def _data(row: Row, scope: dict[str, Any], before: Sequence[str]) -> tuple[str, 
             taken.append(f"r{at} = {bits}")
         start = end
     received = "".join(f"{name}, " for name in names)
-    return f"({received})", "; ".join(taken) or "pass", f"pack({', '.join((*before, *map(' | '.join, packed)))})"
+    return (
+        f"({received})",
+        "; ".join(taken) or "pass",
+        f"pack({', '.join((*before, *map(' | '.join, packed)))})",
+    )
 
 
 def _bits(name: str, at: int, count: int, width: int, to: int) -> str:
