@@ -471,3 +471,59 @@ def test_an_answer_that_has_begun_is_complete_when_its_usual_bytes_can_have_come
     )
     line.receive(100_000, b"0123456789")
     assert line.time_to_complete(10) == 100_000
+
+
+def by_size(asked: bytes, held: bytes) -> tuple[int, int] | None:
+    """An answer is its device's number and two bytes: it does not say what it answers."""
+    return (0, 3) if len(held) >= 3 and held[0] == asked[0] else None
+
+
+def alike(device: int, kind: str, rank: Rank = Rank.QUESTION) -> Exchange:
+    return Exchange(
+        bytes((device, ord(kind))), Answer(3, by_size, DELAY, alike=f"{device}"), rank, f"{device} {kind}"
+    )
+
+
+def test_where_an_answer_may_come_late_that_does_not_say_what_it_answers_nothing_else_is_asked() -> None:
+    line = Line(RATE, slack=FINE)
+    line.put(0, [alike(1, "a")])
+    line.take(0)
+    missed = line.overdue
+    assert [one.data for one in line.expire(missed)] == [b""]
+    late = missed + (missed - 0)  # once more as long
+    line.put(0, [alike(1, "b"), alike(2, "b")])
+    line.put(1, [alike(1, "b")])  # another driver's: other devices
+    now = missed + line.quiet
+    for owner, device in ((1, 1), (0, 2)):
+        assert line.take(now) == [(owner, alike(device, "b"))]
+        now += MILLISECOND // 10
+        assert line.receive(now, bytes((device, 0, 0)))[0]
+    assert line.take(now) == []
+    assert line.due() == late
+    line.put(0, [alike(1, "a")])  # the same again may have the answer that is late
+    assert line.take(now) == [(0, alike(1, "a"))]
+    assert line.receive(now + 10, b"\1\0\0")[0]
+    assert line.take(late) == [(0, alike(1, "b"))]
+
+
+def test_what_disarms_waits_for_no_late_answer() -> None:
+    line = Line(RATE, slack=FINE)
+    line.put(0, [alike(1, "a")])
+    line.take(0)
+    missed = line.overdue
+    line.expire(missed)
+    line.put(0, [alike(1, "b", Rank.RELEASE)])
+    assert line.take(missed + line.quiet) == [(0, alike(1, "b", Rank.RELEASE))]
+
+
+def test_a_copy_of_an_answer_that_does_not_say_what_it_answers_answers_nothing_else() -> None:
+    line = Line(RATE, slack=FINE)
+    for kind, answers in (("a", [b"\1\2\3"]), ("b", [b"\1\2\3", b"\1\4\5"])):
+        line.put(0, [alike(1, kind)])
+        line.take(line.free)
+        found = [line.receive(line.free + at, each) for at, each in enumerate(answers)]
+    assert [[one.data for one in ended] for ended, _ in found] == [[], [b"\1\4\5"]]
+    assert line.stray == 3
+    line.put(0, [alike(1, "a")])  # long after it, the same bytes are an answer
+    line.take(line.free + SECOND)
+    assert line.receive(line.free + SECOND, b"\1\4\5")[0]

@@ -15,7 +15,10 @@ def test_a_session_with_bad_answers_ends_well(plugin: Plugin, seed: int) -> None
     LineSession(plugin, seed).run()
 
 
-def test_a_late_answer_that_is_taken_for_another_questions_moves_no_position() -> None:
+@pytest.mark.parametrize(
+    "seed", [2601008396, 2601008424, 2601010954, 2601015264], ids=("late", "late 2", "doubled", "late 3")
+)
+def test_an_answer_is_not_taken_for_another_questions(seed: int) -> None:
     """A DDSM115's two answers look alike; the angle of one is the other's temperature and coarse angle."""
     (ddsm,) = (plugin for plugin in QUESTIONED if plugin.name == "ddsm")
-    LineSession(ddsm, 2601008396).run()
+    LineSession(ddsm, seed).run()
