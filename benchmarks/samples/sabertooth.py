@@ -2,7 +2,9 @@
 
 Rules. Data and calls only: the robot uses nothing of this. The package has no codec of its own: it is called
 as its user calls it, with a port in memory. Nothing comes back from a board. Bare `struct` knows message and
-checksum beforehand, and checks nothing: it is the lower bound.
+checksum beforehand, and checks nothing: it is the lower bound. The package does little more: it adds up
+address, command and value, and makes bytes of the four numbers. Ours also saturates, and refuses what is not
+finite.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ from typing import Any
 
 from protocols.sabertooth import table as st
 
-RIVAL = ("pysabertooth", "pysabertooth", "a package for it, a port in memory")
+RIVAL = ("pysabertooth", "pysabertooth", "a package that adds up three numbers; a port in memory")
 BOARD, PERCENT, VALUE = 128, 50, 63
 _MESSAGE = Struct("4B")
 

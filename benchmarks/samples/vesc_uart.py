@@ -75,7 +75,7 @@ class Sample:
 
 def _decoded() -> Any:  # noqa: ANN401 -- mask and values
     (payload,) = Stream(FORMAT).feed(ANSWER)  # `messages` would split the same bytes once
-    return decode_values(payload)
+    return decode_values(payload) if isinstance(payload, bytes) else None
 
 
 SAMPLES = (

@@ -125,7 +125,7 @@ class DdsmAdapter(LineAdapter[Motor]):
 
     def __init__(self) -> None:
         self._models: dict[int, ds.Model] = {}
-        super().__init__(ds.answers(self._is_likely))
+        super().__init__(ds.answers(self._likely))
 
     def own(self, device: Device) -> Motor:
         self._models[device.address] = device.options.of_model
@@ -134,11 +134,11 @@ class DdsmAdapter(LineAdapter[Motor]):
     def resend(self, host: Host[Motor]) -> None:
         host.own.write_again()
 
-    def _is_likely(self, message: bytes) -> bool:
-        """True for an answer that nobody has asked for: it must look like one in all, and report no error:
+    def _likely(self, ten: bytes) -> bytes | None:
+        """Return an answer that nobody has asked for: it must look like one in all, and report no error:
         eight bits of checksum are no reason to stop a motor, which is asked again soon."""
-        model = self._models.get(message[0]) or next(iter(self._models.values()))
-        return message[0] in ds.ADDRESSES and not message[8] and model.fits(message)
+        model = self._models.get(ten[0]) or next(iter(self._models.values()))
+        return model.answer(ten) if ten[0] in ds.ADDRESSES and not ten[8] else None
 
     # -- received -------------------------------------------------------------------------------------
 

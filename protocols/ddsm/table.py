@@ -60,9 +60,9 @@ class Model:
         """Answers after which a mode counts that was written."""
         return 1 if self.names_mode else 2
 
-    def fits(self, message: bytes) -> bool:
-        """True if this can be an answer of this model."""
-        return message[1] in self.kinds and not CRC8_MAXIM(message)  # with its checksum it gives 0
+    def answer(self, ten: bytes) -> bytes | None:
+        """Return these bytes, if they can be an answer of this model."""
+        return ten if ten[1] in self.kinds and not CRC8_MAXIM(ten) else None  # with its checksum it gives 0
 
 
 RPM = math.pi / 30.0
@@ -161,12 +161,12 @@ class Belongs:
         return asked[0] in (answer[0], ANYONE) and (self.model.names_mode or answer[1] == asked[1])
 
 
-def answers(fits: Callable[[bytes], bool]) -> Unmarked:
+def answers(answer: Callable[[bytes], bytes | None]) -> Unmarked:
     """Return how answers stand on the line."""
-    return Unmarked(SIZE, lambda ten: ten if fits(ten) else None, CRC8_MAXIM)
+    return Unmarked(SIZE, answer, CRC8_MAXIM)
 
 
-FINDS = {name: Finds(answers(model.fits), Belongs(model)) for name, model in MODELS.items()}
+FINDS = {name: Finds(answers(model.answer), Belongs(model)) for name, model in MODELS.items()}
 """How the answer of a model is found."""
 
 

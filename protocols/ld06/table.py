@@ -61,7 +61,8 @@ def encode(packet: Packet) -> bytes:
 
 def decode(message: bytes) -> Packet | None:
     """Decode a packet without its checksum; None if it has an angle or a time that there is not."""
-    _, speed, start, *rays, end, stamp = _LAYOUT.unpack(message)
+    numbers = _LAYOUT.unpack(message)
+    speed, start, end, stamp = numbers[1], numbers[2], numbers[-2], numbers[-1]
     if start >= TURN or end >= TURN or stamp > ROUND:  # whether 30000 itself comes is uncertain
         return None
-    return Packet(speed, start, tuple(rays[::2]), tuple(rays[1::2]), end, stamp)
+    return Packet(speed, start, numbers[3:-2:2], numbers[4:-2:2], end, stamp)

@@ -34,6 +34,8 @@ SCALES = ((3328, 16384, 4), (1792, 4096, 3), (1280, 2048, 2), (512, 512, 1), (0,
 """Of an ultra capsule: from which number on, what that is [mm], and by how many bits steps are longer"""
 NO_RETURN = (0x1FF, -0x200)
 """Of a prediction"""
+_PREDICTIONS = [-0x10000 if each in NO_RETURN else each for each in (*range(0x200), *range(-0x200, 0))]
+"""By their bits: of what does not return one that is never beyond 0"""
 NEAREST_ULTRA = 150
 """mm: what is nearer is so far beside its place that it is no reading (its datasheets begin at 200 mm)."""
 SYNC_HQ = 0xA5
@@ -132,16 +134,13 @@ def _scaled(distance: int) -> int:
 def _ultra(data: bytes, after: bytes) -> list[int]:
     """Return the distances of an ultra capsule [mm]."""
     words = [*struct.unpack_from("<32I", data, 4), *struct.unpack_from("<I", after or bytes(8), 4)]
-    scale, found = _scale(), list[int]()
-    for word, then in pairwise(words):
-        here, there = scale[word & 0xFFF], scale[then & 0xFFF]
-        base, bits = here if here[0] or not there[0] else there
-        one, other = (word >> 12 & 0x3FF ^ 0x200) - 0x200, (word >> 22 ^ 0x200) - 0x200
-        found += (
-            here[0],
-            0 if one in NO_RETURN else max(0, base + (one << bits)),
-            0 if other in NO_RETURN else max(0, there[0] + (other << there[1])),
-        )
+    scale, steps, found = _scale(), _PREDICTIONS, list[int]()
+    majors = [scale[word & 0xFFF] for word in words]
+    for word, (here, finer), (there, bits) in zip(words, majors, majors[1:], strict=False):
+        one, other = steps[word >> 12 & 0x3FF], steps[word >> 22]
+        near = there + (one << bits) if there and not here else here + (one << finer)
+        far = there + (other << bits)
+        found += here, near if near > 0 else 0, far if far > 0 else 0
     return found if after else [*found[:-2], found[-2] if words[-2] & 0xFFF else 0, 0]
 
 

@@ -52,11 +52,12 @@ class Masked:
     def _compiled(self, mask: int) -> Callable[[bytes], dict[str, float | None]]:
         """Return what reads the fields of a mask."""
         packed, fields = self.layout(mask)
-        taken, values, end = "", [], (1 << 31) - 1
+        taken, values, end = "", list[str](), (1 << 31) - 1
         for at, each in enumerate(fields):
             value = f"r{at}" if each.unit == 1.0 else f"r{at} * {each.unit!r}"
             within = f" if {-end} < r{at} < {end} else None" * (each.bits == 32)
-            taken, values = f"{taken}r{at}, ", [*values, f"{each.name!r}: {value}{within}"]
+            taken += f"r{at}, "
+            values.append(f"{each.name!r}: {value}{within}")
         statement = f"({taken}) = unpack(data)" if fields else "pass"
         scope: dict[str, Any] = {"unpack": packed.unpack_from}
         source = f"def read(data):\n    {statement}\n    return {{{', '.join(values)}}}"

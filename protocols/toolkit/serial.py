@@ -27,6 +27,12 @@ def crc(width: int, polynomial: int, start: int = 0, *, reflected: bool = True, 
     table = _remainders(width, polynomial, reflected)
     ones, top = (1 << width) - 1, width - 8
 
+    def check8(data: bytes) -> int:
+        value = start
+        for byte in data:
+            value = table[value ^ byte]
+        return value ^ end
+
     def check_reflected(data: bytes) -> int:
         value = start
         for byte in data:
@@ -39,45 +45,40 @@ def crc(width: int, polynomial: int, start: int = 0, *, reflected: bool = True, 
             value = (value << 8 & ones) ^ table[value >> top ^ byte]
         return value ^ end
 
-    short = check_reflected if reflected or width == 8 else check
-    return short if width > 16 else _by_pairs(width, polynomial, start, end, reflected, short)
+    if width == 8:
+        return check8
+    if width == 16:
+        return _by_pairs(polynomial, start, end, reflected, check_reflected if reflected else check)
+    return check_reflected if reflected else check
 
 
-def _by_pairs(
-    width: int, polynomial: int, start: int, end: int, reflected: bool, short: Checksum
-) -> Checksum:
-    """Return a check of 8 or 16 bits that takes two bytes at once: its first use makes the table."""
-    low_first = reflected or width == 8  # with 8 bits there is no other order
-    order, one = "<" if low_first else ">", _remainders(width, polynomial, reflected)
+def _by_pairs(polynomial: int, start: int, end: int, reflected: bool, short: Checksum) -> Checksum:
+    """Return a check of 16 bits that takes two bytes at once: its first use makes the table."""
+    order = "<" if reflected else ">"
 
     def check(data: bytes) -> int:
-        size = len(data)
-        if size < 4:
+        if len(data) < 4:
             return short(data)
-        table, value = _remainders_of_pairs(width, polynomial, reflected), start
-        for pair in _words(order, size // 2)(data):
+        table, value, count = _remainders_of_pairs(polynomial, reflected), start, len(data) // 2
+        for pair in struct.unpack_from(f"{order}{count}H", data):
             value = table[value ^ pair]
-        if size % 2 and low_first:
-            value = value >> 8 ^ one[(value ^ data[-1]) & 0xFF]
-        elif size % 2:
-            value = (value << 8 & 0xFFFF) ^ one[value >> 8 ^ data[-1]]
+        if len(data) % 2:
+            last, one = data[-1], _remainders(16, polynomial, reflected)
+            if reflected:
+                value = value >> 8 ^ one[(value ^ last) & 0xFF]
+            else:
+                value = (value << 8 & 0xFFFF) ^ one[value >> 8 ^ last]
         return value ^ end
 
     return check
 
 
-@lru_cache(maxsize=1024)
-def _words(order: str, count: int) -> Callable[[bytes], tuple[int, ...]]:
-    """Return what takes so many pairs of bytes from the beginning of some."""
-    return struct.Struct(f"{order}{count}H").unpack_from
-
-
 @cache
-def _remainders_of_pairs(width: int, polynomial: int, reflected: bool) -> tuple[int, ...]:
+def _remainders_of_pairs(polynomial: int, reflected: bool) -> tuple[int, ...]:
     """Return the remainder of each pair of bytes, by what is combined with it."""
-    one, found = _remainders(width, polynomial, reflected), list[int]()
+    one, found = _remainders(16, polynomial, reflected), list[int]()
     for high in range(256):
-        if reflected or width == 8:  # the second byte is the high one
+        if reflected:  # the second byte is the high one
             found += [one[low] >> 8 ^ one[(one[low] ^ high) & 0xFF] for low in range(256)]
         else:
             after = one[high]

@@ -166,7 +166,7 @@ class ServoPackets:
         sizes = [size for _, size in wanted.values()]
         most = sum(self.overhead + self.stuffed(size) for size in sizes)
         usual = sum(self.overhead + size for size in sizes)
-        return Answer(most, Answers(self, wanted, next(reversed(wanted))), delay, usual)
+        return Answer(most, Answers(self, wanted, [*wanted][-1]), delay, usual)
 
     def stuffed(self, size: int) -> int:
         """Return the bytes on the line of so much data, at most."""
