@@ -496,7 +496,7 @@ def test_where_an_answer_may_come_late_that_does_not_say_what_it_answers_nothing
     now = missed + line.quiet
     for owner, device in ((1, 1), (0, 2)):
         assert line.take(now) == [(owner, alike(device, "b"))]
-        now += MILLISECOND // 10
+        now += 30_000
         assert line.receive(now, bytes((device, 0, 0)))[0]
     assert line.take(now) == []
     assert line.due() == late
