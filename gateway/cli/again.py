@@ -20,7 +20,7 @@ from gateway.cli import arguments
 from gateway.cli.tasks import Engine, add_engine, run_tasks
 from gateway.cli.terminal.progress import progress
 from gateway.config import load_robot, parse_robot
-from gateway.config.one_setting import with_setting
+from gateway.config.one_setting import with_settings
 from gateway.config.text import read_text
 from gateway.core.message_text import escaped
 from gateway.core.robot import Robot
@@ -59,8 +59,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--inject", type=Path, metavar="TOML", help=text)
     text = "with --inject: on the recorded inputs, by which no world answers"
     parser.add_argument("--recorded", action="store_true", help=text)
-    text = "another value of a setting of the robot file"
-    parser.add_argument("--set", type=setting, action="append", default=[], metavar="KEY=VALUE", help=text)
+    arguments.add_settings(parser, "another value of a setting of the robot file")
     arguments.add_seed(parser)
     text = "record the run, in a file that must not exist yet"
     parser.add_argument("--record", type=Path, metavar="FILE", help=text)
@@ -108,9 +107,7 @@ def _robot(options: Namespace) -> Robot:
     else:
         robot = load_robot(options.robot, recorded=True)
         text, name = robot.text, str(options.robot)
-    for key, value in options.set:
-        text = with_setting(text, key, value)
-    return simulated(parse_robot(text, name) if options.set else robot)
+    return simulated(parse_robot(with_settings(text, options.set), name) if options.set else robot)
 
 
 def _once(options: Namespace) -> int:
@@ -256,22 +253,6 @@ def _arguments(options: Namespace, key: str, value: float) -> list[str]:
 
 def _named(key: str, value: float) -> str:
     return f"{key}={value:g}" if key else "the run"
-
-
-def setting(text: str) -> tuple[str, float | str | bool]:
-    """Return the key and the value of KEY=VALUE."""
-    key, equals, value = text.partition("=")
-    if not (key and equals and value):
-        raise ArgumentTypeError(f"{text!r} is not KEY=VALUE (as in brain.pursuit.lookahead_time=0.4)")
-    try:
-        found = json.loads(value)
-    except ValueError:
-        found = value
-    if not isinstance(found, int | float | str | bool) or (
-        isinstance(found, float) and not math.isfinite(found)
-    ):
-        raise ArgumentTypeError(f"{text!r}: expected a finite number, a word, true or false")
-    return key.strip(), found
 
 
 def sweep(text: str) -> Sweep:
