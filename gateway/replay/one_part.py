@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brain.belief import BrainTask
+from brain.bodies.limbs import limbs
 from brain.brain import Brain
 from brain.limb import Plan, StepValues
 from brain.perception.map import Map
@@ -84,7 +85,7 @@ class PartAlone:
         """Return it in words."""
         told = [f"{self.part} alone, on what it was given in {self.ticks} recorded ticks"]
         if self.objection:
-            told += ["the recorded settings do not give what was recorded any more:"]
+            told += ["with the recorded settings the replay of the whole is not the recorded one:"]
             told += [f"  {line}" for line in self.objection.splitlines()]
             told += ["what follows is held against what the program of today makes of them"]
         if not self.differing:
@@ -167,10 +168,15 @@ def _check(before: Robot, robot: Robot, part: str) -> None:
                 f"the {what} of the recorded robot are {_list(one)}, those of the other {_list(two)}: one "
                 "part alone takes other settings, not another robot"
             )
-    if part != "driver" and before.brain.body.joints != robot.brain.body.joints:
+    recorded, other = (
+        {name: each.body.joints for name, each in limbs(which.brain.body).items()}
+        for which in (before, robot)
+    )
+    if part != "driver" and recorded != other:
         raise UserError(
-            f"the recorded body moves {_list(before.brain.body.joints)}, the other "
-            f"{_list(robot.brain.body.joints)}: one part alone takes other settings, not another body"
+            f"the recorded body moves {_list(before.brain.body.joints)} in limbs {_list(recorded)}, the other "
+            f"{_list(robot.brain.body.joints)} in {_list(other)}: one part alone takes other "
+            "settings, not another body"
         )
 
 
