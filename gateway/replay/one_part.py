@@ -174,7 +174,7 @@ def _check(before: Robot, robot: Robot, part: str) -> None:
     )
     if part != "driver" and recorded != other:
         raise UserError(
-            f"the recorded body moves {_list(before.brain.body.joints)} in limbs {_list(recorded)}, the other "
+            f"the recorded body moves {_list(before.brain.body.joints)} in {_list(recorded)}, the other "
             f"{_list(robot.brain.body.joints)} in {_list(other)}: one part alone takes other "
             "settings, not another body"
         )
