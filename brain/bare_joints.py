@@ -78,8 +78,8 @@ class BareJoints:
 
     # -- percept and allowance ----------------------------------------------------------------------
 
-    def perceive(self, now: Nanos, events: Sequence[Event]) -> Percept:
-        """Process the motors' events of this step."""
+    def perceive(self, now: Nanos, events: Sequence[Event], given: Percept | None = None) -> Percept:
+        """Process the motors' events of this step; `given`: what is perceived, in place of its own."""
         self._health.observe(events)
         for event in events:
             if isinstance(event, Feedback) and event.motor in self._targets:
@@ -87,6 +87,8 @@ class BareJoints:
                 position = known.position if event.position is None else event.position
                 velocity = known.velocity if event.velocity is None else event.velocity
                 self._feedback[event.motor] = Feedback(event.motor, event.t, position, velocity)
+        if given is not None:
+            self._feedback.update(given.joints)
         return Percept(now, self._feedback)
 
     def allow(self, percept: Percept, *, by_hand: bool) -> Allowance:  # noqa: ARG002 -- a base's

@@ -85,11 +85,12 @@ class BaseLimb:
 
     # -- percept and allowance ----------------------------------------------------------------------
 
-    def perceive(self, now: Nanos, events: Sequence[Event]) -> Percept:
-        """Process the events since the last step."""
+    def perceive(self, now: Nanos, events: Sequence[Event], given: Percept | None = None) -> Percept:
+        """Process the events since the last step; `given`: what is perceived, in place of its own."""
         self.perception.observe(now, events)
         self.motion.observe(events)
-        sight = self._sight = self.perception.sight(now)
+        sight = given.sight if given is not None else None
+        sight = self._sight = sight or self.perception.sight(now)
         estimate = sight.estimate
         self._zone.observe(estimate.t if estimate else now, sight.raw, events, sight.suspects)
         self._health.observe(events, sight.absent, sight.helpful)

@@ -23,7 +23,7 @@ from brain.base_limb import BaseLimb
 from brain.belief import Belief, BrainState, BrainTask
 from brain.bodies.limbs import limbs
 from brain.health import HealthLevel, HealthSettings
-from brain.limb import Allowance, Limb, Percept, Plan
+from brain.limb import Allowance, Limb, Percept, Plan, StepValues
 from brain.linked_joints import LinkedJoints
 from brain.other_brain import OtherBrain
 from brain.perception.filter_inputs import Nis
@@ -39,6 +39,7 @@ from protocols.messages import SECOND, Command, Event, Nanos
 __all__ = ["Brain", "BrainSettings", "HealthSettings"]
 
 NO_BASE = "these are bare joints: there is no base to drive"
+NOTHING = StepValues()
 WAITING_NOTE_AFTER: Nanos = 3 * SECOND
 """After this time of waiting at the start, a note says for what."""
 
@@ -88,17 +89,32 @@ class Brain:
         `now` must not decrease. `events` are those received since the last step, in order; one stamped after
         `now` counts as measured now, so that it keeps no source from going stale. `stopped` is why the
         gateway has stopped the robot, or "": while it is set every command is Idle, and tasks are dropped."""
+        return self.values(now, events, tasks, stopped).commands
+
+    def values(
+        self,
+        now: Nanos,
+        events: Sequence[Event],
+        tasks: Sequence[BrainTask],
+        stopped: str,
+        given: StepValues = NOTHING,
+    ) -> StepValues:
+        """Do a step; return all that its systems have made. What is given is handed on in their place."""
         known = [event if event.t <= now else replace(event, t=now) for event in events]
-        percepts = {name: limb.perceive(now, known) for name, limb in self._limbs.items()}
+        percepts = {
+            name: limb.perceive(now, known, given.percepts.get(name)) for name, limb in self._limbs.items()
+        }
         allowances = self._allow(now, percepts, tasks, stopped)
         plans = self._plan(now, percepts, allowances, tasks)
-        self._update_state(allowances, plans)
+        allowed, wanted = {**allowances, **given.allowances}, {**plans, **given.plans}
+        self._update_state(allowed, wanted)
         commands = {
             command.motor: command
             for name, limb in self._limbs.items()
-            for command in limb.commands(percepts[name], allowances[name], plans[name])
+            for command in limb.commands(percepts[name], allowed[name], wanted[name])
         }
-        return tuple(commands.get(motor) or msg.Idle(motor) for motor in self._motors)
+        every = tuple(commands.get(motor) or msg.Idle(motor) for motor in self._motors)
+        return StepValues(percepts, allowances, plans, every)
 
     def belief(self) -> Belief:
         """Return estimate, goal, path, map and state as a value."""

@@ -94,6 +94,18 @@ class Plan:
     """The torque that carries the load of each"""
 
 
+@dataclass(frozen=True, slots=True)
+class StepValues:
+    """What a step hands on, by limb. A step that is given some hands these on in place of its own: so each
+    system can be run alone, on values that another run has made."""
+
+    percepts: Mapping[str, Percept] = field(default_factory=dict)
+    allowances: Mapping[str, Allowance] = field(default_factory=dict)
+    plans: Mapping[str, Plan] = field(default_factory=dict)
+    commands: Sequence[Command] = ()
+    """One per motor of the robot"""
+
+
 class Limb(Protocol):
     """What moves by itself. State is plain data."""
 
@@ -102,8 +114,8 @@ class Limb(Protocol):
     def adopt(self, settings: BrainSettings) -> None:
         """Continue with other settings."""
 
-    def perceive(self, now: Nanos, events: Sequence[Event]) -> Percept:
-        """Process the events since the last step."""
+    def perceive(self, now: Nanos, events: Sequence[Event], given: Percept | None = None) -> Percept:
+        """Process the events since the last step; `given`: what is perceived, in place of its own."""
 
     def allow(self, percept: Percept, *, by_hand: bool) -> Allowance:
         """Return whether it may move; `by_hand`: a person drives, and sees where it is."""

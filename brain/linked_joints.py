@@ -91,12 +91,12 @@ class LinkedJoints(BareJoints):
         self._placing: dict[str, float] = {}
         """Positions of the place that the tip is on its way to."""
 
-    def perceive(self, now: Nanos, events: Sequence[Event]) -> Percept:
-        """Process the motors' events of this step."""
+    def perceive(self, now: Nanos, events: Sequence[Event], given: Percept | None = None) -> Percept:
+        """Process the motors' events of this step; `given`: what is perceived, in place of its own."""
         for event in events:
             if isinstance(event, State) and event.mode is not Mode.OFFLINE:
                 self._armed[event.motor] = event.mode is Mode.ARMED
-        return super().perceive(now, events)
+        return super().perceive(now, events, given)
 
     def see(self, seen: Observed, percept: Percept, allowance: Allowance) -> Observed:
         """Add how many places for the tip have ended."""

@@ -13,16 +13,19 @@ from dataclasses import dataclass, replace
 from math import hypot, inf
 from pathlib import Path
 
-from brain.belief import Belief
+from brain.belief import Belief, MapView, Pose
 from gateway.config import with_interfaces
 from gateway.core.robot import TWIN, Robot
 from gateway.core.tick import Tick
-from gateway.replay.input_log import InputLog
+from gateway.errors import UserError
+from gateway.replay.input_log import InputLog, run
 from gateway.report.condition import told
 from gateway.report.watcher import Figure, Watcher
 from gateway.runtime.scenario import Accidents, JudgedRequirement, ScenarioJudge
 from gateway.runtime.scenario_file import Scenario
 from gateway.runtime.session import Session, open_session
+from gateway.sim import SceneFile
+from gateway.sim.from_map import grid_of, place_of
 from protocols.messages import SECOND, Instruction, Leave, Nanos
 
 SHOWN = 20
@@ -68,6 +71,22 @@ def lasts(log: InputLog) -> float:
         return 0.0
     ends = (now for now, inputs in log.ticks if any(isinstance(one, Leave) for one in inputs.instructions))
     return (next(ends, log.ticks[-1].now) - log.ticks[0].now) / SECOND
+
+
+def recorded_world(log: InputLog) -> SceneFile:
+    """Return what was mapped in a recording as a place, in which the robot begins where it began there.
+
+    Raises UserError if nothing was mapped, or more than can be simulated."""
+    begins: Pose | None = None
+    view: MapView | None = None
+    for _, belief in run(log):
+        view = belief.map or view
+        if begins is None and belief.estimate is not None:
+            begins = belief.estimate.pose
+    base = log.robot.brain.base
+    if view is None or begins is None or base is None:
+        raise UserError("nothing was mapped in the recording: there is no world to be made of it")
+    return place_of(grid_of(view), "recorded", begins, base.radius)
 
 
 def drive_again(

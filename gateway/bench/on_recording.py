@@ -1,8 +1,8 @@
 """Faults put upon the recorded inputs of a run: what would have been told, had these frames been lost?
 
 Rules. The causes are those of the simulated world (`gateway.buses.virtual.faults`), as far as they act on
-what is received: frames lost, doubled, late, damaged; a bus away; a device silent. What acts on the world
-itself is refused: recorded devices do not answer to it. All else is as it was recorded.
+what is received: frames lost, doubled, late, damaged, or with wrong stamps; a bus away; a device silent. What
+acts on the world itself is refused: recorded devices do not answer to it. All else is as it was recorded.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def spoilt(log: InputLog, scenario: Scenario) -> InputLog:
                 CAUSES[event.cause].inject(site)
             except AttributeError:
                 own.measured = lambda _motor, true: true
-            if any((own.measured, own.torques, own.reading, own.error)):
+            if any((own.measured, own.torques, own.reading, own.error, own.takes)):
                 raise _needs_world(scenario, name)
             if own.transmission is not None:
                 own.transmission = _noting(own.transmission, site.bus, name, acts)
@@ -115,6 +115,8 @@ def spoilt(log: InputLog, scenario: Scenario) -> InputLog:
             CAUSES[scenario.file.faults[over[3]].cause].end(over[0])
         world.tamper = composed([one[1] for one in going])
         packets, late = _arrived(now, [*late, *_changed(world, inputs.packets)])
+        if (stamp := world.tamper.stamp) is not None:
+            packets = tuple(replace(packet, t=stamp(packet.t)) for packet in packets)
         states = [(bus, state) for bus, one in world.buses.items() for state in one.states]
         for one in world.buses.values():
             one.states.clear()

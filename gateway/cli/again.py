@@ -14,23 +14,27 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from gateway.bench.again import drive_again, lasts, simulated
+from gateway.bench.again import drive_again, lasts, recorded_world, simulated
 from gateway.bench.on_recording import run_spoilt
 from gateway.cli import arguments
 from gateway.cli.tasks import Engine, add_engine, run_tasks
 from gateway.cli.terminal.progress import progress
 from gateway.config import load_robot, parse_robot
-from gateway.config.one_setting import with_setting
+from gateway.config.one_setting import with_settings
+from gateway.config.resources import is_path
 from gateway.config.text import read_text
 from gateway.core.message_text import escaped
 from gateway.core.robot import Robot
 from gateway.errors import UserError
 from gateway.recording import read_recording
 from gateway.recording.new_file import replace_with
-from gateway.replay.input_log import input_log
+from gateway.replay.input_log import InputLog, input_log
 from gateway.runtime.scenario_file import parse_faults
+from gateway.sim import WorldFile, load_world
 
 MOST_RUNS = 100_000
+RECORDED = "recorded"
+"""As a world: what was mapped in the recording"""
 COLUMNS = (
     "goals reached",
     "faults",
@@ -59,8 +63,11 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--inject", type=Path, metavar="TOML", help=text)
     text = "with --inject: on the recorded inputs, by which no world answers"
     parser.add_argument("--recorded", action="store_true", help=text)
-    text = "another value of a setting of the robot file"
-    parser.add_argument("--set", type=setting, action="append", default=[], metavar="KEY=VALUE", help=text)
+    text = (
+        f"another world: {RECORDED}, made of the map of the recording; or a world's name, or its file or map"
+    )
+    parser.add_argument("--world", metavar="WORLD", help=text)
+    arguments.add_settings(parser, "another value of a setting of the robot file")
     arguments.add_seed(parser)
     text = "record the run, in a file that must not exist yet"
     parser.add_argument("--record", type=Path, metavar="FILE", help=text)
@@ -84,6 +91,8 @@ def run(options: Namespace) -> int:
     if len(options.files) != 1:
         raise UserError("one recording at a time; of the shards of a sweep, what --json wrote")
     options.file = options.files[0]
+    if options.recorded and options.world is not None:
+        raise UserError("--recorded has no world: leave --world away")
     if options.recorded and (options.inject is None or options.sweep is not None or options.seeds != 1):
         raise UserError(
             "--recorded puts faults upon recorded inputs: give --inject, and no --sweep or --seeds"
@@ -108,16 +117,14 @@ def _robot(options: Namespace) -> Robot:
     else:
         robot = load_robot(options.robot, recorded=True)
         text, name = robot.text, str(options.robot)
-    for key, value in options.set:
-        text = with_setting(text, key, value)
-    return simulated(parse_robot(text, name) if options.set else robot)
+    return simulated(parse_robot(with_settings(text, options.set), name) if options.set else robot)
 
 
 def _once(options: Namespace) -> int:
     robot, log = _robot(options), input_log(read_recording(options.file))
     file = options.inject or Path("nothing.toml")
     text = "" if options.inject is None else read_text(options.inject)
-    scenario = parse_faults(text, file, robot, max(0.1, lasts(log)))
+    scenario = parse_faults(text, file, robot, max(0.1, lasts(log)), world=_world(options.world, log))
     if options.recorded:
         found = run_spoilt(replace(log, robot_text=robot.text, robot=robot), scenario, options.record)
     else:
@@ -136,6 +143,13 @@ def _once(options: Namespace) -> int:
     for one in found.verdicts:
         print(escaped(f"{'held' if one.holds else 'DID NOT HOLD'}: {one.name}: {one.text}"))
     return 0 if found.passed else 1
+
+
+def _world(given: str | None, log: InputLog) -> WorldFile | None:
+    """Return the world that is asked for; None: the robot's."""
+    if given is None:
+        return None
+    return recorded_world(log) if given == RECORDED else load_world(given)
 
 
 def _sweep(options: Namespace) -> int:
@@ -247,6 +261,8 @@ def _arguments(options: Namespace, key: str, value: float) -> list[str]:
     if options.robot is not None:
         path = Path(options.robot)
         found += ["--robot", str(path.absolute() if path.exists() else path)]
+    if options.world is not None:
+        found += ["--world", str(Path(options.world).absolute()) if is_path(options.world) else options.world]
     if options.inject is not None:
         found += ["--inject", str(options.inject.absolute())]
     for name, given in [*options.set, *[(key, value)] * bool(key)]:
@@ -256,22 +272,6 @@ def _arguments(options: Namespace, key: str, value: float) -> list[str]:
 
 def _named(key: str, value: float) -> str:
     return f"{key}={value:g}" if key else "the run"
-
-
-def setting(text: str) -> tuple[str, float | str | bool]:
-    """Return the key and the value of KEY=VALUE."""
-    key, equals, value = text.partition("=")
-    if not (key and equals and value):
-        raise ArgumentTypeError(f"{text!r} is not KEY=VALUE (as in brain.pursuit.lookahead_time=0.4)")
-    try:
-        found = json.loads(value)
-    except ValueError:
-        found = value
-    if not isinstance(found, int | float | str | bool) or (
-        isinstance(found, float) and not math.isfinite(found)
-    ):
-        raise ArgumentTypeError(f"{text!r}: expected a finite number, a word, true or false")
-    return key.strip(), found
 
 
 def sweep(text: str) -> Sweep:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from argparse import ArgumentParser, ArgumentTypeError
 from collections.abc import Callable
@@ -53,6 +54,11 @@ def add_goal(parser: ArgumentParser, text: str) -> None:
     parser.add_argument(
         "--goal", type=goal, action="append", default=[], metavar="X,Y[,YAW]", help=f"{text} (m, m, degrees)"
     )
+
+
+def add_settings(parser: ArgumentParser, text: str) -> None:
+    """Add --set, which gives settings of the robot file other values."""
+    parser.add_argument("--set", type=setting, action="append", default=[], metavar="KEY=VALUE", help=text)
 
 
 def add_seed(parser: ArgumentParser) -> None:
@@ -153,3 +159,17 @@ def shard(text: str) -> tuple[int, int]:
     if found is None or int(found[1]) > int(found[2]):
         raise ArgumentTypeError(f"{text!r} is not I/N, such as 1/4, with I at most N")
     return int(found[1]), int(found[2])
+
+
+def setting(text: str) -> tuple[str, float | str | bool]:
+    """Return the key and the value of KEY=VALUE."""
+    key, equals, value = text.partition("=")
+    if not (key and equals and value):
+        raise ArgumentTypeError(f"{text!r} is not KEY=VALUE (as in brain.pursuit.lookahead_time=0.4)")
+    try:
+        found = json.loads(value)
+    except ValueError:
+        found = value
+    if not isinstance(found, int | float | str | bool) or (isinstance(found, float) and not isfinite(found)):
+        raise ArgumentTypeError(f"{text!r}: expected a finite number, a word, true or false")
+    return key.strip(), found

@@ -8,12 +8,13 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from gateway.cli import arguments
+from gateway.cli.only import add_only, check_only, only
 from gateway.cli.tasks import Engine, add_engine, run_tasks
 from gateway.cli.terminal.progress import progress
 from gateway.config import load_robot
 from gateway.core.message_text import escaped
 from gateway.core.robot import Robot
-from gateway.errors import RecordingError, UserError
+from gateway.errors import GatewayError, RecordingError, UserError
 from gateway.recording.new_file import replace_with
 from gateway.report import judge
 from gateway.report.judge import Judged, Verdict
@@ -40,6 +41,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--self-test", action="store_true", help=text)
     text = "compare with another version of the program: a revision, or a folder that has its rooms"
     parser.add_argument("--against", metavar="REV", help=text)
+    add_only(parser)
     text = "write the results to a file; several of them, in the place of recordings, are one report"
     parser.add_argument("--json", type=Path, metavar="FILE", help=text)
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the verdicts as Markdown")
@@ -50,6 +52,9 @@ def run(options: Namespace) -> int:
     """Return 1 unless all are as expected."""
     if options.expected is not None and not options.expected.is_dir():
         raise UserError(f"--expected {options.expected}: there is no such folder")
+    check_only(options, ("update", "expected", "within", "self_test", "against", "json", "junit"))
+    if options.only is not None:
+        return _only(options)
     robot = None if options.robot is None else load_robot(options.robot, recorded=True)
     if options.self_test:
         return _self_test(options)
@@ -98,6 +103,30 @@ def _self_test(options: Namespace) -> int:
     if not shown:
         raise UserError(f"no recording of this gateway in {', '.join(map(str, options.paths))}")
     return 0 if all(shown) else 1
+
+
+def _only(options: Namespace) -> int:
+    """Return 0 if one part alone makes of each recording what was recorded (of the guard: allows it)."""
+    found: list[tuple[Path, list[str], bool]] = []
+    first, of = options.shard
+    paths = [one for one in judge.recordings_in(options.paths) if not is_bag(one)][first - 1 :: of]
+    if not paths:
+        raise UserError(f"no recording of this gateway in {', '.join(map(str, options.paths))}")
+    with progress("judge, recordings", len(paths)) as shown:
+        for path in paths:
+            try:
+                found.append((path, *only(path, options)))
+            except GatewayError as error:
+                found.append((path, [f"NOT RUN: {error}"], False))
+            shown.update(len(found))
+    lines = [line for path, told, _ in found for line in (f"{path}:", *(f"  {one}" for one in told))]
+    good = sum(same for *_, same in found)
+    what = "would have been allowed" if options.only == "guard" else "give the same"
+    lines.append(f"{options.only} alone: {good} of {len(found)} recordings {what}")
+    print("\n".join(map(escaped, lines)))
+    if options.report is not None:
+        _write(options.report, f"# {options.only} alone\n\n```\n" + "\n".join(lines) + "\n```\n")
+    return 0 if good == len(found) else 1
 
 
 def _against(options: Namespace, robot: Robot | None) -> int:

@@ -13,10 +13,11 @@ from brain.belief import Belief
 from gateway.buses.log_file import is_log, logged, summary
 from gateway.cli import arguments
 from gateway.cli.live import add_ros, add_view, check_view
+from gateway.cli.only import add_only, check_only, only
 from gateway.cli.reports import add_report, check_report
 from gateway.cli.terminal.progress import progress
 from gateway.cli.view import show_recordings
-from gateway.config import load_robot, parse_robot
+from gateway.config import load_robot
 from gateway.core.clock import stopwatch
 from gateway.core.message_text import escaped
 from gateway.core.robot import Robot
@@ -24,7 +25,6 @@ from gateway.core.step import Gateway
 from gateway.core.tick import Tick
 from gateway.errors import RecordingError, UserError
 from gateway.monitor import render
-from gateway.monitor.allowed import GuardOnly
 from gateway.monitor.candidates import of_robot
 from gateway.monitor.decoder import BusMonitor
 from gateway.monitor.heard import Heard, places
@@ -50,8 +50,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         help="a recording, a bag of ROS 1 or 2, a CARMEN log, or with --robot a log of CAN",
     )
     add_foreign(parser)
-    text = "of a log of CAN, or the CAN buses of a recording, the guard alone: would that have been allowed?"
-    parser.add_argument("--only", choices=["guard"], help=text)
+    add_only(parser)
     add_report(parser)
     add_view(parser, steer=False)
     add_ros(parser)
@@ -82,8 +81,11 @@ def add_foreign(parser: ArgumentParser) -> None:
 def run(options: Namespace) -> int:
     """Return 1 if a byte differs, or a bag or a log does not pass; 3 if nothing judges it."""
     check_view(options)
+    check_only(options, ("view", "ros", "report", "truth", "at_most"))
     if options.only is not None:
-        return _guard_only(options)
+        lines, same = only(options.file, options)
+        print("\n".join(map(escaped, lines)))
+        return 0 if same else 1
     if is_log(options.file):
         return _hear(options)
     if is_bag(options.file):
@@ -161,42 +163,6 @@ def _hear(options: Namespace) -> int:
     if log.error:
         print(f"cut short: {log.error}")
     return 0 if heard.sound and not log.error else 1
-
-
-def _guard_only(options: Namespace) -> int:
-    """Give the guard what was sent: 0 if it would have allowed it."""
-    file: Path = options.file
-    for option in ("view", "ros", "report", "truth", "at_most"):
-        if getattr(options, option) is not None:
-            name = option.replace("_", "-")
-            raise UserError(f"--only guard asks the guard of each frame: leave --{name} away")
-    if is_log(file):
-        if options.robot is None:
-            raise UserError(f"{file} is a log of CAN: --robot ROBOT says whose devices were on its buses")
-        robot, log = load_robot(options.robot), summary(file)
-        buses, guard = places(robot, log, file), GuardOnly(robot, log.began)
-        with suppress(UserError):  # it was told by the summary
-            for packet, _ in logged(file):
-                if packet.bus in buses:
-                    guard.take(replace(packet, bus=buses[packet.bus]))
-        error = log.error
-    elif is_bag(file):
-        raise UserError(f"{file}: a bag has no frames; --only guard is for logs of CAN and recordings")
-    else:
-        recording, error = read_recording(file), ""
-        robot = (
-            parse_robot(recording.robot_text, f"{file}: robot.toml")
-            if options.robot is None
-            else load_robot(options.robot)
-        )
-        guard = GuardOnly(robot, next((tick.now for tick in recording.ticks), 0))
-        for tick in recording.ticks:
-            for packet in (*tick.inputs.packets, *tick.outputs.packets):
-                guard.take(packet)
-    print("\n".join(map(escaped, guard.lines())))
-    if error:
-        print(f"cut short: {error}")
-    return 0 if guard.sound and not error else 1
 
 
 def _evaluate(options: Namespace) -> int:

@@ -38,7 +38,7 @@ def add_anonymise(parser: ArgumentParser) -> None:
 
 
 def run(options: Namespace) -> int:
-    """Write the new recording."""
+    """Write the new recording; return 1 if the recording has no end, as `replay` does."""
     if options.around is not None and (options.begin is not None or options.end is not None):
         raise UserError("--around says where the stretch is: leave --from and --to away")
     if options.around is None and options.begin is None and options.end is None and not options.anonymise:
@@ -63,7 +63,7 @@ def run(options: Namespace) -> int:
     else:
         write_anonymous(path, target, stretch.last + 1)
     print(f"written: {target} ({target.stat().st_size / 1e6:.2f} MB)\nreplay it: gateway replay {target}")
-    return 0
+    return 0 if recording.whole else 1
 
 
 def write_anonymous(path: Path, target: Path, ticks: int | None = None) -> None:

@@ -68,6 +68,17 @@ def saved_map(
         settings: of the robot's map.
         start: where the robot is in it.
     """
+    drawing, remark = drawing_of(text, images)
+    made = SavedMap(drawing, settings.resolution, settings.low, settings.high, start, remark)
+    if (count := sum(1 for _ in made.tiles())) > settings.tiles:
+        text = f"it has {count} tiles of 64 x 64 known cells; brain.perception.map.tiles is {settings.tiles}"
+        raise Invalid(("", f"{text}: expected at least as many"))
+    return made
+
+
+def drawing_of(text: str, images: Mapping[str, bytes | None]) -> tuple[Drawing, str]:
+    """Return what a YAML text and its image show, and what a person should look at, or "". Raises Invalid
+    with everything that is wrong."""
     found = _yaml(text)
     wrong = objections(text)
     if isinstance(found, str):
@@ -83,11 +94,7 @@ def saved_map(
         raise Invalid(*(("", each) for each in wrong))
     x, y, yaw = map(float, found["origin"])
     drawing = Drawing(_percents(found, pixels), float(found["resolution"]), (x, y, yaw))
-    made = SavedMap(drawing, settings.resolution, settings.low, settings.high, start, _remark(found, pixels))
-    if (count := sum(1 for _ in made.tiles())) > settings.tiles:
-        text = f"it has {count} tiles of 64 x 64 known cells; brain.perception.map.tiles is {settings.tiles}"
-        raise Invalid(("", f"{text}: expected at least as many"))
-    return made
+    return drawing, _remark(found, pixels)
 
 
 def _yaml(text: str) -> dict[str, Any] | str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Iterable
 from typing import Any
 
 from gateway.errors import UserError
@@ -40,6 +41,13 @@ def with_setting(text: str, key: str, value: float | str | bool) -> str:
     if _value(made, key) != value:
         raise UserError(f"{key}: cannot be changed where it stands: write a robot file with it")
     return made
+
+
+def with_settings(text: str, settings: Iterable[tuple[str, float | str | bool]]) -> str:
+    """Return the text with other values of several settings. Raises UserError as `with_setting` does."""
+    for key, value in settings:
+        text = with_setting(text, key, value)
+    return text
 
 
 def _section(text: str, table: str) -> tuple[int | None, int]:

@@ -34,7 +34,7 @@ def beside(name: str, file: Path) -> str:
 
 def is_path(name: str) -> bool:
     """True if this is the path of a file, not the name of one that ships with the package."""
-    return Path(name).suffix == ".toml" or "/" in name
+    return Path(name).suffix in (".toml", ".yaml", ".yml") or "/" in name
 
 
 def shipped(kind: str) -> Path:

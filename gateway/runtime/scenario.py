@@ -141,6 +141,9 @@ class Accidents:
                 asked += one.site.each(now)
         for one in [one for one in self._going if now >= one.until]:
             self._end(one)
+        takes = self._session.twins.tamper.takes if self._session.twins is not None else None
+        if takes is not None and (late := takes(now)):
+            self._session.clock.wait(now + late)
         return asked
 
     def _begin(self, now: Nanos, world: TwinWorld, event: FaultEvent | LoadStep) -> None:

@@ -326,7 +326,14 @@ def parse_scenario(
     return Scenario(path, file, robot, asks, world)
 
 
-def parse_faults(text: str, path: Path, robot: Robot, lasts: float, seed: int | None = None) -> Scenario:
+def parse_faults(
+    text: str,
+    path: Path,
+    robot: Robot,
+    lasts: float,
+    seed: int | None = None,
+    world: WorldFile | None = None,
+) -> Scenario:
     """Return the scenario of what is asked elsewhere, and what a file lets happen meanwhile.
 
     Args:
@@ -335,6 +342,7 @@ def parse_faults(text: str, path: Path, robot: Robot, lasts: float, seed: int | 
         robot: all of it simulated.
         lasts: s
         seed: of the simulated world's noise; None: that of the file.
+        world: another than the robot's.
 
     Raises:
         ConfigError: as `load_scenario`.
@@ -345,9 +353,8 @@ def parse_faults(text: str, path: Path, robot: Robot, lasts: float, seed: int | 
     assert given is not None, "mistakes were added"
     tables = {each.name: getattr(given, each.name) for each in fields(FaultFile)}
     file = ScenarioFile(path.stem, robot.name, lasts, **tables | ({} if seed is None else {"seed": seed}))
-    world = None
     try:
-        world = _world(file, robot, mistakes)
+        world = _world(file, robot, mistakes, world)
     except UserError as error:
         mistakes.add((), str(error))
     _check_events(file, robot, mistakes)
@@ -356,9 +363,11 @@ def parse_faults(text: str, path: Path, robot: Robot, lasts: float, seed: int | 
     return Scenario(path, file, robot, {}, world)
 
 
-def _world(file: ScenarioFile, robot: Robot, mistakes: Mistakes) -> WorldFile | None:
-    """Return the robot's world with the walls that appear."""
-    world = None if robot.world is None else load_world(robot.world)
+def _world(
+    file: ScenarioFile, robot: Robot, mistakes: Mistakes, given: WorldFile | None = None
+) -> WorldFile | None:
+    """Return the robot's world, or the one given, with the walls that appear."""
+    world = load_world(robot.world) if given is None and robot.world is not None else given
     if not file.walls:
         return world
     if not isinstance(world, SceneFile):

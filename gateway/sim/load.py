@@ -7,19 +7,25 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Literal, TypeAlias, TypeVar
 
+from brain.belief import Pose
 from gateway.config import resources
 from gateway.config.errors import Mistakes, shown
+from gateway.config.map_file import drawing_of, image_of
 from gateway.config.schema import build
 from gateway.config.text import read_text, read_toml
 from gateway.errors import ConfigError, Mistake, UserError
 from gateway.sim.assembly_file import Assembly, AssemblyFile, AssemblyPart, PartFile
 from gateway.sim.files import BenchFile, SceneFile, WorldFile
+from gateway.sim.from_map import Grid, place_of
 from gateway.sim.linked_file import LinkedFile
 from gateway.sim.plant_files import PlantFile, WheeledFile
+from protocols.bounds import Invalid
 
 T = TypeVar("T")
 Parse: TypeAlias = Callable[[str, str], T]
 
+OCCUPIED = 65
+"""Percent from which on a cell of a map is taken as occupied"""
 WORLDS: dict[str, type[WorldFile]] = {"scene": SceneFile, "bench": BenchFile}
 PLANTS: dict[str, type[PlantFile]] = {"wheels": WheeledFile, "linked": LinkedFile, "assembly": AssemblyFile}
 """Kinds of files, by their key `kind`."""
@@ -35,10 +41,28 @@ class WorldError(ConfigError):
 
 
 def load_world(name_or_path: str | Path) -> WorldFile:
-    """Load a world that ships with the package, by its name, or any .toml file, by its path.
+    """Load a world that ships with the package, by its name, or any .toml file, by its path; or a map of
+    map_server, by the path of its YAML: what is occupied in it stands there, and the robot begins at (0, 0).
 
     Raises WorldError with every mistake, each with file, line, key and what was expected."""
+    if Path(name_or_path).suffix in (".yaml", ".yml"):
+        return _of_map(Path(name_or_path))
     return _load("worlds", name_or_path, parse_world)[0]
+
+
+def _of_map(path: Path) -> SceneFile:
+    """Return the place that a map shows. Raises WorldError."""
+    try:
+        text = read_text(path)
+        image = image_of(text)
+        file = path.parent / image
+        drawing, _ = drawing_of(text, {image: file.read_bytes()} if image and file.is_file() else {})
+        grid = Grid(drawing.percents >= OCCUPIED, drawing.resolution, drawing.origin)
+        return place_of(grid, path.stem, Pose(0.0, 0.0, 0.0))
+    except Invalid as error:
+        raise WorldError.about(str(path), [sentence for _, sentence in error.wrong]) from error
+    except (UserError, OSError) as error:
+        raise WorldError.about(str(path), [f"cannot be read: {error}"]) from error
 
 
 def load_plant(name_or_path: str | Path) -> PlantFile:

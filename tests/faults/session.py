@@ -83,8 +83,6 @@ class Run:
         """and its bus."""
         self.each: Callable[[Nanos], Sequence[Instruction]] = lambda _now: ()
         """The part of the fault that goes on, called at every step; returns what an operator asks."""
-        self.took: Nanos = 0
-        """How long each step takes."""
         self.since: Nanos = 0
         """When the fault was injected,"""
         self.ends = fault.ends
@@ -143,14 +141,15 @@ class Run:
     def _stop(self, now: Nanos) -> list[Instruction]:
         """Ask for Stop once; the fault goes on, its operator asks nothing more, and no step is slow."""
         self.each(now)
-        self.took = 0
+        self.world.tamper.takes = None
         return [msg.Stop("the end")] if now == self._stopped_at else []
 
     def _steps(self, asked: Callable[[Nanos], Sequence[Instruction]]) -> Iterator[Nanos]:
         """Yield the time of each step, before it is done."""
         for now in self.at.moments():
             yield now
-            outputs = self.at.step(now, asked(now), self.took)
+            instructions, takes = asked(now), self.world.tamper.takes
+            outputs = self.at.step(now, instructions, takes(now) if takes is not None else 0)
             if self.since:
                 self._observe(now, outputs)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from brain.bodies.body import Base
 from gateway import config
@@ -35,8 +35,6 @@ class WatchedBus:
     bus: TwinBus
     robot: Robot
     gateway: Gateway
-    skew: Nanos = 0
-    """What the stamps of the received packets are wrong by."""
     tap: list[Packet] | None = None
     """Where everything received is put, for another host on the bus."""
     sent: list[tuple[Nanos, Frame]] | None = None
@@ -52,11 +50,11 @@ class WatchedBus:
         self.decoder = decoder_of(self.robot, self.name)
 
     def read(self, now: Nanos) -> tuple[Sequence[BusState], Sequence[Packet]]:
-        """Pass on what the world has, with its stamps as falsified."""
+        """Pass on what the world has."""
         states, packets = self.bus.read(now)
         if self.tap is not None:
             self.tap.extend(packets)
-        return states, [replace(p, t=p.t + self.skew) for p in packets] if self.skew else packets
+        return states, packets
 
     def write(self, now: Nanos, frames: Sequence[Frame]) -> None:
         """Judge what the devices would obey, and pass it on."""

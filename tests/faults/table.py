@@ -17,7 +17,7 @@ from gateway.core.tick import Inputs
 from protocols import messages as msg
 from protocols.conformance.random import Random
 from protocols.frames import Frame, Packet
-from protocols.messages import MILLISECOND, SECOND, Instruction, Nanos
+from protocols.messages import MILLISECOND, Instruction, Nanos
 from tests.faults.session import Result, Run
 from tests.faults.start import PHASES, Warm
 
@@ -106,25 +106,14 @@ def replayed(run: Run) -> None:
 # -- clocks and people -------------------------------------------------------------------------------------
 
 
-def slow_steps(run: Run) -> None:
-    """Let every twentieth step take 50 … 500 ms."""
-
-    def each(_now: Nanos) -> Sequence[Instruction]:
-        run.took = 0 if run.random.below(20) else (50 + run.random.below(450)) * MILLISECOND
-        return ()
-
-    run.each = each
-
-
-def stamps(offset: Nanos, then_silent: bool = False) -> Inject:
-    """Falsify the stamps of what is received on all buses."""
+def then_silent(cause: str) -> Inject:
+    """Let the target be silent 100 ms after another fault."""
 
     def inject(run: Run) -> None:
-        for bus in run.at.buses.values():
-            bus.skew = offset
+        of(cause)(run)
 
         def each(now: Nanos) -> Sequence[Instruction]:
-            if then_silent and now > run.since + 100 * MILLISECOND:
+            if now > run.since + 100 * MILLISECOND:
                 run.world.disconnect(run.target)
             return ()
 
@@ -232,11 +221,11 @@ FAULTS: tuple[Fault, ...] = (
     known("IMU reversed", "imu", 1.0, "in turning", suspects=EITHER),
     known("IMU silent", "imu", 0.3),
     # clocks, people, other hosts
-    Fault("slow steps", slow_steps, "motor", None, lasts=2.0, harmless=True, why=LATE),
-    Fault("stamps 1 s early", stamps(-SECOND), "motor", 0.3, "if commanded"),
-    Fault("stamps 1 h late", stamps(3600 * SECOND), "motor", None, harmless=True,
+    known("slow steps", "motor", None, lasts=2.0, harmless=True, why=LATE),
+    known("stamps 1 s early", "motor", 0.3, "if commanded"),
+    known("stamps 1 h late", "motor", None, harmless=True,
           why="counted as received now, which is true within the delay of a frame"),
-    Fault("stamps 1 h late, then silence", stamps(3600 * SECOND, True), "motor", 0.5, "if commanded",
+    Fault("stamps 1 h late, then silence", then_silent("stamps 1 h late"), "motor", 0.5, "if commanded",
           free="target"),
     Fault("operator's abuse", abuse, "motor", None, lasts=2.5, why="it is no fault", harmless=True),
     Fault("set-points replayed", replayed, "motor", 0.7, "if commanded", free="all"),

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from heapq import heappop, heappush
 
 import numpy as np
@@ -132,6 +132,8 @@ class TwinBus:
         self._world.advance(now)
         self._flush(now)
         packets, self._packets = self._packets, []
+        if (stamp := self._world.tamper.stamp) is not None:
+            packets = [replace(packet, t=stamp(packet.t)) for packet in packets]
         return self._states.take(now), packets
 
     def wakes(self, now: Nanos) -> tuple[Sequence[int], Nanos | None]:

@@ -269,6 +269,31 @@ def saturated(run: FaultSite) -> None:
     run.each = each
 
 
+# -- clock and steps of the host ---------------------------------------------------------------------------
+
+
+def stamps(offset: Nanos) -> Inject:
+    """Let the clock step by which is stamped what the host receives, on all buses."""
+
+    def inject(run: FaultSite) -> None:
+        run.world.tamper.stamp = lambda t: t + offset
+
+    return inject
+
+
+def slow_steps(run: FaultSite) -> None:
+    """Let every twentieth step take 50 … 550 ms."""
+    run.world.tamper.takes = lambda _now: (
+        0 if run.random.below(20) else (50 + run.random.below(450)) * MILLISECOND
+    )
+
+
+def slow_step(run: FaultSite) -> None:
+    """Let one step take 400 ms."""
+    left = [400 * MILLISECOND]
+    run.world.tamper.takes = lambda _now: left.pop() if left else 0
+
+
 # -- sensors -----------------------------------------------------------------------------------------------
 
 
@@ -423,6 +448,11 @@ CAUSES: dict[str, FaultCause] = {
     "bus-off": FaultCause(lost(BusState.OFF), "device"),
     "bus gone": FaultCause(lost(BusState.GONE), "device"),
     "bus saturated": FaultCause(saturated, "motor"),
+    # clock and steps of the host, whatever device is named
+    "stamps 1 s early": FaultCause(stamps(-SECOND), "device"),
+    "stamps 1 h late": FaultCause(stamps(3600 * SECOND), "device"),
+    "slow steps": FaultCause(slow_steps, "device"),
+    "a step takes 400 ms": FaultCause(slow_step, "device"),
     # sensors
     "lidar: all zeros": FaultCause(ranges(lambda _run, scan: [0.0] * len(scan.ranges)), "lidar"),
     "lidar: all maxima": FaultCause(ranges(lambda _run, scan: [math.inf] * len(scan.ranges)), "lidar"),

@@ -17,13 +17,14 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from gateway.buses.virtual.medium import Transmission
-from protocols.messages import Feedback, Measurement
+from protocols.messages import Feedback, Measurement, Nanos
 
 Measured: TypeAlias = Callable[[str, Feedback], Feedback]
 Torques: TypeAlias = Callable[[dict[str, float]], dict[str, float]]
 Reading: TypeAlias = Callable[[Measurement], Measurement | None]
 Destroyed: TypeAlias = Callable[[str, Transmission], int]
 Arriving: TypeAlias = Callable[[str, Transmission], Iterable[Transmission]]
+Timed: TypeAlias = Callable[[Nanos], Nanos]
 
 
 @dataclass(slots=True)
@@ -42,6 +43,10 @@ class Tamper:
     transmission: Arriving | None = None
     """From a bus's name and a frame that has arrived: what arrives instead, at each one's own `t`, which may
     be later."""
+    stamp: Timed | None = None
+    """From when the host received something: the stamp that it is given of that."""
+    takes: Timed | None = None
+    """From when the host begins a step: how long that takes. The world goes on meanwhile."""
 
 
 def composed(parts: Sequence[Tamper]) -> Tamper:
@@ -53,6 +58,8 @@ def composed(parts: Sequence[Tamper]) -> Tamper:
         made.reading = _reading(made.reading, part.reading)
         made.error = _either(made.error, part.error)
         made.transmission = _each(made.transmission, part.transmission)
+        made.stamp = _stamp(made.stamp, part.stamp)
+        made.takes = _longer(made.takes, part.takes)
     return made
 
 
@@ -84,3 +91,15 @@ def _each(one: Arriving | None, other: Arriving | None) -> Arriving | None:
     if one is None or other is None:
         return other or one
     return lambda bus, sent: [last for first in one(bus, sent) for last in other(bus, first)]
+
+
+def _stamp(one: Timed | None, other: Timed | None) -> Timed | None:
+    if one is None or other is None:
+        return other or one
+    return lambda t: other(one(t))
+
+
+def _longer(one: Timed | None, other: Timed | None) -> Timed | None:
+    if one is None or other is None:
+        return other or one
+    return lambda now: max(one(now), other(now))

@@ -86,6 +86,27 @@ def test_faults_come_meanwhile_and_what_must_hold_is_judged(
     assert "DID NOT HOLD: must.stand.left: " in printed  # it coasts
 
 
+def test_a_clock_that_steps_back_is_told_and_the_motor_is_let_go(log: InputLog) -> None:
+    text = CABLE.replace("device silent", "stamps 1 s early").partition("[must.stand")[0]
+    scenario = parse_faults(text, Path("f.toml"), simulated(log.robot), lasts(log))
+    found = drive_again(log, scenario)
+    assert found.passed, found.verdicts
+    assert found.figures["left: final position"].value < 1.4  # it coasts; 1.8 without
+
+
+@pytest.mark.parametrize(("cause", "missed"), [("a step takes 400 ms", 79), ("slow steps", 10)])
+def test_slow_ticks_are_told_as_missed_and_the_world_goes_on(
+    log: InputLog, cause: str, missed: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    text = CABLE.replace("device silent", cause).partition("[must")[0]
+    found = drive_again(log, parse_faults(text, Path("f.toml"), simulated(log.robot), lasts(log)))
+    told = [one for line in caplog.messages for one in re.findall(r"in this run: (\d+) of \d+ ticks", line)]
+    assert len(told) == 1
+    assert int(told[0]) >= missed
+    assert found.figures["left: final position"].value > 1.5  # it went on while nobody asked anything else
+    assert found.figures["ticks missed"].value >= 1
+
+
 def test_a_sweep_is_a_table_and_a_picture_the_same_by_jobs_and_by_shards(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -133,6 +154,8 @@ UPON = [
     # cause, seconds, and what is told
     ("device silent", 0.25, ["left: fault: silent: no feedback for more than 100 ms"]),
     ("bus gone", 0.2, ["can0: has vanished: the interface", "left: fault: silent"]),
+    ("stamps 1 s early", 0.3, ["left: fault: silent: no feedback for more than 100 ms"]),
+    ("stamps 1 h late", 0.3, []),
     ("frames doubled", 0.2, []),
     ("frames 15 ms late", 0.2, []),
 ]

@@ -98,6 +98,8 @@ def test_one_that_was_cut_off_is_taken_as_far_as_it_goes_which_is_told(
     assert [one.getMessage() for one in caplog.records] == [
         f"{tmp_path / 'cut.mcap'}: it was cut off before its end: what is there of it is taken"
     ]
+    assert main(["trim", str(tmp_path / "cut.mcap"), "--to", "0.2"]) == 1  # as `replay` of it does
+    assert replay_recording(tmp_path / "cut.trimmed.mcap").ok
 
 
 def test_what_replays_otherwise_is_cut_as_it_was_written_and_still_does(

@@ -18,32 +18,55 @@ from protocols.messages import SECOND
 from tests.gateway.report.defects import DECOYS, DEFECTS, Defect, versions
 from tests.sampled import sampled
 
+LATE = 8.5
+"""s that go by before anything is asked, of recordings that are to be made small"""
 
-@pytest.fixture(scope="module")
-def turn(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A bench of which a motor is asked for more than it may from 1.2 s on, and silent from 1.7 to 2.1 s."""
-    path = tmp_path_factory.mktemp("versions") / "turn.mcap"
+
+def turned(path: Path, wait: float) -> Path:
+    """Record a bench of which a motor is asked for more than it may from 1.2 s on, and silent from 1.7 to 2.1
+    s; all of it so much later."""
+    begin, end = (round((wait + at) * SECOND) for at in (1.7, 2.1))
     with gw.open_session("bench", simulated=True, record=path) as session:
         assert session.twins is not None
-        for tick in session.run(2.4):
-            if tick.now > 1.2 * SECOND:
+        for tick in session.run(wait + 2.4):
+            if tick.now > (wait + 1.2) * SECOND:
                 session.submit(gw.Velocity("left", 25.0))
-            if tick.now == 1.7 * SECOND:
+            if tick.now == begin:
                 session.twins.disconnect("left")
-            if tick.now == 2.1 * SECOND:
+            if tick.now == end:
                 session.twins.reconnect("left")
     return path
 
 
+def driven(path: Path, wait: float) -> Path:
+    """Record a base that drives for 2.5 s; so much later."""
+    with gw.open_session("diffbot", simulated=True, record=path) as session:
+        asked = False
+        for tick in session.run(wait + 2.5):
+            if not asked and tick.now >= wait * SECOND:
+                session.submit(gw.Goal(0.6, 0.1))
+                asked = True
+    return path
+
+
+@pytest.fixture(scope="module")
+def turn(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return turned(tmp_path_factory.mktemp("versions") / "turn.mcap", 0.0)
+
+
 @pytest.fixture(scope="module")
 def goal(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A base that drives for 2.5 s."""
-    path = tmp_path_factory.mktemp("versions") / "goal.mcap"
-    with gw.open_session("diffbot", simulated=True, record=path) as session:
-        session.submit(gw.Goal(0.6, 0.1))
-        for _ in session.run(2.5):
-            pass
-    return path
+    return driven(tmp_path_factory.mktemp("versions") / "goal.mcap", 0.0)
+
+
+@pytest.fixture(scope="module")
+def late_turn(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return turned(tmp_path_factory.mktemp("versions") / "late_turn.mcap", LATE)
+
+
+@pytest.fixture(scope="module")
+def late_goal(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return driven(tmp_path_factory.mktemp("versions") / "late_goal.mcap", LATE)
 
 
 @pytest.mark.parametrize("defect", sampled([(one,) for one in DEFECTS], 10))
@@ -68,8 +91,11 @@ def test_what_remains_of_a_defect_is_shorter_than_two_seconds(
 ) -> None:
     differs = Differs(*versions(tmp_path, defect))
     try:
-        small = minimise(input_log(read_recording(request.getfixturevalue(defect.recording))), differs, 24)
+        log = input_log(read_recording(request.getfixturevalue(f"late_{defect.recording}")))
+        assert log.ticks[-1].now - log.ticks[0].now > 10 * SECOND
+        small = minimise(log, differs, 24)
         assert small is not None
+        print(f"{defect.name}: {small.text()}")
         assert differs.first(small.log) == len(small.log.ticks) - 1
     finally:
         differs.close()
