@@ -41,6 +41,7 @@ CARRIED = {
 }
 KINDS = (
     "__init__.py",
+    "catalogue.toml",
     "robots/*.*",
     "worlds/*.toml",
     "plants/*.toml",

@@ -13,11 +13,12 @@ from pathlib import Path
 
 import pytest
 
+from gateway.recording.catalogue import WrongFile
 from tests.conftest import not_run
-from tests.data.recordings import ROOT, WHERE, Absent, Recording, Wrong, find, read, required
+from tests.data.recordings import ROOT, WHERE, Absent, Recording, find, read, required
 
 ENTRIES = read()
-SMALL = Recording("a/b.bin", "w", "s", "l", 3, hashlib.sha256(b"abc").hexdigest(), [])
+SMALL = Recording("a/b.bin", "w", "s", "l", 3, hashlib.sha256(b"abc").hexdigest())
 
 
 @pytest.mark.parametrize("entry", ENTRIES.values(), ids=list(ENTRIES))
@@ -100,7 +101,7 @@ def test_what_is_absent_is_told_with_the_reason(tmp_path: Path) -> None:
 def test_a_wrong_one_is_told(tmp_path: Path, data: bytes, why: str) -> None:
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "b.bin").write_bytes(data)
-    with pytest.raises(Wrong, match=why):
+    with pytest.raises(WrongFile, match=why):
         find(SMALL, {WHERE: str(tmp_path)})
 
 
