@@ -2,7 +2,7 @@
 
 Rules. What drives a wheel is taken from the language's file with its limits, and each two have buses of their
 own; what steers stays as it is. Lidar and IMU are kept only where the motors report nothing. A pair that
-ships is taken as it ships.
+ships is taken as it ships, but for its rate.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from gateway.config import parse_robot, resources
+from gateway.config.one_setting import with_setting
 from gateway.config.robot_file import load_robot
 from gateway.config.toml_text import shown
 from gateway.core.robot import Robot
@@ -20,6 +21,8 @@ from gateway.recording.matrix import Levels
 from protocols.plugin import FeedbackKind
 
 Table: TypeAlias = dict[str, Any]
+RATE = 100
+"""Hz: half of what ships, and half as long to judge"""
 OWN = ("name", "defaults", "rate_hz", "buses", "motors", "sensors")
 """Keys that are not the body's"""
 INNER = ("limits", "options", "settings", "loop")
@@ -31,7 +34,7 @@ def robot_of(levels: Levels, language: str, body: str) -> Robot:
     """Return the robot that is to be recorded. Raises ConfigError where there is none."""
     ships = levels.ships.get(body, {}).get(language)
     if ships is not None:
-        return load_robot(ships)
+        return parse_robot(with_setting(load_robot(ships).text, "rate_hz", RATE), ships)
     file = resources.find("robots", levels.bodies[body])
     motor = next(iter(load_robot(levels.languages[language]).motors.values()))
     blind = motor.spec.feedback is FeedbackKind.NONE
@@ -56,7 +59,7 @@ def _combined(body: Table, language: Table, *, senses: bool) -> Table:
     kept = {one["bus"] for one in (*motors.values(), *sensors.values())}
     buses |= {name: bus for name, bus in body["buses"].items() if name in kept}
     rest = {key: one for key, one in body.items() if key not in OWN}
-    return {"rate_hz": 100} | rest | {"buses": buses, "motors": motors, "sensors": sensors}
+    return {"rate_hz": RATE} | rest | {"buses": buses, "motors": motors, "sensors": sensors}
 
 
 def _motors(table: Table) -> Table:
