@@ -31,6 +31,7 @@ LONGEST = (
     "brain/skills/test_found.py",
     "gateway/ros/test_bridge.py",
     "gateway/report/test_judge.py",
+    "matrix/test_matrix.py",
     "faults/test_faults.py",
     "gateway/runtime/test_twin_process.py",
     "gateway/runtime/test_real_devices.py",

@@ -41,6 +41,7 @@ CARRIED = {
 }
 KINDS = (
     "__init__.py",
+    "catalogue.toml",
     "robots/*.*",
     "worlds/*.toml",
     "plants/*.toml",
@@ -117,7 +118,9 @@ def test_it_carries_what_a_user_needs_and_nothing_else(wheel: Path) -> None:
         path.relative_to(ROOT).as_posix()
         for package in PACKAGES
         for path in (ROOT / package).rglob("*")
-        if path.is_file() and path.suffix in CARRIED and not {"__pycache__", "fixtures"} & set(path.parts)
+        if path.is_file()
+        and path.suffix in CARRIED
+        and not {"__pycache__", "fixtures"} & {*path.relative_to(ROOT).parts}
     }
     data = {
         f"gateway/fixtures/{path.relative_to(ROOT / 'fixtures').as_posix()}"

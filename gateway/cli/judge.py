@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator, Sequence
@@ -20,7 +21,6 @@ from gateway.report import judge
 from gateway.report.judge import Judged, Verdict
 from gateway.report.self_test import self_test
 from gateway.report.two_versions import Parted, compared, settings_apart, version
-from gateway.rosbag import is_bag
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -29,6 +29,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("paths", nargs="+", type=Path, metavar="FILE", help=text)
     text = "write what is expected of each: what it gives now; edited tolerances stay"
     parser.add_argument("--update", action="store_true", help=text)
+    text = "name the other files of the folders, too, and why they are not judged"
+    parser.add_argument("--all", action="store_true", help=text)
     text = "where what is expected is (default: beside each recording)"
     parser.add_argument("--expected", type=Path, metavar="FOLDER", help=text)
     parser.add_argument("--robot", metavar="ROBOT", help="use this robot file instead of the recorded ones")
@@ -56,15 +58,18 @@ def run(options: Namespace) -> int:
     if options.only is not None:
         return _only(options)
     robot = None if options.robot is None else load_robot(options.robot, recorded=True)
+    gc.set_threshold(10_000)  # as `gateway replay` does
     if options.self_test:
         return _self_test(options)
     if options.against is not None:
         return _against(options, robot)
     if all(path.suffix == ".json" for path in options.paths):
-        results = [one for path in options.paths for one in _results(path)]
+        results, others = [one for path in options.paths for one in _results(path)], []
     else:
         first, of = options.shard
-        paths = judge.recordings_in(options.paths)[first - 1 :: of]
+        every = judge.recordings_in(options.paths)
+        others = judge.others_in(options.paths, every) if options.all else []
+        paths = every[first - 1 :: of]
         if not paths and of == 1:
             raise UserError(f"no recording in {', '.join(map(str, options.paths))}")
         results = []
@@ -81,10 +86,12 @@ def run(options: Namespace) -> int:
         print(verdict.line)
         for change in verdict.changes:
             print("  " + change.replace("\n", "\n  "))
+    for path, what in others:
+        print(f"{path}: not judged: {what}")
     good = sum(_passes(one, options) for one in verdicts)
     print(f"{good} of {len(verdicts)} recordings are as expected")
     if options.report is not None:
-        _write(options.report, judge.markdown(verdicts))
+        _write(options.report, judge.markdown(verdicts, others))
     if options.junit is not None:
         _write(options.junit, judge.junit(verdicts, lambda one: _passes(one, options)))
     return 0 if good == len(verdicts) else 1
@@ -96,7 +103,7 @@ def _self_test(options: Namespace) -> int:
         if getattr(options, name):
             raise UserError(f"--self-test tries the judge itself: leave --{name} away")
     shown = []
-    for path in [one for one in judge.recordings_in(options.paths) if not is_bag(one)]:
+    for path in [one for one in judge.recordings_in(options.paths) if judge.is_ours(one)]:
         checks = self_test(path)
         print("\n".join(map(escaped, [f"{path}:", *(f"  {one.line}" for one in checks)])))
         shown += [one.shown for one in checks]
@@ -136,7 +143,7 @@ def _against(options: Namespace, robot: Robot | None) -> int:
             raise UserError(
                 f"--against compares with another version, not with what is expected: leave --{name} away"
             )
-    paths = [one for one in judge.recordings_in(options.paths) if not is_bag(one)]
+    paths = [one for one in judge.recordings_in(options.paths) if judge.is_ours(one)]
     if not paths:
         raise UserError(f"no recording of this gateway in {', '.join(map(str, options.paths))}")
     found, lines = [], list[str]()

@@ -52,6 +52,7 @@ COMMANDS = {
     "map": "make a map and a path of another program's recording, as files",
     "view": "show a running robot, or recordings, in a browser",
     "recover": "repair a recording, or an MCAP bag, that was cut off or damaged",
+    "fixtures": "list, verify and fetch public recordings; print what recordings of a folder cover",
     "watch": "listen to buses or to a recording, without ever sending",
     "scan": "find the devices of every installed protocol, by read-only questions alone",
     "new": "write a robot file for what was found on the buses: asks what it must know, or takes it",

@@ -124,6 +124,10 @@ class Heard:
         limit."""
         return not any(self._wrong(one) for one in self._devices.values())
 
+    def counts(self) -> dict[str, tuple[int, int]]:
+        """Return of each device how many messages were heard, and how many things are to be said of it."""
+        return {name: (one.events, len(self._wrong(one))) for name, one in self._devices.items()}
+
     def lines(self) -> list[str]:
         """Return what was heard, a line for each device and each finding."""
         lines = [line for name, one in self._devices.items() for line in self._told(name, one)]

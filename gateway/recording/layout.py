@@ -21,6 +21,8 @@ FACTS = "facts"
 """Name of the metadata with versions, processor and so on."""
 VIEWS_FROM = "views from tick"
 """A fact of a trimmed file: the ticks before this one are there for the state alone, and have few views."""
+NEVER = str(2**62)
+"""Its value in a file that has no views"""
 RECOVERED = "recovered"
 """Name of additional metadata of a recovered file: its source, and what was lost."""
 

@@ -49,8 +49,11 @@ class TickWriter:
 
     Raises RecordingError if the file cannot be created. `add` is the whole cost of recording a tick."""
 
-    def __init__(self, path: Path, robot_text: str, facts: Mapping[str, str], views: Views) -> None:
-        self.path = path
+    def __init__(
+        self, path: Path, robot_text: str, facts: Mapping[str, str], views: Views, *, small: bool = False
+    ) -> None:
+        """Begin it; `small`: for what can be made again, with chunks of a second, which pack better."""
+        self.path, self._small = path, small
         self.lost = 0
         """Ticks that were added and are not in the file."""
         self.pending = 0
@@ -106,9 +109,9 @@ class TickWriter:
         self._put(tick, tick_codec.TOPIC, tick_codec.TYPE, tick.now, data)
         for topic, type_, t, data in views():
             self._put(tick, topic, type_, t, data)
-        if tick.now - self._since >= FLUSH_PERIOD or any(n.level != "info" for n in tick.outputs.notes):
-            return self.flush()
-        return ""
+        period = RETRY_PERIOD if self._small else FLUSH_PERIOD
+        told = not self._small and any(n.level != "info" for n in tick.outputs.notes)
+        return self.flush() if told or tick.now - self._since >= period else ""
 
     def flush(self) -> str:
         """Write all ticks so far to the file."""

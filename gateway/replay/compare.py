@@ -30,6 +30,7 @@ from gateway.core.tick import Inputs, Note, Outputs, Tick
 from gateway.errors import RecordingError, expect
 from gateway.recording import Recording, Step, environment, read_recording
 from gateway.recording.environment import PLUGIN, PROGRAM
+from gateway.recording.layout import NEVER, VIEWS_FROM
 from gateway.recording.ros_messages import CAN_FRAME, FD_FRAME
 from gateway.recording.ros_views import ViewMessage, Views
 from gateway.recording.tick_codec import packet_text
@@ -246,6 +247,7 @@ class Comparer:
         self._recording, self._observe = recording, observe
         self._step, self._belief, self._decoder = step, belief, decoder
         self._views, self._buses = views, buses
+        self._viewless = recording.facts.get(VIEWS_FROM) == NEVER
         self._texts, self._poses = recording.format != "1", recording.format not in ("1", "2")
         self._start: Nanos = 0
         self._last: Tick | None = None
@@ -316,7 +318,7 @@ class Comparer:
         self._compare_packets(tick.outputs.packets, outputs.packets)
         self._compare_notes(tick.outputs.notes, outputs.notes)
         today, belief = replace(tick, outputs=outputs), self._belief()
-        views = self._views.messages(today, belief)
+        views = () if self._viewless else self._views.messages(today, belief)
         if self._observe is not None:
             self._observe(today, belief)
         if recorded.whole:

@@ -43,6 +43,8 @@ LIMIT = 512_000_000
 """Bytes of the keyframes of one recording: beyond, every other one is dropped,"""
 TOTAL_LIMIT = 2_000_000_000
 """and of those of all: beyond, the recordings that were not played for the longest time are dropped."""
+WHOLE = 128 * 1024 * 1024
+"""Bytes of a recording that are read to recognise it: a larger one would take seconds to open."""
 _DIGEST = 16
 _NAME = re.compile("[0-9a-f]{32}")
 """The name of a recording's folder: nothing else is ever dropped."""
@@ -247,8 +249,7 @@ def folder_name(
     them, and are read here."""
     digest = hashlib.blake2b(digest_size=_DIGEST)
     try:
-        with recording.path.open("rb") as file:
-            digest.update(hashlib.file_digest(file, "sha256").digest())
+        digest.update(_content(recording.path))
     except OSError:
         return None
     kinds = " ".join(codec.kinds)
@@ -260,6 +261,19 @@ def folder_name(
             digest.update(f"{package}\0{path.name}\0".encode(errors="surrogateescape"))
             digest.update(path.read_bytes())
     return digest.hexdigest()
+
+
+def _content(path: Path) -> bytes:
+    """Return a digest of a file: of all of it; of a large one of its ends, its size and its last change."""
+    status = path.stat()
+    with path.open("rb") as file:
+        if status.st_size <= WHOLE:
+            return hashlib.file_digest(file, "sha256").digest()
+        digest = hashlib.sha256(repr((status.st_size, status.st_mtime_ns, status.st_ino)).encode())
+        digest.update(file.read(WHOLE // 8))
+        file.seek(-WHOLE // 8, os.SEEK_END)
+        digest.update(file.read())
+    return digest.digest()
 
 
 _WITH_FACTS = {*environment.ROOMS, *sys.stdlib_module_names, "filterpy", "numpy", "rosbags"}

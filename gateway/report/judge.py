@@ -2,26 +2,35 @@
 
 Rules. What is expected of NAME.mcap is in NAME.mcap.expected.toml: a digest of the bytes that were sent, for
 each bus and second, and figures with the tolerance of each. It is made at a person's wish alone (`--update`),
-and keeps the tolerances that were edited. A recording of another program has figures alone. All is values:
-judged one after the other or side by side, on one machine or several, the results are the same.
+and keeps the tolerances that were edited. A recording of another program has figures alone; a log of CAN has
+those of what is in it, and by a robot file of what was heard of its devices. All is values: judged one after
+the other or side by side, on one machine or several, the results are the same.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import re
+from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, replace
 from math import isfinite
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
+from gateway.buses.log_file import READERS, LogSummary, is_log, logged, summary
 from gateway.config.errors import Mistakes
 from gateway.config.text import read_text, read_toml
 from gateway.core.robot import Robot
 from gateway.core.step import Gateway
 from gateway.errors import GatewayError, UserError
+from gateway.monitor.candidates import of_robot
+from gateway.monitor.decoder import BusMonitor
+from gateway.monitor.heard import Heard, places
 from gateway.recording import read_recording
+from gateway.recording.catalogue import read_catalogue
 from gateway.recording.new_file import replace_with
 from gateway.recording.reader import is_recording
 from gateway.replay import Observe, replay_recording
@@ -31,10 +40,20 @@ from gateway.rosbag import is_bag
 from gateway.rosbag.evaluate import evaluate_file
 from gateway.rosbag.survey import proposed_robot, survey
 from gateway.rosbag.truth import read_truth
+from protocols.frames import CanFrame
+from protocols.messages import SECOND
 
 EXPECTED = ".expected.toml"
-SUFFIXES = (".mcap", ".bag", ".db3", ".log", ".clf", ".gz", ".bz2", ".xz", ".csv", ".dat", ".mat")
+SUFFIXES = (".mcap", ".bag", ".db3", ".clf", ".gz", ".bz2", ".xz", ".dat", ".mat", *READERS)
 """Files that a folder is searched for; what is none of our readers' is left out."""
+OTHERS: Mapping[str, str] = {
+    "a description of a device, no recording": r"\.(dbc|eds|dcf|xdd|xdc|urdf|toml|ya?ml|json)$",
+    "text, no recording": r"(^|/)(LICEN[CS]E|README|COPYING|NOTICE)|\.(md|rst|html|pdf)$",
+    "packed files, which are not looked into": r"\.(tar(\.\w+)?|tgz|zip|7z)$",
+    "a truth, by which a recording of its name beside it is judged": r"\.(relations|tum)$",
+    "an unfinished file": r"\.part$",
+}
+"""What the other files of a folder are, by their names"""
 TRUTHS = (".relations", ".tum")
 """Of another program's recording, beside it and called as it is before its first dot"""
 SHOWN = 5
@@ -110,6 +129,8 @@ def judge(path: Path, robot: Robot | None = None) -> Judged:
     try:
         if is_bag(path):
             return Judged(str(path), source, figures=_of_another(path, robot))
+        if is_log(path):
+            return Judged(str(path), source, figures=_of_can(path, robot))
         return _of_ours(path, source, robot)
     except GatewayError as error:
         return Judged(str(path), source, error=str(error))
@@ -146,6 +167,39 @@ def _of_another(path: Path, robot: Robot | None) -> dict[str, Figure]:
         figures["scans while lost"] = Figure(100.0 * found.lost / found.scans, 0.5, "%")
     unused = sum(sum(reasons.values()) for reasons in found.anomalies.values())
     return figures | {"measurements not used": Figure(unused, max(5.0, 0.02 * unused))}
+
+
+def _of_can(path: Path, robot: Robot | None) -> dict[str, Figure]:
+    """Return what is in a log of CAN."""
+    log = summary(path)
+    frames, end, ids = Counter[str](), log.began, defaultdict[str, set[tuple[int, bool]]](set)
+    with suppress(UserError):  # it was told by the summary
+        for packet, _ in logged(path):
+            frames[packet.bus] += 1
+            end = packet.t
+            if isinstance(packet.frame, CanFrame):
+                ids[packet.bus].add((packet.frame.id, packet.frame.extended))
+    found = {"lasts": Figure((end - log.began) / SECOND, 0.001, "s"), "cut short": Figure(bool(log.error), 0)}
+    for bus, count in frames.items():
+        found[f"{bus}: frames"] = Figure(count, 0)
+        found[f"{bus}: identifiers"] = Figure(len(ids[bus]), 0)
+    return found if robot is None else found | _heard(path, robot, log)
+
+
+def _heard(path: Path, robot: Robot, log: LogSummary) -> dict[str, Figure]:
+    """Return what was heard in a log of CAN of a robot's devices."""
+    buses = places(robot, log, path)
+    settings = {bus: robot.buses[bus] for bus in buses.values()}
+    monitor = BusMonitor(settings, of_robot(robot, [*settings]), log.began, known=True, window=None)
+    heard, found = Heard(robot, buses, log.began), dict[str, Figure]()
+    with suppress(UserError):
+        for packet, sent in logged(path):
+            if packet.bus in buses:
+                heard.take(monitor.decode(replace(packet, bus=buses[packet.bus]), sent=sent or None))
+    for name, (events, wrong) in heard.counts().items():
+        found[f"{name}: messages"] = Figure(events, 0)
+        found[f"{name}: findings"] = Figure(wrong, 0)
+    return found
 
 
 def _file_digest(path: Path) -> str:
@@ -271,7 +325,7 @@ def recordings_in(paths: Sequence[Path]) -> list[Path]:
             inside = [one for one in sorted(path.rglob("*")) if one.name.endswith(SUFFIXES)]
             folders = {one.parent for one in inside if is_bag_folder(one.parent)}
             inside = sorted({*(one for one in inside if one.parent not in folders), *folders})
-            found |= dict.fromkeys(one for one in inside if is_bag(one) or _is_ours(one))
+            found |= dict.fromkeys(one for one in inside if is_bag(one) or is_ours(one) or _is_can(one))
         else:
             found[path] = None
     return list(found)
@@ -282,7 +336,31 @@ def is_bag_folder(path: Path) -> bool:
     return (path / "metadata.yaml").is_file()
 
 
-def _is_ours(path: Path) -> bool:
+def others_in(paths: Sequence[Path], recordings: Sequence[Path]) -> list[tuple[Path, str]]:
+    """Return the files of folders that are not judged, and what each is: by the catalogue, or by its name."""
+    catalogue, judged = read_catalogue(), {*recordings}
+    found: list[tuple[Path, str]] = []
+    for path in (one for folder in paths for one in sorted(folder.rglob("*")) if folder.is_dir()):
+        if not path.is_file() or judged & {path, *path.parents} or path.name.endswith(EXPECTED):
+            continue
+        name = path.as_posix()
+        what = next((what for what, pattern in OTHERS.items() if re.search(pattern, name)), "")
+        entry = next((one for file, one in catalogue.items() if name.endswith(f"/{file}")), None)
+        told = f"{entry.what}; " if entry is not None else ""
+        found.append((path, told + (what or "nothing that a reader of recordings knows")))
+    return found
+
+
+def _is_can(path: Path) -> bool:
+    """Whether a file is a log of CAN with at least a frame."""
+    try:
+        return is_log(path) and next(logged(path), None) is not None
+    except UserError:
+        return False
+
+
+def is_ours(path: Path) -> bool:
+    """Whether a file is a recording of this gateway."""
     try:
         return path.suffix == ".mcap" and is_recording(path)
     except OSError:
@@ -300,11 +378,12 @@ def from_json(values: Mapping[str, Any]) -> Judged:
     return Judged(**{**values, "figures": figures})
 
 
-def markdown(verdicts: Sequence[Verdict]) -> str:
+def markdown(verdicts: Sequence[Verdict], others: Sequence[tuple[Path, str]] = ()) -> str:
     """Return the verdicts as a table, and what differs below it, for a pull request."""
     good = sum(one.status == "same" for one in verdicts)
     lines = [f"**{good} of {len(verdicts)} recordings are as expected**", "", "| recording | |", "|---|---|"]
     lines += [f"| {one.judged.name} | {STATUS_TEXTS[one.status]} |" for one in verdicts]
+    lines += [f"| {path} | not judged: {what} |" for path, what in others]
     for one in verdicts:
         if one.changes:
             lines += ["", f"### {one.judged.name}", "", *(f"- {change}" for change in one.changes)]

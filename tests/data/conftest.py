@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.data.recordings import Absent, Wrong, find, read, required
+from gateway.recording.catalogue import WrongFile
+from tests.data.recordings import Absent, find, read, required
 
 
 @cache
@@ -29,7 +30,7 @@ def recording() -> Callable[[str], Path]:
             if required(os.environ):
                 pytest.fail(f"required, and absent: {name}: {why}", pytrace=False)
             pytest.skip(f"NOT RUN: {name}: {why}")
-        except Wrong as why:
+        except WrongFile as why:
             pytest.fail(str(why), pytrace=False)
 
     return path

@@ -7,12 +7,11 @@ true, or MOTOR_GATEWAY_REQUIRE contains "data" (entries are separated by commas 
 
 from __future__ import annotations
 
-import hashlib
 import re
-import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
+
+from gateway.recording.catalogue import CatalogueEntry, check_file, read_catalogue
 
 ROOT = Path(__file__).resolve().parents[2]
 CATALOGUE = ROOT / "fixtures" / "catalogue.toml"
@@ -24,44 +23,22 @@ class Absent(Exception):
     """The recording is absent, with the reason."""
 
 
-class Wrong(Exception):
-    """A file is here, and it is not the recording."""
+Recording = CatalogueEntry
 
 
-@dataclass(frozen=True, slots=True)
-class Recording:
-    """One entry of the catalogue."""
-
-    file: str
-    what: str
-    source: str
-    licence: str
-    bytes: int
-    sha256: str
-    used_by: list[str]
-    attribution: str = ""
-
-
-def read() -> dict[str, Recording]:
+def read() -> Mapping[str, Recording]:
     """The catalogue, by file."""
-    table = tomllib.loads(CATALOGUE.read_text(encoding="utf-8"))
-    entries = [Recording(**entry) for entry in table["recordings"]]
-    return {entry.file: entry for entry in entries}
+    return read_catalogue(CATALOGUE)
 
 
 def find(entry: Recording, environ: Mapping[str, str]) -> Path:
-    """Where the recording lies, after a look at its content. Raises Absent or Wrong."""
+    """Where the recording lies, after a look at its content. Raises Absent, or WrongFile."""
     if not environ.get(WHERE):
         raise Absent(f"{WHERE} is not set")
     path = ROOT / environ[WHERE] / entry.file  # a path that is not absolute counts from the checkout
     if not path.is_file():
         raise Absent(f"there is no {path}")
-    size = path.stat().st_size
-    if size != entry.bytes:
-        raise Wrong(f"{path} has {size} bytes, and the catalogue's {entry.file} has {entry.bytes}")
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    if digest != entry.sha256:
-        raise Wrong(f"{path} has sha256 {digest}, and the catalogue's {entry.file} has {entry.sha256}")
+    check_file(path, entry)
     return path
 
 

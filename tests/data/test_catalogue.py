@@ -13,11 +13,13 @@ from pathlib import Path
 
 import pytest
 
+from gateway.recording.catalogue import WrongFile
+from gateway.report.judge import others_in, recordings_in
 from tests.conftest import not_run
-from tests.data.recordings import ROOT, WHERE, Absent, Recording, Wrong, find, read, required
+from tests.data.recordings import ROOT, WHERE, Absent, Recording, find, read, required
 
 ENTRIES = read()
-SMALL = Recording("a/b.bin", "w", "s", "l", 3, hashlib.sha256(b"abc").hexdigest(), [])
+SMALL = Recording("a/b.bin", "w", "s", "l", 3, hashlib.sha256(b"abc").hexdigest())
 
 
 @pytest.mark.parametrize("entry", ENTRIES.values(), ids=list(ENTRIES))
@@ -50,6 +52,19 @@ def test_what_no_test_uses_yet_is_what_the_catalogue_says_where_it_is() -> None:
         if not entry.used_by:
             with contextlib.suppress(Absent):
                 find(entry, os.environ)
+
+
+def test_every_file_where_they_lie_is_judged_or_named() -> None:
+    """By `gateway judge DIR --all`; each once."""
+    if not (where := os.environ.get(WHERE)):
+        pytest.skip(f"NOT RUN: the folder of the recordings: {WHERE} is not set")
+    folder = ROOT / where
+    recordings = recordings_in([folder])
+    others = dict(others_in([folder], recordings))
+    assert not others.keys() & {*recordings}
+    there = {folder / file for file in ENTRIES if (folder / file).is_file()}
+    assert there <= others.keys() | {*recordings}
+    assert all(others.values())
 
 
 def test_no_recording_of_others_lies_in_the_project() -> None:
@@ -100,7 +115,7 @@ def test_what_is_absent_is_told_with_the_reason(tmp_path: Path) -> None:
 def test_a_wrong_one_is_told(tmp_path: Path, data: bytes, why: str) -> None:
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "b.bin").write_bytes(data)
-    with pytest.raises(Wrong, match=why):
+    with pytest.raises(WrongFile, match=why):
         find(SMALL, {WHERE: str(tmp_path)})
 
 

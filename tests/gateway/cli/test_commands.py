@@ -277,6 +277,7 @@ def test_what_needs_no_bus_runs_elsewhere_and_the_rest_is_a_sentence(tmp_path: P
         f"minimise {recording} --while tells": 2,
         "schema mission": 0,
         f"recover {recording}": 0,
+        "fixtures list": 0,
         f"watch {recording}": 0,
         "protocols": 0,
         **dict.fromkeys(("demo --fast", "run bench", "twin bench", "jog left bench", "ask bench status"), 2),
@@ -288,7 +289,7 @@ def test_what_needs_no_bus_runs_elsewhere_and_the_rest_is_a_sentence(tmp_path: P
     assert [line for line in done.stdout.splitlines() if " -> " in line] == [
         f"{line} -> {status}" for line, status in runs.items()
     ], done.stderr
-    there = "replay, judge, trim, minimise, diff, inspect, map, recover, watch, check, schema"
+    there = "replay, judge, trim, minimise, diff, inspect, map, recover, fixtures, watch, check, schema"
     assert done.stderr.count(f": runs on Linux only; here do: {there},") == 5
     assert done.stderr.count("gateway watch: this runs on Linux only") == 1
 

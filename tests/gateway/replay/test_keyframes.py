@@ -320,3 +320,24 @@ def test_the_folder_is_another_for_another_source_of_a_skill(
     (site.path / "acme_nod.py").write_text("skill = 2\n")
     assert name() != first
     assert "acme_nod" not in sys.modules
+
+
+def test_a_large_recording_is_recognised_by_its_ends_size_and_last_change(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.mcap"
+    little.record(path, 20)
+    monkeypatch.setattr(keyframes, "WHOLE", path.stat().st_size // 2)
+
+    def name() -> str | None:
+        return keyframes.folder_name(read_recording(path), little.ROBOT, {}, StateCodec([]))
+
+    first, data = name(), path.read_bytes()
+    assert name() == first
+    written = path.stat().st_mtime_ns
+    middle = len(data) // 2
+    path.write_bytes(data[:middle] + bytes([data[middle] ^ 1]) + data[middle + 1 :])
+    os.utime(path, ns=(written, written))
+    assert name() == first  # nothing but its middle differs: it is not read
+    os.utime(path, ns=(written, written + 1))
+    assert name() != first

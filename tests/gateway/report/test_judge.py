@@ -196,3 +196,56 @@ def test_pytest_runs_them_as_tests(copy: Path) -> None:
     assert re.search(r"1 failed, 2 passed", done.stdout)
     assert re.search(r"turn\.mcap: CHANGED\n  ticks: \d+, expected 5 within 0", done.stdout)
     assert "Traceback" not in done.stdout
+
+
+CANDUMP = [
+    f"({10 + at / 100:.6f}) can0 {message} R\n"
+    for at in range(50)
+    for message in ("029#0000000000000000", "049#0000000000000000", "021#0000000001000000")
+]
+"""What two motors of the bench report: encoders of both, a heartbeat of one"""
+
+
+def test_a_log_of_can_is_judged_by_what_is_in_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "can.log"
+    log.write_text("".join(CANDUMP))
+    (tmp_path / "notes.log").write_text("not a recording\n")
+    for more, row in (
+        ([], '"can0: frames" = [150, 0, ""]\n"can0: identifiers" = [3, 0, ""]'),
+        (["--robot", "bench"], '"left: messages" = [51, 0, ""]'),
+    ):
+        assert main(["judge", str(tmp_path), "--update", *more]) == 0
+        assert row in (tmp_path / f"can.log{EXPECTED}").read_text()
+        assert "1 of 1 recordings are as expected" in capsys.readouterr().out
+    log.write_text("".join(CANDUMP[3:]))
+    assert main(["judge", str(tmp_path), "--robot", "bench"]) == 1
+    printed = capsys.readouterr().out
+    assert "can0: frames: 147, expected 150 within 0" in printed
+    assert "right: messages: 49, expected 50 within 0" in printed
+    log.write_text("".join(CANDUMP)[:-20])
+    assert main(["judge", str(tmp_path)]) == 1
+    assert "cut short: 1, expected 0 within 0" in capsys.readouterr().out
+
+
+def test_the_other_files_of_a_folder_are_named_with_what_they_are(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "can.log").write_text("".join(CANDUMP))
+    texts = {
+        "LICENSE": "text, no recording",
+        "hall/20250616-hboard-cycle.dat.gz": "hall sensors of a motor at 30 kHz",
+        "motor.eds": "a description of a device, no recording",
+        "numbers.txt": "nothing that a reader of recordings knows",
+        "old.tar.xz": "packed files, which are not looked into",
+        "path.tum": "a truth, by which a recording of its name beside it is judged",
+    }
+    (tmp_path / "hall").mkdir()
+    for name in texts:
+        (tmp_path / name).write_text("1 2\n3 4\n")
+    report = tmp_path / "report.md"
+    assert main(["judge", str(tmp_path), "--all", "--update", "--report", str(report)]) == 0
+    printed = capsys.readouterr().out
+    told = dict(re.findall(rf"^{tmp_path}/(.*): not judged: (.*)$", printed, re.MULTILINE))
+    assert told.keys() == texts.keys()
+    assert all(text in told[name] for name, text in texts.items()), told
+    assert f"| {tmp_path}/LICENSE | not judged: text, no recording |" in report.read_text()
