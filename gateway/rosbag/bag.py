@@ -80,6 +80,8 @@ class Bag:
     """The same of its speeds."""
     several_clocks: frozenset[str] = frozenset()
     """Roles whose messages are stamped by several programs, and may overtake each other"""
+    remark: str = ""
+    """How it is read, where that is not as its writer meant"""
     placed: Mapping[str, Placed] = field(default_factory=dict)
     """By sensor that the robot file does not place."""
     scans: Callable[[], Iterator[LaserScan]] = field(default=lambda: iter(()), compare=False)
@@ -89,7 +91,7 @@ class Bag:
 def read(path: Path, topics: BagTopics | None, body: Base) -> Bag:
     """Read a recording. Raises BagError: what cannot be read, or which topics are missing."""
     with open_source(path) as source:
-        found = dict(source.topics)
+        found, remark = dict(source.topics), source.remark
         topics = _checked(path, topics, found)
         for name, role in topics.parts():
             found[name].role = role
@@ -110,6 +112,7 @@ def read(path: Path, topics: BagTopics | None, body: Base) -> Bag:
         kind in (ODOMETRY, POSE_TYPE, *TF_TYPES),
         not by_pose,
         frozenset(one.role for one in found.values() if one.role and one.type in (POSE_TYPE, SCAN_TYPE)),
+        remark,
         first.places(),
         partial(_scans, path, topics, found),
     )

@@ -185,6 +185,8 @@ class Survey:
     proposal: Proposal | None
     lacking: str
     """Why there is no robot file to start with; "" if there is one"""
+    remark: str = ""
+    """How it is read, where that is not as its writer meant"""
 
     def robot_text(self) -> str:
         """Return the robot file to start with. Raises BagError if there is none."""
@@ -224,7 +226,8 @@ class Survey:
             rows.append((one.name, str(one.topic.count), one.topic.type, one.rate(), frame or "-"))
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         table = ["  ".join(f"{cell:<{w}}" for cell, w in zip(row, widths, strict=True)) for row in rows]
-        lines = [f"{self.path.name}: {self.kind}{lasts}, {messages} messages", *(t.rstrip() for t in table)]
+        lines = [f"{self.path.name}: {self.kind}{lasts}, {messages} messages"]
+        lines += [*filter(None, [self.remark]), *(t.rstrip() for t in table)]
         remarks = [f"  {one.name}: {text}" for one in self.topics for text in one.remarks()]
         lines += ["stamps", *(remarks or ["  of every topic in order, and near to when it was logged"])]
         return "\n".join(lines)
@@ -234,6 +237,7 @@ def survey(path: Path) -> Survey:
     """Look through a recording. Raises BagError if it cannot be read."""
     frames = Frames()
     with open_source(path) as source:
+        remark = source.remark
         topics = {name: TopicSurvey(one) for name, one in sorted(source.topics.items())}
         whole = {n for n, one in topics.items() if one.topic.type in (ODOMETRY, FIX, *TF_TYPES)}
         whole |= {n for n, one in topics.items() if one.topic.type.endswith(STATE)}
@@ -244,7 +248,7 @@ def survey(path: Path) -> Survey:
             topics[name].add(logged, message)
     found = tuple(topics.values())
     proposal, lacking = _proposed(found, frames)
-    return Survey(path, _kind(path), found, proposal, lacking)
+    return Survey(path, _kind(path), found, proposal, lacking, remark)
 
 
 def findings(one: Survey, robot: Robot) -> list[str]:
