@@ -13,7 +13,7 @@ import argparse
 import math
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
@@ -34,63 +34,135 @@ SOON = 30.0
 """s: relations within this are judged by themselves, too"""
 PARTS = 5
 """Steps without an event after a scan, as between two scans of a robot: its work is spread over them"""
+AS_IT_IS = "as it is"
+PATHS = ("believed", "known", "rolled")
+"""Of a run, which are mirrored back"""
+COPIES = """\
+within 30 s: odometry, ours | all: odometry, as it went | odometry, in the end | lost, doubtful | NIS
+                     m  deg       m  deg |       m  deg       m  deg |       m  deg       m  deg | % % |"""
 SAME = 0.02
 """s between a relation's stamp and its scan's"""
 HEAD = "log, path, which relations           n   raw m  raw deg  mean m  median   max m  mean deg"
 
 
-Change: TypeAlias = Callable[[Iterator[Event]], Iterator[Event]]
+Log: TypeAlias = list[Event]
+Change: TypeAlias = Callable[[Log], Log]
+WHEELS = (BODY.left, BODY.right)
 
 
-def scaled(log: Iterator[Event]) -> Iterator[Event]:
-    """Odometry that is 3 % long, and turns by a wheel that is 1 % larger."""
-    for one in log:
-        if isinstance(one, Feedback) and one.position is not None:
-            yield replace(one, position=one.position * (1.03 if one.motor == BODY.left else 1.04))
-        else:
-            yield one
+def rolled(log: Log, change: Callable[[Floats, Floats, Floats], tuple[Floats, Floats]]) -> Log:
+    """Return a log with other angles of its wheels: `change` makes those of left and right [rad] of their
+    times [s] and angles."""
+    angles = {
+        name: [one for one in log if isinstance(one, Feedback) and one.motor == name] for name in WHEELS
+    }
+    t = np.array([seconds(one.t - log[0].t) for one in angles[BODY.left]])
+    left, right = (np.array([one.position or 0.0 for one in angles[name]]) for name in WHEELS)
+    made = dict(zip(WHEELS, (iter(each.tolist()) for each in change(t, left, right)), strict=True))
+    return [replace(one, position=next(made[one.motor])) if isinstance(one, Feedback) else one for one in log]
 
 
-def thinned(log: Iterator[Event]) -> Iterator[Event]:
-    """Every second beam."""
-    for one in log:
-        if isinstance(one, LaserScan):
-            yield replace(one, ranges=one.ranges[::2], angle_increment=2.0 * one.angle_increment)
-        else:
-            yield one
+def seen(log: Log, change: Callable[[LaserScan], LaserScan]) -> Log:
+    """Return a log with other scans."""
+    return [change(one) if isinstance(one, LaserScan) else one for one in log]
 
 
-def halved(log: Iterator[Event]) -> Iterator[Event]:
-    """Every second scan."""
-    count = 0
-    for one in log:
-        count += isinstance(one, LaserScan)
-        if count % 2 or not isinstance(one, LaserScan):
-            yield one
+def scaled(left: float, right: float) -> Change:
+    """Odometry whose wheels count so many times as much."""
+    return lambda log: rolled(log, lambda _, a, b: (left * a, right * b))
 
 
-def noisy(log: Iterator[Event]) -> Iterator[Event]:
+def drifting(log: Log) -> Log:
+    """Odometry that turns by 0.5 degrees a second more, whether it moves or not: a gyro's bias."""
+    more = math.radians(0.5) * BODY.wheel_separation / 2.0 / BODY.wheel_radius
+    return rolled(log, lambda t, a, b: (a - more * t, b + more * t))
+
+
+def lagging(lag: float) -> Change:
+    """Scans whose odometry is so much older [s]."""
+    return lambda log: rolled(log, lambda t, a, b: (np.interp(t - lag, t, a), np.interp(t - lag, t, b)))
+
+
+def jittered(log: Log) -> Log:
+    """Odometry that is up to 20 ms older or newer than its stamp."""
+    rng = np.random.Generator(np.random.PCG64(1))
+
+    def change(t: Floats, left: Floats, right: Floats) -> tuple[Floats, Floats]:
+        then = t + rng.uniform(-0.02, 0.02, len(t))
+        return np.interp(then, t, left), np.interp(then, t, right)
+
+    return rolled(log, change)
+
+
+def thinned(step: int) -> Change:
+    """One beam of so many."""
+    return lambda log: seen(
+        log,
+        lambda one: replace(one, ranges=one.ranges[::step], angle_increment=step * one.angle_increment),
+    )
+
+
+def near(farthest: float) -> Change:
+    """A lidar that sees so far [m]."""
+
+    def change(one: LaserScan) -> LaserScan:
+        return replace(one, range_max=farthest, ranges=tuple(min(r, farthest) for r in one.ranges))
+
+    return lambda log: seen(log, change)
+
+
+def rarer(step: int) -> Change:
+    """One scan of so many."""
+
+    def change(log: Log) -> Log:
+        count = [-1]
+
+        def kept(one: Event) -> bool:
+            count[0] += isinstance(one, LaserScan)
+            return not isinstance(one, LaserScan) or count[0] % step == 0
+
+        return [one for one in log if kept(one)]
+
+    return change
+
+
+def noisy(log: Log) -> Log:
     """Noise of 0.03 m more on each range."""
     rng = np.random.Generator(np.random.PCG64(1))
-    for one in log:
-        if isinstance(one, LaserScan):
-            ranges = np.array(one.ranges)
-            ranges += np.where(ranges < one.range_max, 0.03 * rng.normal(size=len(ranges)), 0.0)
-            yield replace(one, ranges=tuple(np.clip(ranges, 0.0, one.range_max).tolist()))
-        else:
-            yield one
+
+    def change(one: LaserScan) -> LaserScan:
+        ranges = np.array(one.ranges)
+        ranges += np.where(ranges < one.range_max, 0.03 * rng.normal(size=len(ranges)), 0.0)
+        return replace(one, ranges=tuple(np.clip(ranges, 0.0, one.range_max).tolist()))
+
+    return seen(log, change)
 
 
-def late(log: Iterator[Event]) -> Iterator[Event]:
-    """Odometry that is stamped 0.12 s early."""
-    by = round(0.12 * SECOND)
-    moved_log = (one if isinstance(one, LaserScan) else replace(one, t=one.t - by) for one in log)
-    return iter(sorted(moved_log, key=lambda one: one.t))
+def mirrored(log: Log) -> Log:
+    """Left is right."""
+
+    def change(one: LaserScan) -> LaserScan:
+        first = -one.angle_min - (len(one.ranges) - 1) * one.angle_increment
+        return replace(one, angle_min=first, ranges=one.ranges[::-1])
+
+    return seen(rolled(log, lambda _, a, b: (b, a)), change)
+
+
+def backward(log: Log) -> Log:
+    """From its end to its beginning."""
+    both = log[0].t + log[-1].t
+    return [replace(one, t=both - one.t) for one in reversed(log)]
 
 
 CHANGES: dict[str, Change] = {
-    "scaled": scaled, "thinned": thinned, "halved": halved, "noisy": noisy, "late": late
+    AS_IT_IS: lambda log: log,
+    "lag 0.05": lagging(0.05), "lag 0.1": lagging(0.1), "lag 0.2": lagging(0.2), "lag -0.1": lagging(-0.1),
+    "scaled 0.95": scaled(0.95, 0.95), "scaled 1.05": scaled(1.05, 1.05), "one wheel": scaled(1.03, 1.04),
+    "drifting": drifting, "jittered": jittered, "thinned 2": thinned(2), "thinned 4": thinned(4),
+    "near 8": near(8.0), "rarer 2": rarer(2), "rarer 3": rarer(3), "noisy": noisy,
+    "mirrored": mirrored, "backward": backward,
 }  # fmt: skip
+"""What a log may be like, by name: made of another one, in memory"""
 
 
 @dataclass(frozen=True)
@@ -113,49 +185,81 @@ class Run:
     anomalies: dict[str, int]
     loops: str
     """In words"""
+    lags: tuple[float, ...]
+    """s, that were found"""
+
+    def share(self, least: Trust) -> float:
+        """Return after how many scans the verdict was this, or worse, in percent."""
+        return 100.0 * float(np.mean([one >= least for one in self.trust]))
 
 
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(prog="benchmarks.abroad", description=__doc__)
     parser.add_argument("logs", nargs="*", default=LOGS, metavar="LOG", help="aces, intel; default: both")
-    parser.add_argument("--until", type=float, default=math.inf, help="s: only the first part of each log")
+    parser.add_argument("--since", type=float, default=0.0, help="s: without the first part of each log")
+    parser.add_argument("--until", type=float, default=math.inf, help="s: only up to here")
     parser.add_argument("--alone", action="store_true", help="by matching alone: no loop is closed")
-    parser.add_argument("--changed", choices=sorted(CHANGES), help="a copy of each log, changed in memory")
+    parser.add_argument(
+        "--changed", nargs="+", choices=("all", *CHANGES), metavar="NAME",
+        help=f"copies of each log, changed in memory, a row each: all, {', '.join(CHANGES)}",
+    )  # fmt: skip
     parser.add_argument("--ahead", type=float, default=0.0, help="m from the robot's origin to the lidar")
     options = parser.parse_args()
     folder = Path(os.environ["MOTOR_GATEWAY_DATA"]) / "carmen"
+    settings = replace(SETTINGS, loops=LoopSettings(close=not options.alone))
+    part = options.since, options.until
+    if options.changed:
+        print(COPIES)
     for log in options.logs:
-        settings = replace(SETTINGS, loops=LoopSettings(close=not options.alone))
-        run = drive(folder / f"{log}.clf.bz2", options.ahead, options.until, settings, options.changed)
-        print(HEAD)
-        for path, kind in ((run.believed, "as it went"), (run.known, "in the end")):
-            for name, longest in (("all", math.inf), ("within 30 s", SOON)):
-                rows = errors(run, path, folder / f"{log}.relations", longest)
-                print(f"{f'{log}, {kind}, {name}':31}", text(rows))
-        lost, doubtful, sure = (
-            100.0 * np.mean([one >= least for one in run.trust])
-            for least in (Trust.LOST, Trust.DOUBTFUL, Trust.TOO_SURE)
-        )
-        median, p99, most = np.percentile(run.spent, (50, 99, 100))
-        print(
-            f"{log}: {len(run.times)} scans, lost {lost:.2f} %, doubtful or lost {doubtful:.2f} %,"
-            f" not consistent {sure:.2f} %; NIS per degree of freedom {run.nis:.2f};"
-            f" ms a scan {median:.2f}, 99 % {p99:.2f}, max {most:.1f}"
-        )
-        print(f"{log}: {run.loops}; not used {run.anomalies}", flush=True)
+        path, relations = folder / f"{log}.clf.bz2", folder / f"{log}.relations"
+        if options.changed:
+            for name in CHANGES if "all" in options.changed else options.changed:
+                run = drive(path, options.ahead, part, settings, name)
+                print(f"{f'{log}, {name}':20}", row(run, relations), flush=True)
+        else:
+            describe(log, drive(path, options.ahead, part, settings), relations)
+
+
+def describe(log: str, run: Run, relations: Path) -> None:
+    """Print how right a run is, and what it cost."""
+    print(HEAD)
+    for path, kind in ((run.believed, "as it went"), (run.known, "in the end")):
+        for name, longest in (("all", math.inf), ("within 30 s", SOON)):
+            print(f"{f'{log}, {kind}, {name}':31}", text(errors(run, path, relations, longest)))
+    lost, doubtful, sure = (run.share(least) for least in (Trust.LOST, Trust.DOUBTFUL, Trust.TOO_SURE))
+    median, p99, most = np.percentile(run.spent, (50, 99, 100))
+    print(
+        f"{log}: {len(run.times)} scans, lost {lost:.2f} %, doubtful or lost {doubtful:.2f} %,"
+        f" not consistent {sure:.2f} %; NIS per degree of freedom {run.nis:.2f};"
+        f" ms a scan {median:.2f}, 99 % {p99:.2f}, max {most:.1f}"
+    )
+    print(f"{log}: {run.loops}; not used {run.anomalies}", flush=True)
+
+
+def row(run: Run, relations: Path) -> str:
+    """Return a run as a row of the table of changed logs."""
+    cells = []
+    for longest, path in ((SOON, run.believed), (math.inf, run.believed), (math.inf, run.known)):
+        rows = errors(run, path, relations, longest)
+        raw, raw_turn, ours, turn = rows.mean(axis=0)
+        cells.append(f"{raw:7.4f} {raw_turn:5.2f} {ours:7.4f} {turn:5.2f}")
+    lag = "".join(f"; lag {lag:.3f} s" for lag in run.lags)
+    nis, lost, doubtful = run.nis, run.share(Trust.LOST), run.share(Trust.DOUBTFUL)
+    return f"{' | '.join(cells)} | {lost:5.2f} {doubtful:5.2f} | {nis:5.2f} | {run.loops}{lag}"
 
 
 def drive(
     log: Path,
     ahead: float = 0.0,
-    until: float = math.inf,
+    part: tuple[float, float] = (0.0, math.inf),
     settings: PerceptionSettings = SETTINGS,
-    changed: str | None = None,
+    changed: str = AS_IT_IS,
 ) -> Run:
-    """Give a log to perception, or a copy of it that was changed."""
+    """Give a part of a log to perception, or of a copy of it that was changed: from and up to, s after its
+    first event."""
     perception = Perception(BODY, {"lidar": Mount(x=ahead)}, settings)
-    run = Run([], [], [], [], [], [], 0.0, {}, "")
+    run = Run([], [], [], [], [], [], 0.0, {}, "", ())
     anchors: list[Anchor | None] = []
     lidar, spent = Pose(ahead, 0.0, 0.0), 0.0
     known: Nanos = -1
@@ -170,11 +274,11 @@ def drive(
         run.trust.append(perception.verdict.trust)
         run.spent.append(1e3 * spent)
 
-    whole = list(events(log) if changed is None else CHANGES[changed](events(log)))
+    whole = list(events(log))
+    whole = [one for one in whole if part[0] <= seconds(one.t - whole[0].t) <= part[1]]
+    both = whole[0].t + whole[-1].t
     began = time.process_time()
-    for event in whole:
-        if seconds(event.t - whole[0].t) > until:
-            break
+    for event in CHANGES[changed](whole):
         if event.t != known and known >= 0:
             spent = time.process_time() - began  # once a scan: asking costs as much as a part of the work
             note()
@@ -190,9 +294,18 @@ def drive(
         there if anchor is None else moved(perception.anchored(anchor), lidar)
         for there, anchor in zip(run.believed, anchors, strict=True)
     ]
-    return replace(
-        run, known=known_now, nis=nis.mean if nis else 0.0, anomalies=anomalies, loops=perception.loops
+    run = replace(
+        run,
+        known=known_now,
+        nis=nis.mean if nis else 0.0,
+        anomalies=anomalies,
+        loops=perception.loops,
+        lags=tuple(perception.lags.values()),
     )
+    if changed == "mirrored":
+        back = {name: [Pose(one.x, -one.y, -one.yaw) for one in getattr(run, name)] for name in PATHS}
+        return replace(run, **back)
+    return replace(run, times=[both - t for t in run.times]) if changed == "backward" else run
 
 
 def errors(run: Run, path: list[Pose], relations: Path, longest: float = math.inf) -> Floats:
@@ -205,14 +318,14 @@ def errors(run: Run, path: list[Pose], relations: Path, longest: float = math.in
         off = max(abs(float(times[i]) - t) for i, t in zip(at, (first, second), strict=True))
         if abs(second - first) > longest or off > SAME:
             continue
-        row: list[float] = []
+        off_by: list[float] = []
         for one in (run.rolled, path):
             a, b = (one[i] for i in at)
             c, s = math.cos(a.yaw), math.sin(a.yaw)
             dx, dy = b.x - a.x, b.y - a.y
-            row.append(math.hypot(c * dx + s * dy - x, c * dy - s * dx - y))
-            row.append(math.degrees(abs(wrap(b.yaw - a.yaw - yaw))))
-        found.append(row)
+            off_by.append(math.hypot(c * dx + s * dy - x, c * dy - s * dx - y))
+            off_by.append(math.degrees(abs(wrap(b.yaw - a.yaw - yaw))))
+        found.append(off_by)
     return np.array(found).reshape(-1, 4)
 
 

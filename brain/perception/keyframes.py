@@ -117,6 +117,11 @@ class Motion(NamedTuple):
         return np.diag([along * along, along * along, yaw * yaw])
 
 
+    def whole(self) -> Floats:
+        """Return the covariance (3 × 3) of a motion that may be none."""
+        return np.diag([self.distance**2, self.distance**2, self.turn**2])
+
+
 @dataclass(frozen=True, slots=True)
 class Placed:
     """A scan among the keyframes."""

@@ -223,9 +223,10 @@ class Car:
 class BagTopics:
     """The table [bag]: what the topics of a recording made elsewhere (a ROS bag, a log) are on this robot."""
 
-    odometry: str
+    odometry: str = ""
     """What says how the base moved: nav_msgs/Odometry, geometry_msgs/TwistStamped, sensor_msgs/JointState
-    (the body's motors are called as its joints), /tf, a log's odometry, or with `car` any type."""
+    (the body's motors are called as its joints), /tf, a log's odometry, or with `car` any type. "": nothing
+    does, and the scans are matched one by one"""
     sensors: dict[str, str] = field(default_factory=dict)
     """Topic by sensor: sensor_msgs/Imu, LaserScan, MultiEchoLaserScan, PointCloud2, NavSatFix,
     geometry_msgs/PoseWithCovarianceStamped, or a log's scans."""
@@ -251,7 +252,8 @@ class BagTopics:
 
     def parts(self) -> Iterator[tuple[str, str]]:
         """Yield each topic with the key that names it: "odometry", "sensors.imu", "cameras.eye.image" …"""
-        yield self.odometry, "odometry"
+        if self.odometry:
+            yield self.odometry, "odometry"
         if self.car is not None and self.car.steering:
             yield self.car.steering, "car.steering"
         yield from ((topic, f"sensors.{sensor}") for sensor, topic in self.sensors.items())

@@ -16,6 +16,7 @@ from typing import Any
 
 from brain.belief import Pose
 from brain.bodies.body import Base
+from brain.perception.keyframes import KeyframeSettings
 from brain.perception.mount import Mount
 from gateway.core.robot import BagTopics
 from gateway.errors import BagError
@@ -32,6 +33,7 @@ from gateway.rosbag.motion import (
     rolled,
     with_twists,
 )
+from gateway.rosbag.scan_odometry import by_scans
 from gateway.rosbag.source import Source, open_source
 from gateway.rosbag.topic import Head, Topic
 from protocols.messages import SECOND, Event, Feedback, Fix, Imu, LaserScan, Measurement, Nanos
@@ -45,6 +47,7 @@ BASES = ("base_link", "base_footprint", "base")
 GRAVITY, LEVEL = 9.81, math.cos(math.radians(20.0))
 """m/s²; an IMU that is tilted by less than this counts as level, on a slope or by its driving."""
 NEARLY = math.radians(10.0)
+BY_SCANS = "no odometry: the motion is what its scans show, each searched where the speed before it leads"
 FEW = 2
 MOST_HELD_BACK = 100
 HELD_BACK: Nanos = 2 * SECOND
@@ -80,6 +83,8 @@ class Bag:
     """The same of its speeds."""
     several_clocks: frozenset[str] = frozenset()
     """Roles whose messages are stamped by several programs, and may overtake each other"""
+    remark: str = ""
+    """How it is read, where that is not as its writer meant"""
     placed: Mapping[str, Placed] = field(default_factory=dict)
     """By sensor that the robot file does not place."""
     scans: Callable[[], Iterator[LaserScan]] = field(default=lambda: iter(()), compare=False)
@@ -89,14 +94,20 @@ class Bag:
 def read(path: Path, topics: BagTopics | None, body: Base) -> Bag:
     """Read a recording. Raises BagError: what cannot be read, or which topics are missing."""
     with open_source(path) as source:
-        found = dict(source.topics)
+        found, remark = dict(source.topics), source.remark
         topics = _checked(path, topics, found)
         for name, role in topics.parts():
             found[name].role = role
         first = _Pass(topics, body, found)
         first.run(source)
     ordered = sorted([*first.markers, *first.readings], key=lambda reading: reading.t)
-    kind = found[topics.odometry].type
+    kind = found[topics.odometry].type if topics.odometry else ""
+    places = first.places()
+    if not kind:
+        mounts = {name: one.mount for name, one in places.items()} | topics.mounts
+        shown = by_scans(_scans(path, topics, found), mounts, KeyframeSettings())
+        ordered = sorted([*ordered, *shown], key=lambda reading: reading.t)
+        remark = "; ".join(filter(None, [remark, BY_SCANS]))
     events, odometry, by_pose = _motion(topics, body, ordered, made=kind != ODOMETRY)
     fixes = [one for one in ordered if isinstance(one, Fix) and one.sensor not in topics.sensors]
     poses = [one for one in ordered if isinstance(one, TruePose)]
@@ -110,7 +121,8 @@ def read(path: Path, topics: BagTopics | None, body: Base) -> Bag:
         kind in (ODOMETRY, POSE_TYPE, *TF_TYPES),
         not by_pose,
         frozenset(one.role for one in found.values() if one.role and one.type in (POSE_TYPE, SCAN_TYPE)),
-        first.places(),
+        remark,
+        places,
         partial(_scans, path, topics, found),
     )
 
@@ -125,7 +137,9 @@ def _motion(
     twists = [one for one in ordered if isinstance(one, OdometryReading)]
     joints = [one for one in ordered if isinstance(one, JointsReading)]
     by_pose = topics.motion == "pose" or (topics.motion == "auto" and never_filled_in(twists))
-    if by_pose:
+    if not topics.odometry:
+        by_pose, odometry = True, twists
+    elif by_pose:
         odometry = with_twists(twists, sideways=body.moves_sideways)
     elif made:
         odometry = rolled(twists)
@@ -328,6 +342,9 @@ def _checked(path: Path, topics: BagTopics | None, found: Mapping[str, Topic]) -
     if topics is None:
         raise BagError(f"{path}: the robot file has no table [bag] that maps its topics; there is\n{there}")
     wrong: list[str] = []
+    seen = {found[one].type for one in topics.sensors.values() if one in found}
+    if not topics.odometry and not seen & set(LARGE):
+        wrong.append("odometry is not named, and no lidar, whose scans would show how the base moved")
     for name, role in topics.parts():
         kind, _, part = role.partition(".")
         topic, wanted = found.get(name), TYPES.get(part.rpartition(".")[2] if kind == "cameras" else kind, ())

@@ -121,6 +121,8 @@ def _opened(path: Path) -> Any:  # noqa: ANN401 -- of text, by four libraries
 class CarmenLog:
     """A log, read line by line."""
 
+    remark = ""
+
     def __init__(self, path: Path) -> None:
         self._path = path
         self._ahead: dict[str, float] = {}

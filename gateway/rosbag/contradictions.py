@@ -30,9 +30,9 @@ def contradictions(bag: Bag, body: Base, mounts: Mapping[str, Mount], slip: floa
 
 
 def remarks(bag: Bag) -> tuple[str, ...]:
-    """Return what is odd about the stamps of a log that is written by several programs, each by its clock: it
-    says little of the path."""
-    return tuple(
+    """Return how it was read, if not as its writer meant; and what is odd about the stamps of a log that is
+    written by several programs, each by its clock: it says little of the path."""
+    return (bag.remark,) * bool(bag.remark) + tuple(
         f"{role}: {text}"
         for role in bag.several_clocks & bag.stamps.keys()
         for text in stamps.order(_stamps(bag.stamps[role], *bag.stamps[role][0]).stamps)

@@ -282,7 +282,7 @@ def evaluate(
     for t in reference.times:
         events.process_until(t + reference.slack)
         known = perception.estimate
-        there = None if known is None else extrapolated(known, t)
+        there = None if known is None or events.ended(t) else extrapolated(known, t)
         anchors.append(None if there is None else perception.anchor(there))
         paths[ESTIMATED].append(there)
         paths[WHEELS].append(None if known is None else perception.raw)
@@ -367,6 +367,10 @@ class _EventFeed:
         self.scans = self.lost = 0
         self.first: Nanos = self._next.t if self._next is not None else 0
         self.last = self.first
+
+    def ended(self, t: Nanos) -> bool:
+        """Return whether a time is beyond what the estimate can be extrapolated to, after the last event."""
+        return self._next is None and t > self.last + MAX_EXTRAPOLATION
 
     def process_until(self, t: Nanos | None) -> None:
         """Process all events up to and at a time; None: all that are left."""

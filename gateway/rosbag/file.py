@@ -7,8 +7,9 @@ other libraries' errors through. Here all of that becomes a `BagError` with its 
 from __future__ import annotations
 
 import sqlite3
+import struct
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from traceback import extract_tb
 from typing import TYPE_CHECKING
@@ -44,21 +45,19 @@ def first_bytes(path: Path) -> bytes:
 
 
 @contextmanager
-def open_bag(path: Path) -> Iterator[AnyReader]:
-    """Open a bag; any error of its reader becomes a BagError."""
-    from rosbags.highlevel import AnyReader, AnyReaderError
+def open_bag(path: Path) -> Iterator[tuple[AnyReader, str]]:
+    """Open a bag, and tell how it is read where it is not as it was meant ("" if it is); any error of its
+    reader becomes a BagError."""
+    from rosbags.highlevel import AnyReaderError
     from rosbags.rosbag1 import ReaderError as Ros1Error
     from rosbags.rosbag2 import ReaderError as Ros2Error
-    from rosbags.typesys import Stores, get_typestore
 
     try:
-        _check_form(path)
-        # A ROS 1 bag contains the definitions of its types; some ROS 2 bags leave them to the reader.
-        with (
-            _limited_memory(path),
-            AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader,
-        ):
-            yield reader
+        file, remark = _file_of(path)
+        _check_form(file)
+        with _limited_memory(path), ExitStack() as stack:
+            reader, made = _opened(file, stack)
+            yield reader, made or remark
     except (AnyReaderError, Ros1Error, Ros2Error) as error:
         alone = f": {inside}" if (inside := _inside(path)) else ""
         raise BagError(f"{path}: {_line(error)}{alone}") from error
@@ -73,6 +72,43 @@ def open_bag(path: Path) -> Iterator[AnyReader]:
         raise
     except Exception as error:  # of SQLite, YAML, a codec: whatever damaged bytes make a library raise
         raise BagError(f"{path}: damaged: {type(error).__name__}: {_line(error)}") from error
+
+
+def _opened(path: Path, stack: ExitStack) -> tuple[AnyReader, str]:
+    """Open a bag until the stack is closed; one of ROS 1 whose index is absent or damaged by going through
+    it."""
+    from rosbags.highlevel import AnyReader, AnyReaderError
+    from rosbags.typesys import Stores, get_typestore
+
+    from gateway.rosbag.ros1 import OldOrNew, Unindexed
+
+    # A ROS 1 bag contains the definitions of its types; some ROS 2 bags leave them to the reader.
+    reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
+    if path.suffix != ".bag":
+        return stack.enter_context(reader), ""
+    reader.readers = [OldOrNew(path)]
+    try:
+        return stack.enter_context(reader), ""
+    except (AnyReaderError, AssertionError, ArithmeticError, LookupError, ValueError, struct.error):
+        one = Unindexed(path)
+        reader.readers = [one]
+    stack.enter_context(reader)
+    count = sum(each.msgcount for each in reader.connections)
+    if not count:
+        raise BagError(f"{path}: its index is absent or damaged, and no message of it is whole")
+    end = f"; not to its end: {_line(one.why)}" if one.why else ""
+    return reader, f"its index is absent or damaged: gone through from its beginning, {count} messages{end}"
+
+
+def _file_of(path: Path) -> tuple[Path, str]:
+    """Return what to open, and a remark: of a folder without its metadata the one file that is in it."""
+    if not path.is_dir() or (path / "metadata.yaml").exists() or len(files := _files(path)) != 1:
+        return path, ""
+    return files[0], f"a folder without metadata.yaml: its one file is read, {files[0].name}"
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted(file for file in folder.iterdir() if file.suffix in (".mcap", ".db3"))
 
 
 @contextmanager
@@ -113,7 +149,8 @@ def _check_form(path: Path) -> None:
             )
     if path.suffix != ".bag" and path.is_file() and first_bytes(path).startswith(ROS1):
         raise BagError(
-            f"{path}: a bag of ROS 1 must be called .bag (a .active one is unfinished: reindex it)"
+            f"{path}: a bag of ROS 1 must be called .bag: rename it (a .active one was not finished, and is "
+            "read to where it is whole)"
         )
     for database in sorted(path.glob("*.db3")) if path.is_dir() else [path] * (path.suffix == ".db3"):
         _check_database(database)
@@ -123,7 +160,7 @@ def _inside(path: Path) -> str:
     """Return what to do with the files of a folder whose metadata are absent or wrong; "" without any."""
     if not path.is_dir():
         return ""
-    files = sorted(file for file in path.iterdir() if file.suffix in (".mcap", ".db3"))
+    files = _files(path)
     if len(files) > 1:
         return (
             f"its {len(files)} files can be replayed one by one, or `ros2 bag reindex {path}` makes it anew"

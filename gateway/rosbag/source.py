@@ -30,6 +30,10 @@ class Source(Protocol):
     """An open recording."""
 
     @property
+    def remark(self) -> str:
+        """How it is read, where that is not as its writer meant; "" if it is."""
+
+    @property
     def topics(self) -> Mapping[str, Topic]:
         """All topics, by name; new ones each time."""
 
@@ -52,15 +56,15 @@ def open_source(path: Path) -> Iterator[Source]:
     if known := layout(path):
         yield Table(path, known)
         return
-    with file.open_bag(path) as reader:
-        yield RosBag(path, reader)
+    with file.open_bag(path) as (reader, remark):
+        yield RosBag(path, reader, remark)
 
 
 class RosBag:
     """A bag of ROS 1 or ROS 2."""
 
-    def __init__(self, path: Path, reader: AnyReader) -> None:
-        self._path, self._reader = path, reader
+    def __init__(self, path: Path, reader: AnyReader, remark: str = "") -> None:
+        self._path, self._reader, self.remark = path, reader, remark
         self._ros1 = path.suffix == ".bag"
 
     @property

@@ -59,6 +59,8 @@ TRUE = re.compile(r"ground|truth|(^|[/_])gt([/_]|$)|vicon|mocap|optitrack|qualis
 """Names of topics that hold what somebody measured from outside."""
 MADE = re.compile(r"filter|fused|fusion|ekf|ukf|slam|amcl|visual|vio|vins|lio|icp|rgbd|map|gps|global", re.I)
 """Names of odometry that another estimator made."""
+WORLD = ("map", "odom", "world", "earth")
+"""Frames in which a robot moves (REP 105)"""
 GAP_FACTOR = 5.0
 """A pause is named from so many periods on."""
 STATE = "StateStamped"
@@ -185,6 +187,8 @@ class Survey:
     proposal: Proposal | None
     lacking: str
     """Why there is no robot file to start with; "" if there is one"""
+    remark: str = ""
+    """How it is read, where that is not as its writer meant"""
 
     def robot_text(self) -> str:
         """Return the robot file to start with. Raises BagError if there is none."""
@@ -224,7 +228,8 @@ class Survey:
             rows.append((one.name, str(one.topic.count), one.topic.type, one.rate(), frame or "-"))
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         table = ["  ".join(f"{cell:<{w}}" for cell, w in zip(row, widths, strict=True)) for row in rows]
-        lines = [f"{self.path.name}: {self.kind}{lasts}, {messages} messages", *(t.rstrip() for t in table)]
+        lines = [f"{self.path.name}: {self.kind}{lasts}, {messages} messages"]
+        lines += [*filter(None, [self.remark]), *(t.rstrip() for t in table)]
         remarks = [f"  {one.name}: {text}" for one in self.topics for text in one.remarks()]
         lines += ["stamps", *(remarks or ["  of every topic in order, and near to when it was logged"])]
         return "\n".join(lines)
@@ -234,6 +239,7 @@ def survey(path: Path) -> Survey:
     """Look through a recording. Raises BagError if it cannot be read."""
     frames = Frames()
     with open_source(path) as source:
+        remark = source.remark
         topics = {name: TopicSurvey(one) for name, one in sorted(source.topics.items())}
         whole = {n for n, one in topics.items() if one.topic.type in (ODOMETRY, FIX, *TF_TYPES)}
         whole |= {n for n, one in topics.items() if one.topic.type.endswith(STATE)}
@@ -244,7 +250,7 @@ def survey(path: Path) -> Survey:
             topics[name].add(logged, message)
     found = tuple(topics.values())
     proposal, lacking = _proposed(found, frames)
-    return Survey(path, _kind(path), found, proposal, lacking)
+    return Survey(path, _kind(path), found, proposal, lacking, remark)
 
 
 def findings(one: Survey, robot: Robot) -> list[str]:
@@ -291,10 +297,14 @@ def _proposed(topics: Sequence[TopicSurvey], frames: Frames) -> tuple[Proposal |
             by_type.setdefault(one.topic.type, []).append(one)
     notes: list[str] = []
     odometry = _odometry(by_type, frames)
+    if odometry is None and (lidar := _lidar_alone(by_type, frames)):
+        why = "nothing in it says how the base moved, but its scans, matched one by one"
+        odometry = lidar, [f"# no odometry: {why}"], stand_in(sideways=True)
     if odometry is None:
         return None, (
             "nothing in it says how the base moved: expected nav_msgs/Odometry, geometry_msgs/TwistStamped "
-            "of the base, the telemetry of a motor, or transforms from odom to base_link; a command "
+            "of the base, the telemetry of a motor, transforms from odom to base_link, or the scans of a "
+            "lidar that is fixed to it; a command "
             "(cmd_vel) is no measurement, and of sensor_msgs/JointState a robot file has to say which joint "
             "is which wheel"
         )
@@ -346,6 +356,14 @@ def _odometry(
         lines = [f"odometry = {quoted(tf[0].name)}", f'odometry_frames = ["odom", {quoted(base)}]']
         return tf[0], lines, stand_in(sideways=False)
     return None
+
+
+def _lidar_alone(by_type: Mapping[str, list[TopicSurvey]], frames: Frames) -> TopicSurvey | None:
+    """Return a lidar whose scans show how the base moved; None if there is none, or it moves itself."""
+    lidars = [one for kind in (SCAN, ECHOES, SCAN_TYPE, CLOUD) for one in by_type.get(kind, ())]
+    bases = [name for name in frames.names() if name not in WORLD]
+    tilts = any(frames.moves(base, one.frame) for one in lidars for base in bases)
+    return None if tilts or not lidars else lidars[0]
 
 
 def _car(car: TopicSurvey, by_type: Mapping[str, list[TopicSurvey]]) -> list[str]:

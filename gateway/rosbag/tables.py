@@ -111,6 +111,8 @@ def _columns(line: str) -> dict[str, int] | None:
 class Table:
     """A table of a known layout."""
 
+    remark = ""
+
     def __init__(self, path: Path, kind: str) -> None:
         self._path, self._kind = path, kind
 

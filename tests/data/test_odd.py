@@ -78,7 +78,7 @@ def test_a_bag_without_odometry_is_told_what_there_is(recording: Callable[[str],
 
 
 def test_the_stamps_of_an_imu_are_of_one_clock(recording: Callable[[str], Path]) -> None:
-    with open_bag(recording(TILTED)) as reader:
+    with open_bag(recording(TILTED)) as (reader, _):
         connections = [one for one in reader.connections if one.topic == "/imu_data"]
         read_in = [
             (logged, stamp(cast("RosImu", reader.deserialize(data, one.msgtype))))

@@ -25,7 +25,7 @@ MOTOR = Device("motor", 1, OPTIONS, Settings(supply=11.6))
 @pytest.fixture(scope="module")
 def telemetry(recording: Callable[[str], Path]) -> list[tuple[Nanos, Any]]:
     """What was reported, and when."""
-    with open_bag(recording(TELEMETRY)) as bag:
+    with open_bag(recording(TELEMETRY)) as (bag, _):
         core = [each for each in bag.connections if each.topic == "/sensors/core"]
         read: list[Any] = [bag.deserialize(raw, at.msgtype) for at, _, raw in bag.messages(core)]
     return [(m.header.stamp.sec * SECOND + m.header.stamp.nanosec, m.state) for m in read]

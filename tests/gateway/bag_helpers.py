@@ -42,14 +42,17 @@ class BagMessage:
     make: Make
 
 
-def write(path: Path, messages: Sequence[BagMessage], kind: Kind = "ros1") -> Path:
-    """Write a bag, a file called path.bag or a folder of ROS 2; return where it is."""
+def write(path: Path, messages: Sequence[BagMessage], kind: Kind = "ros1", packed: str = "") -> Path:
+    """Write a bag, a file called path.bag or a folder of ROS 2; return where it is. `packed`: the chunks of
+    ROS 1, by BZ2 or LZ4."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path = path.with_suffix(".bag") if kind == "ros1" else path
     store = STORES["ros1" if kind == "ros1" else "ros2"]
     serialise = store.serialize_ros1 if kind == "ros1" else store.serialize_cdr
     plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
     new: Any = Ros1Writer(path) if kind == "ros1" else Ros2Writer(path, version=9, storage_plugin=plugin)
+    if packed:
+        new.set_compression(Ros1Writer.CompressionFormat[packed])
     with new:
         topics = dict.fromkeys((one.topic, one.type) for one in messages)
         found = {name: new.add_connection(name, type_, typestore=store) for name, type_ in topics}
