@@ -10,7 +10,8 @@
     ./go lock [...]      make requirements.lock anew (needs uv and a network); the arguments go to uv
     ./go COMMAND [...]   run, replay, check, protocols ...: the `gateway` command
 
-Each of them first makes the environment `.venv` in this folder, or renews it if the lock has changed.
+Each of them first makes the environment `.venv` in this folder, or renews it if the lock has changed:
+test, prove, bench and docs with all that judges the program, the others with what it needs to run.
 
 Rules of this file: the standard library alone, and syntax that Python 3.6 can read, so that an old
 Python prints what is missing instead of a traceback. ASCII only, for terminals without a locale.
@@ -28,7 +29,7 @@ import tempfile
 import time
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any, Callable, Dict, Iterator, Mapping, Optional, Sequence, Tuple
+from typing import IO, Any, Callable, Dict, Iterator, List, Mapping, Optional, Sequence, Tuple
 
 ROOT = Path(__file__).resolve().parent
 LOCK = ROOT / "requirements.lock"
@@ -178,14 +179,29 @@ def wanted(root: Path, *sources: bytes) -> str:
     return digest.hexdigest()
 
 
-def stamp() -> str:
-    """The stamp of an environment that is up to date."""
-    return wanted(ROOT, LOCK.read_bytes(), PROJECT.read_bytes())
+def stamp(lock: str) -> str:
+    """The stamp of an environment that is up to date with these packages."""
+    return wanted(ROOT, lock.encode(), PROJECT.read_bytes())
 
 
-def ready() -> bool:
-    """Whether the environment stands, finished, and is made from the present lock and project."""
-    return PYTHON.exists() and STAMP.is_file() and STAMP.read_text() == stamp()
+def ready(*locks: str) -> bool:
+    """Whether the environment stands, finished, and is made from the present project and one of these."""
+    return PYTHON.exists() and STAMP.is_file() and STAMP.read_text() in [stamp(lock) for lock in locks]
+
+
+def to_run(project: str, lock: str) -> str:
+    """The part of the lock that the program with all its extras but "dev" needs, by the lock's comments."""
+    head, *entries = re.split(r"(?m)^(?=[A-Za-z0-9])", lock)
+    used = {entry: set(re.findall(r"(?m)^ +#(?: via)? +([A-Za-z0-9._-]+)", entry)) for entry in entries}
+    declared = re.sub(r"(?ms)^dev = \[$.*?^\]$", "", project)
+    needed = {re.sub("[-_.]+", "-", name).lower() for name in re.findall(r'"([\w.-]+)[<>=~]=?', declared)}
+    kept: List[str] = []
+    while True:
+        more = [e for e in entries if e not in kept and (e.split("==")[0] in needed or used[e] & needed)]
+        if not more:
+            return head + "".join(entry for entry in entries if entry in kept)
+        kept += more
+        needed.update(entry.split("==")[0] for entry in more)
 
 
 @contextmanager
@@ -264,19 +280,19 @@ def works(*arguments: str) -> bool:
     return True
 
 
-def install_with_uv(uv: str, python: Optional[str]) -> None:
+def install_with_uv(uv: str, python: Optional[str], lock: Path) -> None:
     """Make or repair the environment with uv, which can also bring a Python of its own."""
     if not works("-c", ""):
         name = python or ">=%s,<%s" % (dotted(OLDEST), dotted((NEWEST[0], NEWEST[1] + 1)))
         run([uv, "venv", "--clear", "--python", name, str(VENV)], "uv could not make .venv")
-    install = [uv, "pip", "install", "--python", str(PYTHON), "--compile-bytecode"]
+    install = [uv, "pip", "install", "--python", str(PYTHON)]
     failure = "uv could not install the packages (is there a network?)"
-    run([*install, "--require-hashes", "-r", str(LOCK)], failure, "installing %d packages" % packages())
+    run([*install, "--require-hashes", "-r", str(lock)], failure, installing(lock))
     alone = ["--no-index", "--no-deps", "--no-build-isolation", "--reinstall-package", "motor-gateway"]
     run([*install, *alone, "-e", "."], "uv could not install the project itself", "installing the project")
 
 
-def install_with_pip(python: Optional[str]) -> None:
+def install_with_pip(python: Optional[str], lock: Path) -> None:
     """Make or repair the environment with the standard library's venv, and pip."""
     if not works("-m", "pip", "--version"):
         if python is None:
@@ -288,8 +304,9 @@ def install_with_pip(python: Optional[str]) -> None:
             shutil.rmtree(str(VENV))
         run([python, "-m", "venv", str(VENV)], "venv could not make .venv", "making .venv")
     install = [str(PYTHON), "-m", "pip", "install", "--disable-pip-version-check", "--no-input", "--no-user"]
+    install += ["--no-compile"]  # what is imported is compiled then: a tenth of what is there
     failure = "pip could not install the packages (is there a network?)"
-    run([*install, "--require-hashes", "-r", str(LOCK)], failure, "installing %d packages" % packages())
+    run([*install, "--require-hashes", "-r", str(lock)], failure, installing(lock))
     alone = ["--no-index", "--no-deps", "--no-build-isolation"]
     run([*install, *alone, "-e", "."], "pip could not install the project itself", "installing the project")
 
@@ -300,41 +317,45 @@ def too_old() -> str:
     return "Python %s or newer is needed; this is %s (%s)" % (dotted(OLDEST), here, sys.executable)
 
 
-def packages() -> int:
-    """Return how many packages the lock has."""
-    return len(re.findall(r"^[A-Za-z0-9._-]+==", LOCK.read_text(), re.MULTILINE))
+def installing(lock: Path) -> str:
+    """Return what is said while the packages of a lock are installed."""
+    return "installing %d packages" % len(re.findall(r"(?m)^[A-Za-z0-9._-]+==", lock.read_text()))
 
 
-def install(uv: Optional[str], python: Optional[str]) -> None:
+def install(uv: Optional[str], python: Optional[str], lock: Path) -> None:
     """Install with uv where it is on the path, else, or if that fails, with venv and pip."""
     if uv:
         try:
-            install_with_uv(uv, python)
+            install_with_uv(uv, python, lock)
         except Missing as missing:
             report("\n    ".join(["%s; trying pip" % missing, *missing.tail]))
         else:
             return
-    install_with_pip(python)
+    install_with_pip(python, lock)
 
 
-def set_up() -> None:
-    """Make the environment, unless it is ready. The stamp goes first and comes last: a set-up that was
-    interrupted is done again."""
-    if ready():
+def set_up(all_of_it: bool) -> None:
+    """Make the environment, unless it is ready, with the whole lock or what the program needs to run. The
+    stamp goes first and comes last: a set-up that was interrupted is done again."""
+    whole = LOCK.read_text()
+    part = whole if all_of_it else to_run(PROJECT.read_text(), whole)
+    if ready(whole, part):
         return
     uv = shutil.which("uv")
     python = choose(base_python(), sys.version_info[:2], shutil.which, version_of)
     if python is None and uv is None:
         raise Missing(too_old())
-    with one_at_a_time():
-        if ready():
+    with one_at_a_time(), tempfile.NamedTemporaryFile("w", suffix=".txt") as lock:
+        if ready(whole, part):
             return
+        lock.write(part)
+        lock.flush()
         began = time.monotonic()
         report("setting up .venv (once, and whenever the lock changes; one to four minutes)")
         if STAMP.exists():
             STAMP.unlink()
-        install(uv, python)
-        STAMP.write_text(stamp())
+        install(uv, python, Path(lock.name))
+        STAMP.write_text(stamp(part))
         report("set up in %.0f s" % (time.monotonic() - began))
 
 
@@ -439,8 +460,8 @@ def main(arguments: Sequence[str]) -> int:
     word, rest = arguments[0], arguments[1:]
     if word == "lock":
         return lock(rest)
-    set_up()
     own = {"test": test, "prove": prove, "docs": docs}
+    set_up(all_of_it=word in own or word == "bench")
     if word in own:
         return own[word](rest)
     if word == "bench":

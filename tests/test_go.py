@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import ast
 import os
+import re
 import shutil
 import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from importlib.metadata import packages_distributions, requires
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
@@ -135,6 +137,27 @@ def test_stamp_tells_place_lock_and_project_apart() -> None:
     assert len({one, *others}) == 5
 
 
+def test_what_runs_the_program_is_a_closed_part_of_the_lock() -> None:
+    """By what the installed packages say they need, which is not what the part is made from."""
+
+    def names(lock: str) -> set[str]:
+        return set(re.findall(r"(?m)^([a-z0-9-]+)==", lock))
+
+    def canonical(requirement: str) -> str:
+        return re.sub("[-_.]+", "-", re.split(r"[^\w.-]", requirement)[0]).lower()
+
+    lock = (GO.parent / "requirements.lock").read_text()
+    part = names(go.to_run((GO.parent / "pyproject.toml").read_text(), lock))
+    installed = {canonical(name) for found in packages_distributions().values() for name in found}
+    needs = {
+        name: {canonical(need) for need in requires(name) or () if "extra" not in need}
+        for name in part & installed
+    }
+    assert {"numpy", "mujoco", "pytest", "setuptools", "distributed"} <= needs.keys()
+    assert not part & {"mypy", "ruff", "sphinx", "dynamixel-sdk", "hypothesis"}
+    assert not {name: missing for name, need in needs.items() if (missing := need & names(lock) - part)}
+
+
 def test_last_words_are_few() -> None:
     missing = go.Missing("one line", "\n".join(str(i) for i in range(100)))
     assert str(missing) == "one line"
@@ -146,7 +169,7 @@ def test_no_venv_module_is_said_in_one_line(tmp_path: Path, monkeypatch: pytest.
     python = script(tmp_path / "python3", f'{refuse}\nexec "{sys.executable}" "$@"')
     monkeypatch.setattr(go, "PYTHON", tmp_path / ".venv/bin/python")
     with pytest.raises(go.Missing, match=r"has no venv module: apt-get install python3\.\d+-venv") as caught:
-        go.install_with_pip(str(python))
+        go.install_with_pip(str(python), go.LOCK)
     assert caught.value.tail == ["No module named ensurepip"]
 
 
@@ -322,6 +345,8 @@ def test_failed_install_says_so_and_is_tried_again(clone: Clone) -> None:
     lock = clone.root / "requirements.lock"
     good = lock.read_text()
     assert clone.go("run").returncode == 7
+    project = clone.root / "pyproject.toml"
+    project.write_text(PROJECT + 'dependencies = ["not-a-package>=1"]\n')
     lock.write_text(good + f"not-a-package==1.0 --hash=sha256:{'0' * 64}\n")
     for _ in range(2):
         failed = clone.go("run")
