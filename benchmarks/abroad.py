@@ -35,8 +35,6 @@ SOON = 30.0
 PARTS = 5
 """Steps without an event after a scan, as between two scans of a robot: its work is spread over them"""
 AS_IT_IS = "as it is"
-PATHS = ("believed", "known", "rolled")
-"""Of a run, which are mirrored back"""
 COPIES = """\
 within 30 s: odometry, ours | all: odometry, as it went | odometry, in the end | lost, doubtful | NIS
                      m  deg       m  deg |       m  deg       m  deg |       m  deg       m  deg | % % |"""
@@ -151,7 +149,8 @@ def mirrored(log: Log) -> Log:
 def backward(log: Log) -> Log:
     """From its end to its beginning."""
     both = log[0].t + log[-1].t
-    return [replace(one, t=both - one.t) for one in reversed(log)]
+    turned = (replace(one, t=both - one.t) for one in log)
+    return sorted(turned, key=lambda one: (one.t, isinstance(one, LaserScan)))
 
 
 CHANGES: dict[str, Change] = {
@@ -303,9 +302,14 @@ def drive(
         lags=tuple(perception.lags.values()),
     )
     if changed == "mirrored":
-        back = {name: [Pose(one.x, -one.y, -one.yaw) for one in getattr(run, name)] for name in PATHS}
-        return replace(run, **back)
+        believed, known_now, rolled_on = map(turned_over, (run.believed, run.known, run.rolled))
+        return replace(run, believed=believed, known=known_now, rolled=rolled_on)
     return replace(run, times=[both - t for t in run.times]) if changed == "backward" else run
+
+
+def turned_over(path: list[Pose]) -> list[Pose]:
+    """Return a path with left for right."""
+    return [Pose(one.x, -one.y, -one.yaw) for one in path]
 
 
 def errors(run: Run, path: list[Pose], relations: Path, longest: float = math.inf) -> Floats:

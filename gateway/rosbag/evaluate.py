@@ -285,7 +285,7 @@ def evaluate(
         there = None if known is None or events.ended(t) else extrapolated(known, t)
         anchors.append(None if there is None else perception.anchor(there))
         paths[ESTIMATED].append(there)
-        paths[WHEELS].append(None if known is None else perception.raw)
+        paths[WHEELS].append(None if there is None else perception.raw)
         if bag.own_path:
             at = bisect_right(bag.odometry, t, key=lambda one: one.t) - 1
             paths[OWN].append(bag.odometry[at].pose if at >= 0 else None)

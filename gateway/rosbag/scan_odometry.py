@@ -29,8 +29,9 @@ COASTS: Nanos = SECOND
 """So long the speed is believed without a scan that shows it"""
 USED = 0.3
 """Share of a scan on the keyframes, below which it shows no place"""
-USUAL, PAUSE = 25, 2.5
-"""Times between scans of which the median is the usual one, and how many of those are a pause"""
+USUAL, BURST, PAUSE = 25, 4, 2.5
+"""Newest scans whose times tell how far they usually are apart: the median over so many; and how many of
+those are a pause"""
 STILL = Twist(0.0, 0.0, 0.0)
 
 
@@ -40,13 +41,14 @@ def by_scans(
     """Yield where the base was at the end of each scan, in order, from where it was at the first; with the
     speed from the one before."""
     keyframes, pose, twist = Keyframes(settings), Pose(0.0, 0.0, 0.0), STILL
-    apart: deque[float] = deque(maxlen=USUAL)
+    times: deque[Nanos] = deque(maxlen=USUAL)
     t = shown = 0
     for one in scans:
         end = one.t + max(one.duration, 0)
         if t and end <= t:
             continue
-        dt = _spent(apart, seconds(end - t)) if t else 0.0
+        times.append(end)
+        dt = _spent(times) if t else 0.0
         scan = to_body(one, mounts[one.sensor], settings.farthest, _sweep(one, twist))
         if end - shown > COASTS:  # who has gone too far to be found begins anew
             twist = STILL
@@ -68,12 +70,14 @@ def by_scans(
         yield OdometryReading(end, twist.linear, twist.angular, pose, twist.lateral)
 
 
-def _spent(apart: deque[float], dt: float) -> float:
-    """Return the time between two scans: lidars turn evenly, and stamps come in bursts. Only a pause counts
-    by its stamps."""
-    apart.append(dt)
-    usual = float(np.median(apart))
-    return usual if dt < PAUSE * usual else dt
+def _spent(times: deque[Nanos]) -> float:
+    """Return the time between the newest two scans [s]: lidars turn evenly, and stamps come in bursts. Only a
+    pause counts by its stamps."""
+    t = np.array(times, dtype=np.float64) - times[0]
+    over = min(BURST, len(t) - 1)
+    usual = float(np.median(t[over:] - t[:-over])) / over / SECOND
+    newest = float(t[-1] - t[-2]) / SECOND
+    return usual if newest < PAUSE * usual else newest
 
 
 def _sweep(scan: LaserScan, twist: Twist) -> Floats | None:
