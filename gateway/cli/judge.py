@@ -116,7 +116,7 @@ def _only(options: Namespace) -> int:
     """Return 0 if one part alone makes of each recording what was recorded (of the guard: allows it)."""
     found: list[tuple[Path, list[str], bool]] = []
     first, of = options.shard
-    paths = [one for one in judge.recordings_in(options.paths) if not is_bag(one)][first - 1 :: of]
+    paths = [one for one in judge.recordings_in(options.paths) if judge.is_ours(one)][first - 1 :: of]
     if not paths:
         raise UserError(f"no recording of this gateway in {', '.join(map(str, options.paths))}")
     with progress("judge, recordings", len(paths)) as shown:
