@@ -116,7 +116,6 @@ class Motion(NamedTuple):
         yaw = 0.006 + 0.15 * far + 0.2 * turn
         return np.diag([along * along, along * along, yaw * yaw])
 
-
     def whole(self) -> Floats:
         """Return the covariance (3 × 3) of a motion that may be none."""
         return np.diag([self.distance**2, self.distance**2, self.turn**2])
