@@ -218,7 +218,7 @@ def test_an_operator_mistake_is_a_sentence(
         ((bag, "--robot", "husky"), "no topic '/husky_velocity_controller/odom'"),
         (
             (str(Path(bag).with_name("cut.bag")), "--robot", robot),
-            "its index is absent or damaged, and no message",
+            "absent or damaged, and no message",
         ),
         ((str(tmp_path), "--robot", robot), "a folder without metadata.yaml"),
         ((str(tmp_path / "none.bag"), "--robot", robot), "No such file"),
