@@ -198,6 +198,9 @@ def check_bag(
     if brain.base is None:
         text = f"a bag moves a base, and the body is {brain.body.kind!r}; expected no such table"
         mistakes.add(("bag",), text)
+    if not bag.odometry and not bag.sensors:
+        text = "missing; expected a topic, or under sensors a lidar whose scans show how the base moved"
+        mistakes.add(("bag", "odometry"), text)
     for group, named in (("sensors", bag.sensors), ("cameras", bag.cameras)):
         for sensor in named:
             if sensors is not None and sensor not in sensors:

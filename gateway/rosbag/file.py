@@ -104,6 +104,8 @@ def _file_of(path: Path) -> tuple[Path, str]:
     """Return what to open, and a remark: of a folder without its metadata the one file that is in it."""
     if not path.is_dir() or (path / "metadata.yaml").exists() or len(files := _files(path)) != 1:
         return path, ""
+    if not is_bag(files[0]):
+        return path, ""  # a recording of this gateway
     return files[0], f"a folder without metadata.yaml: its one file is read, {files[0].name}"
 
 

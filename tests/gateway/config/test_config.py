@@ -863,8 +863,11 @@ def test_without_a_table_there_are_no_topics() -> None:
     assert load_robot("diffbot").bag is None
 
 
+NO_MOTION = (
+    "bag.odometry: missing; expected a topic, or under sensors a lidar whose scans show how the base moved"
+)
 BAG_MISTAKES = [
-    ("[bag]\n", ["r.toml:{}: bag.odometry: missing; expected a string"]),
+    ("[bag]\n", [f"r.toml:{{}}: {NO_MOTION}"]),
     ("[bag]\nodometry = 3\n", ["r.toml:{1}: bag.odometry: found 3, expected a string"]),
     (
         '[bag]\nodometry = "/o"\nimu = "/i"\n',

@@ -217,6 +217,12 @@ def test_every_missing_topic_is_reported_with_the_nearest_and_all_topics(tmp_pat
     ]
 
 
+def test_without_odometry_a_lidar_is_needed(tmp_path: Path) -> None:
+    message = refusal(write(tmp_path / "x", drive(1.0)), BagTopics("", {"imu": "/imu/data"}))
+    assert "odometry is not named, and no lidar, whose scans would show how the base moved" in message
+    assert "/odom: 10 of nav_msgs/msg/Odometry" in message
+
+
 def test_without_a_table_bag_the_topics_are_listed(tmp_path: Path) -> None:
     message = refusal(write(tmp_path / "x", drive(1.0)), None)
     assert "no table [bag]" in message

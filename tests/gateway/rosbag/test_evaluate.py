@@ -216,7 +216,10 @@ def test_an_operator_mistake_is_a_sentence(
         ((bag, "--robot", "diffbot"), "the robot file has no table [bag]"),
         ((bag, "--robot", "bench"), "has no path to evaluate"),
         ((bag, "--robot", "husky"), "no topic '/husky_velocity_controller/odom'"),
-        ((str(Path(bag).with_name("cut.bag")), "--robot", robot), "index looks damaged"),
+        (
+            (str(Path(bag).with_name("cut.bag")), "--robot", robot),
+            "absent or damaged, and no message",
+        ),
         ((str(tmp_path), "--robot", robot), "a folder without metadata.yaml"),
         ((str(tmp_path / "none.bag"), "--robot", robot), "No such file"),
         ((str(own), "--at-most", "1"), "--at-most is for bags and logs only"),

@@ -80,7 +80,7 @@ def test_a_body_and_a_topic_are_enough(tmp_path: Path, body: str, sideways: bool
         ('[bag]\nodometry = "/o"\n', 'brain: missing; expected body = "NAME" before'),
         (f'{LEAST}odometry = "/o"\nmounts = {{ lidar = {{ x = 1.0 }} }}\n', "no sensor 'lidar'"),
         (f'{LEAST}odometry = "/o"\n[sensors.imu]\naddress = 1\n', "[bag.mounts.NAME] says"),
-        (f'{LEAST}sensors = {{ imu = "/i" }}\n', "bag.odometry: missing"),
+        (f'{LEAST}base_frame = "b"\n', "bag.odometry: missing; expected a topic, or under sensors a lidar"),
         ('[brain]\nbody = "arm"\n[bag]\nodometry = "/o"\n', "brain.arm"),
         (
             '[brain]\nbody = "tracked"\ntracked = { left = "a", right = "b" }\n[bag]\nodometry = "/joints"\n',
