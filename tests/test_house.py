@@ -330,7 +330,7 @@ def test_what_is_imported_is_declared_and_the_other_way_round() -> None:
     # A distribution may bring its module through another one (mujoco through mujoco-core).
     providers = {top: {top, *(normal(name) for name in distributions[top])} for top in outside}
     optional = PROJECT["project"]["optional-dependencies"]
-    extras = [one for name, extra in optional.items() if name not in ("dev", "picture") for one in extra]
+    extras = [one for name, extra in optional.items() if name not in ("dev", "testing") for one in extra]
     declared = requirement_names([*PROJECT["project"]["dependencies"], *extras])
     assert not {top for top, names in providers.items() if not names & declared}, "imported, not declared"
     assert not declared - set().union(*providers.values()), "declared, not imported"
