@@ -116,8 +116,8 @@ class Motion(NamedTuple):
         yaw = 0.006 + 0.15 * far + 0.2 * turn
         return np.diag([along * along, along * along, yaw * yaw])
 
-    def whole(self) -> Floats:
-        """Return the covariance (3 × 3) of a motion that may be none."""
+    def if_none(self) -> Floats:
+        """Return the covariance (3 × 3) of the motion if there was none: all of it is an error."""
         return np.diag([self.distance**2, self.distance**2, self.turn**2])
 
 

@@ -205,7 +205,7 @@ class Placing:
         self._usual[name] = share or 0.0
         value = np.array([found.pose.x, found.pose.y, found.pose.yaw])
         loud, worse = self._noise(name, nis.get(name), stands=stands)
-        drift = motion.whole() if stands else worse * odometry  # a gyro's bias turns who stands
+        drift = motion.if_none() if stands else worse * odometry  # a gyro's bias turns who stands
         fix = PoseFix(name, t, value, loud * found.noise, found.shared, drift)
         return Told(agreement, fix, found.pose, placed)
 
