@@ -123,7 +123,7 @@ def run_alone(recording: Recording, robot: Robot, part: str) -> PartAlone:
     Raises:
         ConfigError: the recorded robot file is not valid any more.
         RecordingError: it is unreadable.
-        UserError: the robot is another, or has no such part.
+        UserError: the robot is another, has no such part, or the part raised with these settings.
     """
     before = parse_robot(recording.robot_text, f"{recording.path}: robot.toml")
     _check(before, robot, part)
@@ -135,7 +135,12 @@ def run_alone(recording: Recording, robot: Robot, part: str) -> PartAlone:
         began[:] = began or [now]
         first.question = None
         outputs = first.step(now, inputs)
-        found.take(now - began[0], other.take(now, inputs, first, outputs))
+        try:
+            found.take(now - began[0], other.take(now, inputs, first, outputs))
+        except Exception as error:  # a robot that runs latches it as a fault of its brain
+            when = f"{(now - began[0]) / SECOND:.3f} s after the start"
+            text = f"{part}, with the other settings, raised {type(error).__name__} {when}: {error}"
+            raise UserError(text) from error
         return outputs
 
     result = compare(

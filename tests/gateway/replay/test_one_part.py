@@ -15,6 +15,7 @@ from gateway.config import parse_robot
 from gateway.config.one_setting import with_setting
 from gateway.errors import UserError
 from gateway.recording import read_recording
+from gateway.replay import one_part
 from gateway.replay.one_part import PartAlone, differences, run_alone
 from protocols.messages import Command
 
@@ -68,6 +69,18 @@ def test_it_does_not_at_the_border_before(
     found = alone(goal, BEFORE[part], key, value)
     assert found.same, found.lines()
     assert found.ticks > 200
+
+
+def test_a_part_that_raises_is_a_sentence(
+    goal: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def broken(*_given: object) -> None:
+        raise KeyError("lookahead")
+
+    monkeypatch.setattr(one_part._Beside, "take", broken)
+    assert main(["replay", str(goal), "--only", "control", "--set", "brain.pursuit.lookahead_time=1.2"]) == 2
+    said = capsys.readouterr().err
+    assert "control, with the other settings, raised KeyError 0.000 s after the start: 'lookahead'" in said
 
 
 def test_how_far_values_are_apart_and_when_is_told() -> None:
