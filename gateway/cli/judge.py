@@ -8,6 +8,7 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from gateway.buses.log_file import is_log
 from gateway.cli import arguments
 from gateway.cli.only import add_only, check_only, only
 from gateway.cli.tasks import Engine, add_engine, run_tasks
@@ -21,6 +22,9 @@ from gateway.report import judge
 from gateway.report.judge import Judged, Verdict
 from gateway.report.self_test import self_test
 from gateway.report.two_versions import Parted, compared, settings_apart, version
+
+TASK = 1_000_000
+"""Bytes of recordings from which on a process of its own is worth its start"""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -116,7 +120,11 @@ def _only(options: Namespace) -> int:
     """Return 0 if one part alone makes of each recording what was recorded (of the guard: allows it)."""
     found: list[tuple[Path, list[str], bool]] = []
     first, of = options.shard
-    paths = [one for one in judge.recordings_in(options.paths) if judge.is_ours(one)][first - 1 :: of]
+    logs = options.only == "guard"
+    paths = [
+        one for one in judge.recordings_in(options.paths) if judge.is_ours(one) or (logs and is_log(one))
+    ]
+    paths = paths[first - 1 :: of]
     if not paths:
         raise UserError(f"no recording of this gateway in {', '.join(map(str, options.paths))}")
     with progress("judge, recordings", len(paths)) as shown:
@@ -175,12 +183,26 @@ def _verdict(one: Judged, options: Namespace) -> Verdict:
     return judge.verdict(one, expected)
 
 
-def _side_by_side(paths: Sequence[Path], options: Namespace) -> Iterator[Judged]:
-    """Judge each recording in a process of its own; one that dies is that recording's error."""
+def _side_by_side(paths: Sequence[Path], options: Namespace, least: int = TASK) -> Iterator[Judged]:
+    """Judge recordings in other processes, `least` bytes in each; where one dies, each of its recordings in
+    one of its own: what kills that too has that as its error."""
+    groups: list[list[Path]] = []
+    size = least
+    for path in paths:
+        if size >= least:
+            groups.append([])
+            size = 0
+        groups[-1].append(path)
+        size += path.stat().st_size if path.is_file() else least
     more = () if options.robot is None else ("--robot", options.robot)
-    tasks = [["judge", str(path), *more] for path in paths]
-    for path, (text, error) in zip(paths, run_tasks(tasks, options.engine), strict=True):
-        yield Judged(str(path), "", error=error) if error else judge.from_json(json.loads(text)[0])
+    tasks = [["judge", *map(str, group), *more] for group in groups]
+    for group, (text, error) in zip(groups, run_tasks(tasks, options.engine), strict=True):
+        if not error:
+            yield from map(judge.from_json, json.loads(text))
+        elif len(group) > 1:
+            yield from _side_by_side(group, options, 0)
+        else:
+            yield Judged(str(group[0]), "", error=error)
 
 
 def _results(path: Path) -> list[Judged]:

@@ -6,6 +6,7 @@ import json
 import re
 import subprocess
 import sys
+from collections.abc import Iterator, Sequence
 from math import cos, sin
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -14,6 +15,7 @@ import pytest
 
 import gateway as gw
 from gateway.cli.main import main
+from gateway.cli.tasks import Engine, Result, run_tasks
 from gateway.config import resources
 from protocols.messages import SECOND
 from tests.gateway.rosbag.strangers import carmen_log, motion
@@ -78,6 +80,30 @@ def test_side_by_side_and_in_shards_the_report_is_the_same_to_the_byte(suite: Pa
         assert main(["judge", str(suite), "--shard", f"{number}/2", "--json", shard]) == 0
     assert {len(json.loads(Path(shard).read_text())) for shard in shards} == {1, 2}
     assert report(*shards) == whole
+
+
+def test_of_a_process_that_dies_each_recording_is_judged_alone(
+    suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def dying(tasks: Sequence[Sequence[str]], engine: Engine) -> Iterator[Result]:
+        alive = iter(run_tasks([task for task in tasks if len(task) == 2], engine))
+        for task in tasks:
+            yield next(alive) if len(task) == 2 else ("", "its process ended with status -9: killed")
+
+    told = {}
+    for engine in (run_tasks, dying):
+        monkeypatch.setattr("gateway.cli.judge.run_tasks", engine)
+        assert main(["judge", str(suite), "--jobs", "2", "--json", str(tmp_path / "j")]) == 0
+        told[engine.__name__] = (tmp_path / "j").read_bytes()
+    assert told["dying"] == told["run_tasks"]
+
+
+def test_logs_are_asked_of_the_guard_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "foreign.log").write_text("(1.000000) can0 00D#0000F04100000000\n")  # 30 turns a second
+    assert main(["judge", str(tmp_path), "--only", "guard", "--robot", "bench"]) == 1
+    assert "guard alone: 0 of 1 recordings would have been allowed" in capsys.readouterr().out
+    assert main(["judge", str(tmp_path), "--only", "control", "--robot", "bench"]) == 2
+    assert "no recording of this gateway in" in capsys.readouterr().err
 
 
 def test_another_robot_is_told_by_its_figures_bytes_and_cause(
