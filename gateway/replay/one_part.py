@@ -89,7 +89,7 @@ class PartAlone:
             told += [f"  {line}" for line in self.objection.splitlines()]
             told += ["what follows is held against what the program of today makes of them"]
         if not self.differing:
-            return [*told, "the same in every tick"]
+            return told + ["the same in every tick"] * bool(self.ticks)
         told += [*self.first.splitlines(), f"{self.differing} of {self.ticks} ticks differ"]
         for name, one in [*self.partings.items()][:SHOWN]:
             most = f", by {one.most:.6g} at most, at {one.at / SECOND:.3f} s" if one.most else ""
