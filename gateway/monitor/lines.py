@@ -23,6 +23,8 @@ FEW = 8
 """Answers, or bytes, in a period that are no matter."""
 SHARE = 0.02
 """Share of the answers that may be lost without a word: a line is no ideal one."""
+BY_CHANCE = 0.05
+"""Share of questions that garbage answers by chance: one in 256 places of it fits a checksum of 8 bits."""
 KEPT = 512
 """Bytes of a line that are looked at."""
 _COUNTED = ("answered", "lost", "cut", "late", "stray")
@@ -83,7 +85,7 @@ class LineTroubles:
 
     def _why(self, name: str, line: Line, new: Mapping[str, int]) -> str:
         """Return the likeliest cause of garbage in place of answers."""
-        if not new["answered"]:
+        if new["answered"] <= BY_CHANCE * (new["lost"] + new["answered"]):
             rate, errors = line.rate, getattr(self._buses.get(name), "errors", 0)
             return (
                 verdict(self._heard[name], rate, errors)
