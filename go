@@ -351,7 +351,7 @@ def set_up(all_of_it: bool) -> None:
         lock.write(part)
         lock.flush()
         began = time.monotonic()
-        report("setting up .venv (once, and whenever the lock changes; one to four minutes)")
+        report("setting up .venv (once, and whenever the lock changes; half a minute to four minutes)")
         if STAMP.exists():
             STAMP.unlink()
         install(uv, python, Path(lock.name))
