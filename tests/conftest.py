@@ -17,6 +17,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from tests import runs
+
 settings.register_profile("busy", deadline=None)  # no test judges the clock: the machine may be busy
 settings.load_profile("busy")
 
@@ -97,6 +99,12 @@ def level_of_the_log() -> Iterator[None]:
     before = log.level
     yield
     log.setLevel(before)
+
+
+@pytest.fixture(autouse=True)
+def ended_runs() -> Iterator[None]:
+    with runs.ended():
+        yield
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)

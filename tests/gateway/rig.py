@@ -16,6 +16,7 @@ from gateway.core.tick import Note, Tick
 from gateway.runtime.loop import Record, live
 from gateway.runtime.timing import LoopStats
 from protocols.messages import SECOND, Command, Instruction, Nanos
+from tests.runs import kept
 
 BENCH = """
 name = "rig"
@@ -64,14 +65,16 @@ class Rig:
         self.reasons: list[str] = []
         """To leave; may be added at any time."""
         self._queued: list[Instruction] = []
-        self._live = live(
-            self.gateway,
-            self.world.buses,
-            self.clock,
-            poll=lambda: self.poll(),
-            record=self._record,
-            stats=self.stats,
-            reasons=self.reasons,
+        self._live = kept(
+            live(
+                self.gateway,
+                self.world.buses,
+                self.clock,
+                poll=lambda: self.poll(),
+                record=self._record,
+                stats=self.stats,
+                reasons=self.reasons,
+            )
         )
 
     def _record(self, tick: Tick, belief: Belief) -> None:

@@ -20,6 +20,7 @@ from gateway.recording import read_recording
 from gateway.runtime import loop
 from gateway.runtime.timing import LoopStats
 from protocols.messages import MILLISECOND, SECOND, Goal, Idle, Mode, Nanos, Velocity
+from tests import runs
 from tests.gateway.processes import Process
 from tests.gateway.rig import BENCH, Rig, sent_commands
 
@@ -94,6 +95,15 @@ def test_the_wall_clock_moves_forward_and_waits() -> None:
     before = time.time_ns()
     read = clock.now() + clock.system_offset()
     assert before - SECOND < read < time.time_ns() + SECOND
+
+
+def test_a_run_that_a_test_leaves_open_ends_with_it() -> None:
+    with runs.ended():
+        rig = Rig()
+        rig.run(0.3)
+        rig.run(0.5, Velocity("left", 2.0))
+        assert rig.gateway.still_armed()
+    assert not rig.gateway.still_armed()
 
 
 @pytest.fixture
