@@ -124,6 +124,7 @@ class Map(Tiles):
         ends = self._placed(*self._parts(columns, rows))
         before = self._values[ends]
         cleared = self._lower(passed)
+        del passed
         self._fill(start, beams * per, scan)
         self._raise(ends, before, self._agree(hit, before))
         cleared = cleared[self._values[cleared] < 0]
@@ -208,6 +209,7 @@ class Map(Tiles):
         path >>= FRACTION
         path &= TILE - 1
         cells |= path
+        del path
         return self._placed(tiles, cells)
 
 

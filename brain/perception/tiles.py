@@ -170,7 +170,10 @@ class Tiles:
         and theirs in the tile: a tile that does not exist is made."""
         places: Indices = self._window.take(tiles)
         if not places.all():
-            for number in np.unique(tiles[places == 0]).tolist():
+            del places  # growing copies all values
+            asked = np.zeros(self._window.shape, dtype=np.bool_)
+            asked.put(tiles, True)
+            for number in np.flatnonzero(asked & (self._window == 0)).tolist():
                 row, column = divmod(number, self._across)
                 self._make((self._index(row, 0), self._index(column, 1)), number)
             places = self._window.take(tiles)
