@@ -19,11 +19,13 @@ from protocols.frames import EXTENDED_BIT, CanFrame
 from protocols.messages import MILLISECOND, Feedback, Nanos
 from protocols.plugin import Twin
 from protocols.toolkit.serial import crc
-from tests.gateway.processes import eventually
+from tests.gateway.processes import PATIENCE, eventually
 
 CRC8 = crc(8, 0x07, reflected=False)
 INERTIA = 0.01
 """kg·m² of the shaft"""
+WAIT_MS = round(PATIENCE * 1e3)
+"""ms that it waits for an answer: its own 1000 are too few beside what else the machine has to do"""
 
 
 class Bench:

@@ -11,7 +11,7 @@ from protocols.robstride import plugin
 from protocols.robstride.options import Model, Options, Settings
 from protocols.robstride.table import ANY, HOST, table_of
 from protocols.robstride.twin import RobStrideTwin
-from tests.protocols.motorbridge import Bench, connected, drive, received
+from tests.protocols.motorbridge import WAIT_MS, Bench, connected, drive, received
 
 
 def bench_of(model: Model) -> Bench:
@@ -28,9 +28,9 @@ def test_it_finds_sets_up_and_moves_a_motor(model: Model) -> None:
     bench, table = bench_of(model), table_of(model)
     with connected(bench) as controller:
         motor = controller.add_robstride_motor(5, HOST, model.lower().replace("rs", "rs-"))
-        assert motor.robstride_ping() == (5, 0xFE)
-        assert motor.robstride_get_param_f32(0x701C) == 48.0
-        assert motor.robstride_get_param_i8(0x7005) == 0
+        assert motor.robstride_ping_host_id(0xFD, WAIT_MS) == (5, 0xFE)
+        assert motor.robstride_get_param_f32(0x701C, WAIT_MS) == 48.0
+        assert motor.robstride_get_param_i8(0x7005, WAIT_MS) == 0
         (frame,) = received(bench, 1, motor.enable)
         assert frame == ANY.encode("enable", 5)
         (frame,) = received(bench, 1, lambda: motor.send_mit(1.0, -2.0, 20.0, 1.5, 3.0))
@@ -55,12 +55,12 @@ def test_its_velocity_and_position_modes() -> None:
     bench = bench_of("RS02")
     with connected(bench) as controller:
         motor = controller.add_robstride_motor(5, HOST, "rs-02")
-        motor.ensure_mode(Mode.VEL)
+        motor.ensure_mode(Mode.VEL, WAIT_MS)
         motor.enable()
         drive(bench, lambda: motor.send_vel(3.0))
         assert bench.velocity == pytest.approx(3.0, abs=0.05)
         motor.disable()
-        motor.ensure_mode(Mode.ROBSTRIDE_POS_VEL_CSP)
+        motor.ensure_mode(Mode.ROBSTRIDE_POS_VEL_CSP, WAIT_MS)
         motor.enable()
         drive(bench, lambda: motor.robstride_send_pos_vel_csp(4.0, 5.0), 250)
         assert bench.position == pytest.approx(4.0, abs=0.05)
