@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from select import select
 
 import motorbridge
+from motorbridge.errors import CallError
 
 from gateway.buses.adapters.dm_serial import EmulatedAdapter
 from protocols.frames import EXTENDED_BIT, CanFrame
@@ -111,6 +112,19 @@ def connected(bench: Bench, *, dm_serial: bool = False) -> Iterator[motorbridge.
         server.join()
         os.close(theirs)
         os.close(ours)
+
+
+def set_mode(motor: motorbridge.Motor, mode: motorbridge.Mode) -> None:
+    """Have a mode set, as often as it takes: whatever it is told, motorbridge waits 50 ms for some answers."""
+
+    def done() -> bool:
+        try:
+            motor.ensure_mode(mode, WAIT_MS)
+        except CallError:
+            return False
+        return True
+
+    assert eventually(done)
 
 
 def received(bench: Bench, count: int, act: Callable[[], None]) -> list[CanFrame]:

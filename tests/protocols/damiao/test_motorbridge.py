@@ -11,7 +11,7 @@ from protocols.damiao.options import Options, Settings
 from protocols.damiao.table import ANY, about_register, table_of
 from protocols.damiao.twin import DamiaoTwin
 from protocols.plugin import Device
-from tests.protocols.motorbridge import WAIT_MS, Bench, connected, drive, received
+from tests.protocols.motorbridge import WAIT_MS, Bench, connected, drive, received, set_mode
 
 
 @pytest.fixture
@@ -30,7 +30,7 @@ def test_it_sets_up_and_moves_a_motor_in_three_modes(bench: Bench, twin: DamiaoT
     with connected(bench, dm_serial=True) as controller:
         motor = controller.add_damiao_motor(1, 0x11, "4310")
         assert motor.get_register_f32(21, WAIT_MS) == 12.5
-        motor.ensure_mode(Mode.MIT, WAIT_MS)
+        set_mode(motor, Mode.MIT)
         assert motor.get_register_u32(10, WAIT_MS) == 1
         assert ANY.encode("enable", 1) in received(bench, 1, motor.enable)
         (frame,) = received(bench, 1, lambda: motor.send_mit(1.0, -2.0, 50.0, 1.5, 3.0))
@@ -42,12 +42,12 @@ def test_it_sets_up_and_moves_a_motor_in_three_modes(bench: Bench, twin: DamiaoT
         drive(bench, lambda: motor.send_mit(1.0, 0.0, 20.0, 1.0, 0.0), 300)
         assert bench.position == pytest.approx(1.0, abs=0.02)
         assert ANY.encode("disable", 1) in received(bench, 1, motor.disable)
-        motor.ensure_mode(Mode.VEL, WAIT_MS)
+        set_mode(motor, Mode.VEL)
         motor.enable()
         drive(bench, lambda: motor.send_vel(3.0))
         assert bench.velocity == pytest.approx(3.0, abs=0.05)
         motor.disable()
-        motor.ensure_mode(Mode.POS_VEL, WAIT_MS)
+        set_mode(motor, Mode.POS_VEL)
         motor.enable()
         drive(bench, lambda: motor.send_pos_vel(4.0, 5.0))
         assert bench.position == pytest.approx(4.0, abs=0.05)

@@ -11,7 +11,7 @@ from protocols.robstride import plugin
 from protocols.robstride.options import Model, Options, Settings
 from protocols.robstride.table import ANY, HOST, table_of
 from protocols.robstride.twin import RobStrideTwin
-from tests.protocols.motorbridge import WAIT_MS, Bench, connected, drive, received
+from tests.protocols.motorbridge import WAIT_MS, Bench, connected, drive, received, set_mode
 
 
 def bench_of(model: Model) -> Bench:
@@ -55,12 +55,12 @@ def test_its_velocity_and_position_modes() -> None:
     bench = bench_of("RS02")
     with connected(bench) as controller:
         motor = controller.add_robstride_motor(5, HOST, "rs-02")
-        motor.ensure_mode(Mode.VEL, WAIT_MS)
+        set_mode(motor, Mode.VEL)
         motor.enable()
         drive(bench, lambda: motor.send_vel(3.0))
         assert bench.velocity == pytest.approx(3.0, abs=0.05)
         motor.disable()
-        motor.ensure_mode(Mode.ROBSTRIDE_POS_VEL_CSP, WAIT_MS)
+        set_mode(motor, Mode.ROBSTRIDE_POS_VEL_CSP)
         motor.enable()
         drive(bench, lambda: motor.robstride_send_pos_vel_csp(4.0, 5.0), 250)
         assert bench.position == pytest.approx(4.0, abs=0.05)
