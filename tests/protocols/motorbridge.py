@@ -115,7 +115,7 @@ def connected(bench: Bench, *, dm_serial: bool = False) -> Iterator[motorbridge.
 
 
 def set_mode(motor: motorbridge.Motor, mode: motorbridge.Mode) -> None:
-    """Have a mode set, as often as it takes: whatever it is told, motorbridge waits 50 ms for some answers."""
+    """Ask for a mode until it is set: motorbridge waits 50 ms for some answers, whatever it is told."""
 
     def done() -> bool:
         try:
