@@ -6,6 +6,7 @@ import gc
 import json
 from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 from gateway.buses.log_file import is_log
@@ -20,6 +21,7 @@ from gateway.errors import GatewayError, RecordingError, UserError
 from gateway.recording.new_file import replace_with
 from gateway.report import judge
 from gateway.report.judge import Judged, Verdict
+from gateway.report.part_versions import part_compared
 from gateway.report.self_test import self_test
 from gateway.report.two_versions import Parted, compared, settings_apart, version
 
@@ -58,7 +60,7 @@ def run(options: Namespace) -> int:
     """Return 1 unless all are as expected."""
     if options.expected is not None and not options.expected.is_dir():
         raise UserError(f"--expected {options.expected}: there is no such folder")
-    check_only(options, ("update", "expected", "within", "self_test", "against", "json", "junit"))
+    check_only(options, ("update", "expected", "within", "self_test", "json", "junit"))
     if options.only is not None:
         return _only(options)
     robot = None if options.robot is None else load_robot(options.robot, recorded=True)
@@ -117,30 +119,40 @@ def _self_test(options: Namespace) -> int:
 
 
 def _only(options: Namespace) -> int:
-    """Return 0 if one part alone makes of each recording what was recorded (of the guard: allows it)."""
+    """Return 0 if one part alone makes of each recording what was recorded, or what it makes in another
+    version (of the guard without one: allows it)."""
     found: list[tuple[Path, list[str], bool]] = []
     first, of = options.shard
-    logs = options.only == "guard"
+    part, against = options.only, options.against
+    logs = part == "guard" and against is None
     paths = [
         one for one in judge.recordings_in(options.paths) if judge.is_ours(one) or (logs and is_log(one))
     ]
     paths = paths[first - 1 :: of]
     if not paths:
         raise UserError(f"no recording of this gateway in {', '.join(map(str, options.paths))}")
-    with progress("judge, recordings", len(paths)) as shown:
+    with ExitStack() as stack:
+        before = None if against is None else stack.enter_context(version(against))
+        shown = stack.enter_context(progress("judge, recordings", len(paths)))
         for path in paths:
             try:
-                found.append((path, *only(path, options)))
+                if before is None:
+                    found.append((path, *only(path, options)))
+                else:
+                    apart = part_compared(path, before, part)
+                    found.append((path, apart.lines(), apart.same))
             except GatewayError as error:
                 found.append((path, [f"NOT RUN: {error}"], False))
             shown.update(len(found))
     lines = [line for path, told, _ in found for line in (f"{path}:", *(f"  {one}" for one in told))]
     good = sum(same for *_, same in found)
-    what = "would have been allowed" if options.only == "guard" else "give the same"
-    lines.append(f"{options.only} alone: {good} of {len(found)} recordings {what}")
+    what = (
+        "would have been allowed" if logs else "give the same" + f" as in {against}" * (against is not None)
+    )
+    lines.append(f"{part} alone: {good} of {len(found)} recordings {what}")
     print("\n".join(map(escaped, lines)))
     if options.report is not None:
-        _write(options.report, f"# {options.only} alone\n\n```\n" + "\n".join(lines) + "\n```\n")
+        _write(options.report, f"# {part} alone\n\n```\n" + "\n".join(lines) + "\n```\n")
     return 0 if good == len(found) else 1
 
 

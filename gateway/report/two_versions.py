@@ -110,6 +110,13 @@ def version(given: str) -> Iterator[Path]:
         yield Path(folder)
 
 
+def environment_of(folder: Path) -> dict[str, str]:
+    """Return the environment of a process that runs the program in a folder."""
+    # what is compiled of a file would outlive its turn
+    own = {"PYTHONPATH": str(folder), "OPENBLAS_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
+    return {**os.environ, **own}
+
+
 class Version:
     """A process that runs inputs by the program in a folder.
 
@@ -117,15 +124,13 @@ class Version:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        environment = {**os.environ, "PYTHONPATH": str(folder), "OPENBLAS_NUM_THREADS": "1"}
-        environment["PYTHONDONTWRITEBYTECODE"] = "1"  # what is compiled of a file would outlive its turn
         self._process = subprocess.Popen(
             [sys.executable, "-P", run_inputs.__file__],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             text=True,
-            env=environment,
+            env=environment_of(folder),
         )
         self._answer()
 
@@ -172,7 +177,7 @@ class Differs:
         """Return the first step in which they do."""
         with tempfile.TemporaryDirectory() as folder:
             inputs = Path(folder, "inputs.mcap")
-            _write_inputs(inputs, log)
+            write_inputs(inputs, log)
             old, new = (each.run(inputs) for each in self._versions)
         if "error" in old or "error" in new:
             return None
@@ -182,7 +187,7 @@ class Differs:
         """Return why there is no answer, if there is none."""
         with tempfile.TemporaryDirectory() as folder:
             inputs = Path(folder, "inputs.mcap")
-            _write_inputs(inputs, log)
+            write_inputs(inputs, log)
             errors = [each.run(inputs).get("error", "") for each in self._versions]
         return [f"not compared: {error}" for error in errors if error] or [
             "both versions send the same packets"
@@ -192,7 +197,7 @@ class Differs:
         """Write a recording of what the version of before makes of inputs, which must not exist yet."""
         with tempfile.TemporaryDirectory() as folder:
             inputs = Path(folder, "inputs.mcap")
-            _write_inputs(inputs, log)
+            write_inputs(inputs, log)
             self._versions[0].run(inputs, target)
 
     def close(self) -> None:
@@ -213,7 +218,7 @@ def compared(path: Path, before: Path, now: Path = HERE) -> Parted:
         names = ("inputs.mcap", "before.mcap", "now.mcap", "before.npz", "now.npz", "short.mcap")
         inputs, recorded, recorded_now, signals, signals_now, short = (Path(folder, name) for name in names)
         log = input_log(read_recording(path))
-        _write_inputs(inputs, log)
+        write_inputs(inputs, log)
         old = _run_once(before, inputs, recorded, signals)
         new = _run_once(now, inputs, recorded_now, signals_now)
         if error := old.get("error") or new.get("error"):
@@ -223,7 +228,7 @@ def compared(path: Path, before: Path, now: Path = HERE) -> Parted:
             return Parted(str(path))
         at = log.ticks[tick]
         since = (at.now - log.ticks[0].now) / SECOND
-        _write_inputs(short, log.with_ticks(log.ticks[: tick + 1]))
+        write_inputs(short, log.with_ticks(log.ticks[: tick + 1]))
         sides = (("before", old), ("now", new))
         failed = [f"{side} fails: {each['failed']}" for side, each in sides if each["failed"]]
         first = "\n".join(failed) or _first_packet(log.robot, recorded, recorded_now)
@@ -240,7 +245,8 @@ def _run_once(folder: Path, inputs: Path, outputs: Path | None, signals: Path | 
         one.close()
 
 
-def _write_inputs(path: Path, log: InputLog) -> None:
+def write_inputs(path: Path, log: InputLog) -> None:
+    """Write a recording of inputs alone, which must not exist yet."""
     file = RecordingFile(path, log, {}, anew=False)
     for tick, belief in inputs_alone(log):
         file.add(tick, belief)

@@ -10,9 +10,11 @@ import pytest
 import gateway as gw
 from gateway.cli.main import main
 from gateway.config import load_robot, resources
+from gateway.errors import RecordingError
 from gateway.recording import read_recording
 from gateway.replay.input_log import input_log
 from gateway.report.minimise import minimise
+from gateway.report.part_versions import part_compared
 from gateway.report.two_versions import ALONE, NOT_ALONE, Differs, compared, settings_apart
 from protocols.messages import SECOND
 from tests.gateway.report.defects import DECOYS, DEFECTS, Defect, versions
@@ -84,6 +86,79 @@ def test_a_defect_is_named_by_signal_second_and_file(
     assert found.files == {defect.file: ALONE} | dict.fromkeys(DECOYS, NOT_ALONE)
 
 
+# fmt: off
+ALONE_IN = [
+    # defect, part, since, and a value that parts; "": none does
+    ("a sign", "driver", (1.2, 1.4), "left: obeys Velocity.velocity"),
+    ("a sign", "control", None, ""),
+    ("a limit not applied", "driver", (1.2, 1.4), "left: obeys Velocity.velocity"),
+    ("a swapped wheel", "control", (0.1, 1.0), "left: velocity"),
+    ("a swapped wheel", "planning", None, ""),
+    ("a mirrored scan", "perception", (0.1, 2.0), "the base: sight.map.digest"),
+    ("a mirrored scan", "planning", None, ""),
+    ("a mirrored scan", "guard", None, ""),
+]
+# fmt: on
+
+
+@pytest.mark.parametrize(("name", "part", "since", "value"), sampled(ALONE_IN, 3))
+def test_a_defect_is_seen_in_its_own_part_alone(
+    name: str,
+    part: str,
+    since: tuple[float, float] | None,
+    value: str,
+    request: pytest.FixtureRequest,
+    tmp_path: Path,
+) -> None:
+    (defect,) = (one for one in DEFECTS if one.name == name)
+    before, after = versions(tmp_path, defect)
+    found = part_compared(request.getfixturevalue(defect.recording), before, part, after)
+    if since is None:
+        assert found.same, found.lines()
+        assert found.ticks > 200
+    else:
+        assert not found.objection
+        assert value in found.partings, found.lines()
+        (at,) = re.findall(r"first in tick \d+, ([\d.]+) s after the start", found.first)
+        assert since[0] <= float(at) <= since[1]
+
+
+def test_files_of_a_part_that_do_not_fit_alone_are_told(turn: Path, tmp_path: Path) -> None:
+    before, after = versions(tmp_path, DEFECTS[0])
+    new = after / "brain/planning/anew.py"
+    new.write_text("LONGEST = 3.0\n")
+    motion = after / "brain/control/motion.py"
+    motion.write_text(motion.read_text() + "\nfrom brain.planning.anew import LONGEST  # noqa\n")
+    found = part_compared(turn, before, "control", after)
+    assert found.notes == [
+        "the whole of today's version: its own files do not fit into that of before (ModuleNotFoundError: "
+        "No module named 'brain.planning.anew')"
+    ]
+    assert found.ticks > 200
+    motion.write_text("broken(")
+    with pytest.raises(RecordingError, match="today's version cannot run control alone: SyntaxError"):
+        part_compared(turn, before, "control", after)
+    with pytest.raises(RecordingError, match="the version of before cannot run control alone: SyntaxError"):
+        part_compared(turn, after, "control", before)
+
+
+def test_what_comes_back_to_a_part_ends_the_comparison(
+    goal: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before, _ = versions(tmp_path, DEFECTS[3])
+    file = before / "gateway/core/measured.py"
+    line = "return self.received_at is None or now - self.received_at > self._timeout"
+    assert line in file.read_text()
+    file.write_text(file.read_text().replace(line, "return now > 1_500_000_000"))
+    report = tmp_path / "parts.md"
+    command = ["judge", str(goal), "--against", str(before), "--only", "driver", "--report", str(report)]
+    assert main(command) == 1
+    told = capsys.readouterr().out
+    assert re.search(r"compared up to tick \d+: what it is given is another from then on, too", told)
+    assert "driver alone: 0 of 1 recordings give the same as in" in told
+    assert "# driver alone" in report.read_text()
+
+
 @pytest.mark.prove
 @pytest.mark.parametrize("defect", DEFECTS, ids=[one.name for one in DEFECTS])
 def test_what_remains_of_a_defect_is_shorter_than_two_seconds(
@@ -128,6 +203,9 @@ WRONG = [
     (["judge", "{turn}", "--against", ".", "--update"], r"another version.*: leave --update away"),
     (["minimise", "{turn}", "--while", "differs"], r"`--while differs` and --against REV go together"),
     (["minimise", "{turn}", "--while", "raises", "--against", "."], r"go together: from which version"),
+    (["judge", "{turn}", "--against", ".", "--only", "control", "--set", "rate_hz=100"], r"leave --robot and --set"),
+    (["judge", "{turn}", "--against", "no-such", "--only", "guard"], r"neither a folder with the rooms nor a rev"),
+    (["judge", "{turn}", "--against", ".", "--only", "guard", "--json", "x"], r"one part alone: leave --json"),
 ]
 # fmt: on
 
