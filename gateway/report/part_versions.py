@@ -12,21 +12,20 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 from gateway.errors import RecordingError
 from gateway.recording import read_recording
-from gateway.recording.environment import ROOMS
 from gateway.replay.input_log import input_log
 from gateway.replay.one_part import PartAlone
 from gateway.report import run_border
-from gateway.report.two_versions import HERE, changed_files, environment_of, write_inputs
+from gateway.report.two_versions import HERE, changed_files, copy_rooms, environment_of, swapped, write_inputs
 from protocols.messages import Nanos
 
 FILES: Mapping[str, tuple[str, ...]] = {
@@ -61,14 +60,18 @@ def part_compared(path: Path, before: Path, part: str, now: Path = HERE) -> Part
             inputs = path
         else:
             write_inputs(inputs, log)
-        if error := _run(before, inputs, sides[0], part):
+        compiled, mixed = folder / "compiled", folder / "mixed"
+        copy_rooms(before, mixed)
+        if error := _run(mixed, compiled, inputs, sides[0], part):
             raise RecordingError(f"the version of before cannot run {part} alone: {error}")
         error, found = "", None
         for names, told in _mixtures(part, changed_files(before, now)):
-            mixed = now if names is None else _with_files(before, now, names, folder / "mixed")
-            if (failed := _run(mixed, inputs, sides[1], part)) and (names is None or not error):
-                error = failed
+            with ExitStack() as stack:
+                for each in names or ():
+                    stack.enter_context(swapped(mixed / each, now / each))
+                failed = _run(now if names is None else mixed, compiled, inputs, sides[1], part)
             if failed:
+                error = failed if names is None or not error else error
                 continue
             found = PartAlone(part, sides=("before", "now"), notes=[told.format(error)] * bool(told))
             _compare(found, sides, times)
@@ -99,25 +102,12 @@ def _some(names: Sequence[str]) -> str:
     return ", ".join(names[:SHOWN]) + f" and {len(names) - SHOWN} more" * (len(names) > SHOWN)
 
 
-def _with_files(before: Path, now: Path, names: Sequence[str], mixed: Path) -> Path:
-    """Return a folder with the rooms of before, and in it these files of today."""
-    shutil.rmtree(mixed, ignore_errors=True)
-    for room in ROOMS:
-        ignored = shutil.ignore_patterns("__pycache__", "fixtures")
-        shutil.copytree(before / room, mixed / room, ignore=ignored)
-    for name in names:
-        if (now / name).is_file():
-            (mixed / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(now / name, mixed / name)
-        else:
-            (mixed / name).unlink()
-    return mixed
-
-
-def _run(folder: Path, inputs: Path, values: Path, part: str) -> str:
+def _run(folder: Path, compiled: Path, inputs: Path, values: Path, part: str) -> str:
     """Run a recording's inputs by the program in a folder; return why that cannot be, or ""."""
     command = [sys.executable, "-P", run_border.__file__, str(inputs), str(values), part]
-    done = subprocess.run(command, capture_output=True, check=False, text=True, env=environment_of(folder))
+    done = subprocess.run(
+        command, capture_output=True, check=False, text=True, env=environment_of(folder, compiled)
+    )
     try:
         answer: dict[str, Any] = json.loads(done.stdout)
     except ValueError:

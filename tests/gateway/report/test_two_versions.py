@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -88,75 +89,73 @@ def test_a_defect_is_named_by_signal_second_and_file(
 
 # fmt: off
 ALONE_IN = [
-    # defect, part, since, and a value that parts; "": none does
-    ("a sign", "driver", (1.2, 1.4), "left: obeys Velocity.velocity"),
-    ("a sign", "control", None, ""),
-    ("a limit not applied", "driver", (1.2, 1.4), "left: obeys Velocity.velocity"),
-    ("a swapped wheel", "control", (0.1, 1.0), "left: velocity"),
-    ("a swapped wheel", "planning", None, ""),
-    ("a mirrored scan", "perception", (0.1, 2.0), "the base: sight.map.digest"),
-    ("a mirrored scan", "planning", None, ""),
-    ("a mirrored scan", "guard", None, ""),
+    # defect, recording, part, and what is told: of the first value, and of the rest; none: it is the same
+    ("a swapped wheel", "goal", "control", (r"tick \d\d, 0\.\d+ s after the start: left: velocity", "right: vel")),
+    ("a swapped wheel", "goal", "planning", ()),
+    ("a sign", "turn", "driver", (r"tick \d+, 1\.[23]\d+ s after the start: left: obeys Velocity\.velocity",)),
+    ("a sign", "turn", "control", ()),
+    ("a limit not applied", "turn", "driver", (r"left: obeys Velocity\.velocity",)),
+    ("a mirrored scan", "goal", "perception", (r"the base: sight\.map\.digest",)),
+    ("a mirrored scan", "goal", "planning", ()),
+    ("a mirrored scan", "goal", "guard", ()),
+    ("a unit", "goal", "driver", (r"compared up to tick \d+: what it is given is another .* came back", "events: v")),
 ]
 # fmt: on
 
 
-@pytest.mark.parametrize(("name", "part", "since", "value"), sampled(ALONE_IN, 3))
+@pytest.mark.parametrize(("name", "recording", "part", "told"), sampled(ALONE_IN, 9))
 def test_a_defect_is_seen_in_its_own_part_alone(
     name: str,
+    recording: str,
     part: str,
-    since: tuple[float, float] | None,
-    value: str,
+    told: Sequence[str],
     request: pytest.FixtureRequest,
     tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     (defect,) = (one for one in DEFECTS if one.name == name)
-    before, after = versions(tmp_path, defect)
-    found = part_compared(request.getfixturevalue(defect.recording), before, part, after)
-    if since is None:
-        assert found.same, found.lines()
-        assert found.ticks > 200
-    else:
-        assert not found.objection
-        assert value in found.partings, found.lines()
-        (at,) = re.findall(r"first in tick \d+, ([\d.]+) s after the start", found.first)
-        assert since[0] <= float(at) <= since[1]
+    _, broken = versions(tmp_path, defect)
+    path, report = str(request.getfixturevalue(recording)), tmp_path / "parts.md"
+    command = ["judge", path, "--against", str(broken), "--only", part, "--report", str(report)]
+    assert main(command) == bool(told)
+    found = capsys.readouterr().out
+    assert re.search(
+        rf"^  {part} alone, on what it was given in (\d\d|[4-9]\d\d) recorded ticks$", found, re.M
+    )
+    assert f"{part} alone: {0 if told else 1} of 1 recordings give the same as in {broken}" in found
+    assert all(re.search(one, found) for one in told), found
+    assert ("the same in every tick" in found) is not bool(told)
+    assert found in report.read_text()
 
 
-def test_files_of_a_part_that_do_not_fit_alone_are_told(turn: Path, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def brief(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bench whose motor sets out."""
+    path = tmp_path_factory.mktemp("versions") / "brief.mcap"
+    with gw.open_session("bench", simulated=True, record=path) as session:
+        for _ in session.run(0.3):
+            session.submit(gw.Velocity("left", 2.0))
+    return path
+
+
+def test_files_of_a_part_that_do_not_fit_alone_are_told(brief: Path, tmp_path: Path) -> None:
     before, after = versions(tmp_path, DEFECTS[0])
-    new = after / "brain/planning/anew.py"
-    new.write_text("LONGEST = 3.0\n")
+    (after / "brain/planning/anew.py").write_text("LONGEST = 3.0\n")
     motion = after / "brain/control/motion.py"
     motion.write_text(motion.read_text() + "\nfrom brain.planning.anew import LONGEST  # noqa\n")
-    found = part_compared(turn, before, "control", after)
-    assert found.notes == [
-        "the whole of today's version: its own files do not fit into that of before (ModuleNotFoundError: "
-        "No module named 'brain.planning.anew')"
-    ]
-    assert found.ticks > 200
+    found = part_compared(brief, before, "control", after)
+    (note,) = found.notes
+    assert note.startswith(
+        "the whole of today's version: its own files do not fit into that of before (Module"
+    )
+    assert "No module named 'brain.planning.anew'" in note
+    assert found.ticks > 60
     motion.write_text("broken(")
-    with pytest.raises(RecordingError, match="today's version cannot run control alone: SyntaxError"):
-        part_compared(turn, before, "control", after)
     with pytest.raises(RecordingError, match="the version of before cannot run control alone: SyntaxError"):
-        part_compared(turn, after, "control", before)
-
-
-def test_what_comes_back_to_a_part_ends_the_comparison(
-    goal: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    before, _ = versions(tmp_path, DEFECTS[3])
-    file = before / "gateway/core/measured.py"
-    line = "return self.received_at is None or now - self.received_at > self._timeout"
-    assert line in file.read_text()
-    file.write_text(file.read_text().replace(line, "return now > 1_500_000_000"))
-    report = tmp_path / "parts.md"
-    command = ["judge", str(goal), "--against", str(before), "--only", "driver", "--report", str(report)]
-    assert main(command) == 1
-    told = capsys.readouterr().out
-    assert re.search(r"compared up to tick \d+: what it is given is another from then on, too", told)
-    assert "driver alone: 0 of 1 recordings give the same as in" in told
-    assert "# driver alone" in report.read_text()
+        part_compared(brief, after, "control", before)
+    (after / "gateway/monitor/allowed.py").write_text("broken(")
+    with pytest.raises(RecordingError, match="today's version cannot run guard alone: SyntaxError"):
+        part_compared(brief, before, "guard", after)
 
 
 @pytest.mark.prove
@@ -203,9 +202,9 @@ WRONG = [
     (["judge", "{turn}", "--against", ".", "--update"], r"another version.*: leave --update away"),
     (["minimise", "{turn}", "--while", "differs"], r"`--while differs` and --against REV go together"),
     (["minimise", "{turn}", "--while", "raises", "--against", "."], r"go together: from which version"),
-    (["judge", "{turn}", "--against", ".", "--only", "control", "--set", "rate_hz=100"], r"leave --robot and --set"),
-    (["judge", "{turn}", "--against", "no-such", "--only", "guard"], r"neither a folder with the rooms nor a rev"),
-    (["judge", "{turn}", "--against", ".", "--only", "guard", "--json", "x"], r"one part alone: leave --json"),
+    (["judge", "{turn}", "--against", ".", "--only", "driver", "--set", "a=1"], r"leave --robot and --set"),
+    (["judge", "{turn}", "--against", "no-such", "--only", "guard"], r"neither a folder with the rooms"),
+    (["judge", "{turn}", "--against", ".", "--only", "guard", "--json", "x"], r"alone: leave --json"),
 ]
 # fmt: on
 
