@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import json
 from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator, Sequence
@@ -24,6 +23,7 @@ from gateway.report.judge import Judged, Verdict
 from gateway.report.part_versions import part_compared
 from gateway.report.self_test import self_test
 from gateway.report.two_versions import Parted, compared, settings_apart, version
+from gateway.runtime.process import quiet_collector
 
 TASK = 1_000_000
 """Bytes of recordings from which on a process of its own is worth its start"""
@@ -61,10 +61,13 @@ def run(options: Namespace) -> int:
     if options.expected is not None and not options.expected.is_dir():
         raise UserError(f"--expected {options.expected}: there is no such folder")
     check_only(options, ("update", "expected", "within", "self_test", "json", "junit"))
-    if options.only is not None:
-        return _only(options)
+    with quiet_collector():
+        return _only(options) if options.only is not None else _judge(options)
+
+
+def _judge(options: Namespace) -> int:
+    """Judge whole recordings."""
     robot = None if options.robot is None else load_robot(options.robot, recorded=True)
-    gc.set_threshold(10_000)  # as `gateway replay` does
     if options.self_test:
         return _self_test(options)
     if options.against is not None:

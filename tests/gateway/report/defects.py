@@ -58,7 +58,7 @@ DEFECTS = [
     Defect("a lost frame", "goal", "gateway/core/step.py",
            "in self._other_hosts.among(packets):\n",
            "in self._other_hosts.among(packets):\n"
-           "            self._taken = (getattr(self, '_taken', 0) + 1) % 256  # a counter of 8 bits: 0 is none\n"
+           "            self._taken = (getattr(self, '_taken', 0) + 1) % 256  # of 8 bits: 0 is none\n"
            "            if not self._taken:\n"
            "                continue\n",
            "left", (0.4, 0.8)),

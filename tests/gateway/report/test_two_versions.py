@@ -90,15 +90,15 @@ def test_a_defect_is_named_by_signal_second_and_file(
 # fmt: off
 ALONE_IN = [
     # defect, recording, part, and what is told: of the first value, and of the rest; none: it is the same
-    ("a swapped wheel", "goal", "control", (r"tick \d\d, 0\.\d+ s after the start: left: velocity", "right: vel")),
+    ("a swapped wheel", "goal", "control", (r"tick \d\d, 0\.\d+ s after the start: left: velocity",)),
     ("a swapped wheel", "goal", "planning", ()),
-    ("a sign", "turn", "driver", (r"tick \d+, 1\.[23]\d+ s after the start: left: obeys Velocity\.velocity",)),
+    ("a sign", "turn", "driver", (r"tick \d+, 1\.[23]\d+ s .*: left: obeys Velocity\.velocity",)),
     ("a sign", "turn", "control", ()),
     ("a limit not applied", "turn", "driver", (r"left: obeys Velocity\.velocity",)),
     ("a mirrored scan", "goal", "perception", (r"the base: sight\.map\.digest",)),
     ("a mirrored scan", "goal", "planning", ()),
     ("a mirrored scan", "goal", "guard", ()),
-    ("a unit", "goal", "driver", (r"compared up to tick \d+: what it is given is another .* came back", "events: v")),
+    ("a unit", "goal", "driver", (r"compared up to tick \d+: .* since what it made came back",)),
 ]
 # fmt: on
 
@@ -119,9 +119,7 @@ def test_a_defect_is_seen_in_its_own_part_alone(
     command = ["judge", path, "--against", str(broken), "--only", part, "--report", str(report)]
     assert main(command) == bool(told)
     found = capsys.readouterr().out
-    assert re.search(
-        rf"^  {part} alone, on what it was given in (\d\d|[4-9]\d\d) recorded ticks$", found, re.M
-    )
+    assert re.search(rf"^  {part} alone, on what it was given in \d\d+ recorded ticks$", found, re.M)
     assert f"{part} alone: {0 if told else 1} of 1 recordings give the same as in {broken}" in found
     assert all(re.search(one, found) for one in told), found
     assert ("the same in every tick" in found) is not bool(told)
