@@ -222,8 +222,7 @@ def compare(
     command decoder of a bus; `mounts` are those of the recorder. `robot_text` and `facts` are the present
     ones, to find the cause of a difference (None: the recorded ones). Frames received on a bus that is not
     among `buses` (None: all are) are left over. Without `views`, their messages are not compared."""
-    seen = Views(mounts) if views else None
-    comparer = Comparer(recording, step, belief, decoder, seen, buses, observe)
+    comparer = Comparer(recording, step, belief, decoder, Views(mounts), buses, observe, compare_views=views)
     error: RecordingError | None = None
     try:
         for recorded in recording.steps:
@@ -246,16 +245,18 @@ class Comparer:
         step: Callable[[Nanos, Inputs], Outputs],
         belief: Callable[[], Belief],
         decoder: Callable[[str], CommandDecoder],
-        views: Views | None,
+        views: Views,
         buses: Collection[str] | None,
         observe: Observe | None = None,
         *,
         follow: bool = False,
+        compare_views: bool = True,
     ) -> None:
         self._recording, self._observe = recording, observe
         self._step, self._belief, self._decoder = step, belief, decoder
-        self._views = None if recording.facts.get(VIEWS_FROM) == NEVER else views
-        self._compares_views, self._buses = views is not None, buses
+        self._views, self._buses = views, buses
+        self._compares_views = compare_views
+        self._viewless = recording.facts.get(VIEWS_FROM) == NEVER or not compare_views
         self._texts, self._poses = recording.format != "1", recording.format not in ("1", "2")
         self._start: Nanos = 0
         self._last: Tick | None = None
@@ -326,7 +327,7 @@ class Comparer:
         self._compare_packets(tick.outputs.packets, outputs.packets)
         self._compare_notes(tick.outputs.notes, outputs.notes)
         today, belief = replace(tick, outputs=outputs), self._belief()
-        views = () if self._views is None else self._views.messages(today, belief)
+        views = () if self._viewless else self._views.messages(today, belief)
         if self._observe is not None:
             self._observe(today, belief)
         if recorded.whole and self._compares_views:
