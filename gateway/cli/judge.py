@@ -60,7 +60,9 @@ def run(options: Namespace) -> int:
     """Return 1 unless all are as expected."""
     if options.expected is not None and not options.expected.is_dir():
         raise UserError(f"--expected {options.expected}: there is no such folder")
-    check_only(options, ("update", "expected", "within", "self_test", "json", "junit"))
+    check_only(options, ("update", "all", "expected", "within", "self_test", "json", "junit"))
+    if options.engine != Engine() and (options.only or options.against or options.self_test):
+        raise UserError("--jobs and --engine: only whole recordings are judged side by side; leave them away")
     with quiet_collector():
         return _only(options) if options.only is not None else _judge(options)
 
@@ -108,7 +110,7 @@ def _judge(options: Namespace) -> int:
 
 def _self_test(options: Namespace) -> int:
     """Return 0 if all that the judge claims is shown on each recording."""
-    for name in ("update", "expected", "within", "json", "junit", "against", "robot", "report"):
+    for name in ("update", "all", "expected", "within", "json", "junit", "against", "robot", "report"):
         if getattr(options, name):
             raise UserError(f"--self-test tries the judge itself: leave --{name} away")
     shown = []
@@ -161,12 +163,13 @@ def _only(options: Namespace) -> int:
 
 def _against(options: Namespace, robot: Robot | None) -> int:
     """Compare two versions of the program, or two robot files: 0 if they send the same."""
-    for name in ("update", "expected", "within", "json", "junit"):
+    for name in ("update", "all", "expected", "within", "json", "junit"):
         if getattr(options, name):
             raise UserError(
                 f"--against compares with another version, not with what is expected: leave --{name} away"
             )
-    paths = [one for one in judge.recordings_in(options.paths) if judge.is_ours(one)]
+    first, of = options.shard
+    paths = [one for one in judge.recordings_in(options.paths) if judge.is_ours(one)][first - 1 :: of]
     if not paths:
         raise UserError(f"no recording of this gateway in {', '.join(map(str, options.paths))}")
     found, lines = [], list[str]()

@@ -202,6 +202,10 @@ WRONG = [
     (["minimise", "{turn}", "--while", "raises", "--against", "."], r"go together: from which version"),
     (["judge", "{turn}", "--against", ".", "--only", "driver", "--set", "a=1"], r"leave --robot and --set"),
     (["judge", "{turn}", "--against", "no-such", "--only", "guard"], r"neither a folder with the rooms"),
+    (["judge", "{turn}", "--against", ".", "--only", "guard", "--jobs", "2"], r"side by side; leave"),
+    (["judge", "{turn}", "--against", ".", "--jobs", "2"], r"side by side; leave"),
+    (["judge", "{turn}", "--against", ".", "--all"], r"another version.*: leave --all away"),
+    (["judge", "{turn}", "--self-test", "--all"], r"the judge itself: leave --all away"),
     (["judge", "{turn}", "--against", ".", "--only", "guard", "--json", "x"], r"alone: leave --json"),
 ]
 # fmt: on
