@@ -17,6 +17,7 @@ from gateway.bench.again import DrivenAgain, Told
 from gateway.buses.virtual.faults import CAUSES, Site
 from gateway.buses.virtual.medium import Transmission
 from gateway.buses.virtual.tamper import Arriving, Tamper, composed
+from gateway.core.clock import SimulatedClock
 from gateway.core.robot import Robot
 from gateway.core.step import Gateway
 from gateway.core.tick import Inputs
@@ -25,6 +26,7 @@ from gateway.replay.input_log import MADE_FROM, Given, InputLog, run, write_run
 from gateway.report.watcher import Watcher
 from gateway.runtime.scenario import ScenarioJudge
 from gateway.runtime.scenario_file import Scenario
+from gateway.runtime.timing import LoopStats, StepTiming
 from protocols.conformance.random import Random
 from protocols.frames import BusState, CanFrame, Packet, any_matches
 from protocols.messages import SECOND, Nanos
@@ -90,7 +92,10 @@ def spoilt(log: InputLog, scenario: Scenario) -> InputLog:
     """By fault upon frames of which some came: whether it changed one"""
     late: list[Packet] = []
     found: list[Given] = []
-    for now, inputs in log.ticks:
+    busy: Nanos = 0
+    """Until when a slow step takes; what comes by then is read after it"""
+    held = Inputs()
+    for place, (now, inputs) in enumerate(log.ticks, 1):
         while coming and coming[0][1].at * SECOND <= now - start:
             name, event = coming.pop(0)
             lasts = math.inf if event.seconds is None else event.seconds
@@ -100,11 +105,15 @@ def spoilt(log: InputLog, scenario: Scenario) -> InputLog:
                 CAUSES[event.cause].inject(site)
             except AttributeError:
                 own.measured = lambda _motor, true: true
-            if any((own.measured, own.torques, own.reading, own.error, own.takes)):
+            if any((own.measured, own.torques, own.reading, own.error)):
                 raise _needs_world(scenario, name)
             if own.transmission is not None:
                 own.transmission = _noting(own.transmission, site.bus, name, acts)
             going.append((site, own, now + lasts * SECOND, name))
+        if now < busy and place < len(log.ticks):
+            held = joined(held, inputs)
+            continue
+        inputs, held = joined(held, inputs), Inputs()
         for site, _, _, name in going:
             try:
                 site.each(now)
@@ -114,6 +123,8 @@ def spoilt(log: InputLog, scenario: Scenario) -> InputLog:
             going.remove(over)
             CAUSES[scenario.file.faults[over[3]].cause].end(over[0])
         world.tamper = composed([one[1] for one in going])
+        if world.tamper.takes is not None:
+            busy = now + world.tamper.takes(now)
         packets, late = _arrived(now, [*late, *_changed(world, inputs.packets)])
         if (stamp := world.tamper.stamp) is not None:
             packets = tuple(replace(packet, t=stamp(packet.t)) for packet in packets)
@@ -124,6 +135,12 @@ def spoilt(log: InputLog, scenario: Scenario) -> InputLog:
     if idle := [name for name, changed in acts.items() if not changed]:  # such as commands that come late
         raise _needs_world(scenario, idle[0])
     return log.with_ticks(found)
+
+
+def joined(one: Inputs, two: Inputs) -> Inputs:
+    """Return the inputs of two steps as those of one."""
+    states, packets = (*one.states, *two.states), (*one.packets, *two.packets)
+    return Inputs(states, packets, (*one.instructions, *two.instructions))
 
 
 def _needs_world(scenario: Scenario, name: str) -> UserError:
@@ -168,6 +185,7 @@ class _Replayed:
     """What a judge of scenarios asks of a session."""
 
     gateway: Gateway
+    stats: LoopStats
     twins: None = None
     reasons: tuple[str, ...] = ()
 
@@ -194,13 +212,22 @@ def run_spoilt(log: InputLog, scenario: Scenario, record: Path | None = None) ->
         GatewayError: a cause needs a world, or the recording cannot be written.
     """
     log = spoilt(log, scenario)
+    stats, clock, period = LoopStats(), SimulatedClock(), log.robot.period
+    clock.wait(log.ticks[0].now if log.ticks else 0)
+    timing = StepTiming(stats, period, clock)
     made: list[tuple[Watcher, ScenarioJudge]] = []
 
     def watch(gateway: Gateway) -> None:
-        made.append((Watcher(gateway), ScenarioJudge(scenario, cast("Any", _Replayed(gateway)))))
+        replayed = _Replayed(gateway, stats)
+        made.append((Watcher(gateway), ScenarioJudge(scenario, cast("Any", replayed))))
 
-    told = Told()
+    told, before = Told(), log.ticks[0].now if log.ticks else 0
     for tick, belief in run(log, watch):
+        clock.wait(tick.now)
+        timing.begin()
+        stats.missed += max(0, (tick.now - before) // period - 1)
+        timing.end(before)
+        before = tick.now
         for one in made[0]:
             one.take(tick, belief)
         told.take(tick, belief)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import gc
 import json
 from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 from gateway.buses.log_file import is_log
@@ -20,8 +20,10 @@ from gateway.errors import GatewayError, RecordingError, UserError
 from gateway.recording.new_file import replace_with
 from gateway.report import judge
 from gateway.report.judge import Judged, Verdict
+from gateway.report.part_versions import part_compared
 from gateway.report.self_test import self_test
 from gateway.report.two_versions import Parted, compared, settings_apart, version
+from gateway.runtime.process import quiet_collector
 
 TASK = 1_000_000
 """Bytes of recordings from which on a process of its own is worth its start"""
@@ -58,11 +60,16 @@ def run(options: Namespace) -> int:
     """Return 1 unless all are as expected."""
     if options.expected is not None and not options.expected.is_dir():
         raise UserError(f"--expected {options.expected}: there is no such folder")
-    check_only(options, ("update", "expected", "within", "self_test", "against", "json", "junit"))
-    if options.only is not None:
-        return _only(options)
+    check_only(options, ("update", "all", "expected", "within", "self_test", "json", "junit"))
+    if options.engine != Engine() and (options.only or options.against or options.self_test):
+        raise UserError("--jobs and --engine: only whole recordings are judged side by side; leave them away")
+    with quiet_collector():
+        return _only(options) if options.only is not None else _judge(options)
+
+
+def _judge(options: Namespace) -> int:
+    """Judge whole recordings."""
     robot = None if options.robot is None else load_robot(options.robot, recorded=True)
-    gc.set_threshold(10_000)  # as `gateway replay` does
     if options.self_test:
         return _self_test(options)
     if options.against is not None:
@@ -103,7 +110,7 @@ def run(options: Namespace) -> int:
 
 def _self_test(options: Namespace) -> int:
     """Return 0 if all that the judge claims is shown on each recording."""
-    for name in ("update", "expected", "within", "json", "junit", "against", "robot", "report"):
+    for name in ("update", "all", "expected", "within", "json", "junit", "against", "robot", "report"):
         if getattr(options, name):
             raise UserError(f"--self-test tries the judge itself: leave --{name} away")
     shown = []
@@ -117,41 +124,52 @@ def _self_test(options: Namespace) -> int:
 
 
 def _only(options: Namespace) -> int:
-    """Return 0 if one part alone makes of each recording what was recorded (of the guard: allows it)."""
+    """Return 0 if one part alone makes of each recording what was recorded, or what it makes in another
+    version (of the guard without one: allows it)."""
     found: list[tuple[Path, list[str], bool]] = []
     first, of = options.shard
-    logs = options.only == "guard"
+    part, against = options.only, options.against
+    logs = part == "guard" and against is None
     paths = [
         one for one in judge.recordings_in(options.paths) if judge.is_ours(one) or (logs and is_log(one))
     ]
     paths = paths[first - 1 :: of]
     if not paths:
         raise UserError(f"no recording of this gateway in {', '.join(map(str, options.paths))}")
-    with progress("judge, recordings", len(paths)) as shown:
+    with ExitStack() as stack:
+        before = None if against is None else stack.enter_context(version(against))
+        shown = stack.enter_context(progress("judge, recordings", len(paths)))
         for path in paths:
             try:
-                found.append((path, *only(path, options)))
+                if before is None:
+                    found.append((path, *only(path, options)))
+                else:
+                    apart = part_compared(path, before, part)
+                    found.append((path, apart.lines(), apart.same))
             except GatewayError as error:
                 found.append((path, [f"NOT RUN: {error}"], False))
             shown.update(len(found))
     lines = [line for path, told, _ in found for line in (f"{path}:", *(f"  {one}" for one in told))]
     good = sum(same for *_, same in found)
-    what = "would have been allowed" if options.only == "guard" else "give the same"
-    lines.append(f"{options.only} alone: {good} of {len(found)} recordings {what}")
+    what = (
+        "would have been allowed" if logs else "give the same" + f" as in {against}" * (against is not None)
+    )
+    lines.append(f"{part} alone: {good} of {len(found)} recordings {what}")
     print("\n".join(map(escaped, lines)))
     if options.report is not None:
-        _write(options.report, f"# {options.only} alone\n\n```\n" + "\n".join(lines) + "\n```\n")
+        _write(options.report, f"# {part} alone\n\n```\n" + "\n".join(lines) + "\n```\n")
     return 0 if good == len(found) else 1
 
 
 def _against(options: Namespace, robot: Robot | None) -> int:
     """Compare two versions of the program, or two robot files: 0 if they send the same."""
-    for name in ("update", "expected", "within", "json", "junit"):
+    for name in ("update", "all", "expected", "within", "json", "junit"):
         if getattr(options, name):
             raise UserError(
                 f"--against compares with another version, not with what is expected: leave --{name} away"
             )
-    paths = [one for one in judge.recordings_in(options.paths) if judge.is_ours(one)]
+    first, of = options.shard
+    paths = [one for one in judge.recordings_in(options.paths) if judge.is_ours(one)][first - 1 :: of]
     if not paths:
         raise UserError(f"no recording of this gateway in {', '.join(map(str, options.paths))}")
     found, lines = [], list[str]()

@@ -41,6 +41,13 @@ def check_only(options: Namespace, others: Sequence[str]) -> None:
         if getattr(options, name):
             option = name.replace("_", "-")
             raise UserError(f"--only {options.only} runs one part alone: leave --{option} away")
+    if getattr(options, "against", None) is not None:
+        if options.robot is not None or options.set:
+            text = "has its own settings: leave --robot and --set away"
+            raise UserError(
+                f"--only {options.only} --against REV runs both versions with what each recording {text}"
+            )
+        return
     if options.only != "guard" and options.robot is None and not options.set:
         text = "--robot ROBOT, or --set KEY=VALUE"
         raise UserError(f"--only {options.only} runs it with other settings than the recorded: give {text}")

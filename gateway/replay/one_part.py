@@ -22,6 +22,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from math import inf, isnan
+from textwrap import indent
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +49,7 @@ from protocols.plugin import CommandDecoder
 PARTS = ("perception", "planning", "control", "driver")
 SHOWN = 12
 """Values that are told"""
+NOT_RECORDED = "with the recorded settings the replay of the whole is not the recorded one:"
 
 
 @dataclass(slots=True)
@@ -74,7 +76,11 @@ class PartAlone:
     partings: dict[str, _Parting] = field(default_factory=dict)
     """By value, without the places in sequences"""
     objection: str = ""
-    """Why the recorded settings do not give what was recorded; "" if they do"""
+    """Why it shows less than it seems to; "" if it does not"""
+    notes: list[str] = field(default_factory=list)
+    """What else is to be known of it"""
+    sides: tuple[str, str] = ("recorded", "now")
+    """What the two are called"""
 
     @property
     def same(self) -> bool:
@@ -84,10 +90,7 @@ class PartAlone:
     def lines(self) -> list[str]:
         """Return it in words."""
         told = [f"{self.part} alone, on what it was given in {self.ticks} recorded ticks"]
-        if self.objection:
-            told += ["with the recorded settings the replay of the whole is not the recorded one:"]
-            told += [f"  {line}" for line in self.objection.splitlines()]
-            told += ["what follows is held against what the program of today makes of them"]
+        told += [*self.objection.splitlines(), *self.notes]
         if not self.differing:
             return told + ["the same in every tick"] * bool(self.ticks)
         told += [*self.first.splitlines(), f"{self.differing} of {self.ticks} ticks differ"]
@@ -102,7 +105,10 @@ class PartAlone:
         for name, one, two in found:
             if not self.first:
                 where = f"tick {self.ticks}, {now / SECOND:.3f} s after the start"
-                self.first = f"first in {where}: {name}\n  recorded: {_text(one)}\n  now:      {_text(two)}"
+                width = max(map(len, self.sides)) + 1
+                texts = zip(self.sides, (_text(one), _text(two)), strict=True)
+                lines = (f"  {side + ':':{width}} {text}" for side, text in texts)
+                self.first = "\n".join([f"first in {where}: {name}", *lines])
             differs = True
             value = self.partings.setdefault(re.sub(r"\[\d+\]", "", name), _Parting())
             value.ticks, value.last = value.ticks + (value.last != now), now
@@ -154,7 +160,10 @@ def run_alone(recording: Recording, robot: Robot, part: str) -> PartAlone:
         buses=before.buses,
     )
     if not result.ok:
-        found.objection = result.objections()[0]
+        found.objection = (
+            f"{NOT_RECORDED}\n{indent(result.objections()[0], '  ')}\n"
+            "what follows is held against what the program of today makes of them"
+        )
     return found
 
 

@@ -145,7 +145,7 @@ def _of_ours(path: Path, source: str, robot: Robot | None) -> Judged:
         watchers.append(Watcher(gateway))
         return watchers[0].take
 
-    comparison = replay_recording(read_recording(path), robot, watch)
+    comparison = replay_recording(read_recording(path), robot, watch, views=False)
     causes = () if comparison.ok else (*comparison.objections(), *comparison.causes)
     return Judged(str(path), source, watchers[0].digests(), watchers[0].figures(), causes)
 

@@ -46,6 +46,8 @@ HERE = Path(__file__).resolve().parents[2]
 MOST_FILES = 200
 SHOWN = 5
 """Signals that are told"""
+SWAPPED = 1
+"""When what is swapped in was changed [s], so that what was compiled of the file before does not count"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,22 +112,29 @@ def version(given: str) -> Iterator[Path]:
         yield Path(folder)
 
 
+def environment_of(folder: Path, compiled: Path) -> dict[str, str]:
+    """Return the environment of a process that runs the program in a folder, and keeps in another what it has
+    compiled: nothing is written into the folder itself."""
+    own = {"PYTHONPATH": str(folder), "OPENBLAS_NUM_THREADS": "1", "PYTHONPYCACHEPREFIX": str(compiled)}
+    return {**os.environ, "PYTHONDONTWRITEBYTECODE": "", **own}
+
+
 class Version:
     """A process that runs inputs by the program in a folder.
 
-    Raises UserError if the program there cannot be started."""
+    Args:
+        folder: that has the rooms.
+        compiled: a folder for what is compiled of them.
+    """
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        environment = {**os.environ, "PYTHONPATH": str(folder), "OPENBLAS_NUM_THREADS": "1"}
-        environment["PYTHONDONTWRITEBYTECODE"] = "1"  # what is compiled of a file would outlive its turn
+    def __init__(self, folder: Path, compiled: Path) -> None:
         self._process = subprocess.Popen(
             [sys.executable, "-P", run_inputs.__file__],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             text=True,
-            env=environment,
+            env=environment_of(folder, compiled),
         )
         self._answer()
 
@@ -166,13 +175,15 @@ class Differs:
     text = "differs"
 
     def __init__(self, before: Path, now: Path = HERE) -> None:
-        self._versions = Version(before), Version(now)
+        self._compiled = tempfile.TemporaryDirectory()
+        compiled = Path(self._compiled.name)
+        self._versions = Version(before, compiled), Version(now, compiled)
 
     def first(self, log: InputLog) -> int | None:
         """Return the first step in which they do."""
         with tempfile.TemporaryDirectory() as folder:
             inputs = Path(folder, "inputs.mcap")
-            _write_inputs(inputs, log)
+            write_inputs(inputs, log)
             old, new = (each.run(inputs) for each in self._versions)
         if "error" in old or "error" in new:
             return None
@@ -182,7 +193,7 @@ class Differs:
         """Return why there is no answer, if there is none."""
         with tempfile.TemporaryDirectory() as folder:
             inputs = Path(folder, "inputs.mcap")
-            _write_inputs(inputs, log)
+            write_inputs(inputs, log)
             errors = [each.run(inputs).get("error", "") for each in self._versions]
         return [f"not compared: {error}" for error in errors if error] or [
             "both versions send the same packets"
@@ -192,13 +203,14 @@ class Differs:
         """Write a recording of what the version of before makes of inputs, which must not exist yet."""
         with tempfile.TemporaryDirectory() as folder:
             inputs = Path(folder, "inputs.mcap")
-            _write_inputs(inputs, log)
+            write_inputs(inputs, log)
             self._versions[0].run(inputs, target)
 
     def close(self) -> None:
         """End both processes."""
         for one in self._versions:
             one.close()
+        self._compiled.cleanup()
 
 
 def compared(path: Path, before: Path, now: Path = HERE) -> Parted:
@@ -210,12 +222,14 @@ def compared(path: Path, before: Path, now: Path = HERE) -> Parted:
         now: and of the other.
     """
     with tempfile.TemporaryDirectory() as folder:
-        names = ("inputs.mcap", "before.mcap", "now.mcap", "before.npz", "now.npz", "short.mcap")
-        inputs, recorded, recorded_now, signals, signals_now, short = (Path(folder, name) for name in names)
+        names = ("inputs.mcap", "before.mcap", "now.mcap", "before.npz", "now.npz", "short.mcap", "compiled")
+        inputs, recorded, recorded_now, signals, signals_now, short, compiled = (
+            Path(folder, name) for name in names
+        )
         log = input_log(read_recording(path))
-        _write_inputs(inputs, log)
-        old = _run_once(before, inputs, recorded, signals)
-        new = _run_once(now, inputs, recorded_now, signals_now)
+        write_inputs(inputs, log)
+        old = _run_once(before, compiled, inputs, recorded, signals)
+        new = _run_once(now, compiled, inputs, recorded_now, signals_now)
         if error := old.get("error") or new.get("error"):
             return Parted(str(path), error=str(error))
         tick = _first_difference(old["digests"], new["digests"])
@@ -223,7 +237,7 @@ def compared(path: Path, before: Path, now: Path = HERE) -> Parted:
             return Parted(str(path))
         at = log.ticks[tick]
         since = (at.now - log.ticks[0].now) / SECOND
-        _write_inputs(short, log.with_ticks(log.ticks[: tick + 1]))
+        write_inputs(short, log.with_ticks(log.ticks[: tick + 1]))
         sides = (("before", old), ("now", new))
         failed = [f"{side} fails: {each['failed']}" for side, each in sides if each["failed"]]
         first = "\n".join(failed) or _first_packet(log.robot, recorded, recorded_now)
@@ -232,15 +246,18 @@ def compared(path: Path, before: Path, now: Path = HERE) -> Parted:
         return Parted(str(path), tick, since, first, told, found)
 
 
-def _run_once(folder: Path, inputs: Path, outputs: Path | None, signals: Path | None) -> dict[str, Any]:
-    one = Version(folder)
+def _run_once(
+    folder: Path, compiled: Path, inputs: Path, outputs: Path | None = None, signals: Path | None = None
+) -> dict[str, Any]:
+    one = Version(folder, compiled)
     try:
         return one.run(inputs, outputs, signals)
     finally:
         one.close()
 
 
-def _write_inputs(path: Path, log: InputLog) -> None:
+def write_inputs(path: Path, log: InputLog) -> None:
+    """Write a recording of inputs alone, which must not exist yet."""
     file = RecordingFile(path, log, {}, anew=False)
     for tick, belief in inputs_alone(log):
         file.add(tick, belief)
@@ -307,13 +324,10 @@ def _by_turns(before: Path, now: Path, inputs: Path, digests: Sequence[str]) -> 
     found: dict[str, str] = {}
     with tempfile.TemporaryDirectory() as folder:
         mixed = Path(folder)
-        for room in ROOMS:
-            shutil.copytree(
-                before / room, mixed / room, ignore=shutil.ignore_patterns("__pycache__", "fixtures")
-            )
+        copy_rooms(before, mixed)
         for name in names:
-            with _swapped(mixed / name, now / name):
-                result = _run_once(mixed, inputs, None, None)
+            with swapped(mixed / name, now / name):
+                result = _run_once(mixed, mixed / "compiled", inputs)
             if "error" in result:
                 found[name] = f"cannot be put in alone: {result['error']}"
             else:
@@ -321,22 +335,29 @@ def _by_turns(before: Path, now: Path, inputs: Path, digests: Sequence[str]) -> 
     return dict(sorted(found.items(), key=lambda each: (each[1] != ALONE, each[0])))
 
 
+def copy_rooms(version: Path, target: Path) -> None:
+    """Copy the rooms of a version, without fixtures."""
+    for room in ROOMS:
+        ignored = shutil.ignore_patterns("__pycache__", "fixtures")
+        shutil.copytree(version / room, target / room, ignore=ignored)
+
+
 @contextmanager
-def _swapped(file: Path, other: Path) -> Iterator[None]:
+def swapped(file: Path, other: Path) -> Iterator[None]:
     """Have another file in the place of one, for a while; both may be absent."""
-    kept = file.read_bytes() if file.is_file() else None
+    kept = file.with_name(file.name + ".kept")
+    if file.is_file():
+        file.rename(kept)
     try:
         if other.is_file():
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_bytes(other.read_bytes())
-        else:
-            file.unlink(missing_ok=True)
+            os.utime(file, (SWAPPED, SWAPPED))
         yield
     finally:
-        if kept is None:
-            file.unlink(missing_ok=True)
-        else:
-            file.write_bytes(kept)
+        file.unlink(missing_ok=True)
+        if kept.is_file():
+            kept.rename(file)
 
 
 def settings_apart(path: Path, robot: Robot) -> Parted:

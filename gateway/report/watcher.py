@@ -29,7 +29,7 @@ class Watcher:
 
     def __init__(self, gateway: Gateway) -> None:
         self._gateway = gateway
-        self._collector = Collector(gateway)
+        self._collector = Collector(gateway, signals=False)
         self._late = LATE * gateway.robot.period
         self._before: Nanos | None = None
         self._missed = self._faults = 0

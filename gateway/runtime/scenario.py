@@ -21,6 +21,7 @@ from gateway.buses.virtual.tamper import Tamper, composed
 from gateway.core.robot import TWIN
 from gateway.core.tick import Tick
 from gateway.runtime.scenario_file import (
+    LOOP,
     ROBOT,
     Ask,
     FaultEvent,
@@ -197,6 +198,7 @@ class ScenarioJudge:
     _reports: list[tuple[float, str, str]] = field(default_factory=list)
     """When, of what, and what was told."""
     _state: str = ""
+    _timing: str = ""
     _faults: set[tuple[str, int, str, Nanos]] = field(default_factory=set)
     _wrong: dict[str, float] = field(default_factory=dict)
     """When each requirement that is to stay so was last not so,"""
@@ -233,6 +235,10 @@ class ScenarioJudge:
         if state and state != self._state:
             found.append(("brain", state))
         self._state = state
+        timing = self.session.stats.trouble
+        if timing and not self._timing:
+            found.append((LOOP, timing))
+        self._timing = timing
         room = KEPT - len(self._reports)
         self._reports += [(self.now, *each) for each in found[:room]]
 

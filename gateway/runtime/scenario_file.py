@@ -50,6 +50,8 @@ Speed: TypeAlias = Annotated[float, Bounds(0.0, 100.0, "m/s")]
 Adapt: TypeAlias = Callable[[Robot], Robot]
 ROBOT = ""
 """In place of a joint's name: the whole robot"""
+LOOP = "loop"
+"""As what is told of: the loop that does the steps"""
 
 
 # -- what happens -----------------------------------------------------------------------------------------
@@ -140,7 +142,7 @@ class MustTell:
     within: Moment
     """s"""
     on: str
-    """What it is told of: a motor, a sensor, a bus, or "brain\""""
+    """What it is told of: a motor, a sensor, a bus, "brain", or "loop", which does not keep its time"""
     text: str
     """What must be in it, in capital letters or small ones"""
     after: str = ""
@@ -434,7 +436,7 @@ def _check_requirements(file: ScenarioFile, robot: Robot, mistakes: Mistakes) ->
     """Check that what must hold is about what there is, and can be judged in the time."""
     events = {name: one.at for _, name, one in file.events()}
     base = robot.brain.abilities(robot.motors).base
-    told_of = [*robot.motors, *robot.sensors, *robot.buses, "brain"]
+    told_of = [*robot.motors, *robot.sensors, *robot.buses, "brain", LOOP]
     for path, one in file.must.all().items():
         at = ("must", *path.split("."))
         if one.after and one.after not in events:

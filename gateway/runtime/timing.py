@@ -30,7 +30,7 @@ class LoopStats:
     missed: int = 0
     """Deadlines that passed while a step was still running."""
     longest_step: Nanos = 0
-    """In the machine's time, whatever the loop's clock is."""
+    """In the machine's time, or in the loop's where that is longer; of a paced loop in the machine's."""
     longest_at: Nanos = 0
     """When the longest step began, in the loop's time."""
     longest_work: Nanos = 0
@@ -88,9 +88,10 @@ class StepTiming:
 
     def end(self, now: Nanos) -> str:
         """Take that the step at `now` has ended; return what a person is to be told, if there is anything."""
-        stats, ended = self._stats, stopwatch()
-        if ended - self._began > stats.longest_step:
-            stats.longest_step, stats.longest_at = ended - self._began, now
+        stats = self._stats
+        took = max(stopwatch() - self._began, self._clock.now() - now if self._machine is None else 0)
+        if took > stats.longest_step:
+            stats.longest_step, stats.longest_at = took, now
             stats.longest_work = thread_time() - self._worked
         if self._machine is not None:
             self._keep_pace(now)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 from brain.belief import BrainState
 from gateway.core.faults import FRAME_BLOCKED
 from gateway.core.tick import Outputs
+from gateway.runtime.timing import LoopStats, StepTiming
 from protocols import messages as msg
 from protocols.conformance.random import Random
 from protocols.messages import MILLISECOND, SECOND, Instruction, Nanos
@@ -89,6 +90,7 @@ class Run:
         """and after how many seconds it ends, where it ends by itself."""
         self.result = Result(fault.name, name, phase, self.target)
         self.torques: dict[str, float] = {}
+        self.stats = LoopStats()
         self._turning = random.choice((-1.2, 1.2))
         self._targets = [
             msg.Velocity(motor, random.choice((-6.0, -3.0, 3.0, 6.0))) for motor in self.robot.motors
@@ -146,10 +148,13 @@ class Run:
 
     def _steps(self, asked: Callable[[Nanos], Sequence[Instruction]]) -> Iterator[Nanos]:
         """Yield the time of each step, before it is done."""
-        for now in self.at.moments():
+        timing = StepTiming(self.stats, self.robot.period, self.at.clock)
+        for now in self.at.moments(self.stats):
             yield now
             instructions, takes = asked(now), self.world.tamper.takes
+            timing.begin()
             outputs = self.at.step(now, instructions, takes(now) if takes is not None else 0)
+            timing.end(now)
             if self.since:
                 self._observe(now, outputs)
 
@@ -270,8 +275,9 @@ class Run:
 
     def _listen(self, now: Nanos, outputs: Outputs) -> None:
         """Find the first report that names a suspect; and any that something still moves."""
+        trouble = self.stats.trouble
         notes = [note for note in outputs.notes if note.level != "info" and note.source != "operator"]
-        reports = [f"{note.source}: {note.text}" for note in notes]
+        reports = [f"{note.source}: {note.text}" for note in notes] + [f"loop: {trouble}"] * bool(trouble)
         for name, joint in self.gateway.joints.items():
             faults = [fault for fault in joint.faults.values() if fault.t >= self.since]
             reports += [f"{name}: {fault.name}; {fault.remedy}" for fault in faults]

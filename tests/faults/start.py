@@ -133,9 +133,9 @@ class UnderWay:
             self.step(now, instructions)
             instructions = ()
 
-    def moments(self) -> Iterator[Nanos]:
+    def moments(self, stats: LoopStats | None = None) -> Iterator[Nanos]:
         """Yield the moments to step at, from now on."""
-        return moments(self.clock, self.robot.period, self.gateway.due, LoopStats())
+        return moments(self.clock, self.robot.period, self.gateway.due, stats or LoopStats())
 
     def step(self, now: Nanos, instructions: Sequence[Instruction], took: Nanos = 0) -> Outputs:
         """Do one step as the live loop does, which takes some time."""

@@ -168,7 +168,6 @@ def abuse(run: Run) -> None:
 EITHER = ("left", "right", "imu", "lidar")
 LEVELS = "what should be is compared with what was received, and sent again until it is so"
 DAMAGE = "a bit of every tenth frame, behind the checksum of the bus: refused, or amended by the next frame"
-LATE = "missed deadlines are counted; no measurement shows them, set-points stay as they are meanwhile"
 
 FAULTS: tuple[Fault, ...] = (
     Fault("nothing", lambda _run: None, "motor", None, why="there is none: a report would be a false alarm"),
@@ -221,7 +220,8 @@ FAULTS: tuple[Fault, ...] = (
     known("IMU reversed", "imu", 1.0, "in turning", suspects=EITHER),
     known("IMU silent", "imu", 0.3),
     # clocks, people, other hosts
-    known("slow steps", "motor", None, lasts=2.0, harmless=True, why=LATE),
+    known("slow steps", "motor", 2.0, suspects=("loop",)),
+    known("a step takes 400 ms", "motor", 0.42, suspects=("loop",)),
     known("stamps 1 s early", "motor", 0.3, "if commanded"),
     known("stamps 1 h late", "motor", None, harmless=True,
           why="counted as received now, which is true within the delay of a frame"),

@@ -107,6 +107,36 @@ def test_slow_ticks_are_told_as_missed_and_the_world_goes_on(
     assert found.figures["ticks missed"].value >= 1
 
 
+# fmt: off
+SLOW = [
+    # cause, whether upon the recorded inputs, within how many s it must be told, and whether it is
+    ("a step takes 400 ms", False, 0.401, False),
+    ("a step takes 400 ms", False, 0.42, True),
+    ("a step takes 400 ms", True, 0.42, True),
+    ("slow steps", False, 0.7, True),
+    ("slow steps", True, 0.7, True),
+    ("frames doubled", False, 0.42, False),
+]
+# fmt: on
+
+
+@pytest.mark.parametrize(("cause", "upon", "within", "told"), SLOW)
+def test_a_slow_step_is_told_within_a_declared_time(
+    cause: str, upon: bool, within: float, told: bool, log: InputLog
+) -> None:
+    text = CABLE.replace("device silent", cause).partition("[must.stand")[0].replace("at = 0.7", "at = 0.3")
+    text = text.replace('on = "left"\ntext = "silent"', 'on = "loop"\ntext = "ticks missed"')
+    text = text.replace("within = 0.2", f"within = {within}")
+    robot = log.robot if upon else simulated(log.robot)
+    scenario = parse_faults(text, Path("f.toml"), robot, lasts(log))
+    found = (run_spoilt if upon else drive_again)(log, scenario)
+    (verdict,) = found.verdicts
+    assert verdict.holds is told, verdict
+    if cause == "a step takes 400 ms":
+        assert re.search(r"told after 0\.4\d s|not told", verdict.text), verdict
+        assert found.figures["oldest feedback"].value < 30.0, "what has come meanwhile is read"
+
+
 def test_a_sweep_is_a_table_and_a_picture_the_same_by_jobs_and_by_shards(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -55,10 +55,13 @@ DEFECTS = [
            "return _beams(self, scan.angle_min, scan.angle_increment, len(scan.ranges))",
            "return _beams(self, -scan.angle_min, -scan.angle_increment, len(scan.ranges))",
            "base", (0.1, 2.0)),
-    Defect("a lost frame", "turn", "gateway/core/step.py",
+    Defect("a lost frame", "goal", "gateway/core/step.py",
            "in self._other_hosts.among(packets):\n",
-           "in self._other_hosts.among(packets[:1]):\n",
-           "right.age", (0.0, 1.4)),
+           "in self._other_hosts.among(packets):\n"
+           "            self._taken = (getattr(self, '_taken', 0) + 1) % 256  # of 8 bits: 0 is none\n"
+           "            if not self._taken:\n"
+           "                continue\n",
+           "left", (0.4, 0.8)),
     Defect("a wrong gear", "turn", "gateway/core/joint.py",
            "            gear * settings.sign,", "            (gear + 1.0) * settings.sign,",
            "left", (0.0, 1.4)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -10,9 +11,11 @@ import pytest
 import gateway as gw
 from gateway.cli.main import main
 from gateway.config import load_robot, resources
+from gateway.errors import RecordingError
 from gateway.recording import read_recording
 from gateway.replay.input_log import input_log
 from gateway.report.minimise import minimise
+from gateway.report.part_versions import part_compared
 from gateway.report.two_versions import ALONE, NOT_ALONE, Differs, compared, settings_apart
 from protocols.messages import SECOND
 from tests.gateway.report.defects import DECOYS, DEFECTS, Defect, versions
@@ -84,6 +87,75 @@ def test_a_defect_is_named_by_signal_second_and_file(
     assert found.files == {defect.file: ALONE} | dict.fromkeys(DECOYS, NOT_ALONE)
 
 
+# fmt: off
+ALONE_IN = [
+    # defect, recording, part, and what is told: of the first value, and of the rest; none: it is the same
+    ("a swapped wheel", "goal", "control", (r"tick \d\d, 0\.\d+ s after the start: left: velocity",)),
+    ("a swapped wheel", "goal", "planning", ()),
+    ("a sign", "turn", "driver", (r"tick \d+, 1\.[23]\d+ s .*: left: obeys Velocity\.velocity",)),
+    ("a sign", "turn", "control", ()),
+    ("a limit not applied", "turn", "driver", (r"left: obeys Velocity\.velocity",)),
+    ("a mirrored scan", "goal", "perception", (r"the base: sight\.map\.digest",)),
+    ("a mirrored scan", "goal", "planning", ()),
+    ("a mirrored scan", "goal", "guard", ()),
+    ("a unit", "goal", "driver", (r"compared up to tick \d+: .* since what it made came back",)),
+]
+# fmt: on
+
+
+@pytest.mark.parametrize(("name", "recording", "part", "told"), sampled(ALONE_IN, 9))
+def test_a_defect_is_seen_in_its_own_part_alone(
+    name: str,
+    recording: str,
+    part: str,
+    told: Sequence[str],
+    request: pytest.FixtureRequest,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (defect,) = (one for one in DEFECTS if one.name == name)
+    _, broken = versions(tmp_path, defect)
+    path, report = str(request.getfixturevalue(recording)), tmp_path / "parts.md"
+    command = ["judge", path, "--against", str(broken), "--only", part, "--report", str(report)]
+    assert main(command) == bool(told)
+    found = capsys.readouterr().out
+    assert re.search(rf"^  {part} alone, on what it was given in \d\d+ recorded ticks$", found, re.M)
+    assert f"{part} alone: {0 if told else 1} of 1 recordings give the same as in {broken}" in found
+    assert all(re.search(one, found) for one in told), found
+    assert ("the same in every tick" in found) is not bool(told)
+    assert found in report.read_text()
+
+
+@pytest.fixture(scope="module")
+def brief(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bench whose motor sets out."""
+    path = tmp_path_factory.mktemp("versions") / "brief.mcap"
+    with gw.open_session("bench", simulated=True, record=path) as session:
+        for _ in session.run(0.3):
+            session.submit(gw.Velocity("left", 2.0))
+    return path
+
+
+def test_files_of_a_part_that_do_not_fit_alone_are_told(brief: Path, tmp_path: Path) -> None:
+    before, after = versions(tmp_path, DEFECTS[0])
+    (after / "brain/planning/anew.py").write_text("LONGEST = 3.0\n")
+    motion = after / "brain/control/motion.py"
+    motion.write_text(motion.read_text() + "\nfrom brain.planning.anew import LONGEST  # noqa\n")
+    found = part_compared(brief, before, "control", after)
+    (note,) = found.notes
+    assert note.startswith(
+        "the whole of today's version: its own files do not fit into that of before (Module"
+    )
+    assert "No module named 'brain.planning.anew'" in note
+    assert found.ticks > 60
+    motion.write_text("broken(")
+    with pytest.raises(RecordingError, match="the version of before cannot run control alone: SyntaxError"):
+        part_compared(brief, after, "control", before)
+    (after / "gateway/monitor/allowed.py").write_text("broken(")
+    with pytest.raises(RecordingError, match="today's version cannot run guard alone: SyntaxError"):
+        part_compared(brief, before, "guard", after)
+
+
 @pytest.mark.prove
 @pytest.mark.parametrize("defect", DEFECTS, ids=[one.name for one in DEFECTS])
 def test_what_remains_of_a_defect_is_shorter_than_two_seconds(
@@ -128,6 +200,13 @@ WRONG = [
     (["judge", "{turn}", "--against", ".", "--update"], r"another version.*: leave --update away"),
     (["minimise", "{turn}", "--while", "differs"], r"`--while differs` and --against REV go together"),
     (["minimise", "{turn}", "--while", "raises", "--against", "."], r"go together: from which version"),
+    (["judge", "{turn}", "--against", ".", "--only", "driver", "--set", "a=1"], r"leave --robot and --set"),
+    (["judge", "{turn}", "--against", "no-such", "--only", "guard"], r"neither a folder with the rooms"),
+    (["judge", "{turn}", "--against", ".", "--only", "guard", "--jobs", "2"], r"side by side; leave"),
+    (["judge", "{turn}", "--against", ".", "--jobs", "2"], r"side by side; leave"),
+    (["judge", "{turn}", "--against", ".", "--all"], r"another version.*: leave --all away"),
+    (["judge", "{turn}", "--self-test", "--all"], r"the judge itself: leave --all away"),
+    (["judge", "{turn}", "--against", ".", "--only", "guard", "--json", "x"], r"alone: leave --json"),
 ]
 # fmt: on
 
