@@ -14,13 +14,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import pairwise
 from math import copysign, cos, dist, sin
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from brain.belief import Pose
 from brain.bodies.plane import wrap
-from brain.planning.astar import BEYOND, CellPath, CellSearch, Searching, Unreachable
+from brain.planning.astar import BEYOND, CellPath, Searching, Unreachable
+from brain.planning.blocks import GroundSearch
 from brain.planning.costmap import FREE, NEAR, TOUCHING, UNKNOWN, Costmap, Map, PlannerSettings
 from brain.planning.footprint import Footprint, Shape
 from brain.planning.hybrid_astar import HybridSearch
@@ -29,6 +30,7 @@ from brain.planning.rounding import Rounding
 from brain.planning.shortening import Shortening, Tightening
 from brain.planning.snapshot import (
     LINE_WORK,
+    MAX_LINES,
     Snapshot,
     is_blocked,
 )
@@ -116,8 +118,10 @@ class PathQuery:
         self._ends = start, goal
         """Of the path that is shortened"""
         self._assumed: CellPath | None = None
-        self._search: CellSearch | None = None
-        self._reach: CellSearch | None = None
+        self._cells = CELLS_WORK
+        """Work that is left for searches cell by cell"""
+        self._search: GroundSearch | None = None
+        self._reach: GroundSearch | None = None
         """Finds every cell that can be reached, if the goal cannot."""
         self._short: Shortening | None = None
         self._tight: Tightening | None = None
@@ -148,7 +152,7 @@ class PathQuery:
             elif (search := self._reach or self._search) is not None:
                 before = search.work
                 outcome = search.advance(work)
-                work -= max(search.work - before, 1)
+                work -= search.work - before
                 if not isinstance(outcome, Searching):
                     self._result = (
                         self._judge(outcome) if self._reach is None else self._approach(self._reach)
@@ -230,13 +234,12 @@ class PathQuery:
 
     def _set_out(self, cell: int) -> Searching:
         self._from = cell
-        self._search = CellSearch(
-            self.ground,
-            cell,
-            self._to,
-            beyond=self.ground.goal,
-            through_unknown=self.settings.unknown_multiplier,
-        )
+        return self._seek(beyond=self.ground.goal, through_unknown=self.settings.unknown_multiplier)
+
+    def _seek(self, **how: Any) -> Searching:  # noqa: ANN401 -- the searches' own
+        """Begin one search, with what the last has left."""
+        self._cells -= self._search.work if self._search else 0
+        self._search = GroundSearch(self._cells, self.ground, self._from, self._to, **how)
         return Searching(0)
 
     def _judge(self, outcome: CellPath | Unreachable) -> PlanResult:
@@ -246,7 +249,8 @@ class PathQuery:
             return self._shorten(outcome if isinstance(outcome, CellPath) else self._assumed, known=known)
         if isinstance(outcome, Unreachable):
             if self.near and self._to != BEYOND:
-                self._reach = CellSearch(self.ground, self._from, self._to, spread=True)
+                self._seek(spread=True)
+                self._reach = self._search
                 return Searching(0)
             return NoPath(f"everything between {_text(self.start)} and the goal {_text(self.goal)} is closed")
         level = self.ground.level
@@ -254,15 +258,15 @@ class PathQuery:
             return self._shorten(outcome, known=True)
         if self._to == BEYOND or level[self._to] >= UNKNOWN:
             return self._shorten(outcome, known=False)
-        self._assumed, self._search = outcome, CellSearch(self.ground, self._from, self._to)
-        return Searching(0)
+        self._assumed = outcome
+        return self._seek()
 
-    def _approach(self, reach: CellSearch) -> PlanResult:
+    def _approach(self, reach: GroundSearch) -> PlanResult:
         """Go to the place nearest to the goal, of those that can be reached and where every heading fits."""
         self._reach, self.near, ground = None, False, self.ground
         for within in (1.0, NEARBY):
             window, square = ground.around(self._asked, within)
-            costs = reach.cost.reshape(ground.height, ground.stride)[window]
+            costs = reach.reached(window)
             level = ground.level.reshape(ground.height, ground.stride)[window]
             rows, columns = np.nonzero((costs > 0.0) & (level >= ground.wide) & (level < UNKNOWN))
             if len(rows):
@@ -281,8 +285,7 @@ class PathQuery:
             if first == 0:
                 return NoPath(f"the robot at {_text(self.start)} stands on unknown ground")
             cells, beyond = cells[:first], self.ground.centre(cells[first])
-        turns = np.flatnonzero(np.diff(cells, 2)) + 1
-        kept = sorted({0, 1, *turns.tolist(), len(cells) - 2, len(cells) - 1} & set(range(len(cells))))
+        kept = CellPath(cells, found.cost, found.turns).corners()
         points = [self.ground.centre(cells[i]) for i in kept]
         if known:
             points = [*points[: max(len(points) - 1, 1)], self.goal]
@@ -295,7 +298,8 @@ class PathQuery:
             self._ends = points[0], points[-1]
             self._begin_hybrid()
         else:
-            self._short = Shortening(points, self._ways.footprint)
+            most = MAX_LINES if found.turns is None else max(MAX_LINES, 2 * len(points))
+            self._short = Shortening(points, self._ways.footprint, most)
             self._ends = points[0], points[-1]
         return Searching(0)
 
@@ -338,6 +342,8 @@ class PathQuery:
         return Path(points, cost, escape, headings, gears, dist(self._asked, self.goal))
 
 
+CELLS_WORK = 1_000_000
+"""Work of a query's searches cell by cell: what is left to be found then is searched by blocks"""
 SAME = 1e-6
 """m between two points of a path, at least"""
 NEARBY = 10.0
