@@ -48,15 +48,11 @@ class CellPath:
     """From start to goal, both included; each a neighbour of the one before."""
     cost: float
     """m, weighted by the multipliers"""
-    turns: tuple[int, ...] | None = None
-    """Which of the cells straight lines lead between; None: where neighbours do not go on straight"""
 
     def corners(self) -> list[int]:
-        """Return which of the cells the path has to be led over: those at its turns, and about its ends."""
-        count, turns = len(self.cells), self.turns
-        if turns is None:
-            turns = tuple((np.flatnonzero(np.diff(self.cells, 2)) + 1).tolist())
-        return sorted({0, 1, *turns, count - 2, count - 1} & set(range(count)))
+        """Return which of the cells are at its turns, or about its ends."""
+        count, turns = len(self.cells), np.flatnonzero(np.diff(self.cells, 2)) + 1
+        return sorted({0, 1, *turns.tolist(), count - 2, count - 1} & set(range(count)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,19 +1,21 @@
 """Search by blocks of cells: ways over ground that is too large to be searched cell by cell.
 
-Rules. A block of about `SIDE` metres has one piece, or more, of cells that are connected within it by moves to
+Rules. A block of some 0.8 to 1.6 m has one piece, or more, of cells that are connected within it by moves to
 four neighbours; pieces are neighbours where a cell of one lies beside a cell of the other, or where four free
-cells meet at the blocks' corner. A* leads from piece to piece, from the best place of each to that of the next
-(hierarchical path-finding: Botea, Müller and Schaeffer 2004, with connected pieces in place of entrances). Since
-A* on cells cuts no corner, it reaches exactly what can be reached by pieces: that there is no way is no estimate.
-What a way costs is one. Between two places the way is straight, or else it is searched cell by cell. Equal
-queries have equal results, however they are sliced. The state is plain data.
+cells meet at the blocks' corner. A* leads from piece to piece, from the best place of each to that of the
+next (hierarchical path-finding: Botea, Müller and Schaeffer 2004, with connected pieces in place of
+entrances). What can be reached by pieces is exactly what A* on cells can reach, since that cuts no corner:
+that there is no way is certain. What a way costs is an estimate. Between two places the way is straight, or
+else it is searched cell by cell. Equal queries have equal results, however they are sliced. The state is
+plain data.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cache
 from heapq import heappop, heappush
-from math import inf, log2
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -22,14 +24,34 @@ from brain.planning.astar import BEYOND, DIAGONAL, CellPath, CellSearch, Searchi
 from brain.planning.costmap import EXIT, TILE, UNKNOWN, Cells, Floats
 from brain.planning.snapshot import CELLS_PER_WORK, LINE_WORK, Snapshot, crossing
 
-SIDE = 0.8
-"""m, about, of a block"""
+SHORTEST = 0.6
+"""m, least side of a block"""
+MOST_BLOCKS = 20_000
+"""Blocks of a snapshot, from which on larger ones are taken"""
+MOST_BEHIND = 400
+"""Pieces about the goal that are looked at to find that it lies in a closed room"""
+NOWHERE = -2
+"""The aim of a search that is to find all that can be reached"""
 CUT_WORK = 1200
 """Cutting 64 × 64 cells into pieces, in expansions of A*"""
 PIECE_WORK = 30
 """Leaving a piece"""
 CENTRED = 1e-5
 """What a place is worth that is nearer to the middle of its block, by squared cells, beside its price"""
+
+
+@dataclass(frozen=True, slots=True)
+class CornerPath:
+    """A way that is not much dearer than the cheapest."""
+
+    cells: tuple[int, ...]
+    """From start to goal, both included, or to the cell from which it leads beyond: straight lines lead from
+    each to the next"""
+    cost: float
+    """m, weighted by the multipliers"""
+    frontier: tuple[int, int, int] | None
+    """Where it leads over unknown ground: how many of the cells are before that, the last known cell and the
+    first that is not"""
 
 
 class BlockSearch:
@@ -52,21 +74,25 @@ class BlockSearch:
         self._multiplier = ground.multiplier.copy()
         if through_unknown < inf:
             self._multiplier[UNKNOWN:] = np.minimum(self._multiplier[UNKNOWN:], through_unknown)
+        self._worth = -self._multiplier
+        """Of a place by its level; of what ways begin that lead beyond, a little more"""
+        self._worth[EXIT] += CENTRED
         self._goal_at = beyond if goal == BEYOND else divmod(goal, ground.stride)
-        self._side = side = side_of(ground.resolution)
+        self._side = side = side_of(ground)
         self._low = side - 2
         """Cells before the snapshot's first, so that its tiles are whole blocks"""
         height, width = (-(-(count + self._low) // side) * side for count in (ground.height, ground.stride))
-        self._piece = np.zeros((height + 1, width + 1), np.int32)
-        """The number of each cell's piece, 0 where there is none; one row and column before them"""
-        self._parts = [(row, column) for row in range(0, height, TILE) for column in range(0, width, TILE)]
-        """Not yet cut, the next one last"""
-        self._parts.reverse()
+        self._piece = np.zeros((height + 2, width + 2), np.int32)
+        """The number of each cell's piece, 0 where there is none or not yet; around it one row, column"""
+        self._uncut = {(row, column) for row in range(0, height, TILE) for column in range(0, width, TILE)}
+        """First row and column of the parts of the ground that are not cut"""
         self._places: Floats = np.zeros((1, 3))
         """Row and column of the best place of each piece, and its mean price"""
         self._count = 1
         self._beside: list[list[tuple[int, float]]] = [[]]
         """The neighbours of each piece, and the way's cost [cells]"""
+        self._ahead: list[float] = [0.0]
+        """Cells from the place of each to the goal, at least"""
         self._ends: set[int] = set()
         """Pieces from where the way to a goal beyond the snapshot is open"""
         self._cost: dict[int, float] = {}
@@ -75,27 +101,33 @@ class BlockSearch:
         self._open: list[tuple[float, int]] = []
         self._aim = 0
         """The goal's piece"""
+        self._wanted: list[tuple[int, int]] = []
+        """Parts to be cut before the search goes on"""
+        self._back: list[int] = []
+        """Pieces from which the goal can be reached, whose neighbours are not known to"""
+        self._behind: set[int] = set()
+        """All of these"""
         self._points: list[int] = []
         """Cells that the way leads over, the next one last"""
         self._leg: CellSearch | None = None
         """Where the way to the next of them is not straight"""
-        self._cells: list[int] = []
         self._corners: list[int] = []
-        """Where in these the way turns"""
+        """The cells that it leads over so far"""
+        self._frontier: tuple[int, int, int] | None = None
         self._paid = 0.0
         """Cells, so far, weighted"""
-        self._result: CellPath | Unreachable | None = None
+        self._result: CornerPath | Unreachable | None = None
 
-    def advance(self, work: int) -> CellPath | Unreachable | Searching:
+    def advance(self, work: int) -> CornerPath | Unreachable | Searching:
         """Continue for about this much work. Once finished, the outcome does not change."""
         end = self.work + work
         while self.work < end and self._result is None:
-            if self._parts:
-                self._cut(*self._parts.pop())
-                if not self._parts:
-                    self._begin()
+            if self._wanted:
+                self._cut(*self._wanted.pop())
             elif self._points:
                 self._connect(end - self.work)
+            elif not self._cost:
+                self._begin()
             else:
                 self._leave()
         return Searching(self.work) if self._result is None else self._result
@@ -115,75 +147,72 @@ class BlockSearch:
     def _cut(self, row: int, column: int) -> None:
         """Cut a part of the ground into pieces, and find which are neighbours of each other and of those cut
         before."""
-        side, plane = self._side, self._piece[1:, 1:][row : row + TILE, column : column + TILE]
-        shape = plane.shape
-        level = np.zeros(shape, np.uint8)
+        side = self._side
+        self._uncut.discard((row, column))
+        height, width = self._piece[1:-1, 1:-1][row : row + TILE, column : column + TILE].shape
+        level = np.zeros((height, width), np.uint8)
         first, left = row - self._low, column - self._low
         ground = self.ground.level.reshape(self.ground.height, self.ground.stride)
-        known = ground[max(first, 0) : first + shape[0], max(left, 0) : left + shape[1]]
-        level[max(-first, 0) :, max(-left, 0) :][: known.shape[0], : known.shape[1]] = known
-        blocks = level.reshape(shape[0] // side, side, -1, side).swapaxes(1, 2).reshape(-1, side, side)
-        price = self._multiplier[blocks]
-        free = price < inf
-        piece, count = labelling()(free, WITHIN)
+        there = ground[max(first, 0) : first + height, max(left, 0) : left + width]
+        level[max(-first, 0) :, max(-left, 0) :][: there.shape[0], : there.shape[1]] = there
+        blocks = level.reshape(height // side, side, -1, side).swapaxes(1, 2).reshape(-1, side, side)
+        worth = self._worth[blocks]
+        piece, count = labelling()(worth > -inf, WITHIN)
         self.work += CUT_WORK * level.size // TILE**2 + 1
         if count:
-            self._add(piece, price, blocks, (row, column), shape, count)
-            self._join(row, column, shape)
+            self._add(piece, worth + _off_centre(side), count, (first, left), width // side)
+            whole = np.where(piece > 0, piece + (self._count - count - 1), 0)
+            whole = whole.reshape(height // side, -1, side, side).swapaxes(1, 2).reshape(height, width)
+            self._piece[1:-1, 1:-1][row : row + height, column : column + width] = whole
+            self._join(row, column, (height, width))
 
-    def _add(
-        self, piece: Any, price: Floats, level: Any, corner: tuple[int, int], shape: Any, count: int
-    ) -> None:
-        """Add pieces: where the best place of each is, and what it costs there."""
-        side, flat = self._side, piece.reshape(-1)
-        inside = flat.nonzero()[0]
-        of, price = flat[inside], price.reshape(-1)[inside]
-        worth = -price - _off_centre(side, len(piece)).reshape(-1)[inside]
-        worth[level.reshape(-1)[inside] == EXIT] += 1e6
+    def _add(self, piece: Cells, worth: Floats, count: int, corner: tuple[int, int], across: int) -> None:
+        """Add pieces: where the best place of each is, and what a move costs in it."""
+        side, of, worth = self._side, piece.reshape(-1), worth.reshape(-1)
         best = np.full(count + 1, -inf)
         np.maximum.at(best, of, worth)
+        best[0] = inf
         at = (worth == best[of]).nonzero()[0][::-1]
         place = np.zeros(count + 1, np.int64)
-        place[of[at]] = inside[at]
-        place = place[1:]
-        block, within = np.divmod(place, side * side)
-        rows, columns = np.divmod(block, shape[1] // side)
-        sizes = np.bincount(of, minlength=count + 1)[1:]
-        new = np.empty((count, 3))
-        new[:, 0] = corner[0] - self._low + rows * side + within // side
-        new[:, 1] = corner[1] - self._low + columns * side + within % side
-        new[:, 2] = np.bincount(of, price, minlength=count + 1)[1:] / sizes
+        place[of[at]] = at
+        block, within = np.divmod(place[1:], side * side)
+        new = np.empty((3, count))
+        new[0] = corner[0] + block // across * side + within // side
+        new[1] = corner[1] + block % across * side + within % side
+        new[2] = -np.bincount(of, worth)[1:] / np.bincount(of)[1:]
         if self._count + count > len(self._places):
-            more = np.zeros((2 * len(self._places) + count, 3))
-            more[: self._count] = self._places[: self._count]
-            self._places = more
-        self._places[self._count : self._count + count] = new
+            self._places = np.concatenate([self._places, np.zeros((len(self._places) + count, 3))])
+        self._places[self._count : self._count + count] = new.T
         self._beside += [[] for _ in range(count)]
+        dx, dy = np.abs(new[1] - self._goal_at[1]), np.abs(new[0] - self._goal_at[0])
+        self._ahead += (dx + dy + (DIAGONAL - 2.0) * np.minimum(dx, dy)).tolist()
         if self.goal == BEYOND:
-            exits = level.reshape(-1)[place] == EXIT
+            cells = new[:2].astype(np.int64)
+            inside = ((cells > 0) & (cells < ((self.ground.height,), (self.ground.stride,)))).all(axis=0)
+            exits = inside & (
+                self.ground.level[np.where(inside, cells[0] * self.ground.stride + cells[1], 0)] == EXIT
+            )
             self._ends.update((exits.nonzero()[0] + self._count).tolist())
-        numbers = np.where(piece > 0, piece + (self._count - 1), 0)
-        whole = numbers.reshape(shape[0] // side, -1, side, side).swapaxes(1, 2).reshape(shape)
-        self._piece[1:, 1:][corner[0] : corner[0] + shape[0], corner[1] : corner[1] + shape[1]] = whole
         self._count += count
 
     def _join(self, row: int, column: int, shape: tuple[int, int]) -> None:
-        """Find the neighbours among the pieces of a part, and of the parts before it."""
+        """Find the neighbours among the pieces of a part, and of those around it that are cut."""
         side = self._side
-        part = self._piece[row : row + shape[0] + 1, column : column + shape[1] + 1]
+        part = self._piece[row : row + shape[0] + 2, column : column + shape[1] + 2]
         before, after = slice(0, -1, side), slice(1, None, side)
         corners = (part[before, before], part[after, after], part[before, after], part[after, before])
         meet = corners[0].astype(bool) & (corners[1] > 0) & (corners[2] > 0) & (corners[3] > 0)
         pairs = (
-            (part[before, 1:].reshape(-1), part[after, 1:].reshape(-1)),
-            (part[1:, before].reshape(-1), part[1:, after].reshape(-1)),
+            (part[before, 1:-1].reshape(-1), part[after, 1:-1].reshape(-1)),
+            (part[1:-1, before].reshape(-1), part[1:-1, after].reshape(-1)),
             (corners[0][meet], corners[1][meet]),
             (corners[2][meet], corners[3][meet]),
         )
         one = np.concatenate([a for a, _ in pairs]).astype(np.int64)
         other = np.concatenate([b for _, b in pairs]).astype(np.int64)
         key = (one << 32 | other)[(one > 0) & (other > 0)]
-        key = np.unique(key)
+        key.sort()
+        key = key[np.flatnonzero(np.diff(key, prepend=0))]
         a, b = key >> 32, key & 0xFFFFFFFF
         (rows, columns, price), to = self._places[a].T, self._places[b].T
         costs = np.hypot(to[0] - rows, to[1] - columns) * (price + to[2]) / 2.0
@@ -195,102 +224,148 @@ class BlockSearch:
     # -- searching -----------------------------------------------------------------------------
 
     def _of(self, cell: int) -> int:
+        """Return the piece of a cell."""
         row, column = divmod(cell, self.ground.stride)
         return int(self._piece[row + self._low + 1, column + self._low + 1])
 
+    def _want(self, row: int, column: int, reach: int = 0) -> bool:
+        """Ask for the parts about a cell of the snapshot that are not cut; return whether there are any."""
+        row, column = row + self._low, column + self._low
+        for down in range((row - reach) // TILE, (row + reach) // TILE + 1):
+            for right in range((column - reach) // TILE, (column + reach) // TILE + 1):
+                if (down * TILE, right * TILE) in self._uncut:
+                    self._wanted.append((down * TILE, right * TILE))
+        return bool(self._wanted)
+
     def _begin(self) -> None:
         """Begin at the start, unless that or the goal is blocked."""
+        if self._want(*divmod(self.start, self.ground.stride)):
+            return
+        if self.goal != BEYOND and self._want(*self._goal_at):
+            return
         here = self._of(self.start)
-        self._aim = BEYOND if self.goal == BEYOND else self._of(self.goal)
-        if not here or not (self._aim or self._spread):
+        if self._spread:
+            self._aim = NOWHERE
+        else:
+            self._aim = BEYOND if self.goal == BEYOND else self._of(self.goal)
+        if not here or not self._aim:
             self._result = Unreachable()
             return
         self._cost[here] = 0.0
         self._open = [(0.0, here)]
-
-    def _ahead(self, piece: int) -> float:
-        row, column, _ = self._places[piece].tolist()
-        dx, dy = abs(column - self._goal_at[1]), abs(row - self._goal_at[0])
-        return float(dx + dy + (DIAGONAL - 2.0) * min(dx, dy))
+        if self._aim > 0:
+            self._back, self._behind = [self._aim], {self._aim}
 
     def _leave(self) -> None:
-        """Go on from the most promising piece to its neighbours, or begin to make a way of what was found."""
+        """Go on from the most promising piece to its neighbours, or begin to make a way of what was found.
+
+        In turn the pieces are found from where the goal can be reached: it may lie in a closed room."""
         if not self._open:
             self._result = Unreachable()
             return
-        _, here = heappop(self._open)
+        here = self._open[0][1]
         if here == self._aim:
             self._trace()
             return
-        if here in self._done:
+        if here not in self._done and self._want_about(here):
             return
-        self._done.add(here)
+        if self._back and self._want_about(self._back[0]):
+            return
+        heappop(self._open)
+        if here not in self._done:
+            self._done.add(here)
+            self._expand(here)
+        if self._back:
+            self._look_back()
+
+    def _want_about(self, piece: int) -> bool:
+        """Ask for the parts about a piece that are not cut; return whether there are any."""
+        row, column, _ = self._places[piece].tolist()
+        return self._want(int(row), int(column), self._side)
+
+    def _expand(self, here: int) -> None:
+        """Find what the neighbours of a piece cost."""
         self.work += PIECE_WORK
         so_far, costs = self._cost[here], self._cost
         for there, price in self._beside[here]:
             cost = so_far + price
             if cost < costs.get(there, inf):
                 costs[there], self._from[there] = cost, here
-                heappush(self._open, (cost + self._ahead(there), there))
+                heappush(self._open, (cost + self._ahead[there], there))
         if here in self._ends:
-            cost = so_far + float(self._multiplier[EXIT]) * self._ahead(here)
+            cost = so_far + float(self._multiplier[EXIT]) * self._ahead[here]
             if cost < costs.get(BEYOND, inf):
                 costs[BEYOND], self._from[BEYOND] = cost, here
                 heappush(self._open, (cost, BEYOND))
 
+    def _look_back(self) -> None:
+        """Find the neighbours of a piece from where the goal can be reached: until it is known to be closed
+        in, or to lie in no small room."""
+        self.work += PIECE_WORK
+        beside = {there for there, _ in self._beside[self._back.pop(0)]} - self._behind
+        self._behind |= beside
+        self._back += sorted(beside)
+        if not self._back:
+            self._result = Unreachable()
+        elif len(self._behind) > MOST_BEHIND or not beside.isdisjoint(self._cost):
+            self._back = []
+
     # -- the way -------------------------------------------------------------------------------
 
     def _trace(self) -> None:
-        """Find the places that the way leads over."""
+        """Find the places that the way leads over, but for those where it goes straight on."""
         pieces, piece = [], self._aim
         while piece in self._from:
             piece = self._from[piece]
             pieces.append(piece)
-        places = self._places[pieces[:-1], :2].astype(np.int64) @ (self.ground.stride, 1)
+        rows, columns = self._places[pieces[:-1], :2].astype(np.int64).T
+        places = rows * self.ground.stride + columns
+        straight = np.zeros(len(places), np.bool_)
+        straight[1:-1] = (np.diff(rows, 2) == 0) & (np.diff(columns, 2) == 0)
         goal = [] if self.goal == BEYOND else [self.goal]
-        self._points = [*goal, *places.tolist()]
-        self._cells, self._corners = [self.start], [0]
+        self._points, self._corners = [*goal, *places[~straight].tolist()], [self.start]
         self.work += len(pieces)
         if not self._points:
             self._end()
 
     def _connect(self, work: int) -> None:
         """Lead the way on to the next place."""
-        ground, here, there = self.ground, self._cells[-1], self._points[-1]
+        ground, here, there = self.ground, self._corners[-1], self._points[-1]
         if self._leg is None:
             rows, columns, span = crossing(ground.resolution, ground.centre(here), ground.centre(there))
             cells = (rows - ground.corner[0]) * ground.stride + columns - ground.corner[1]
             price = self._multiplier[ground.level[cells]]
             self.work += LINE_WORK + len(cells) // CELLS_PER_WORK
-            if price.max() == inf:
+            if price.max() < inf:
+                self._go(cells, [there], float(price @ span))
+            else:
                 self._leg = CellSearch(ground, here, there, through_unknown=self._through)
-                return
-            self._go(cells, [len(cells) - 1], float(price @ span))
             return
         before = self._leg.work
         outcome = self._leg.advance(work)
         self.work += max(self._leg.work - before, 1)
         if isinstance(outcome, CellPath):
-            self._leg = None
-            self._go(np.array(outcome.cells), outcome.corners(), outcome.cost)
+            self._leg, cells = None, np.array(outcome.cells)
+            self._go(cells, cells[outcome.corners()[1:]].tolist(), outcome.cost)
         elif isinstance(outcome, Unreachable):
             self._result = outcome
 
     def _go(self, cells: Cells, corners: list[int], cost: float) -> None:
         """Take cells that lead to the next place."""
-        first = len(self._cells) - 1
-        self._cells[-1:] = cells.tolist()
-        self._cells[-1] = self._points.pop()
-        self._corners += [first + corner for corner in corners if corner]
+        unknown = self.ground.level[cells] >= UNKNOWN
+        if self._frontier is None and unknown.any():
+            first = int(unknown.argmax())
+            self._frontier = len(self._corners), int(cells[max(first - 1, 0)]), int(cells[first])
+        self._corners += corners
         self._paid += cost
+        self._points.pop()
         if not self._points:
             self._end()
 
     def _end(self) -> None:
-        if self.goal == BEYOND:
-            self._cells.append(BEYOND)
-            self._corners.append(len(self._cells) - 1)
-        self._result = CellPath(tuple(self._cells), self._paid, tuple(self._corners))
+        if self.goal == BEYOND and self._frontier is None:
+            self._frontier = len(self._corners), self._corners[-1], self._corners[-1]
+        self._result = CornerPath(tuple(self._corners), self._paid, self._frontier)
 
 
 class GroundSearch:
@@ -302,14 +377,14 @@ class GroundSearch:
         self._most, self._asked, self._how = most, (ground, start, goal), how
         self._search: CellSearch | BlockSearch = CellSearch(ground, start, goal, **how)
 
-    def advance(self, work: int) -> CellPath | Unreachable | Searching:
+    def advance(self, work: int) -> CellPath | CornerPath | Unreachable | Searching:
         """Continue for about this much work. Once finished, the outcome does not change."""
-        if isinstance(self._search, CellSearch) and self.work >= self._most:
-            self._search = BlockSearch(*self._asked, **self._how)
+        if isinstance(self._search, CellSearch):
+            work = min(work, self._most - self.work)
+            if work <= 0:
+                self._search, work = BlockSearch(*self._asked, **self._how), 1
         before = self._search.work
-        outcome = self._search.advance(
-            min(work, max(self._most - self.work, 1)) if isinstance(self._search, CellSearch) else work
-        )
+        outcome = self._search.advance(work)
         self.work += max(self._search.work - before, 1)
         return outcome
 
@@ -318,9 +393,12 @@ class GroundSearch:
         return self._search.reached(window)
 
 
-def side_of(resolution: float) -> int:
-    """Return the cells along a block, of so many m each."""
-    return int(min(max(2 ** round(log2(SIDE / resolution)), 4), TILE // 2))
+def side_of(ground: Snapshot) -> int:
+    """Return the cells along a block: a power of 2, so that tiles are of whole blocks."""
+    side, cells = 4, len(ground.level)
+    while side < TILE // 2 and (side * ground.resolution < SHORTEST or cells > MOST_BLOCKS * side**2):
+        side *= 2
+    return side
 
 
 WITHIN = np.zeros((3, 3, 3), np.bool_)
@@ -337,8 +415,8 @@ def labelling() -> Any:  # noqa: ANN401 -- it has no types
 
 
 @cache
-def _off_centre(side: int, count: int) -> Floats:
-    """Return what each place of so many blocks is worth less, for its distance from the middle."""
+def _off_centre(side: int) -> Floats:
+    """Return what each place of a block is worth, for its distance from the middle."""
     away = (np.arange(side) - (side - 1) / 2.0) ** 2
-    one: Floats = CENTRED * (away[:, None] + away[None, :])
-    return np.broadcast_to(one, (count, side, side))
+    worth: Floats = -CENTRED * (away[:, None] + away[None, :])
+    return worth

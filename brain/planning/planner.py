@@ -21,7 +21,7 @@ import numpy as np
 from brain.belief import Pose
 from brain.bodies.plane import wrap
 from brain.planning.astar import BEYOND, CellPath, Searching, Unreachable
-from brain.planning.blocks import GroundSearch
+from brain.planning.blocks import CornerPath, GroundSearch
 from brain.planning.costmap import FREE, NEAR, TOUCHING, UNKNOWN, Costmap, Map, PlannerSettings
 from brain.planning.footprint import Footprint, Shape
 from brain.planning.hybrid_astar import HybridSearch
@@ -117,7 +117,7 @@ class PathQuery:
         """Where that way ends"""
         self._ends = start, goal
         """Of the path that is shortened"""
-        self._assumed: CellPath | None = None
+        self._assumed: CellPath | CornerPath | None = None
         self._cells = CELLS_WORK
         """Work that is left for searches cell by cell"""
         self._search: GroundSearch | None = None
@@ -242,11 +242,11 @@ class PathQuery:
         self._search = GroundSearch(self._cells, self.ground, self._from, self._to, **how)
         return Searching(0)
 
-    def _judge(self, outcome: CellPath | Unreachable) -> PlanResult:
+    def _judge(self, outcome: CellPath | CornerPath | Unreachable) -> PlanResult:
         """Process a finished search: begin one more, or begin to shorten the path."""
         if self._assumed is not None:
-            known = isinstance(outcome, CellPath)
-            return self._shorten(outcome if isinstance(outcome, CellPath) else self._assumed, known=known)
+            known = not isinstance(outcome, Unreachable)
+            return self._shorten(self._assumed if isinstance(outcome, Unreachable) else outcome, known=known)
         if isinstance(outcome, Unreachable):
             if self.near and self._to != BEYOND:
                 self._seek(spread=True)
@@ -254,7 +254,7 @@ class PathQuery:
                 return Searching(0)
             return NoPath(f"everything between {_text(self.start)} and the goal {_text(self.goal)} is closed")
         level = self.ground.level
-        if self.settings.unknown_is_free or not np.any(level[list(outcome.cells)] >= UNKNOWN):
+        if self.settings.unknown_is_free or not self._enters_unknown(outcome):
             return self._shorten(outcome, known=True)
         if self._to == BEYOND or level[self._to] >= UNKNOWN:
             return self._shorten(outcome, known=False)
@@ -277,16 +277,29 @@ class PathQuery:
                 return self._set_out(self._from)
         return NoPath(f"no place within {NEARBY:g} m of the goal {_text(self._asked)} can be reached")
 
-    def _shorten(self, found: CellPath, *, known: bool) -> PlanResult:
+    def _frontier(self, found: CellPath | CornerPath) -> tuple[int, int, int]:
+        """Return how many cells of a path are before the last that is known, that, and the first unknown."""
+        if isinstance(found, CornerPath):
+            assert found.frontier is not None
+            return found.frontier
+        first = int(np.argmax(self.ground.level[list(found.cells)] >= UNKNOWN))
+        return max(first - 1, 0), found.cells[max(first - 1, 0)], found.cells[first]
+
+    def _enters_unknown(self, found: CellPath | CornerPath) -> bool:
+        if isinstance(found, CornerPath):
+            return found.frontier is not None
+        return bool(np.any(self.ground.level[list(found.cells)] >= UNKNOWN))
+
+    def _shorten(self, found: CellPath | CornerPath, *, known: bool) -> PlanResult:
         """Begin to shorten a path, or the part of it that is known."""
-        cells, level, beyond = found.cells, self.ground.level, None
+        cells, centre, beyond = list(found.cells), self.ground.centre, None
         if not known:
-            first = int(np.argmax(level[list(cells)] >= UNKNOWN))
-            if first == 0:
+            first, last, unknown = self._frontier(found)
+            if unknown == cells[0]:
                 return NoPath(f"the robot at {_text(self.start)} stands on unknown ground")
-            cells, beyond = cells[:first], self.ground.centre(cells[first])
-        kept = CellPath(cells, found.cost, found.turns).corners()
-        points = [self.ground.centre(cells[i]) for i in kept]
+            cells, beyond = [*cells[:first], last], centre(unknown)
+        kept = CellPath(tuple(cells), 0.0).corners() if isinstance(found, CellPath) else range(len(cells))
+        points = [centre(cells[i]) for i in kept]
         if known:
             points = [*points[: max(len(points) - 1, 1)], self.goal]
         if not self._escape:
@@ -298,7 +311,7 @@ class PathQuery:
             self._ends = points[0], points[-1]
             self._begin_hybrid()
         else:
-            most = MAX_LINES if found.turns is None else max(MAX_LINES, 2 * len(points))
+            most = MAX_LINES if isinstance(found, CellPath) else max(MAX_LINES, 2 * len(points))
             self._short = Shortening(points, self._ways.footprint, most)
             self._ends = points[0], points[-1]
         return Searching(0)
