@@ -22,18 +22,22 @@ import numpy as np
 
 from brain.planning.astar import BEYOND, DIAGONAL, CellPath, CellSearch, Searching, Unreachable
 from brain.planning.costmap import EXIT, TILE, UNKNOWN, Cells, Floats
-from brain.planning.snapshot import CELLS_PER_WORK, LINE_WORK, Snapshot, crossing
+from brain.planning.snapshot import CELLS_PER_WORK, LINE_WORK, Part, Snapshot, cells_in, crossing
 
 SHORTEST = 0.6
 """m, least side of a block"""
 MOST_BLOCKS = 20_000
 """Blocks of a snapshot, from which on larger ones are taken"""
+LONGEST = 8
+"""Blocks over which a way may lead straight on to its next place"""
 MOST_BEHIND = 400
 """Pieces about the goal that are looked at to find that it lies in a closed room"""
 NOWHERE = -2
 """The aim of a search that is to find all that can be reached"""
-CUT_WORK = 1200
-"""Cutting 64 × 64 cells into pieces, in expansions of A*"""
+PART = 128
+"""Cells along a side of a part of the ground that is cut into pieces at once"""
+CELLS_CUT_PER_WORK = 7
+"""Of a part, for one expansion of A*"""
 PIECE_WORK = 30
 """Leaving a piece"""
 CENTRED = 1e-5
@@ -84,13 +88,15 @@ class BlockSearch:
         height, width = (-(-(count + self._low) // side) * side for count in (ground.height, ground.stride))
         self._piece = np.zeros((height + 2, width + 2), np.int32)
         """The number of each cell's piece, 0 where there is none or not yet; around it one row, column"""
-        self._uncut = {(row, column) for row in range(0, height, TILE) for column in range(0, width, TILE)}
+        self._uncut = {(row, column) for row in range(0, height, PART) for column in range(0, width, PART)}
         """First row and column of the parts of the ground that are not cut"""
         self._places: Floats = np.zeros((1, 3))
         """Row and column of the best place of each piece, and its mean price"""
         self._count = 1
-        self._beside: list[list[tuple[int, float]]] = [[]]
-        """The neighbours of each piece, and the way's cost [cells]"""
+        self._beside: list[list[int]] = [[]]
+        """The neighbours of each piece"""
+        self._prices: list[list[float]] = [[]]
+        """What the way to each of them costs [cells]"""
         self._ahead: list[float] = [0.0]
         """Cells from the place of each to the goal, at least"""
         self._ends: set[int] = set()
@@ -149,7 +155,7 @@ class BlockSearch:
         before."""
         side = self._side
         self._uncut.discard((row, column))
-        height, width = self._piece[1:-1, 1:-1][row : row + TILE, column : column + TILE].shape
+        height, width = self._piece[1:-1, 1:-1][row : row + PART, column : column + PART].shape
         level = np.zeros((height, width), np.uint8)
         first, left = row - self._low, column - self._low
         ground = self.ground.level.reshape(self.ground.height, self.ground.stride)
@@ -158,7 +164,7 @@ class BlockSearch:
         blocks = level.reshape(height // side, side, -1, side).swapaxes(1, 2).reshape(-1, side, side)
         worth = self._worth[blocks]
         piece, count = labelling()(worth > -inf, WITHIN)
-        self.work += CUT_WORK * level.size // TILE**2 + 1
+        self.work += level.size // CELLS_CUT_PER_WORK + 1
         if count:
             self._add(piece, worth + _off_centre(side), count, (first, left), width // side)
             whole = np.where(piece > 0, piece + (self._count - count - 1), 0)
@@ -184,6 +190,7 @@ class BlockSearch:
             self._places = np.concatenate([self._places, np.zeros((len(self._places) + count, 3))])
         self._places[self._count : self._count + count] = new.T
         self._beside += [[] for _ in range(count)]
+        self._prices += [[] for _ in range(count)]
         dx, dy = np.abs(new[1] - self._goal_at[1]), np.abs(new[0] - self._goal_at[0])
         self._ahead += (dx + dy + (DIAGONAL - 2.0) * np.minimum(dx, dy)).tolist()
         if self.goal == BEYOND:
@@ -216,10 +223,11 @@ class BlockSearch:
         a, b = key >> 32, key & 0xFFFFFFFF
         (rows, columns, price), to = self._places[a].T, self._places[b].T
         costs = np.hypot(to[0] - rows, to[1] - columns) * (price + to[2]) / 2.0
-        beside = self._beside
         for i, j, cost in zip(a.tolist(), b.tolist(), costs.tolist(), strict=True):
-            beside[i].append((j, cost))
-            beside[j].append((i, cost))
+            self._beside[i].append(j)
+            self._prices[i].append(cost)
+            self._beside[j].append(i)
+            self._prices[j].append(cost)
 
     # -- searching -----------------------------------------------------------------------------
 
@@ -231,10 +239,10 @@ class BlockSearch:
     def _want(self, row: int, column: int, reach: int = 0) -> bool:
         """Ask for the parts about a cell of the snapshot that are not cut; return whether there are any."""
         row, column = row + self._low, column + self._low
-        for down in range((row - reach) // TILE, (row + reach) // TILE + 1):
-            for right in range((column - reach) // TILE, (column + reach) // TILE + 1):
-                if (down * TILE, right * TILE) in self._uncut:
-                    self._wanted.append((down * TILE, right * TILE))
+        for down in range((row - reach) // PART, (row + reach) // PART + 1):
+            for right in range((column - reach) // PART, (column + reach) // PART + 1):
+                if (down * PART, right * PART) in self._uncut:
+                    self._wanted.append((down * PART, right * PART))
         return bool(self._wanted)
 
     def _begin(self) -> None:
@@ -287,7 +295,7 @@ class BlockSearch:
         """Find what the neighbours of a piece cost."""
         self.work += PIECE_WORK
         so_far, costs = self._cost[here], self._cost
-        for there, price in self._beside[here]:
+        for there, price in zip(self._beside[here], self._prices[here], strict=True):
             cost = so_far + price
             if cost < costs.get(there, inf):
                 costs[there], self._from[there] = cost, here
@@ -302,7 +310,7 @@ class BlockSearch:
         """Find the neighbours of a piece from where the goal can be reached: until it is known to be closed
         in, or to lie in no small room."""
         self.work += PIECE_WORK
-        beside = {there for there, _ in self._beside[self._back.pop(0)]} - self._behind
+        beside = set(self._beside[self._back.pop(0)]) - self._behind
         self._behind |= beside
         self._back += sorted(beside)
         if not self._back:
@@ -322,6 +330,7 @@ class BlockSearch:
         places = rows * self.ground.stride + columns
         straight = np.zeros(len(places), np.bool_)
         straight[1:-1] = (np.diff(rows, 2) == 0) & (np.diff(columns, 2) == 0)
+        straight[::LONGEST] = False
         goal = [] if self.goal == BEYOND else [self.goal]
         self._points, self._corners = [*goal, *places[~straight].tolist()], [self.start]
         self.work += len(pieces)
@@ -339,16 +348,33 @@ class BlockSearch:
             if price.max() < inf:
                 self._go(cells, [there], float(price @ span))
             else:
-                self._leg = CellSearch(ground, here, there, through_unknown=self._through)
+                self._leg = self._detour(here, there)
             return
         before = self._leg.work
         outcome = self._leg.advance(work)
         self.work += max(self._leg.work - before, 1)
         if isinstance(outcome, CellPath):
-            self._leg, cells = None, np.array(outcome.cells)
+            cells = cells_in(self._leg.ground, np.array(outcome.cells), ground)
+            self._leg = None
             self._go(cells, cells[outcome.corners()[1:]].tolist(), outcome.cost)
         elif isinstance(outcome, Unreachable):
             self._result = outcome
+
+    def _detour(self, here: int, there: int) -> CellSearch:
+        """Begin a search cell by cell in the blocks of two places and those around them, where there is a
+        way."""
+        ground, ranges = self.ground, []
+        for a, b, most in zip(
+            divmod(here, ground.stride),
+            divmod(there, ground.stride),
+            (ground.height, ground.stride),
+            strict=True,
+        ):
+            ranges.append(range(max(min(a, b) - self._side, 0), min(max(a, b) + self._side + 1, most)))
+        part = Part(ground, *ranges)
+        self.work += len(part.level) // CELLS_PER_WORK
+        start, goal = cells_in(ground, np.array((here, there)), part).tolist()
+        return CellSearch(part, start, goal, through_unknown=self._through)
 
     def _go(self, cells: Cells, corners: list[int], cost: float) -> None:
         """Take cells that lead to the next place."""

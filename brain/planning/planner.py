@@ -118,6 +118,8 @@ class PathQuery:
         self._ends = start, goal
         """Of the path that is shortened"""
         self._assumed: CellPath | CornerPath | None = None
+        self._left = settings.expansions_per_search
+        """Work that is left for all of it"""
         self._cells = CELLS_WORK
         """Work that is left for searches cell by cell"""
         self._search: GroundSearch | None = None
@@ -133,6 +135,19 @@ class PathQuery:
 
     def advance(self, work: int, costmap: Costmap, grid: Map) -> PlanResult:
         """Continue for at most about this much work. Once finished, the result does not change."""
+        if not isinstance(self._result, Searching):
+            return self._result
+        work = min(work, self._left)
+        self._left -= work - min(self._continue(work, costmap, grid), 0)
+        if self._left <= 0 and isinstance(self._result, Searching):
+            most = self.settings.expansions_per_search
+            self._result = NoPath(
+                f"the search for a way to {_text(self.goal)} has not ended after {most} expansions"
+            )
+        return self._result
+
+    def _continue(self, work: int, costmap: Costmap, grid: Map) -> int:
+        """Continue for at most about this much work; return the rest of it."""
         while work > 0 and isinstance(self._result, Searching):
             if not self.ground.complete:
                 work = self.ground.assemble(costmap, grid, work)
@@ -159,7 +174,7 @@ class PathQuery:
                     )
             else:
                 self._result = self._begin()
-        return self._result
+        return work
 
     def _with_heading(self, work: int) -> int:
         """Continue the search with headings, or make a corner round; return the rest of the work."""
