@@ -261,7 +261,8 @@ def test_a_path_of_kilometres_is_held_as_one_of_metres() -> None:
     for legs in (10, 2000):
         pursuit.follow(points := zigzag(legs), None, BODY, SETTINGS)
         run = pursuit.runs[0]
-        near = [Pose(x, y, 0.0) for x, y in zip(run.x, run.y, strict=True) if x < 12.0]
+        places = (run.place(float(along)) for along in np.arange(0.0, 25.0, 0.05))
+        near = [Pose(place.x, place.y, 0.0) for place in places]
         assert off(near, points).max() < 1.1 * SETTINGS.corner
         assert len(run.at) <= 3001
     assert pursuit.end == points[-1]
