@@ -40,6 +40,8 @@ CELLS_CUT_PER_WORK = 7
 """Of a part, for one expansion of A*"""
 PIECE_WORK = 30
 """Leaving a piece"""
+PREFERRED = 0.01
+"""What a place is worth more from where the way to a goal beyond the snapshot is open, beside its price"""
 CENTRED = 1e-5
 """What a place is worth that is nearer to the middle of its block, by squared cells, beside its price"""
 
@@ -49,8 +51,7 @@ class CornerPath:
     """A way that is not much dearer than the cheapest."""
 
     cells: tuple[int, ...]
-    """From start to goal, both included, or to the cell from which it leads beyond: straight lines lead from
-    each to the next"""
+    """From start to goal, both included: straight lines lead from each to the next"""
     cost: float
     """m, weighted by the multipliers"""
     frontier: tuple[int, int, int] | None
@@ -80,7 +81,7 @@ class BlockSearch:
             self._multiplier[UNKNOWN:] = np.minimum(self._multiplier[UNKNOWN:], through_unknown)
         self._worth = -self._multiplier
         """Of a place by its level; of what ways begin that lead beyond, a little more"""
-        self._worth[EXIT] += CENTRED
+        self._worth[EXIT] += PREFERRED
         self._goal_at = beyond if goal == BEYOND else divmod(goal, ground.stride)
         self._side = side = side_of(ground)
         self._low = side - 2
@@ -389,8 +390,8 @@ class BlockSearch:
             self._end()
 
     def _end(self) -> None:
-        if self.goal == BEYOND and self._frontier is None:
-            self._frontier = len(self._corners), self._corners[-1], self._corners[-1]
+        if self.goal == BEYOND:
+            self._corners.append(BEYOND)
         self._result = CornerPath(tuple(self._corners), self._paid, self._frontier)
 
 

@@ -123,23 +123,41 @@ UNSEEN[:, 31:] = True
 CLOSED = two_rooms(door=(0, 0))
 
 
+OPEN = two_rooms()
+OPEN[:, [0, -1]] = False
+DARING = PlannerSettings(unknown_is_free=True)
+
+
 @pytest.mark.parametrize(
-    ("occupied", "unknown", "kind"),
-    [(two_rooms(), None, Path), (two_rooms(), UNSEEN, FrontierPath), (CLOSED, None, NoPath)],
-    ids=["known", "unknown", "closed"],
+    ("occupied", "unknown", "goal", "settings", "kind"),
+    [
+        (two_rooms(), None, (4.0, 1.2), None, Path),
+        (two_rooms(), UNSEEN, (4.0, 1.2), None, FrontierPath),
+        (two_rooms(), UNSEEN, (4.0, 1.2), DARING, Path),
+        (OPEN, None, (30.0, 0.5), None, FrontierPath),
+        (OPEN, None, (30.0, 0.5), DARING, Path),
+        (CLOSED, None, (4.0, 1.2), None, NoPath),
+    ],
+    ids=["known", "unknown", "unknown is free", "beyond", "beyond is free", "closed"],
 )
 def test_a_query_by_blocks_has_the_answer_of_one_on_cells(
-    occupied: Mask, unknown: Mask | None, kind: type, monkeypatch: pytest.MonkeyPatch
+    occupied: Mask,
+    unknown: Mask | None,
+    goal: tuple[float, float],
+    settings: PlannerSettings | None,
+    kind: type,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    grid, start, goal = PlainMap(occupied, unknown), (0.0, -1.0), (4.0, 1.2)
-    exact = plan(grid, start, goal)
+    grid, start = PlainMap(occupied, unknown), (0.0, -1.0)
+    exact = plan(grid, start, goal, settings)
     monkeypatch.setattr(planner, "CELLS_WORK", 0)
-    found = plan(grid, start, goal)
+    found = plan(grid, start, goal, settings)
     assert type(found) is type(exact) is kind
     if isinstance(exact, NoPath):
         assert found == exact
     elif isinstance(exact, Path | FrontierPath) and isinstance(found, Path | FrontierPath):
-        assert found != exact
+        ground = drawn(grid, settings=settings)
+        assert not any(is_blocked(ground, a, b, FREE) for a, b in pairwise(found.points))
         assert Polyline(found.points).length <= 1.05 * Polyline(exact.points).length
 
 
