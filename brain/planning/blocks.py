@@ -36,8 +36,8 @@ NOWHERE = -2
 """The aim of a search that is to find all that can be reached"""
 PART = 128
 """Cells along a side of a part of the ground that is cut into pieces at once"""
-CELLS_CUT_PER_WORK = 7
-"""Of a part, for one expansion of A*"""
+CUT_WORK = 2300
+"""Cutting it, in expansions of A*"""
 PIECE_WORK = 30
 """Leaving a piece"""
 PREFERRED = 0.01
@@ -86,7 +86,7 @@ class BlockSearch:
         self._side = side = side_of(ground)
         self._low = side - 2
         """Cells before the snapshot's first, so that its tiles are whole blocks"""
-        height, width = (-(-(count + self._low) // side) * side for count in (ground.height, ground.stride))
+        height, width = (-(-(count + self._low) // PART) * PART for count in (ground.height, ground.stride))
         self._piece = np.zeros((height + 2, width + 2), np.int32)
         """The number of each cell's piece, 0 where there is none or not yet; around it one row, column"""
         self._uncut = {(row, column) for row in range(0, height, PART) for column in range(0, width, PART)}
@@ -156,24 +156,23 @@ class BlockSearch:
         before."""
         side = self._side
         self._uncut.discard((row, column))
-        height, width = self._piece[1:-1, 1:-1][row : row + PART, column : column + PART].shape
-        level = np.zeros((height, width), np.uint8)
+        level = np.zeros((PART, PART), np.uint8)
         first, left = row - self._low, column - self._low
         ground = self.ground.level.reshape(self.ground.height, self.ground.stride)
-        there = ground[max(first, 0) : first + height, max(left, 0) : left + width]
+        there = ground[max(first, 0) : first + PART, max(left, 0) : left + PART]
         level[max(-first, 0) :, max(-left, 0) :][: there.shape[0], : there.shape[1]] = there
-        blocks = level.reshape(height // side, side, -1, side).swapaxes(1, 2).reshape(-1, side, side)
+        blocks = level.reshape(-1, side, PART // side, side).swapaxes(1, 2).reshape(-1, side, side)
         worth = self._worth[blocks]
         piece, count = labelling()(worth > -inf, WITHIN)
-        self.work += level.size // CELLS_CUT_PER_WORK + 1
+        self.work += CUT_WORK
         if count:
-            self._add(piece, worth + _off_centre(side), count, (first, left), width // side)
+            self._add(piece, worth + _off_centre(side), count, (first, left))
             whole = np.where(piece > 0, piece + (self._count - count - 1), 0)
-            whole = whole.reshape(height // side, -1, side, side).swapaxes(1, 2).reshape(height, width)
-            self._piece[1:-1, 1:-1][row : row + height, column : column + width] = whole
-            self._join(row, column, (height, width))
+            whole = whole.reshape(-1, PART // side, side, side).swapaxes(1, 2).reshape(PART, PART)
+            self._piece[1:-1, 1:-1][row : row + PART, column : column + PART] = whole
+            self._join(row, column)
 
-    def _add(self, piece: Cells, worth: Floats, count: int, corner: tuple[int, int], across: int) -> None:
+    def _add(self, piece: Cells, worth: Floats, count: int, corner: tuple[int, int]) -> None:
         """Add pieces: where the best place of each is, and what a move costs in it."""
         side, of, worth = self._side, piece.reshape(-1), worth.reshape(-1)
         best = np.full(count + 1, -inf)
@@ -184,8 +183,8 @@ class BlockSearch:
         place[of[at]] = at
         block, within = np.divmod(place[1:], side * side)
         new = np.empty((3, count))
-        new[0] = corner[0] + block // across * side + within // side
-        new[1] = corner[1] + block % across * side + within % side
+        new[0] = corner[0] + block // (PART // side) * side + within // side
+        new[1] = corner[1] + block % (PART // side) * side + within % side
         new[2] = -np.bincount(of, worth)[1:] / np.bincount(of)[1:]
         if self._count + count > len(self._places):
             self._places = np.concatenate([self._places, np.zeros((len(self._places) + count, 3))])
@@ -195,18 +194,14 @@ class BlockSearch:
         dx, dy = np.abs(new[1] - self._goal_at[1]), np.abs(new[0] - self._goal_at[0])
         self._ahead += (dx + dy + (DIAGONAL - 2.0) * np.minimum(dx, dy)).tolist()
         if self.goal == BEYOND:
-            cells = new[:2].astype(np.int64)
-            inside = ((cells > 0) & (cells < ((self.ground.height,), (self.ground.stride,)))).all(axis=0)
-            exits = inside & (
-                self.ground.level[np.where(inside, cells[0] * self.ground.stride + cells[1], 0)] == EXIT
-            )
+            exits = self.ground.level[new[:2].astype(np.int64).T @ (self.ground.stride, 1)] == EXIT
             self._ends.update((exits.nonzero()[0] + self._count).tolist())
         self._count += count
 
-    def _join(self, row: int, column: int, shape: tuple[int, int]) -> None:
+    def _join(self, row: int, column: int) -> None:
         """Find the neighbours among the pieces of a part, and of those around it that are cut."""
         side = self._side
-        part = self._piece[row : row + shape[0] + 2, column : column + shape[1] + 2]
+        part = self._piece[row : row + PART + 2, column : column + PART + 2]
         before, after = slice(0, -1, side), slice(1, None, side)
         corners = (part[before, before], part[after, after], part[before, after], part[after, before])
         meet = corners[0].astype(bool) & (corners[1] > 0) & (corners[2] > 0) & (corners[3] > 0)

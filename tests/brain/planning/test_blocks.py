@@ -103,7 +103,7 @@ def test_a_goal_beyond_the_known_ground(goal: tuple[float, float]) -> None:
 
 
 def test_a_goal_in_a_closed_room_is_known_soon() -> None:
-    """Not after all that can be reached was: the work is that of the room."""
+    """Not after all that can be reached was, of which there is nine times as much."""
     work = []
     for size in (300, 900):
         occupied = np.zeros((size, size), bool)
@@ -115,7 +115,7 @@ def test_a_goal_in_a_closed_room_is_known_soon() -> None:
         search = BlockSearch(there, start, goal)
         assert search.advance(EVERYTHING) == Unreachable()
         work.append(search.work)
-    assert work[1] < 1.5 * work[0]
+    assert work[1] < 2 * work[0]
 
 
 UNSEEN = np.zeros((40, 60), bool)
