@@ -32,6 +32,7 @@ LONGEST = 8
 """Blocks over which a way may lead straight on to its next place"""
 MOST_BEHIND = 400
 """Pieces about the goal that are looked at to find that it lies in a closed room"""
+NO_EDGE = -1
 NOWHERE = -2
 """The aim of a search that is to find all that can be reached"""
 PART = 128
@@ -94,10 +95,14 @@ class BlockSearch:
         self._places: Floats = np.zeros((1, 3))
         """Row and column of the best place of each piece, and its mean price"""
         self._count = 1
-        self._beside: list[list[int]] = [[]]
-        """The neighbours of each piece"""
-        self._prices: list[list[float]] = [[]]
-        """What the way to each of them costs [cells]"""
+        self._edges: list[int] = [NO_EDGE]
+        """The last edge that leaves each piece"""
+        self._to: list[int] = []
+        """The piece that each edge leads to"""
+        self._prices: list[float] = []
+        """What it costs [cells]"""
+        self._before: list[int] = []
+        """The edge before it that leaves the same piece. Flat, since the garbage collector scans lists"""
         self._ahead: list[float] = [0.0]
         """Cells from the place of each to the goal, at least"""
         self._ends: set[int] = set()
@@ -189,8 +194,7 @@ class BlockSearch:
         if self._count + count > len(self._places):
             self._places = np.concatenate([self._places, np.zeros((len(self._places) + count, 3))])
         self._places[self._count : self._count + count] = new.T
-        self._beside += [[] for _ in range(count)]
-        self._prices += [[] for _ in range(count)]
+        self._edges += [NO_EDGE] * count
         dx, dy = np.abs(new[1] - self._goal_at[1]), np.abs(new[0] - self._goal_at[0])
         self._ahead += (dx + dy + (DIAGONAL - 2.0) * np.minimum(dx, dy)).tolist()
         if self.goal == BEYOND:
@@ -219,11 +223,13 @@ class BlockSearch:
         a, b = key >> 32, key & 0xFFFFFFFF
         (rows, columns, price), to = self._places[a].T, self._places[b].T
         costs = np.hypot(to[0] - rows, to[1] - columns) * (price + to[2]) / 2.0
+        edges, number = self._edges, len(self._to)
         for i, j, cost in zip(a.tolist(), b.tolist(), costs.tolist(), strict=True):
-            self._beside[i].append(j)
-            self._prices[i].append(cost)
-            self._beside[j].append(i)
-            self._prices[j].append(cost)
+            self._to += j, i
+            self._prices += cost, cost
+            self._before += edges[i], edges[j]
+            edges[i], edges[j] = number, number + 1
+            number += 2
 
     # -- searching -----------------------------------------------------------------------------
 
@@ -291,8 +297,9 @@ class BlockSearch:
         """Find what the neighbours of a piece cost."""
         self.work += PIECE_WORK
         so_far, costs = self._cost[here], self._cost
-        for there, price in zip(self._beside[here], self._prices[here], strict=True):
-            cost = so_far + price
+        edge = self._edges[here]
+        while edge != NO_EDGE:
+            there, cost, edge = self._to[edge], so_far + self._prices[edge], self._before[edge]
             if cost < costs.get(there, inf):
                 costs[there], self._from[there] = cost, here
                 heappush(self._open, (cost + self._ahead[there], there))
@@ -306,12 +313,16 @@ class BlockSearch:
         """Find the neighbours of a piece from where the goal can be reached: until it is known to be closed
         in, or to lie in no small room."""
         self.work += PIECE_WORK
-        beside = set(self._beside[self._back.pop(0)]) - self._behind
-        self._behind |= beside
-        self._back += sorted(beside)
+        edge, met = self._edges[self._back.pop(0)], False
+        while edge != NO_EDGE:
+            there, edge = self._to[edge], self._before[edge]
+            met |= there in self._cost
+            if there not in self._behind:
+                self._behind.add(there)
+                self._back.append(there)
         if not self._back:
             self._result = Unreachable()
-        elif len(self._behind) > MOST_BEHIND or not beside.isdisjoint(self._cost):
+        elif len(self._behind) > MOST_BEHIND or met:
             self._back = []
 
     # -- the way -------------------------------------------------------------------------------
