@@ -59,6 +59,7 @@ def parts() -> dict[str, Callable[[Effort], list[Row]]]:
     from benchmarks.lines import lines
     from benchmarks.paths import paths
     from benchmarks.perceive import perceive
+    from benchmarks.plans import plans
     from benchmarks.process import processes
     from benchmarks.steps import steps
     from benchmarks.view import view
@@ -72,6 +73,7 @@ def parts() -> dict[str, Callable[[Effort], list[Row]]]:
         "a noisy line": lines,
         "filter and map": perceive,
         "paths": paths,
+        "plans": plans,
         "a car": cars,
         "arms": arms,
         "a drive": driving,

@@ -100,7 +100,11 @@ AT_RUN_TIME: tuple[tuple[Direction, str, str], ...] = (
             "behaviour.crossing_ms"
         ),
     ),
-    ("at most", "the work of a step", "planner.expansions_per_step"),
+    (
+        "at most",
+        "the work of a step, and of a search",
+        "planner.expansions_per_step planner.expansions_per_search",
+    ),
     (
         "free",
         "how a path is followed: every value within its bounds keeps the limits",

@@ -33,7 +33,12 @@ ONLY: dict[str, tuple[str, ...]] = {
     "random": (),
     "rosbags": (*RECORDINGS, "gateway.ros.types"),
     "ruamel": ("gateway.config.map_file",),
-    "scipy": ("brain.perception.graph", "brain.perception.keyframes", "gateway.bench"),
+    "scipy": (
+        "brain.perception.graph",
+        "brain.perception.keyframes",
+        "brain.planning.blocks",
+        "gateway.bench",
+    ),
     "secrets": ("gateway.cli.live",),
     "serial": ("gateway.buses",),
     "signal": ("gateway.runtime.process",),

@@ -63,7 +63,7 @@ BREAKS = [
     (
         "brain.planning.astar",
         "import scipy.ndimage",
-        "only in brain.perception.graph, brain.perception.keyframes, gateway.bench",
+        "only in brain.perception.graph, brain.perception.keyframes, brain.planning.blocks, gateway.bench",
     ),
     ("brain.perception.map", "import filterpy.kalman", "only in brain.perception.engine"),
     ("brain.brain", "from gateway.core.joint import Joint", "brain lies below gateway"),

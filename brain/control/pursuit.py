@@ -20,11 +20,13 @@ from dataclasses import dataclass
 from math import atan2, cbrt, cos, hypot, pi, sin, sqrt
 from typing import Annotated
 
-from brain.belief import Pose
+import numpy as np
+
+from brain.belief import Floats, Pose
 from brain.bodies.body import Base
 from brain.bodies.plane import REST, Twist, arc, wrap
 from brain.control.profile import JERK, clamp
-from brain.control.track import TrackPlace, TrackRun, runs
+from brain.control.track import TrackPlace, TrackRun, longest, runs
 from brain.planning.polyline import Point
 from protocols.bounds import Bounds, Duration, Invalid, check, ordered
 from protocols.messages import MILLISECOND, SECOND, seconds
@@ -79,6 +81,8 @@ class PursuitSettings:
             raise Invalid(("turn_until", f"turn_until must be less than turn_from, {self.turn_from}"))
 
 
+BEHIND = 1.0
+"""m behind the base from where on the runs of a long path are made anew: what was made round there stays"""
 STEADY = 0.02
 """m/s, and rad/s over the footprint's radius: slower is at rest"""
 EXACT = 0.004
@@ -91,6 +95,38 @@ TURNS_AHEAD = 1.0
 """m before its end, and its radius for each rad: there what moves sideways begins to take the goal's yaw"""
 MISSED_YAW = 3.0
 """Times the tolerance that a base that cannot turn on the spot may be off at the end"""
+
+
+@dataclass(frozen=True, slots=True)
+class GivenPath:
+    """A path as it was given, of any length."""
+
+    points: Sequence[Point]
+    headings: Sequence[float] | None
+    gears: Sequence[int] | None
+    slow: Callable[[float, float], float] | None
+
+    def lengths(self) -> Floats:
+        """Return the length along the path of each point [m]."""
+        steps = np.hypot(*np.diff(np.array(self.points).reshape(-1, 2), axis=0).T)
+        return np.concatenate(([0.0], np.cumsum(steps)))
+
+    def part(self, low: float, high: float) -> tuple[GivenPath, float]:
+        """Return the part between two lengths [m], and where it begins: with headings, at a point before."""
+        at = self.lengths()
+        if low <= 0.0 and high >= at[-1]:
+            return self, 0.0
+        first = min(int(np.searchsorted(at, low, "right")) - 1, len(at) - 2)
+        last = max(int(np.searchsorted(at, high)), first + 1)
+        last = min(last, len(at) - 1)
+        points = list(self.points[first : last + 1])
+        if self.headings is None:
+            ends = np.clip((low, high), at[first], at[last])
+            x, y = (np.interp(ends, at, [point[i] for point in self.points]).tolist() for i in (0, 1))
+            points[0], points[-1] = (x[0], y[0]), (x[1], y[1])
+        headings = None if self.headings is None else self.headings[first : last + 1]
+        gears = None if self.gears is None else self.gears[first:last]
+        return GivenPath(points, headings, gears, self.slow), low if headings is None else float(at[first])
 
 
 class Pursuit:
@@ -111,6 +147,9 @@ class Pursuit:
         self.error = 0.0
         """m to the left of the path, of the pose by which it is steered"""
         self._begun = False
+        self._path = GivenPath(((0.0, 0.0),), None, None, None)
+        self._from, self._whole = 0.0, 0.0
+        """m along the path, where the runs begin, and its end"""
 
     def follow(
         self,
@@ -125,8 +164,9 @@ class Pursuit:
         """Follow a new path (at least one point), ending in this yaw if given.
 
         `slow`: the largest speed [m/s] at a place [m, m]."""
-        s = settings
-        self.runs = runs(points, headings, gears, body, s.corner, s.braking, s.lateral_acceleration, slow)
+        self._path = GivenPath(tuple(points), headings, gears, slow)
+        self._whole = float(self._path.lengths()[-1])
+        self._build(0.0, body, settings)
         self.end, self.yaw = points[-1], yaw
         self.index, self.along, self.turning, self._begun = 0, 0.0, False, False
         self.arrived, self.missed, self.error = False, "", 0.0
@@ -151,6 +191,7 @@ class Pursuit:
         )
         rests = previous.speed < STEADY
         if self.index < len(self.runs):
+            self._go_on(body, s)
             run = self.runs[self.index]
             if clearance < s.obstacle_distance:
                 near = max(clearance, 0.0) / s.obstacle_distance
@@ -163,6 +204,29 @@ class Pursuit:
             self.index, self.along, self._begun = self.index + 1, 0.0, False
             return REST if self.index < len(self.runs) else self._at_end(soon, previous, share, body, s)
         return self._at_end(soon, previous, share, body, s)
+
+    def _build(self, begin: float, body: Base, s: PursuitSettings) -> None:
+        """Make the runs of the path from this length [m] on, or a little before."""
+        part, self._from = self._path.part(begin, begin + longest(body))
+        self.runs = runs(
+            part.points,
+            part.headings,
+            part.gears,
+            body,
+            s.corner,
+            s.braking,
+            s.lateral_acceleration,
+            part.slow,
+        )
+
+    def _go_on(self, body: Base, s: PursuitSettings) -> None:
+        """Make the runs anew where the base is, once half of a part of a long path is driven."""
+        run, most = self.runs[self.index], longest(body)
+        passed = self._from + run.on_path(self.along)
+        if passed < self._from + most / 2.0 or self._from + most >= self._whole:
+            return
+        self._build(max(passed - BEHIND, self._from + run.on_path(0.0)), body, s)
+        self.index, self.along = 0, self.runs[0].along(passed - self._from)
 
     def _along(
         self,

@@ -5,7 +5,8 @@ rounded; the base stands between two runs. Within a run corners are rounded by a
 length (a triangular window: a cubic B-spline on a straight corner), as wide as keeps the curve within
 `corner` of the path; its ends stay where they are. The speed is limited by the base, by the curvature (its
 angular speed, the acceleration to the side), by the change of the curvature (angular acceleration), and, from
-the end back to the beginning, by what can be braked. Built once per path, with at most MAX_SAMPLES places.
+the end back to the beginning, by what can be braked. Built for as much of the path as `longest`, with at most
+MAX_SAMPLES places.
 """
 
 from __future__ import annotations
@@ -57,9 +58,13 @@ class TrackPlace:
 class TrackRun:
     """A part of a path that is driven in one go. Immutable."""
 
-    def __init__(self, points: Floats, gear: int, facing: Floats | None, speed: Floats) -> None:
+    def __init__(
+        self, points: Floats, gear: int, facing: Floats | None, speed: Floats, begin: float, length: float
+    ) -> None:
+        """`points` at equal distances of the path, of which the run is so long a part from `begin` on [m]."""
         self.gear = gear
         """1: forward, -1: backward"""
+        self._path: Floats = np.linspace(begin, begin + length, points.shape[1])
         steps = np.hypot(*np.diff(points, axis=1))
         self.at: Floats = np.concatenate(([0.0], np.cumsum(steps)))
         """m along the run, of each place"""
@@ -87,6 +92,14 @@ class TrackRun:
         x, y, heading, curvature, speed = (float(v[i] + share * (v[i + 1] - v[i])) for v in pairs)
         facing = None if self.facing is None else float(self.facing[i])
         return TrackPlace(x, y, heading, curvature, speed, facing)
+
+    def on_path(self, along: float) -> float:
+        """Return the length along the path [m] at this length of the run [m]."""
+        return float(np.interp(along, self.at, self._path))
+
+    def along(self, on_path: float) -> float:
+        """Return the length of the run [m] at this length along the path [m]."""
+        return float(np.interp(on_path, self._path, self.at))
 
     def nearest(self, x: float, y: float, low: float, high: float) -> float:
         """Return the length [m] of the nearest place between two lengths."""
@@ -116,17 +129,25 @@ def runs(
     parts = _parts(points, headings, gears, body)
     total = sum(_length(part) for part, _, _ in parts)
     spacing = max(SPACING, total / MAX_SAMPLES)
-    made = []
+    made, begin = list[TrackRun](), 0.0
     for part, gear, facing in parts:
         line = Polyline(tuple(part))
+        begin += line.length
         if line.length < 1e-3:
             continue
         count = max(ceil(line.length / spacing), 4) + 1
         along = np.linspace(0.0, line.length, count)
         curve = _rounded(_sampled(line, along), line.length / (count - 1), corner)
         speed = _speeds(curve, body, braking, lateral_acceleration, slow)
-        made.append(TrackRun(curve, gear, _facing(line, part, facing, along), speed))
+        facings = _facing(line, part, facing, along)
+        made.append(TrackRun(curve, gear, facings, speed, begin - line.length, line.length))
     return tuple(made)
+
+
+def longest(body: Base) -> float:
+    """Return the length of a path [m] of which runs are made at once: as much as has places at the usual
+    distances, or what is needed to brake, and as much again."""
+    return max(SPACING * MAX_SAMPLES, 4.0 * body.max_linear**2 / body.max_linear_acceleration)
 
 
 # -- private --------------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from brain.planning.costmap import EXIT, UNKNOWN, Cells
+from brain.planning.costmap import EXIT, UNKNOWN, Cells, Floats
 from brain.planning.snapshot import Snapshot
 
 DIAGONAL = sqrt(2.0)
@@ -48,6 +48,11 @@ class CellPath:
     """From start to goal, both included; each a neighbour of the one before."""
     cost: float
     """m, weighted by the multipliers"""
+
+    def corners(self) -> list[int]:
+        """Return which of the cells are at its turns, or about its ends."""
+        count, turns = len(self.cells), np.flatnonzero(np.diff(self.cells, 2)) + 1
+        return sorted({0, 1, *turns.tolist(), count - 2, count - 1} & set(range(count)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,6 +127,11 @@ class CellSearch:
         if not cells or cells[-1] != self.start:
             return Searching(self.work)
         return CellPath(tuple(reversed(cells)), self._best[0] * self.ground.resolution)
+
+    def reached(self, window: tuple[slice, slice]) -> Floats:
+        """Return what each cell of a part of the snapshot costs, as far as it was reached; else 0."""
+        found: Floats = self.cost.reshape(self.ground.height, self.ground.stride)[window]
+        return found
 
     def _take(self) -> Cells:
         """Return the next batch, from the lowest bucket; expanding a cell in vain does no harm."""

@@ -20,6 +20,7 @@ from brain.bodies.body import Base
 from brain.bodies.plane import Twist
 from brain.planning.astar import Searching
 from brain.planning.behaviours import Behaviour, BehaviourSettings, BehaviourState, Fact
+from brain.planning.blocks import labelling
 from brain.planning.costmap import Map, PlannerSettings
 from brain.planning.exploring import Exploring
 from brain.planning.goals import Goals, text_of
@@ -33,6 +34,10 @@ from brain.planning.terrain import Terrain
 from brain.status import Note, NoteLevel
 from protocols.messages import MILLISECOND, SECOND, Drive, Goal, Nanos, seconds
 
+NOMINAL: Nanos = 5 * MILLISECOND
+"""Span of a step that does `expansions_per_step` of work"""
+LONG: Nanos = 4 * NOMINAL
+"""Span from which on a step does no more, however long it is"""
 MAX_MISSES = 3
 """Paths whose end a base may miss until it gives the goal up"""
 
@@ -78,6 +83,7 @@ class Navigator:
         self, body: Base, settings: PlannerSettings, behaviour: BehaviourSettings | None = None
     ) -> None:
         self.body, self.settings = body, settings
+        labelling()  # imported now, since that takes longer than a step
         self.behaviour_settings = behaviour or BehaviourSettings()
         self.behaviour = Behaviour()
         self.motion: Twist | None = None
@@ -96,6 +102,10 @@ class Navigator:
         self._misses = 0
         """How often the end of a path to this goal was missed."""
         self._query: PathQuery | None = None
+        self._answered = False
+        """Whether a search for a way to this goal has ended"""
+        self._stepped_at: Nanos | None = None
+        """When the last step was"""
         self._check_at: Nanos = 0
         self._explore_at: Nanos = 0
         self._passing = False
@@ -224,7 +234,7 @@ class Navigator:
         if terrain is None or not terrain.is_for(self.body, self.settings):
             terrain = self.terrain = Terrain(self.body, self.settings, grid.resolution)
             self._query = None
-        work = self.settings.expansions_per_step - terrain.update(grid, here)
+        work = self._work(now) - terrain.update(grid, here)
         goal = self.goals.present
         if goal is None:
             self._behave(now, here, yaw, standing, obstacle, moving)
@@ -292,6 +302,13 @@ class Navigator:
         self._exploring.begin()
         self._progress.begin(now)
         self._misses, self._query, self.no_path_reason, self._check_at = 0, None, "", now
+        self._answered = False
+
+    def _work(self, now: Nanos) -> int:
+        """Return the work of this step: in proportion to the time since the last, up to a long one's."""
+        span = NOMINAL if self._stepped_at is None else now - self._stepped_at
+        self._stepped_at = now
+        return self.settings.expansions_per_step * min(span, LONG) // NOMINAL
 
     def _drop_path(self) -> None:
         self._watch.drop()
@@ -314,7 +331,7 @@ class Navigator:
     def _continue_search(self, now: Nanos, here: Point, result: PlanResult) -> None:
         if isinstance(result, Searching):
             return
-        self._query = None
+        self._query, self._answered = None, True
         if isinstance(result, NoPath):
             words = result.reason.partition("(")[0]
             if not self.no_path_reason.startswith(words):
@@ -381,6 +398,8 @@ class Navigator:
     ) -> set[Fact]:
         if not self.goals.waiting:
             return {Fact.NO_GOAL}
+        if not self._answered:
+            self._progress.pause()
         follows = self.path is not None and not standing and self.motion is None
         self._progress.watch(now, here, follows=follows)
         facts, path, settings = {Fact.GOAL}, self.path, self.behaviour_settings
@@ -391,7 +410,8 @@ class Navigator:
         else:
             facts.add(Fact.NO_WAY if self.no_path_reason else Fact.NO_PATH)
         facts.add(Fact.CROSSING if now < self._watch.crossing_until else Fact.CLEAR)
-        held = standing > 0.0 or path is None
+        searches = self._query is not None and path is None
+        held = (standing > 0.0 or path is None) and not searches
         if held and self._progress.none_for(now) >= self.settings.patience:
             facts.add(Fact.IMPATIENT)
         if standing * SECOND > settings.stuck_after and not crosses(here, moving):
@@ -412,7 +432,7 @@ class Navigator:
         goal, span = f"{self.goals.name} {text_of(self.goals.waiting[0])}", seconds(self.settings.patience)
         if self.path is not None:
             return f"no way on to {goal} for {span:g} s: {obstacle or self.behaviour.reason}"
-        reason = self.no_path_reason or "the search has not ended"
+        reason = self.no_path_reason
         if self._watch.blocked:
             reason += f"; a path known before is obstructed, perhaps only for a time: {self._watch.blocked}"
         return f"no path to {goal} within {span:g} s: {reason}"

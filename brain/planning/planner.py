@@ -14,13 +14,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import pairwise
 from math import copysign, cos, dist, sin
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from brain.belief import Pose
 from brain.bodies.plane import wrap
-from brain.planning.astar import BEYOND, CellPath, CellSearch, Searching, Unreachable
+from brain.planning.astar import BEYOND, CellPath, Searching, Unreachable
+from brain.planning.blocks import CornerPath, GroundSearch
 from brain.planning.costmap import FREE, NEAR, TOUCHING, UNKNOWN, Costmap, Map, PlannerSettings
 from brain.planning.footprint import Footprint, Shape
 from brain.planning.hybrid_astar import HybridSearch
@@ -29,6 +30,7 @@ from brain.planning.rounding import Rounding
 from brain.planning.shortening import Shortening, Tightening
 from brain.planning.snapshot import (
     LINE_WORK,
+    MAX_LINES,
     Snapshot,
     is_blocked,
 )
@@ -115,9 +117,13 @@ class PathQuery:
         """Where that way ends"""
         self._ends = start, goal
         """Of the path that is shortened"""
-        self._assumed: CellPath | None = None
-        self._search: CellSearch | None = None
-        self._reach: CellSearch | None = None
+        self._assumed: CellPath | CornerPath | None = None
+        self._left = settings.expansions_per_search
+        """Work that is left for all of it"""
+        self._cells = CELLS_WORK
+        """Work that is left for searches cell by cell"""
+        self._search: GroundSearch | None = None
+        self._reach: GroundSearch | None = None
         """Finds every cell that can be reached, if the goal cannot."""
         self._short: Shortening | None = None
         self._tight: Tightening | None = None
@@ -129,6 +135,19 @@ class PathQuery:
 
     def advance(self, work: int, costmap: Costmap, grid: Map) -> PlanResult:
         """Continue for at most about this much work. Once finished, the result does not change."""
+        if not isinstance(self._result, Searching):
+            return self._result
+        work = min(work, self._left)
+        self._left -= work - min(self._continue(work, costmap, grid), 0)
+        if self._left <= 0 and isinstance(self._result, Searching):
+            most = self.settings.expansions_per_search
+            self._result = NoPath(
+                f"the search for a way to {_text(self.goal)} has not ended after {most} expansions"
+            )
+        return self._result
+
+    def _continue(self, work: int, costmap: Costmap, grid: Map) -> int:
+        """Continue for at most about this much work; return the rest of it."""
         while work > 0 and isinstance(self._result, Searching):
             if not self.ground.complete:
                 work = self.ground.assemble(costmap, grid, work)
@@ -148,14 +167,14 @@ class PathQuery:
             elif (search := self._reach or self._search) is not None:
                 before = search.work
                 outcome = search.advance(work)
-                work -= max(search.work - before, 1)
+                work -= search.work - before
                 if not isinstance(outcome, Searching):
                     self._result = (
                         self._judge(outcome) if self._reach is None else self._approach(self._reach)
                     )
             else:
                 self._result = self._begin()
-        return self._result
+        return work
 
     def _with_heading(self, work: int) -> int:
         """Continue the search with headings, or make a corner round; return the rest of the work."""
@@ -230,39 +249,39 @@ class PathQuery:
 
     def _set_out(self, cell: int) -> Searching:
         self._from = cell
-        self._search = CellSearch(
-            self.ground,
-            cell,
-            self._to,
-            beyond=self.ground.goal,
-            through_unknown=self.settings.unknown_multiplier,
-        )
+        return self._seek(beyond=self.ground.goal, through_unknown=self.settings.unknown_multiplier)
+
+    def _seek(self, **how: Any) -> Searching:  # noqa: ANN401 -- the searches' own
+        """Begin one search, with what the last has left."""
+        self._cells -= self._search.work if self._search else 0
+        self._search = GroundSearch(self._cells, self.ground, self._from, self._to, **how)
         return Searching(0)
 
-    def _judge(self, outcome: CellPath | Unreachable) -> PlanResult:
+    def _judge(self, outcome: CellPath | CornerPath | Unreachable) -> PlanResult:
         """Process a finished search: begin one more, or begin to shorten the path."""
         if self._assumed is not None:
-            known = isinstance(outcome, CellPath)
-            return self._shorten(outcome if isinstance(outcome, CellPath) else self._assumed, known=known)
+            known = not isinstance(outcome, Unreachable)
+            return self._shorten(self._assumed if isinstance(outcome, Unreachable) else outcome, known=known)
         if isinstance(outcome, Unreachable):
             if self.near and self._to != BEYOND:
-                self._reach = CellSearch(self.ground, self._from, self._to, spread=True)
+                self._seek(spread=True)
+                self._reach = self._search
                 return Searching(0)
             return NoPath(f"everything between {_text(self.start)} and the goal {_text(self.goal)} is closed")
         level = self.ground.level
-        if self.settings.unknown_is_free or not np.any(level[list(outcome.cells)] >= UNKNOWN):
+        if self.settings.unknown_is_free or not self._enters_unknown(outcome):
             return self._shorten(outcome, known=True)
         if self._to == BEYOND or level[self._to] >= UNKNOWN:
             return self._shorten(outcome, known=False)
-        self._assumed, self._search = outcome, CellSearch(self.ground, self._from, self._to)
-        return Searching(0)
+        self._assumed = outcome
+        return self._seek()
 
-    def _approach(self, reach: CellSearch) -> PlanResult:
+    def _approach(self, reach: GroundSearch) -> PlanResult:
         """Go to the place nearest to the goal, of those that can be reached and where every heading fits."""
         self._reach, self.near, ground = None, False, self.ground
         for within in (1.0, NEARBY):
             window, square = ground.around(self._asked, within)
-            costs = reach.cost.reshape(ground.height, ground.stride)[window]
+            costs = reach.reached(window)
             level = ground.level.reshape(ground.height, ground.stride)[window]
             rows, columns = np.nonzero((costs > 0.0) & (level >= ground.wide) & (level < UNKNOWN))
             if len(rows):
@@ -273,17 +292,29 @@ class PathQuery:
                 return self._set_out(self._from)
         return NoPath(f"no place within {NEARBY:g} m of the goal {_text(self._asked)} can be reached")
 
-    def _shorten(self, found: CellPath, *, known: bool) -> PlanResult:
+    def _frontier(self, found: CellPath | CornerPath) -> tuple[int, int, int]:
+        """Return how many cells of a path are before the last that is known, that, and the first unknown."""
+        if isinstance(found, CornerPath):
+            assert found.frontier is not None
+            return found.frontier
+        first = int(np.argmax(self.ground.level[list(found.cells)] >= UNKNOWN))
+        return max(first - 1, 0), found.cells[max(first - 1, 0)], found.cells[first]
+
+    def _enters_unknown(self, found: CellPath | CornerPath) -> bool:
+        if isinstance(found, CornerPath):
+            return found.frontier is not None
+        return bool(np.any(self.ground.level[list(found.cells)] >= UNKNOWN))
+
+    def _shorten(self, found: CellPath | CornerPath, *, known: bool) -> PlanResult:
         """Begin to shorten a path, or the part of it that is known."""
-        cells, level, beyond = found.cells, self.ground.level, None
+        cells, centre, beyond = list(found.cells), self.ground.centre, None
         if not known:
-            first = int(np.argmax(level[list(cells)] >= UNKNOWN))
-            if first == 0:
+            first, last, unknown = self._frontier(found)
+            if unknown == cells[0]:
                 return NoPath(f"the robot at {_text(self.start)} stands on unknown ground")
-            cells, beyond = cells[:first], self.ground.centre(cells[first])
-        turns = np.flatnonzero(np.diff(cells, 2)) + 1
-        kept = sorted({0, 1, *turns.tolist(), len(cells) - 2, len(cells) - 1} & set(range(len(cells))))
-        points = [self.ground.centre(cells[i]) for i in kept]
+            cells, beyond = [*cells[:first], last], centre(unknown)
+        kept = CellPath(tuple(cells), 0.0).corners() if isinstance(found, CellPath) else range(len(cells))
+        points = [centre(cells[i]) for i in kept]
         if known:
             points = [*points[: max(len(points) - 1, 1)], self.goal]
         if not self._escape:
@@ -295,7 +326,8 @@ class PathQuery:
             self._ends = points[0], points[-1]
             self._begin_hybrid()
         else:
-            self._short = Shortening(points, self._ways.footprint)
+            most = MAX_LINES if isinstance(found, CellPath) else max(MAX_LINES, 2 * len(points))
+            self._short = Shortening(points, self._ways.footprint, most)
             self._ends = points[0], points[-1]
         return Searching(0)
 
@@ -338,6 +370,8 @@ class PathQuery:
         return Path(points, cost, escape, headings, gears, dist(self._asked, self.goal))
 
 
+CELLS_WORK = 1_000_000
+"""Work of a query's searches cell by cell: what is left to be found then is searched by blocks"""
 SAME = 1e-6
 """m between two points of a path, at least"""
 NEARBY = 10.0

@@ -21,10 +21,12 @@ LONGEST_LINE = 2000
 
 class Shortening:
     """A path that is given fewer corners: a straight line replaces a part where it costs no more. After
-    `MAX_LINES` comparisons the rest stays as it is."""
+    so many comparisons the rest stays as it is."""
 
-    def __init__(self, corners: list[Point], footprint: Footprint | None = None) -> None:
-        """With a footprint, a line counts only if it fits along it."""
+    def __init__(
+        self, corners: list[Point], footprint: Footprint | None = None, most: int = MAX_LINES
+    ) -> None:
+        """With a footprint, a line counts only if it fits along it; `most`: comparisons."""
         self.corners = corners
         self._footprint = footprint if footprint and footprint.shape.corners else None
         self.kept = corners[:1]
@@ -33,7 +35,7 @@ class Shortening:
         """The corner last kept, the farthest that a line from it replaced the path to, and the one to try."""
         self._so_far = 0.0
         """m, cost of the path between the corner last kept and the one before that to be tried"""
-        self._left = MAX_LINES
+        self._left = most
         self._legs: dict[tuple[int, int], float] = {}
         """m, costs of the given path between two corners"""
 

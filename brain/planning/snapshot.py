@@ -236,6 +236,28 @@ class Halved(Snapshot):
         return work
 
 
+class Part(Snapshot):
+    """Some rows and columns of a complete snapshot, with blocked cells around them."""
+
+    def __init__(self, ground: Snapshot, rows: range, columns: range) -> None:
+        self.resolution, self.radius, self.wide = ground.resolution, ground.radius, ground.wide
+        self.multiplier, self.outside = ground.multiplier, ground.outside
+        self.corner = (ground.corner[0] + rows.start - 1, ground.corner[1] + columns.start - 1)
+        self.height, self.stride = len(rows) + 2, len(columns) + 2
+        self.level = np.zeros(self.height * self.stride, np.uint8)
+        there = ground._plane()[rows.start : rows.stop, columns.start : columns.stop]  # noqa: SLF001 -- its own kind
+        self._plane()[1:-1, 1:-1] = there
+        self.complete = True
+
+
+def cells_in(ground: Snapshot, cells: Cells, other: Snapshot) -> Cells:
+    """Return cells of a snapshot as those of another."""
+    rows, columns = np.divmod(cells, ground.stride)
+    up, right = (a - b for a, b in zip(ground.corner, other.corner, strict=True))
+    found: Cells = (rows + up) * other.stride + columns + right
+    return found
+
+
 def crossing(resolution: float, start: Point, end: Point) -> tuple[Cells, Cells, Floats]:
     """Return row and column of the cells that a straight line crosses, and its length [m] in each."""
     a = (start[0] / resolution, start[1] / resolution)

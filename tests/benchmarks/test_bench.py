@@ -28,6 +28,7 @@ from benchmarks import (
     measure,
     paths,
     perceive,
+    plans,
     process,
     rivals,
     rows,
@@ -72,6 +73,7 @@ TARGETS = {
     "processor time of both",
     view.BOTH,
     *lines.WHAT,
+    *plans.what(plans.SIZES[0])[::3],
     *(sample.what for _, language in LANGUAGES for sample in language.SAMPLES),
 }
 
@@ -121,6 +123,7 @@ def test_every_row_is_there_once_and_in_order(run: Run) -> None:
         "1024 × 1024 cells of 0.05 m, beams of up to 12 m",
         "200 × 200 cells",
         "1000 × 1000 cells",
+        *plans.what(plans.SIZES[0]),
         cars.WHAT,
         *arms.WHAT,
         *drive.KINDS,

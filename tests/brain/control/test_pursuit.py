@@ -11,6 +11,7 @@ import pytest
 from brain.belief import Pose
 from brain.bodies.body import Base
 from brain.bodies.plane import REST, Twist, wrap
+from brain.control import track
 from brain.control.pursuit import Pursuit, PursuitSettings
 from brain.planning.polyline import Point
 from gateway.config import load_robot
@@ -247,3 +248,43 @@ def test_turns_on_the_spot_end_whatever_the_jerk_is(angular_jerk: float) -> None
     ride.follow(Path(((0.0, 0.0), (-1.0, 0.0))), yaw=1.0)
     assert ride.run(20.0)
     assert abs(wrap(ride.pose.yaw - 1.0)) <= SETTINGS.yaw_tolerance
+
+
+def zigzag(legs: int) -> Points:
+    """Legs of 3 m, and corners of a right angle."""
+    return tuple((3.0 * ((i + 1) // 2), 3.0 * (i // 2)) for i in range(legs + 1))
+
+
+def test_a_path_of_kilometres_is_held_as_one_of_metres() -> None:
+    """It is made round at places as near to each other, since only a part of it is looked at."""
+    pursuit = Pursuit()
+    for legs in (10, 2000):
+        pursuit.follow(points := zigzag(legs), None, BODY, SETTINGS)
+        run = pursuit.runs[0]
+        places = (run.place(float(along)) for along in np.arange(0.0, 25.0, 0.05))
+        near = [Pose(place.x, place.y, 0.0) for place in places]
+        assert off(near, points).max() < 1.1 * SETTINGS.corner
+        assert len(run.at) <= 3001
+    assert pursuit.end == points[-1]
+
+
+def test_a_long_path_is_driven_part_by_part_to_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if it were driven as one, also where it turns back and where it goes backward."""
+    points: Points = (*zigzag(3), (9.0, 3.0), (6.0, 3.0), (3.0, 3.0))
+    gears = (1, 1, 1, 1, -1, -1)
+    rides = []
+    for share in (1, 10):
+        with monkeypatch.context() as patch:
+            patch.setattr(track, "MAX_SAMPLES", 3000 // share)
+            ride = Ride(BODY, Pose(0.0, 0.0, 0.0))
+            ride.follow(Path(points, gears=gears))
+            assert len(ride.motion.pursuit.runs) == (2 if share == 1 else 1)
+            assert ride.run(60.0)
+        rides.append(ride)
+    whole, parts = rides
+    assert off(parts.track, points).max() < 0.04
+    assert hypot(parts.pose.x - 3.0, parts.pose.y - 3.0) < 0.01
+    assert abs(len(parts.track) - len(whole.track)) < 5
+    assert min(twist.linear for twist in parts.commanded) < -0.5
+    speeds = [twist.linear for twist in parts.commanded]
+    assert jerk(speeds) <= BODY.max_linear_jerk * 1.001

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from brain.planning.astar import BATCH, BATCH_WORK, CellSearch
+from brain.planning.blocks import CUT_WORK, PIECE_WORK, BlockSearch
 from brain.planning.costmap import TILE_WORK, Costmap, PlannerSettings
 from brain.planning.navigator import Navigator
 from brain.planning.path_watch import CHECKED_PER_STEP
@@ -27,6 +28,9 @@ WORK = {
     Costmap.draw.__code__: TILE_WORK,
     CellSearch._expand.__code__: BATCH_WORK,
     crossing.__code__: LINE_WORK,
+    BlockSearch._cut.__code__: CUT_WORK,
+    BlockSearch._expand.__code__: PIECE_WORK,
+    BlockSearch._look_back.__code__: PIECE_WORK,
 }
 
 
@@ -47,9 +51,9 @@ def calls(action: Callable[[], object]) -> Counter[CodeType]:
     return count
 
 
-@pytest.mark.parametrize("side", [200, 1200])
-def test_no_step_does_more_than_its_work_however_large_the_map(side: int) -> None:
-    """From nothing drawn to the end of the path: 20 m, and 120 m, with obstacles all over."""
+@pytest.mark.parametrize(("side", "kinds"), [(200, 3), (1200, 6)])
+def test_no_step_does_more_than_its_work_however_large_the_map(side: int, kinds: int) -> None:
+    """From nothing drawn to the end of the path: 20 m; and 120 m, by blocks in the end."""
     occupied = np.random.Generator(np.random.PCG64(3)).random((side, side)) < 0.003
     occupied[:10, :10] = occupied[-10:, -10:] = False
     settings = PlannerSettings(patience=600_000 * MILLISECOND)
@@ -61,8 +65,9 @@ def test_no_step_does_more_than_its_work_however_large_the_map(side: int) -> Non
         count = calls(lambda: navigator.step(now, here, grid))  # noqa: B023 -- called at once
         most = max(most, sum(WORK[code] * count[code] for code in WORK))
         phases |= {code for code in WORK if count[code]}
-    assert len(phases) == 3
-    over = max(TILES_PER_STEP * TILE_WORK, BATCH + BATCH_WORK, 3 * LINE_WORK) + CHECKED_PER_STEP * LINE_WORK
+    assert len(phases) == kinds
+    over = max(TILES_PER_STEP * TILE_WORK, BATCH + BATCH_WORK, 3 * LINE_WORK, CUT_WORK)
+    over += CHECKED_PER_STEP * LINE_WORK
     assert most <= settings.expansions_per_step + over
 
 

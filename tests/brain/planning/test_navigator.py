@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tracemalloc
+from dataclasses import replace
 from math import hypot
 from typing import NamedTuple
 
@@ -207,11 +208,17 @@ def test_every_state_is_left_and_every_fact_is_used() -> None:
     assert {fact for rows in STATES.values() for fact, _ in rows} == set(Fact)
 
 
-def test_a_search_that_does_not_end_is_no_path_in_time() -> None:
-    run = Run(PlainMap(two_rooms()), settings=PlannerSettings(expansions_per_step=1, patience=SECOND // 10))
-    run.tick(Goal(4.0, 0.0))
-    run.run(0.11)
-    assert "the search has not ended" in run.navigator.goals.given_up
+def test_a_search_is_given_up_for_its_work_and_never_for_its_time() -> None:
+    settings = PlannerSettings(expansions_per_step=20, patience=SECOND // 10)
+    slow, costly = (
+        Run(PlainMap(two_rooms()), settings=replace(settings, expansions_per_search=most))
+        for most in (1_000_000, 4000)
+    )
+    for run in (slow, costly):
+        run.tick(Goal(4.0, 0.0))
+        run.run(10.0)
+    assert isinstance(slow.navigator.path, Path)
+    assert "has not ended after 4000 expansions" in costly.navigator.goals.given_up
 
 
 def test_a_door_that_opens_in_time_is_taken() -> None:
