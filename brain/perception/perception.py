@@ -55,6 +55,7 @@ from brain.perception.percept import Sight, extrapolated
 from brain.perception.placing import Placing, is_covered
 from brain.perception.redraw import Redraw, correction
 from brain.perception.relocalise import PoseFound, PoseSearch, PoseSearching, RelocaliseSettings
+from brain.perception.saved_keyframes import SavedKeyframes
 from brain.perception.saved_map import SavedMap
 from protocols import messages as msg
 from protocols.bounds import Bounds, Duration, check
@@ -214,6 +215,8 @@ class Perception:
         self.settings = settings
         self.map = Map(settings.map, saved)
         self._saved, self._begun = saved, saved is None
+        self.is_placed = saved is None
+        """Whether it knows where it is in the map that it began in"""
         self.rejected: dict[str, int] = dict.fromkeys((*body.joints, *mounts), 0)
         """Number of measurements rejected by the chi-square gate, by motor or sensor."""
         self.anomalies: dict[str, dict[str, int]] = {name: {} for name in self.rejected}
@@ -307,6 +310,10 @@ class Perception:
     def anchored(self, anchor: Anchor) -> Pose:
         """Return where the robot was, as it is known now."""
         return moved(self._placing.keyframes.pose(anchor.keyframe), anchor.pose)
+
+    def saved_keyframes(self) -> SavedKeyframes:
+        """Return what the map can be drawn again from, and gone on from, later."""
+        return self._placing.saved()
 
     @property
     def lags(self) -> Mapping[str, float]:
@@ -771,6 +778,7 @@ class Perception:
             ground = self._new_ground
             if self._consistency.adrift and ground is not None and loops.ties_to_before(ground.first or 0):
                 self._consistency.tied()
+                self.is_placed = True
 
     def _move(self, poses: Floats) -> None:
         """Give all keyframes better poses: the map moves, and the robot with the newest of them."""
@@ -832,7 +840,7 @@ class Perception:
         self._filter.reset(t, pose, covariance)
         self._movers = Movers()
         self._placing.forget()
-        self._new_ground = None
+        self.is_placed, self._new_ground = True, None
         self._consistency.found()
         self._count("", how)
         self._apply([])

@@ -216,7 +216,7 @@ def test_an_image_that_is_missing_is_told_with_all_else(tmp_path: Path) -> None:
     path.write_text(YAML.replace("0.05", "0"))
     with pytest.raises(ConfigError) as found:
         load_robot("diffbot", saved_map=str(path))
-    assert "there is no image 'map.pgm' beside the map's file" in str(found.value)
+    assert "there is no 'map.pgm' beside the map's file" in str(found.value)
     assert "map.yaml: resolution: found 0" in str(found.value)
 
 
