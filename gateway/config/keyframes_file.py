@@ -170,7 +170,7 @@ def _arrays(data: bytes) -> dict[str, npt.NDArray[Any]]:
 
 def _expect(sound: bool, what: str) -> None:
     if not sound:
-        raise ValueError(f"{what} do not fit together: it is damaged, or made otherwise: {WANTED}")
+        raise ValueError(f"{what} cannot be so: it is damaged, or made otherwise: {WANTED}")
 
 
 def _is_spread(matrices: Floats, least: float = -ROUNDED) -> bool:

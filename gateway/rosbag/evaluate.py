@@ -253,7 +253,8 @@ class Trace:
             self.anchors.append(perception.anchor(pose))
 
     def end(self, perception: Perception) -> None:
-        """Keep the map, its keyframes, and the path as it is known now."""
+        """Keep the map, its keyframes, and the path, once all that is known of them is worked in."""
+        perception.settle()
         self.map, self.is_placed = perception.map.view(), perception.is_placed
         found = perception.saved_keyframes()
         self.keyframes = found if found.kept else None
@@ -303,7 +304,8 @@ def evaluate(
     for t in reference.times:
         events.process_until(t + reference.slack)
         known = perception.estimate
-        there = None if known is None or events.ended(t) else extrapolated(known, t)
+        nowhere = known is None or events.ended(t) or not perception.is_placed
+        there = None if known is None or nowhere else extrapolated(known, t)
         anchors.append(None if there is None else perception.anchor(there))
         paths[ESTIMATED].append(there)
         paths[WHEELS].append(None if there is None else perception.raw)
