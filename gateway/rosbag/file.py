@@ -108,8 +108,8 @@ def _opened(path: Path, stack: ExitStack) -> tuple[AnyReader, str]:
 
 
 def _file_of(path: Path) -> tuple[Path, str]:
-    """Return what to open, and a remark: of a folder without its metadata, or whose one file was cut off, that
-    file."""
+    """Return what to open, and a remark: of a folder without its metadata, or whose only file was cut off, it
+    alone."""
     if not path.is_dir() or len(files := _files(path)) != 1 or not is_bag(files[0]):
         return path, ""  # or a recording of this gateway
     told, cut = (path / "metadata.yaml").exists(), _is_cut(files[0])

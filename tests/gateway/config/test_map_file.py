@@ -268,3 +268,12 @@ def test_a_drive_becomes_a_map_in_which_the_next_one_begins(
     assert comparison.ok, comparison.text()
     assert main(["run", "diffbot", "--fast", "--at", "0,0"]) == 2
     assert "name its file by --map" in capsys.readouterr().err
+    both = tmp_path / "both"
+    assert main(["map", first, second, "--out", str(both)]) == 0
+    assert "path.tum, path.csv, path-2.tum, path-2.csv" in capsys.readouterr().out
+    paths = [(both / name).read_text().splitlines() for name in ("path.csv", "path-2.csv")]
+    ends = [tuple(map(float, lines[-1].split(",")[1:3])) for lines in paths]
+    assert ends == [pytest.approx((0.6, 0.0), abs=0.05), pytest.approx((0.3, 0.1), abs=0.05)]
+    assert main(["map", second, "--map", f"{folder}/map.yaml", "--out", str(tmp_path / "one")]) == 0
+    assert main(["map", second, "--at", "0,0", "--out", str(tmp_path / "two")]) == 2
+    assert "name its file by --map" in capsys.readouterr().err
