@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Generator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rosbags.interfaces import Connection, ConnectionExtRosbag2
@@ -28,15 +29,18 @@ if TYPE_CHECKING:
 class UnindexedMcap(McapReader):
     """The library's storage of a file, of which nothing but whole records is believed."""
 
-    why = ""
-    """What of it is lost; "" if nothing is"""
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._file = path
+        self.why = ""
+        """What of it is lost; "" if nothing is"""
 
     def _open(self) -> None:
         """Go through the file. Raises ReaderError if it does not begin as one of ROS 2 does."""
         counts: Counter[int] = Counter()
         lost: list[Damage] = []
-        first, last, ended, size = 0, -1, False, self.path.stat().st_size
-        with self.path.open("rb") as file:
+        first, last, ended, size = 0, -1, False, self._file.stat().st_size
+        with self._file.open("rb") as file:
             for piece in records(file):
                 if isinstance(piece, Damage):
                     lost.append(piece)
@@ -65,11 +69,11 @@ class UnindexedMcap(McapReader):
 
         try:
             if record.opcode == Opcode.SCHEMA:
-                one = parse(self.path, SchemaRecord, record)
+                one = parse(self._file, SchemaRecord, record)
                 text = one.data.decode(errors="replace")
                 self.schemas[one.id] = Schema(one.id, one.name, one.encoding, text)
             elif record.opcode == Opcode.CHANNEL:
-                channel = parse(self.path, Channel, record)
+                channel = parse(self._file, Channel, record)
                 schema = self.schemas.get(channel.schema_id)
                 if schema is None or any(one.id == channel.id for one in self.connections):
                     return
@@ -86,7 +90,7 @@ class UnindexedMcap(McapReader):
     ) -> Generator[tuple[Connection, int, bytes], None, None]:
         """Yield connection, time [ns] and bytes of each message of these connections."""
         wanted = {one.id: one for one in connections}
-        with self.path.open("rb") as file:
+        with self._file.open("rb") as file:
             for piece in records(file):
                 if isinstance(piece, Damage) or piece.opcode != Opcode.MESSAGE:
                     continue
