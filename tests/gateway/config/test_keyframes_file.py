@@ -44,9 +44,9 @@ def driven(perception: Perception, rover: Rover, goals: Iterable[tuple[float, fl
 
 @pytest.fixture(scope="module")
 def first() -> Perception:
-    """A drive through both rooms, and back to the door: 13 m."""
+    """A drive through both rooms: 9 m."""
     perception = Perception(BODY, MOUNTS, SETTINGS)
-    driven(perception, Rover(1), [(2.6, 0.3), (3.2, 1.8), (5.2, 1.8), (8.3, 2.2), (5.2, 1.8), (3.0, 1.8)])
+    driven(perception, Rover(1), [(2.6, 0.3), (3.2, 1.8), (5.2, 1.8), (8.3, 2.2)])
     return perception
 
 
@@ -89,14 +89,14 @@ def test_a_second_drive_goes_on_in_the_map_of_the_first(first: Perception) -> No
     rover = Rover(2)
     rover.truth = Pose(5.2, 0.9, 2.15)
     perception = Perception(BODY, MOUNTS, SETTINGS, saved=saved)
-    off = driven(perception, rover, [(5.2, 2.2), (8.2, 2.3), (8.3, 0.2), (8.2, 2.3), (5.2, 1.8), (2.8, 1.6)])
+    off = driven(perception, rover, [(5.2, 2.2), (8.2, 2.3), (5.2, 1.8)])
     assert rover.now < 60 * 10**9
     assert max(off) < 0.06
     assert perception.verdict.trust < Trust.DOUBTFUL
     both = perception.saved_keyframes()
     new = len(before.poses)
     assert [*both.kept][: len(before.kept)] == [*before.kept]
-    assert len(both.kept) > len(before.kept) + 20
+    assert len(both.kept) > len(before.kept) + 12
     assert any(tie.first * GROUP < new <= tie.second * GROUP for tie in both.ties)
     again = saved_map(files_of(perception)["map.yaml"].decode(), files_of(perception), MapSettings(), None)
     assert again.keyframes is not None

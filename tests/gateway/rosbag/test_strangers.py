@@ -508,19 +508,25 @@ def test_a_second_recording_is_mapped_in_the_map_of_the_first_or_refused(
     path, other = tmp_path / "drive.clf", tmp_path / "other.clf"
     path.write_text(made.carmen_log(8.0))
     other.write_text(made.carmen_log(8.0, bent=1.0))
-    assert main(["map", str(path), str(path), "--out", str(tmp_path / "both")]) == NOT_JUDGED
-    tables = [(tmp_path / "both" / name).read_text().splitlines()[1:] for name in ("path.csv", "path-2.csv")]
+    begun, gone_on, out = (tmp_path / name for name in ("begun", "gone_on", "out"))
+    in_it = ["--map", str(begun / "map.yaml")]
+    assert main(["map", str(path), "--out", str(begun)]) == NOT_JUDGED
+    assert main(["map", str(path), *in_it, "--out", str(gone_on)]) == NOT_JUDGED
+    tables = [(folder / "path.csv").read_text().splitlines()[1:] for folder in (begun, gone_on)]
     first, second = ({t: (x, y, yaw) for t, x, y, yaw in csv.reader(table)} for table in tables)
     both = sorted(first.keys() & second.keys())
     assert len(both) > 60
     for t in both:
         assert list(map(float, second[t])) == pytest.approx(list(map(float, first[t])), abs=0.03)
     capsys.readouterr()
-    assert main(["map", str(path), str(other), "--out", str(tmp_path / "out")]) == 2
+    assert main(["map", str(other), *in_it, "--out", str(out)]) == 2
     assert f"{other}: {NOT_PLACED}: no map is made of it" in capsys.readouterr().err
-    assert main(["map", str(path), str(tmp_path / "absent"), "--out", str(tmp_path / "out")]) == 2
+    assert main(["map", str(path), str(tmp_path / "absent"), "--out", str(out)]) == 2
     assert "there is no such file or folder" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
+    assert not out.exists()
+    (begun / "map.keyframes").write_bytes((begun / "map.keyframes").read_bytes()[:-100])
+    assert main(["map", str(path), *in_it, "--out", str(out)]) == 2
+    assert "map.keyframes: it is cut off, damaged or another file" in capsys.readouterr().err
 
 
 # -- inspect --------------------------------------------------------------------------------------
