@@ -200,10 +200,8 @@ def _replayed(file: Path, robot_file: str | None, trace: Trace) -> tuple[int, st
 
             def observe(_: Tick, belief: Belief) -> None:
                 trace.map = belief.map or trace.map
-                if (now := belief.estimate) is not None and perceptions:
-                    trace.add(now.t, now.pose, perceptions[0])
-                elif now is not None and trace.is_due(now.t):
-                    trace.path.append((now.t, now.pose))
+                if (now := belief.estimate) is not None:
+                    trace.add(now.t, now.pose, perceptions[0] if perceptions else None)
                 shown.update(next(ticks))
 
             return observe

@@ -246,11 +246,12 @@ class Trace:
         """Return whether the last pose is old enough for another one."""
         return not self.path or t >= self.path[-1][0] + PATH_PERIOD
 
-    def add(self, t: Nanos, pose: Pose, perception: Perception) -> None:
-        """Add a pose, if the last one is old enough, and if it knows where it is."""
-        if perception.is_placed and self.is_due(t):
+    def add(self, t: Nanos, pose: Pose, perception: Perception | None) -> None:
+        """Add a pose, if the last one is old enough, and if it knows where it is. None: another program
+        perceives."""
+        if self.is_due(t) and (perception is None or perception.is_placed):
             self.path.append((t, pose))
-            self.anchors.append(perception.anchor(pose))
+            self.anchors.append(None if perception is None else perception.anchor(pose))
 
     def end(self, perception: Perception) -> None:
         """Keep the map, its keyframes, and the path, once all that is known of them is worked in."""
