@@ -4,7 +4,7 @@ Rules. PYTHON is the interpreter of an environment of its own in which the peer 
 yag-slam opencv-python-headless`): Karto's matcher and graph, in C++, called from Python. Both get the same
 scans with the same odometry, and are judged by the same relations, as `benchmarks.abroad` does; the time of
 both is their processor's, on this machine, one after the other. What a scan costs the peer is of the scans
-that it takes, about one in five; of ours it is of all, wheels included.
+that it takes, one in four or five; of ours it is of all, wheels included.
 """
 
 from __future__ import annotations
