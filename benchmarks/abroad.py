@@ -14,7 +14,7 @@ import math
 import os
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeAlias
 
@@ -26,6 +26,11 @@ from brain.perception.consistency import Trust
 from brain.perception.loops import LoopSettings
 from brain.perception.mount import Mount
 from brain.perception.perception import Anchor, Perception, PerceptionSettings
+from brain.perception.saved_keyframes import SavedKeyframes
+from brain.perception.saved_map import SavedMap
+from gateway.config.keyframes_file import keyframes_file
+from gateway.config.map_file import saved_map
+from gateway.rosbag.drawn import Drawn
 from protocols.messages import SECOND, Event, Feedback, LaserScan, Nanos, seconds
 from tests.data.carmen import BODY, SETTINGS, events
 
@@ -186,6 +191,11 @@ class Run:
     """In words"""
     lags: tuple[float, ...]
     """s, that were found"""
+    anchors: list[Anchor | None] = field(default_factory=list)
+    """Where the robot was, relative to keyframes"""
+    files: dict[str, bytes] = field(default_factory=dict)
+    """Of the map, as `gateway map` writes them"""
+    keyframes: SavedKeyframes | None = None
 
     def share(self, least: Trust) -> float:
         """Return after how many scans the verdict was this, or worse, in percent."""
@@ -203,6 +213,11 @@ def main() -> None:
         "--changed", nargs="+", choices=("all", *CHANGES), metavar="NAME",
         help=f"copies of each log, changed in memory, a row each: all, {', '.join(CHANGES)}",
     )  # fmt: skip
+    parser.add_argument(
+        "--halves",
+        action="store_true",
+        help="as two recordings, of which the second is mapped in the map of the first",
+    )
     parser.add_argument("--ahead", type=float, default=0.0, help="m from the robot's origin to the lidar")
     options = parser.parse_args()
     folder = Path(os.environ["MOTOR_GATEWAY_DATA"]) / "carmen"
@@ -212,7 +227,9 @@ def main() -> None:
         print(COPIES)
     for log in options.logs:
         path, relations = folder / f"{log}.clf.bz2", folder / f"{log}.relations"
-        if options.changed:
+        if options.halves:
+            halves(log, path, relations, options.ahead, settings)
+        elif options.changed:
             for name in CHANGES if "all" in options.changed else options.changed:
                 run = drive(path, options.ahead, part, settings, name)
                 print(f"{f'{log}, {name}':20}", row(run, relations), flush=True)
@@ -254,10 +271,14 @@ def drive(
     part: tuple[float, float] = (0.0, math.inf),
     settings: PerceptionSettings = SETTINGS,
     changed: str = AS_IT_IS,
+    saved: SavedMap | None = None,
+    *,
+    keep: bool = False,
 ) -> Run:
     """Give a part of a log to perception, or of a copy of it that was changed: from and up to, s after its
-    first event."""
-    perception = Perception(BODY, {"lidar": Mount(x=ahead)}, settings)
+    first event. `saved`: a map in which it begins; then from when on its place there was found; `keep`: also
+    the files of its map."""
+    perception = Perception(BODY, {"lidar": Mount(x=ahead)}, settings, saved=saved)
     run = Run([], [], [], [], [], [], 0.0, {}, "", ())
     anchors: list[Anchor | None] = []
     lidar, spent = Pose(ahead, 0.0, 0.0), 0.0
@@ -266,6 +287,8 @@ def drive(
     def note() -> None:
         estimate = perception.estimate
         assert estimate is not None, "wheels came first"
+        if not perception.is_placed:
+            return
         run.times.append(known)
         run.believed.append(moved(estimate.pose, lidar))
         anchors.append(perception.anchor(estimate.pose))
@@ -287,6 +310,8 @@ def drive(
             known = event.t
             for _ in range(PARTS):
                 perception.observe(event.t, [])
+    if keep:
+        perception.settle()
     nis = perception.nis.get("lidar")
     anomalies = {reason: count for each in perception.anomalies.values() for reason, count in each.items()}
     known_now = [
@@ -300,11 +325,51 @@ def drive(
         anomalies=anomalies,
         loops=perception.loops,
         lags=tuple(perception.lags.values()),
+        anchors=anchors,
+        files=mapped(perception) if keep else {},
+        keyframes=perception.saved_keyframes(),
     )
     if changed == "mirrored":
         believed, known_now, rolled_on = map(turned_over, (run.believed, run.known, run.rolled))
         return replace(run, believed=believed, known=known_now, rolled=rolled_on)
     return replace(run, times=[both - t for t in run.times]) if changed == "backward" else run
+
+
+def mapped(perception: Perception) -> dict[str, bytes]:
+    """Return the files of a map."""
+    drawn = Drawn(perception.map.view(), [])
+    kept = keyframes_file(perception.saved_keyframes(), drawn.pgm())
+    return {"map.pgm": drawn.pgm(), "map.keyframes": kept, "map.yaml": drawn.yaml("map.keyframes").encode()}
+
+
+def halves(log: str, path: Path, relations: Path, ahead: float, settings: PerceptionSettings) -> None:
+    """Print how right two halves of a log are, each by itself, and between them."""
+    whole = [one.t for one in events(path)]
+    middle = seconds(whole[-1] - whole[0]) / 2.0
+    first = drive(path, ahead, (0.0, middle), settings, keep=True)
+    saved = saved_map(first.files["map.yaml"].decode(), first.files, settings.map, None)
+    second = drive(path, ahead, (middle, math.inf), settings, saved=saved, keep=True)
+    found = seconds(second.times[0] - whole[0]) - middle
+    print(
+        f"{log}: {len(first.files['map.keyframes'])} bytes of keyframes; the second found after {found:.1f} s"
+    )
+    assert second.keyframes is not None, "it was placed"
+    poses, lidar = second.keyframes.poses, Pose(ahead, 0.0, 0.0)
+    known = [
+        there if anchor is None else moved(moved(Pose(*poses[anchor.keyframe].tolist()), anchor.pose), lidar)
+        for there, anchor in zip(first.believed, first.anchors, strict=True)
+    ]
+    both = replace(second, times=first.times + second.times, rolled=first.rolled + second.rolled)
+    print(HEAD)
+    for name, run in (("first", first), ("second", second)):
+        print(f"{f'{log}, {name}, as it went':31}", text(errors(run, run.believed, relations)))
+        print(f"{f'{log}, {name}, in the end':31}", text(errors(run, run.known, relations)))
+    print(f"{f'{log}, first, after the second':31}", text(errors(first, known, relations)))
+    for name, believed in (
+        ("as it went", first.believed + second.believed), ("in the end", known + second.known)
+    ):  # fmt: skip
+        print(f"{f'{log}, both, {name}':31}", text(errors(both, believed, relations)))
+    print(f"{log}: {second.loops}; {second.share(Trust.LOST):.2f} % lost", flush=True)
 
 
 def turned_over(path: list[Pose]) -> list[Pose]:

@@ -11,6 +11,7 @@ graph-based SLAM); Agarwal et al. 2013 (dynamic covariance scaling: the same ker
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -49,13 +50,15 @@ class Edge(NamedTuple):
 class Graph:
     """The groups' edges. Plain data."""
 
-    def __init__(self) -> None:
-        self.groups: list[int] = [0]
+    def __init__(
+        self, groups: Sequence[int] = (0,), joins: Sequence[Edge] = (), ties: Sequence[Edge] = ()
+    ) -> None:
+        self.groups = list(groups)
         """That there are, by number"""
-        self.joins: list[Edge] = []
+        self.joins = list(joins)
         """From each group to the next"""
-        self.ties: list[Edge] = []
-        self.lengths(np.zeros(1))  # the libraries are there before the first loop is
+        self.ties = list(ties)
+        self.lengths(np.zeros(len(self.groups)))  # the libraries are there before the first loop is
 
     def join(self, edge: Edge) -> None:
         """Add a group, seen from the newest one."""

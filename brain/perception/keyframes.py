@@ -26,6 +26,7 @@ from brain.belief import Floats, Pose
 from brain.bodies.plane import seen_from, wrap
 from brain.perception.body_scan import BodyScan, Bools, PackedScan, rotated, to_world
 from brain.perception.match import OPEN, inverted
+from brain.perception.saved_keyframes import SavedKeyframe
 from brain.perception.saved_map import SavedMap
 from protocols.bounds import Bounds, check, ordered
 
@@ -250,17 +251,31 @@ class Keyframes:
     copy continues exactly as the original."""
 
     def __init__(self, settings: KeyframeSettings, saved: SavedMap | None = None) -> None:
-        """`saved`: of its walls, those about the robot are always in the local map."""
-        self.settings, self._saved = settings, saved
+        """`saved`: its keyframes come first, as of a robot that was carried since. If it has none, those of
+        its walls that are about the robot are always in the local map."""
+        before = None if saved is None else saved.keyframes
+        self.settings, self._saved = settings, None if before is not None else saved
         self.kept: dict[int, Keyframe] = {}
         self.count = 0
         """That there have been"""
         self._poses: Floats = np.zeros((GROWTH, 3))
-        self._first = 0
+        if before is not None:
+            self.kept = {number: self._remade(one) for number, one in before.kept.items()}
+            self.count = len(before.poses)
+            self._poses = np.concatenate([before.poses, self._poses])
+        self._first = self.count
         """Number of the oldest that may be in the local map"""
         self._local = Surfaces(np.zeros((0, 2)), np.zeros((0, 2)))
         self._owners: Indices = np.zeros(0, dtype=np.int64)
         """Keyframe of each of its surfaces; `count`: the saved map"""
+
+    def _remade(self, one: SavedKeyframe) -> Keyframe:
+        """Return a keyframe as it was when it was kept, but for what packing its scan has rounded."""
+        scan = one.scan.unpacked()
+        points, normals = _surfaces(scan, scan.ranges < self.settings.farthest, spacing=SPACING)
+        return Keyframe(
+            one.way, one.covariance, points.astype(np.float32), normals.astype(np.float32), one.scan
+        )
 
     def __len__(self) -> int:
         return self.count - self._first

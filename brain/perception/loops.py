@@ -24,6 +24,7 @@ from brain.bodies.plane import wrap
 from brain.perception.body_scan import rotated
 from brain.perception.graph import Edge, Graph, Solution, after, between, in_axes, inverse
 from brain.perception.keyframes import FACING, Keyframes, KeyframeSettings, Surfaces, fit
+from brain.perception.saved_keyframes import SavedKeyframes
 from protocols.bounds import Bounds, check
 
 
@@ -167,10 +168,11 @@ class _Inquiry:
 class Loops:
     """The search for loops, and the graph. Plain data: a deep copy continues exactly as the original."""
 
-    def __init__(self, settings: LoopSettings) -> None:
+    def __init__(self, settings: LoopSettings, saved: SavedKeyframes | None = None) -> None:
+        """`saved`: keyframes from before, with the graph of which it begins."""
         self.settings = settings
-        self.graph = Graph()
-        self.closed = 0
+        self.graph = Graph() if saved is None else Graph(saved.groups, saved.joins, saved.ties)
+        self.closed = len(self.graph.ties)
         """Loops that count"""
         self._drift: Floats = np.zeros((3, 3))
         """Covariance since the newest group began"""

@@ -84,8 +84,9 @@ class Map(Tiles):
         self._lay()
 
     def anew(self) -> Map:
-        """Return a map as this one began."""
-        return Map(self.settings, self._saved)
+        """Return a map to be drawn again from keyframes: what was saved without them is in it."""
+        drawn = self._saved is not None and self._saved.keyframes is not None
+        return Map(self.settings, None if drawn else self._saved)
 
     def forget(self) -> None:
         """Forget all that was observed: what is known is what it began with."""

@@ -55,6 +55,7 @@ from brain.perception.percept import Sight, extrapolated
 from brain.perception.placing import Placing, is_covered
 from brain.perception.redraw import Redraw, correction
 from brain.perception.relocalise import PoseFound, PoseSearch, PoseSearching, RelocaliseSettings
+from brain.perception.saved_keyframes import SavedKeyframes
 from brain.perception.saved_map import SavedMap
 from protocols import messages as msg
 from protocols.bounds import Bounds, Duration, check
@@ -214,6 +215,9 @@ class Perception:
         self.settings = settings
         self.map = Map(settings.map, saved)
         self._saved, self._begun = saved, saved is None
+        self.is_placed = saved is None
+        """Whether it has known where it is in the map that it began in: before, what it believes is no place
+        there, and says nothing of where it may be"""
         self.rejected: dict[str, int] = dict.fromkeys((*body.joints, *mounts), 0)
         """Number of measurements rejected by the chi-square gate, by motor or sensor."""
         self.anomalies: dict[str, dict[str, int]] = {name: {} for name in self.rejected}
@@ -307,6 +311,10 @@ class Perception:
     def anchored(self, anchor: Anchor) -> Pose:
         """Return where the robot was, as it is known now."""
         return moved(self._placing.keyframes.pose(anchor.keyframe), anchor.pose)
+
+    def saved_keyframes(self) -> SavedKeyframes:
+        """Return what the map can be drawn again from, and gone on from, later."""
+        return self._placing.saved()
 
     @property
     def lags(self) -> Mapping[str, float]:
@@ -415,6 +423,14 @@ class Perception:
         events are as far apart as its scans has none."""
         while self._todo:
             self.observe(now, [])
+
+    def settle(self) -> None:
+        """Do all that is left: of the scans, of loops, of the map that is drawn again. A recording has ended,
+        and its map is to be kept."""
+        while self._todo:
+            self._do(*self._todo.popleft())
+        while self._may_close_loops and (self._placing.loops.busy or self._redraw.busy):
+            self._close_loops()
 
     def _apply(self, inputs: Sequence[Input]) -> dict[str, GateResult]:
         """Give measurements to the filter; return the newest decision by source."""
@@ -651,7 +667,7 @@ class Perception:
         if consistency.lost and beginning and self._placing.keyframes.count == 1:
             self._forget_map()
             self._count(name, "what the map began with has gone")
-        elif consistency.lost:
+        elif consistency.lost and self.is_placed:
             self._new_ground = (self._new_ground if lost else None) or _NewGround()
             self._go_on(agreement, self._new_ground)
         keep = not agreement.disagrees and (self._begins_anew or not consistency.lost)
@@ -753,11 +769,16 @@ class Perception:
 
     # -- loops ---------------------------------------------------------------------------------
 
+    @property
+    def _may_close_loops(self) -> bool:
+        """Whether nothing else that measures the pose holds it in the map."""
+        return not self._consistency.lost and self._outside == self._last_scan.keys()
+
     def _close_loops(self) -> None:
         """Do the next slice: of the map that is drawn again, or of the search for loops."""
         self._credit -= 1
-        if self._consistency.lost or self._outside != self._last_scan.keys():
-            return  # what else measures the pose holds it in the map
+        if not self._may_close_loops:
+            return
         keyframes, loops, redraw = self._placing.keyframes, self._placing.loops, self._redraw
         if redraw.waiting or (redraw.busy and not loops.busy):
             self._credit -= 0 if redraw.waiting else DRAWS
@@ -771,6 +792,7 @@ class Perception:
             ground = self._new_ground
             if self._consistency.adrift and ground is not None and loops.ties_to_before(ground.first or 0):
                 self._consistency.tied()
+                self.is_placed = True
 
     def _move(self, poses: Floats) -> None:
         """Give all keyframes better poses: the map moves, and the robot with the newest of them."""
@@ -819,7 +841,11 @@ class Perception:
             return
         found = _moved(result.pose, search.believed, here[0])
         driven = self._placing.driven
-        if driven > FAR and math.dist((found.x, found.y), (here[0].x, here[0].y)) > ASTRAY * driven:
+        if (
+            self.is_placed
+            and driven > FAR
+            and math.dist((found.x, found.y), (here[0].x, here[0].y)) > ASTRAY * driven
+        ):
             self._count("", "found where its wheels cannot have taken it")
             return
         before, self._found = self._found, (found, here[0])
@@ -832,7 +858,7 @@ class Perception:
         self._filter.reset(t, pose, covariance)
         self._movers = Movers()
         self._placing.forget()
-        self._new_ground = None
+        self.is_placed, self._new_ground = True, None
         self._consistency.found()
         self._count("", how)
         self._apply([])

@@ -26,9 +26,10 @@ from brain.perception.filter_inputs import Nis, PoseFix
 from brain.perception.graph import in_axes
 from brain.perception.keyframes import NEW_GROUND, Keyframes, KeyframeSettings, Motion, Placed
 from brain.perception.lag import Lag
-from brain.perception.loops import TORN, Loops, LoopSettings
+from brain.perception.loops import GROUP, TORN, Loops, LoopSettings
 from brain.perception.map import Map
 from brain.perception.match import WINDOWS, Match, MatchSettings, examine, match
+from brain.perception.saved_keyframes import SavedKeyframe, SavedKeyframes
 from brain.perception.saved_map import SavedMap
 from protocols.messages import SECOND, Nanos
 
@@ -84,7 +85,8 @@ class Placing:
         saved: SavedMap | None = None,
     ) -> None:
         self.keyframes = Keyframes(keyframes, saved)
-        self.loops = Loops(loops)
+        before = None if saved is None else saved.keyframes
+        self.loops = Loops(loops, before)
         self._settings = matching
         self._loud: dict[str, float] = {}
         """Factor on the noise of matches, by lidar; so are the next"""
@@ -100,14 +102,25 @@ class Placing:
         """Share of the newest scan on the keyframes that did not disagree"""
         self.driven = self.turned = 0.0
         """m, rad: since a scan last corrected the pose"""
-        self._way = 0.0
+        ways = [one.way for one in self.keyframes.kept.values()]
+        self._way = max(ways) + loops.away if ways else 0.0
         """m: travelled so far"""
         self._rolled: Floats = np.zeros((3, 3))
         """Covariance of the motion since the newest keyframe, by real odometry"""
         self._worst = 1.0
         """Least share of a scan on the keyframes since then"""
-        self._torn = False
+        self._torn = bool(ways)
         """The robot was carried since then"""
+
+    def saved(self) -> SavedKeyframes:
+        """Return the keyframes and their graph, in whole groups: what is kept later begins another one."""
+        poses, graph = self.keyframes.poses, self.loops.graph
+        poses = np.concatenate([poses, np.repeat(poses[-1:], -len(poses) % GROUP, axis=0)])
+        kept = {
+            number: SavedKeyframe(one.way, one.covariance, one.scan)
+            for number, one in self.keyframes.kept.items()
+        }
+        return SavedKeyframes(poses, kept, tuple(graph.groups), tuple(graph.joins), tuple(graph.ties))
 
     def forget(self, *, carried: bool = True) -> None:
         """Forget the keyframes: the robot is elsewhere; `carried`: it was found there."""

@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from brain.belief import Floats, Pose
 from brain.perception.lines import TILE
+from brain.perception.saved_keyframes import SavedKeyframes
 from brain.perception.tiles import UNIT
 from protocols.bounds import Bounds, Invalid, check
 
@@ -97,6 +98,7 @@ class SavedMap:
         high: and at most.
         start: where the robot is in it; None: it looks for its place.
         remark: what a person should look at, or "".
+        keyframes: of which it was drawn, if they were saved, too.
     """
 
     def __init__(
@@ -107,9 +109,11 @@ class SavedMap:
         high: float,
         start: Start | None = None,
         remark: str = "",
+        keyframes: SavedKeyframes | None = None,
     ) -> None:
         """Raises Invalid if it has too many cells, or none that is known."""
         self.resolution, self.start, self.remark = resolution, start, remark
+        self.keyframes = keyframes
         percents, corner = _laid(drawing, resolution)
         odds = np.clip(percents, 1, 99) / 100.0
         log_odds = np.where(percents == 100, high, np.where(percents == 0, low, np.log(odds / (1.0 - odds))))
@@ -131,7 +135,8 @@ class SavedMap:
         """Its size, and what is known of it, in words."""
         height, width = (side * self.resolution for side in self._values.shape)
         shares = [100.0 * float(np.mean(kind)) for kind in (self._values > 0, self._values < 0)]
-        return f"{width:.1f} m x {height:.1f} m, {shares[0]:.1f} % occupied, {shares[1]:.1f} % free"
+        text = f"{width:.1f} m x {height:.1f} m, {shares[0]:.1f} % occupied, {shares[1]:.1f} % free"
+        return text if self.keyframes is None else f"{text}, {len(self.keyframes.kept)} keyframes"
 
     def tiles(self) -> Iterator[tuple[tuple[int, int], Values]]:
         """Yield row, column and values of each tile in which something is known."""

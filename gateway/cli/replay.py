@@ -171,7 +171,7 @@ def _evaluate(options: Namespace) -> int:
         if value is not None:
             text = f"{options.file} is another program's recording: {option} is for this gateway's"
             raise UserError(text)
-    robot, truth = foreign(options)
+    robot, truth = foreign(options.file, options)
     gc.set_threshold(10_000)
     with progress("replay, events", None) as shown:
         evaluation = evaluate_file(options.file, robot, options.at_most, truth, shown.update)
@@ -179,11 +179,11 @@ def _evaluate(options: Namespace) -> int:
     return evaluation.status
 
 
-def foreign(options: Namespace) -> tuple[Robot, Positions | Relations | None]:
+def foreign(file: Path, options: Namespace) -> tuple[Robot, Positions | Relations | None]:
     """Return the robot by which another program's recording is read, and the truth of a file."""
     truth = None if options.truth is None else read_truth(options.truth)
     if options.robot is not None:
         return load_robot(options.robot, recorded=True), truth
-    robot = proposed_robot(survey(options.file))
-    print(f"no robot file: read as `gateway inspect {options.file} --write ROBOT` would write it")
+    robot = proposed_robot(survey(file))
+    print(f"no robot file: read as `gateway inspect {file} --write ROBOT` would write it")
     return robot, truth

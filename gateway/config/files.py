@@ -34,6 +34,7 @@ OPTION: Limits = 200_000, "cp1252"
 """Most characters of a text, and what else than UTF-8 it may be: DBC files of many tools are"""
 MOST_PACKED, MOST_BYTES = 1_500_000, 1 << 27
 """Characters of packed bytes; bytes of a file"""
+SMALLER = "crop an image, or save it coarser; take keyframes out of the map's YAML"
 _HEADER = re.compile(r"^[ \t]*\[[ \t]*files[ \t]*\][ \t]*(#.*)?$", re.MULTILINE)
 NO_TABLE = "expected a table with the line [files], or none: it is filled when the robot file is loaded"
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
@@ -57,7 +58,7 @@ def with_files(text: str, path: Path, mistakes: Mistakes, find: Callable[[str], 
         if name not in there and name not in found:
             found |= _text(at, name, folders, mistakes, limits)
         if at == ("map", "file") and name in found:
-            found |= _image(at, found[name], path.parent / name, mistakes)
+            found |= _of_map(at, found[name], path.parent / name, mistakes)
     if not found:
         return text
     parts = [
@@ -141,12 +142,14 @@ def _text(at: Key, name: str, folders: Sequence[Path], mistakes: Mistakes, limit
     return {name: content}
 
 
-def _image(at: Key, text: str, file: Path, mistakes: Mistakes) -> dict[str, str]:
-    """Return the image of a map, packed, by its name. One that cannot be had is told with all that is wrong
-    beside it."""
-    image = map_file.image_of(text)
-    packed = _bytes(at, image, file.parent / image, mistakes) if image else {}
-    if image and not packed:
+def _of_map(at: Key, text: str, file: Path, mistakes: Mistakes) -> dict[str, str]:
+    """Return the image of a map, and its keyframes if it has some, packed, by name. What cannot be had is
+    told with all that is wrong beside it."""
+    names = map_file.files_of(text)
+    packed: dict[str, str] = {}
+    for name in names:
+        packed |= _bytes(at, name, file.parent / name, mistakes)
+    if len(packed) < len(set(names)):
         for sentence in map_file.objections(text):
             mistakes.add(at, f"{file.name}: {sentence}")
     return packed
@@ -161,12 +164,12 @@ def _bytes(at: Key, name: str, file: Path, mistakes: Mistakes) -> dict[str, str]
         mistakes.add(at, f"{name}: cannot be read: {getattr(error, 'strerror', None) or error}")
         return {}
     if size is None:
-        mistakes.add(at, f"there is no image {name!r} beside the map's file")
+        mistakes.add(at, f"there is no {name!r} beside the map's file")
         return {}
     packed = base64.b64encode(zlib.compress(data, 9)).decode()
     if size > MOST_BYTES or len(packed) > MOST_PACKED:
         text = f"{name} is too large, since a recording carries it: {len(packed)} packed, of {size} bytes"
-        mistakes.add(at, f"{text}; expected at most {MOST_PACKED}: crop it, or save it coarser")
+        mistakes.add(at, f"{text}; expected at most {MOST_PACKED}: {SMALLER}")
         return {}
     return {name: packed}
 

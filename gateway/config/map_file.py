@@ -10,7 +10,8 @@ corner.
 | scale | the same, and between both so many percent; not known is nothing, since PGM has no transparency |
 | raw | the pixel of 255, if it is at most 100, in percent; else not known |
 
-The image is PGM or PPM (netpbm; plain or not, 8 or 16 bits).
+The image is PGM or PPM (netpbm; plain or not, 8 or 16 bits). The key `keyframes`, which map_server passes
+over, names the file of `gateway.config.keyframes_file`.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,6 +28,10 @@ import numpy.typing as npt
 
 from brain.perception.map import MapSettings
 from brain.perception.saved_map import MOST_CELLS, Drawing, Percents, SavedMap, Start
+from gateway.config.errors import Mistakes
+from gateway.config.keyframes_file import keyframes_of
+from gateway.config.text import read_text
+from gateway.errors import ConfigError
 from protocols.bounds import Invalid
 from protocols.suggest import did_you_mean
 
@@ -34,6 +40,8 @@ MOST_CHARACTERS = 16 * 1024
 FORMATS = {b"\x89PNG": "PNG", b"\xff\xd8\xff": "JPEG", b"BM": "BMP", b"GIF8": "GIF", b"RIFF": "WebP"}
 """Of other images, by their first bytes"""
 MODES = ("trinary", "scale", "raw")
+KEYFRAMES = "keyframes"
+"""The key that only this program knows: the name of the file with what the image was drawn from"""
 GREY = 205
 """The shade of 255 that map_server's savers write for what is not known"""
 NUMBERS = {"resolution": (1e-3, 10.0), "occupied_thresh": (0.0, 1.0), "free_thresh": (0.0, 1.0)}
@@ -50,30 +58,55 @@ class MapKeys:
     """Where the robot is in it; left out: it looks for its place by its first scans"""
 
 
-def image_of(text: str) -> str:
-    """Return the name of the image in a map's YAML; "" if it has none."""
+def files_of(text: str) -> list[str]:
+    """Return the names of the files in a map's YAML, its image first; those that it has."""
     found = _yaml(text)
-    name = found.get("image") if isinstance(found, dict) else None
-    return name if isinstance(name, str) else ""
+    names = [found.get(key) for key in ("image", KEYFRAMES)] if isinstance(found, dict) else []
+    return [name for name in names if isinstance(name, str) and name]
 
 
 def saved_map(
-    text: str, images: Mapping[str, bytes | None], settings: MapSettings, start: Start | None
+    text: str, files: Mapping[str, bytes | None], settings: MapSettings, start: Start | None
 ) -> SavedMap:
     """Return the map of a YAML text. Raises Invalid with everything that is wrong.
 
     Args:
         text: YAML.
-        images: by name; None: it cannot be unpacked.
+        files: its image, and its keyframes if it has some, by name; None: it cannot be unpacked.
         settings: of the robot's map.
         start: where the robot is in it.
     """
-    drawing, remark = drawing_of(text, images)
-    made = SavedMap(drawing, settings.resolution, settings.low, settings.high, start, remark)
+    drawing, remark = drawing_of(text, files)
+    image, *names = files_of(text)
+    keyframes = None
+    for name in names:
+        try:
+            keyframes = keyframes_of(files.get(name), files.get(image))
+        except ValueError as error:
+            raise Invalid(("", f"{name}: {error}")) from error
+    made = SavedMap(drawing, settings.resolution, settings.low, settings.high, start, remark, keyframes)
     if (count := sum(1 for _ in made.tiles())) > settings.tiles:
         text = f"it has {count} tiles of 64 x 64 known cells; brain.perception.map.tiles is {settings.tiles}"
         raise Invalid(("", f"{text}: expected at least as many"))
     return made
+
+
+def load_map(file: Path, settings: MapSettings, start: Start | None) -> SavedMap:
+    """Read a map for who has no robot file with a table [map]. Raises ConfigError with everything that is
+    wrong."""
+    mistakes = Mistakes(str(file), "")
+    try:
+        text = read_text(file, MOST_CHARACTERS)
+        there = {name: file.parent / name for name in files_of(text)}
+        parts = {name: one.read_bytes() for name, one in there.items() if one.is_file()}
+        return saved_map(text, parts, settings, start)
+    except ConfigError:
+        raise
+    except Invalid as error:
+        mistakes.invalid((), error)
+    except (OSError, ValueError) as error:
+        mistakes.add((), f"cannot be read: {getattr(error, 'strerror', None) or error}")
+    raise mistakes.error()
 
 
 def drawing_of(text: str, images: Mapping[str, bytes | None]) -> tuple[Drawing, str]:
@@ -118,7 +151,7 @@ def objections(text: str) -> list[str]:
     found = _yaml(text)
     if isinstance(found, str):
         return [found]
-    known = ("image", "origin", "negate", "mode", *NUMBERS)
+    known = ("image", "origin", "negate", "mode", KEYFRAMES, *NUMBERS)
     wrong = [
         f"{key}: not known{near}"
         for key in found
@@ -130,6 +163,8 @@ def objections(text: str) -> list[str]:
             wrong.append(f"{key}: found {found[key]!r}, expected {EXPECTED[key]}")
     if "image" in found and not (isinstance(found["image"], str) and found["image"]):
         wrong.append(f"image: found {found['image']!r}, expected {EXPECTED['image']}")
+    if KEYFRAMES in found and not (isinstance(found[KEYFRAMES], str) and found[KEYFRAMES]):
+        wrong.append(f"keyframes: found {found[KEYFRAMES]!r}, expected the name of a file beside this one")
     origin = found.get("origin", [0, 0, 0])
     if not (isinstance(origin, list) and len(origin) == 3 and all(map(_is_number, origin))):
         wrong.append(f"origin: found {origin!r}, expected {EXPECTED['origin']}")

@@ -45,7 +45,7 @@ from brain.settings import BrainSettings
 from gateway.config import bodies, resources, validate
 from gateway.config.errors import Key, Mistakes, shown, unknown
 from gateway.config.files import fill, unpacked, with_files
-from gateway.config.map_file import MapKeys, image_of, saved_map
+from gateway.config.map_file import MapKeys, files_of, saved_map
 from gateway.config.recorded import FOR_RECORDINGS, completed, is_recorded
 from gateway.config.schema import build
 from gateway.config.sections import Find, Table, check_interface, own_ids, read_bus, read_motor, read_sensor
@@ -421,11 +421,10 @@ def _in_map(brain: BrainSettings, table: Table, mistakes: Mistakes) -> BrainSett
         missing = f"there is no text of {named.file!r} in [files]; it comes there by loading the file"
         mistakes.add(("map", "file"), missing)
         return brain
-    image = image_of(text)
-    packed = files.get(image)
-    images = {image: unpacked(packed)} if isinstance(packed, str) else {}
+    there = {name: one for name in files_of(text) if isinstance(one := files.get(name), str)}
+    parts = {name: unpacked(one) for name, one in there.items()}
     try:
-        return replace(brain, saved=saved_map(text, images, brain.perception.map, named.start))
+        return replace(brain, saved=saved_map(text, parts, brain.perception.map, named.start))
     except Invalid as error:
         for _, sentence in error.wrong:
             mistakes.add(("map", "file"), f"{Path(named.file).name}: {sentence}")

@@ -2,6 +2,7 @@
 
 map.pgm, map.yaml   as of ROS's map_server: occupied 0, free 254, unknown 205; the origin is the lower left
 map.png             the same, with the path on it
+map.keyframes       what it was drawn from (`gateway.config.keyframes_file`)
 path.tum            t x y z qx qy qz qw; t [s] as stamped, the frame "map"
 path.csv            the same as t, x, y, yaw
 """
@@ -69,13 +70,13 @@ class Drawn:
         height, width = self.pixels.shape
         return b"P5\n%d %d\n255\n" % (width, height) + self.pixels.tobytes()
 
-    def yaml(self) -> str:
-        """Return what map_server has to know of it."""
+    def yaml(self, keyframes: str = "") -> str:
+        """Return what map_server has to know of it, and the file of its keyframes, if there is one."""
         x, y = self.origin
         return (
             f"image: map.pgm\nresolution: {self.resolution:g}\norigin: [{x:.6g}, {y:.6g}, 0.0]\n"
             "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"  # with more, unknown is free
-        )
+        ) + (f"keyframes: {keyframes}\n" if keyframes else "")
 
     def png(self) -> bytes:
         """Return it with the path, in the portable network graphics format (ISO/IEC 15948)."""

@@ -19,11 +19,12 @@ from pathlib import Path
 
 from brain.belief import Estimate, MapView, Pose
 from brain.bodies.body import Base
-from brain.bodies.plane import arc
+from brain.bodies.plane import arc, moved
 from brain.perception.consistency import Trust
 from brain.perception.filter_inputs import Nis
 from brain.perception.mount import Mount
 from brain.perception.perception import Anchor, Perception
+from brain.perception.saved_keyframes import SavedKeyframes
 from gateway.core.robot import Robot
 from gateway.errors import BagError
 from gateway.rosbag import Bag, Topic, read
@@ -40,6 +41,9 @@ KNOWN = "known in the end"
 """The path after all loops, where one was closed"""
 PASSED, NOT_PASSED, NOT_JUDGED = 0, 1, 3
 """Exit statuses."""
+NOT_PLACED = (
+    "nowhere in it does a place look like the map that it was to begin in, and like no other place there"
+)
 NO_TRUTH = "there is no ground truth: name a topic of poses or fixes (truth, under [bag]) or a file (--truth)"
 
 
@@ -78,6 +82,8 @@ class Evaluation:
     mounts: Mapping[str, str] = field(default_factory=dict)
     """Where sensors are that the robot file does not place, in words."""
     notes: tuple[str, ...] = ()
+    is_placed: bool = True
+    """Whether it was found where it is in the map that it began in."""
 
     @property
     def estimated(self) -> PathError | None:
@@ -129,7 +135,7 @@ class Evaluation:
             )
         elif self.at_most is not None and not figure <= self.at_most:
             objections.append(f"the path error is {figure:.2f} m, and at most {self.at_most:g} m is allowed")
-        return [*self.contradictions, *objections]
+        return [*self.contradictions, *objections, *([] if self.is_placed else [NOT_PLACED])]
 
     def text(self) -> str:
         """Return the result as text."""
@@ -231,22 +237,39 @@ class Trace:
     """The last"""
     anchors: list[Anchor | None] = field(default_factory=list)
     """Where it was relative to keyframes, which loops may move"""
+    keyframes: SavedKeyframes | None = None
+    """The last, if there are some"""
+    is_placed: bool = True
+    """Whether it knows where it is in the map that it began in: before, it has no path there"""
 
     def is_due(self, t: Nanos) -> bool:
         """Return whether the last pose is old enough for another one."""
         return not self.path or t >= self.path[-1][0] + PATH_PERIOD
 
-    def add(self, t: Nanos, pose: Pose, perception: Perception) -> None:
-        """Add a pose, if the last one is old enough."""
-        if self.is_due(t):
+    def add(self, t: Nanos, pose: Pose, perception: Perception | None) -> None:
+        """Add a pose, if the last one is old enough, and if it knows where it is. None: another program
+        perceives."""
+        if self.is_due(t) and (perception is None or perception.is_placed):
             self.path.append((t, pose))
-            self.anchors.append(perception.anchor(pose))
+            self.anchors.append(None if perception is None else perception.anchor(pose))
 
     def end(self, perception: Perception) -> None:
-        """Keep the map, and the path as it is known now."""
-        self.map = perception.map.view()
+        """Keep the map, its keyframes, and the path, once all that is known of them is worked in."""
+        perception.settle()
+        self.map, self.is_placed = perception.map.view(), perception.is_placed
+        found = perception.saved_keyframes()
+        self.keyframes = found if found.kept else None
+        self.correct(found)
+
+    def correct(self, keyframes: SavedKeyframes) -> None:
+        """Correct the path by the keyframes as they are known now, also of who went on in this map."""
         self.path = [
-            (t, pose if anchor is None else perception.anchored(anchor))
+            (
+                t,
+                pose
+                if anchor is None
+                else moved(Pose(*keyframes.poses[anchor.keyframe].tolist()), anchor.pose),
+            )
             for (t, pose), anchor in zip(self.path, self.anchors, strict=True)
         ]
 
@@ -272,7 +295,7 @@ def evaluate(
     recording's own; `watch` is told how many events were processed; `trace`: where the path and the map
     are kept."""
     body, mounts = _body(robot), mounts_of(bag, robot)
-    perception = Perception(body, mounts, robot.brain.perception)
+    perception = Perception(body, mounts, robot.brain.perception, saved=robot.brain.saved)
     events = _EventFeed(heapq.merge(bag.events, bag.scans(), key=lambda one: one.t), perception, watch, trace)
     reference = truth or Positions(bag.truth)
     paths: dict[str, list[Pose | None]] = {ESTIMATED: [], WHEELS: []}
@@ -282,7 +305,8 @@ def evaluate(
     for t in reference.times:
         events.process_until(t + reference.slack)
         known = perception.estimate
-        there = None if known is None or events.ended(t) else extrapolated(known, t)
+        nowhere = known is None or events.ended(t) or not perception.is_placed
+        there = None if known is None or nowhere else extrapolated(known, t)
         anchors.append(None if there is None else perception.anchor(there))
         paths[ESTIMATED].append(there)
         paths[WHEELS].append(None if there is None else perception.raw)
@@ -317,6 +341,7 @@ def evaluate(
         lost=events.lost,
         mounts={name: f"{at_text(one.mount)}: {one.by}" for name, one in placed.items()},
         notes=(*_scales(robot), *remarks(bag), *perception.take_notes(), *_closed(perception)),
+        is_placed=perception.is_placed,
     )
 
 

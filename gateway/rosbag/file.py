@@ -57,7 +57,7 @@ def open_bag(path: Path) -> Iterator[tuple[AnyReader, str]]:
         _check_form(file)
         with _limited_memory(path), ExitStack() as stack:
             reader, made = _opened(file, stack)
-            yield reader, made or remark
+            yield reader, "; ".join(filter(None, [remark, made]))
     except (AnyReaderError, Ros1Error, Ros2Error) as error:
         alone = f": {inside}" if (inside := _inside(path)) else ""
         raise BagError(f"{path}: {_line(error)}{alone}") from error
@@ -75,38 +75,53 @@ def open_bag(path: Path) -> Iterator[tuple[AnyReader, str]]:
 
 
 def _opened(path: Path, stack: ExitStack) -> tuple[AnyReader, str]:
-    """Open a bag until the stack is closed; one of ROS 1 whose index is absent or damaged by going through
-    it."""
+    """Open a bag until the stack is closed; one whose index is absent or damaged by going through it."""
     from rosbags.highlevel import AnyReader, AnyReaderError
+    from rosbags.rosbag2 import Reader
     from rosbags.typesys import Stores, get_typestore
 
+    from gateway.rosbag.mcap_scan import UnindexedMcap
     from gateway.rosbag.ros1 import OldOrNew, Unindexed
 
     # A ROS 1 bag contains the definitions of its types; some ROS 2 bags leave them to the reader.
     reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
-    if path.suffix != ".bag":
-        return stack.enter_context(reader), ""
-    reader.readers = [OldOrNew(path)]
-    try:
-        return stack.enter_context(reader), ""
-    except (AnyReaderError, AssertionError, ArithmeticError, LookupError, ValueError, struct.error):
-        one = Unindexed(path)
-        reader.readers = [one]
+    one: Unindexed | UnindexedMcap | None = None
+    if path.suffix == ".bag":
+        reader.readers = [OldOrNew(path)]
+        try:
+            return stack.enter_context(reader), ""
+        except (AnyReaderError, AssertionError, ArithmeticError, LookupError, ValueError, struct.error):
+            one = Unindexed(path)
+            reader.readers = [one]
+    elif _is_cut(path):
+        whole = Reader(path)
+        whole.storage = one = UnindexedMcap(path)
+        reader.readers = [whole]
     stack.enter_context(reader)
+    if one is None:
+        return reader, ""
     count = sum(each.msgcount for each in reader.connections)
     if not count:
         raise BagError(f"{path}: its index is absent or damaged, and no message of it is whole")
-    end = f"; not to its end: {_line(one.why)}" if one.why else ""
+    end = f"; {'' if path.suffix == '.mcap' else 'not to its end: '}{_line(one.why)}" if one.why else ""
     return reader, f"its index is absent or damaged: gone through from its beginning, {count} messages{end}"
 
 
 def _file_of(path: Path) -> tuple[Path, str]:
-    """Return what to open, and a remark: of a folder without its metadata the one file that is in it."""
-    if not path.is_dir() or (path / "metadata.yaml").exists() or len(files := _files(path)) != 1:
+    """Return what to open, and a remark: of a folder without its metadata, or whose only file was cut off, it
+    alone."""
+    if not path.is_dir() or len(files := _files(path)) != 1 or not is_bag(files[0]):
+        return path, ""  # or a recording of this gateway
+    told, cut = (path / "metadata.yaml").exists(), _is_cut(files[0])
+    if told and not cut:
         return path, ""
-    if not is_bag(files[0]):
-        return path, ""  # a recording of this gateway
-    return files[0], f"a folder without metadata.yaml: its one file is read, {files[0].name}"
+    what = "whose file was cut off" if told else "without metadata.yaml"
+    return files[0], f"a folder {what}: its one file is read, {files[0].name}"
+
+
+def _is_cut(file: Path) -> bool:
+    """Whether a file is an MCAP that was not closed."""
+    return file.is_file() and first_bytes(file).startswith(MAGIC) and not has_end(file)
 
 
 def _files(folder: Path) -> list[Path]:
@@ -144,11 +159,9 @@ def _check_form(path: Path) -> None:
         )
     if path.is_dir() and not (path / "metadata.yaml").is_file():
         raise BagError(f"{path}: a folder without metadata.yaml: {_inside(path) or 'no bag of ROS 2'}")
-    for file in path.glob("*.mcap") if path.is_dir() else [path]:
-        if file.is_file() and first_bytes(file).startswith(MAGIC) and not has_end(file):
-            raise BagError(
-                f"{file}: it was cut off and has no index: `gateway recover {file}` makes a new one"
-            )
+    for file in path.glob("*.mcap") if path.is_dir() else ():
+        if _is_cut(file):
+            raise BagError(f"{file}: it was cut off, and its folder has others: replay it alone")
     if path.suffix != ".bag" and path.is_file() and first_bytes(path).startswith(ROS1):
         raise BagError(
             f"{path}: a bag of ROS 1 must be called .bag: rename it (a .active one was not finished, and is "

@@ -10,7 +10,7 @@ from typing import Literal, TypeAlias, TypeVar
 from brain.belief import Pose
 from gateway.config import resources
 from gateway.config.errors import Mistakes, shown
-from gateway.config.map_file import drawing_of, image_of
+from gateway.config.map_file import drawing_of, files_of
 from gateway.config.schema import build
 from gateway.config.text import read_text, read_toml
 from gateway.errors import ConfigError, Mistake, UserError
@@ -54,9 +54,8 @@ def _of_map(path: Path) -> SceneFile:
     """Return the place that a map shows. Raises WorldError."""
     try:
         text = read_text(path)
-        image = image_of(text)
-        file = path.parent / image
-        drawing, _ = drawing_of(text, {image: file.read_bytes()} if image and file.is_file() else {})
+        files = {name: path.parent / name for name in files_of(text)[:1]}
+        drawing, _ = drawing_of(text, {n: file.read_bytes() for n, file in files.items() if file.is_file()})
         grid = Grid(drawing.percents >= OCCUPIED, drawing.resolution, drawing.origin)
         return place_of(grid, path.stem, Pose(0.0, 0.0, 0.0))
     except Invalid as error:

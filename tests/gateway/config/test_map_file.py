@@ -216,7 +216,7 @@ def test_an_image_that_is_missing_is_told_with_all_else(tmp_path: Path) -> None:
     path.write_text(YAML.replace("0.05", "0"))
     with pytest.raises(ConfigError) as found:
         load_robot("diffbot", saved_map=str(path))
-    assert "there is no image 'map.pgm' beside the map's file" in str(found.value)
+    assert "there is no 'map.pgm' beside the map's file" in str(found.value)
     assert "map.yaml: resolution: found 0" in str(found.value)
 
 
@@ -267,4 +267,12 @@ def test_a_drive_becomes_a_map_in_which_the_next_one_begins(
     comparison = replay_recording(second)
     assert comparison.ok, comparison.text()
     assert main(["run", "diffbot", "--fast", "--at", "0,0"]) == 2
+    assert "name its file by --map" in capsys.readouterr().err
+    both = tmp_path / "both"
+    assert main(["map", first, second, "--out", str(both)]) == 0
+    assert "path.tum, path.csv, path-2.tum, path-2.csv" in capsys.readouterr().out
+    paths = [(both / name).read_text().splitlines() for name in ("path.csv", "path-2.csv")]
+    ends = [tuple(map(float, lines[-1].split(",")[1:3])) for lines in paths]
+    assert ends == [pytest.approx((0.6, 0.0), abs=0.05), pytest.approx((0.3, 0.1), abs=0.05)]
+    assert main(["map", second, "--at", "0,0", "--out", str(tmp_path / "two")]) == 2
     assert "name its file by --map" in capsys.readouterr().err

@@ -213,8 +213,9 @@ def by_odometry(t: Nanos, v: float, w: float, pose: Pose, _: object = None) -> l
 CARMEN_HEAD = "# message_name [message contents] ipc_timestamp ipc_hostname logger_timestamp\n"
 
 
-def carmen_log(length: float = 20.0) -> str:
-    """Return the drive as a log of CARMEN, in the room, a scan every 0.2 s."""
+def carmen_log(length: float = 20.0, bent: float = 0.0) -> str:
+    """Return the drive as a log of CARMEN, in the room, a scan every 0.2 s; `bent`: m by which its walls are
+    waves instead."""
     lines = [CARMEN_HEAD, "PARAM robot_frontlaser_offset 0.0 nohost 0\n"]
     for n, (t, v, w, pose, _) in enumerate(motion(length)):
         at = f"{pose.x:.6f} {pose.y:.6f} {pose.yaw:.6f}"
@@ -222,6 +223,7 @@ def carmen_log(length: float = 20.0) -> str:
         lines.append(f"ODOM {at} {v} {w} 0 {end}")
         if n % 10 == 5:
             ranges = room(pose, 181, -math.pi / 2.0, math.radians(1.0), 12.0)
+            ranges = [one + bent * math.sin(n / 8.0) for n, one in enumerate(ranges)]
             readings = " ".join(f"{one:.2f}" for one in ranges)
             lines.append(f"FLASER 181 {readings} {at} {at} {end}")
     return "".join(lines)

@@ -425,11 +425,15 @@ def test_a_bag_that_was_cut_off_is_recovered(
     assert read(folder, TOPICS, BODY).events == whole.events
     file.write_bytes(file.read_bytes()[: -file.stat().st_size // 4])
     (folder / "metadata.yaml").unlink()
-    assert f"`gateway recover {file}`" in printed(capsys, 2, "replay", folder, "--robot", robot)
-    assert f"`gateway recover {file}`" in printed(capsys, 2, "replay", file, "--robot", robot)
+    lost = f"of its {file.stat().st_size} bytes are lost, from byte "
+    for path in (folder, file):
+        assert lost in printed(capsys, 0, "inspect", path)
+        assert lost in printed(capsys, 0, "replay", path, "--robot", robot)
+    assert "without metadata.yaml: its one file is read" in printed(capsys, 0, "inspect", folder)
     assert "messages of another program's bag" in printed(capsys, 0, "recover", file)
     found = file.with_name(f"{file.stem}.recovered.mcap")
     recovered = read(found, TOPICS, BODY)
+    assert read(file, TOPICS, BODY).events == recovered.events
     kept = len(recovered.events) - 20  # what was measured in the last moments was not all written
     assert 100 < kept < len(whole.events)
     assert recovered.events[:kept] == whole.events[:kept]

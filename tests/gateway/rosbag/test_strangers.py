@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bz2
+import csv
 import gc
 import gzip
 import json
@@ -32,7 +33,7 @@ from gateway.errors import BagError, ConfigError
 from gateway.recording import Recorder
 from gateway.rosbag import Bag, is_bag, read
 from gateway.rosbag.drawn import Drawn
-from gateway.rosbag.evaluate import NOT_JUDGED, PASSED, evaluate, evaluate_file
+from gateway.rosbag.evaluate import NOT_JUDGED, NOT_PLACED, PASSED, evaluate, evaluate_file
 from gateway.rosbag.scans import of_cloud
 from gateway.rosbag.survey import proposed_robot, survey
 from gateway.rosbag.truth import Relations, read_truth
@@ -473,7 +474,7 @@ def test_a_map_has_the_walls_where_they_are(tmp_path: Path, capsys: pytest.Captu
     path, out = tmp_path / "drive.clf", tmp_path / "out"
     path.write_text(made.carmen_log(8.0))
     assert main(["map", str(path), "--out", str(out)]) == NOT_JUDGED
-    assert "map.pgm, map.png, map.yaml, path.tum, path.csv" in capsys.readouterr().out
+    assert "map.pgm, map.png, map.yaml, map.keyframes, path.tum, path.csv" in capsys.readouterr().out
     lines = dict(line.split(": ", 1) for line in (out / "map.yaml").read_text().splitlines())
     resolution, origin = float(lines["resolution"]), json.loads(lines["origin"])
     _, size, _, pixels = (out / "map.pgm").read_bytes().split(b"\n", 3)
@@ -488,15 +489,44 @@ def test_a_map_has_the_walls_where_they_are(tmp_path: Path, capsys: pytest.Captu
     assert (out / "map.png").read_bytes().startswith(b"\x89PNG")
     believed = read_truth(out / "path.tum")
     assert len(believed) == pytest.approx(80, abs=2)
-    images = {"map.pgm": (out / "map.pgm").read_bytes()}
-    again = Map(MapSettings(), saved_map((out / "map.yaml").read_text(), images, MapSettings(), None))
+    files = {name: (out / name).read_bytes() for name in ("map.pgm", "map.keyframes")}
+    again = Map(MapSettings(), saved_map((out / "map.yaml").read_text(), files, MapSettings(), None))
     table = [line.split(",") for line in (out / "path.csv").read_text().splitlines()[1:]]
     poses = [(0, Pose(float(one[1]), float(one[2]), 0.0)) for one in table]
     drawn = Drawn(again.view(), poses)
-    assert (drawn.pgm(), drawn.yaml()) == (images["map.pgm"], (out / "map.yaml").read_text())
+    text = drawn.yaml("map.keyframes")
+    assert (drawn.pgm(), text) == (files["map.pgm"], (out / "map.yaml").read_text())
     assert survey(out / "path.csv").topics[0].topic.count == len(believed)
     assert main(["map", str(path), "--out", str(out)]) == 2
     assert "name another folder with --out" in capsys.readouterr().err
+
+
+def test_a_second_recording_is_mapped_in_the_map_of_the_first_or_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The same drive again, which is not told where it begins; and one among other walls."""
+    path, other = tmp_path / "drive.clf", tmp_path / "other.clf"
+    path.write_text(made.carmen_log(8.0))
+    other.write_text(made.carmen_log(8.0, bent=1.0))
+    begun, gone_on, out = (tmp_path / name for name in ("begun", "gone_on", "out"))
+    in_it = ["--map", str(begun / "map.yaml")]
+    assert main(["map", str(path), "--out", str(begun)]) == NOT_JUDGED
+    assert main(["map", str(path), *in_it, "--out", str(gone_on)]) == NOT_JUDGED
+    tables = [(folder / "path.csv").read_text().splitlines()[1:] for folder in (begun, gone_on)]
+    first, second = ({t: (x, y, yaw) for t, x, y, yaw in csv.reader(table)} for table in tables)
+    both = sorted(first.keys() & second.keys())
+    assert len(both) > 60
+    for t in both:
+        assert list(map(float, second[t])) == pytest.approx(list(map(float, first[t])), abs=0.03)
+    capsys.readouterr()
+    assert main(["map", str(other), *in_it, "--out", str(out)]) == 2
+    assert f"{other}: {NOT_PLACED}: no map is made of it" in capsys.readouterr().err
+    assert main(["map", str(path), str(tmp_path / "absent"), "--out", str(out)]) == 2
+    assert "there is no such file or folder" in capsys.readouterr().err
+    assert not out.exists()
+    (begun / "map.keyframes").write_bytes((begun / "map.keyframes").read_bytes()[:-100])
+    assert main(["map", str(path), *in_it, "--out", str(out)]) == 2
+    assert "map.keyframes: it is cut off, damaged or another file" in capsys.readouterr().err
 
 
 # -- inspect --------------------------------------------------------------------------------------
