@@ -128,8 +128,8 @@ class Turn:
         if not step or self.ended - before > SECOND:  # it stands, or a turn is missing
             self.rays.forget()
             return None
-        ranges, speed = [mm / 1000.0 for mm in found], step / self.sample * SECOND
-        return self.rays.add(ended, self.sample, angles, ranges, step, speed, self.beams)
+        speed = step / self.sample * SECOND
+        return self.rays.add(ended, self.sample, angles, found, step, speed, self.beams)
 
     def _measure(self, t: Nanos, count: int, ways: int, size: int) -> None:
         """Note that so many rays came at t, in so many bytes; so many ways on from those before."""

@@ -7,7 +7,7 @@ from typing import Any
 
 from protocols.bounds import Invalid
 from protocols.frames import Frame
-from protocols.messages import MILLISECOND, Command, Nanos
+from protocols.messages import MILLISECOND, Command, Event, Mode, Nanos
 from protocols.plugin import Device, FeedbackKind, Range, Spec, Watchdog
 from protocols.toolkit.host import Host, Own, Report
 from protocols.toolkit.lines import LineAdapter
@@ -57,23 +57,32 @@ def serial_sensor(device: Device, ranges: Mapping[str, Range], period: Nanos, **
 class SensorAdapter(LineAdapter[Own]):
     """What a protocol adds to `MotorDriver` for such a sensor."""
 
-    def measured(self, t: Nanos, message: bytes, host: Host[Own]) -> Report[Own] | Rx:
-        """Return what a message of the stream reports."""
+    def measured(self, t: Nanos, message: bytes, host: Host[Own]) -> Event | Rx | None:
+        """Take a message of the stream that came at t; return what it has measured, if it completes that."""
         raise NotImplementedError
 
+    def state(self, t: Nanos, host: Host[Own]) -> tuple[str, tuple[int, ...]]:
+        """Return how it is, for a person, and the codes of its faults, by all that has come until t."""
+        return "streams", ()
+
     def receive(self, t: Nanos, frame: Frame, driver: MotorDriver[Own]) -> Sequence[Report[Own] | Rx]:
+        """Return one report of all messages that came together, and how many these were."""
         if not isinstance(frame, bytes) or self._stream is None:
             return (Rx.IGNORED,)
-        (host,), found, told = driver.hosts.values(), list[Report[Own] | Rx](), None
+        (host,), events, others, count = driver.hosts.values(), list[Event](), list[Report[Own] | Rx](), 0
         for one in self._stream.feed(frame):
-            report = self.measured(t, one, host) if isinstance(one, bytes) else one
-            if isinstance(report, Report):
-                state = report.mode, report.detail, report.faults
-                if state == told and not report.events:
-                    report = Rx.TOLD
-                told = state
-            found.append(report)
-        return found
+            found = self.measured(t, one, host) if isinstance(one, bytes) else one
+            if isinstance(found, Rx):
+                others.append(found)
+            else:
+                count += 1
+                events += (found,) if found is not None else ()
+        if not count:
+            return others
+        detail, faults = self.state(t, host)
+        mode = Mode.FAULT if faults else Mode.READY
+        report = Report(host, host.address, mode, detail, faults, events=events)
+        return [report, *(count - 1) * [Rx.TOLD], *others]
 
     def refuse(self, host: Host[Own], command: Command) -> str:
         return "a sensor takes no commands"
