@@ -47,8 +47,7 @@ class Turn:
             return None
         self._count_lost(packet, step, since or 0)
         first, apart = packet.start / 100.0, step / speed * SECOND
-        angles = [first + ray * step for ray in range(RAYS)]
-        return self.rays.add(end, apart, angles, packet.distances, step, speed, self.beams)
+        return self.rays.add(end, apart, first, packet.distances, step, speed, self.beams)
 
     def _count_lost(self, packet: Packet, step: float, since: Nanos) -> None:
         """Count the packets that are missing before this one, which ended so long after the last."""

@@ -34,7 +34,8 @@ class Wire(Stream):
 
     def feed(self, data: bytes) -> list[bytes | Rx]:
         """Return the messages that these bytes complete: answers, nodes, capsules."""
-        held, at, found = self.held + data, 0, list[bytes | Rx]()
+        found: list[bytes | Rx] = []
+        held, at = self.held + data, 0
         while at < len(held):
             size, wrong = self._message(held, at)
             if size is None:

@@ -126,8 +126,8 @@ class Report(Generic[Own]):
     serial: int | None = None
     note: str = ""
     """Hardware and firmware, for `Found`."""
-    counted: bool = True
-    """False: the frame is counted with another device's report."""
+    messages: int = 1
+    """That it counts for; 0: the frame is counted with another device's report."""
 
 
 Given = TypeVar("Given")
@@ -136,7 +136,7 @@ Given = TypeVar("Given")
 def counted_once(reports: Iterable[Given]) -> list[Given]:
     """Return what one frame reports of several devices: it is counted with the first of them."""
     given = [*reports]
-    others = [replace(each, counted=False) if isinstance(each, Report) else each for each in given[1:]]
+    others = [replace(each, messages=0) if isinstance(each, Report) else each for each in given[1:]]
     return given[:1] + others
 
 

@@ -37,7 +37,7 @@ class LineAdapter(Adapter[Own]):
         if self._stream is None:
             before, self._skipping = self._skipping, True
             return () if before else (Rx.IGNORED,)
-        found = list[Report[Own] | Rx]()
+        found: list[Report[Own] | Rx] = []
         for one in self._stream.feed(frame):
             found += (one,) if isinstance(one, Rx) else self.unasked(t, one, driver)
         return found

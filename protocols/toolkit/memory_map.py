@@ -156,7 +156,8 @@ class MemoryMap(Registers):
     def layout(self, at: int, size: int) -> Layout:
         """Return how the registers lie in a run of bytes, made once."""
         if (at, size) not in self._layouts:
-            inside, form, end = list[Register](), self._order, at
+            inside: list[Register] = []
+            form, end = self._order, at
             for each in self.by_name.values():
                 if end <= each.number and each.number + each.size <= at + size:
                     form += f"{each.number - end}x" + FORMS[each.type]

@@ -65,8 +65,8 @@ class Rays:
         self,
         ended: Nanos,
         apart: float,
-        clockwise: Sequence[float],
-        found: Iterable[float],
+        clockwise: Sequence[float] | float,
+        found: Sequence[float],
         step: float,
         speed: float,
         beams: Beams,
@@ -76,20 +76,27 @@ class Rays:
         Args:
             ended: when the last of them was measured [ns].
             apart: from one to the next [ns].
-            clockwise: their angles [degrees from ahead], which ascend, also beyond a turn.
+            clockwise: their angles [degrees from ahead], which ascend, also beyond a turn; of rays that
+                are a step apart, that of the first.
             found: their ranges [mm]; what is out of reach is no reading.
             step: from one ray to the next, as a rule [degrees].
             speed: of the turn [degrees/s].
             beams: of the scan.
         """
         nearest, farthest, count, scan = beams.nearest, beams.farthest, beams.count, None
-        width, first = 360.0 / count, (clockwise[0] - 180.0) % 360.0
+        even = isinstance(clockwise, float)
+        begins: float = clockwise if even else clockwise[0]
+        width, first = 360.0 / count, (begins - 180.0) % 360.0
         if self.at is None:
             self.at, self.beam = first, floor(first / width) + 1
         began = self.at
         ahead = (first - began) % 360.0
-        off = began + (ahead if ahead <= BACK else ahead - 360.0) - clockwise[0]
-        places = [began, *[degrees + off for degrees in clockwise]]
+        off = began + (ahead if ahead <= BACK else ahead - 360.0) - begins
+        if even:
+            places = [begins + ray * step + off for ray in range(-1, len(found))]
+            places[0] = began
+        else:
+            places = [began, *[degrees + off for degrees in clockwise]]
         ranges = [m if nearest <= (m := mm / 1000.0) <= farthest else 0.0 for mm in found]
         ranges.insert(0, self.reading)
         if ahead > BACK:  # what is behind the last ray is known
@@ -102,7 +109,7 @@ class Rays:
             ray = bisect_left(places, 360.0, 0, len(places) - 1)
             late = round((len(places) - 1 - ray) * apart) + round((places[ray] - 360.0) / speed * SECOND)
             scan = self._scan(ended - late, beams) or scan
-            places = [place - 360.0 for place in places]
+            places, ranges = [place - 360.0 for place in places[ray - 1 :]], ranges[ray - 1 :]
             self.beam, self.sweep, began, last = 1, 0.0, 0.0, last - count
         if last >= self.beam:
             self._fill(angles(count)[self.beam : last + 1], places, ranges, step)
@@ -141,13 +148,14 @@ class Rays:
         """End the turn at t; return its scan, if it was whole and at least half of it was seen."""
         count = beams.count
         ranges, seen, whole = self.ranges, self.seen, self.whole and len(self.ranges) == count
+        ranges.reverse()  # beams of a scan go counter-clockwise
         sweep = self.sweep
         self.ranges, self.seen, self.whole, self.sweep = [], 0, True, 0.0
         if not whole or 2 * seen < count:
             return None
         duration = round(sweep * (count - 1) / count * SECOND)
         width, limits = 2.0 * pi / count, (beams.nearest, beams.farthest)
-        return LaserScan(beams.sensor, t, -pi, width, *limits, tuple(ranges[::-1]), -duration)
+        return LaserScan(beams.sensor, t, -pi, width, *limits, tuple(ranges), -duration)
 
 
 @cache

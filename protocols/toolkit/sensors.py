@@ -62,30 +62,41 @@ class SensorAdapter(LineAdapter[Own]):
         raise NotImplementedError
 
     def state(self, t: Nanos, host: Host[Own]) -> tuple[str, tuple[int, ...]]:
-        """Return how it is, for a person, and the codes of its faults, by all that has come until t."""
+        """Return how it is, for a person, and the codes of its faults, by what has come until t."""
         return "streams", ()
 
     def receive(self, t: Nanos, frame: Frame, driver: MotorDriver[Own]) -> Sequence[Report[Own] | Rx]:
-        """Return one report of all messages that came together, and how many these were."""
+        """Return what the messages report that a frame completes: one after which nothing is new is counted
+        with the report of that before it."""
         if not isinstance(frame, bytes) or self._stream is None:
             return (Rx.IGNORED,)
-        (host,), events, others, count = driver.hosts.values(), list[Event](), list[Report[Own] | Rx](), 0
+        (host,) = driver.hosts.values()
+        reports: list[Report[Own] | Rx] = []
+        seen: Event | None = None
+        state, count = None, 0
         for one in self._stream.feed(frame):
             found = self.measured(t, one, host) if isinstance(one, bytes) else one
             if isinstance(found, Rx):
-                others.append(found)
-            else:
-                count += 1
-                events += (found,) if found is not None else ()
-        if not count:
-            return others
-        detail, faults = self.state(t, host)
-        mode = Mode.FAULT if faults else Mode.READY
-        report = Report(host, host.address, mode, detail, faults, events=events)
-        return [report, *(count - 1) * [Rx.TOLD], *others]
+                reports.append(found)
+                continue
+            before, state = state, self.state(t, host)
+            if before and (found is not None or state != before):
+                reports.append(_report(host, before, seen, count))
+                seen, count = None, 0
+            seen, count = found or seen, count + 1
+        return [*reports, _report(host, state, seen, count)] if state else reports
 
     def refuse(self, host: Host[Own], command: Command) -> str:
         return "a sensor takes no commands"
 
     def release(self, now: Nanos, host: Host[Own]) -> Sequence[Frame]:
         return ()
+
+
+def _report(
+    host: Host[Own], state: tuple[str, tuple[int, ...]], seen: Event | None, count: int
+) -> Report[Own]:
+    """Return what so many messages report, of which the first may have measured something."""
+    detail, faults = state
+    mode, events = Mode.FAULT if faults else Mode.READY, () if seen is None else (seen,)
+    return Report(host, host.address, mode, detail, faults, events=events, messages=count)

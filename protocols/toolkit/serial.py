@@ -76,7 +76,8 @@ def _by_pairs(polynomial: int, start: int, end: int, reflected: bool, short: Che
 @cache
 def _remainders_of_pairs(polynomial: int, reflected: bool) -> tuple[int, ...]:
     """Return the remainder of each pair of bytes, by what is combined with it."""
-    one, found = _remainders(16, polynomial, reflected), list[int]()
+    found: list[int] = []
+    one = _remainders(16, polynomial, reflected)
     for high in range(256):
         if reflected:  # the second byte is the high one
             found += [one[low] >> 8 ^ one[(one[low] ^ high) & 0xFF] for low in range(256)]
@@ -499,7 +500,8 @@ class Stream:
 
     def feed(self, data: bytes) -> list[bytes | Rx]:
         """Return the messages that these bytes complete."""
-        held, at, found = self.held + data, 0, list[bytes | Rx]()
+        found: list[bytes | Rx] = []
+        held, at = self.held + data, 0
         while at < len(held):
             one, end = self.framing.read(held, at)
             if one is None:
