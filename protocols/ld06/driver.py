@@ -44,6 +44,6 @@ class Ld06Adapter(SensorAdapter[Turn]):
 
     def state(self, t: Nanos, host: Host[Turn]) -> tuple[str, tuple[int, ...]]:
         turn, options = host.own, host.options
-        if t - turn.steady > options.unsteady_ms * MILLISECOND:
+        if turn.unsteady > options.unsteady_ms * MILLISECOND:
             return f"turns at {turn.speed / 360.0:.1f} Hz", (SPEED,)
         return f"turns, {turn.lost} packets lost" if turn.lost else "turns", ()

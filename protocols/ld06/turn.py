@@ -27,7 +27,9 @@ class Turn:
     speed: int = 0
     """°/s, as it told last"""
     steady: Nanos | None = None
-    """When that was last within the bounds; None: nothing has come"""
+    """When that was last within the bounds; None: nothing has come,"""
+    unsteady: Nanos = 0
+    """and for how long it was not, when it told last"""
 
     def forget(self) -> None:
         """Begin anew, where the next packet begins."""
@@ -40,7 +42,7 @@ class Turn:
         speed, stamp, step = packet.speed, packet.stamp * MILLISECOND, packet.step
         if self.steady is None or options.slowest_hz <= speed / 360.0 <= options.fastest_hz:
             self.steady = t
-        self.speed = speed
+        self.speed, self.unsteady = speed, t - self.steady
         since, end = self.clock.since(t, stamp), self.clock.read(t, stamp) - self.carried
         if not speed or not step:
             self.rays.forget()

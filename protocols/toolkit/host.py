@@ -204,13 +204,13 @@ class Host(Generic[Own]):
         mode, faults = report.mode, report.faults
         if faults or (self.active and faults is not None):
             events += self._on_faults(t, faults)
-        if mode is None or self._is_known(mode, report.detail):
+        if mode is None or self.knows(mode, report.detail):
             return events
         self._on_mode(t, mode)
         self._detail = report.detail
         return events + self.report_state(t)
 
-    def _is_known(self, mode: Mode, detail: str) -> bool:
+    def knows(self, mode: Mode, detail: str) -> bool:
         """True if a reported state changes nothing: the usual case, while a device runs or rests."""
         phase, same = self.phase, mode is self.mode and (mode, detail) == self._reported
         return same and (

@@ -84,15 +84,14 @@ class Rays:
             beams: of the scan.
         """
         nearest, farthest, count, scan = beams.nearest, beams.farthest, beams.count, None
-        even = isinstance(clockwise, float)
-        begins: float = clockwise if even else clockwise[0]
+        begins = clockwise if isinstance(clockwise, float) else clockwise[0]
         width, first = 360.0 / count, (begins - 180.0) % 360.0
         if self.at is None:
             self.at, self.beam = first, floor(first / width) + 1
         began = self.at
         ahead = (first - began) % 360.0
         off = began + (ahead if ahead <= BACK else ahead - 360.0) - begins
-        if even:
+        if isinstance(clockwise, float):
             places = [begins + ray * step + off for ray in range(-1, len(found))]
             places[0] = began
         else:
@@ -131,7 +130,7 @@ class Rays:
                 place, before = reached, after
                 reached, after = ray
             apart = reached - place
-            if 0.0 < apart <= near and after <= before * SURFACE and before <= after * SURFACE:
+            if apart <= near and after <= before * SURFACE and before <= after * SURFACE and apart:
                 add(before + (after - before) * (at - place) / apart)
             else:
                 add(self._beside(before, after, at - place, reached - at, step))

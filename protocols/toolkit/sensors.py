@@ -66,37 +66,34 @@ class SensorAdapter(LineAdapter[Own]):
         return "streams", ()
 
     def receive(self, t: Nanos, frame: Frame, driver: MotorDriver[Own]) -> Sequence[Report[Own] | Rx]:
-        """Return what the messages report that a frame completes: one after which nothing is new is counted
-        with the report of that before it."""
+        """Return what the messages report that a frame completes: one report of all after which the sensor is
+        as it was before."""
         if not isinstance(frame, bytes) or self._stream is None:
             return (Rx.IGNORED,)
         (host,) = driver.hosts.values()
         reports: list[Report[Own] | Rx] = []
-        seen: Event | None = None
-        state, count = None, 0
+        events: list[Event] = []
+        told, count = None, 0
         for one in self._stream.feed(frame):
             found = self.measured(t, one, host) if isinstance(one, bytes) else one
             if isinstance(found, Rx):
                 reports.append(found)
                 continue
-            before, state = state, self.state(t, host)
-            if before and (found is not None or state != before):
-                reports.append(_report(host, before, seen, count))
-                seen, count = None, 0
-            seen, count = found or seen, count + 1
-        return [*reports, _report(host, state, seen, count)] if state else reports
+            detail, faults = self.state(t, host)
+            state = Mode.FAULT if faults else Mode.READY, detail, faults
+            # What is measured is told behind a state that is new.
+            if told and (state != told or (found is not None and not host.knows(*told[:2]))):
+                reports.append(Report(host, host.address, *told, events=events, messages=count))
+                events, count = [], 0
+            if found is not None:
+                events.append(found)
+            told, count = state, count + 1
+        if told:
+            reports.append(Report(host, host.address, *told, events=events, messages=count))
+        return reports
 
     def refuse(self, host: Host[Own], command: Command) -> str:
         return "a sensor takes no commands"
 
     def release(self, now: Nanos, host: Host[Own]) -> Sequence[Frame]:
         return ()
-
-
-def _report(
-    host: Host[Own], state: tuple[str, tuple[int, ...]], seen: Event | None, count: int
-) -> Report[Own]:
-    """Return what so many messages report, of which the first may have measured something."""
-    detail, faults = state
-    mode, events = Mode.FAULT if faults else Mode.READY, () if seen is None else (seen,)
-    return Report(host, host.address, mode, detail, faults, events=events, messages=count)

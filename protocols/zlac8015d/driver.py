@@ -325,7 +325,9 @@ class ZlacAdapter(Adapter[Motor]):
             host = driver.at[drive.node + z.RIGHT_OFFSET * (side == z.RIGHT)]
             about = drive.report(t, host, values)
             reports.append(
-                Report(host, host.address, duplicate=twice, messages=int(not reports), content=outcome, **about)
+                Report(
+                    host, host.address, duplicate=twice, messages=int(not reports), content=outcome, **about
+                )
             )
         return reports
 
