@@ -79,8 +79,8 @@ def head(data: bytes) -> tuple[bool, float]:
 
 
 def rays(data: bytes, scan: str, after: bytes = b"") -> tuple[Sequence[int], Sequence[float]]:
-    """Return the distances [mm] of a capsule of a scan, and by how many degrees each ray is behind its place
-    (): none is. `after` is the next capsule, without which the last two rays of an ultra one are not known."""
+    """Return the distances [mm] of a capsule, and by how many degrees each ray is behind its place; (): none
+    is. `after` is the next capsule, without which the last two rays of an ultra one are not known."""
     if scan == "dense":
         return _DENSE.unpack_from(data, 4), ()
     if scan == "ultra":
