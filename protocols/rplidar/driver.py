@@ -15,6 +15,7 @@ from protocols.rplidar.wire import Wire
 from protocols.toolkit.host import Host
 from protocols.toolkit.rays import Beams
 from protocols.toolkit.sensors import SensorAdapter
+from protocols.toolkit.serial import Stream
 
 SIZES = frozenset(rp.SIZES.values())
 """Of what is repeated; no answer is as long."""
@@ -26,18 +27,22 @@ class RplidarAdapter(SensorAdapter[Lidar]):
     name, faults = rp.NAME, rp.FAULTS
 
     def __init__(self) -> None:
-        super().__init__()
-        self._stream: Wire = Wire()
+        super().__init__(Wire())
 
     def own(self, device: Device) -> Lidar:
         options = device.options
-        self._stream = Wire(scan=options.scan)
+        self._wire = Wire(options.scan)
+        self._stream = Stream(self._wire)
         beams = Beams(device.name, options.beams, NEAREST, options.farthest)
         return Lidar(Turn(device.line_rate, beams))
 
+    def interrupted(self) -> None:
+        super().interrupted()
+        self._wire.lose()
+
     def measured(self, t: Nanos, message: bytes, host: Host[Lidar]) -> LaserScan | None:
         if len(message) in SIZES:
-            return host.own.see(t, message, self._stream.scan)
+            return host.own.see(t, message, self._wire.scan)
         host.own.hear(t, message, host.options)
         return None
 

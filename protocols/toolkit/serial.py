@@ -122,20 +122,24 @@ def xor8(data: bytes) -> int:
     return reduce(xor, data, 0)
 
 
-class FrameFormat(Protocol):
-    """How messages stand on a line. A constant."""
+class FrameReader(Protocol):
+    """What finds messages on a line."""
 
     def __hash__(self) -> int:
-        """As every constant: what it has split is remembered."""
-        ...
-
-    def frame(self, message: bytes) -> bytes:
-        """Return a message, as `read` gives it, as it stands on the line."""
+        """What a constant has split is remembered."""
         ...
 
     def read(self, held: bytes, at: int) -> tuple[bytes | Rx | None, int]:
         """Return what begins here, and where the search goes on: a message (b"": nothing worth a word);
         MALFORMED, if its checksum is wrong; IGNORED: none begins here; None: more bytes must come."""
+        ...
+
+
+class FrameFormat(FrameReader, Protocol):
+    """How messages stand on a line. A constant."""
+
+    def frame(self, message: bytes) -> bytes:
+        """Return a message, as `read` gives it, as it stands on the line."""
         ...
 
 
@@ -490,7 +494,7 @@ class Stream:
     once for each run of other bytes between two messages. A message behind either is found, since after a
     wrong checksum the search goes on at the next byte."""
 
-    framing: FrameFormat
+    framing: FrameReader
     skipped: int = 0
     """Bytes that belonged to no message."""
     held: bytes = b""
@@ -529,7 +533,7 @@ class Stream:
 
 
 @lru_cache(maxsize=16)
-def _split(framing: FrameFormat, held: bytes, skipping: bool) -> tuple[tuple[bytes, ...], bytes, int, bool]:
+def _split(framing: FrameReader, held: bytes, skipping: bool) -> tuple[tuple[bytes, ...], bytes, int, bool]:
     """Return the messages in a run of bytes, what is left of it, how many bytes were skipped, and whether a
     run of them goes on. All that are on a line are given the same bytes one after the other: so they are
     split once."""

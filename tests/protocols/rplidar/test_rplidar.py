@@ -34,6 +34,7 @@ from protocols.rplidar import table as rp
 from protocols.rplidar.options import Options, Settings
 from protocols.rplidar.table import Scan
 from protocols.rplidar.wire import Wire
+from protocols.toolkit.serial import Stream
 
 VECTORS = {vector.name: vector for vector in vectors_of(plugin)}
 BEAMS = 400
@@ -385,7 +386,7 @@ def test_what_is_lost_or_damaged_costs_its_rays_alone_and_is_counted(
 
 def test_the_place_among_nodes_is_found_again_behind_lost_bytes() -> None:
     """Nodes have no checksum: what is read wrongly in between are a few at most."""
-    random, wire = Random(5), Wire(scan="standard")
+    random, wire = Random(5), Stream(Wire("standard"))
     true = [rp.Node(at % 400 == 0, 47, at * 0.9 % 360.0, 1000.0 + at % 400) for at in range(4000)]
     known, stream = {rp.encode_node(each) for each in true}, b""
     for each in true:
