@@ -117,8 +117,8 @@ class Turn:
             return self._go_on(ended, ended, begun, found, step)
         angles = [begun + ray * step - off for ray, off in enumerate(offsets)]
         if angles != sorted(angles):
-            pairs = sorted(zip(angles, found, strict=True))
-            angles, found = [angle for angle, _ in pairs], [mm for _, mm in pairs]
+            order = sorted(range(count), key=angles.__getitem__)
+            angles, found = [angles[ray] for ray in order], [found[ray] for ray in order]
         return self._go_on(ended, ended, angles, found, step)
 
     def _go_on(
