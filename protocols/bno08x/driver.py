@@ -14,10 +14,10 @@ from typing import Annotated, Literal
 from protocols.bno08x import table
 from protocols.bno08x.table import Packet
 from protocols.bounds import Bounds, check
-from protocols.messages import SECOND, Imu, Mode, Nanos
+from protocols.messages import SECOND, Imu, Nanos
 from protocols.plugin import Device
 from protocols.toolkit.device_clock import DeviceClock
-from protocols.toolkit.host import Host, Report
+from protocols.toolkit.host import Host
 from protocols.toolkit.motor_driver import Rx
 from protocols.toolkit.sensors import SensorAdapter
 
@@ -122,10 +122,9 @@ class Bno08xAdapter(SensorAdapter[Heading]):
     def own(self, device: Device) -> Heading:
         return Heading(device.line_rate)
 
-    def measured(self, t: Nanos, message: bytes, host: Host[Heading]) -> Report[Heading] | Rx:
+    def measured(self, t: Nanos, message: bytes, host: Host[Heading]) -> Imu | Rx | None:
         packet = table.decode(message)
-        if packet is None:
-            return Rx.MALFORMED
-        reading = host.own.add(t, packet, host.name, host.options)
-        events = () if reading is None else (reading,)
-        return Report(host, host.address, Mode.READY, host.own.text(), events=events)
+        return Rx.MALFORMED if packet is None else host.own.add(t, packet, host.name, host.options)
+
+    def state(self, t: Nanos, host: Host[Heading]) -> tuple[str, tuple[int, ...]]:
+        return host.own.text(), ()

@@ -7,9 +7,10 @@ from typing import Annotated
 
 from protocols.bounds import Bounds, check
 from protocols.camera import table
-from protocols.messages import MILLISECOND, Mode, Nanos
+from protocols.camera.table import Picture
+from protocols.messages import MILLISECOND, Marker, Nanos
 from protocols.plugin import Device
-from protocols.toolkit.host import Host, Report
+from protocols.toolkit.host import Host
 from protocols.toolkit.motor_driver import Rx
 from protocols.toolkit.sensors import SensorAdapter
 
@@ -31,8 +32,8 @@ class Options:
 class Pictures:
     """What is known of a camera. Plain data."""
 
-    last: int | None = None
-    """Number of the newest picture"""
+    last: Picture | None = None
+    """The newest one"""
     lost: int = 0
     """Pictures of which nothing came, since the start"""
 
@@ -40,11 +41,11 @@ class Pictures:
         """Begin anew."""
         self.last = None
 
-    def add(self, number: int) -> None:
-        """Take the number of a picture; count those between it and the last."""
-        ahead = 0 if self.last is None else (number - self.last) & 0xFFFFFFFF
+    def add(self, picture: Picture) -> None:
+        """Take a picture; count those between it and the last."""
+        ahead = 0 if self.last is None else (picture.number - self.last.number) & 0xFFFFFFFF
         self.lost += max(0, ahead - 1) if ahead < 1 << 31 else 0
-        self.last = number
+        self.last = picture
 
 
 class CameraAdapter(SensorAdapter[Pictures]):
@@ -58,15 +59,17 @@ class CameraAdapter(SensorAdapter[Pictures]):
     def own(self, device: Device) -> Pictures:
         return Pictures()
 
-    def measured(self, t: Nanos, message: bytes, host: Host[Pictures]) -> Report[Pictures] | Rx:
+    def measured(self, t: Nanos, message: bytes, host: Host[Pictures]) -> Marker | Rx | None:
         delay = round(host.options.delay_ms * MILLISECOND)
         found = table.decode(message, t - delay, host.name)
         if found is None:
             return Rx.MALFORMED
         picture, seen = found
-        host.own.add(picture.number)
-        lost = f", {host.own.lost} pictures lost" if host.own.lost else ""
-        faults = tuple(table.faults_of(picture.faults))
-        detail, mode = ("sees" + lost, Mode.READY) if not faults else (picture.text, Mode.FAULT)
-        events = () if picture.faults & table.SIZE else (seen,)
-        return Report(host, host.address, mode, detail, faults, events=events)
+        host.own.add(picture)
+        return None if picture.faults & table.SIZE else seen
+
+    def state(self, t: Nanos, host: Host[Pictures]) -> tuple[str, tuple[int, ...]]:
+        picture, lost = host.own.last, host.own.lost
+        if picture is not None and picture.faults:
+            return picture.text, tuple(table.faults_of(picture.faults))
+        return f"sees, {lost} pictures lost" if lost else "sees", ()

@@ -83,7 +83,8 @@ class Picture(NamedTuple):
 
 def encode(picture: Picture, seen: Marker) -> bytes:
     """Return what is sent of a marker in a picture. Raises ValueError for numbers that no camera measures."""
-    contents, numbers = 0, list[float]()
+    numbers: list[float] = []
+    contents = 0
     for bit, values, size in zip(
         (MARKER, ORIENTATION, VARIANCE, TURN_VARIANCE),
         (

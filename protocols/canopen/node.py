@@ -148,7 +148,8 @@ class Node:
         return Received(() if key is None else (key,), response=response)
 
     def _on_rpdos(self, t: Nanos, indices: Sequence[int], data: bytes) -> Received | None:
-        written, latched = list[Key](), dict[Key, int]()
+        written: list[Key] = []
+        latched: dict[Key, int] = {}
         for index in indices if self.nmt is NmtState.OPERATIONAL else ():
             packing = self.dictionary.active(index)
             values = packing.unpack(data) if packing else None

@@ -424,7 +424,8 @@ class Drive:
         return [] if request is None else [CanFrame(sdo_rx_id(self.address), sdo.encode(request))]
 
     def _put_jobs(self, now: Nanos, active: bool) -> None:
-        client, jobs = self.client, list[Job | None]()
+        jobs: list[Job | None] = []
+        client = self.client
         if self.setup is not None and active and not client.has(Purpose.SETUP):
             job = self.setup.job()
             self.watches = self.watches or (job is not None and job.key == co.CONSUMER_HEARTBEAT)

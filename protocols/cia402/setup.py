@@ -169,7 +169,8 @@ class Known:
 
     def setup(self) -> Setup:
         """Return what must be written before it is armed: heartbeats, and the PDOs that do not fit."""
-        options, plan = self.options, list[Write]()
+        plan: list[Write] = []
+        options = self.options
         if options.heartbeat_ms and not self.read.get(co.PRODUCER_HEARTBEAT):
             plan.append(Write(co.PRODUCER_HEARTBEAT, options.heartbeat_ms, optional=True))
         for pdo in self._unfitting() if options.mapping == "auto" else ():

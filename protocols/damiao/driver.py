@@ -94,7 +94,7 @@ class DamiaoAdapter(RegisterAdapter):
         if values is None:
             return (Rx.IGNORED,)
         note = f"answers with {values['reply']:03X}: that is to be its reply_id"
-        return Rx.EXPECTED, Report(None, values["found"], note=note, counted=False)
+        return Rx.EXPECTED, Report(None, values["found"], note=note, messages=0)
 
     def _feedback(self, t: Nanos, frame: CanFrame, host: Host[Motor]) -> Report[Motor] | None:
         values = host.options.table.read("feedback", frame.data)

@@ -180,7 +180,8 @@ class DynamixelAdapter(ServoAdapter[Own]):
     def wanted(self, host: Host[Own]) -> Iterable[tuple[str, Nanos]]:
         own, options = host.own, host.options
         period = round(options.feedback_ms * MILLISECOND)
-        soon, found = max(period, SOON), list[tuple[str, Nanos]]()
+        found: list[tuple[str, Nanos]] = []
+        soon = max(period, SOON)
         if "stored" not in own.read_at:
             found.append(("stored", soon))
         elif options.indirect and "indirect" not in own.read_at:

@@ -76,7 +76,8 @@ class Packets(sp.ServoPackets):
     def writes(self, one: Packet) -> Sequence[Written]:
         if one.instruction != BULK_WRITE:
             return super().writes(one)
-        data, found = one.data, list[Written]()
+        found: list[Written] = []
+        data = one.data
         while len(data) > _BULK.size:
             number, at, size = _BULK.unpack_from(data)
             found.append((number, at, data[5 : 5 + size]))
@@ -104,7 +105,8 @@ class Packets(sp.ServoPackets):
         return Exchange(frame, answer, Rank.QUESTION, about)
 
     def in_place(self, wanted: Targets, data: bytes) -> tuple[Sequence[Status], bytes]:
-        found, at = list[Status](), 0
+        found: list[Status] = []
+        at = 0
         for number, (_, size) in wanted.items():
             end = at + HEAD + 2 + size
             one = data[at:end]
@@ -122,7 +124,8 @@ class Packets(sp.ServoPackets):
         missing."""
         if question.instruction not in FAST:
             return super().answered(wanted, question, data)
-        start, found, end = data.find(HEADER + bytes((EVERYBODY,))), list[Status](), 0
+        found: list[Status] = []
+        start, end = data.find(HEADER + bytes((EVERYBODY,))), 0
         at = start + HEAD + 1
         for _, length in wanted.values() if start >= 0 else ():
             behind = at + 2 + length

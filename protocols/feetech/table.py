@@ -126,12 +126,11 @@ class Packets(ServoPackets):
         at = 0
         for number, (_, size) in wanted.items():
             end = at + size + 6
-            one = data[at:end]
-            if len(one) != size + 6 or not one.startswith(SYNC + IDS[number] + IDS[size + 2]):
+            if len(data) < end or not data.startswith(SYNC, at):
                 break
-            if sum(one) & 0xFF != WHOLE:
+            if (data[at + 2], data[at + 3]) != (number, size + 2) or sum(data[at:end]) & 0xFF != WHOLE:
                 break
-            found.append((number, one[4], one[5:-1]))
+            found.append((number, data[at + 4], data[at + 5 : end - 1]))
             at = end
         return found, data[at:]
 

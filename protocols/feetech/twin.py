@@ -31,7 +31,8 @@ class Memory(ServoMemory):
     options: Options
 
     def wrote(self, before: bytes, at: int, size: int) -> Sequence[Obeyed]:
-        end, touched, does = at + size, self.table.within(at, size), list[Obeyed]()
+        does: list[Obeyed] = []
+        end, touched = at + size, self.table.within(at, size)
         for register in touched:
             if not register.writable:
                 self.place(register.number, before[register.number : register.number + register.size])

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from protocols.ld06 import table
 from protocols.ld06.options import NEAREST
 from protocols.ld06.turn import Turn
-from protocols.messages import SECOND, Mode, Nanos
+from protocols.messages import MILLISECOND, SECOND, LaserScan, Nanos
 from protocols.plugin import Device, FaultInfo
-from protocols.toolkit.host import Host, Report
+from protocols.toolkit.host import Host
 from protocols.toolkit.motor_driver import Rx
 from protocols.toolkit.rays import Beams
 from protocols.toolkit.sensors import SensorAdapter
@@ -38,14 +38,12 @@ class Ld06Adapter(SensorAdapter[Turn]):
         carried = 10 * table.PACKET_BYTES * SECOND // rate if rate else 0
         return Turn(Beams(device.name, options.count, NEAREST, options.farthest), carried)
 
-    def measured(self, t: Nanos, message: bytes, host: Host[Turn]) -> Report[Turn] | Rx:
+    def measured(self, t: Nanos, message: bytes, host: Host[Turn]) -> LaserScan | Rx | None:
         packet = table.decode(message)
-        if packet is None:
-            return Rx.MALFORMED
-        turn = host.own
-        scan = turn.add(t, packet)
-        fault = turn.unsteady(t, packet, host.options)
-        lost = f", {turn.lost} packets lost" if turn.lost else ""
-        turns = f"turns at {packet.speed / 360.0:.1f} Hz" if fault else f"turns{lost}"
-        mode, faults = (Mode.FAULT, (SPEED,)) if fault else (Mode.READY, ())
-        return Report(host, host.address, mode, turns, faults, events=() if scan is None else (scan,))
+        return Rx.MALFORMED if packet is None else host.own.add(t, packet, host.options)
+
+    def state(self, t: Nanos, host: Host[Turn]) -> tuple[str, tuple[int, ...]]:
+        turn, options = host.own, host.options
+        if turn.unsteady > options.unsteady_ms * MILLISECOND:
+            return f"turns at {turn.speed / 360.0:.1f} Hz", (SPEED,)
+        return f"turns, {turn.lost} packets lost" if turn.lost else "turns", ()

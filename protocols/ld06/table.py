@@ -12,6 +12,7 @@ Source: LD06 Development manual v1.0, LD19 Development manual v2.5 (LDROBOT).
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from protocols.toolkit.serial import Framing, crc
@@ -27,7 +28,7 @@ FARTHEST = 0xFFFF
 """mm"""
 PACKET_BYTES = 47
 CRC8 = crc(8, 0x4D, reflected=False)
-_LAYOUT = struct.Struct("<2sHH" + RAYS * "HB" + "HH")
+_LAYOUT, _RANGES = (struct.Struct("<2sHH" + RAYS * ray + "HH") for ray in ("HB", "Hx"))
 _SYNC = b"\x54\x2c"
 FRAMING = Framing(_SYNC, len(_SYNC), lambda _: _LAYOUT.size - len(_SYNC), CRC8, 1)
 
@@ -39,9 +40,9 @@ class Packet(NamedTuple):
     """°/s"""
     start: int
     """0.01°"""
-    distances: tuple[int, ...]
+    distances: Sequence[int]
     """mm; 0: no return"""
-    intensities: tuple[int, ...]
+    intensities: bytes
     end: int
     """0.01°"""
     stamp: int
@@ -61,8 +62,7 @@ def encode(packet: Packet) -> bytes:
 
 def decode(message: bytes) -> Packet | None:
     """Decode a packet without its checksum; None if it has an angle or a time that there is not."""
-    numbers = _LAYOUT.unpack(message)
-    speed, start, end, stamp = numbers[1], numbers[2], numbers[-2], numbers[-1]
+    _, speed, start, *distances, end, stamp = _RANGES.unpack(message)
     if start >= TURN or end >= TURN or stamp > ROUND:  # whether 30000 itself comes is uncertain
         return None
-    return Packet(speed, start, numbers[3:-2:2], numbers[4:-2:2], end, stamp)
+    return Packet(speed, start, distances, message[8:-4:3], end, stamp)

@@ -24,8 +24,12 @@ class Turn:
     rays: Rays = field(default_factory=Rays)
     lost: int = 0
     """Packets that were missing, since the start"""
+    speed: int = 0
+    """°/s, as it told last"""
     steady: Nanos | None = None
-    """When its speed was last within the bounds"""
+    """When that was last within the bounds; None: nothing has come,"""
+    unsteady: Nanos = 0
+    """and for how long it was not, when it told last"""
 
     def forget(self) -> None:
         """Begin anew, where the next packet begins."""
@@ -33,24 +37,19 @@ class Turn:
         self.clock.forget()
         self.steady = None
 
-    def unsteady(self, t: Nanos, packet: Packet, options: Options) -> bool:
-        """True if the lidar has turned too slowly or too fast for as long as that matters."""
-        good = options.slowest_hz <= packet.speed / 360.0 <= options.fastest_hz
-        self.steady = t if good or self.steady is None else self.steady
-        return t - self.steady > options.unsteady_ms * MILLISECOND
-
-    def add(self, t: Nanos, packet: Packet) -> LaserScan | None:
+    def add(self, t: Nanos, packet: Packet, options: Options) -> LaserScan | None:
         """Take a packet that came at t; return the scan that it completes."""
-        stamp, step = packet.stamp * MILLISECOND, packet.step
+        speed, stamp, step = packet.speed, packet.stamp * MILLISECOND, packet.step
+        if self.steady is None or options.slowest_hz <= speed / 360.0 <= options.fastest_hz:
+            self.steady = t
+        self.speed, self.unsteady = speed, t - self.steady
         since, end = self.clock.since(t, stamp), self.clock.read(t, stamp) - self.carried
-        if not packet.speed or not step:
+        if not speed or not step:
             self.rays.forget()
             return None
         self._count_lost(packet, step, since or 0)
-        first, apart = packet.start / 100.0, step / packet.speed * SECOND
-        angles = [first + ray * step for ray in range(RAYS)]
-        ranges = [distance / 1000.0 for distance in packet.distances]
-        return self.rays.add(end, apart, angles, ranges, step, packet.speed, self.beams)
+        first, apart = packet.start / 100.0, step / speed * SECOND
+        return self.rays.add(end, apart, first, packet.distances, step, speed, self.beams)
 
     def _count_lost(self, packet: Packet, step: float, since: Nanos) -> None:
         """Count the packets that are missing before this one, which ended so long after the last."""

@@ -74,8 +74,8 @@ class Ld06Twin:
             Packet(
                 speed,
                 rays[0][0],
-                tuple(distance for _, distance, _ in rays),
-                tuple(bright if distance else 0 for _, distance, _ in rays),
+                [distance for _, distance, _ in rays],
+                bytes(bright if distance else 0 for _, distance, _ in rays),
                 rays[-1][0],
                 rays[-1][2] // MILLISECOND % table.ROUND,
             )

@@ -160,7 +160,8 @@ def _varuint(data: bytes, at: int) -> tuple[int, int]:
 
 def parse(data: bytes) -> tuple[list[Subframe], bool]:
     """Return the subframes up to the first flaw, and whether there is none."""
-    out, at = list[Subframe](), 0
+    out: list[Subframe] = []
+    at = 0
     try:
         while at < len(data):
             at = at + 1 if data[at] == NOP else _parse_next(data, at, out)

@@ -286,7 +286,8 @@ class MoteusAdapter(Adapter[Motor]):
         return () if host.own.mode in LATCHED else host.own.frame(now, mt.STOP)
 
     def poll(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
-        motor, frames = host.own, list[Frame]()
+        frames: list[Frame] = []
+        motor = host.own
         if now >= self.poll_due(host):
             frames += motor.frame(now)
         if motor.mode is not None and now >= motor.identify_at:

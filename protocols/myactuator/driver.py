@@ -225,7 +225,8 @@ class RmdAdapter(Adapter[Motor]):
         return host.own.answers.sent(now, [rmd.ANY.encode(name, host.address) for name in names])
 
     def poll(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
-        own, names = host.own, list[str]()
+        names: list[str] = []
+        own = host.own
         if now - own.answers.sent_at >= host.options.feedback_ms * MILLISECOND:
             names += ["read angle", "read status 2"]
         if own.is_due(now, "check"):

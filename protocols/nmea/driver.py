@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from protocols.messages import MILLISECOND, SECOND, Fix, Mode, Nanos
+from protocols.messages import MILLISECOND, SECOND, Fix, Nanos
 from protocols.nmea import table
 from protocols.nmea.options import Options
 from protocols.nmea.table import Gga
 from protocols.plugin import Device
 from protocols.toolkit.device_clock import DeviceClock
-from protocols.toolkit.host import Host, Report
+from protocols.toolkit.host import Host
 from protocols.toolkit.motor_driver import Rx
 from protocols.toolkit.sensors import SensorAdapter
 
@@ -64,17 +64,18 @@ class NmeaAdapter(SensorAdapter[Receiver]):
     def own(self, device: Device) -> Receiver:
         return Receiver(device.line_rate)
 
-    def measured(self, t: Nanos, message: bytes, host: Host[Receiver]) -> Report[Receiver] | Rx:
-        fields, own, fix = message.decode("ascii").split(","), host.own, None
+    def measured(self, t: Nanos, message: bytes, host: Host[Receiver]) -> Fix | Rx | None:
+        fields, own = message.decode("ascii").split(","), host.own
         match table.kind_of(fields):
-            case "GGA":
-                if (gga := table.gga(fields)) is None:
-                    return Rx.MALFORMED
-                fix = own.locate(t, gga, len(message) + 6, host.name, host.options)
-            case "RMC":
-                if (motion := table.rmc(fields)) is None:
-                    return Rx.MALFORMED
+            case "GGA" if (gga := table.gga(fields)) is not None:
+                return own.locate(t, gga, len(message) + 6, host.name, host.options)
+            case "RMC" if (motion := table.rmc(fields)) is not None:
                 own.move(motion)
+            case "GGA" | "RMC":
+                return Rx.MALFORMED
             case "VTG" if table.vtg(fields) is None:
                 return Rx.MALFORMED
-        return Report(host, host.address, Mode.READY, own.text, events=() if fix is None else (fix,))
+        return None
+
+    def state(self, t: Nanos, host: Host[Receiver]) -> tuple[str, tuple[int, ...]]:
+        return host.own.text, ()

@@ -111,7 +111,8 @@ class OdriveAdapter(Adapter[Axis]):
             return Report(host, address, None, "", None, motion, twice, decoded)
         if name == "Heartbeat":
             return self._on_heartbeat(t, host, frame, decoded)
-        feedback, faults, read = None, None, dict[str, float]()
+        read: dict[str, float] = {}
+        feedback, faults = None, None
         if name in MEASURED:
             signal, quantity = MEASURED[name]
             feedback = Feedback(host.name, t, **{quantity: values[signal]})

@@ -40,6 +40,9 @@ NEAREST_ULTRA = 150
 """mm: what is nearer is so far beside its place that it is no reading (its datasheets begin at 200 mm)."""
 SYNC_HQ = 0xA5
 _HQ_RAY = struct.Struct("<HIBB")
+_EXPRESS, _DENSE = struct.Struct("<" + 16 * "2Hx"), struct.Struct("<40H")
+_OFFSETS = [[(high << 4 | low & 0xF) / 8.0 for low in range(0x100)] for high in range(4)]
+"""Degrees, by the two bits beside a distance, and the four others, beside which others may be"""
 
 
 class Capsule(NamedTuple):
@@ -75,19 +78,18 @@ def head(data: bytes) -> tuple[bool, float]:
     return word >= 0x8000, (word & 0x7FFF) / 64.0 % 360.0
 
 
-def capsule(data: bytes, scan: str, after: bytes = b"") -> Capsule:
-    """Decode a capsule of a scan; `after` is the next, without which the last two rays of an ultra capsule
-    are not known."""
+def rays(data: bytes, scan: str, after: bytes = b"") -> tuple[Sequence[int], Sequence[float]]:
+    """Return the distances [mm] of a capsule, and by how many degrees each ray is behind its place; (): none
+    is. `after` is the next capsule, without which the last two rays of an ultra one are not known."""
     if scan == "dense":
-        return Capsule(*head(data), struct.unpack_from("<40H", data, 4), ())
+        return _DENSE.unpack_from(data, 4), ()
     if scan == "ultra":
         found = _ultra(data, after)
-        far = [each if each >= NEAREST_ULTRA else 0 for each in found]
-        return Capsule(*head(data), far, [*map(behind, found)])
-    cabins = [*struct.iter_unpack("<HHB", data[4:])]
-    distances = chain.from_iterable((one >> 2, other >> 2) for one, other, _ in cabins)
-    sixes = (((one & 3) << 4 | low & 0xF, (other & 3) << 4 | low >> 4) for one, other, low in cabins)
-    return Capsule(*head(data), [*distances], [each / 8.0 for each in chain.from_iterable(sixes)])
+        return found, [*map(behind, found)]
+    words, lows = _EXPRESS.unpack_from(data, 4), data[8::5]
+    sixes = chain.from_iterable(zip(lows, [low >> 4 for low in lows], strict=True))
+    offsets = [_OFFSETS[word & 3][low] for word, low in zip(words, sixes, strict=True)]
+    return [word >> 2 for word in words], offsets
 
 
 def encode_capsule(one: Capsule, scan: str, after: int = 0) -> bytes:
@@ -132,21 +134,25 @@ def _scaled(distance: int) -> int:
 
 
 def _ultra(data: bytes, after: bytes) -> list[int]:
-    """Return the distances of an ultra capsule [mm]."""
+    """Return the distances of an ultra capsule [mm]; what is too near is no reading."""
     words = [*struct.unpack_from("<32I", data, 4), *struct.unpack_from("<I", after or bytes(8), 4)]
-    scale, steps, found = _scale(), _PREDICTIONS, list[int]()
-    majors = [scale[word & 0xFFF] for word in words]
-    for word, (here, finer), (there, bits) in zip(words, majors, majors[1:], strict=False):
+    found: list[int] = []
+    scale, steps, least = _scale(), _PREDICTIONS, NEAREST_ULTRA
+    here, finer = scale[words[0] & 0xFFF]
+    for word, then in pairwise(words):
+        there, bits = scale[then & 0xFFF]
         one, other = steps[word >> 12 & 0x3FF], steps[word >> 22]
         near = there + (one << bits) if there and not here else here + (one << finer)
         far = there + (other << bits)
-        found += here, near if near > 0 else 0, far if far > 0 else 0
+        found += here if here >= least else 0, near if near >= least else 0, far if far >= least else 0
+        here, finer = there, bits
     return found if after else [*found[:-2], found[-2] if words[-2] & 0xFFF else 0, 0]
 
 
 def _cabins(distances: Sequence[int], after: int) -> list[int]:
     """Return the words of an ultra capsule."""
-    majors, scale, words = [_scaled(each) for each in (*distances[::3], after)], _scale(), list[int]()
+    words: list[int] = []
+    majors, scale = [_scaled(each) for each in (*distances[::3], after)], _scale()
     for at, (major, then) in enumerate(pairwise(majors)):
         here, there = scale[major], scale[then]
         word, bases = major, (here if here[0] or not there[0] else there, there)

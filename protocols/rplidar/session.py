@@ -92,10 +92,9 @@ class Lidar:
 
     def text(self, options: Options) -> str:
         """Return how it is, for a person."""
-        told = [self.stage.value if options.start else "is listened to (start = false)"]
-        told += [self.model, self.health, self.unread]
-        told += [f"{self.turn.lost} capsules lost"] if self.turn.lost else []
-        return ", ".join(filter(None, told))
+        stage = self.stage.value if options.start else "is listened to (start = false)"
+        lost = f"{self.turn.lost} capsules lost" if self.turn.lost else ""
+        return ", ".join(filter(None, (stage, self.model, self.health, self.unread, lost)))
 
     # -- received -------------------------------------------------------------------------------------
 

@@ -7,7 +7,7 @@ the ones before can have taken. How long a ray takes is what the lidar tells, an
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from protocols.messages import MILLISECOND, SECOND, LaserScan, Nanos
@@ -58,7 +58,7 @@ class Turn:
     way: float = 0.0
     """Degrees, the usual one from capsule to capsule, or from node to node"""
     last: float = 0.0
-    """Degrees, of the last node"""
+    """Degrees, of the last node, or of the first ray of the last capsule"""
     lost: int = 0
     """Capsules that were missing, since the start"""
 
@@ -87,7 +87,7 @@ class Turn:
             self.way += (ahead - self.way) / SLOWLY if self.way else ahead
         elif not before or ahead < BACK:
             self.rays.forget()
-        return self._go_on(self.ended, self.ended, (one.angle,), (one.distance,), self.way)
+        return self._go_on(self.ended, self.ended, one.angle, (one.distance,), self.way)
 
     def _packet(self, t: Nanos, data: bytes) -> LaserScan | None:
         """Take a packet of HQ, whose rays have their angles."""
@@ -101,35 +101,41 @@ class Turn:
     def _capsule(self, t: Nanos, data: bytes, scan: str) -> LaserScan | None:
         """Take a capsule, which tells where the rays of the one before are."""
         (first, start), held, ended, count = capsules.head(data), self.held, self.ended, rp.RAYS[scan]
-        self.held = data
+        begun, self.held, self.last = self.last, data, start
         if first or len(held) != len(data):
             self.rays.forget()
             self.way, self.ended = 0.0, 0
             self._measure(t, count, 1, len(data))
             return None
-        way = (start - capsules.head(held)[1]) % 360.0
+        way = (start - begun) % 360.0
         ways = round(way / self.way) if self.way and way > LOST * self.way else 1
         self.way = way / ways
         self._measure(t, count, ways, len(data))
-        one, step = capsules.capsule(held, scan, data if ways == 1 else b""), self.way / count
-        angles, found = [one.start + ray * step for ray in range(count)], one.distances
-        if one.offsets:
-            angles = [angle - off for angle, off in zip(angles, one.offsets, strict=True)]
-            if angles != sorted(angles):
-                pairs = sorted(zip(angles, found, strict=True))
-                angles, found = [angle for angle, _ in pairs], [mm for _, mm in pairs]
+        found, offsets = capsules.rays(held, scan, data if ways == 1 else b"")
+        step = self.way / count
+        if not offsets:
+            return self._go_on(ended, ended, begun, found, step)
+        angles = [begun + ray * step - off for ray, off in enumerate(offsets)]
+        if angles != sorted(angles):
+            order = sorted(range(count), key=angles.__getitem__)
+            angles, found = [angles[ray] for ray in order], [found[ray] for ray in order]
         return self._go_on(ended, ended, angles, found, step)
 
     def _go_on(
-        self, ended: Nanos, before: Nanos, angles: Sequence[float], found: Iterable[float], step: float
+        self,
+        ended: Nanos,
+        before: Nanos,
+        angles: Sequence[float] | float,
+        found: Sequence[float],
+        step: float,
     ) -> LaserScan | None:
         """Go on by rays [degrees, mm], of which the last was measured at `ended`; the rays before the last
         message ended at `before`."""
         if not step or self.ended - before > SECOND:  # it stands, or a turn is missing
             self.rays.forget()
             return None
-        ranges, speed = [mm / 1000.0 for mm in found], step / self.sample * SECOND
-        return self.rays.add(ended, self.sample, angles, ranges, step, speed, self.beams)
+        speed = step / self.sample * SECOND
+        return self.rays.add(ended, self.sample, angles, found, step, speed, self.beams)
 
     def _measure(self, t: Nanos, count: int, ways: int, size: int) -> None:
         """Note that so many rays came at t, in so many bytes; so many ways on from those before."""

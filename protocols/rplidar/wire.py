@@ -14,7 +14,6 @@ from itertools import pairwise
 from protocols.rplidar import capsules
 from protocols.rplidar import table as rp
 from protocols.toolkit.motor_driver import Rx
-from protocols.toolkit.serial import FrameFormat, Stream
 
 IN_ROW = 4
 """Nodes by which the place among nodes is found again;"""
@@ -22,40 +21,34 @@ AHEAD = 30.0
 """degrees from one of them to the next, at most."""
 
 
-@dataclass(slots=True)
-class Wire(Stream):
-    """The bytes of one lidar. Plain data."""
+@dataclass(slots=True, eq=False)
+class Wire:
+    """How what a lidar sends is read, by what it has sent before: a `FrameReader`. Plain data."""
 
-    framing: FrameFormat = rp.REQUESTS  # unused: what begins here depends on what came before
     scan: str = "express"
     """What is repeated, by its name in `device.toml`; of another one nothing is read."""
     placed: bool = False
     """It is known where the next node begins."""
+    skips: bool = False
+    """What came last was none of these."""
 
-    def feed(self, data: bytes) -> list[bytes | Rx]:
-        """Return the messages that these bytes complete: answers, nodes, capsules."""
-        held, at, found = self.held + data, 0, list[bytes | Rx]()
-        while at < len(held):
-            size, wrong = self._message(held, at)
-            if size is None:
-                break
-            if size:
-                found.append(held[at : at + size])
-                if size == rp.HEAD:
-                    self.scan = rp.SCANS[held[at + 6]]
-                self.placed = self.scan == "standard"
-            elif not self.skipping:
-                found.append(wrong)
-            self.skipping = not size
-            self.skipped += not size
-            at += size or 1
-        self.held = held[at:]
-        return found
+    def lose(self) -> None:
+        """Note that the line was interrupted."""
+        self.placed = self.skips = False
 
-    def drop(self) -> None:
-        """Discard a partial message: the line was interrupted, its rest will not come."""
-        self.skipped += len(self.held)
-        self.held, self.skipping, self.placed = b"", False, False
+    def read(self, held: bytes, at: int) -> tuple[bytes | Rx | None, int]:
+        """Return what begins here, an answer, a node or a capsule, and where the search goes on."""
+        size, wrong = self._message(held, at)
+        if size is None:
+            return None, at
+        before, self.skips = self.skips, not size
+        if not size:
+            return Rx.IGNORED if before else wrong, at + 1
+        message = held[at : at + size]
+        if size == rp.HEAD:
+            self.scan = rp.SCANS[message[6]]
+        self.placed = self.scan == "standard"
+        return message, at + size
 
     def _message(self, held: bytes, at: int) -> tuple[int | None, Rx]:
         """Return the bytes of the message that begins here, 0 for none, None if more must come; and as what
@@ -70,7 +63,7 @@ class Wire(Stream):
             return 0, Rx.IGNORED
         end = at + rp.SIZES[self.scan]
         # Among other bytes a wrong capsule may look right: where the next one begins, this one ends.
-        doubted = self.skipping and self.scan != "hq"
+        doubted = self.skips and self.scan != "hq"
         if len(held) < end + 2 * doubted:
             return None, Rx.IGNORED
         right = capsules.is_sound(held[at:end], self.scan)

@@ -118,7 +118,8 @@ class SabertoothAdapter(LineAdapter[Motor]):
         return self._drive(now, host, getattr(command, "velocity", 0.0) / host.options.full_scale)
 
     def _drive(self, now: Nanos, host: Host[Motor], share: float) -> Sequence[Frame]:
-        own, frames = host.own, list[Frame]()
+        frames: list[Frame] = []
+        own = host.own
         if host.options.autobaud and own.wakes():
             frames.append(Exchange(st.PACKETS.encode("AUTOBAUD"), None, Rank.QUESTION))
         if own.bounds(now):

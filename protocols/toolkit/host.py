@@ -126,8 +126,8 @@ class Report(Generic[Own]):
     serial: int | None = None
     note: str = ""
     """Hardware and firmware, for `Found`."""
-    counted: bool = True
-    """False: the frame is counted with another device's report."""
+    messages: int = 1
+    """That it counts for; 0: the frame is counted with another device's report."""
 
 
 Given = TypeVar("Given")
@@ -136,7 +136,7 @@ Given = TypeVar("Given")
 def counted_once(reports: Iterable[Given]) -> list[Given]:
     """Return what one frame reports of several devices: it is counted with the first of them."""
     given = [*reports]
-    others = [replace(each, counted=False) if isinstance(each, Report) else each for each in given[1:]]
+    others = [replace(each, messages=0) if isinstance(each, Report) else each for each in given[1:]]
     return given[:1] + others
 
 
@@ -204,13 +204,13 @@ class Host(Generic[Own]):
         mode, faults = report.mode, report.faults
         if faults or (self.active and faults is not None):
             events += self._on_faults(t, faults)
-        if mode is None or self._is_known(mode, report.detail):
+        if mode is None or self.knows(mode, report.detail):
             return events
         self._on_mode(t, mode)
         self._detail = report.detail
         return events + self.report_state(t)
 
-    def _is_known(self, mode: Mode, detail: str) -> bool:
+    def knows(self, mode: Mode, detail: str) -> bool:
         """True if a reported state changes nothing: the usual case, while a device runs or rests."""
         phase, same = self.phase, mode is self.mode and (mode, detail) == self._reported
         return same and (

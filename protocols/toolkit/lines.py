@@ -12,13 +12,13 @@ from protocols.frames import Frame
 from protocols.messages import Nanos
 from protocols.toolkit.host import Own, Report
 from protocols.toolkit.motor_driver import Adapter, MotorDriver, Rx
-from protocols.toolkit.serial import FrameFormat, Stream
+from protocols.toolkit.serial import FrameReader, Stream
 
 
 class LineAdapter(Adapter[Own]):
     """What a protocol on a serial line adds to `MotorDriver`."""
 
-    def __init__(self, framing: FrameFormat | None = None) -> None:
+    def __init__(self, framing: FrameReader | None = None) -> None:
         self._stream = None if framing is None else Stream(framing)
         self._skipping = False
         """What nobody asked for goes on."""
@@ -37,7 +37,7 @@ class LineAdapter(Adapter[Own]):
         if self._stream is None:
             before, self._skipping = self._skipping, True
             return () if before else (Rx.IGNORED,)
-        found = list[Report[Own] | Rx]()
+        found: list[Report[Own] | Rx] = []
         for one in self._stream.feed(frame):
             found += (one,) if isinstance(one, Rx) else self.unasked(t, one, driver)
         return found

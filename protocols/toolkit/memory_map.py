@@ -85,7 +85,7 @@ class MemoryMap(Registers):
         every = self.by_name.values()
         forms = {each.name: struct.Struct(self._order + FORMS[each.type]) for each in every}
         signs = {each.name: 1 << each.sign if each.sign else 0 for each in every}
-        self._codes: dict[str, tuple[Any, float, float, int]] = {
+        self._codes: dict[str, tuple[Callable[[float], bytes], float, float, int]] = {
             each.name: (forms[each.name].pack, *each.ends(), signs[each.name]) for each in every
         }
         self._kept = {
@@ -104,7 +104,7 @@ class MemoryMap(Registers):
                 raise ValueError(f"{name} is {value}: it is never sent")
             value = min(max(value, low), high)
         number = round(value)
-        return cast("bytes", pack(sign - number if sign and number < 0 else number))
+        return pack(sign - number if sign and number < 0 else number)
 
     def runs(self, values: Mapping[str, float]) -> list[tuple[int, bytes]]:
         """Return what is written, in the order given: those that lie behind one another at once."""
@@ -156,7 +156,8 @@ class MemoryMap(Registers):
     def layout(self, at: int, size: int) -> Layout:
         """Return how the registers lie in a run of bytes, made once."""
         if (at, size) not in self._layouts:
-            inside, form, end = list[Register](), self._order, at
+            inside: list[Register] = []
+            form, end = self._order, at
             for each in self.by_name.values():
                 if end <= each.number and each.number + each.size <= at + size:
                     form += f"{each.number - end}x" + FORMS[each.type]

@@ -37,7 +37,6 @@ class Rx(Enum):
     IGNORED = "of another device or protocol"
     MALFORMED = "of one of our devices, but with wrong content"
     EXPECTED = "of no device of ours, as an answer to a scan"
-    TOLD = "in the report of another message, which came with it"
 
 
 class Adapter(Generic[Own]):
@@ -305,7 +304,7 @@ class MotorDriver(Generic[Own]):
 
     def _count(self, received: Rx) -> Sequence[Event]:
         self.counters.add(
-            accepted=received in (Rx.EXPECTED, Rx.TOLD),
+            accepted=received is Rx.EXPECTED,
             malformed=received is Rx.MALFORMED,
             ignored=received is Rx.IGNORED,
         )
@@ -314,8 +313,8 @@ class MotorDriver(Generic[Own]):
     def _on_report(self, t: Nanos, report: Report[Own]) -> list[Event]:
         host = report.host
         ours = host is not None or report.serial is not None or bool(report.events)
-        if report.counted:
-            self.counters.add(accepted=ours, ignored=not ours)
+        if count := report.messages:
+            self.counters.add(accepted=count * ours, ignored=count * (not ours))
         events = [*report.events] if host is None else host.on_report(t, report)
         cause = report.duplicate
         if report.serial is not None and report.address != self.adapter.unaddressed:

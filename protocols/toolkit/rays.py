@@ -13,6 +13,7 @@ import math
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from math import floor, pi
 
 from protocols.messages import SECOND, LaserScan, Nanos
@@ -64,8 +65,8 @@ class Rays:
         self,
         ended: Nanos,
         apart: float,
-        clockwise: Sequence[float],
-        found: Iterable[float],
+        clockwise: Sequence[float] | float,
+        found: Sequence[float],
         step: float,
         speed: float,
         beams: Beams,
@@ -75,53 +76,64 @@ class Rays:
         Args:
             ended: when the last of them was measured [ns].
             apart: from one to the next [ns].
-            clockwise: their angles [degrees from ahead], which ascend, also beyond a turn.
-            found: their ranges [m]; what is out of reach is no reading.
+            clockwise: their angles [degrees from ahead], which ascend, also beyond a turn; of rays that
+                are a step apart, that of the first.
+            found: their ranges [mm]; what is out of reach is no reading.
             step: from one ray to the next, as a rule [degrees].
             speed: of the turn [degrees/s].
             beams: of the scan.
         """
         nearest, farthest, count, scan = beams.nearest, beams.farthest, beams.count, None
-        width, first = 360.0 / count, (clockwise[0] - 180.0) % 360.0
+        begins = clockwise if isinstance(clockwise, float) else clockwise[0]
+        width, first = 360.0 / count, (begins - 180.0) % 360.0
         if self.at is None:
             self.at, self.beam = first, floor(first / width) + 1
-        ahead, began = (first - self.at) % 360.0, self.at
-        off = self.at + (ahead if ahead <= BACK else ahead - 360.0) - clockwise[0]
-        places = [began, *[degrees + off for degrees in clockwise]]
-        ranges = [self.reading, *[each if nearest <= each <= farthest else 0.0 for each in found]]
+        began = self.at
+        ahead = (first - began) % 360.0
+        off = began + (ahead if ahead <= BACK else ahead - 360.0) - begins
+        if isinstance(clockwise, float):
+            places = [begins + ray * step + off for ray in range(-1, len(found))]
+            places[0] = began
+        else:
+            places = [began, *[degrees + off for degrees in clockwise]]
+        ranges = [m if nearest <= (m := mm / 1000.0) <= farthest else 0.0 for mm in found]
+        ranges.insert(0, self.reading)
         if ahead > BACK:  # what is behind the last ray is known
             known = bisect_left(places, began, 1) - 1
             del places[1 : known + 1], ranges[1 : known + 1]
         last = floor(places[-1] / width)
         while last >= count:
-            self._fill(range(self.beam, count + 1), width, places, ranges, step)
+            self._fill(angles(count)[self.beam :], places, ranges, step)
             self.sweep += (360.0 - began) / speed
             ray = bisect_left(places, 360.0, 0, len(places) - 1)
             late = round((len(places) - 1 - ray) * apart) + round((places[ray] - 360.0) / speed * SECOND)
             scan = self._scan(ended - late, beams) or scan
-            places = [place - 360.0 for place in places]
+            places, ranges = [place - 360.0 for place in places[ray - 1 :]], ranges[ray - 1 :]
             self.beam, self.sweep, began, last = 1, 0.0, 0.0, last - count
-        self._fill(range(self.beam, last + 1), width, places, ranges, step)
+        if last >= self.beam:
+            self._fill(angles(count)[self.beam : last + 1], places, ranges, step)
+            self.beam = last + 1
         self.sweep += (places[-1] - began) / speed
-        self.at, self.reading, self.beam = places[-1], ranges[-1], max(self.beam, last + 1)
+        self.at, self.reading = places[-1], ranges[-1]
         return scan
 
     def _fill(
-        self, beams: range, width: float, places: list[float], ranges: list[float], step: float
+        self, beams: Sequence[float], places: Iterable[float], ranges: Iterable[float], step: float
     ) -> None:
-        """Add beams, each between two of these rays."""
+        """Add beams at these angles, each between two of these rays, the first of which is before them."""
         # No call for a beam that lies on a surface: lidars have 4,500 to 32,000 rays a second.
-        near, most, add = NEIGHBOURS * step, len(places) - 1, self.ranges.append
+        near, add, rays = NEIGHBOURS * step, self.ranges.append, zip(places, ranges, strict=True)
+        (place, before), (reached, after) = next(rays), next(rays)
         self.seen += len(beams)
-        for beam in beams:
-            at = beam * width
-            ray = bisect_left(places, at, 1, most)
-            before, after, place = ranges[ray - 1], ranges[ray], places[ray - 1]
-            apart = places[ray] - place
-            if 0.0 < apart <= near and after <= before * SURFACE and before <= after * SURFACE:
+        for at in beams:
+            while reached < at and (ray := next(rays, None)):
+                place, before = reached, after
+                reached, after = ray
+            apart = reached - place
+            if apart <= near and after <= before * SURFACE and before <= after * SURFACE and apart:
                 add(before + (after - before) * (at - place) / apart)
             else:
-                add(self._beside(before, after, at - place, places[ray] - at, step))
+                add(self._beside(before, after, at - place, reached - at, step))
 
     def _beside(self, before: float, after: float, back: float, ahead: float, step: float) -> float:
         """Return the range of a beam that lies so far [degrees] behind one ray and before the next, which are
@@ -135,13 +147,20 @@ class Rays:
         """End the turn at t; return its scan, if it was whole and at least half of it was seen."""
         count = beams.count
         ranges, seen, whole = self.ranges, self.seen, self.whole and len(self.ranges) == count
+        ranges.reverse()  # beams of a scan go counter-clockwise
         sweep = self.sweep
         self.ranges, self.seen, self.whole, self.sweep = [], 0, True, 0.0
         if not whole or 2 * seen < count:
             return None
         duration = round(sweep * (count - 1) / count * SECOND)
         width, limits = 2.0 * pi / count, (beams.nearest, beams.farthest)
-        return LaserScan(beams.sensor, t, -pi, width, *limits, tuple(reversed(ranges)), -duration)
+        return LaserScan(beams.sensor, t, -pi, width, *limits, tuple(ranges), -duration)
+
+
+@cache
+def angles(count: int) -> Sequence[float]:
+    """Return where the beams of a turn are, of so many: degrees from the rear, clockwise, up to the rear."""
+    return tuple(beam * (360.0 / count) for beam in range(count + 1))
 
 
 def ascending(angles: list[float]) -> list[float]:

@@ -7,7 +7,7 @@ from typing import Any
 
 from protocols.bounds import Invalid
 from protocols.frames import Frame
-from protocols.messages import MILLISECOND, Command, Nanos
+from protocols.messages import MILLISECOND, Command, Event, Mode, Nanos
 from protocols.plugin import Device, FeedbackKind, Range, Spec, Watchdog
 from protocols.toolkit.host import Host, Own, Report
 from protocols.toolkit.lines import LineAdapter
@@ -57,23 +57,40 @@ def serial_sensor(device: Device, ranges: Mapping[str, Range], period: Nanos, **
 class SensorAdapter(LineAdapter[Own]):
     """What a protocol adds to `MotorDriver` for such a sensor."""
 
-    def measured(self, t: Nanos, message: bytes, host: Host[Own]) -> Report[Own] | Rx:
-        """Return what a message of the stream reports."""
+    def measured(self, t: Nanos, message: bytes, host: Host[Own]) -> Event | Rx | None:
+        """Take a message of the stream that came at t; return what it has measured, if it completes that."""
         raise NotImplementedError
 
+    def state(self, t: Nanos, host: Host[Own]) -> tuple[str, tuple[int, ...]]:
+        """Return how it is, for a person, and the codes of its faults, by what has come until t."""
+        return "streams", ()
+
     def receive(self, t: Nanos, frame: Frame, driver: MotorDriver[Own]) -> Sequence[Report[Own] | Rx]:
+        """Return what the messages report that a frame completes: one report of all after which the sensor is
+        as it was before."""
         if not isinstance(frame, bytes) or self._stream is None:
             return (Rx.IGNORED,)
-        (host,), found, told = driver.hosts.values(), list[Report[Own] | Rx](), None
+        (host,) = driver.hosts.values()
+        reports: list[Report[Own] | Rx] = []
+        events: list[Event] = []
+        told, count = None, 0
         for one in self._stream.feed(frame):
-            report = self.measured(t, one, host) if isinstance(one, bytes) else one
-            if isinstance(report, Report):
-                state = report.mode, report.detail, report.faults
-                if state == told and not report.events:
-                    report = Rx.TOLD
-                told = state
-            found.append(report)
-        return found
+            found = self.measured(t, one, host) if isinstance(one, bytes) else one
+            if isinstance(found, Rx):
+                reports.append(found)
+                continue
+            detail, faults = self.state(t, host)
+            state = Mode.FAULT if faults else Mode.READY, detail, faults
+            # What is measured is told behind a state that is new.
+            if told and (state != told or (found is not None and not host.knows(*told[:2]))):
+                reports.append(Report(host, host.address, *told, events=events, messages=count))
+                events, count = [], 0
+            if found is not None:
+                events.append(found)
+            told, count = state, count + 1
+        if told:
+            reports.append(Report(host, host.address, *told, events=events, messages=count))
+        return reports
 
     def refuse(self, host: Host[Own], command: Command) -> str:
         return "a sensor takes no commands"

@@ -76,7 +76,8 @@ def _by_pairs(polynomial: int, start: int, end: int, reflected: bool, short: Che
 @cache
 def _remainders_of_pairs(polynomial: int, reflected: bool) -> tuple[int, ...]:
     """Return the remainder of each pair of bytes, by what is combined with it."""
-    one, found = _remainders(16, polynomial, reflected), list[int]()
+    found: list[int] = []
+    one = _remainders(16, polynomial, reflected)
     for high in range(256):
         if reflected:  # the second byte is the high one
             found += [one[low] >> 8 ^ one[(one[low] ^ high) & 0xFF] for low in range(256)]
@@ -121,20 +122,24 @@ def xor8(data: bytes) -> int:
     return reduce(xor, data, 0)
 
 
-class FrameFormat(Protocol):
-    """How messages stand on a line. A constant."""
+class FrameReader(Protocol):
+    """What finds messages on a line."""
 
     def __hash__(self) -> int:
-        """As every constant: what it has split is remembered."""
-        ...
-
-    def frame(self, message: bytes) -> bytes:
-        """Return a message, as `read` gives it, as it stands on the line."""
+        """What a constant has split is remembered."""
         ...
 
     def read(self, held: bytes, at: int) -> tuple[bytes | Rx | None, int]:
         """Return what begins here, and where the search goes on: a message (b"": nothing worth a word);
         MALFORMED, if its checksum is wrong; IGNORED: none begins here; None: more bytes must come."""
+        ...
+
+
+class FrameFormat(FrameReader, Protocol):
+    """How messages stand on a line. A constant."""
+
+    def frame(self, message: bytes) -> bytes:
+        """Return a message, as `read` gives it, as it stands on the line."""
         ...
 
 
@@ -489,7 +494,7 @@ class Stream:
     once for each run of other bytes between two messages. A message behind either is found, since after a
     wrong checksum the search goes on at the next byte."""
 
-    framing: FrameFormat
+    framing: FrameReader
     skipped: int = 0
     """Bytes that belonged to no message."""
     held: bytes = b""
@@ -499,7 +504,8 @@ class Stream:
 
     def feed(self, data: bytes) -> list[bytes | Rx]:
         """Return the messages that these bytes complete."""
-        held, at, found = self.held + data, 0, list[bytes | Rx]()
+        found: list[bytes | Rx] = []
+        held, at = self.held + data, 0
         while at < len(held):
             one, end = self.framing.read(held, at)
             if one is None:
@@ -527,7 +533,7 @@ class Stream:
 
 
 @lru_cache(maxsize=16)
-def _split(framing: FrameFormat, held: bytes, skipping: bool) -> tuple[tuple[bytes, ...], bytes, int, bool]:
+def _split(framing: FrameReader, held: bytes, skipping: bool) -> tuple[tuple[bytes, ...], bytes, int, bool]:
     """Return the messages in a run of bytes, what is left of it, how many bytes were skipped, and whether a
     run of them goes on. All that are on a line are given the same bytes one after the other: so they are
     split once."""

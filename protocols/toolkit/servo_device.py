@@ -139,7 +139,8 @@ class ServoMemory:
             (at, data), self.waiting = self.waiting, None
             return self.write(at, data)
         mine = (self.id,) if one.instruction == SYNC_WRITE else (self.id, EVERYBODY)
-        error, obeyed, found = 0, list[Obeyed](), False
+        obeyed: list[Obeyed] = []
+        error, found = 0, False
         for address, at, data in writes:
             if address in mine:
                 error, does = self.write(at, data)

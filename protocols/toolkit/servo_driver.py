@@ -354,7 +354,8 @@ class ServoAdapter(Adapter[K]):
         return host.phase in (Phase.ARMED, Phase.FREE) and host.mode is not None
 
     def poll(self, now: Nanos, host: Host[K]) -> Sequence[Frame]:
-        own, frames = host.own, list[Frame]()
+        frames: list[Frame] = []
+        own = host.own
         for block, period in self.wanted(host):
             if now < own.due(block, period) - EARLY:
                 continue
@@ -401,7 +402,8 @@ class ServoAdapter(Adapter[K]):
             return Pending(request, request.bus, now, end, now, None, twice, self._pace)
         if host is None:
             return super().begin(now, request, host, driver)
-        wrong, period, notes = "the device cannot do that on this bus", self.again, dict[str, object]()
+        notes: dict[str, object] = {}
+        wrong, period = "the device cannot do that on this bus", self.again
         match request:
             case msg.ClearFault():
                 frames, half = tuple(self.clears(now, host)), self.clearing // 2

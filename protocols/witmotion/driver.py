@@ -12,10 +12,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from protocols.messages import SECOND, Imu, Mode, Nanos
+from protocols.messages import SECOND, Imu, Nanos
 from protocols.plugin import Device
-from protocols.toolkit.host import Host, Report
-from protocols.toolkit.motor_driver import Rx
+from protocols.toolkit.host import Host
 from protocols.toolkit.sensors import SensorAdapter
 from protocols.witmotion import table as wit
 from protocols.witmotion.options import Options
@@ -101,11 +100,12 @@ class WitmotionAdapter(SensorAdapter[Cycle]):
     def own(self, device: Device) -> Cycle:
         return Cycle(device.line_rate)
 
-    def measured(self, t: Nanos, message: bytes, host: Host[Cycle]) -> Report[Cycle] | Rx:
+    def measured(self, t: Nanos, message: bytes, host: Host[Cycle]) -> Imu | None:
+        return host.own.add(t, message[1], wit.words_of(message), host.name, host.options)
+
+    def state(self, t: Nanos, host: Host[Cycle]) -> tuple[str, tuple[int, ...]]:
         own = host.own
-        reading = own.add(t, message[1], wit.words_of(message), host.name, host.options)
         detail = f"{own.clipped} readings at the end of a scale" if own.clipped else "streams"
         if own.lacking == LACKS:
             detail += f", no packet {LAST[host.options.orientation]:02X}: no orientation"
-        events = () if reading is None else (reading,)
-        return Report(host, host.address, Mode.READY, detail, events=events)
+        return detail, ()

@@ -227,7 +227,8 @@ class Drive:
 
     def report(self, t: Nanos, host: Host[Motor], values: Mapping[Key, int]) -> dict[str, Any]:
         """Return what values report of one motor."""
-        side, known = host.own[1], dict[str, Any]()
+        known: dict[str, Any] = {}
+        side = host.own[1]
         if z.STATUS in values:
             failed = z.FAULT in self.states.values()
             mode, name = z.STATES[z.FAULT if failed else self.states[side]]
@@ -284,7 +285,8 @@ class ZlacAdapter(Adapter[Motor]):
         if not services.is_classic(frame) or frame.id & NODE_MASK not in self.drives:
             return (Rx.IGNORED,)
         drive = self.drives[frame.id & NODE_MASK]
-        function, values, outcome = frame.id & ~NODE_MASK, dict[Key, int](), None
+        values: dict[Key, int] = {}
+        function, outcome = frame.id & ~NODE_MASK, None
         if function in NUMBERS:
             number = NUMBERS[function]
             found = TPDOS[number].unpack(frame.data)
@@ -323,7 +325,9 @@ class ZlacAdapter(Adapter[Motor]):
             host = driver.at[drive.node + z.RIGHT_OFFSET * (side == z.RIGHT)]
             about = drive.report(t, host, values)
             reports.append(
-                Report(host, host.address, duplicate=twice, counted=not reports, content=outcome, **about)
+                Report(
+                    host, host.address, duplicate=twice, messages=int(not reports), content=outcome, **about
+                )
             )
         return reports
 

@@ -125,7 +125,7 @@ def turning(
         at = START + round(times[-1] * SECOND)
         start, end = ends
         stamp = (at // MILLISECOND + 29_000) % table.ROUND
-        packet = Packet(round(360.0 * hertz), start, distances, (200,) * RAYS, end, stamp)
+        packet = Packet(round(360.0 * hertz), start, distances, bytes(RAYS * (200,)), end, stamp)
         yield Sent(at, table.encode(packet))
 
 

@@ -34,6 +34,7 @@ from protocols.rplidar import table as rp
 from protocols.rplidar.options import Options, Settings
 from protocols.rplidar.table import Scan
 from protocols.rplidar.wire import Wire
+from protocols.toolkit.serial import Stream
 
 VECTORS = {vector.name: vector for vector in vectors_of(plugin)}
 BEAMS = 400
@@ -107,9 +108,13 @@ def test_nodes_are_those_of_others(name: str) -> None:
     assert rp.encode_node(one) == data
 
 
+def capsule(data: bytes, scan: str, after: bytes = b"") -> capsules.Capsule:
+    return capsules.Capsule(*capsules.head(data), *capsules.rays(data, scan, after))
+
+
 def test_capsules_are_those_of_others() -> None:
     data, meaning = data_of("express_capsule_pair_wrap")[:84], VECTORS["express_capsule_pair_wrap"].meaning
-    one = capsules.capsule(data, "express")
+    one = capsule(data, "express")
     said = meaning["capsule1"]
     assert (one.first, one.start) == (said["start_of_stream"], said["start_deg"])
     assert (list(one.distances), list(one.offsets)) == (said["distance_mm"], said["offset_deg"])
@@ -117,7 +122,7 @@ def test_capsules_are_those_of_others() -> None:
     assert capsules.encode_capsule(one, "express") == data
     assert not capsules.is_sound(data_of("express_capsule_bad_checksum")[:84], "express")
     pair = data_of("dense_capsule_pair")
-    one, two = capsules.capsule(pair[:84], "dense"), capsules.capsule(pair[84:], "dense")
+    one, two = capsule(pair[:84], "dense"), capsule(pair[84:], "dense")
     nodes = VECTORS["dense_capsule_pair"].meaning["nodes_of_capsule1"]
     assert [float(each) for each in one.distances[: len(nodes)]] == [each["distance_mm"] for each in nodes]
     for at, each in enumerate(nodes):
@@ -130,7 +135,7 @@ def test_ultra_capsules_are_those_of_the_vendors_software() -> None:
     first, then = pair[:132], pair[132:]
     assert capsules.is_sound(first, "ultra")
     assert capsules.is_sound(then, "ultra")
-    one = capsules.capsule(first, "ultra", then)
+    one = capsule(first, "ultra", then)
     said = meaning["capsule1"]
     assert (one.first, one.start) == (said["start_of_stream"], said["start_deg"])
     step = (meaning["capsule2"]["start_deg"] - one.start) % 360.0 / 96
@@ -140,7 +145,7 @@ def test_ultra_capsules_are_those_of_the_vendors_software() -> None:
     for at, each in enumerate(nodes):
         off = one.start + at * step - one.offsets[at] - each["angle_z_q14"] * 90.0 / 16384.0
         assert abs((off + 180.0) % 360.0 - 180.0) < 0.03
-    after = capsules.capsule(then, "ultra").distances[0]
+    after = capsule(then, "ultra").distances[0]
     assert capsules.encode_capsule(one, "ultra", after) == first
 
 
@@ -381,7 +386,7 @@ def test_what_is_lost_or_damaged_costs_its_rays_alone_and_is_counted(
 
 def test_the_place_among_nodes_is_found_again_behind_lost_bytes() -> None:
     """Nodes have no checksum: what is read wrongly in between are a few at most."""
-    random, wire = Random(5), Wire(scan="standard")
+    random, wire = Random(5), Stream(Wire("standard"))
     true = [rp.Node(at % 400 == 0, 47, at * 0.9 % 360.0, 1000.0 + at % 400) for at in range(4000)]
     known, stream = {rp.encode_node(each) for each in true}, b""
     for each in true:

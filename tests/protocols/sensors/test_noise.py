@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from math import remainder, tau
 from random import Random
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -12,7 +14,7 @@ import pytest
 
 from protocols import sensors
 from protocols.conformance.bench import sensor_events
-from protocols.messages import MILLISECOND, SECOND
+from protocols.messages import MILLISECOND, SECOND, LaserScan, Measurement
 from protocols.plugin import Device, load
 from protocols.rplidar import table as rp
 from protocols.sensors import SensorKind
@@ -55,6 +57,16 @@ def measured_by(protocol: str, device: Device) -> list[SensorKind]:
     return [kind for kind in sensors.kinds().by_type.values() if kind.message.__name__ in names]
 
 
+def next_rays(whole: Measurement, number: int, beams: int) -> Measurement:
+    """Of a lidar what it sees in the next part of its turn: rays as near to each other as its beams."""
+    if not isinstance(whole, LaserScan):
+        return whole
+    count, width = len(whole.ranges), tau / beams
+    begins = remainder(-width * count * (number + 1), tau)
+    took = -(SECOND // 10) * (count - 1) // beams
+    return replace(whole, angle_min=begins, angle_increment=width, duration=took)
+
+
 def messages_of(name: str, device: Device) -> Iterator[bytes]:
     """Yield what a device sends, without end."""
     protocol = LINES[name].protocol
@@ -63,9 +75,11 @@ def messages_of(name: str, device: Device) -> Iterator[bytes]:
         twin.receive(0, rp.express_scan(device.options.mode))
     first = sensor_events("", 0, 0)
     measured = measured_by(protocol, device)
+    beams = getattr(device.options, "count", 0) or getattr(device.options, "beams", 1)
     for number in range(10**9):
         now = SECOND + number * 2 * MILLISECOND
         truth = [kind.sample(device.name, now, number) for kind in measured] if number else first
+        truth = [next_rays(each, number, beams) for each in truth]
         yield from (
             frame for frame in twin.step(now, truth)[1] if isinstance(frame, bytes) and len(frame) > 7
         )

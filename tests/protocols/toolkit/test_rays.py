@@ -38,7 +38,7 @@ def laid(rays: list[tuple[float, float]], random: Random, longest: int) -> list[
             angle % 360.0 + (angle - run[0][0] - (angle % 360.0 - run[0][0] % 360.0)) for angle, _ in run
         ]
         ended = round((run[-1][0] - 170.0) / SPEED * SECOND)
-        scan = state.add(ended, APART, angles, [found for _, found in run], STEP, SPEED, BEAMS)
+        scan = state.add(ended, APART, angles, [found * 1000.0 for _, found in run], STEP, SPEED, BEAMS)
         scans += [scan] if scan else []
     return scans
 
@@ -89,7 +89,7 @@ def test_a_run_that_begins_behind_the_last_ray_goes_on_at_it() -> None:
         run = rays[max(0, at - 2) : at + 12]  # two of them come twice
         angles = [angle - 360.0 * (run[0][0] // 360.0) for angle, _ in run]
         ended = round((run[-1][0] - 170.0) / SPEED * SECOND)
-        again = [9.0 if at and not each else 3.0 for each in range(len(run))]
+        again = [9000.0 if at and not each else 3000.0 for each in range(len(run))]
         scan = state.add(ended, APART, angles, again, STEP, SPEED, BEAMS)
         scans += [scan] if scan else []
     assert len(scans) >= 2

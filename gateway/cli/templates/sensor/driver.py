@@ -7,11 +7,10 @@ from dataclasses import dataclass, field
 from typing import Annotated
 
 from protocols.bounds import Bounds, check
-from protocols.messages import SECOND, Imu, Mode, Nanos
+from protocols.messages import SECOND, Imu, Nanos
 from protocols.plugin import Device
 from protocols.toolkit.device_clock import DeviceClock
-from protocols.toolkit.host import Host, Report
-from protocols.toolkit.motor_driver import Rx
+from protocols.toolkit.host import Host
 from protocols.toolkit.sensors import SensorAdapter
 
 from . import table
@@ -70,10 +69,10 @@ class StreamAdapter(SensorAdapter[Sensor]):
     def own(self, device: Device) -> Sensor:
         return Sensor(device.line_rate)
 
-    def measured(self, t: Nanos, message: bytes, host: Host[Sensor]) -> Report[Sensor] | Rx:
-        own = host.own
-        reading = own.reading(t, message, host.name)
-        # FILL IN (clause "faults"): Mode.FAULT and the codes, if the device tells that it is not well.
-        detail = f"{own.clipped} readings at the end of a scale" if own.clipped else "streams"
-        events = () if reading is None else (reading,)
-        return Report(host, host.address, Mode.READY, detail, events=events)
+    def measured(self, t: Nanos, message: bytes, host: Host[Sensor]) -> Imu | None:
+        return host.own.reading(t, message, host.name)
+
+    def state(self, t: Nanos, host: Host[Sensor]) -> tuple[str, tuple[int, ...]]:
+        # FILL IN (clause "faults"): the codes, if the device tells that it is not well.
+        clipped = host.own.clipped
+        return f"{clipped} readings at the end of a scale" if clipped else "streams", ()
