@@ -150,9 +150,7 @@ def test_what_a_plot_is_zoomed_to_stays_when_it_gets_dark(
         tab = browser.open(file.as_uri())
         tab.until("document.querySelector('.u-over')")
         x, y = tab.middle(".u-over")
-        tab.mouse("mousePressed", (x, y))
-        tab.mouse("mouseMoved", (x + 60, y))
-        tab.mouse("mouseReleased", (x + 60, y))
+        tab.select((x, y), (x + 60, y))
         tab.run("document.querySelector('.u-over').old = true")
         dark = {"name": "prefers-color-scheme", "value": "dark"}
         tab.call("Emulation.setEmulatedMedia", features=[dark])

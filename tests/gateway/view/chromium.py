@@ -97,6 +97,14 @@ class Tab:
         button = {"button": "left", "buttons": int(kind != "mouseReleased"), "clickCount": 1}
         self.call("Input.dispatchMouseEvent", type=kind, x=at[0], y=at[1], **button)
 
+    def select(self, begin: tuple[float, float], end: tuple[float, float]) -> None:
+        """Select a part of a plot: the button is released once the selection is drawn, as by a person. uPlot
+        takes none that it has not drawn."""
+        self.mouse("mousePressed", begin)
+        self.mouse("mouseMoved", end)
+        self.until("[...document.querySelectorAll('.u-select')].some(one => parseFloat(one.style.width) > 0)")
+        self.mouse("mouseReleased", end)
+
     def touch(self, *fingers: tuple[float, float]) -> None:
         """Have so many fingers on the screen, where they are; none: the last is lifted."""
         points = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(fingers)]

@@ -889,9 +889,7 @@ def test_what_is_plotted_is_zoomed_read_at_a_cursor_and_saved(
     newest = tab.run("[...document.querySelectorAll('.signal .num')].map(one => one.textContent)")
     assert float(newest[1]) == pytest.approx(0.0, abs=0.1)
     width = tab.run("document.querySelector('#plot .u-over').clientWidth")
-    tab.mouse("mousePressed", (x + width / 4, y))  # 105 s to
-    tab.mouse("mouseMoved", (x + width * 3 / 8, y))
-    tab.mouse("mouseReleased", (x + width * 3 / 8, y))  # 107.5 s
+    tab.select((x + width / 4, y), (x + width * 3 / 8, y))  # 105 to 107.5 s
     tab.until("document.querySelector('#pause').textContent === 'Follow'")
     rows = saved(tab, tmp_path)
     seen = [float(row[0]) for row in rows[1:]]
