@@ -158,10 +158,16 @@ def _arrays(data: bytes) -> dict[str, npt.NDArray[Any]]:
         found = {}
         for name, (kind, dimensions) in SHAPES.items():
             with archive.open(f"{name}.npy") as file:
-                one = np.lib.format.read_array(file, allow_pickle=False, max_header_size=1000)
-            if one.dtype != np.dtype(kind) or one.ndim != dimensions:
-                text = f"its array {name!r} is {one.ndim} x {one.dtype}"
+                np.lib.format.read_magic(file)
+                shape, fortran, dtype = np.lib.format.read_array_header_1_0(file, max_header_size=1000)
+                content = file.read()
+            if dtype != np.dtype(kind) or len(shape) != dimensions:
+                text = f"its array {name!r} is {len(shape)} x {dtype}"
                 raise ValueError(f"{text}, expected {dimensions} x {np.dtype(kind)}: {WANTED}")
+            if len(content) != math.prod(shape) * dtype.itemsize:
+                text = f"its array {name!r} of {shape} has {len(content)} bytes"
+                raise ValueError(f"{text}: it is cut off, or damaged: {WANTED}")
+            one = np.frombuffer(content, dtype).reshape(shape, order="F" if fortran else "C")
             if one.dtype.kind == "f" and one.size and not np.abs(one).max() < math.inf:
                 raise ValueError(f"its array {name!r} has numbers that are not finite: {WANTED}")
             found[name] = one

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import zipfile
 from collections.abc import Callable, Iterable
 from io import BytesIO
 from pathlib import Path
@@ -131,6 +132,23 @@ def flipped(data: bytes) -> bytes:
     return data[:middle] + bytes([data[middle] ^ 0x10]) + data[middle + 1 :]
 
 
+def claims(*shape: int) -> Callable[[bytes], bytes]:
+    """Return what has the first array with three dimensions claim another shape than it has bytes for."""
+
+    def change(data: bytes) -> bytes:
+        found, made = dict(np.load(BytesIO(data))), BytesIO()
+        with zipfile.ZipFile(made, "w") as archive:
+            for name, one in found.items():
+                head = np.lib.format.header_data_from_array_1_0(one)
+                with archive.open(f"{name}.npy", "w") as file:
+                    claimed = head | {"shape": shape} if name == "covariances" else head
+                    np.lib.format.write_array_header_1_0(file, claimed)
+                    file.write(one.tobytes())
+        return made.getvalue()
+
+    return change
+
+
 OTHERS: list[tuple[Callable[[bytes], bytes], str]] = [
     (lambda data: data[: len(data) // 2], "it is cut off, damaged or another file"),
     (lambda data: data[:-1], "it is cut off, damaged or another file"),
@@ -138,6 +156,9 @@ OTHERS: list[tuple[Callable[[bytes], bytes], str]] = [
     (lambda _: b"", "expected the file that `gateway map` has written"),
     (lambda _: b"P5\n1 1\n255\n\0", "it is cut off, damaged or another file"),
     (changed(ways=lambda _: None), "it has no array 'ways'"),
+    (claims(10**13, 3, 3), "its array 'covariances' of (10000000000000, 3, 3) has "),
+    (claims(2**70, 3, 3), "its array 'covariances' of (1180591620717411303424, 3, 3) has "),
+    (claims(-1, 3, 3), "its array 'covariances' of (-1, 3, 3) has "),
     (changed(format=lambda _: np.int64(2)), "it is of format 2: this program reads 1"),
     (
         changed(ranges=lambda r: r.astype(np.float64)),
