@@ -327,14 +327,16 @@ def invited(twin: Process, *more: str) -> list[str]:
 
 
 def reach(robot: Process, x: float, y: float) -> None:
-    """Wait until the robot has reached its goal; give the goal again where it drops it: for a robot that has
-    no processor for a while, wheels and lidar may not agree."""
-    end, dropped = time.monotonic() + PATIENCE, 0
+    """Wait until the robot has reached its goal; give the goal again where it drops or refuses it: for a
+    robot that has no processor for a while, wheels and lidar may not agree."""
+    given = time.monotonic()
+    end = given + PATIENCE
     while not re.search(r"brain: goal \d+ reached", robot.text):
         assert time.monotonic() < end, robot.text
         robot.look()
-        if robot.text.count("goal dropped") > dropped:
-            dropped += 1
+        told = re.findall(r"goal dropped|Goal refused|goal \d+ accepted", robot.text)
+        if told and not told[-1].endswith("accepted") and time.monotonic() > given + 2.0:
+            given = time.monotonic()
             robot.send_line(f"goal {x} {y}")
 
 

@@ -37,7 +37,7 @@ from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
-PATIENCE = 120.0
+PATIENCE = 500.0
 RELIABLE = Policy.Reliability.Reliable(duration(seconds=1))
 KEPT = Qos(RELIABLE, Policy.History.KeepLast(1), Policy.Durability.TransientLocal)
 PLAIN = Qos(RELIABLE, Policy.History.KeepLast(10), Policy.Durability.Volatile)

@@ -20,7 +20,7 @@ from std_srvs.srv import Trigger
 from test_msgs.action import Fibonacci
 from zenoh.handlers import RingChannel
 
-PATIENCE = 240.0
+PATIENCE = 500.0
 DOMAIN, ENDPOINT, PART = sys.argv[1:4]
 SPEED = 0.1
 
