@@ -11,9 +11,8 @@ from __future__ import annotations
 import hashlib
 import math
 import zipfile
-import zlib
 from io import BytesIO
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -73,10 +72,7 @@ def keyframes_of(data: bytes | None, image: bytes | None) -> SavedKeyframes:
     wrong."""
     if data is None:
         raise ValueError("it is not among the files")
-    try:
-        arrays = _arrays(data)
-    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, KeyError, NotImplementedError) as error:
-        raise ValueError(f"it is cut off, damaged or another file ({error}): {WANTED}") from error
+    arrays = _arrays(data)
     if int(arrays["format"]) != FORMAT:
         raise ValueError(f"it is of format {int(arrays['format'])}: this program reads {FORMAT}")
     if image is None or arrays["image"].tobytes() != hashlib.sha256(image).digest():
@@ -147,30 +143,51 @@ def keyframes_of(data: bytes | None, image: bytes | None) -> SavedKeyframes:
     return SavedKeyframes(poses, kept, tuple(known), tuple(edges[:joins]), tuple(edges[joins:]))
 
 
+class _Stored(NamedTuple):
+    """An array of an archive as its header has it, and its bytes."""
+
+    shape: tuple[int, ...]
+    fortran: bool
+    dtype: np.dtype[Any]
+    content: bytes
+
+
 def _arrays(data: bytes) -> dict[str, npt.NDArray[Any]]:
-    """Return the arrays of an archive, each of its type. Raises ValueError, and what zipfile raises."""
-    with zipfile.ZipFile(BytesIO(data)) as archive:
-        sizes = {one.filename: one.file_size for one in archive.infolist()}
-        if missing := [name for name in SHAPES if f"{name}.npy" not in sizes]:
-            raise ValueError(f"it has no array {missing[0]!r}: {WANTED}")
-        if sum(sizes.values()) > MOST_BYTES:
-            raise ValueError(f"its arrays have more than {MOST_BYTES} bytes: {WANTED}")
-        found = {}
-        for name, (kind, dimensions) in SHAPES.items():
-            with archive.open(f"{name}.npy") as file:
-                np.lib.format.read_magic(file)
-                shape, fortran, dtype = np.lib.format.read_array_header_1_0(file, max_header_size=1000)
-                content = file.read()
-            if dtype != np.dtype(kind) or len(shape) != dimensions:
-                text = f"its array {name!r} is {len(shape)} x {dtype}"
-                raise ValueError(f"{text}, expected {dimensions} x {np.dtype(kind)}: {WANTED}")
-            if len(content) != math.prod(shape) * dtype.itemsize:
-                text = f"its array {name!r} of {shape} has {len(content)} bytes"
-                raise ValueError(f"{text}: it is cut off, or damaged: {WANTED}")
-            one = np.frombuffer(content, dtype).reshape(shape, order="F" if fortran else "C")
-            if one.dtype.kind == "f" and one.size and not np.abs(one).max() < math.inf:
-                raise ValueError(f"its array {name!r} has numbers that are not finite: {WANTED}")
-            found[name] = one
+    """Return the arrays of an archive, each of its type. Raises ValueError."""
+    found = {}
+    for name, one in _stored(data).items():
+        (kind, dimensions), shape = SHAPES[name], one.shape
+        if one.dtype != np.dtype(kind) or len(shape) != dimensions:
+            text = f"its array {name!r} is {len(shape)} x {one.dtype}"
+            raise ValueError(f"{text}, expected {dimensions} x {np.dtype(kind)}: {WANTED}")
+        if len(one.content) != math.prod(shape) * one.dtype.itemsize:
+            text = f"its array {name!r} of {shape} has {len(one.content)} bytes"
+            raise ValueError(f"{text}: it is cut off, or damaged: {WANTED}")
+        array = np.frombuffer(one.content, one.dtype).reshape(shape, order="F" if one.fortran else "C")
+        if array.dtype.kind == "f" and array.size and not np.abs(array).max() < math.inf:
+            raise ValueError(f"its array {name!r} has numbers that are not finite: {WANTED}")
+        found[name] = array
+    return found
+
+
+def _stored(data: bytes) -> dict[str, _Stored]:
+    """Return what an archive stores, of which nothing is believed yet. Raises ValueError."""
+    found, sizes = {}, dict[str, int]()
+    try:
+        with zipfile.ZipFile(BytesIO(data)) as archive:
+            sizes = {one.filename: one.file_size for one in archive.infolist()}
+            names = [name for name in SHAPES if f"{name}.npy" in sizes]
+            for name in names if sum(sizes.values()) <= MOST_BYTES else ():
+                with archive.open(f"{name}.npy") as file:
+                    np.lib.format.read_magic(file)
+                    header = np.lib.format.read_array_header_1_0(file, max_header_size=1000)
+                    found[name] = _Stored(*header, file.read())
+    except Exception as error:  # what zipfile and numpy raise at foreign bytes is declared nowhere
+        raise ValueError(f"it is cut off, damaged or another file ({error}): {WANTED}") from error
+    if sum(sizes.values()) > MOST_BYTES:
+        raise ValueError(f"its arrays have more than {MOST_BYTES} bytes: {WANTED}")
+    if missing := [name for name in SHAPES if name not in found]:
+        raise ValueError(f"it has no array {missing[0]!r}: {WANTED}")
     return found
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import zipfile
 from collections.abc import Callable, Iterable
 from io import BytesIO
@@ -149,6 +150,29 @@ def claims(*shape: int) -> Callable[[bytes], bytes]:
     return change
 
 
+def encrypted(data: bytes) -> bytes:
+    """Mark every file of the archive as encrypted, where it lies and in the list at the end."""
+    made = bytearray(data)
+    for signature, flags in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
+        for found in re.finditer(re.escape(signature), data):
+            made[found.start() + flags] |= 1
+    return bytes(made)
+
+
+def headed(header: bytes) -> Callable[[bytes], bytes]:
+    """Return what gives the first array this header."""
+
+    def change(data: bytes) -> bytes:
+        made = BytesIO()
+        with zipfile.ZipFile(BytesIO(data)) as before, zipfile.ZipFile(made, "w") as after:
+            for name in before.namelist():
+                whole = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header
+                after.writestr(name, whole if name == "format.npy" else before.read(name))
+        return made.getvalue()
+
+    return change
+
+
 OTHERS: list[tuple[Callable[[bytes], bytes], str]] = [
     (lambda data: data[: len(data) // 2], "it is cut off, damaged or another file"),
     (lambda data: data[:-1], "it is cut off, damaged or another file"),
@@ -156,6 +180,9 @@ OTHERS: list[tuple[Callable[[bytes], bytes], str]] = [
     (lambda _: b"", "expected the file that `gateway map` has written"),
     (lambda _: b"P5\n1 1\n255\n\0", "it is cut off, damaged or another file"),
     (changed(ways=lambda _: None), "it has no array 'ways'"),
+    (encrypted, "it is cut off, damaged or another file (File 'format.npy' is encrypted"),
+    (headed(b"(" * 900), "it is cut off, damaged or another file ("),
+    (headed(b"{'shape': '''"), "it is cut off, damaged or another file ("),
     (claims(10**13, 3, 3), "its array 'covariances' of (10000000000000, 3, 3) has "),
     (claims(2**70, 3, 3), "its array 'covariances' of (1180591620717411303424, 3, 3) has "),
     (claims(-1, 3, 3), "its array 'covariances' of (-1, 3, 3) has "),
