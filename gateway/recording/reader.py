@@ -154,17 +154,27 @@ def has_end(path: Path) -> bool:
     return whole
 
 
+OURS = b"motor-gateway"
+"""In the name of the library that an MCAP file's header has"""
+
+
 def is_recording(path: Path) -> bool:
-    """True if an MCAP file has a recording's metadata before its first message, or is too short to decide."""
+    """True if an MCAP file has a recording's metadata before its first message; or if it ends before that, or
+    cannot be read, and does not name another program."""
+    ours = True
     with path.open("rb") as file:
         for piece in records(file):
             if isinstance(piece, Damage):
-                return not piece.reason.startswith("a chunk packed with")  # the reader reports others
+                return ours and not piece.reason.startswith(
+                    "a chunk packed with"
+                )  # the reader reports others
+            if piece.opcode == Opcode.HEADER:
+                ours = OURS in piece.content
             if piece.opcode in (Opcode.MESSAGE, Opcode.DATA_END):
                 return False
             if piece.opcode == Opcode.METADATA and METADATA.encode() in piece.content[: len(METADATA) + 4]:
                 return True
-    return True
+    return ours
 
 
 def _file_kind(start: bytes) -> str:

@@ -439,6 +439,9 @@ def test_a_bag_that_was_cut_off_is_recovered(
     assert recovered.events[:kept] == whole.events[:kept]
     assert "messages used" in printed(capsys, 0, "replay", found, "--robot", robot)
     assert "is whole" in printed(capsys, 0, "recover", found)
+    file.write_bytes(file.read_bytes()[:600])  # before its first chunk ends
+    assert refusal(file).endswith("and no message of it is whole")
+    assert "no message of it is whole" in printed(capsys, 2, "map", file, "--out", tmp_path / "out")
 
 
 def repacked(path: Path, packed: str) -> None:
