@@ -65,7 +65,8 @@ class Clients:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_no_text_ends_a_run(tmp_path: Path, seed: int) -> None:
+def test_no_text_ends_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
+    monkeypatch.chdir(tmp_path)  # recordings that a text has begun
     random, files = Random(seed), write_files(tmp_path / "files")
     with (
         gateway.open_session(ROBOTS[seed % len(ROBOTS)], simulated=True) as session,
