@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
 
@@ -19,6 +19,7 @@ from gateway.rosbag.evaluate import mounts_of
 from gateway.rosbag.survey import proposed_robot, survey
 from protocols.messages import Event
 
+CUT = "the recording ends without its end: it was cut; all before is used"
 Events: TypeAlias = Callable[[], Iterable[Event]]
 """The events of a drive, in order, as often as they are asked for"""
 
@@ -33,6 +34,8 @@ class Driven:
     events: Events
     by_odometry: bool = False
     """Whether its wheels are made here of an odometry: their sizes are nobody's"""
+    remark: str = ""
+    """What of its file is not as it was meant, such as a lost end; "" if all is"""
 
     @property
     def body(self) -> Base:
@@ -54,7 +57,8 @@ def of_file(path: Path, robot_file: str | None = None) -> Driven:
     if not is_bag(path):
         recording = read_recording(path)
         robot = load_robot(robot_file) if robot_file else parse_robot(recording.robot_text, str(path))
-        return of_events(robot, lambda: (event for tick in recording.ticks for event in tick.outputs.events))
+        driven = of_events(robot, lambda: (e for tick in recording.ticks for e in tick.outputs.events))
+        return driven if recording.whole else replace(driven, remark=CUT)
     robot = load_robot(robot_file, recorded=True) if robot_file else proposed_robot(survey(path))
     if robot.brain.base is None:
         raise UserError(f"{path}: {robot.name} has no base that drives")
@@ -65,6 +69,7 @@ def of_file(path: Path, robot_file: str | None = None) -> Driven:
         mounts,
         lambda: heapq.merge(bag.events, bag.scans(), key=lambda event: event.t),
         by_odometry=bool(bag.odometry),
+        remark=bag.remark,
     )
 
 

@@ -58,7 +58,10 @@ def run(options: Namespace) -> int:
     """Calibrate, and print what was found."""
     path = Path(options.source)
     if is_recording(path):
-        return _print(calibrate(of_file(path, options.robot)))
+        driven = of_file(path, options.robot)
+        if driven.remark:
+            print(f"{path.name}: {driven.remark}", file=sys.stderr)
+        return _print(calibrate(driven))
     robot = with_interfaces(load_robot(options.source), dict(options.bus))
     log.addFilter(_is_news)
     try:

@@ -160,7 +160,7 @@ class _Made:
 
     def _followed(self, file: Path, trace: Trace) -> tuple[int, str]:
         """Fill the trace by what a recording of this gateway's motors and sensors told, in a map that it did
-        not begin in; return the status and what there is to say."""
+        not begin in; return the status (1: it was cut) and what there is to say."""
         driven = of_file(file, self._options.robot)
         robot = self._in_map(driven.robot, file)
         brain = robot.brain
@@ -178,8 +178,9 @@ class _Made:
                     scans, lost = scans + 1, lost + (perception.verdict.trust is Trust.LOST)
                 shown.update(number)
         trace.end(perception)
-        notes = [f"  {note}" for note in perception.take_notes()]
-        return 0, "\n".join([f"{file.name}: {scans} scans, of which {lost} came while it was lost", *notes])
+        notes = [f"  {note}" for note in (*[driven.remark] * bool(driven.remark), *perception.take_notes())]
+        text = "\n".join([f"{file.name}: {scans} scans, of which {lost} came while it was lost", *notes])
+        return int(bool(driven.remark)), text
 
 
 def _replayed(file: Path, robot_file: str | None, trace: Trace) -> tuple[int, str]:

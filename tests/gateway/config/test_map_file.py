@@ -274,5 +274,9 @@ def test_a_drive_becomes_a_map_in_which_the_next_one_begins(
     paths = [(both / name).read_text().splitlines() for name in ("path.csv", "path-2.csv")]
     ends = [tuple(map(float, lines[-1].split(",")[1:3])) for lines in paths]
     assert ends == [pytest.approx((0.6, 0.0), abs=0.05), pytest.approx((0.3, 0.1), abs=0.05)]
+    torn = Path(second)
+    torn.write_bytes(torn.read_bytes()[: -torn.stat().st_size // 3])
+    assert main(["map", first, second, "--out", str(tmp_path / "torn")]) == 1
+    assert "it was cut; all before is used" in capsys.readouterr().out
     assert main(["map", second, "--at", "0,0", "--out", str(tmp_path / "two")]) == 2
     assert "name its file by --map" in capsys.readouterr().err
