@@ -2,9 +2,10 @@
 
 Rules. A line is a word, the message's numbers, and three fields more: its stamp, a host, when it was logged
 [s]. What the lines hold stands at the head of such a file ("message formats defined"). `ODOM` has the pose by
-the wheels, `FLASER` and `RLASER` a scan with the lidar's pose and that pose, `ROBOTLASER1` a scan that
-describes itself, `TRUEPOS` the true pose of a simulation. Here they are topics of their names, but the pose
-by the wheels is one topic, `odometry`, whatever line it stands in. A file may be packed (.gz, .bz2, .xz).
+the wheels, `FLASER` and `RLASER` a scan with the lidar's pose and that pose, `ROBOTLASER1` one that describes
+itself besides, `RAWLASER1` one without poses, `TRUEPOS` the true pose of a simulation. Here they are topics
+of their names, but the pose by the wheels is one topic, `odometry`, whatever line it stands in. A file may be
+packed (.gz, .bz2, .xz).
 """
 
 from __future__ import annotations
@@ -91,8 +92,8 @@ LINES = {
     "ODOM": _Line(odometry=lambda _: 1),
     "FLASER": _Line(_simple, lambda fields: 2 + int(fields[1]) + 3),
     "RLASER": _Line(_simple, lambda fields: 2 + int(fields[1]) + 3),
-    "ROBOTLASER1": _Line(_described, lambda fields: _described(fields)[5] + 3),
-    "ROBOTLASER2": _Line(_described, lambda fields: _described(fields)[5] + 3),
+    **{f"ROBOTLASER{n}": _Line(_described, lambda fields: _described(fields)[5] + 3) for n in range(1, 6)},
+    **{f"RAWLASER{n}": _Line(_described) for n in range(1, 6)},
     "TRUEPOS": _Line(),
 }
 

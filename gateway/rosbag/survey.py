@@ -8,6 +8,7 @@ a truth. What was left out, and why, stands beside it as a comment.
 from __future__ import annotations
 
 import json
+import math
 import re
 from array import array
 from collections.abc import Mapping, Sequence
@@ -17,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from brain.belief import Floats
+from brain.belief import Floats, Pose
 from brain.bodies.body import Base
 from gateway.config import parse_robot
 from gateway.config.recorded import stand_in
@@ -68,6 +69,8 @@ STATE = "StateStamped"
 NUMBERS = ("std_msgs/msg/Float64", "std_msgs/msg/Float32")
 CONTROL = re.compile(r"[\x00-\x1f\x7f]")
 WORDS = re.compile(r"[^A-Za-z0-9_]+")
+AGAIN = 0.9
+"""Share of the scans of one topic from which on it is another's again, if they have the same stamps"""
 SIDEWAYS = 0.02
 """m/s to the side, above which a base is proposed that can move so"""
 
@@ -80,6 +83,8 @@ class TopicSurvey:
     logged: array[int] = field(default_factory=lambda: array("q"))
     stamped: array[int] = field(default_factory=lambda: array("q"))
     frame: str = ""
+    mount: Pose | None = None
+    """Where its sensor is on the robot, if its messages tell"""
     child: str = ""
     sideways: float = 0.0
     """m/s, the largest, of an odometry"""
@@ -92,6 +97,8 @@ class TopicSurvey:
         """Add a message, or its head."""
         self.logged.append(logged)
         t, frame = (message.t, message.frame) if isinstance(message, Head) else (0, "")
+        if self.mount is None and isinstance(message, Head):
+            self.mount = message.mount
         if self.topic.type == ODOMETRY and not isinstance(message, Head):
             stamp = message.header.stamp
             t, frame = stamp.sec * SECOND + stamp.nanosec, message.header.frame_id
@@ -386,7 +393,7 @@ def _sensors(by_type: Mapping[str, list[TopicSurvey]], notes: list[str]) -> dict
         best = max(imus, key=lambda one: one.topic.count)
         found["imu"] = best.name
         notes += [f"an IMU, too: {one.name}; one gyro is used" for one in imus if one is not best]
-    lidars = [one for kind in (SCAN, ECHOES, SCAN_TYPE) for one in by_type.get(kind, ())]
+    lidars = _each_once([one for kind in (SCAN, ECHOES, SCAN_TYPE) for one in by_type.get(kind, ())], notes)
     clouds = by_type.get(CLOUD, [])
     if not lidars and clouds:
         lidars = [max(clouds, key=lambda one: one.topic.count)]
@@ -399,6 +406,32 @@ def _sensors(by_type: Mapping[str, list[TopicSurvey]], notes: list[str]) -> dict
         name = "lidar" if len(lidars) == 1 else WORDS.sub("_", one.name).strip("_") or "lidar"
         found[name] = one.name
     return found
+
+
+def _each_once(lidars: Sequence[TopicSurvey], notes: list[str]) -> list[TopicSurvey]:
+    """Return each lidar by one of its topics: filters and throttles publish its scans again, and what counted
+    twice would be believed too much."""
+    kept: dict[str, TopicSurvey] = {}
+    for one in sorted(lidars, key=lambda one: (-one.topic.count, one.mount is None, len(one.name))):
+        same = next((other for other in kept.values() if _same_lidar(other, one)), None)
+        if same is None:
+            kept[one.name] = one
+        else:
+            notes.append(f"the scans of {same.name} again: {one.name}")
+    return [one for one in lidars if one.name in kept]
+
+
+def _same_lidar(one: TopicSurvey, other: TopicSurvey) -> bool:
+    """True if two topics hold scans in one frame, and at the same times."""
+    stamps = [np.frombuffer(each.stamped, dtype=np.int64) for each in (one, other)]
+    apart = one.mount is not None and other.mount is not None and not _near(one.mount, other.mount)
+    if one.frame != other.frame or apart or not all(each.any() for each in stamps):
+        return False
+    return bool(np.isin(stamps[1], stamps[0]).mean() > AGAIN)
+
+
+def _near(one: Pose, other: Pose) -> bool:
+    return math.hypot(one.x - other.x, one.y - other.y) < 0.05 and math.cos(one.yaw - other.yaw) > 0.99
 
 
 def _truth(by_type: Mapping[str, list[TopicSurvey]], odometry: TopicSurvey, notes: list[str]) -> str:

@@ -145,6 +145,7 @@ def scanned(
     time_increment: float = 0.0,
     echoes: bool = False,
     frame: str = "laser",
+    topic: str = "/scan",
 ) -> BagMessage:
     kind = f"sensor_msgs/msg/{'MultiEcho' * echoes}LaserScan"
 
@@ -168,7 +169,7 @@ def scanned(
             intensities=intensities,
         )
 
-    return BagMessage("/scan", kind, t, make)
+    return BagMessage(topic, kind, t, make)
 
 
 def cloud(t: Nanos, points: Iterable[tuple[float, float, float, int]], *, ring: bool = True) -> BagMessage:
@@ -213,9 +214,9 @@ def by_odometry(t: Nanos, v: float, w: float, pose: Pose, _: object = None) -> l
 CARMEN_HEAD = "# message_name [message contents] ipc_timestamp ipc_hostname logger_timestamp\n"
 
 
-def carmen_log(length: float = 20.0, bent: float = 0.0) -> str:
-    """Return the drive as a log of CARMEN, in the room, a scan every 0.2 s; `bent`: m by which its walls are
-    waves instead."""
+def carmen_log(length: float = 20.0, bent: float = 0.0, kinds: Sequence[str] = ("FLASER",)) -> str:
+    """Return the drive as a log of CARMEN, in the room, a scan every 0.2 s, in lines of these kinds; `bent`:
+    m by which its walls are waves instead."""
     lines = [CARMEN_HEAD, "PARAM robot_frontlaser_offset 0.0 nohost 0\n"]
     for n, (t, v, w, pose, _) in enumerate(motion(length)):
         at = f"{pose.x:.6f} {pose.y:.6f} {pose.yaw:.6f}"
@@ -225,5 +226,11 @@ def carmen_log(length: float = 20.0, bent: float = 0.0) -> str:
             ranges = room(pose, 181, -math.pi / 2.0, math.radians(1.0), 12.0)
             ranges = [one + bent * math.sin(n / 8.0) for n, one in enumerate(ranges)]
             readings = " ".join(f"{one:.2f}" for one in ranges)
-            lines.append(f"FLASER 181 {readings} {at} {at} {end}")
+            described = f"0 -1.570796 3.141593 0.017453 81.92 0.01 0 181 {readings} 0"
+            written = {
+                "FLASER": f"FLASER 181 {readings} {at} {at} {end}",
+                "ROBOTLASER1": f"ROBOTLASER1 {described} {at} {at} {v} {w} 0 0 0 {end}",
+                "RAWLASER1": f"RAWLASER1 {described} {end}",
+            }
+            lines += [written[kind] for kind in kinds]
     return "".join(lines)

@@ -398,6 +398,28 @@ def test_a_log_is_replayed_without_a_robot_file(tmp_path: Path, capsys: pytest.C
     assert "NOT PASSED" not in out
 
 
+@pytest.mark.parametrize(
+    ("kinds", "used"),
+    [
+        (("RAWLASER1",), "RAWLASER1"),
+        (("RAWLASER1", "ROBOTLASER1"), "ROBOTLASER1"),
+        (("FLASER", "RAWLASER1"), "FLASER"),
+    ],
+)
+def test_a_scan_that_is_logged_twice_counts_once(tmp_path: Path, kinds: tuple[str, ...], used: str) -> None:
+    path = tmp_path / "drive.clf"
+    path.write_text(made.carmen_log(8.0, kinds=kinds))
+    robot = proposed_robot(survey(path))
+    assert robot.bag is not None
+    assert robot.bag.sensors == {"lidar": used}
+    again = [f"the scans of {used} again: {kind}" for kind in kinds if kind != used]
+    proposal = survey(path).proposal
+    assert proposal is not None
+    assert [note for note in proposal.notes if "again" in note] == again
+    evaluation = evaluate_file(path, robot)
+    assert f"{used}: 40 of 40 as sensors.lidar" in evaluation.text()
+
+
 @pytest.mark.parametrize("pack", [gzip.compress, bz2.compress, lzma.compress])
 def test_a_packed_log_is_the_same(tmp_path: Path, pack: Callable[[bytes], bytes]) -> None:
     robot = stranger('odometry = "odometry"\nsensors = { lidar = "FLASER" }\n')
@@ -553,6 +575,26 @@ def test_inspect_writes_a_file_that_replays(tmp_path: Path, capsys: pytest.Captu
     assert "over 40 poses, after alignment" in capsys.readouterr().out
     assert main(["inspect", str(path), "--write", str(target)]) == 2
     assert "exists already" in capsys.readouterr().err
+
+
+def test_a_lidar_of_several_topics_is_one(tmp_path: Path) -> None:
+    """As filters and throttles publish it; a second lidar in its own frame stays one, too."""
+    at = [START + n * SECOND // 10 for n in range(40)]
+    messages = told(made.by_odometry, 4.0)
+    for topic, frame, times in (
+        ("/scan_filtered", "laser", at),
+        ("/scan", "laser", at),
+        ("/scan_slow", "laser", at[::4]),
+        ("/rear", "rear_laser", at),
+    ):
+        messages += [made.scanned(t, [1.0] * 90, frame=frame, topic=topic) for t in times]
+    found = survey(write(tmp_path / "x", sorted(messages, key=lambda one: one.logged), "mcap"))
+    assert found.proposal is not None
+    robot = proposed_robot(found)
+    assert robot.bag is not None
+    assert sorted(robot.bag.sensors.values()) == ["/rear", "/scan"]
+    again = [note for note in found.proposal.notes if "again" in note]
+    assert again == ["the scans of /scan again: /scan_filtered", "the scans of /scan again: /scan_slow"]
 
 
 def test_a_topic_may_be_called_anything(tmp_path: Path) -> None:
