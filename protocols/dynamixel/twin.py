@@ -161,8 +161,8 @@ class DynamixelTwin(BusServo):
     def _error(self, error: int) -> bytes:
         return bytes((error | (dx.ALERT if self.fault else 0),))
 
-    def status(self, error: int, data: bytes) -> bytes:
-        return self.packets.packet(self.memory.id, dx.STATUS, self._error(error) + data)
+    def status(self, number: int, error: int, data: bytes) -> bytes:
+        return self.packets.packet(number, dx.STATUS, self._error(error) + data)
 
     def on_question(self, t: Nanos, one: Packet, wanted: Mapping[int, Target]) -> None:
         if one.instruction not in dx.FAST:

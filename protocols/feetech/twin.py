@@ -101,8 +101,8 @@ class FeetechTwin(BusServo):
         self.model = device.options.of
         self.encoder = Encoder(counts=1e6)
 
-    def status(self, error: int, data: bytes) -> bytes:
-        return self.packets.packet(self.memory.id, self.fault, data)
+    def status(self, number: int, error: int, data: bytes) -> bytes:
+        return self.packets.packet(number, self.fault, data)
 
     def obey(self, t: Nanos, obeyed: Obeyed) -> None:
         match obeyed:

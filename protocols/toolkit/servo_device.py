@@ -209,8 +209,8 @@ class BusServo(ServoFirmware):
         """Return what registers hold that are measured."""
         raise NotImplementedError
 
-    def status(self, error: int, data: bytes) -> bytes:
-        """Return a status of this servo."""
+    def status(self, number: int, error: int, data: bytes) -> bytes:
+        """Return a status of this servo, as that of an id."""
         raise NotImplementedError
 
     def does(self, t: Nanos, one: Packet) -> int:
@@ -250,7 +250,9 @@ class BusServo(ServoFirmware):
         else:
             error = self.does(t, one)
             if mine and writes and one.instruction not in self.unanswered:
-                self.answer(t, error)
+                # A new id, too, is answered for at the old one: the vendors' SDKs look for it there. Some
+                # firmware is reported to answer at the new one; the driver takes either.
+                self.reply(t, self.status(one.id, error, b""))
 
     def _takes_turn(self, t: Nanos, status: Status) -> bool:
         """Return whether a status is of one before it in a chain; behind the last of them it answers."""
@@ -292,7 +294,7 @@ class BusServo(ServoFirmware):
 
     def answer(self, t: Nanos, error: int, data: bytes = b"") -> None:
         """Send a status."""
-        self.reply(t, self.status(error, data))
+        self.reply(t, self.status(self.memory.id, error, data))
 
     def trip(self, code: int) -> None:
         super().trip(code)

@@ -134,6 +134,12 @@ def test_it_reads_and_writes(port: Port, line: Line) -> None:
     assert line.twins[X1].mode is Mode.READY
 
 
+def test_another_id_is_answered_for_at_the_old_one(port: Port) -> None:
+    assert write(port, X1, 7, 1, 33) == (OK, 0)
+    assert HANDLER.ping(port, 33) == (1020, OK, 0)
+    assert HANDLER.ping(port, X1)[1] == sdk.COMM_RX_TIMEOUT
+
+
 def test_all_at_once(port: Port) -> None:
     for number in (X1, X2):
         assert write(port, number, 64, 1, 1) == (OK, 0)

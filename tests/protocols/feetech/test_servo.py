@@ -204,8 +204,16 @@ def test_what_is_measured_can_be_read_alone(name: str) -> None:
     assert not bench.gateway.joints["left"].faults
 
 
-def test_another_id_is_told_and_the_servo_answers_there() -> None:
+@pytest.mark.parametrize("old", [True, False], ids=["answered for at the old one", "at the new one"])
+def test_another_id_is_told_and_the_servo_answers_there(
+    old: bool,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     bench = rig()
+    if not old:
+        monkeypatch.setattr(
+            FeetechTwin, "status", lambda it, _, error, data: it.packets.packet(it.memory.id, it.fault, data)
+        )
     bench.run(0.3)
     (done,) = answers(bench, msg.WriteParameter("left", "ID", 7.0))
     assert isinstance(done, msg.Done), done
