@@ -17,6 +17,7 @@ from protocols.messages import MILLISECOND, Mode, Nanos, Obeyed
 from protocols.plugin import Device
 from protocols.toolkit.servo import Encoder, Gains, clamp
 from protocols.toolkit.servo_device import BusServo, ServoDecoder, ServoMemory
+from protocols.toolkit.servo_packets import EVERYBODY, Packet
 
 SIZE = 128
 SWITCH, MODE = 40, 33
@@ -103,6 +104,11 @@ class FeetechTwin(BusServo):
 
     def status(self, number: int, error: int, data: bytes) -> bytes:
         return self.packets.packet(number, self.fault, data)
+
+    def on_ping(self, t: Nanos, one: Packet) -> None:
+        """Answer a ping, also one of everybody: that is how the id of a servo is found that is alone on its
+        line (Feetech's manual of the protocol, broadcast id: of all instructions only PING is answered)."""
+        super().on_ping(t, one._replace(id=self.memory.id) if one.id == EVERYBODY else one)
 
     def obey(self, t: Nanos, obeyed: Obeyed) -> None:
         match obeyed:

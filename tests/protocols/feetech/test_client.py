@@ -107,3 +107,15 @@ def test_the_vendors_software_reads_and_writes(order: int, model: str, number: i
     if not order:
         assert got["sync read"] == [0, [2048, steps]]
         assert got["middle"] == [[0, 0], [2048, 0, 0]]
+
+
+def test_a_ping_of_everybody_is_answered_and_nothing_else_of_everybody_is() -> None:
+    """As programs find the id of a servo that is alone on its line."""
+    device = Device("m", 7, Options(model="sts3215"), Settings(return_delay=0))
+    twin, place = plugin.twin(device, 0), Feedback("m", 0, 0.0, 0.0)
+    answered = []
+    for now, asked in enumerate(("", "ff ff fe 02 01 fe", "ff ff fe 04 02 38 02 c1", "ff ff 07 02 01 f5")):
+        twin.receive(now * MILLISECOND, bytes.fromhex(asked))
+        frames = twin.step(now * MILLISECOND, [place])[1]
+        answered.append([frame.hex(" ") for frame in frames if isinstance(frame, bytes)])
+    assert answered == [[], ["ff ff 07 02 00 f6"], [], ["ff ff 07 02 00 f6"]]
