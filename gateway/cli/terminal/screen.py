@@ -77,15 +77,22 @@ def screen(stream: TextIO) -> Iterator[Callable[[Sequence[str]], None]]:
 class TerminalLine:
     """One line of a terminal that is redrawn in place; without a terminal, each is a line of its own."""
 
-    def __init__(self, stream: TextIO) -> None:
-        self._stream: TextIO = getattr(stream, "terminal", stream)
+    def __init__(self, stream: TextIO | Unblocked) -> None:
+        self._stream: TextIO | Unblocked = getattr(stream, "terminal", stream)
         self._terminal = stream.isatty()
         self._drawn = False
+        self._missed: str | None = None
+        """What was not drawn, since the stream had not taken what was before."""
 
     def draw(self, text: str) -> None:
-        """Draw a line over the one before."""
-        if not is_writable(self._stream):
-            return
+        """Draw a line over the one before; while the stream takes nothing the newest waits for the next
+        call, or for the end."""
+        self._missed = text
+        if is_writable(self._stream):
+            self._draw(text)
+
+    def _draw(self, text: str) -> None:
+        self._missed = None
         if self._terminal:
             self._write(f"\r{cut(text, size_of(self._stream).columns - 1)}{CLEAR_LINE}")
         else:
@@ -99,12 +106,15 @@ class TerminalLine:
 
     def clear(self) -> None:
         """Remove the line that is redrawn."""
+        self._missed = None
         if self._drawn:
             self._write(f"\r{CLEAR_LINE}")
         self._drawn = False
 
     def end(self) -> None:
         """Keep the last line, and begin a new one."""
+        if self._missed is not None:
+            self._draw(self._missed)
         if self._drawn:
             self._write("\n")
         self._drawn = False
@@ -125,7 +135,7 @@ def is_writable(stream: TextIO | Unblocked) -> bool:
         return True
 
 
-def size_of(stream: TextIO) -> os.terminal_size:
+def size_of(stream: TextIO | Unblocked) -> os.terminal_size:
     """Return columns and lines."""
     try:
         size = os.get_terminal_size(stream.fileno())

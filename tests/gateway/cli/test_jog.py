@@ -44,6 +44,7 @@ from gateway.cli.terminal.keys import (
     read_keys,
     speed_share,
 )
+from gateway.cli.terminal.output import Unblocked
 from gateway.cli.terminal.screen import TerminalLine
 from gateway.core.clock import SimulatedClock
 from gateway.core.robot import Robot
@@ -408,6 +409,23 @@ def test_log_records_are_printed_above_the_line(caplog: pytest.LogCaptureFixture
     log.warning("after")
     assert stream.getvalue() == "WARNING: left: fault\n"
     assert [record.getMessage() for record in caplog.records] == ["after"]
+
+
+def test_the_last_line_is_shown_though_the_terminal_was_still_at_the_one_before(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Defect: on a busy machine the last that was read of a motor was that it is armed."""
+    text = io.StringIO()
+    stream = Unblocked(text)
+    line = TerminalLine(stream)
+    line.draw("armed")
+    with monkeypatch.context() as busy:
+        busy.setattr(Unblocked, "idle", False)
+        line.draw("slower")
+        line.draw("ready")
+        line.end()
+    stream.close(60.0)
+    assert text.getvalue() == "armed\nready\n"
 
 
 # -- the terminal -----------------------------------------------------------------------------------
