@@ -140,6 +140,12 @@ class FeetechTwin(BusServo):
         steps: int = round(self.encoder.shaft / self.model.step) + self.model.middle
         return steps % self.model.steps if self._within_a_turn() else steps
 
+    def _offset(self) -> int:
+        """Return what is subtracted from the position [steps]: in mode position alone (measured on STS3215:
+        servolab 1.0.0, brukg/so_arm_100_hardware#13, matthieuvigne/STS_servos#9)."""
+        bare = self.memory.get("Operating_Mode") != 0
+        return 0 if bare else round(self.memory.get("Homing_Offset"))
+
     def _within_a_turn(self) -> bool:
         memory = self.memory
         counts = memory.get("Phase") & 16 and memory.get("Operating_Mode") == 0
@@ -147,7 +153,7 @@ class FeetechTwin(BusServo):
 
     def present(self) -> Mapping[str, float]:
         memory, model, settings = self.memory, self.model, self.settings
-        position = self._actual() - memory.get("Homing_Offset")
+        position = self._actual() - self._offset()
         position = position % model.steps if self._within_a_turn() else position
         share = self.torque / settings.stall_torque
         low, high = model.ends
@@ -165,8 +171,7 @@ class FeetechTwin(BusServo):
     def cycle(self, now: Nanos, dt: float, position: float, velocity: float) -> float:
         """Run the loops: within what the supply can do at this velocity."""
         settings: Settings = self.settings
-        offset = self.memory.get("Homing_Offset") * self.model.step
-        self.encoder.set_position(self.encoder.shaft - offset)
+        self.encoder.set_position(self.encoder.shaft - self._offset() * self.model.step)
         torque = super().cycle(now, dt, position, velocity)
         if self.mode is not Mode.ARMED:
             return 0.0
