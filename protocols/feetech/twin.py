@@ -17,7 +17,7 @@ from protocols.messages import MILLISECOND, Mode, Nanos, Obeyed
 from protocols.plugin import Device
 from protocols.toolkit.servo import Encoder, Gains, clamp
 from protocols.toolkit.servo_device import BusServo, ServoDecoder, ServoMemory
-from protocols.toolkit.servo_packets import EVERYBODY, Packet
+from protocols.toolkit.servo_packets import EVERYBODY, Packet, ServoPackets
 
 SIZE = 128
 SWITCH, MODE = 40, 33
@@ -30,6 +30,14 @@ class Memory(ServoMemory):
     """What one servo keeps of what it received."""
 
     options: Options
+
+    def others(self, packets: ServoPackets, one: Packet) -> tuple[int, Sequence[Obeyed]]:
+        if one.instruction != ft.RESET or one.data:
+            return 0, ()
+        self.image = self.delivered
+        for name, value in {"ID": self.id, "Operating_Mode": 0, "Homing_Offset": 0}.items():
+            self.put(name, value)
+        return 0, (msg.Idle(self.name), msg.Kept(self.name, "RESET", 1.0))
 
     def wrote(self, before: bytes, at: int, size: int) -> Sequence[Obeyed]:
         does: list[Obeyed] = []
@@ -163,6 +171,7 @@ class FeetechTwin(BusServo):
             "Present_Load": clamp(share, 1.0) * 1000.0,
             "Present_Voltage": settings.supply * 10.0,
             "Present_Temperature": settings.temperature,
+            "Async_Write": memory.waiting is not None,
             "Status": self.fault,
             "Moving": abs(self.encoder.velocity) > 0.02,
             "Present_Current": share * settings.stall_current / ft.AMPERE,
