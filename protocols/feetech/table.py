@@ -91,7 +91,8 @@ def identified(data: bytes) -> str:
 
 
 RESET = 6
-"""Instruction: what is stored becomes as delivered, but for the id (STS3215, firmware 3.10: servolab 1.0.0)."""
+"""Instruction: what is stored becomes as delivered, but for the id (STS3215, firmware 3.10: servolab
+1.0.0)."""
 SYNC = b"\xff\xff"
 WHOLE = sum(SYNC) + 0xFF & 0xFF
 """The sum of all bytes of a packet"""

@@ -143,7 +143,7 @@ def test_a_reset_stores_what_was_delivered_but_for_the_id_and_it_tells_what_wait
     assert asks(9, 4, 3, 21, 20) == asks(9, 4, 3, 40, 1) == nothing.replace(" 01 02 00 fc", " 09 02 00 f4")
     assert twin.mode is Mode.ARMED
     assert asks(9, 2, 6) == "ff ff 09 02 00 f4"
-    assert twin.mode is Mode.READY
+    assert asks(9, 4, 2, 40, 1) == "ff ff 09 03 00 00 f3"  # and it has let go
     assert asks(9, 4, 2, 21, 1) == "ff ff 09 03 00 20 d3"  # P_Coefficient as delivered
     if model == "sts3215":
         assert asks(9, 4, 2, 31, 3) == "ff ff 09 05 00 00 00 00 f1"  # no offset, and mode position
