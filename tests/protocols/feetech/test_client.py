@@ -141,7 +141,7 @@ def test_a_reset_stores_what_was_delivered_but_for_the_id_and_it_tells_what_wait
         asks(7, 2, 1)  # another's ping
     nothing = asks(1, 4, 3, 5, 9)  # its id becomes 9
     assert asks(9, 4, 3, 21, 20) == asks(9, 4, 3, 40, 1) == nothing.replace(" 01 02 00 fc", " 09 02 00 f4")
-    assert twin.mode is Mode.ARMED
+    assert asks(9, 4, 2, 40, 1) == "ff ff 09 03 00 01 f2"  # armed
     assert asks(9, 2, 6) == "ff ff 09 02 00 f4"
     assert asks(9, 4, 2, 40, 1) == "ff ff 09 03 00 00 f3"  # and it has let go
     assert asks(9, 4, 2, 21, 1) == "ff ff 09 03 00 20 d3"  # P_Coefficient as delivered

@@ -123,6 +123,7 @@ def test_a_block_of_measurements() -> None:
         "Present_Load": -200,
         "Present_Voltage": 121,
         "Present_Temperature": 36,
+        "Async_Write": 0,
         "Status": 0,
         "Moving": 1,
         "Present_Current": 25,
