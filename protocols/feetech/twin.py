@@ -15,9 +15,10 @@ from protocols.feetech import table as ft
 from protocols.feetech.options import Options, Settings
 from protocols.messages import MILLISECOND, Mode, Nanos, Obeyed
 from protocols.plugin import Device
+from protocols.toolkit.memory_map import Target
 from protocols.toolkit.servo import Encoder, Gains, clamp
 from protocols.toolkit.servo_device import BusServo, ServoDecoder, ServoMemory
-from protocols.toolkit.servo_packets import EVERYBODY, Packet, ServoPackets
+from protocols.toolkit.servo_packets import EVERYBODY, SYNC_READ, Packet, ServoPackets
 
 SIZE = 128
 SWITCH, MODE = 40, 33
@@ -117,6 +118,11 @@ class FeetechTwin(BusServo):
         """Answer a ping, also one of everybody: that is how the id of a servo is found that is alone on its
         line (Feetech's manual of the protocol, broadcast id: of all instructions only PING is answered)."""
         super().on_ping(t, one._replace(id=self.memory.id) if one.id == EVERYBODY else one)
+
+    def on_question(self, t: Nanos, one: Packet, wanted: Mapping[int, Target]) -> None:
+        """SCS servos have no sync read: they do not answer it."""
+        if one.instruction != SYNC_READ or self.model.sync_read:
+            super().on_question(t, one, wanted)
 
     def obey(self, t: Nanos, obeyed: Obeyed) -> None:
         match obeyed:

@@ -151,3 +151,14 @@ def test_a_reset_stores_what_was_delivered_but_for_the_id_and_it_tells_what_wait
     assert asks(9, 4, 2, 64, 1) == "ff ff 09 03 00 01 f2"
     assert asks(9, 2, 5) == "ff ff 09 02 00 f4"
     assert asks(9, 4, 2, 64, 1) == "ff ff 09 03 00 00 f3"
+
+
+@pytest.mark.parametrize(("model", "answer"), [("sts3215", "ff ff 01 04 00 00 08 f2"), ("scs0009", None)])
+def test_a_scs_servo_has_no_sync_read(model: Any, answer: str | None) -> None:
+    """rustypot 1.13.1, which knows that, asks for it all the same."""
+    twin = plugin.twin(Device("m", 1, Options(model=model), Settings(return_delay=0)), 0)
+    place = Feedback("m", 0, 0.0, 0.0)
+    twin.step(0, [place])
+    twin.receive(MILLISECOND, bytes.fromhex("ff ff fe 05 82 38 02 01 3f"))
+    frames = twin.step(MILLISECOND, [place])[1]
+    assert [each.hex(" ") for each in frames if isinstance(each, bytes)] == ([answer] if answer else [])
