@@ -60,6 +60,7 @@ def spec(device: Device) -> Spec:
     """Return the contract of one servo. Raises ValueError for an id that it cannot have."""
     options: Options = device.options
     scales = {"model": "its Model_Number is read" if options.of.number else ""}
+    modes = {"mode": "its Operating_Mode is read"} if len(options.of.modes) > 1 else {}
     zero = {msg.Zero} if "Homing_Offset" in options.table.by_name else set()
     return bus_servo(
         device,
@@ -73,7 +74,7 @@ def spec(device: Device) -> Spec:
         configuration=configured(options),
         writes={msg.WriteParameter: {"Lock": (0.0, 1.0)}},
         ramps=own_ramps(options.acceleration, msg.Position, msg.Velocity),
-        scales=scales | ({"stall_torque": ""} if options.mode == "pwm" else {}),
+        scales=scales | modes | ({"stall_torque": ""} if options.mode == "pwm" else {}),
     )
 
 

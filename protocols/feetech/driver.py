@@ -48,6 +48,16 @@ class Servo(Known):
     """and that it has read back so since then."""
     turns: Turns = field(default_factory=Turns)
 
+    def zero(self, model: ft.Model) -> int | None:
+        """Return the reported position of 0 rad [steps], None if it is not known: the servo subtracts its
+        offset in mode position alone, in the others it reports its encoder. The mode is not known between
+        its write and its reading."""
+        mode, wanted = self.values.get("Operating_Mode", 0), self.set_up.get("Operating_Mode", 0)
+        if mode != wanted and self.written_at is not None:
+            return None
+        offset = self.values.get("Homing_Offset") if mode else 0
+        return None if offset is None else model.middle + offset
+
     def write(self, now: Nanos) -> None:
         """Note that the set-up is written."""
         self.written_at = now if self.written_at is None else self.written_at
@@ -97,11 +107,14 @@ class FeetechAdapter(ServoAdapter[Servo]):
         options: Options = host.options
         model, place, speed = options.of, values["Present_Position"], values["Present_Velocity"]
         velocity = None if abs(speed) >= 0x7FFF else speed * model.step
+        zero = host.own.zero(model)
         if options.mode == "position":
             low, high = model.ends
-            return (place - model.middle) * model.step if low < place < high else None, velocity
+            there = zero is not None and low < place < high
+            return (place - (zero or 0)) * model.step if there else None, velocity
         # It goes on beyond the turn in which it is reported.
-        within = (place % model.steps - model.middle) * model.step
+        half = model.steps // 2
+        within = None if zero is None else ((place - zero + half) % model.steps - half) * model.step
         return host.own.turns.add(t, within, velocity, math.pi), velocity
 
     # -- commanded ------------------------------------------------------------------------------------

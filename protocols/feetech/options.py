@@ -71,7 +71,9 @@ class Options:
             case 1:
                 return GoalRegister("Goal_Velocity", Velocity, model.step)
             case 2:
-                return GoalRegister("Goal_Time", Torque, self.stall_torque / 1000.0)
+                # A positive share turns it towards smaller positions (measured on STS3215: servolab 1.0.0,
+                # huggingface/lerobot#4547).
+                return GoalRegister("Goal_Time", Torque, -self.stall_torque / 1000.0)
         return None
 
     @property

@@ -16,7 +16,7 @@ from protocols.toolkit.device_file import device_file
 from protocols.toolkit.faults import Faults, faults
 from protocols.toolkit.memory_map import MemoryMap, rows
 from protocols.toolkit.serial import Framing, inverted_sum8
-from protocols.toolkit.servo_packets import IDS, Packet, ServoPackets, Status, Targets
+from protocols.toolkit.servo_packets import IDS, NAMES, Packet, ServoPackets, Status, Targets
 
 NAME = "feetech"
 MIDDLE_HERE = 128
@@ -90,6 +90,9 @@ def identified(data: bytes) -> str:
 # -- packets -----------------------------------------------------------------------------------------------
 
 
+RESET = 6
+"""Instruction: what is stored becomes as delivered, but for the id (STS3215, firmware 3.10: servolab
+1.0.0)."""
 SYNC = b"\xff\xff"
 WHOLE = sum(SYNC) + 0xFF & 0xFF
 """The sum of all bytes of a packet"""
@@ -108,6 +111,7 @@ class Packets(ServoPackets):
     overhead = 6
     place, block = struct.Struct("B"), struct.Struct("BB")
     longest = 253
+    names = NAMES | {RESET: "RESET"}
     maps = tuple(FAMILIES.values())
 
     def packet(self, address: int, instruction: int, data: bytes = b"") -> bytes:

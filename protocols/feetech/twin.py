@@ -15,9 +15,10 @@ from protocols.feetech import table as ft
 from protocols.feetech.options import Options, Settings
 from protocols.messages import MILLISECOND, Mode, Nanos, Obeyed
 from protocols.plugin import Device
+from protocols.toolkit.memory_map import Target
 from protocols.toolkit.servo import Encoder, Gains, clamp
 from protocols.toolkit.servo_device import BusServo, ServoDecoder, ServoMemory
-from protocols.toolkit.servo_packets import EVERYBODY, Packet
+from protocols.toolkit.servo_packets import EVERYBODY, SYNC_READ, Packet, ServoPackets
 
 SIZE = 128
 SWITCH, MODE = 40, 33
@@ -30,6 +31,14 @@ class Memory(ServoMemory):
     """What one servo keeps of what it received."""
 
     options: Options
+
+    def others(self, packets: ServoPackets, one: Packet) -> tuple[int, Sequence[Obeyed]]:
+        if one.instruction != ft.RESET or one.data:
+            return 0, ()
+        self.image = self.delivered
+        for name, value in {"ID": self.id, "Operating_Mode": 0, "Homing_Offset": 0}.items():
+            self.put(name, value)
+        return 0, (msg.Idle(self.name), msg.Kept(self.name, "RESET", 1.0))
 
     def wrote(self, before: bytes, at: int, size: int) -> Sequence[Obeyed]:
         does: list[Obeyed] = []
@@ -110,6 +119,11 @@ class FeetechTwin(BusServo):
         line (Feetech's manual of the protocol, broadcast id: of all instructions only PING is answered)."""
         super().on_ping(t, one._replace(id=self.memory.id) if one.id == EVERYBODY else one)
 
+    def on_question(self, t: Nanos, one: Packet, wanted: Mapping[int, Target]) -> None:
+        """SCS servos have no sync read: they do not answer it."""
+        if one.instruction != SYNC_READ or self.model.sync_read:
+            super().on_question(t, one, wanted)
+
     def obey(self, t: Nanos, obeyed: Obeyed) -> None:
         match obeyed:
             case msg.Zero():
@@ -140,6 +154,12 @@ class FeetechTwin(BusServo):
         steps: int = round(self.encoder.shaft / self.model.step) + self.model.middle
         return steps % self.model.steps if self._within_a_turn() else steps
 
+    def _offset(self) -> int:
+        """Return what is subtracted from the position [steps]: in mode position alone (measured on STS3215:
+        servolab 1.0.0, brukg/so_arm_100_hardware#13, matthieuvigne/STS_servos#9)."""
+        bare = self.memory.get("Operating_Mode") != 0
+        return 0 if bare else round(self.memory.get("Homing_Offset"))
+
     def _within_a_turn(self) -> bool:
         memory = self.memory
         counts = memory.get("Phase") & 16 and memory.get("Operating_Mode") == 0
@@ -147,7 +167,7 @@ class FeetechTwin(BusServo):
 
     def present(self) -> Mapping[str, float]:
         memory, model, settings = self.memory, self.model, self.settings
-        position = self._actual() - memory.get("Homing_Offset")
+        position = self._actual() - self._offset()
         position = position % model.steps if self._within_a_turn() else position
         share = self.torque / settings.stall_torque
         low, high = model.ends
@@ -157,6 +177,7 @@ class FeetechTwin(BusServo):
             "Present_Load": clamp(share, 1.0) * 1000.0,
             "Present_Voltage": settings.supply * 10.0,
             "Present_Temperature": settings.temperature,
+            "Async_Write": memory.waiting is not None,
             "Status": self.fault,
             "Moving": abs(self.encoder.velocity) > 0.02,
             "Present_Current": share * settings.stall_current / ft.AMPERE,
@@ -165,8 +186,7 @@ class FeetechTwin(BusServo):
     def cycle(self, now: Nanos, dt: float, position: float, velocity: float) -> float:
         """Run the loops: within what the supply can do at this velocity."""
         settings: Settings = self.settings
-        offset = self.memory.get("Homing_Offset") * self.model.step
-        self.encoder.set_position(self.encoder.shaft - offset)
+        self.encoder.set_position(self.encoder.shaft - self._offset() * self.model.step)
         torque = super().cycle(now, dt, position, velocity)
         if self.mode is not Mode.ARMED:
             return 0.0

@@ -87,6 +87,8 @@ class Settings:
     """of that of HQ,"""
     ultra_mode: Annotated[int, Bounds(1, 255)] = 3
     """and of its ultra one; others are express"""
+    typical_mode: Annotated[int, Bounds(0, 255)] = 1
+    """The number of the scan that it recommends"""
     motor: Literal["turns", "pwm"] = "turns"
     """Whether its motor turns by itself, or by SET_MOTOR_PWM"""
     spin_up_ms: Annotated[float, Bounds(0.0, 10_000.0)] = 400.0

@@ -39,6 +39,9 @@ ANSWERS: Mapping[int, tuple[str, range]] = {
 TYPES: Mapping[str, int] = {name: kind for name, (kind, *_) in {**FILE["answers"], **FILE["scans"]}.items()}
 SCANS: Mapping[int, str] = {kind: name for name, (kind, *_) in FILE["scans"].items()}
 """What is repeated"""
+CONF: Mapping[str, int] = FILE["conf"]
+"""What GET_LIDAR_CONF asks for"""
+SCAN_NAMES: Mapping[str, str] = FILE["names"]
 SIZES: Mapping[str, int] = {name: size for name, (_, size, _) in FILE["scans"].items()}
 RAYS: Mapping[str, int] = {name: rays for name, (*_, rays) in FILE["scans"].items() if rays}
 """Of one message of what is repeated, and read here"""

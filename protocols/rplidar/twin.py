@@ -25,6 +25,10 @@ LEADS = 12.0
 """Degrees by which a near ray of an ultra scan may be before one that is far"""
 COARSE = 2.0
 """Degrees from ray to ray: where a plant has fewer, each is measured several times"""
+RPM, PWM = 600, 660
+"""What it tells of its rotation: the desired one, and the duty for it"""
+FARTHEST = 40.0
+"""m, of a model of which only the number is known"""
 QUALITY = 47
 """Of every return"""
 SERIAL = bytes.fromhex("EBB399F6C9E59AD2C5E59CF717613412")
@@ -59,9 +63,35 @@ class Memory:
 
     def _asked(self, payload: bytes) -> str:
         """Return the scan of its number; of a request without one, the standard scan."""
+        return self.numbered.get(payload[0], "express") if payload else "standard"
+
+    @property
+    def numbered(self) -> dict[int, rp.Scan]:
+        """Return its scans other than express ones, by number."""
         settings = self.settings
-        modes = {settings.hq_mode: "hq", settings.ultra_mode: "ultra", settings.dense_mode: "dense"}
-        return modes.get(payload[0], "express") if payload else "standard"
+        return {settings.hq_mode: "hq", settings.ultra_mode: "ultra", settings.dense_mode: "dense"}
+
+    def conf(self, payload: bytes) -> bytes:
+        """Return what is answered to GET_LIDAR_CONF, without the number of what was asked for; b"": nothing.
+        Slamtec's SDK asks before it scans (from firmware 1.24 on)."""
+        settings, asked, mode = self.settings, payload[:4], int.from_bytes(payload[4:6], "little")
+        scan = self.numbered.get(mode, "express") if mode else "standard"
+        q8 = 256.0 * (settings.express_us if mode else settings.standard_us)
+        high = settings.model >> 4
+        far = next((most for most, _, each, _ in rp.FILE["models"].values() if each == high), FARTHEST)
+        known = {
+            "DESIRED_ROTATION": struct.pack("<HH", RPM, PWM),
+            "LEAST_ROTATION": struct.pack("<H", RPM // 2),
+            "MOST_ROTATION": struct.pack("<H", RPM * 2),
+            "SCANS": struct.pack("<H", max(self.numbered) + 1),
+            "SAMPLE_TIME": struct.pack("<I", round(q8)),
+            "MOST_DISTANCE": struct.pack("<I", round(256.0 * far)),
+            "SCAN_TYPE": bytes((rp.TYPES[scan],)),
+            "TYPICAL_SCAN": struct.pack("<H", settings.typical_mode),
+            "SCAN_NAME": rp.SCAN_NAMES[scan].encode() + b"\0",
+        }
+        numbers = {number: name for name, number in rp.CONF.items()}
+        return known.get(numbers.get(int.from_bytes(asked, "little"), ""), b"")
 
     def stop(self) -> None:
         """End its scan."""
@@ -118,7 +148,7 @@ class RplidarTwin:
         """Obey it; answer with the next step."""
         if self.boots is not None:
             return
-        for name, _ in self.memory.obey(t, frame, failed=self.failed):
+        for name, payload in self.memory.obey(t, frame, failed=self.failed):
             if name != "SET_MOTOR_PWM":
                 self._rays, self._first, self._last = [], True, 360.0
             if name == "RESET":
@@ -126,9 +156,9 @@ class RplidarTwin:
             elif name.endswith("SCAN") and self.memory.scan:
                 self._replies.append(rp.descriptor(self.memory.scan))
             elif name.startswith(rp.READS):
-                self._replies += self._answers(name)
+                self._replies += self._answers(name, payload)
 
-    def _answers(self, name: str) -> Iterator[bytes]:
+    def _answers(self, name: str, payload: bytes) -> Iterator[bytes]:
         settings = self.device.settings
         if name == "GET_INFO":
             head = struct.pack("<BHB", settings.model, settings.firmware, settings.hardware)
@@ -139,6 +169,8 @@ class RplidarTwin:
             yield rp.answer("rate", struct.pack("<HH", settings.standard_us, settings.express_us))
         elif name == "GET_ACC_BOARD_FLAG":
             yield rp.answer("board", struct.pack("<I", settings.motor == "pwm"))
+        elif name == "GET_LIDAR_CONF" and (told := self.memory.conf(payload)):
+            yield rp.answer("conf", payload[:4] + told)
 
     def due(self) -> Nanos | None:
         """Return None: it sends when it was asked, or its rays have been measured."""

@@ -45,7 +45,7 @@ class GoalRegister:
     register: str
     command: type[SetPoint]
     unit: float
-    """One step in the command's unit"""
+    """One step in the command's unit; below 0 where it pushes the other way"""
     zero: int = 0
     """Where the command is 0."""
     ends: tuple[float, float] = (-inf, inf)
@@ -57,7 +57,7 @@ class GoalRegister:
 
     def obeyed(self, name: str, raw: int) -> SetPoint:
         """Return the command that the device obeys."""
-        return self.command(name, (raw - self.zero) * self.unit)
+        return self.command(name, (raw - self.zero) * self.unit + 0.0)  # no -0.0, of a unit below 0
 
 
 class Layout(NamedTuple):

@@ -119,3 +119,46 @@ def test_a_ping_of_everybody_is_answered_and_nothing_else_of_everybody_is() -> N
         frames = twin.step(now * MILLISECOND, [place])[1]
         answered.append([frame.hex(" ") for frame in frames if isinstance(frame, bytes)])
     assert answered == [[], ["ff ff 07 02 00 f6"], [], ["ff ff 07 02 00 f6"]]
+
+
+@pytest.mark.parametrize("model", ["sts3215", "scs0009"])
+def test_a_reset_stores_what_was_delivered_but_for_the_id_and_it_tells_what_waits_for_an_action(
+    model: Any,
+) -> None:
+    device = Device("m", 1, Options(model=model), Settings(return_delay=0, offset=-85, mode=1))
+    twin, place = plugin.twin(device, 0), Feedback("m", 0, 0.0, 0.0)
+    now = 0
+
+    def asks(*packet: int) -> str:
+        nonlocal now
+        now += MILLISECOND
+        body = bytes(packet)
+        twin.receive(now, b"\xff\xff" + body + bytes((~sum(body) & 0xFF,)))
+        answers = twin.step(now, [place])[1]
+        return b"".join(each for each in answers if isinstance(each, bytes)).hex(" ")
+
+    for _ in range(3):
+        asks(7, 2, 1)  # another's ping
+    nothing = asks(1, 4, 3, 5, 9)  # its id becomes 9
+    assert asks(9, 4, 3, 21, 20) == asks(9, 4, 3, 40, 1) == nothing.replace(" 01 02 00 fc", " 09 02 00 f4")
+    assert asks(9, 4, 2, 40, 1) == "ff ff 09 03 00 01 f2"  # armed
+    assert asks(9, 2, 6) == "ff ff 09 02 00 f4"
+    assert asks(9, 4, 2, 40, 1) == "ff ff 09 03 00 00 f3"  # and it has let go
+    assert asks(9, 4, 2, 21, 1) == "ff ff 09 03 00 20 d3"  # P_Coefficient as delivered
+    if model == "sts3215":
+        assert asks(9, 4, 2, 31, 3) == "ff ff 09 05 00 00 00 00 f1"  # no offset, and mode position
+    assert asks(9, 5, 4, 42, 0, 3).startswith("ff ff 09")  # a goal that waits
+    assert asks(9, 4, 2, 64, 1) == "ff ff 09 03 00 01 f2"
+    assert asks(9, 2, 5) == "ff ff 09 02 00 f4"
+    assert asks(9, 4, 2, 64, 1) == "ff ff 09 03 00 00 f3"
+
+
+@pytest.mark.parametrize(("model", "answer"), [("sts3215", "ff ff 01 04 00 00 08 f2"), ("scs0009", None)])
+def test_a_scs_servo_has_no_sync_read(model: Any, answer: str | None) -> None:
+    """rustypot 1.13.1, which knows that, asks for it all the same."""
+    twin = plugin.twin(Device("m", 1, Options(model=model), Settings(return_delay=0)), 0)
+    place = Feedback("m", 0, 0.0, 0.0)
+    twin.step(0, [place])
+    twin.receive(MILLISECOND, bytes.fromhex("ff ff fe 05 82 38 02 01 3f"))
+    frames = twin.step(MILLISECOND, [place])[1]
+    assert [each.hex(" ") for each in frames if isinstance(each, bytes)] == ([answer] if answer else [])

@@ -295,3 +295,46 @@ def test_scs_servos_are_read_one_after_the_other() -> None:
 def test_what_cannot_be_is_refused_at_start(text: str, why: str) -> None:
     with pytest.raises(ConfigError, match=why):
         config.parse_robot(text.replace("SETTINGS", ""))
+
+
+def position(bench: Rig) -> float:
+    """Where it is said to be [rad]."""
+    place = bench.gateway.joints["left"].feedback.position
+    assert place is not None
+    return place
+
+
+def shaft(bench: Rig) -> float:
+    """Where it truly is, from the zero of its offset [rad]."""
+    return bench.world.world.shaft("left")[0] - twin(bench).memory.get("Homing_Offset") * 6.283185307 / 4096
+
+
+@pytest.mark.parametrize(("wanted", "stored"), [("wheel", 0), ("pwm", 1), ("position", 1)])
+def test_its_offset_counts_in_each_mode_although_it_subtracts_it_in_one_alone(
+    wanted: str, stored: int
+) -> None:
+    bench = rig(f'mode = "{wanted}"', f"offset = 500, mode = {stored}, stiffness = 20.0")
+    bench.run(0.5)
+    seen: list[float] = []
+    command: Velocity | Torque | Position = Position("left", 0.4)
+    if wanted != "position":
+        command = Velocity("left", 1.0) if wanted == "wheel" else Torque("left", 0.1)
+
+    def look(_: object) -> None:
+        seen.append(abs(position(bench) - shaft(bench)))
+
+    look(None)
+    bench.run(1.0, command, at=look)
+    assert mode(bench, "left") is Mode.ARMED
+    assert twin(bench).memory.get("Operating_Mode") == {"position": 0, "wheel": 1, "pwm": 2}[wanted]
+    assert max(seen) < 0.1
+
+
+def test_a_positive_share_of_the_supply_is_a_negative_number_on_the_wire() -> None:
+    """And the servo then turns towards larger positions."""
+    bench = rig('mode = "pwm"')
+    bench.run(0.3)
+    before = position(bench)
+    bench.run(0.5, Torque("left", 0.5))
+    assert twin(bench).memory.get("Goal_Time") == round(-0.5 / 2.94 * 1000)
+    assert position(bench) > before + 0.1

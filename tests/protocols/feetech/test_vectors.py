@@ -49,7 +49,7 @@ SENT: dict[str, tuple[dict[str, Any], bytes, tuple[Obeyed, ...]]] = {
     ),
     "sync_write_pwm": (
         {"mode": "pwm"}, writes(44, {1: STS.data("Goal_Time", 500), 2: STS.data("Goal_Time", -250)}),
-        (msg.Arm("m"), msg.Torque("m", 0.5 * 2.94)),
+        (msg.Arm("m"), msg.Torque("m", -0.5 * 2.94)),
     ),
     "sync_write_torque_on": (
         {}, writes(40, {1: b"\x01", 2: b"\x01"}), (msg.Arm("m"), msg.Position("m", 0.0)),
@@ -123,6 +123,7 @@ def test_a_block_of_measurements() -> None:
         "Present_Load": -200,
         "Present_Voltage": 121,
         "Present_Temperature": 36,
+        "Async_Write": 0,
         "Status": 0,
         "Moving": 1,
         "Present_Current": 25,

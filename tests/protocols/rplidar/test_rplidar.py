@@ -96,6 +96,33 @@ def test_answers_of_a_twin_are_those_that_others_read() -> None:
     ]
 
 
+@pytest.mark.parametrize(
+    ("asked", "told"),
+    [
+        ("70", "0400"),  # of modes: standard, and up to ultra
+        ("7c", "0100"),
+        ("75 0000", "81"),
+        ("75 0100", "85"),
+        ("75 0200", "83"),
+        ("75 0300", "84"),
+        ("71 0000", "00fc0100"),  # 508 µs · 256
+        ("74 0100", "000c0000"),  # 12 m · 256
+        ("7f 0300", "426f6f737400"),  # Boost
+        ("01", "58029402"),  # 600 rpm, by a duty of 660
+        ("7b", None),
+    ],
+)
+def test_it_tells_the_vendors_software_what_that_asks_before_it_scans(asked: str, told: str | None) -> None:
+    """Slamtec's SDK (pyrplidarsdk 0.1.2 carries it) starts no scan without; numbers by its sl_lidar_cmd.h."""
+    number, *mode = (bytes.fromhex(part) for part in asked.split())
+    kind = number + bytes(3)
+    twin = plugin.twin(lidar(), 0)
+    twin.receive(0, rp.request("GET_LIDAR_CONF", kind + b"".join(mode)))
+    data = b"" if told is None else kind + bytes.fromhex(told)
+    head = b"\xa5\x5a" + len(data).to_bytes(4, "little") + b"\x20"
+    assert twin.step(0, [])[1] == ([head + data] if data else [])
+
+
 @pytest.mark.parametrize("name", [n for n in VECTORS if n.startswith("scan_node")])
 def test_nodes_are_those_of_others(name: str) -> None:
     data, meaning = data_of(name), VECTORS[name].meaning

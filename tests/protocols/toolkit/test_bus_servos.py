@@ -155,8 +155,8 @@ class Twin(BusServo):
             "Torque_Enable": self.mode is Mode.ARMED,
         }
 
-    def status(self, error: int, data: bytes) -> bytes:
-        return self.packets.packet(self.memory.id, ANSWERED, bytes((error,)) + data)
+    def status(self, number: int, error: int, data: bytes) -> bytes:
+        return self.packets.packet(number, ANSWERED, bytes((error,)) + data)
 
 
 def devices(count: int) -> list[Device]:
