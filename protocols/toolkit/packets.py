@@ -46,6 +46,8 @@ class Packets:
         """Without `pack`, address and function are the first two bytes of a message."""
         self.framing, self._unpack = framing, unpack
         self._table = Table((replace(row, extended=True) for row in rows), Line(framing.frame, pack))
+        self.encoder: Callable[[str], Callable[..., bytes]] = self._table.packet_encoders().__getitem__
+        """Return `encode` for one message, in two thirds of the time: `encoder(name)(address, **values)`."""
 
     def __deepcopy__(self, memo: object) -> Packets:
         """It is a constant: copies of a driver's state share it."""
@@ -62,11 +64,7 @@ class Packets:
     def encode(self, name: str, address: int = 0, /, **values: Any) -> bytes:  # noqa: ANN401 -- numbers
         """Return a message to or from the device at an address, as it stands on the line. Raises ValueError
         for a number that is not finite, TypeError for a field that is missing or unknown."""
-        return self._table.packet_encoder(name)(address, **values)
-
-    def encoder(self, name: str) -> Callable[..., bytes]:
-        """Return `encode` for one message, in two thirds of the time: `encoder(name)(address, **values)`."""
-        return self._table.packet_encoder(name)
+        return self.encoder(name)(address, **values)
 
     def decode(self, message: bytes, direction: Direction) -> Decoded | None:
         """Return what is in a message (as `Stream.feed` gives it); None if it is none of the table's."""
