@@ -18,7 +18,7 @@ from protocols.messages import Nanos, Obeyed
 from protocols.plugin import CommandDecoder, Device, Range
 from protocols.toolkit.assembly import Memory, copied
 from protocols.toolkit.firmware import Firmware, ServoFirmware
-from protocols.toolkit.serial import FrameFormat, Stream
+from protocols.toolkit.serial import FrameFormat, Stream, messages_in
 from protocols.toolkit.servo import Gains
 from protocols.toolkit.table import Decoded, Direction, Line, Row, Table
 
@@ -76,10 +76,7 @@ class Packets:
 
     def in_frame(self, frame: Frame) -> tuple[list[Decoded | None], bool]:
         """Return the messages to a device in a run of bytes, and whether it holds nothing else."""
-        if not isinstance(frame, bytes):
-            return [], False
-        found = Stream(self.framing).messages(frame)
-        whole = sum(len(self.framing.frame(message)) for message in found) == len(frame)
+        found, whole = messages_in(self.framing, frame)
         return [self.decode(message, "to_device") for message in found], whole
 
     def names(self, frame: Frame) -> tuple[str, ...]:
