@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from protocols.messages import MILLISECOND, Nanos
 from protocols.toolkit.motor_driver import Rx
-from protocols.toolkit.serial import Framing
+from protocols.toolkit.serial import Framing, sum8
 
 NAME = "bno08x"
 BAUDRATE = 115_200
@@ -31,11 +31,6 @@ MG = 9.80665e-3
 ENDS = (-32768, 32767)
 """Counts of what may as well be beyond"""
 _LAYOUT = struct.Struct("<2sB6h3s")
-
-
-def sum8(data: bytes) -> int:
-    """Return the sum of all bytes, in 8 bits."""
-    return sum(data) & 0xFF
 
 
 _FRAMING = Framing(SYNC, len(SYNC), lambda _: _LAYOUT.size - len(SYNC), sum8, 1, covers=len(SYNC))

@@ -48,22 +48,13 @@ class Packets(sp.ServoPackets):
     """The packets of protocol 2.0."""
 
     framing = Framing(HEADER, HEAD, _body, CRC, 2, stuffing=Stuffing(PLAIN, b"\xfd", _resize))
+    head, counted, answers = _HEAD, 3, STATUS
     addresses = range(253)
     overhead = 11
     place, block = struct.Struct("<H"), struct.Struct("<HH")
     longest = LONGEST - 3
     names, joint = NAMES, FAST
     maps = TABLES
-
-    def packet(self, address: int, instruction: int, data: bytes = b"") -> bytes:
-        return self.framing.frame(_HEAD.pack(HEADER, address, len(data) + 3, instruction) + data)
-
-    def unpacked(self, message: bytes) -> Packet:
-        return Packet(message[4], message[HEAD], message[HEAD + 1 :])
-
-    def status(self, one: Packet) -> Status | None:
-        ok = one.instruction == STATUS and one.data
-        return (one.id, one.data[0], one.data[1:]) if ok else None
 
     def targets(self, one: Packet) -> Targets:
         if one.instruction in (BULK_READ, FAST_BULK_READ):
@@ -103,21 +94,6 @@ class Packets(sp.ServoPackets):
         size = HEAD + int.from_bytes(head[5:7], "little")
         answer = Answer(size, Whole(head, size, next(iter(wanted))), delay, size)
         return Exchange(frame, answer, Rank.QUESTION, about)
-
-    def in_place(self, wanted: Targets, data: bytes) -> tuple[Sequence[Status], bytes]:
-        found: list[Status] = []
-        at = 0
-        for number, (_, size) in wanted.items():
-            end = at + HEAD + 2 + size
-            one = data[at:end]
-            if not one.startswith(_HEAD.pack(HEADER, number, size + 4, STATUS)) or PLAIN in one[HEAD:]:
-                break
-            check = data[end : end + 2]
-            if len(check) < 2 or CRC(one) != check[0] | check[1] << 8:
-                break
-            found.append((number, one[HEAD + 1], one[HEAD + 2 :]))
-            at = end + 2
-        return found, data[at:]
 
     def answered(self, wanted: Targets, question: Packet, data: bytes) -> tuple[Sequence[Status], bytes]:
         """Return the statuses in an answer; of a fast read its blocks, up to the first that is wrong or

@@ -21,7 +21,7 @@ from protocols.plain.twin import PlainDecoder, PlainTwin, Settings
 from protocols.plugin import Device, FeedbackKind, Plugin, Range, Setting, Spec, Watchdog
 from protocols.toolkit.assembly import driver_of
 from protocols.toolkit.options import configuration
-from protocols.toolkit.serial import Stream
+from protocols.toolkit.serial import messages_in
 from protocols.toolkit.table import TINY
 
 __all__ = ["plugin"]
@@ -32,10 +32,7 @@ SENSOR_PERIOD = 100 * MILLISECOND
 
 def decoded(frame: Frame) -> tuple[list[msg.Message | None], bool]:
     """Return the messages in a frame, None for a malformed one, and whether it holds nothing else."""
-    if not isinstance(frame, bytes):
-        return [], False
-    found = Stream(table.FRAMING).messages(frame)
-    whole = sum(len(table.FRAMING.frame(message)) for message in found) == len(frame)
+    found, whole = messages_in(table.FRAMING, frame)
     return [table.decode(message, 0, "") for message in found], whole
 
 

@@ -12,7 +12,7 @@ from protocols.rplidar.options import MODELS, Options, Settings
 from protocols.rplidar.twin import RplidarDecoder, RplidarTwin
 from protocols.toolkit.assembly import driver_of
 from protocols.toolkit.sensors import serial_sensor
-from protocols.toolkit.serial import Stream
+from protocols.toolkit.serial import messages_in
 
 __all__ = ["plugin"]
 
@@ -24,14 +24,14 @@ def messages(frame: Frame) -> tuple[str, ...]:
     """Return the names of the requests in a frame; else those of what a lidar tells without a checksum."""
     if not isinstance(frame, bytes):
         return ()
-    found = Stream(table.REQUESTS).messages(frame)
-    if found and b"".join(map(table.REQUESTS.frame, found)) == frame:
+    found, whole = messages_in(table.REQUESTS, frame)
+    if found and whole:
         return tuple(table.NAMES[each[0]] for each in found)
     if len(frame) >= table.HEAD and table.answer_size(frame[: table.HEAD]) == len(frame):
         return (table.ANSWERS[frame[6]][0] if frame[6] in table.ANSWERS else "descriptor",)
-    whole = range(0, len(frame) - table.NODE_BYTES + 1, table.NODE_BYTES)
-    if len(whole) * table.NODE_BYTES == len(frame) and all(table.is_node(frame, at) for at in whole):
-        return ("node",) * len(whole)
+    nodes = range(0, len(frame) - table.NODE_BYTES + 1, table.NODE_BYTES)
+    if len(nodes) * table.NODE_BYTES == len(frame) and all(table.is_node(frame, at) for at in nodes):
+        return ("node",) * len(nodes)
     return ()
 
 
@@ -47,9 +47,8 @@ UNPROTECTED = frozenset(
 
 def read_only(frame: Frame) -> bool:
     """True if a frame consists of requests that only ask."""
-    found = Stream(table.REQUESTS).messages(frame) if isinstance(frame, bytes) else ()
-    reads = [each for each in found if table.NAMES[each[0]].startswith(table.READS)]
-    return bool(reads) and b"".join(map(table.REQUESTS.frame, reads)) == frame
+    found, whole = messages_in(table.REQUESTS, frame)
+    return whole and bool(found) and all(table.NAMES[each[0]].startswith(table.READS) for each in found)
 
 
 def _set_up(options: Options) -> Written:

@@ -18,7 +18,7 @@ from protocols.messages import Nanos, Obeyed
 from protocols.plugin import CommandDecoder, Device, Range
 from protocols.toolkit.assembly import Memory, copied
 from protocols.toolkit.firmware import Firmware, ServoFirmware
-from protocols.toolkit.serial import FrameFormat, Stream
+from protocols.toolkit.serial import FrameFormat, Stream, messages_in
 from protocols.toolkit.servo import Gains
 from protocols.toolkit.table import Decoded, Direction, Line, Row, Table
 
@@ -46,6 +46,8 @@ class Packets:
         """Without `pack`, address and function are the first two bytes of a message."""
         self.framing, self._unpack = framing, unpack
         self._table = Table((replace(row, extended=True) for row in rows), Line(framing.frame, pack))
+        self.encoder: Callable[[str], Callable[..., bytes]] = self._table.packet_encoders().__getitem__
+        """Return `encode` for one message, in two thirds of the time: `encoder(name)(address, **values)`."""
 
     def __deepcopy__(self, memo: object) -> Packets:
         """It is a constant: copies of a driver's state share it."""
@@ -62,11 +64,7 @@ class Packets:
     def encode(self, name: str, address: int = 0, /, **values: Any) -> bytes:  # noqa: ANN401 -- numbers
         """Return a message to or from the device at an address, as it stands on the line. Raises ValueError
         for a number that is not finite, TypeError for a field that is missing or unknown."""
-        return self._table.packet_encoder(name)(address, **values)
-
-    def encoder(self, name: str) -> Callable[..., bytes]:
-        """Return `encode` for one message, in two thirds of the time: `encoder(name)(address, **values)`."""
-        return self._table.packet_encoder(name)
+        return self.encoder(name)(address, **values)
 
     def decode(self, message: bytes, direction: Direction) -> Decoded | None:
         """Return what is in a message (as `Stream.feed` gives it); None if it is none of the table's."""
@@ -78,10 +76,7 @@ class Packets:
 
     def in_frame(self, frame: Frame) -> tuple[list[Decoded | None], bool]:
         """Return the messages to a device in a run of bytes, and whether it holds nothing else."""
-        if not isinstance(frame, bytes):
-            return [], False
-        found = Stream(self.framing).messages(frame)
-        whole = sum(len(self.framing.frame(message)) for message in found) == len(frame)
+        found, whole = messages_in(self.framing, frame)
         return [self.decode(message, "to_device") for message in found], whole
 
     def names(self, frame: Frame) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ from functools import cache, lru_cache, reduce
 from operator import xor
 from typing import Literal, Protocol, TypeAlias
 
+from protocols.frames import Frame
 from protocols.toolkit.motor_driver import Rx
 
 Checksum: TypeAlias = Callable[[bytes], int]
@@ -112,9 +113,15 @@ def CRC16_XMODEM(data: bytes) -> int:  # noqa: N802 -- as the others
 CRC32: Checksum = zlib.crc32
 
 
+def sum8(data: bytes) -> int:
+    """Sum of all bytes, in 8 bits. The low half of an Adler-32 is that sum and 1, modulo 65,521 (RFC 1950),
+    which 256 bytes do not reach, and takes a third of the time of `sum`."""
+    return zlib.adler32(data) - 1 & 0xFF if len(data) <= 256 else sum(data) & 0xFF
+
+
 def inverted_sum8(data: bytes) -> int:
     """Complement of the sum, in 8 bits."""
-    return ~sum(data) & 0xFF
+    return -zlib.adler32(data) & 0xFF if len(data) <= 256 else ~sum(data) & 0xFF
 
 
 def xor8(data: bytes) -> int:
@@ -530,6 +537,14 @@ class Stream:
         """Discard a partial message: the line was interrupted, its rest will not come."""
         self.skipped += len(self.held)
         self.held, self.skipping = b"", False
+
+
+def messages_in(framing: FrameFormat, frame: Frame) -> tuple[list[bytes], bool]:
+    """Return the messages in a frame, and whether it is bytes, and holds nothing else."""
+    if not isinstance(frame, bytes):
+        return [], False
+    found = Stream(framing).messages(frame)
+    return found, sum(len(framing.frame(each)) for each in found) == len(frame)
 
 
 @lru_cache(maxsize=16)

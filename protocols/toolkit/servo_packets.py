@@ -17,7 +17,7 @@ from protocols.frames import Frame
 from protocols.line import Answer, Exchange, Rank
 from protocols.messages import Nanos
 from protocols.toolkit.memory_map import MemoryMap, Target
-from protocols.toolkit.serial import Framing, Stream
+from protocols.toolkit.serial import Framing, messages_in
 
 PING, READ, WRITE, REG_WRITE, ACTION, SYNC_READ, SYNC_WRITE = 1, 2, 3, 4, 5, 0x82, 0x83
 EVERYBODY = 0xFE
@@ -47,7 +47,13 @@ class ServoPackets:
     """The packets of one protocol. A constant."""
 
     framing: Framing
-    """Its sync, and then an id, begin a packet."""
+    head: struct.Struct
+    """With what a packet begins: sync, id, size and instruction."""
+    counted: int
+    """What the size counts beside the data"""
+    answers: int | None = None
+    """The instruction of a status, whose error is the first of its data; None: the error stands in the place
+    of the instruction, and nothing tells a status from an instruction."""
     addresses: range
     overhead: int
     """Bytes of a status beside what is read"""
@@ -63,34 +69,57 @@ class ServoPackets:
     maps: Sequence[MemoryMap] = ()
     """By which what is written has a name."""
 
+    def __init__(self) -> None:
+        one, stuffing = self.framing, self.framing.stuffing
+        self._error = self.head.size - (self.answers is None)
+        """Where the error of a status is,"""
+        self._stuffed = None if stuffing is None else stuffing.pattern
+        """what is not in one that is read in place,"""
+        self._checked = one.checksum, one.covers, one.checksum_size, one.order
+        """and its checksum."""
+
     def __deepcopy__(self, memo: object) -> ServoPackets:
         """It is a constant."""
         return self
 
     # -- the protocol's own -------------------------------------------------------------------------------
 
-    def packet(self, address: int, instruction: int, data: bytes = b"") -> bytes:
-        """Return a packet as it stands on the line."""
-        raise NotImplementedError
-
-    def unpacked(self, message: bytes) -> Packet:
-        """Return what is in a message (as `Stream.feed` gives it)."""
-        raise NotImplementedError
-
-    def status(self, one: Packet) -> Status | None:
-        """Return the status that a packet is; None if it is none."""
-        raise NotImplementedError
-
     def answered(self, wanted: Targets, question: Packet, data: bytes) -> tuple[Sequence[Status], bytes]:
         """Return the statuses in an answer that are known by their place, and the rest of it."""
         return self.in_place(wanted, data)
 
+    # -- in a packet --------------------------------------------------------------------------------------
+
+    def unpacked(self, message: bytes) -> Packet:
+        """Return what is in a message (as `Stream.feed` gives it)."""
+        _, number, _, instruction = self.head.unpack_from(message)
+        return Packet(number, instruction, message[self.head.size :])
+
+    def status(self, one: Packet) -> Status | None:
+        """Return the status that a packet is; None if it is none."""
+        if self.answers is None:
+            return one.id, one.instruction, one.data
+        ok = one.instruction == self.answers and one.data
+        return (one.id, one.data[0], one.data[1:]) if ok else None
+
     def in_place(self, wanted: Targets, data: bytes) -> tuple[Sequence[Status], bytes]:
         """Return whole statuses with nothing else before and between them, the usual case, which needs no
         search; and what is behind them."""
-        return (), data
-
-    # -- in a packet --------------------------------------------------------------------------------------
+        found: list[Status] = []
+        at, error, stuffed = 0, self._error, self._stuffed
+        checksum, covers, check_size, order = self._checked
+        for number, (_, size) in wanted.items():
+            end = at + error + 1 + size
+            behind = end + check_size
+            one = data[at:end]
+            if len(data) < behind or not one.startswith(status_begins(self, number, size)):
+                break
+            check = data[end] if check_size == 1 else int.from_bytes(data[end:behind], order)
+            if checksum(one[covers:]) != check or (stuffed and one.find(stuffed, error) >= 0):
+                break
+            found.append((number, one[error], one[error + 1 :]))
+            at = behind
+        return found, data[at:]
 
     def targets(self, one: Packet) -> Targets:
         """Return what a packet reads of whom; {} if it reads nothing, or is ill-formed."""
@@ -119,6 +148,11 @@ class ServoPackets:
         return [(data[n], at, data[n + 1 : n + 1 + size]) for n in range(first, len(data), size + 1)]
 
     # -- made ---------------------------------------------------------------------------------------------
+
+    def packet(self, address: int, instruction: int, data: bytes = b"") -> bytes:
+        """Return a packet as it stands on the line."""
+        head = self.head.pack(self.framing.sync, address, len(data) + self.counted, instruction)
+        return self.framing.frame(head + data)
 
     def sync_write(self, at: int, data: Mapping[int, bytes]) -> bytes:
         """Return what writes data of one size, by device: nobody answers."""
@@ -181,10 +215,7 @@ class ServoPackets:
 
     def in_frame(self, frame: Frame) -> tuple[list[Packet], bool]:
         """Return the packets in a run of bytes, and whether it holds nothing else."""
-        if not isinstance(frame, bytes):
-            return [], False
-        found = Stream(self.framing).messages(frame)
-        whole = sum(len(self.framing.frame(each)) for each in found) == len(frame)
+        found, whole = messages_in(self.framing, frame)
         return [self.unpacked(each) for each in found], whole
 
     def messages(self, frame: Frame) -> tuple[str, ...]:
@@ -209,6 +240,15 @@ class ServoPackets:
         """True if a run of bytes holds whole packets that only read: `Spec.read_only`."""
         found, whole = self.in_frame(frame)
         return whole and bool(found) and all(one.instruction == PING or self.targets(one) for one in found)
+
+
+@lru_cache(maxsize=1024)
+def status_begins(packets: ServoPackets, number: int, size: int) -> bytes:
+    """Return what stands before error and data of a status of this size."""
+    sync, counted = packets.framing.sync, size + packets.counted
+    if packets.answers is None:
+        return packets.head.pack(sync, number, counted, 0)[:-1]
+    return packets.head.pack(sync, number, counted + 1, packets.answers)
 
 
 # What follows is the same for all that are on a line, and is found once: each of them is given each packet.
@@ -261,7 +301,7 @@ class Answers:
         found, rest = packets.in_place(self.wanted, held)
         if len(found) == len(self.wanted):
             return 0, len(held) - len(rest)
-        if packets.framing.sync + IDS[self.last] not in held:  # a status of the last one begins so
+        if status_begins(packets, self.last, 0)[: len(packets.framing.sync) + 1] not in held:
             return None
         while at + packets.overhead <= len(held):
             message, end = packets.framing.read(held, at)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, TypeAlias
 
@@ -281,9 +281,9 @@ class Table:
         """Return `encode` for one message, in two thirds of the time: `encoder(name)(address, **values)`."""
         return self._encode[name]
 
-    def packet_encoder(self, name: str) -> Callable[..., bytes]:
-        """Return the same of a table with a line."""
-        return self._encode[name]
+    def packet_encoders(self) -> Mapping[str, Callable[..., bytes]]:
+        """Return the same of a table with a line, by message."""
+        return self._encode
 
     def decode(self, frame: Frame, direction: Direction) -> Decoded | None:
         """Return the message in a frame: the first row that fits; None if the id is none of the table's."""
@@ -521,7 +521,8 @@ def _raw(field: Field) -> str:
     if field.kind == "span":
         steps = f"({inside} - {low!r}) * {1.0 / field.step!r}"
         return f"int({steps} + 1e-6)" if field.floor else f"round({steps})"
-    return f"int({inside})" if field.unit == 1.0 else f"round({inside} / {field.unit!r})"
+    whole = f"{inside} if type({x}) is int else int({inside})"
+    return f"({whole})" if field.unit == 1.0 else f"round({inside} / {field.unit!r})"
 
 
 def _value(field: Field, raw: str) -> str:

@@ -8,7 +8,7 @@ from protocols.messages import MILLISECOND
 from protocols.plugin import Device, Plugin, Range, Spec
 from protocols.toolkit.assembly import driver_of
 from protocols.toolkit.sensors import serial_sensor
-from protocols.toolkit.serial import Stream
+from protocols.toolkit.serial import messages_in
 from protocols.witmotion import table as wit
 from protocols.witmotion.driver import WitmotionAdapter
 from protocols.witmotion.options import Options, Settings
@@ -22,8 +22,7 @@ PERIOD = 100 * MILLISECOND
 
 def messages(frame: Frame) -> tuple[str, ...]:
     """Return the names of the commands in a frame: the registers that are written, or read."""
-    found = Stream(wit.COMMANDS).messages(frame) if isinstance(frame, bytes) else ()
-    return tuple(_name(*wit.command_of(message)) for message in found)
+    return tuple(_name(*wit.command_of(message)) for message in messages_in(wit.COMMANDS, frame)[0])
 
 
 def _name(register: int, word: int) -> str:
@@ -32,9 +31,8 @@ def _name(register: int, word: int) -> str:
 
 def read_only(frame: Frame) -> bool:
     """True if a frame consists of commands that read registers."""
-    found = Stream(wit.COMMANDS).messages(frame) if isinstance(frame, bytes) else ()
-    reads = [message for message in found if wit.command_of(message)[0] == wit.READ]
-    return bool(reads) and b"".join(map(wit.COMMANDS.frame, reads)) == frame
+    found, whole = messages_in(wit.COMMANDS, frame)
+    return whole and bool(found) and all(wit.command_of(message)[0] == wit.READ for message in found)
 
 
 def _range(most: float) -> Range:

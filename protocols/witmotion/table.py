@@ -15,7 +15,7 @@ import struct
 from collections.abc import Mapping, Sequence
 
 from protocols.messages import SECOND, Nanos
-from protocols.toolkit.serial import Framing
+from protocols.toolkit.serial import Framing, sum8
 
 NAME = "witmotion"
 WORDS = 4
@@ -48,11 +48,6 @@ NAMES: Mapping[int, str] = {
     KEY: "KEY",
 }
 """Registers by the vendor's names; others by their number"""
-
-
-def sum8(data: bytes) -> int:
-    """Return the sum of all bytes, in 8 bits."""
-    return sum(data) & 0xFF
 
 
 def _size(head: bytes) -> int | None:

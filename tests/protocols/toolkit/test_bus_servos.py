@@ -24,7 +24,7 @@ from protocols.toolkit.serial import CRC8_MAXIM, Framing
 from protocols.toolkit.servo import Gains
 from protocols.toolkit.servo_device import BusServo, ServoDecoder, ServoMemory
 from protocols.toolkit.servo_driver import Known, Motion, ServoAdapter
-from protocols.toolkit.servo_packets import READ, SYNC_READ, SYNC_WRITE, Packet, ServoPackets, Status
+from protocols.toolkit.servo_packets import READ, SYNC_READ, SYNC_WRITE, Packet, ServoPackets
 
 TABLE = MemoryMap(
     rows(
@@ -45,21 +45,12 @@ class Packets(ServoPackets):
     """Sync, id, size, instruction, data, CRC."""
 
     framing = Framing(b"\xa5\x5a", 5, lambda head: head[3], CRC8_MAXIM, 1)
+    head, counted, answers = struct.Struct("<2sBBB"), 0, ANSWERED
     addresses = range(1, 33)
     overhead = 7
     place, block = struct.Struct("B"), struct.Struct("BB")
     longest = 17
     maps = (TABLE,)
-
-    def packet(self, address: int, instruction: int, data: bytes = b"") -> bytes:
-        return self.framing.frame(bytes((0xA5, 0x5A, address, len(data), instruction)) + data)
-
-    def unpacked(self, message: bytes) -> Packet:
-        return Packet(message[2], message[4], message[5:])
-
-    def status(self, one: Packet) -> Status | None:
-        answers = one.instruction == ANSWERED and one.data
-        return (one.id, one.data[0], one.data[1:]) if answers else None
 
 
 PACKETS = Packets()

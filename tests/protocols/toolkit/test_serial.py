@@ -7,6 +7,7 @@ from random import Random
 
 import pytest
 
+from protocols.frames import CanFrame
 from protocols.toolkit.motor_driver import Rx
 from protocols.toolkit.serial import (
     CRC8_MAXIM,
@@ -22,6 +23,8 @@ from protocols.toolkit.serial import (
     TextLines,
     crc,
     inverted_sum8,
+    messages_in,
+    sum8,
     xor8,
 )
 
@@ -75,6 +78,23 @@ EVERY_FRAMING = pytest.mark.parametrize("framing", FRAMINGS.values(), ids=FRAMIN
 def message(framing: Framing, content: bytes) -> bytes:
     filler = bytes(framing.head - len(framing.sync) - 1)
     return framing.sync + filler + bytes((len(content),)) + content
+
+
+@pytest.mark.parametrize("size", [0, 1, 13, 255, 256, 257, 600])
+def test_a_sum_is_that_of_all_bytes_however_many(size: int) -> None:
+    for data in (bytes(size), b"\xff" * size, Random(size).randbytes(size)):
+        assert sum8(data) == sum(data) % 256
+        assert inverted_sum8(data) == 255 - sum(data) % 256
+
+
+def test_what_stands_beside_messages_in_a_frame_is_seen() -> None:
+    framing = FRAMINGS["two sync bytes, CRC-16 of the body"]
+    one, two = message(framing, b"12"), message(framing, b"")
+    both = framing.frame(one) + framing.frame(two)
+    assert messages_in(framing, both) == ([one, two], True)
+    assert messages_in(framing, both + b"\0") == messages_in(framing, b"\0" + both) == ([one, two], False)
+    assert messages_in(framing, both[:-1]) == ([one], False)
+    assert messages_in(framing, CanFrame(1, b"")) == ([], False)
 
 
 def test_a_message_and_its_checksum() -> None:
