@@ -85,6 +85,9 @@ class LinkedJoints(BareJoints):
         """Joints that follow a trajectory."""
         self._profiles = Profiles(())
         self._since: Nanos = 0
+        """When these began"""
+        self._planned_at: Nanos = 0
+        """When it was last planned where the joints should be"""
         self._span: Nanos = 0
         """Time that the next motion is to take, at least."""
         self._search: Search | None = None
@@ -224,7 +227,7 @@ class LinkedJoints(BareJoints):
             target = self._targets[motor]
             if isinstance(target, Position):
                 states[motor] = JointState(target.position, target.velocity)
-        self._states = states
+        self._states, self._planned_at = states, now
         self._arrive()
         free = [
             states.get(motor, JointState(self._measured(motor).position or 0.0)) for motor in self._joints
@@ -276,10 +279,12 @@ class LinkedJoints(BareJoints):
         starts = [self._state(motor) for motor in goals]
         limits = [each for motor, each in zip(self._joints, self._limits, strict=True) if motor in goals]
         self._profiles = synchronised(starts, list(goals.values()), limits)
-        self._goals, self._since = goals, now
+        moving = any(s.velocity or s.acceleration for s in starts)
+        # what moves goes on from where it was planned to be, which was a step ago
+        self._goals, self._since = goals, self._planned_at if moving and self._states else now
         duration, span = self._profiles.duration, self._span / SECOND
         self._span = 0
-        if duration < span and duration > 0.0 and not any(s.velocity or s.acceleration for s in starts):
+        if duration < span and duration > 0.0 and not moving:
             slower = span / duration
             self._profiles = Profiles(
                 tuple(replace(one, slower=one.slower * slower) for one in self._profiles.joints)

@@ -1,10 +1,10 @@
-"""A polyline parametrised by arc length: projection on it, points along it, its exit from a circle."""
+"""A polyline parametrised by arc length: projection on it, points along it."""
 
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from itertools import accumulate, pairwise
-from math import dist, hypot, inf, sqrt
+from math import dist, hypot, inf
 
 Point = tuple[float, float]
 """m, m"""
@@ -59,33 +59,3 @@ class Polyline:
             x, y = self.point(end)
             return end, hypot(x - place[0], y - place[1])
         return best
-
-    def ahead(self, place: Point, along: float, distance: float) -> Point:
-        """Return the first point beyond `along` at this distance [m] from the place.
-
-        The last segment is extended beyond its end. If the place is farther off the line than the
-        distance, return the point that lies the distance further along."""
-        x, y = self.point(along)
-        if hypot(x - place[0], y - place[1]) >= distance:
-            return self.point(along + distance)
-        i = min(max(bisect_right(self.at, along) - 1, 0), max(len(self.points) - 2, 0))
-        for j in range(i, len(self.points) - 1):
-            last = j == len(self.points) - 2
-            hit = _circle_exit(self.points[j], self.points[j + 1], place, distance, extended=last)
-            if hit is not None:
-                return hit
-        return self.point(along + distance)
-
-
-def _circle_exit(a: Point, b: Point, centre: Point, radius: float, *, extended: bool) -> Point | None:
-    """Return where the segment from a to b (extended: the ray) leaves the circle; None if it does not."""
-    dx, dy = b[0] - a[0], b[1] - a[1]
-    fx, fy = a[0] - centre[0], a[1] - centre[1]
-    square, half, rest = dx * dx + dy * dy, fx * dx + fy * dy, fx * fx + fy * fy - radius * radius
-    root = half * half - square * rest
-    if root < 0.0:
-        return None
-    share = (-half + sqrt(root)) / square
-    if share < 0.0 or (share > 1.0 and not extended):
-        return None
-    return a[0] + share * dx, a[1] + share * dy

@@ -18,6 +18,7 @@ from brain.linked_joints import LinkedJoints
 from brain.settings import BrainSettings
 from brain.skills.skill import Observed, Tally, ToolPlace
 from brain.status import StatusReporter
+from gateway.core.limits import Limits, SetpointProfile
 from protocols.messages import (
     MILLISECOND,
     SECOND,
@@ -295,6 +296,27 @@ def test_position_control_has_the_same_set_points() -> None:
     bench.step()
     bench.reach(elbow=2.0)
     assert set(map(type, bench.step().values())) == {Position}
+
+
+@pytest.mark.parametrize("jerk", [None, 60.0])
+def test_a_planned_motion_is_profiled_here_alone(jerk: float | None) -> None:
+    """What is planned goes to the wire as it is: the joint keeps its limits, and has no profile to add."""
+    bench = Bench(SerialArm(axes=ARM.axes, tip="tool", urdf=TEXT, control="position"))
+    limits, joints = Limits(2.0, 20.0, 50.0, None, jerk), {motor: SetpointProfile() for motor in MOTORS}
+    bench.step()
+    bench.reach(shoulder=-0.6, elbow=2.0, grip=0.3)
+    planned, sent, dt = list[Command](), list[Command](), STEP / SECOND
+    for n in range(300):
+        if n == 60:  # on the way
+            bench.reach(elbow=2.4)
+        for motor, one in bench.step().items():
+            planned.append(one)
+            sent.append(joints[motor].limited(one, dt, Feedback(motor, bench.now, REST[motor], 0.0), limits))
+    assert any(isinstance(one, Position) and abs(one.velocity) > 0.5 for one in planned)
+    for one, other in zip(planned, sent, strict=True):
+        assert isinstance(one, Position)
+        assert isinstance(other, Position)
+        assert (other.position, other.velocity) == pytest.approx((one.position, one.velocity), abs=1e-12)
 
 
 def test_a_trajectory_is_passed_on_as_it_is_given_and_ends_where_it_ended() -> None:

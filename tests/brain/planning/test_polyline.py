@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from math import hypot
 
-import numpy as np
 import pytest
 
 from brain.planning.polyline import Polyline
@@ -46,31 +45,6 @@ def test_a_line_of_one_point() -> None:
     assert dot.length == 0.0
     assert dot.point(3.0) == (1.0, 2.0)
     assert dot.project((1.0, 0.0)) == (0.0, 2.0)
-    assert dot.ahead((1.0, 1.5), 0.0, 1.0) == (1.0, 2.0)
-
-
-def test_the_point_ahead_is_at_the_distance_and_on_the_line() -> None:
-    """Random lines and places: the look-ahead point is at the look-ahead distance, not the last point."""
-    rng = np.random.Generator(np.random.PCG64(7))
-    for trial in range(300):
-        steps = rng.uniform(-0.4, 0.6, (12, 2))
-        line = Polyline(tuple((float(x), float(y)) for x, y in np.cumsum(steps, axis=0)))
-        at = float(rng.uniform(0.0, line.length))
-        px, py = line.point(at)
-        place = (px + float(rng.uniform(-0.1, 0.1)), py + float(rng.uniform(-0.1, 0.1)))
-        along, off = line.project(place, max(0.0, at - 0.3), at + 0.3)
-        distance = float(rng.uniform(0.25, 0.8))
-        ahead = line.ahead(place, along, distance)
-        assert off < distance
-        assert hypot(ahead[0] - place[0], ahead[1] - place[1]) == pytest.approx(distance, abs=1e-9), trial
-        _, gap = line.project(ahead, along)
-        if gap > 1e-9:  # beyond the end, straight on
-            (ax, ay), (bx, by) = line.points[-2:]
-            length = hypot(bx - ax, by - ay)
-            onward = ((ahead[0] - bx) * (bx - ax) + (ahead[1] - by) * (by - ay)) / length
-            aside = ((ahead[0] - bx) * (by - ay) - (ahead[1] - by) * (bx - ax)) / length
-            assert onward > 0.0, trial
-            assert aside == pytest.approx(0.0, abs=1e-9), trial
 
 
 def test_straight_parts_end_at_corners_and_at_the_end() -> None:
