@@ -120,6 +120,10 @@ class Gateway:
         tells the lines by when that was written."""
         self._postponed = False
         """Whether the step before took an answer when the brain was due: the brain's is due at once."""
+        self._commanded: tuple[str, ...] = ()
+        """What kept joints from being driven when they were last commanded,"""
+        self._given: list[Exchange] = []
+        """and what drivers gave to lines then: see `_overtaken`."""
         self.guard = Guard(robot)
         self._values: list[object] = [
             each for motor in robot.motors.values() for each in (motor.spec, motor.device, motor.joint)
@@ -164,6 +168,7 @@ class Gateway:
         self._heard = []
         tasks = self._on_instructions(now, inputs.instructions)
         stopped = self.why_stopped()
+        self._commanded, self._given = self._standing(), []
         presumed = [each for one in self.joints.values() if (each := one.presumed(now)) is not None]
         thought = self._think(now, [*events, *presumed], tasks, stopped)
         wanted = {command.motor: command for command in thought}
@@ -440,7 +445,7 @@ class Gateway:
                 one, frame = self._on_bus[name][owner], bytes(each)
                 if self._ended and not (each.answer and self.guard.reads(name, one.protocol, frame)):
                     self._heard += self._decode()
-                passed = list(self._out(now, one, [frame]))
+                passed = list(self._out(now, one, [frame], each))
                 if not passed:
                     line.blocked(each)
                 packets += passed
@@ -621,7 +626,8 @@ class Gateway:
     def _put(self, now: Nanos, one: BusDriver, frames: Sequence[Frame], *, mute: bool) -> None:
         """Give a line what one of its drivers sends, and the devices' own stops. Of a driver that has failed,
         that is nothing: its set-points are taken back, and what disarms is still sent."""
-        given = [frame for frame in frames if isinstance(frame, bytes)]
+        given = [exchange(frame) for frame in frames if isinstance(frame, bytes)]
+        self._given += given
         stops = [exchange(frame) for frame in self._stops(now, one, mute=mute) if isinstance(frame, bytes)]
         given += [Exchange(stop, stop.answer, Rank.RELEASE, stop.about) for stop in stops]
         self.lines[one.bus].put(self._on_bus[one.bus].index(one), given)
@@ -636,13 +642,29 @@ class Gateway:
         since = one.failing_since
         return frozenset(name for name in one.motors if not self.joints[name].is_heard_since(since))
 
-    def _out(self, now: Nanos, one: BusDriver, frames: Sequence[Frame]) -> Iterable[Packet]:
-        """Pass frames through the guard: the one place through which every outgoing frame goes."""
+    def _standing(self) -> tuple[str, ...]:
+        """Return what keeps joints from being driven, beside frames that were blocked."""
+        faults = ((name, joint.faults) for name, joint in self.joints.items())
+        found = (name for name, those in faults if those and any(code != FRAME_BLOCKED for code, _ in those))
+        return (self.stopped, self._brain_failed, *found)
+
+    def _out(
+        self, now: Nanos, one: BusDriver, frames: Sequence[Frame], waited: Exchange | None = None
+    ) -> Iterable[Packet]:
+        """Pass frames through the guard: the one place through which every outgoing frame goes. `waited`:
+        what they are of a line."""
         stopped = bool(self.why_stopped())
         passed, blocked = self.guard.check(now, one.bus, one.protocol, frames, self.joints, stopped)
         for each in blocked:
-            self._on_blocked(one, each)
+            if not self._overtaken(waited):
+                self._on_blocked(one, each)
         return [Packet(now, one.bus, frame) for frame in passed]
+
+    def _overtaken(self, waited: Exchange | None) -> bool:
+        """Return whether a stop or a fault has come since what is blocked was commanded, in this step or
+        while it waited for its line; or its driver no longer gives it: then it is no defect of the driver."""
+        old = waited is not None and not any(each is waited for each in self._given)
+        return old or self._standing() != self._commanded
 
     def _on_blocked(self, one: BusDriver, blocked: Blocked) -> None:
         self._latch(

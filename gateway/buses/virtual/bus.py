@@ -15,7 +15,7 @@ makes them happen.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from heapq import heappop, heappush
 
@@ -200,10 +200,12 @@ class TwinBus:
         if self._from_host.errors:
             self._count_errors()
 
-    def start(self, now: Nanos) -> None:
-        """Switch the devices on, where they may be asked before the world's first step."""
+    def start(self, now: Nanos, truth: Mapping[str, Event]) -> None:
+        """Switch the devices on, where they may be asked before the world's first step. `truth`: where the
+        shafts of motors are."""
         for device in self.devices if self.prompt else ():
-            device.send(now, device.twin.step(now, ())[1])
+            seen = truth.get(device.name)
+            device.send(now, device.twin.step(now, () if seen is None else (seen,))[1])
 
     def _deliver_promptly(self, until: Nanos) -> None:
         """The same where devices answer as soon as they have heard: what ends first, and what is due
@@ -343,8 +345,9 @@ class TwinWorld:
         """Advance world, twins and media to `now`. The first call sets when the world begins."""
         if not self._began:
             self._began, self.world.now = True, now
+            truth = {device.name: self._measured(now, device, ratio) for device, ratio in self._motors}
             for bus in self.buses.values():
-                bus.start(now)
+                bus.start(now, truth)
         while self.world.now + STEP <= now:
             self._step(self.world.now)
         for bus in self.buses.values():
@@ -375,8 +378,8 @@ class TwinWorld:
                 if device.settings.name == reading.sensor:
                     device.readings.append(reading)
 
-    def _run_motor(self, t: Nanos, device: SimulatedDevice, ratio: float) -> float:
-        """Run a motor's firmware; return the torque [N·m] at the joint's output shaft.
+    def _measured(self, t: Nanos, device: SimulatedDevice, ratio: float) -> Feedback:
+        """Return what a device's encoder sees of its shaft.
 
         Position and velocity go through the gear to the device's shaft, where the encoder's disc sits: the
         position is a whole number of its counts."""
@@ -384,9 +387,12 @@ class TwinWorld:
         position, velocity = (shaft.position, shaft.velocity) if shaft else self.world.shaft(motor)
         counted = math.floor(position * ratio / self._count) * self._count
         measured = Feedback(motor, t, counted, velocity * ratio)
-        if self.tamper.measured is not None:
-            measured = self.tamper.measured(motor, measured)
-        torques, frames = device.twin.step(t, (measured,))
+        return measured if self.tamper.measured is None else self.tamper.measured(motor, measured)
+
+    def _run_motor(self, t: Nanos, device: SimulatedDevice, ratio: float) -> float:
+        """Run a motor's firmware; return the torque [N·m] at the joint's output shaft."""
+        motor = device.settings.name
+        torques, frames = device.twin.step(t, (self._measured(t, device, ratio),))
         if frames:
             device.send(t, frames)
         if device.answers < NEVER:

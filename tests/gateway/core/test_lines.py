@@ -626,3 +626,36 @@ def test_only_what_reads_goes_out_before_the_last_answer_is_decoded() -> None:
     assert not checked[False, True]
     apart = [after - before for before, after in pairwise(thought)]
     assert max(abs(each - rig.robot.period) for each in apart) <= 2 * FINE
+
+
+@pytest.mark.parametrize("name", ["bench", "twelve_dynamixel"])
+@pytest.mark.parametrize("ticks", range(4))
+def test_a_fault_that_comes_while_others_arm_is_no_defect_of_their_driver(name: str, ticks: int) -> None:
+    """Defect: what was commanded before the fault was known, in the same step or while it waited for its
+    line, was blocked and blamed on the driver: all others were in a fault, too, that only a restart ends."""
+    robot = of_file(name, on_fault="stop")
+    last = list(robot.motors)[-1]
+    limits = replace(robot.motors[last].joint.limits, position=(-3.0, 3.0))
+    rig = Rig(with_joints(robot, limits=limits))
+    rig.run(0.3 + 0.005 * ticks)
+
+    def jump(motor: str, true: Feedback) -> Feedback:
+        return true if motor != last or true.position is None else replace(true, position=true.position + 2.0)
+
+    rig.world.tamper.measured = jump
+    rig.run(0.3, *(msg.Position(motor, 0.1) for motor in robot.motors))
+    assert [motor for motor, joint in rig.gateway.joints.items() if joint.faults] == [last]
+
+
+def test_who_is_asked_before_the_worlds_first_step_tells_where_its_shaft_is() -> None:
+    """Defect: the shoulder of an arm that hangs told 0 rad, and then where it was: a turn lost, it seemed."""
+    rig = Rig(config.load_robot("arm_dynamixel"))
+    told = [
+        event.position
+        for tick in rig.run(0.05)
+        for event in tick.outputs.events
+        if isinstance(event, Feedback) and event.motor == "shoulder" and event.position is not None
+    ]
+    assert told
+    assert told == pytest.approx([-1.0] * len(told), abs=0.002)
+    assert not any(joint.faults for joint in rig.gateway.joints.values())
